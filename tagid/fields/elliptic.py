@@ -12,7 +12,7 @@ the integral of E0 E ds. Source: Richmond, Scattering by a dielectric cylinder o
 shape, IEEE Transactions on Antennas and Propagation 13(3), 1965, for a body that is one cell thick.
 
 Amplitudes of a cylinder are not those of a half ellipsoid. With one free amplitude per frequency it leaves
-0.5 to 1.5 % of the echo of solved helmet shells, and 2.5 to 5 % of that of the reflectors on them.
+1 to 3 % of the echo of solved helmet shells, and 2.5 to 5 % of that of the reflectors on them.
 """
 
 from __future__ import annotations
@@ -110,6 +110,21 @@ class ShellField:
         """(F, V) echo of the shell alone, in any common unit per frequency."""
         incident, whole = self.on_contour(antenna)
         return np.asarray((whole * incident * self.step_m).sum(axis=-1))
+
+    def echoes(self, antenna: NDArray[np.complex128], obliquities: int) -> NDArray[np.complex128]:
+        """(F, P, V) echoes of the shell weighted by powers of the cosine of incidence, from 0 to P - 1.
+
+        A half ellipsoid curves upwards, too, and what it returns at grazing incidence is not what a cylinder
+        does. With an amplitude for each of three powers, solved shells leave 0.04 to 0.2 % of their echo.
+        """
+        incident, whole = self.on_contour(antenna)
+        shell = self.shell
+        normal = self.contour.real / shell.across_m**2 + 1j * self.contour.imag / shell.along_m**2
+        normal = normal / np.abs(normal)
+        toward = antenna[:, None] - self.contour
+        cosine = (toward * normal.conj()).real / np.abs(toward)
+        powers = cosine[None] ** np.arange(obliquities)[:, None, None] * self.step_m
+        return np.asarray(np.einsum("fvn,pvn->fpv", whole * incident, powers, optimize=True))
 
     def seen_from(self, antenna: NDArray[np.complex128]) -> ShellView:
         """The field that antennas x + jy (V,), m, make."""

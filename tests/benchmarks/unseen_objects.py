@@ -262,7 +262,7 @@ def _shell77() -> Mesh:
 
 
 def _shell81() -> Mesh:
-    return shapes.helmet((0.081, 0.103, 0.078), 0.020, 0.0106, shapes.sheet(3.0, 0.0033))
+    return shapes.helmet((0.081, 0.103, 0.078), 0.020, 0.0101, shapes.sheet(3.0, 0.0033))
 
 
 def _mug39() -> Mesh:

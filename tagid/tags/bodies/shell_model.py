@@ -159,36 +159,59 @@ def likely_shells(spectra: Spectra, ring_m: float, count: int) -> list[ShellFit]
     return sorted(found, key=lambda fit: fit.left)[:count]
 
 
+def basis_of(
+    field: ShellField,
+    antenna: NDArray[np.complex128],
+    obliquities: int,
+    tag: NDArray[np.complex128] | None = None,
+) -> NDArray[np.complex128]:
+    """(F, V, C) orthonormal echoes that a shell may have, without the room, beside a tag's (F, V).
+
+    Args:
+        field: of the shell.
+        antenna: (V,) in the shell's frame, x + jy, m.
+        obliquities: amplitudes per frequency, see `ShellField.echoes`.
+        tag: echo of reflectors; None for none.
+    """
+    waves = field.echoes(antenna, obliquities)
+    if tag is not None:
+        waves = np.concatenate([waves, tag[:, None]], axis=1)
+    waves = centred(waves)
+    waves = waves / np.maximum(np.linalg.norm(waves, axis=2, keepdims=True), 1e-30)
+    return np.asarray(np.linalg.qr(np.swapaxes(waves, 1, 2))[0])
+
+
+def beyond(waves: NDArray[np.complex128], basis: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Waves (F, ..., V) without what a basis (F, V, C) holds of them."""
+    shape = waves.shape
+    flat = waves.reshape(shape[0], -1, shape[-1])
+    return np.asarray(flat - (flat @ basis.conj()) @ np.swapaxes(basis, 1, 2)).reshape(shape)
+
+
 def refined_beside(
-    spectra: Spectra, start: ShellFit, tag: NDArray[np.complex128], rounds: int = 4
+    spectra: Spectra, start: ShellFit, tag: NDArray[np.complex128], obliquities: int, rounds: int = 4
 ) -> ShellFit:
     """The shell near a start that explains most beside reflectors: centre, turn and half axes.
 
-    Levenberg-Marquardt with the amplitudes of shell and reflectors eliminated.
+    Levenberg-Marquardt with the amplitudes of shell and reflectors eliminated (variable projection).
 
     Args:
         spectra: the scans.
         start: where it begins.
         tag: (F, V) echo of the reflectors.
+        obliquities: amplitudes of the shell per frequency.
         rounds: at most.
     """
     shell, pose = start.shell, start.pose
-    unit = tag / np.maximum(np.linalg.norm(tag, axis=1, keepdims=True), 1e-30)
-
-    def beyond(waves: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        waves = centred(waves)
-        return np.asarray(waves - (waves * unit.conj()).sum(axis=1, keepdims=True) * unit)
-
-    data = beyond(spectra.data)
+    data = spectra.data
 
     def field_at(x: NDArray[np.float64]) -> ShellField:
         shape = replace(shell, across_m=float(x[3]), along_m=float(x[4]))
         return ShellField.of(spectra.wavenumbers / 2, shape, _REFINED)
 
     def rest(x: NDArray[np.float64], field: ShellField) -> NDArray[np.complex128]:
-        wave = beyond(field.echo((spectra.antenna - complex(x[0], x[1])) * np.exp(-1j * x[2])))
-        along = (wave.conj() * data).sum(axis=1, keepdims=True)
-        return np.asarray(data - wave * along / (np.abs(wave) ** 2).sum(axis=1, keepdims=True))
+        antenna = (spectra.antenna - complex(x[0], x[1])) * np.exp(-1j * x[2])
+        return beyond(data, basis_of(field, antenna, obliquities, tag))
 
     prior = np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, np.inf, np.inf]) ** -2.0
     prior *= max(spectra.noise, 0.01 * spectra.energy / spectra.data.size)

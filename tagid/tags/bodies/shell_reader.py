@@ -26,10 +26,19 @@ from tagid.tags.bodies.arrangement import apart_deg, gaps_deg, kind_of, off_axis
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.reflectors_fit import COMMON, POINTS, THROUGH, Batch
 from tagid.tags.bodies.ring import Ring, peaks
-from tagid.tags.bodies.shell_model import ShellBody, ShellFit, likely_shells, refined_beside
+from tagid.tags.bodies.shell_model import (
+    ShellBody,
+    ShellFit,
+    basis_of,
+    beyond,
+    likely_shells,
+    refined_beside,
+)
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import Layout
 
+OBLIQUITIES = 3
+"""Amplitudes of a shell per frequency, see `ShellField.echoes`."""
 COUNT = 72
 """Angles on a ring: 5 degrees, 10 mm on a helmet's."""
 _TRIED, _REFINED = 8, 3
@@ -67,17 +76,18 @@ def read_on_shell(spectra: Spectra, layouts: Sequence[Layout], settings: BodySet
         return None
     ring = max(_ring_m(layout) for layout in wide)
     thin = spectra.thinned(2)
-    starts = [_ShellReader(thin, wide, fit, settings) for fit in likely_shells(spectra, ring, _TRIED)]
+    starts = [_ShellReader(thin, wide, fit, settings, 1) for fit in likely_shells(spectra, ring, _TRIED)]
     starts.sort(key=lambda reader: reader.start.left)
     found: list[_ShellReader] = []
     for reader in starts[:_REFINED]:
-        # Beside its reflectors the shell is seen more exactly, and they beside it.
+        # Beside its reflectors the shell is seen more exactly, and they beside it. One amplitude tells more
+        # of its shape, several hold more of its echo.
         row = reader.fitted(reader.start, 2)
-        fit = refined_beside(thin, reader.fit, reader.wave_of(row))
-        reader = _ShellReader(spectra, wide, fit, settings)
+        fit = refined_beside(thin, reader.fit, reader.wave_of(row), 1)
+        reader = _ShellReader(spectra, wide, fit, settings, OBLIQUITIES)
         row = reader.fitted(reader.start)
-        fit = refined_beside(spectra, fit, reader.wave_of(row), 3)
-        found.append(_ShellReader(spectra, wide, fit, settings))
+        fit = refined_beside(spectra, fit, reader.wave_of(row), OBLIQUITIES, 2)
+        found.append(_ShellReader(spectra, wide, fit, settings, OBLIQUITIES))
     return min(found, key=lambda reader: reader.fitted(reader.start, 2).left).read()
 
 
@@ -142,6 +152,7 @@ class _ShellReader:
         layouts: Sequence[Layout],
         fit: ShellFit,
         settings: BodySettings,
+        obliquities: int,
     ) -> None:
         self.spectra, self.layouts, self.fit, self.settings = spectra, layouts, fit, settings
         distance = round(spectra.distance_m, 2)
@@ -149,19 +160,18 @@ class _ShellReader:
         self.field = ShellField.of(spectra.wavenumbers / 2, fit.shell)
         self.across = spectra.antenna - fit.pose.centre
         self.seen = self.field.seen_from(self.across * np.exp(-1j * fit.pose.turn_rad))
-        unit = centred(self.field.echo(self.across * np.exp(-1j * fit.pose.turn_rad)))
-        self.unit = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-30)
+        self.basis = basis_of(self.field, self.across * np.exp(-1j * fit.pose.turn_rad), obliquities)
         self.beyond = self._beyond_body(spectra.data)
         self.body_left = float((np.abs(self.beyond) ** 2).sum())
-        self.noise = spectra.noise_energy * max(spectra.views - 3, 1) / (spectra.views - 1)
+        free = max(spectra.views - 2 - obliquities, 1)
+        self.noise = spectra.noise_energy * free / (spectra.views - 1)
         self.variance = max(
             spectra.noise + MODEL_ERROR * self.body_left / spectra.data.size, 1e-12 * spectra.energy
         )
 
     def _beyond_body(self, waves: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """Waves (..., F, V) without what is constant over the views and without the body's echo."""
-        waves = centred(waves)
-        return np.asarray(waves - (waves * self.unit.conj()).sum(axis=-1, keepdims=True) * self.unit)
+        """Waves (F, ..., V) without what is constant over the views and without what the shell may return."""
+        return beyond(centred(waves), self.basis)
 
     def each(self, places: NDArray[np.complex128], heights: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(F, K, V) echo of reflectors at places about the shell's centre, m."""
@@ -224,16 +234,16 @@ class _ShellReader:
         radii = np.where(radii > 0.01, radii, 0.0)
         heights = np.asarray(layout.heights, dtype=np.float64)
         steps = np.exp(2j * np.pi * np.arange(COUNT) / COUNT)
-        total = np.zeros((COUNT, *self.spectra.data.shape), dtype=np.complex128)
+        frequencies, views = self.spectra.data.shape
+        total = np.zeros((frequencies, COUNT, views), dtype=np.complex128)
         for radius, angle, height in zip(radii, angles, heights, strict=True):
             if radius > 0:
-                around = self.each(radius * np.exp(1j * angle) * steps, np.full(COUNT, height))
-                total += np.moveaxis(around, 1, 0)
+                total += self.each(radius * np.exp(1j * angle) * steps, np.full(COUNT, height))
             else:
-                total += self.each(np.zeros(1, dtype=np.complex128), np.full(1, height))[:, 0]
+                total += self.each(np.zeros(1, dtype=np.complex128), np.full(1, height))
         waves = self._beyond_body(total)
-        along = np.abs((waves.conj() * self.beyond).sum(axis=-1)) ** 2
-        value = (along / np.maximum((np.abs(waves) ** 2).sum(axis=-1), 1e-30)).sum(axis=1)
+        along = np.abs((waves.conj() * self.beyond[:, None]).sum(axis=-1)) ** 2
+        value = (along / np.maximum((np.abs(waves) ** 2).sum(axis=-1), 1e-30)).sum(axis=0)
         found = []
         for i in peaks(value, 2):
             at = np.concatenate([np.zeros(3), angles + 2 * np.pi * i / COUNT])
@@ -251,10 +261,8 @@ class _ShellReader:
         angles = 2 * np.pi * np.arange(COUNT) / COUNT
         starts: list[_Ringed] = []
         for radius in sorted({round(_ring_m(layout), 3) for layout in self.layouts}):
-            each = self.each(radius * np.exp(1j * angles), np.zeros(COUNT))[thin]
-            ring = Ring.from_columns(
-                self.spectra.data[thin], centred(each), self.unit[thin], radius, POINTS, angles
-            )
+            each = self._beyond_body(self.each(radius * np.exp(1j * angles), np.zeros(COUNT)))
+            ring = Ring.from_columns(self.beyond[thin], each[thin], None, radius, POINTS, angles)
             scale = self.body_left / max(ring.energy, 1e-30)
             for sets, values in ring.best(self.settings.most, _BEAM).values():
                 for indices, value in zip(sets, values, strict=True):
@@ -294,7 +302,27 @@ class _ShellReader:
         best = ranked[0]
         others = [self.fitted(row) for row in self._others()]
         free = self.fitted(replace(best, layout=None))
-        return self._compared(ranked, others, free, self.fitted(self._toggled(best)))
+        return ShellReading(self._compared(ranked, others, free), *self._middle(best))
+
+    def _middle(self, best: _Ringed) -> tuple[float, float, bool]:
+        """The fields of `ShellReading` on what stands in the middle.
+
+        Several amplitudes of the shell hold much of a wave from there: one is taken.
+        """
+        plain = _ShellReader(self.spectra, self.layouts, self.fit, self.settings, 1)
+        own, other = plain.fitted(best), plain.fitted(self._toggled(best))
+        tag = max(plain.body_left - own.left, 1e-30)
+        error = max(own.left - plain.noise, 0.0) + MODEL_ERROR * tag
+        error += self.settings.noise_nats * self.spectra.noise
+        wave = plain._beyond_body(plain.wave_of(own))
+        size = np.maximum((np.abs(wave) ** 2).sum(axis=1), 1e-30)
+        amplitude = (wave.conj() * plain.beyond).sum(axis=1) / size
+        # What a reflector alike adds beyond the arrangement, whose amplitude follows.
+        fewer, more = sorted((own, self._toggled(own)), key=lambda row: len(row.radii))
+        extra = plain._beyond_body(plain.wave_of(more) - plain.wave_of(fewer))
+        extra = extra - wave * ((wave.conj() * extra).sum(axis=1) / size)[:, None]
+        shows = float((np.abs(amplitude[:, None] * extra) ** 2).sum())
+        return shows / error, (other.left - own.left) / error, bool((best.radii == 0).any())
 
     def _toggled(self, row: _Ringed) -> _Ringed:
         """An arrangement with a reflector in the middle, or without the one that it has there."""
@@ -309,15 +337,12 @@ class _ShellReader:
         at = np.concatenate([row.at[:3], row.at[3:][keep]])
         return replace(row, at=at, radii=row.radii[keep], heights=row.heights[keep])
 
-    def _compared(
-        self, ranked: list[_Ringed], found: list[_Ringed], free: _Ringed, toggled: _Ringed
-    ) -> ShellReading:
+    def _compared(self, ranked: list[_Ringed], found: list[_Ringed], free: _Ringed) -> BodyReading:
         """The best layout against all that is not it."""
         settings, spectra = self.settings, self.spectra
         best = ranked[0]
         wanted = gaps_deg(best.on_ring)
         radius = float(best.radii.max())
-        middle = bool((best.radii == 0).any())
 
         def away(row: _Ringed) -> float:
             return apart_deg(row.on_ring, wanted, resolution_deg(radius))
@@ -335,14 +360,10 @@ class _ShellReader:
         lead = (every[0].charged - best.left) / error if every else inf
         wave = self._beyond_body(self.wave_of(best))
         amplitude = (wave.conj() * self.beyond).sum(axis=1) / (np.abs(wave) ** 2).sum(axis=1)
-        body = ((spectra.data - amplitude[:, None] * self.wave_of(best)) * self.unit.conj()).sum(axis=1)
+        rest = spectra.data - amplitude[:, None] * self.wave_of(best)
+        body = rest - beyond(rest, self.basis)
         layouts = tuple(self._placed(row, 0.0) for row in ranked)
-        # What a reflector alike in the middle adds beyond the arrangement, whose amplitude follows.
-        fewer, more = sorted((best, self._toggled(best)), key=lambda row: len(row.radii))
-        extra = self._beyond_body(self.wave_of(more) - self.wave_of(fewer))
-        extra = extra - wave * ((wave.conj() * extra).sum(axis=1) / (np.abs(wave) ** 2).sum(axis=1))[:, None]
-        shows = float((np.abs(amplitude[:, None] * extra) ** 2).sum())
-        reading = BodyReading(
+        return BodyReading(
             body=self.body,
             pose=self.fit.pose,
             views=spectra.views,
@@ -367,7 +388,6 @@ class _ShellReader:
             front_m=0.0,
             body_energy=float((np.abs(body) ** 2).sum()),
         )
-        return ShellReading(reading, shows / error, (toggled.left - best.left) / error, middle)
 
     def _placed(self, row: _Ringed, charge: float) -> Placed:
         """An arrangement beside the shell as one with a free pattern, as which pictures subtract its body."""
