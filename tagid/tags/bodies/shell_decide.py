@@ -23,7 +23,9 @@ class ShellDecision:
         centre_m: largest distance of the shell's centre, and of the tag's, from the rotation axis.
         tag_nats: a tag explains so many noise variances.
         wall_share: a shell has this share of the moving echo: without one the reading is that of a bare tag.
-        middle: a reflector in the middle is told where it would show by so many errors of the reading.
+        middle: a reflector in the middle is told where it would show by so many errors of the reading,
+        contrary: and stands there where it explains more than this share of that. One that the layout has
+            must explain something.
     """
 
     unexplained: float = 0.2
@@ -35,6 +37,7 @@ class ShellDecision:
     tag_nats: float = 80.0
     wall_share: float = 0.05
     middle: float = 0.1
+    contrary: float = 0.25
 
 
 def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
@@ -56,10 +59,10 @@ def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
         return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {name}")
     if r.radius_off_m > s.radius_m:
         return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {name}")
-    told = found.has_middle or found.middle_nats >= s.middle
-    if told and found.middle_lead <= 0:
-        if found.has_middle:
-            return Verdict("unknown", Code.MISSING, f"the reflector in the middle of {name} is missing")
+    if found.has_middle and found.middle_lead <= 0:
+        return Verdict("unknown", Code.MISSING, f"the reflector in the middle of {name} is missing")
+    told = not found.has_middle and found.middle_nats >= s.middle
+    if told and found.middle_lead < -s.contrary * found.middle_nats:
         return Verdict("unknown", Code.EXTRA, f"a reflector stands in the middle of {name}")
     if r.lead < s.lead:
         return Verdict(
