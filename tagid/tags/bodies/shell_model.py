@@ -33,21 +33,32 @@ _STEPS = np.array([1e-4, 1e-4, 1e-3, 1e-4, 1e-4])
 """Finite differences of centre, m, turn, rad, and half axes, m."""
 
 
+@dataclass(frozen=True)
+class ShellFit:
+    """A shell that explains some scans.
+
+    Attributes:
+        shell: its shape.
+        pose: its centre and turn.
+        left: energy that it leaves, alone or beside the reflectors that were fitted with it.
+    """
+
+    shell: EllipticShell
+    pose: Pose
+    left: float
+
+
 @dataclass(frozen=True, eq=False)
 class ShellBody:
     """A thin elliptic shell that nobody enrolled (a `BodyModel`).
 
     Attributes:
-        shell: its shape.
-        placed: where it was found; None before.
-        left: energy that it left there, alone.
+        fit: its shape, and where it was found.
         wavenumbers: (F,) kappa at which its harmonics are known, rad/m.
         distance_m: at which they are.
     """
 
-    shell: EllipticShell
-    placed: Pose
-    left: float
+    fit: ShellFit
     wavenumbers: NDArray[np.float64]
     distance_m: float
 
@@ -73,7 +84,7 @@ class ShellBody:
 
     def poses(self, spectra: Spectra) -> list[Candidate]:
         """Where it was found."""
-        return [Candidate(self.placed, self.left)]
+        return [Candidate(self.fit.pose, self.fit.left)]
 
     def echo(
         self, spectra: Spectra, centres: NDArray[np.complex128], turns: NDArray[np.float64]
@@ -83,22 +94,7 @@ class ShellBody:
 
     @cached_property
     def _known(self) -> EnrolledBody:
-        return EnrolledBody(signature_of(self.shell, self.wavenumbers, self.distance_m), Searches(1))
-
-
-@dataclass(frozen=True)
-class ShellFit:
-    """A shell that explains some scans.
-
-    Attributes:
-        shell: its shape.
-        pose: its centre and turn.
-        left: energy that it leaves, alone or beside the reflectors that were fitted with it.
-    """
-
-    shell: EllipticShell
-    pose: Pose
-    left: float
+        return EnrolledBody(signature_of(self.fit.shell, self.wavenumbers, self.distance_m), Searches(1))
 
 
 def signature_of(

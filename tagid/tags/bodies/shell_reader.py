@@ -169,8 +169,6 @@ class _ShellReader:
         obliquities: int,
     ) -> None:
         self.spectra, self.layouts, self.fit, self.settings = spectra, layouts, fit, settings
-        distance = round(spectra.distance_m, 2)
-        self.body = ShellBody(fit.shell, fit.pose, fit.left, spectra.wavenumbers, distance)
         self.field = ShellField.of(spectra.wavenumbers / 2, fit.shell)
         self.across = spectra.antenna - fit.pose.centre
         self.seen = self.field.seen_from(self.across * np.exp(-1j * fit.pose.turn_rad))
@@ -321,27 +319,30 @@ class _ShellReader:
         best = ranked[0]
         others = [self.fitted(row) for row in self._others()]
         free = self.fitted(replace(best, layout=None))
-        return ShellReading(self._compared(ranked, others, free), *self._middle(best))
+        # With one amplitude per frequency the shell's shape is seen better, and what stands in its middle.
+        fit = refined_beside(self.spectra, self.fit, self.wave_of(best), 1)
+        plain = _ShellReader(self.spectra, self.layouts, fit, self.settings, 1)
+        return plain.middle_of(best, self._compared(ranked, others, free, fit))
 
-    def _middle(self, best: _Ringed) -> tuple[float, float, bool]:
-        """The fields of `ShellReading` on what stands in the middle.
+    def middle_of(self, best: _Ringed, reading: BodyReading) -> ShellReading:
+        """A reading with what stands in the middle of its best layout.
 
-        Several amplitudes of the shell hold much of a wave from there: one is taken.
+        Several amplitudes of the shell hold much of a wave from there: this asks for one.
         """
-        plain = _ShellReader(self.spectra, self.layouts, self.fit, self.settings, 1)
-        own, other = plain.fitted(best), plain.fitted(self._toggled(best))
-        tag = max(plain.body_left - own.left, 1e-30)
-        error = max(own.left - plain.noise, 0.0) + MODEL_ERROR * tag
+        own, other = self.fitted(best), self.fitted(self._toggled(best))
+        tag = max(self.body_left - own.left, 1e-30)
+        error = max(own.left - self.noise, 0.0) + MODEL_ERROR * tag
         error += self.settings.noise_nats * self.spectra.noise
-        wave = plain._beyond_body(plain.wave_of(own))
+        wave = self._beyond_body(self.wave_of(own))
         size = np.maximum((np.abs(wave) ** 2).sum(axis=1), 1e-30)
-        amplitude = (wave.conj() * plain.beyond).sum(axis=1) / size
+        amplitude = (wave.conj() * self.beyond).sum(axis=1) / size
         # What a reflector alike adds beyond the arrangement, whose amplitude follows.
         fewer, more = sorted((own, self._toggled(own)), key=lambda row: len(row.radii))
-        extra = plain._beyond_body(plain.wave_of(more) - plain.wave_of(fewer))
+        extra = self._beyond_body(self.wave_of(more) - self.wave_of(fewer))
         extra = extra - wave * ((wave.conj() * extra).sum(axis=1) / size)[:, None]
         shows = float((np.abs(amplitude[:, None] * extra) ** 2).sum())
-        return shows / error, (other.left - own.left) / error, bool((best.radii == 0).any())
+        has = bool((best.radii == 0).any())
+        return ShellReading(reading, shows / error, (other.left - own.left) / error, has)
 
     def _toggled(self, row: _Ringed) -> _Ringed:
         """An arrangement with a reflector in the middle, or without the one that it has there."""
@@ -356,8 +357,17 @@ class _ShellReader:
         at = np.concatenate([row.at[:3], row.at[3:][keep]])
         return replace(row, at=at, radii=row.radii[keep], heights=row.heights[keep])
 
-    def _compared(self, ranked: list[_Ringed], found: list[_Ringed], free: _Ringed) -> BodyReading:
-        """The best layout against all that is not it."""
+    def _compared(
+        self, ranked: list[_Ringed], found: list[_Ringed], free: _Ringed, shown: ShellFit
+    ) -> BodyReading:
+        """The best layout against all that is not it.
+
+        Args:
+            ranked: layouts, best first.
+            found: other arrangements.
+            free: the best layout's reflectors, each free.
+            shown: the shell that the reading shows.
+        """
         settings, spectra = self.settings, self.spectra
         best = ranked[0]
         wanted = gaps_deg(best.on_ring)
@@ -383,8 +393,8 @@ class _ShellReader:
         body = rest - beyond(rest, self.basis)
         layouts = tuple(self._placed(row, 0.0) for row in ranked)
         return BodyReading(
-            body=self.body,
-            pose=self.fit.pose,
+            body=ShellBody(shown, spectra.wavenumbers, round(spectra.distance_m, 2)),
+            pose=shown.pose,
             views=spectra.views,
             energy=spectra.energy,
             noise=self.noise,

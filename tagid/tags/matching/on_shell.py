@@ -1,4 +1,4 @@
-"""Names of tags on a thin shell that nobody enrolled, where no other hypothesis names one."""
+"""What a thin shell that nobody enrolled says, where no other hypothesis names a tag."""
 
 from __future__ import annotations
 
@@ -16,11 +16,14 @@ from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.won import on_body
 
+CLEARER = 0.5
+"""A refusal is that on a shell where a layout on it leaves this share of what every other hypothesis leaves."""
+
 
 def on_shell(
     settled: Reading, scans: BasebandScans, layouts: Sequence[Layout], settings: ContestSettings
 ) -> Reading | None:
-    """The reading that a layout on a thin shell wins; None where none does.
+    """The reading on a thin shell; None where a shell explains the scans no better than anything else.
 
     Args:
         settled: what the other hypotheses come to; it names nothing.
@@ -31,9 +34,9 @@ def on_shell(
     from tagid.tags.bodies.shell_reader import read_on_shell
 
     found = read_on_shell(Spectra.of(scans), layouts, settings.body)
-    if found is None or decide_on_shell(found, settings.shell).status != "identified":
+    if found is None:
         return None
-    reading = found.reading
+    verdict, reading = decide_on_shell(found, settings.shell), found.reading
     best = reading.layouts[0]
     share = (best.left - reading.noise) / max(reading.energy - reading.noise, 1e-30)
     own = Explanation(
@@ -47,4 +50,16 @@ def on_shell(
         float(best.radii.mean()),
     )
     hypotheses = tuple(sorted((own, *settled.hypotheses), key=lambda one: one.left))
-    return replace(on_body(settled, reading, layouts, None), hypotheses=hypotheses, note="")
+    if verdict.status == "identified":
+        return replace(on_body(settled, reading, layouts, None), hypotheses=hypotheses, note="")
+    if own.left > CLEARER * min((one.left for one in settled.hypotheses), default=1.0):
+        return None
+    return replace(
+        settled,
+        code=verdict.code,
+        reason=verdict.reason,
+        nearest=best.layout or settled.nearest,
+        kind=Kind.SHELL,
+        body=reading,
+        hypotheses=hypotheses,
+    )
