@@ -180,7 +180,13 @@ class MatchedScan:
         known = self._settings.direction_known
         contest = self._settings.contest
         settled = settle(bare, self.scans, self._layouts, self._enrolled, contest, direction_known=known)
-        if settled.status != "unknown" or not known:
+        if not known:
+            return settled
+        passed = settled.kind is Kind.ROUND and settled.body is not None and settled.body.through
+        if settled.status == "identified" and passed:
+            # A helmet's shell passes for a glass beside some arrangements.
+            return on_shell(settled, self.scans, self._layouts, contest) or settled
+        if settled.status != "unknown":
             return settled
         if settled.body is not None and settled.body.body.name:
             named = self._beside_transparent(settled, settled.body)

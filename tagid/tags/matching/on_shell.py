@@ -15,9 +15,11 @@ from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.won import on_body
+from tagid.tags.verdicts.verdict import Code
 
 CLEARER = 0.5
-"""A refusal is that on a shell where a layout on it leaves this share of what every other hypothesis leaves."""
+"""A refusal is that on a shell, and a name on a glass is doubted, where a layout on the shell leaves this share
+of what every other hypothesis leaves."""
 
 
 def on_shell(
@@ -26,7 +28,7 @@ def on_shell(
     """The reading on a thin shell; None where a shell explains the scans no better than anything else.
 
     Args:
-        settled: what the other hypotheses come to; it names nothing.
+        settled: what the other hypotheses come to: no name, or one beside a wall that the wave passes.
         scans: at most a turn of folded views.
         layouts: the enrolled ones.
         settings: of the contest.
@@ -50,12 +52,17 @@ def on_shell(
         float(best.radii.mean()),
     )
     hypotheses = tuple(sorted((own, *settled.hypotheses), key=lambda one: one.left))
+    clearer = own.left <= CLEARER * min((one.left for one in settled.hypotheses), default=1.0)
+    if settled.status == "identified" and not clearer:
+        return None
     if verdict.status == "identified":
         return replace(on_body(settled, reading, layouts, None), hypotheses=hypotheses, note="")
-    if own.left > CLEARER * min((one.left for one in settled.hypotheses), default=1.0):
+    if not clearer or verdict.code is Code.WEAK:
         return None
     return replace(
         settled,
+        status=verdict.status,
+        layout=None,
         code=verdict.code,
         reason=verdict.reason,
         nearest=best.layout or settled.nearest,
