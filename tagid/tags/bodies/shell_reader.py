@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from tagid.fields.elliptic import ShellField
 from tagid.tags.bodies.arrangement import apart_deg, gaps_deg, kind_of, off_axis, resolution_deg
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
+from tagid.tags.bodies.points import Place, columns
 from tagid.tags.bodies.reflectors_fit import COMMON, POINTS, THROUGH, Batch
 from tagid.tags.bodies.ring import Ring, peaks
 from tagid.tags.bodies.shell_model import (
@@ -43,8 +44,8 @@ COUNT = 72
 """Angles on a ring: 5 degrees, 10 mm on a helmet's."""
 _TRIED, _REFINED = 8, 3
 """Shells of the search beside which layouts are tried, and those that are fitted together with a layout."""
-_KEPT, _BEAM = 12, 8
-"""Other arrangements that are fitted, and sets kept per number of reflectors."""
+_LAYOUTS, _KEPT, _BEAM = 8, 12, 8
+"""Turns of layouts and other arrangements that are fitted, and sets kept per number of reflectors."""
 RING_M = 3e-3
 """Standard deviation of a reflector's distance from the ring's centre about its nominal one,"""
 OFF_M = 3e-3
@@ -66,7 +67,9 @@ MODEL_ERROR = 0.02
 _STEP_M, _STEP_RAD = 3e-4, 3e-3
 
 
-def read_on_shell(spectra: Spectra, layouts: Sequence[Layout], settings: BodySettings) -> ShellReading | None:
+def read_on_shell(
+    spectra: Spectra, layouts: Sequence[Layout], settings: BodySettings, hint: Place | None = None
+) -> ShellReading | None:
     """The best layout beside a shell, against every other arrangement there.
 
     Args:
@@ -74,6 +77,8 @@ def read_on_shell(spectra: Spectra, layouts: Sequence[Layout], settings: BodySet
         layouts: the enrolled ones; those with reflectors `settings.wide_m` or further out are read.
         enrolled: an enrolled body; None for a shell that nobody enrolled.
         settings: search and priors.
+        hint: where a layout seems to be without a body. Its echo hides that of the shell where it is louder,
+            so that shells are sought without it as well.
 
     Returns:
         The reading; None where no layout can stand around a shell, the enrolled body is none, or none
@@ -84,7 +89,10 @@ def read_on_shell(spectra: Spectra, layouts: Sequence[Layout], settings: BodySet
         return None
     ring = max(_ring_m(layout) for layout in wide)
     thin = spectra.thinned(2)
-    starts = [_ShellReader(thin, wide, fit, settings, 1) for fit in likely_shells(spectra, ring, _TRIED)]
+    likely = likely_shells(spectra, ring, _TRIED)
+    if hint is not None:
+        likely += likely_shells(_without(spectra, hint), ring, _TRIED // 2)
+    starts = [_ShellReader(thin, wide, fit, settings, 1) for fit in likely]
     starts.sort(key=lambda reader: reader.start.left)
     if starts[0].explained(starts[0].start) < PROMISING:
         return None
@@ -103,6 +111,15 @@ def read_on_shell(spectra: Spectra, layouts: Sequence[Layout], settings: BodySet
         if reader.explained(row) >= ENOUGH:
             break
     return min(found, key=lambda one: one[0])[1].read()
+
+
+def _without(spectra: Spectra, hint: Place) -> Spectra:
+    """Spectra without the echo of a layout, as points without a body."""
+    own = hint.layout.positions[:, 0] + 1j * hint.layout.positions[:, 1]
+    places = complex(*hint.centre_m) + own * np.exp(1j * hint.turn_rad)
+    heights = np.asarray(hint.layout.heights, dtype=np.float64)
+    wave = np.swapaxes(columns(spectra, places, heights), 1, 2)
+    return replace(spectra, data=beyond(spectra.data, np.linalg.qr(wave)[0]))
 
 
 def _ring_m(layout: Layout) -> float:
@@ -171,6 +188,7 @@ class _ShellReader:
         self.spectra, self.layouts, self.fit, self.settings = spectra, layouts, fit, settings
         self.field = ShellField.of(spectra.wavenumbers / 2, fit.shell)
         self.across = spectra.antenna - fit.pose.centre
+        self._rings: dict[tuple[float, float], NDArray[np.complex128]] = {}
         self.seen = self.field.seen_from(self.across * np.exp(-1j * fit.pose.turn_rad))
         self.basis = basis_of(self.field, self.across * np.exp(-1j * fit.pose.turn_rad), obliquities)
         self.beyond = self._beyond_body(spectra.data)
@@ -244,20 +262,27 @@ class _ShellReader:
                 break
         return replace(row, at=at, left=float((np.abs(rest) ** 2).sum()))
 
+    def _around(self, radius_m: float, height_m: float) -> NDArray[np.complex128]:
+        """(F, 2 COUNT, V) echo of a reflector all around a ring; the first alone in the middle. Kept."""
+        key = (round(radius_m, 4), round(height_m, 4))
+        if key not in self._rings:
+            places = radius_m * np.exp(1j * np.pi * np.arange(2 * COUNT) / COUNT)
+            count = len(places) if radius_m > 0 else 1
+            self._rings[key] = self.each(places[:count], np.full(count, height_m))
+        return self._rings[key]
+
     def _turns(self, layout: Layout) -> list[_Ringed]:
         """The best turns of a layout about the shell's centre."""
         place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
         radii, angles = np.abs(place), np.angle(place)
         radii = np.where(radii > 0.01, radii, 0.0)
         heights = np.asarray(layout.heights, dtype=np.float64)
-        steps = np.exp(2j * np.pi * np.arange(COUNT) / COUNT)
         frequencies, views = self.spectra.data.shape
         total = np.zeros((frequencies, COUNT, views), dtype=np.complex128)
         for radius, angle, height in zip(radii, angles, heights, strict=True):
-            if radius > 0:
-                total += self.each(radius * np.exp(1j * angle) * steps, np.full(COUNT, height))
-            else:
-                total += self.each(np.zeros(1, dtype=np.complex128), np.full(1, height))
+            ring = self._around(float(radius), float(height))
+            steps = np.rint(angle * COUNT / np.pi).astype(np.intp) + 2 * np.arange(COUNT)
+            total += ring[:, steps % ring.shape[1]]
         waves = self._beyond_body(total)
         along = np.abs((waves.conj() * self.beyond[:, None]).sum(axis=-1)) ** 2
         value = (along / np.maximum((np.abs(waves) ** 2).sum(axis=-1), 1e-30)).sum(axis=0)
@@ -308,7 +333,8 @@ class _ShellReader:
 
     def read(self) -> ShellReading | None:
         """Search, fit and compare."""
-        rows = [self.fitted(row) for row in self.turns]
+        turns = sorted(self.turns, key=lambda row: row.left)
+        rows = [self.fitted(row) for row in turns[:_LAYOUTS]]
         rows = [row for row in rows if self._clears(row)]
         own: dict[str, _Ringed] = {}
         for row in sorted(rows, key=lambda one: one.left, reverse=True):

@@ -9,6 +9,7 @@ import numpy as np
 
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.hypothesis import Explanation, Kind
+from tagid.tags.bodies.points import Place
 from tagid.tags.bodies.shell_decide import decide_on_shell
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
@@ -18,8 +19,17 @@ from tagid.tags.matching.won import on_body
 from tagid.tags.verdicts.verdict import Code
 
 CLEARER = 0.5
-"""A refusal is that on a shell, and a name on a glass is doubted, where a layout on the shell leaves this share
-of what every other hypothesis leaves."""
+"""A refusal is that on a shell, and a name on a glass is doubted, where a layout on the shell leaves this
+share of what every other hypothesis leaves."""
+
+
+def _hint(settled: Reading, layouts: Sequence[Layout]) -> Place | None:
+    """Where the best layout lies without a body."""
+    if not settled.scores:
+        return None
+    best = settled.scores[0]
+    layout = next(one for one in layouts if one.name == best.name)
+    return Place(layout, float(np.deg2rad(best.rotation_deg)), best.centre_m)
 
 
 def on_shell(
@@ -35,7 +45,7 @@ def on_shell(
     """
     from tagid.tags.bodies.shell_reader import read_on_shell
 
-    found = read_on_shell(Spectra.of(scans), layouts, settings.body)
+    found = read_on_shell(Spectra.of(scans), layouts, settings.body, _hint(settled, layouts))
     if found is None:
         return None
     verdict, reading = decide_on_shell(found, settings.shell), found.reading
