@@ -37,7 +37,8 @@ from tagid.capture import Capture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.proportion import wilson
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching.matcher import read_tag
+from tagid.tags.matching.matcher import MatchedScan, ReaderSettings, read_tag
+from tagid.tags.matching.on_shell import on_shell
 from train.population import STATEMENT, draw
 
 SEALED = ROOT / "tests" / "data" / "sealed_population.json"
@@ -114,6 +115,19 @@ def read(capture: Capture, truth: str | None, row: tuple[str, str, str]) -> Answ
     return Answer(*row, outcome, str(reading.kind), reading.reason, seconds)
 
 
+def read_as_shell(capture: Capture, row: tuple[str, str, str]) -> Answer:
+    """The answer to a capture of an object that may not be named, on a thin shell alone."""
+    start = time.process_time()
+    settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
+    scan = MatchedScan(preprocess(capture, settings=settings), LAYOUTS, ReaderSettings())
+    found = on_shell(scan.own, scan.scans, LAYOUTS, ReaderSettings().contest)
+    seconds = round(time.process_time() - start, 3)
+    if found is None:
+        return Answer(*row, "no shell", "", "", seconds)
+    outcome = "wrong" if found.status == "identified" else found.code.value
+    return Answer(*row, outcome, str(found.kind), found.reason, seconds)
+
+
 def degrees(scene: Scene) -> str:
     """Angles of the reflectors, for people."""
     return "" if scene.angles_deg is None else f"({', '.join(f'{angle:.0f}' for angle in scene.angles_deg)})"
@@ -139,6 +153,10 @@ def one(task: Task) -> tuple[str, Answer]:
             f"{specimen.reflectors} reflectors {specimen.clutter}",
         )
         return task.key, read(specimen.capture, None, row)
+    if task.part == "shell":
+        specimen = draw(numbers[0])
+        row = (specimen.body, f"{specimen.views} views", f"{specimen.reflectors} reflectors")
+        return task.key, read_as_shell(specimen.capture, row)
     seed, views, snr = numbers
     specimen = draw(seed, tagged=True, views=views, snr_db=float(snr))
     row = (f"{views} views", f"{snr} dB", specimen.body)
@@ -149,7 +167,13 @@ def one(task: Task) -> tuple[str, Answer]:
 def reader_hash() -> str:
     """Hash of everything that decides an answer."""
     digest = hashlib.sha256(" ".join(sorted(path.name for path in OWN.glob("*.npz"))).encode())
-    for folder in ("tagid/tags", "tagid/imaging", "train/population.py", "tests/benchmarks/bodies_scenes.py"):
+    for folder in (
+        "tagid/tags",
+        "tagid/imaging",
+        "tagid/fields",
+        "train/population.py",
+        "tests/benchmarks/bodies_scenes.py",
+    ):
         path = ROOT / folder
         for file in [path] if path.is_file() else sorted(path.rglob("*")):
             if file.suffix in (".py", ".json") and "ats" not in file.parts:
@@ -306,6 +330,16 @@ def null(run: Run, number: int) -> list[str]:
     return lines
 
 
+def shells(run: Run, number: int) -> list[str]:
+    """Objects of the sealed population that a thin shell alone names: these names come on top of the others."""
+    seeds = range(5_300_000, 5_310_000) if run.development else sealed_seeds()
+    seeds = seeds[: min(number, len(seeds))]
+    answers = answered([Task("shell", (seed,)) for seed in seeds], run)
+    head = f"Population: {STATEMENT}. Seeds {seeds[0]} to {seeds[0] + len(answers) - 1}."
+    lines = [head, "", named(answers), "", *table(answers, "refused")]
+    return lines + [f"    {a.group} | {a.column} | {a.scene}" for a in answers if a.outcome == "wrong"]
+
+
 def monotone(run: Run, number: int) -> list[str]:
     """Tagged objects of the population at every SNR and number of views: the same seeds in each cell."""
     # 50,000 and 60,000 on were reported before.
@@ -335,6 +369,7 @@ PARTS: dict[str, tuple[str, Callable[[Run, int], list[str]]]] = {
     "fullwave": ("Full-wave scenes with an enrolled tag", fullwave),
     "foreign": ("Full-wave scenes without an enrolled tag", foreign),
     "null": ("Simulated null and foreign objects", null),
+    "shells": ("Simulated null and foreign objects, as tags on shells", shells),
     "monotone": ("More signal, more views", monotone),
 }
 
@@ -358,6 +393,7 @@ def main() -> None:
         "fullwave": arguments.scenes,
         "foreign": arguments.foreign,
         "null": arguments.objects,
+        "shells": arguments.objects,
         "monotone": arguments.grid,
     }
     words = " ".join(["python", *sys.argv])
