@@ -331,7 +331,7 @@ def null(run: Run, number: int) -> list[str]:
 
 
 def shells(run: Run, number: int) -> list[str]:
-    """Objects of the sealed population that a thin shell alone names: these names come on top of the others."""
+    """Objects of the sealed population that a thin shell alone names, on top of the other names."""
     seeds = range(5_300_000, 5_310_000) if run.development else sealed_seeds()
     seeds = seeds[: min(number, len(seeds))]
     answers = answered([Task("shell", (seed,)) for seed in seeds], run)

@@ -27,7 +27,7 @@ from tagid.tags.bodies.shell_decide import ShellDecision, decide_on_shell
 from tagid.tags.bodies.shell_model import ShellBody, ShellFit, refined_beside, signature_of
 from tagid.tags.bodies.shell_reader import ShellReading, read_on_shell
 from tagid.tags.bodies.spectra import Spectra, centred
-from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.matching.matcher import read_tag
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code
@@ -111,9 +111,20 @@ def test_the_shell_fixes_what_its_reflectors_return(
     assert found is None or found.reading.lead < 0.7 * right.lead
 
 
-def test_layouts_on_small_rings_are_not_read_on_shells() -> None:
+def test_layouts_on_small_and_on_large_rings_are_not_read_on_shells() -> None:
+    spectra = Spectra.of(recorded("shell74_h120"))
     containers = [one for one in LAYOUTS if one.kind == "container"]
-    assert read_on_shell(Spectra.of(recorded("shell74_h120")), containers, BodySettings()) is None
+    large = Layout("large", np.array([[0.4, 0.0], [-0.4, 0.0], [0.0, 0.4]]))
+    assert read_on_shell(spectra, containers, BodySettings()) is None
+    assert read_on_shell(spectra, [large], BodySettings()) is None
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-12])
+def test_scans_without_an_echo_are_read_without_an_error(level: float) -> None:
+    spectra = Spectra.of(recorded("shell74_h120"))
+    quiet = replace(spectra, data=level * spectra.data)
+    found = read_on_shell(quiet, LAYOUTS, BodySettings())
+    assert found is None or decide_on_shell(found, ShellDecision()).status != "identified"
 
 
 @pytest.mark.parametrize(

@@ -229,7 +229,9 @@ def refined_beside(
         gradient = np.real(slopes.conj() @ left.ravel()) + prior * x
         gain = 0.0
         for _ in range(3):
-            trial = x - np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+            size = np.diag(normal)
+            damped = normal + np.diag(damping * size + 1e-12 * size.sum() + 1e-300)
+            trial = x - np.linalg.solve(damped, gradient)
             trial[3:] = np.clip(trial[3:], least, most)
             there = field_at(trial)
             trial_left = rest(trial, there)

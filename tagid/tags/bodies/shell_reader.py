@@ -50,6 +50,8 @@ RING_M = 3e-3
 """Standard deviation of a reflector's distance from the ring's centre about its nominal one,"""
 OFF_M = 3e-3
 """and of that centre about the shell's, per coordinate."""
+MOST_RING_M = 0.16
+"""Largest ring of reflectors: what can be enrolled is no larger, and the contour's points are of helmets."""
 FEWEST_VIEWS = 18
 """With 12, one of 60 foreign tags of our simulator passed for one on a shell."""
 PROMISING = 0.34
@@ -74,7 +76,7 @@ def read_on_shell(
 
     Args:
         spectra: the scans.
-        layouts: the enrolled ones; those with reflectors `settings.wide_m` or further out are read.
+        layouts: the enrolled ones; those with reflectors from `settings.wide_m` to MOST_RING_M out are read.
         enrolled: an enrolled body; None for a shell that nobody enrolled.
         settings: search and priors.
         hint: where a layout seems to be without a body. Its echo hides that of the shell where it is louder,
@@ -84,7 +86,7 @@ def read_on_shell(
         The reading; None where no layout can stand around a shell, the enrolled body is none, or none
         explains much of the echo.
     """
-    wide = [layout for layout in layouts if _ring_m(layout) >= settings.wide_m]
+    wide = [layout for layout in layouts if settings.wide_m <= _ring_m(layout) <= MOST_RING_M]
     if not wide or spectra.views < FEWEST_VIEWS:
         return None
     ring = max(_ring_m(layout) for layout in wide)
@@ -249,7 +251,8 @@ class _ShellReader:
             gradient = np.real(slopes.conj() @ rest.ravel()) + (moves * weight) @ at
             gain = 0.0
             for _ in range(3):
-                damped = normal + np.diag(damping * np.diag(normal) + 1e-30)
+                size = np.diag(normal)
+                damped = normal + np.diag(damping * size + 1e-12 * size.sum() + 1e-300)
                 trial = at - np.linalg.solve(damped, gradient) @ moves
                 there = self._rest(trial, row)
                 value = float((np.abs(there) ** 2).sum() + weight @ trial**2)
