@@ -261,6 +261,13 @@ def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
     return Drawn(capture, SETS[cell.enrolled], made.name, what)
 
 
+def own_scene(cell: Cell, population: str, number: int) -> tuple[Scene, Acquisition, int]:
+    """The scene of an own cell, how it is recorded, and the recording's seed, as `draw` takes them."""
+    rng = _generator(cell, population, number)
+    _, scene = _standing(cell, rng)
+    return scene, _acquisition(cell, rng), int(rng.integers(2**32))
+
+
 def _acquisition(cell: Cell, rng: np.random.Generator) -> Acquisition:
     place = rng.uniform(0, 2 * np.pi)
     off = cell.offset_mm * 1e-3
