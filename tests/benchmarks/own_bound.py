@@ -2,8 +2,8 @@
 
 The scenes are those of `reading_bodies` at 36 views. D is the energy of the tag's echo on its body, without
 noise, over the variance of the noise of one value; what is constant over the views is subtracted. A reader
-that knows the body's echo, the pulse, and what every reflector returns, but not which of four layouts in which
-of 72 turns stands there, needs
+that knows the body's echo, the pulse, and what every reflector returns, but not which of four layouts in
+which of 72 turns stands there, needs
 
     sqrt(2 D / K) >= Q^-1(0.001 / (4 * 72)) + Q^-1(0.1)
 
@@ -109,7 +109,7 @@ def main() -> None:
         "",
         f"Command: `python {' '.join(sys.argv)}`. Commit: {commit()}.",
         f"Machine: {platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}.",
-        f"Date: {datetime.now(UTC):%Y-%m-%d}. Scenes: development, numbers 300 to {299 + given.numbers}.",
+        f"Date: {datetime.now(UTC):%Y-%m-%d}. Seeds: development, numbers 300 to {299 + given.numbers}.",
         "",
         *(str(__doc__).split("\n\n", 1)[1].split("    python tests")[0].strip().splitlines()),
         "",
