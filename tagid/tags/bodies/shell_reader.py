@@ -42,8 +42,9 @@ OBLIQUITIES = 3
 """Amplitudes of a shell per frequency, see `ShellField.echoes`."""
 COUNT = 72
 """Angles on a ring: 5 degrees, 10 mm on a helmet's."""
-_TRIED, _REFINED = 8, 3
-"""Shells of the search beside which layouts are tried, and those that are fitted together with a layout."""
+_TRIED, _BEGUN, _REFINED = 8, 4, 3
+"""Shells of the search beside which layouts are tried, those beside which the best one is fitted, and those
+that are fitted with it."""
 _LAYOUTS, _KEPT, _BEAM = 8, 12, 8
 """Turns of layouts and other arrangements that are fitted, and sets kept per number of reflectors."""
 RING_M = 3e-3
@@ -54,15 +55,14 @@ MOST_RING_M = 0.16
 """Largest ring of reflectors: what can be enrolled is no larger, and the contour's points are of helmets."""
 FEWEST_VIEWS = 18
 """With 12, one of 60 foreign tags of our simulator passed for one on a shell."""
-PROMISING = 0.34
-"""Share of what the shell leaves, beyond noise, that a layout must explain in the search for both to be
-fitted: tags on solved shells have 0.36 and more at 36 views, at 18 sometimes 0.2. Four in five other objects
-have less."""
+PROMISING = 0.5
+"""Share of what the shell leaves, beyond noise, that a layout must explain for both to be fitted: tags on
+solved shells have 0.76 and more at 36 views, at 18 half of them, too; 19 of 20 other objects have less."""
 ENOUGH = 0.9
 """Where a layout explains so much after that, no other start is fitted."""
 HOPEFUL = 0.4
 """And that it must explain after that, for other arrangements to be fitted."""
-CLEAR_M = 2e-3
+CLEAR_M = 0.5e-3
 """Reflectors on a ring clear the shell's wall by so much."""
 MODEL_ERROR = 0.02
 """Share of the tag's echo that counts as the model's error: layouts leave 2 to 6 % of solved ones."""
@@ -96,23 +96,26 @@ def read_on_shell(
         likely += likely_shells(_without(spectra, hint), ring, _TRIED // 2)
     starts = [_ShellReader(thin, wide, fit, settings, 1) for fit in likely]
     starts.sort(key=lambda reader: reader.start.left)
-    if starts[0].explained(starts[0].start) < PROMISING:
+    # The reflectors may stand some millimetres further out than the layout has them.
+    begun = [(reader, reader.fitted(reader.start, 2)) for reader in starts[:_BEGUN]]
+    begun.sort(key=lambda pair: pair[1].left)
+    if begun[0][0].explained(begun[0][1]) < PROMISING:
         return None
     found: list[tuple[float, _ShellReader]] = []
-    for reader in starts[:_REFINED]:
+    for reader, row in begun[:_REFINED]:
         # Beside its reflectors the shell is seen more exactly, and they beside it. One amplitude tells more
         # of its shape, several hold more of its echo.
-        row = reader.fitted(reader.start, 2)
         fit = refined_beside(thin, reader.fit, reader.wave_of(row), 1)
         reader = _ShellReader(spectra, wide, fit, settings, OBLIQUITIES)
         row = reader.fitted(reader.start)
         fit = refined_beside(spectra, fit, reader.wave_of(row), OBLIQUITIES, 2)
         reader = _ShellReader(spectra, wide, fit, settings, OBLIQUITIES)
         row = reader.fitted(reader.start, 2)
-        found.append((row.left, reader))
-        if reader.explained(row) >= ENOUGH:
-            break
-    return min(found, key=lambda one: one[0])[1].read()
+        if reader.clears(row):
+            found.append((row.left, reader))
+            if reader.explained(row) >= ENOUGH:
+                break
+    return min(found, key=lambda one: one[0])[1].read() if found else None
 
 
 def _without(spectra: Spectra, hint: Place) -> Spectra:
@@ -295,7 +298,7 @@ class _ShellReader:
             found.append(_Ringed(at, radii, heights, layout.name, self.body_left - float(value[i])))
         return found
 
-    def _clears(self, row: _Ringed) -> bool:
+    def clears(self, row: _Ringed) -> bool:
         """Whether no reflector on the ring stands in the shell's wall."""
         own = row.places[row.radii > 0] * np.exp(-1j * self.fit.pose.turn_rad)
         return bool((np.abs(self.fit.shell.outside_m(own)) > CLEAR_M).all())
@@ -338,7 +341,7 @@ class _ShellReader:
         """Search, fit and compare."""
         turns = sorted(self.turns, key=lambda row: row.left)
         rows = [self.fitted(row) for row in turns[:_LAYOUTS]]
-        rows = [row for row in rows if self._clears(row)]
+        rows = [row for row in rows if self.clears(row)]
         own: dict[str, _Ringed] = {}
         for row in sorted(rows, key=lambda one: one.left, reverse=True):
             own[row.layout or ""] = row
@@ -409,7 +412,7 @@ class _ShellReader:
             elsewhere = abs(float(row.radii.max() + row.at[2]) - radius) > settings.other_radius_m
             return away(row) > settings.other_deg or elsewhere
 
-        different = [row for row in found if is_other(row) and self._clears(row)]
+        different = [row for row in found if is_other(row) and self.clears(row)]
         costs = [self._placed(row, spectra.angle_cost * (len(row.on_ring) - 1)) for row in different]
         every = sorted([*costs, *(self._placed(row, 0.0) for row in ranked[1:])], key=lambda p: p.charged)
         tag = max(self.body_left - best.left, 1e-30)

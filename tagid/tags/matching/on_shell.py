@@ -65,6 +65,10 @@ def on_shell(
     clearer = own.left <= CLEARER * min((one.left for one in settled.hypotheses), default=1.0)
     if settled.status == "identified" and not clearer:
         return None
+    # What stands there may be an enrolled body with another tag.
+    other = (one for one in settled.hypotheses if one.kind is Kind.BODY and one.layout != best.layout)
+    if any(one.left <= own.left for one in other):
+        return None
     if verdict.status == "identified":
         return replace(on_body(settled, reading, layouts, None), hypotheses=hypotheses, note="")
     if not clearer or verdict.code is Code.WEAK:
