@@ -451,10 +451,6 @@ OPENED = {
     "glass38_c90": Object(_glass38, 24, ring(50, 60, 150)),
     "glass38_c180": Object(_glass38, 20, ring(49, 115, 295)),
     "glass38_three": Object(_glass38, 20, ring(49, 0, 100, 220)),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED: dict[str, Object] = {
     "shell77": Object(_shell77),
     "shell77_h120": Object(_shell77, 24, ring(113, 35, 155, 275)),
     "shell77_lin": Object(_shell77, 30, ((90, 0), (90, 180), (0, 0))),
@@ -476,6 +472,9 @@ SEALED: dict[str, Object] = {
     "crate62_c180": Object(_crate62, 20, ring(46, 90, 270)),
     "crate62_three": Object(_crate62, 20, ring(46, 0, 90, 180)),
 }
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED: dict[str, Object] = {}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
