@@ -119,6 +119,15 @@ def test_layouts_on_small_and_on_large_rings_are_not_read_on_shells() -> None:
     assert read_on_shell(spectra, [large], BodySettings()) is None
 
 
+def test_a_helmet_is_found_beside_layouts_on_larger_rings() -> None:
+    """Shells are sought inside every ring, not inside the largest alone."""
+    large = Layout("large", 0.15 * np.array([[1.0, 0.0], [-0.5, 0.866], [-0.3, -0.95]]))
+    spectra = Spectra.of(recorded("shell74_h120"))
+    found = read_on_shell(spectra, [large, *LAYOUTS], BodySettings())
+    assert found is not None and found.reading.layouts[0].layout == "helmet-120"
+    assert decide_on_shell(found, ShellDecision()).status == "identified"
+
+
 @pytest.mark.parametrize("level", [0.0, 1e-12])
 def test_scans_without_an_echo_are_read_without_an_error(level: float) -> None:
     spectra = Spectra.of(recorded("shell74_h120"))

@@ -124,18 +124,14 @@ def signature_of(
 
 
 @lru_cache(maxsize=4)
-def _dictionary(wavenumbers: bytes, distance_m: float, ring_m: float) -> tuple[Signature, ...]:
+def _dictionary(
+    wavenumbers: bytes, distance_m: float, ring_m: float
+) -> tuple[tuple[EllipticShell, Signature], ...]:
+    """Shells inside a ring with their harmonics."""
     kappa = np.frombuffer(wavenumbers)
-    return tuple(
-        signature_of(EllipticShell(a * ring_m, b * ring_m, SHEET_M), kappa, distance_m)
-        for a in ACROSS
-        for b in ALONG
-        if b >= OBLONG * a
-    )
-
-
-def _shapes(ring_m: float) -> list[EllipticShell]:
-    return [EllipticShell(a * ring_m, b * ring_m, SHEET_M) for a in ACROSS for b in ALONG if b >= OBLONG * a]
+    sizes = [(a * ring_m, b * ring_m) for a in ACROSS for b in ALONG if b >= OBLONG * a]
+    shells = [EllipticShell(across, along, SHEET_M) for across, along in sizes]
+    return tuple((one, signature_of(one, kappa, distance_m)) for one in shells)
 
 
 def likely_shells(spectra: Spectra, ring_m: float, count: int) -> list[ShellFit]:
@@ -147,9 +143,9 @@ def likely_shells(spectra: Spectra, ring_m: float, count: int) -> list[ShellFit]
         count: number of them.
     """
     known = _dictionary(spectra.wavenumbers.tobytes(), round(spectra.distance_m, 2), ring_m)
-    search = PoseSearch(spectra, max(one.order for one in known))
+    search = PoseSearch(spectra, max(signature.order for _, signature in known))
     found = []
-    for signature, shape in zip(known, _shapes(ring_m), strict=True):
+    for shape, signature in known:
         left, pose = search.best(signature)
         found.append(ShellFit(shape, pose, left))
     return sorted(found, key=lambda fit: fit.left)[:count]

@@ -2,10 +2,10 @@
 
 A pattern that holds what a helmet's shell does to its reflectors has seven free terms, which takes 30 views
 and an enrolled body. But the shell's own wave fixes it: the field at a reflector is that beside an elliptic
-sheet (`tagid.fields.elliptic`), and two amplitudes per frequency are left, one for the shell and one for all
-reflectors,
+sheet (`tagid.fields.elliptic`), and few amplitudes per frequency are left, one for all reflectors, and for
+the shell one of each power of the cosine of incidence,
 
-    Y = B + A(f) echo(shell) + g(f) sum_k E(r_k)^2.
+    Y = B + sum_p A_p(f) echo_p(shell) + g(f) sum_k E(r_k)^2.
 
 What is searched is the shape and the place of the shell, and where the reflectors are. It need not be
 enrolled.
@@ -53,6 +53,8 @@ OFF_M = 3e-3
 """and of that centre about the shell's, per coordinate."""
 MOST_RING_M = 0.16
 """Largest ring of reflectors: what can be enrolled is no larger, and the contour's points are of helmets."""
+SMALLER = 0.8
+"""Shells inside a ring are also those inside one this part of it, and larger."""
 FEWEST_VIEWS = 18
 """With 12, one of 60 foreign tags of our simulator passed for one on a shell."""
 PROMISING = 0.5
@@ -77,23 +79,22 @@ def read_on_shell(
     Args:
         spectra: the scans.
         layouts: the enrolled ones; those with reflectors from `settings.wide_m` to MOST_RING_M out are read.
-        enrolled: an enrolled body; None for a shell that nobody enrolled.
         settings: search and priors.
         hint: where a layout seems to be without a body. Its echo hides that of the shell where it is louder,
             so that shells are sought without it as well.
 
     Returns:
-        The reading; None where no layout can stand around a shell, the enrolled body is none, or none
-        explains much of the echo.
+        The reading; None where no layout can stand around a shell, or none explains much of the echo.
     """
     wide = [layout for layout in layouts if settings.wide_m <= _ring_m(layout) <= MOST_RING_M]
     if not wide or spectra.views < FEWEST_VIEWS:
         return None
-    ring = max(_ring_m(layout) for layout in wide)
     thin = spectra.thinned(2)
-    likely = likely_shells(spectra, ring, _TRIED)
-    if hint is not None:
-        likely += likely_shells(_without(spectra, hint), ring, _TRIED // 2)
+    likely: list[ShellFit] = []
+    for ring in _rings_m(wide):
+        likely += likely_shells(spectra, ring, _TRIED)
+        if hint is not None:
+            likely += likely_shells(_without(spectra, hint), ring, _TRIED // 2)
     starts = [_ShellReader(thin, wide, fit, settings, 1) for fit in likely]
     starts.sort(key=lambda reader: reader.start.left)
     # The reflectors may stand some millimetres further out than the layout has them.
@@ -129,6 +130,15 @@ def _without(spectra: Spectra, hint: Place) -> Spectra:
 
 def _ring_m(layout: Layout) -> float:
     return float(off_axis(layout)[0].max(initial=0.0))
+
+
+def _rings_m(layouts: Sequence[Layout]) -> list[float]:
+    """Rings inside which shells are sought, the largest first: each holds those of rings not much smaller."""
+    found: list[float] = []
+    for ring in sorted({round(_ring_m(layout), 3) for layout in layouts}, reverse=True):
+        if not found or ring < SMALLER * found[-1]:
+            found.append(ring)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
