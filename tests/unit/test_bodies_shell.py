@@ -161,6 +161,8 @@ def test_the_middle_of_a_tag_on_a_shell() -> None:
     assert (three.has_middle, linear.has_middle) == (False, True)
     assert linear.middle_lead > 0.3
     missing = decide_on_shell(replace(linear, middle_lead=-0.1), ShellDecision())
+    unseen = decide_on_shell(replace(linear, middle_nats=0.1, middle_lead=0.1), ShellDecision())
+    assert (unseen.code, "move it" in unseen.reason) == (Code.MISSING, True)
     extra = decide_on_shell(replace(three, middle_nats=0.6, middle_lead=-0.5), ShellDecision())
     hidden = decide_on_shell(replace(three, middle_nats=0.05, middle_lead=-0.05), ShellDecision())
     assert (missing.code, extra.code, hidden.status) == (Code.MISSING, Code.EXTRA, "identified")

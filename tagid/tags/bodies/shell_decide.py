@@ -24,8 +24,9 @@ class ShellDecision:
         tag_nats: a tag explains so many noise variances.
         wall_share: a shell has this share of the moving echo: without one the reading is that of a bare tag.
         middle: a reflector in the middle is told where it would show by so many errors of the reading,
-        contrary: and stands there where it explains more than this share of that. One that the layout has
-            must explain something.
+        contrary: and stands there where it explains more than this share of that.
+        own_middle: one that the layout has must show by so much, and explain `contrary` of it: before a
+            round wall, on the axis, two reflectors alone are that layout by up to 0.12.
     """
 
     unexplained: float = 0.2
@@ -38,6 +39,7 @@ class ShellDecision:
     wall_share: float = 0.05
     middle: float = 0.1
     contrary: float = 0.25
+    own_middle: float = 0.15
 
 
 def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
@@ -59,8 +61,11 @@ def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
         return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {name}")
     if r.radius_off_m > s.radius_m:
         return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {name}")
-    if found.has_middle and found.middle_lead <= 0:
+    if found.has_middle and found.middle_lead < s.contrary * found.middle_nats:
         return Verdict("unknown", Code.MISSING, f"the reflector in the middle of {name} is missing")
+    if found.has_middle and found.middle_nats < s.own_middle:
+        reason = f"on the axis the reflector in the middle of {name} does not show: move it by 3 mm"
+        return Verdict("unknown", Code.MISSING, reason)
     told = not found.has_middle and found.middle_nats >= s.middle
     if told and found.middle_lead < -s.contrary * found.middle_nats:
         return Verdict("unknown", Code.EXTRA, f"a reflector stands in the middle of {name}")
