@@ -124,7 +124,7 @@ def test_ctrl_c_leaves_a_report_and_resume_goes_on(home, tagid, captures: Path, 
     process = start(home, tmp_path, "report", "captures", "--out", "r", "-j", 2)
 
     def begun() -> bool:
-        """Three answers are there, and that of the capture of which there are copies: two workers are at it."""
+        """Three answers are there, and that of the capture of which there are copies."""
         found = [Path(line["file"]).name for line in lines(tmp_path / "r")]
         return len(found) >= 3 and any(name.startswith(("container-90", "more-")) for name in found)
 
