@@ -27,7 +27,7 @@ from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.cylinder_fit import CylinderFitter, Ringed
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.hypothesis import Pose
-from tagid.tags.bodies.reflectors_fit import COMMON, POINTS, THROUGH, Batch, Solved
+from tagid.tags.bodies.reflectors_fit import POINTS, THROUGH, Batch, Solved
 from tagid.tags.bodies.ring import Ring, peaks
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.symmetric import symmetric_left
@@ -386,21 +386,7 @@ class _CylinderReader:
 
     def _placed(self, row: Ringed, charged: float) -> Placed:
         """An arrangement beside a wall as one with a free pattern, as which pictures subtract its body."""
-        k = len(row.angles)
         ring, pose = (row.centre.real, row.centre.imag), self._pose(row.centre)
         at = np.array([[*ring, row.offset_m + self.outward_m, *pose.centre_m, pose.turn_rad, *row.angles]])
-        one = np.ones(1)
-        batch = Batch(
-            at,
-            row.radii[None] - self.outward_m,
-            row.heights[None].copy(),
-            np.ones((1, k)),
-            np.zeros((1, k)),
-            one * THROUGH.tilt,
-            one * THROUGH.terms,
-            np.zeros((1, 1, COMMON + k)),
-            -one,
-            one,
-            0 * one,
-        )
+        batch = Batch.at_rest(at, row.radii - self.outward_m, row.heights, THROUGH)
         return Placed(batch, row.left, charged, row.layout)

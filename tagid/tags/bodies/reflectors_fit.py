@@ -116,6 +116,30 @@ class Batch:
     high: NDArray[np.float64]
     prior_radius: NDArray[np.float64]
 
+    @classmethod
+    def at_rest(
+        cls,
+        at: NDArray[np.float64],
+        radii: NDArray[np.float64],
+        heights: NDArray[np.float64],
+        pattern: Pattern,
+    ) -> Batch:
+        """One arrangement that no fit moves: coordinates (1, 6 + K), radii and heights (K,), m."""
+        k, one = len(radii), np.ones(1)
+        return cls(
+            at,
+            radii[None].copy(),
+            heights[None].copy(),
+            np.ones((1, k)),
+            np.zeros((1, k)),
+            one * pattern.tilt,
+            one * pattern.terms,
+            np.zeros((1, 1, COMMON + k)),
+            -one,
+            one,
+            0 * one,
+        )
+
     def moved(self, at: NDArray[np.float64]) -> Batch:
         """The same arrangements elsewhere."""
         return replace(self, at=at)

@@ -25,7 +25,7 @@ from tagid.fields.elliptic import ShellField
 from tagid.tags.bodies.arrangement import apart_deg, gaps_deg, kind_of, off_axis, resolution_deg
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.points import Place, columns
-from tagid.tags.bodies.reflectors_fit import COMMON, POINTS, THROUGH, Batch
+from tagid.tags.bodies.reflectors_fit import POINTS, THROUGH, Batch
 from tagid.tags.bodies.ring import Ring, peaks
 from tagid.tags.bodies.shell_model import (
     ShellBody,
@@ -463,22 +463,8 @@ class _ShellReader:
     def _placed(self, row: _Ringed, charge: float) -> Placed:
         """An arrangement beside the shell as one with a free pattern, as which pictures subtract its body."""
         off = row.radii > 0
-        k = int(off.sum())
         centre = self.fit.pose.centre + complex(row.at[0], row.at[1])
         pose = self.fit.pose
         at = np.array([[centre.real, centre.imag, row.at[2], *pose.centre_m, pose.turn_rad, *row.on_ring]])
-        one = np.ones(1)
-        batch = Batch(
-            at,
-            row.radii[None, off],
-            row.heights[None, off],
-            np.ones((1, k)),
-            np.zeros((1, k)),
-            one * THROUGH.tilt,
-            one * THROUGH.terms,
-            np.zeros((1, 1, COMMON + k)),
-            -one,
-            one,
-            0 * one,
-        )
+        batch = Batch.at_rest(at, row.radii[off], row.heights[off], THROUGH)
         return Placed(batch, row.left, row.left + charge, row.layout)
