@@ -97,53 +97,46 @@ class ShellField:
         system = np.eye(points) - k**2 * shell.sheet_m * coupling
         return cls(wavenumber, shell, contour, step, np.asarray(np.linalg.inv(system)))
 
-    def on_contour(self, antenna: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], ...]:
-        """The incident and the whole field (F, V, N) from antennas x + jy (V,), m.
-
-        Both relative to the incident field at 1 m, spherical, without the shell.
-        """
-        range_m = np.abs(antenna[:, None] - self.contour)
-        incident = np.exp(-1j * self.wavenumber[:, None, None] * range_m) / range_m
-        return incident, incident @ np.swapaxes(self.inverse, 1, 2)
-
     def echo(self, antenna: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """(F, V) echo of the shell alone, in any common unit per frequency."""
-        incident, whole = self.on_contour(antenna)
-        return np.asarray((whole * incident * self.step_m).sum(axis=-1))
-
-    def echoes(self, antenna: NDArray[np.complex128], obliquities: int) -> NDArray[np.complex128]:
-        """(F, P, V) echoes of the shell weighted by powers of the cosine of incidence, from 0 to P - 1.
-
-        A half ellipsoid curves upwards, too, and what it returns at grazing incidence is not what a cylinder
-        does. With an amplitude for each of three powers, solved shells leave 0.04 to 0.2 % of their echo.
-        """
-        incident, whole = self.on_contour(antenna)
-        shell = self.shell
-        normal = self.contour.real / shell.across_m**2 + 1j * self.contour.imag / shell.along_m**2
-        normal = normal / np.abs(normal)
-        toward = antenna[:, None] - self.contour
-        cosine = (toward * normal.conj()).real / np.abs(toward)
-        powers = cosine[None] ** np.arange(obliquities)[:, None, None] * self.step_m
-        return np.asarray(np.einsum("fvn,pvn->fpv", whole * incident, powers, optimize=True))
+        """(F, V) echo of the shell alone to antennas x + jy (V,), m, in any common unit per frequency."""
+        return self.seen_from(antenna).echoes(1)[:, 0]
 
     def seen_from(self, antenna: NDArray[np.complex128]) -> ShellView:
         """The field that antennas x + jy (V,), m, make."""
-        return ShellView(self, antenna, np.ascontiguousarray(np.swapaxes(self.on_contour(antenna)[1], 1, 2)))
+        range_m = np.abs(self.contour[:, None] - antenna)
+        incident = np.exp(-1j * self.wavenumber[:, None, None] * range_m) / range_m
+        return ShellView(self, antenna, incident, self.inverse @ incident)
 
 
 @dataclass(frozen=True, eq=False)
 class ShellView:
-    """The field of a shell from some antennas.
+    """The field of a shell from some antennas, relative to that at 1 m, spherical, without the shell.
 
     Attributes:
         field: of the shell.
         antenna: (V,) x + jy, m.
-        whole: (F, N, V) field on the contour.
+        incident, whole: (F, N, V) field on the contour, without the shell and with it.
     """
 
     field: ShellField
     antenna: NDArray[np.complex128]
+    incident: NDArray[np.complex128]
     whole: NDArray[np.complex128]
+
+    def echoes(self, obliquities: int) -> NDArray[np.complex128]:
+        """(F, P, V) echoes of the shell weighted by powers of the cosine of incidence, from 0 to P - 1.
+
+        A half ellipsoid curves upwards, too, and what it returns at grazing incidence is not what a cylinder
+        does. With an amplitude for each of three powers, solved shells leave 0.04 to 0.6 % of their echo.
+        """
+        field = self.field
+        shell, contour = field.shell, field.contour
+        normal = contour.real / shell.across_m**2 + 1j * contour.imag / shell.along_m**2
+        normal = normal / np.abs(normal)
+        toward = self.antenna - contour[:, None]
+        cosine = (toward * normal.conj()[:, None]).real / np.abs(toward)
+        powers = cosine ** np.arange(obliquities)[:, None, None] * field.step_m[:, None]
+        return np.asarray(np.einsum("fnv,pnv->fpv", self.whole * self.incident, powers, optimize=True))
 
     def relative(self, places: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """(F, K, V) echo of small reflectors at places x + jy (K,), m, over that without the shell."""

@@ -62,9 +62,8 @@ def spectra(capture: Capture) -> Spectra:
     return Spectra.of(preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5)))
 
 
-def held(task: tuple[Cell, int]) -> Held:
+def held(cell: Cell, number: int) -> Held:
     """The energy in one scene."""
-    cell, number = task
     scene, acquisition, seed = scenes.own_scene(cell, "development", number)
     noisy, _ = simulate_capture(scene, acquisition, seed)
     # The reflectors come first; what their body does to their echo is part of them.
@@ -103,7 +102,7 @@ def main() -> None:
     cells = [c for c in scenes.cells(("own",)) if (c.group, c.enrolled, c.views) == ("tagged", "paper", 36)]
     tasks = [(cell, 300 + number) for number in range(given.numbers) for cell in cells]
     with multiprocessing.get_context("fork").Pool(given.jobs) as pool:
-        found = pool.map(held, tasks, 4)
+        found = pool.starmap(held, tasks, 4)
     lines = [
         "# Tags on our simulator's bodies: what the waves hold",
         "",

@@ -254,18 +254,31 @@ def _standing(cell: Cell, rng: np.random.Generator) -> tuple[_Object, Scene]:
 
 
 def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
+    own = _own_recording(cell, rng)
+    capture, _ = simulate_capture(own.scene, own.acquisition, own.seed)
+    what = f"{own.made.name or cell.group} {own.made.size_mm:g}mm on {own.made.body}"
+    return Drawn(capture, SETS[cell.enrolled], own.made.name, what)
+
+
+@dataclass(frozen=True, eq=False)
+class _OwnRecording:
+    """An object, its scene, how it is recorded, and the recording's seed."""
+
+    made: _Object
+    scene: Scene
+    acquisition: Acquisition
+    seed: int
+
+
+def _own_recording(cell: Cell, rng: np.random.Generator) -> _OwnRecording:
     made, scene = _standing(cell, rng)
-    acquisition = _acquisition(cell, rng)
-    capture, _ = simulate_capture(scene, acquisition, int(rng.integers(2**32)))
-    what = f"{made.name or cell.group} {made.size_mm:g}mm on {made.body}"
-    return Drawn(capture, SETS[cell.enrolled], made.name, what)
+    return _OwnRecording(made, scene, _acquisition(cell, rng), int(rng.integers(2**32)))
 
 
 def own_scene(cell: Cell, population: str, number: int) -> tuple[Scene, Acquisition, int]:
     """The scene of an own cell, how it is recorded, and the recording's seed, as `draw` takes them."""
-    rng = _generator(cell, population, number)
-    _, scene = _standing(cell, rng)
-    return scene, _acquisition(cell, rng), int(rng.integers(2**32))
+    made = _own_recording(cell, _generator(cell, population, number))
+    return made.scene, made.acquisition, made.seed
 
 
 def _acquisition(cell: Cell, rng: np.random.Generator) -> Acquisition:

@@ -31,7 +31,7 @@ def test_a_round_shell_is_the_exact_one(radius_m: float) -> None:
 def test_the_echo_of_a_round_shell_does_not_depend_on_aspect() -> None:
     field = ShellField.of(K, EllipticShell(0.08, 0.08, 2.7e-3))
     antenna = np.exp(1j * np.linspace(0, 2 * np.pi, 17))
-    for echo in np.moveaxis(field.echoes(antenna, 3), 1, 0):
+    for echo in np.moveaxis(field.seen_from(antenna).echoes(3), 1, 0):
         assert np.abs(echo - echo[:, :1]).max() < 1e-3 * np.abs(echo).max()
 
 

@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.fields.elliptic import EllipticShell, ShellField
+from tagid.fields.elliptic import EllipticShell, ShellField, ShellView
 from tagid.tags.bodies.enrolled import SLACK_M, EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Candidate, Pose
 from tagid.tags.bodies.posing import CENTRE_SIGMA_M, PoseSearch
@@ -152,20 +152,16 @@ def likely_shells(spectra: Spectra, ring_m: float, count: int) -> list[ShellFit]
 
 
 def basis_of(
-    field: ShellField,
-    antenna: NDArray[np.complex128],
-    obliquities: int,
-    tag: NDArray[np.complex128] | None = None,
+    view: ShellView, obliquities: int, tag: NDArray[np.complex128] | None = None
 ) -> NDArray[np.complex128]:
     """(F, V, C) orthonormal echoes that a shell may have, without the room, beside a tag's (F, V).
 
     Args:
-        field: of the shell.
-        antenna: (V,) in the shell's frame, x + jy, m.
-        obliquities: amplitudes per frequency, see `ShellField.echoes`.
+        view: of the shell.
+        obliquities: amplitudes per frequency, see `ShellView.echoes`.
         tag: echo of reflectors; None for none.
     """
-    waves = field.echoes(antenna, obliquities)
+    waves = view.echoes(obliquities)
     if tag is not None:
         waves = np.concatenate([waves, tag[:, None]], axis=1)
     waves = centred(waves)
@@ -203,7 +199,7 @@ def refined_beside(
 
     def rest(x: NDArray[np.float64], field: ShellField) -> NDArray[np.complex128]:
         antenna = (spectra.antenna - complex(x[0], x[1])) * np.exp(-1j * x[2])
-        return beyond(data, basis_of(field, antenna, obliquities, tag))
+        return beyond(data, basis_of(field.seen_from(antenna), obliquities, tag))
 
     prior = np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, np.inf, np.inf]) ** -2.0
     prior *= max(spectra.noise, 0.01 * spectra.energy / spectra.data.size)

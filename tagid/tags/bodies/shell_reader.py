@@ -39,7 +39,7 @@ from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import Layout
 
 OBLIQUITIES = 3
-"""Amplitudes of a shell per frequency, see `ShellField.echoes`."""
+"""Amplitudes of a shell per frequency, see `ShellView.echoes`."""
 COUNT = 72
 """Angles on a ring: 5 degrees, 10 mm on a helmet's."""
 _TRIED, _BEGUN, _REFINED = 8, 4, 3
@@ -201,11 +201,11 @@ class _ShellReader:
         obliquities: int,
     ) -> None:
         self.spectra, self.layouts, self.fit, self.settings = spectra, layouts, fit, settings
-        self.field = ShellField.of(spectra.wavenumbers / 2, fit.shell)
+        field = ShellField.of(spectra.wavenumbers / 2, fit.shell)
         self.across = spectra.antenna - fit.pose.centre
         self._rings: dict[tuple[float, float], NDArray[np.complex128]] = {}
-        self.seen = self.field.seen_from(self.across * np.exp(-1j * fit.pose.turn_rad))
-        self.basis = basis_of(self.field, self.across * np.exp(-1j * fit.pose.turn_rad), obliquities)
+        self.seen = field.seen_from(self.across * np.exp(-1j * fit.pose.turn_rad))
+        self.basis = basis_of(self.seen, obliquities)
         self.beyond = self._beyond_body(spectra.data)
         self.body_left = float((np.abs(self.beyond) ** 2).sum())
         free = max(spectra.views - 2 - obliquities, 1)
@@ -366,15 +366,19 @@ class _ShellReader:
         plain = _ShellReader(self.spectra, self.layouts, fit, self.settings, 1)
         return plain.middle_of(best, self._compared(ranked, others, free, fit))
 
+    def _error(self, left: float) -> float:
+        """Energy that a lead of 1 is, where an arrangement leaves so much."""
+        tag = max(self.body_left - left, 1e-30)
+        above = max(left - self.noise, 0.0)
+        return above + MODEL_ERROR * tag + self.settings.noise_nats * self.spectra.noise
+
     def middle_of(self, best: _Ringed, reading: BodyReading) -> ShellReading:
         """A reading with what stands in the middle of its best layout.
 
         Several amplitudes of the shell hold much of a wave from there: this asks for one.
         """
         own, other = self.fitted(best), self.fitted(self._toggled(best))
-        tag = max(self.body_left - own.left, 1e-30)
-        error = max(own.left - self.noise, 0.0) + MODEL_ERROR * tag
-        error += self.settings.noise_nats * self.spectra.noise
+        error = self._error(own.left)
         wave = self._beyond_body(self.wave_of(own))
         size = np.maximum((np.abs(wave) ** 2).sum(axis=1), 1e-30)
         amplitude = (wave.conj() * self.beyond).sum(axis=1) / size
@@ -427,7 +431,7 @@ class _ShellReader:
         every = sorted([*costs, *(self._placed(row, 0.0) for row in ranked[1:])], key=lambda p: p.charged)
         tag = max(self.body_left - best.left, 1e-30)
         above = max(best.left - self.noise, 0.0)
-        error = above + MODEL_ERROR * tag + settings.noise_nats * spectra.noise
+        error = self._error(best.left)
         lead = (every[0].charged - best.left) / error if every else inf
         wave = self._beyond_body(self.wave_of(best))
         amplitude = (wave.conj() * self.beyond).sum(axis=1) / (np.abs(wave) ** 2).sum(axis=1)

@@ -190,10 +190,15 @@ class MatchedScan:
             return settled
         if settled.body is not None and settled.body.body.name:
             named = self._beside_transparent(settled, settled.body)
-            return named or on_shell(settled, self.scans, self._layouts, contest) or settled
+        else:
+            named = self._cleared_of(settled)
+        return named or on_shell(settled, self.scans, self._layouts, contest) or settled
+
+    def _cleared_of(self, settled: Reading) -> Reading | None:
+        """The name that `cleared` finds, with the other hypotheses; None for none."""
         found = self.cleared()
         if found is None:
-            return on_shell(settled, self.scans, self._layouts, contest) or settled
+            return None
         others = (one for one in settled.hypotheses if one.kind is not Kind.BARE)
         return replace(found.reading, hypotheses=(*found.reading.hypotheses, *others))
 
