@@ -11,6 +11,7 @@ import time
 from contextlib import AbstractContextManager
 
 import pytest
+from bleak.backends.scanner import BaseBleakScanner
 
 from firmware_tools.virtual.backend import open_backend
 from firmware_tools.virtual.process import BoardProcess
@@ -290,18 +291,36 @@ def test_a_bridge_without_configuration_drives_nothing() -> None:
     asyncio.run(run())
 
 
+def once_heard(scanner: type[BaseBleakScanner], names: list[str]) -> type[BaseBleakScanner]:
+    """The scanner, whose search begins when devices with those names were heard.
+
+    Which of them a search of a given length hears depends on the advertising intervals (1 s) and on how busy
+    the machine is, and that is not what is tested here.
+    """
+
+    class Scanner(scanner):  # type: ignore[valid-type, misc]
+        async def start(self) -> None:
+            await super().start()
+            async with asyncio.timeout(60):
+                while sorted(seen.name or "" for seen, _ in self.seen_devices.values()) != names:
+                    await asyncio.sleep(0.01)
+
+    return Scanner
+
+
 def test_names_that_are_absent_or_ambiguous(board: BoardProcess) -> None:
     async def run() -> None:
         async with open_backend(board.hci) as pair, open_backend(board.hci) as twin:
-            backends = Backends(*pair)
+            alone = Backends(once_heard(pair[0], ["robot-7"]), pair[1])
             with pytest.raises(DeviceGoneError, match=r"robot-7 \(F0:F1"):
-                await find("robot-8", 1.0, backends)
+                await find("robot-8", 0.1, alone)
             impostor = twin[1].device  # type: ignore[attr-defined]
             service = bytes.fromhex("11079ecadc240ee5a9e093f3a3b50100406e")
             await impostor.start_advertising(advertising_data=service + b"\x08\x09robot-7")
             with pytest.raises(UsageError, match="2 bridges have the name 'robot-7'"):
-                await find("robot-7", 1.0, backends)
-            assert (await find("ROBOT-7", 1.0, Backends(*twin))).address == board.address
-            assert (await find(board.address, 20.0, backends)).address == board.address
+                await find("robot-7", 0.1, Backends(once_heard(pair[0], ["robot-7", "robot-7"]), pair[1]))
+            theirs = Backends(once_heard(twin[0], ["robot-7"]), twin[1])
+            assert (await find("ROBOT-7", 0.1, theirs)).address == board.address
+            assert (await find(board.address, 20.0, Backends(*pair))).address == board.address
 
     asyncio.run(run())
