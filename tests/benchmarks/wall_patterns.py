@@ -29,7 +29,7 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.simulate import Acquisition, Placement
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.cylinder_reader import read_on_cylinder
-from tagid.tags.bodies.reader import read_on_body
+from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import builtin_layouts

@@ -25,7 +25,7 @@ from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.calibration import Basis, Bound, Calibration, Scores, Stratum, largest
 from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.hypothesis import Kind
-from tagid.tags.bodies.reader import read_on_body
+from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.reflectors_fit import COMMON, FACING, Batch, Columns, Fitter, Priors, solve
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import PairSearch, Ring

@@ -25,7 +25,7 @@ from tagid.tags.bodies.enrolled import EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Kind, Pose
 from tagid.tags.bodies.joint import Joint, Named, enrol_signature
 from tagid.tags.bodies.layout_search import ANGLES, LayoutSearch, turned_by
-from tagid.tags.bodies.reader import read_on_body
+from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.reflectors_fit import FACING, solve
 from tagid.tags.bodies.ring import ring_columns
 from tagid.tags.bodies.spectra import centred

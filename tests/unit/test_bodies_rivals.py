@@ -26,7 +26,7 @@ from tagid.simulate.specification import ReflectorSpec
 from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body
 from tagid.tags.bodies.hypothesis import Kind
-from tagid.tags.bodies.reader import read_on_body
+from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.reflectors_fit import FACING, FEWEST_TERMS
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
@@ -233,7 +233,7 @@ def test_no_body_is_tried_where_its_charge_alone_decides(monkeypatch: pytest.Mon
     def read_on_body(*_: object) -> None:
         tried.append(own)
 
-    monkeypatch.setattr("tagid.tags.bodies.reader.read_on_body", read_on_body)
+    monkeypatch.setattr("tagid.tags.bodies.on_body.read_on_body", read_on_body)
     bare = SimpleNamespace(status="identified", kind=Kind.BARE, layout="pair", body=None, centre_m=(0.0, 0.0))
     floor = BODY_LEAVES * spectra.noise_energy + settings.disputed_nats
     for own in (floor + 0.5 * cost, floor + 0.99 * cost, floor + 1.01 * cost):

@@ -18,8 +18,8 @@ from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.enrolled import EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.points import PlacedPoints, PointReading
-from tagid.tags.bodies.reader import read_on_body
 from tagid.tags.bodies.reflectors_fit import Priors
 from tagid.tags.bodies.signature import Signature, between
 from tagid.tags.bodies.spectra import Spectra

@@ -19,13 +19,15 @@ from tagid.simulate import Acquisition, Placement, Wobble, simulate_capture
 from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import response_scene
+from tagid.tags.bodies import on_body
 from tagid.tags.bodies import reader as reader_module
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Enrolled, Explanation, Kind, Pose
 from tagid.tags.bodies.neighbours import lefts_before_walls
+from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.points import PointReading
-from tagid.tags.bodies.reader import BodyReader, read_on_body
+from tagid.tags.bodies.reader import BodyReader
 from tagid.tags.bodies.reflectors_fit import POINTS
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra
@@ -155,6 +157,9 @@ class Solved:
         echo = echo - echo.mean(axis=1, keepdims=True)
         level = (echo.conj() * spectra.data).sum(axis=1) / (np.abs(echo) ** 2).sum(axis=1)
         return [Candidate(POSE, float((np.abs(spectra.data - level[:, None] * echo) ** 2).sum()))]
+
+    def seen(self, *given: object) -> None:
+        return None
 
     def echo(
         self, spectra: Spectra, centres: NDArray[np.complex128], turns: NDArray[np.float64]
@@ -291,7 +296,7 @@ def test_a_body_that_explains_the_echo_alone_leaves_no_name_to_another(
         less = replace(own.layouts[0], left=own.layouts[0].left * (1.0 if body.name else 0.5))
         return replace(own, body=body, layouts=(less, *own.layouts[1:]))
 
-    monkeypatch.setattr(reader_module, "read_on_body", read_on)
+    monkeypatch.setattr(on_body, "read_on_body", read_on)
     monkeypatch.setattr(contest, "decide_on_body", verdict)
     monkeypatch.setattr(contest, "_shows", lambda *given: True)
     monkeypatch.setattr(contest, "kept", lambda bound, verdict: verdict)
@@ -317,7 +322,7 @@ def test_an_enrolled_body_that_explains_more_refuses_a_name_on_a_round_one(
         best = replace(own.layouts[0], left=left)
         return replace(own, body=body, layouts=(best, *own.layouts[1:]))
 
-    monkeypatch.setattr(reader_module, "read_on_body", read_on)
+    monkeypatch.setattr(on_body, "read_on_body", read_on)
     monkeypatch.setattr(contest, "decide_on_body", verdict)
     monkeypatch.setattr(contest, "borne_out", lambda *given: True)
     monkeypatch.setattr(contest, "read_beside_wall", lambda *given: None)

@@ -22,7 +22,7 @@ from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.cylinder_reader import _CylinderReader, read_on_cylinder
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body
-from tagid.tags.bodies.reader import read_on_body
+from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.reflectors_fit import solve
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred

@@ -15,10 +15,11 @@ from tagid.tags.bodies.arrangement import off_axis
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.layout_search import LayoutSearch, rings_of, turned_by
+from tagid.tags.bodies.on_body import alone
 from tagid.tags.bodies.posing import CENTRE_REACH_M
 from tagid.tags.bodies.reader import BodyReader
-from tagid.tags.bodies.reflectors_fit import FACING, OPEN, joined, solve
-from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.reflectors_fit import FACING, OPEN, joined
+from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 
 STARTS = 4
@@ -50,7 +51,7 @@ def read_below(
     """The reading on a body whose turn is sought together with a layout on it.
 
     Args:
-        spectra, layouts, body, settings: as of `reader.read_on_body`.
+        spectra, layouts, body, settings: as of `on_body.read_on_body`.
         centres: where the body may stand, x + jy, m, beside where it seems to stand alone and the axis.
         least: energy that another pose of the body leaves with a tag; None is returned where no pose found
             here leaves less.
@@ -64,8 +65,7 @@ def read_below(
     found: list[Candidate] = []
     best = np.inf
     for start in starts:
-        alone = _alone(spectra, body, start.pose)
-        reader = BodyReader(spectra, [start.layout], body, settings, [alone])
+        reader = BodyReader(spectra, [start.layout], body, settings, [alone(spectra, body, start.pose)])
         rows = [
             reader.batch(start.layout, start.pose.centre, start.offset_m, start.angles, pattern)
             for pattern in (FACING, OPEN)
@@ -74,16 +74,10 @@ def read_below(
         i = int(np.argmin(left))
         if left[i] < best:
             best, at = float(left[i]), batch.at[i]
-            found = [_alone(spectra, body, Pose((float(at[3]), float(at[4])), float(at[5])))]
+            found = [alone(spectra, body, Pose((float(at[3]), float(at[4])), float(at[5])))]
     if not found or best >= least:
         return None
     return BodyReader(spectra, usable, body, settings, found).read(rings_of(layouts, settings), ())
-
-
-def _alone(spectra: Spectra, body: BodyModel, pose: Pose) -> Candidate:
-    """A pose with what the body alone leaves there."""
-    echo = body.echo(spectra, np.array([pose.centre]), np.array([pose.turn_rad]))
-    return Candidate(pose, float(solve(spectra.data, centred(echo)[:, :, None]).left[0]))
 
 
 def _starts(

@@ -12,6 +12,7 @@ from tagid.tags.bodies.hypothesis import BodyModel, Pose
 from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.reflectors_fit import Batch, Priors
 from tagid.tags.bodies.revolution import RoundBody
+from tagid.tags.bodies.spectra import Spectra
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class BodySettings:
         rings_m: radii tried about each nominal one under `wide_m`, relative to it, m.
         wide_m: from here on a body is a shell, and only the nominal radius is tried.
         ring_step_m: spacing of the angles on a ring, m of arc.
+        look_again: an enrolled body is read once more where what is known of the turn beside its tag would
+            change the lead by so much.
         noise_nats: lead in noise variances that counts as much as the model's own error.
     """
 
@@ -89,6 +92,7 @@ class BodySettings:
     rings_m: tuple[float, ...] = (-0.009, 0.005)
     wide_m: float = 0.076
     ring_step_m: float = 5.5e-3
+    look_again: float = 0.1
     noise_nats: float = 25.0
 
     def radius_offsets_m(self, radius_m: float) -> tuple[float, ...]:
@@ -150,6 +154,7 @@ class BodyReading:
     Attributes:
         body: the model used.
         pose: of the body in the best layout's fit.
+        spectra: the scans, seen from where the body says that they were taken.
         views: of the recording.
         energy: of the moving echo.
         noise: expected energy of the noise after the fit.
@@ -183,6 +188,7 @@ class BodyReading:
 
     body: BodyModel
     pose: Pose
+    spectra: Spectra
     views: int
     energy: float
     noise: float

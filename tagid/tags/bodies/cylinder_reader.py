@@ -356,6 +356,7 @@ class _CylinderReader:
         return BodyReading(
             body=first.body,
             pose=self._pose(best.centre),
+            spectra=spectra,
             views=spectra.views,
             energy=spectra.energy,
             noise=self.noise,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
-from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Enrolled, ObjectMatch
+from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Enrolled, ObjectMatch, Pose, Seen
 from tagid.tags.bodies.posing import Match, PoseSearch, match, refine
 from tagid.tags.bodies.pulse_tail import explained
 from tagid.tags.bodies.signature import (
@@ -123,6 +123,27 @@ class EnrolledBody:
     def poses(self, spectra: Spectra) -> list[Candidate]:
         """The poses at which it explains the scans best, best first."""
         return self.searches.poses(spectra, self.signature, self.starts)
+
+    def seen(
+        self,
+        spectra: Spectra,
+        pose: Pose,
+        beside: NDArray[np.complex128] | None = None,
+        variance: float = 0.0,
+    ) -> Seen | None:
+        """Where it stands near a pose, on a turntable that may turn unevenly.
+
+        None for a body of revolution, and at other frequencies than those of its signature. That the pulse
+        has another tail is believed where that pays for an amplitude more at every frequency.
+        """
+        own = self.signature
+        if not self.turns or not same_wavenumbers(spectra.wavenumbers, own.wavenumbers):
+            return None
+        found = steadied(spectra, own, pose, beside=beside, variance=variance)
+        other = steadied(spectra, own, pose, beside=beside, variance=variance, tail=True)
+        if found.left - other.left > spectra.amplitude_cost:
+            found = other
+        return Seen(found.pose, found.spectra, found.left)
 
     def _harmonics(self, wavenumbers: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(F, 2 M + 1) of the signature, those of its own frequencies as they are."""

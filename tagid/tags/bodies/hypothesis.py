@@ -63,6 +63,22 @@ class Candidate:
     left: float
 
 
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """An enrolled body where the turn may have been uneven, and the pulse another than at the enrolment.
+
+    Attributes:
+        pose: of the body.
+        spectra: the scans, seen from where they were taken then, without what the range window keeps of the
+            other pulse's tail.
+        left: energy left, with what the errors of the angles are charged.
+    """
+
+    pose: Pose
+    spectra: Spectra
+    left: float
+
+
 class BodyModel(Protocol):
     """An untagged body. The reader adds the reflectors of a tag to it."""
 
@@ -96,6 +112,23 @@ class BodyModel(Protocol):
         """(H, F, V) its echo at centres x + jy (H,), m, and turns (H,), rad; any common level per frequency.
 
         What is constant over the views need not be subtracted.
+        """
+        ...
+
+    def seen(
+        self,
+        spectra: Spectra,
+        pose: Pose,
+        beside: NDArray[np.complex128] | None = None,
+        variance: float = 0.0,
+    ) -> Seen | None:
+        """Where it stands near a pose, with the errors of the views' angles; None where it cannot tell them.
+
+        Args:
+            spectra: the scans.
+            pose: start.
+            beside: (F, C, V) echoes of reflectors, each with a free amplitude per frequency; None for none.
+            variance: of one value of what all this leaves, where that is more than the noise.
         """
         ...
 

@@ -14,7 +14,7 @@ import numpy as np
 from tagid.tags.bodies.arrangement import off_axis
 from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.bodies.reflectors_fit import Columns, solve
-from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.spectra import centred
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.verdicts.verdict import Code, Verdict
 
@@ -49,18 +49,17 @@ class Middle:
         return self.expected >= max(LEAST_EXPECTED * tag, LEAST_NOISE * self.error)
 
 
-def contradicts(spectra: Spectra, reading: BodyReading, layout: Layout) -> Verdict | None:
+def contradicts(reading: BodyReading, layout: Layout) -> Verdict | None:
     """The refusal of a layout on an enrolled body where its middle is not as the layout has it.
 
     Args:
-        spectra: the scans.
         reading: its best layout is the one to be judged.
         layout: the same, with the reflectors on its axis.
 
     Returns:
         The refusal; None where nothing speaks against the layout.
     """
-    found = in_the_middle(spectra, reading)
+    found = in_the_middle(reading)
     if not found.shows(reading.tag):
         return None
     has = len(off_axis(layout)[0]) < layout.size
@@ -71,14 +70,13 @@ def contradicts(spectra: Spectra, reading: BodyReading, layout: Layout) -> Verdi
     return None
 
 
-def in_the_middle(spectra: Spectra, reading: BodyReading) -> Middle:
+def in_the_middle(reading: BodyReading) -> Middle:
     """What stands in the middle of the best layout's ring.
 
     Args:
-        spectra: the scans.
         reading: on an enrolled body.
     """
-    best = reading.layouts[0]
+    best, spectra = reading.layouts[0], reading.spectra
     cols = Columns.of(spectra, reading.body, best.batch)
     known = cols.values[:, :, : 1 + int(best.batch.terms[0])]
     solved = solve(spectra.data, known)

@@ -51,7 +51,10 @@ class Linear:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """End of a descent: parameters (P,), and the energy left, in the units of the spectra."""
+    """End of a descent: parameters (P,), and the energy left, in the units of the spectra.
+
+    What loads charge is in the energy left.
+    """
 
     x: NDArray[np.float64]
     left: float
@@ -83,6 +86,8 @@ def descend(
     x: NDArray[np.float64],
     iterations: int = 12,
     sigmas: NDArray[np.float64] | None = None,
+    variance: float = 0.0,
+    loads: NDArray[np.float64] | None = None,
 ) -> Found:
     """Levenberg-Marquardt with the linear amplitudes eliminated (variable projection, Kaufman 1975).
 
@@ -93,15 +98,24 @@ def descend(
         iterations: at most.
         sigmas: (P,) standard deviations of the parameters about 0, inf where they are free; None: those of
             the centre are CENTRE_SIGMA_M, the others are free.
+        variance: of one value of what the model leaves, where that is more than the noise.
+        loads: (F, N) that variance over the one of the amplitudes about 0; 0 where an amplitude is free.
+            None: all are.
     """
     if sigmas is None:
         sigmas = np.full(len(x), np.inf)
         sigmas[:2] = CENTRE_SIGMA_M
-    prior = noise_of(spectra) / sigmas**2
-    data = spectra.data
+    prior = max(noise_of(spectra), variance) / sigmas**2
+    data, held = spectra.data, None
+    if loads is not None:
+        # An amplitude that should be small is one view more, in which nothing is seen.
+        held = np.sqrt(loads)[:, :, None] * np.eye(loads.shape[1])
+        data = np.concatenate([data, np.zeros_like(loads)], axis=1)
 
     def rest(columns: NDArray[np.complex128]):  # type: ignore[no-untyped-def]
         columns = columns - columns.mean(axis=1, keepdims=True)
+        if held is not None:
+            columns = np.concatenate([columns, held], axis=1)
         q, r = np.linalg.qr(columns)
         inner = q.conj().swapaxes(1, 2) @ data[..., None]
         return data - (q @ inner)[..., 0], q, r, inner
@@ -114,6 +128,8 @@ def descend(
         amplitudes = np.linalg.solve(r + load * np.eye(r.shape[-1]), inner)[..., 0]
         slopes = np.einsum("pfvn,fn->pfv", parts.slopes, amplitudes)
         slopes = slopes - slopes.mean(axis=2, keepdims=True)
+        if held is not None:
+            slopes = np.concatenate([slopes, np.zeros((*slopes.shape[:2], held.shape[1]))], axis=2)
         slopes = slopes - (q @ (q.conj().swapaxes(1, 2) @ slopes[..., None]))[..., 0]
         jacobian = slopes.reshape(len(x), -1)
         normal = np.real(jacobian.conj() @ jacobian.T) + np.diag(prior)

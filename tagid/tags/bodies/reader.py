@@ -26,7 +26,7 @@ from tagid.tags.bodies.arrangement import (
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.flat_face import least_on_faces
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
-from tagid.tags.bodies.layout_search import LayoutSearch, rings_of, turned_by
+from tagid.tags.bodies.layout_search import LayoutSearch, turned_by
 from tagid.tags.bodies.neighbours import led_before_wall
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
@@ -58,30 +58,6 @@ class _Amplitudes:
     reflectors: NDArray[np.complex128]
     body_energy: float
     back: float
-
-
-def read_on_body(
-    spectra: Spectra,
-    layouts: Sequence[Layout],
-    body: BodyModel,
-    settings: BodySettings,
-    hints: Sequence[complex] = (),
-) -> BodyReading | None:
-    """The best layout on a body, against every other arrangement; None where no layout can lie on one.
-
-    Args:
-        spectra: the scans.
-        layouts: the enrolled ones; those with fewer than two reflectors off the axis cannot be read.
-        body: the body below the reflectors.
-        settings: search and priors.
-        hints: further centres to try, x + jy, m.
-    """
-    rings = rings_of(layouts, settings)
-    usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
-    if not usable:
-        return None
-    reader = BodyReader(spectra, usable, body, settings, body.poses(spectra))
-    return reader.read(rings, hints)
 
 
 class BodyReader:
@@ -552,6 +528,7 @@ class BodyReader:
         return BodyReading(
             body=self.body,
             pose=Pose((float(best.batch.at[0, 3]), float(best.batch.at[0, 4])), float(best.batch.at[0, 5])),
+            spectra=self.spectra,
             views=self.spectra.views,
             energy=self.spectra.energy,
             noise=self.noise,

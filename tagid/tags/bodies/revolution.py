@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.bodies.hypothesis import Candidate, Pose
+from tagid.tags.bodies.hypothesis import Candidate, Pose, Seen
 from tagid.tags.bodies.spectra import Spectra, centred
 
 APART_M = 3e-3
@@ -62,6 +62,16 @@ class RoundBody:
         rho = np.abs(spectra.antenna - np.asarray(centres)[:, None])
         waves = spectra.waves(rho) * (spectra.distance_m / rho) ** 2
         return np.ascontiguousarray(np.moveaxis(waves, 0, 1))
+
+    def seen(
+        self,
+        spectra: Spectra,
+        pose: Pose,
+        beside: NDArray[np.complex128] | None = None,
+        variance: float = 0.0,
+    ) -> Seen | None:
+        """None: one that looks the same from all sides tells nothing of angles."""
+        return None
 
     def poses(self, spectra: Spectra) -> list[Candidate]:
         """The best minima over the centre: a grid, then parabolic steps on both axes."""

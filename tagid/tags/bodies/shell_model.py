@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.fields.elliptic import EllipticShell, ShellField, ShellView
 from tagid.tags.bodies.enrolled import SLACK_M, EnrolledBody, Searches
-from tagid.tags.bodies.hypothesis import Candidate, Pose
+from tagid.tags.bodies.hypothesis import Candidate, Pose, Seen
 from tagid.tags.bodies.posing import CENTRE_SIGMA_M, PoseSearch
 from tagid.tags.bodies.signature import Signature, near_field, order_of
 from tagid.tags.bodies.spectra import Spectra, centred
@@ -91,6 +91,16 @@ class ShellBody:
     ) -> NDArray[np.complex128]:
         """(H, F, V) its echo at centres x + jy (H,), m, and turns (H,), rad."""
         return self._known.echo(spectra, centres, turns)
+
+    def seen(
+        self,
+        spectra: Spectra,
+        pose: Pose,
+        beside: NDArray[np.complex128] | None = None,
+        variance: float = 0.0,
+    ) -> Seen | None:
+        """None: it is fitted to the scans as they are."""
+        return None
 
     @cached_property
     def _known(self) -> EnrolledBody:

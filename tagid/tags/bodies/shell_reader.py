@@ -441,6 +441,7 @@ class _ShellReader:
         return BodyReading(
             body=ShellBody(shown, spectra.wavenumbers, round(spectra.distance_m, 2)),
             pose=shown.pose,
+            spectra=spectra,
             views=spectra.views,
             energy=spectra.energy,
             noise=self.noise,

@@ -3,6 +3,9 @@
 The stated angles of the views are off by a few milliradians: a bent axle, an off-centre belt. A handle 65 mm
 from the axis then moves by some tenths of a millimetre, and what a signature leaves of a loud object is more
 than its noise. The errors of the angles are parameters of the object's place, like its turn, with a prior.
+
+Beside a tag that is not enrolled with its body, what the body's echo leaves is mostly the tag: its energy is
+what the errors are weighed against, or a few milliradians more than there are would explain a part of it.
 """
 
 from __future__ import annotations
@@ -14,8 +17,9 @@ from numpy.typing import NDArray
 
 from tagid.tags.bodies.hypothesis import Pose
 from tagid.tags.bodies.posing import CENTRE_SIGMA_M, Linear, at_pose, descend, noise_of
+from tagid.tags.bodies.pulse_tail import SLOPE, slope
 from tagid.tags.bodies.signature import Signature, Standpoint, turned
-from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.bodies.spectra import Spectra, centred
 
 HARMONICS = 4
 """Of a turn, in the error of the angles."""
@@ -30,8 +34,9 @@ class Steadied:
 
     Attributes:
         pose: the best one.
-        spectra: the scans, seen from where they were taken then.
-        left: energy left, with what the prior of the angles charges.
+        spectra: the scans, seen from where they were taken then, without the pulse's tail where that was
+            fitted.
+        left: energy left, with what the priors of the angles and of the tail charge.
         charged: what it charges.
     """
 
@@ -41,13 +46,25 @@ class Steadied:
     charged: float
 
 
-def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
+def steadied(
+    spectra: Spectra,
+    signature: Signature,
+    pose: Pose,
+    *,
+    beside: NDArray[np.complex128] | None = None,
+    variance: float = 0.0,
+    tail: bool = False,
+) -> Steadied:
     """The best pose near a start, together with the errors of the angles.
 
     Args:
         spectra, signature: at the same frequencies.
         pose: start.
+        beside: (F, C, V) echoes of what else stands there, each with a free amplitude per frequency.
+        variance: of one value of what all this leaves, where that is more than the noise.
+        tail: the pulse may have another tail than that of the enrolment, see `pulse_tail`.
     """
+    variance = max(variance, noise_of(spectra))
     shapes = _harmonics(spectra.antenna)
 
     def model(x: NDArray[np.float64]) -> Linear:
@@ -58,15 +75,57 @@ def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
         along = 1j * seen.antenna
         by_x, by_y = parts.slopes[0, ..., 0], parts.slopes[1, ..., 0]
         later = -(by_x * along.real + by_y * along.imag) * shapes[:, None, :]
-        return Linear(parts.columns, np.concatenate([parts.slopes, later[..., None]]))
+        columns, slopes = [parts.columns], [np.concatenate([parts.slopes, later[..., None]])]
+        if tail:
+            columns.append(slope(columns[0]))
+            slopes.append(np.swapaxes(slope(np.swapaxes(slopes[0], 0, 1)), 0, 1))
+        if beside is not None:
+            columns.append(np.swapaxes(beside, 1, 2))
+            slopes.append(np.zeros((len(x), *columns[-1].shape), np.complex128))
+        return Linear(np.concatenate(columns, axis=-1), np.concatenate(slopes, axis=-1))
 
     sigmas = SIGMA_RAD / np.repeat(np.arange(1, HARMONICS + 1), 2)
     start = np.concatenate([[*pose.centre_m, pose.turn_rad], np.zeros(2 * HARMONICS)])
-    found = descend(spectra, model, start, sigmas=np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, *sigmas]))
+    loads = _loads(spectra.data, model(start).columns, variance) if tail else None
+    found = descend(
+        spectra,
+        model,
+        start,
+        sigmas=np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, *sigmas]),
+        variance=variance,
+        loads=loads,
+    )
     x, y, turn = (float(value) for value in found.x[:3])
-    charged = noise_of(spectra) * float(np.sum((found.x[3:] / sigmas) ** 2))
+    charged = variance * float(np.sum((found.x[3:] / sigmas) ** 2))
     seen = _turned_by(spectra, found.x[3:] @ shapes)
+    if loads is not None:
+        seen = replace(seen, data=spectra.data - _tail(spectra.data, model(found.x).columns, loads))
     return Steadied(Pose((x, y), turn % (2 * np.pi)), seen, found.left + charged, charged)
+
+
+def _loads(
+    data: NDArray[np.complex128], columns: NDArray[np.complex128], variance: float
+) -> NDArray[np.float64]:
+    """(F, N) loads of columns (F, V, N), the echo first and its slope second, which alone is held."""
+    echo = centred(columns[..., 0])
+    size = np.maximum((np.abs(echo) ** 2).sum(axis=1), 1e-300)
+    level = np.abs((echo.conj() * data).sum(axis=1)) / size
+    loads = np.zeros((len(columns), columns.shape[-1]))
+    # Where there is no echo there is no tail.
+    loads[:, 1] = np.minimum(variance / np.maximum((SLOPE * level) ** 2, 1e-300), 1e12 * size)
+    return loads
+
+
+def _tail(
+    data: NDArray[np.complex128], columns: NDArray[np.complex128], loads: NDArray[np.float64]
+) -> NDArray[np.complex128]:
+    """(F, V) what the second column explains of data beside the others."""
+    rows = centred(np.swapaxes(columns, 1, 2))
+    gram = rows.conj() @ np.swapaxes(rows, 1, 2)
+    size = np.real(np.diagonal(gram, axis1=1, axis2=2)).max(axis=1, keepdims=True)
+    gram = gram + (loads + 1e-12 * size + 1e-300)[..., None] * np.eye(rows.shape[1])
+    amplitudes = np.linalg.solve(gram, rows.conj() @ data[..., None])
+    return np.asarray(amplitudes[:, 1] * rows[:, 1])
 
 
 def _harmonics(antenna: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -128,7 +128,7 @@ def undisputed(
         return reading
     body = reading.body
     if body is None or body.body.name:
-        from tagid.tags.bodies.reader import read_on_body
+        from tagid.tags.bodies.on_body import read_on_body
 
         body = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*reading.centre_m)])
     if body is None:

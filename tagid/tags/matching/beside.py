@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.points import PointReading
-from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 
 DOUBTED = 0.30
@@ -20,7 +19,6 @@ HOPEFUL = 0.30
 def read_beside_wall(
     reading: BodyReading,
     points: PointReading | None,
-    spectra: Spectra,
     layouts: Sequence[Layout],
     body: BodySettings,
 ) -> BodyReading | None:
@@ -29,9 +27,9 @@ def read_beside_wall(
     Args:
         reading: on a round body, with a free pattern.
         points: fit of points without a body, against which it must lead; None for none.
-        spectra, layouts, body: as of the reading.
+        layouts, body: as of the reading.
     """
-    least = reading.least
+    least, spectra = reading.least, reading.spectra
     rich = spectra.views >= body.through_views
     if rich and least - reading.noise > HOPEFUL * max(reading.body_left - least, 0.0):
         # Five free terms hold the patterns of round walls.

@@ -140,7 +140,7 @@ def null_evidence(
         scans, layouts, settings: as of `settle`.
         bodies: False leaves out the round body, which takes three quarters of the time.
     """
-    from tagid.tags.bodies.reader import read_on_body
+    from tagid.tags.bodies.on_body import read_on_body
 
     spectra = Spectra.of(scans)
     points, alone = None, -inf
@@ -163,7 +163,7 @@ def null_evidence(
         done = checked(done, points, spectra, layouts, settings.bare, opaque=known.opaque)
     contested = done is None or done.status == "unknown"
     if contested and decide_on_body(reading, settings.decision).status != "no_tag":
-        beside = read_beside_wall(reading, points, spectra, layouts, settings.body)
+        beside = read_beside_wall(reading, points, layouts, settings.body)
         if beside is not None and _shows(known, beside, settings):
             walled = score(beside, settings.decision)
     return NullEvidence(evidence, walled, alone, tag_snr_db(reading))
@@ -200,7 +200,7 @@ def _against_bodies(
     settings: ContestSettings,
 ) -> Reading:
     """The bare reading against layouts on bodies, and enrolled objects."""
-    from tagid.tags.bodies.reader import read_on_body
+    from tagid.tags.bodies.on_body import read_on_body
 
     bare, own = known.reading, known.own
     named = bare.status in ("identified", "ambiguous")
@@ -215,12 +215,12 @@ def _against_bodies(
             reading = _clearer(reading, readings[0][0], spectra, layouts, settings)
         if reading is not None:
             reading = reading.against(known.points) if known.points is not None else reading
-            verdict = _judged(known, reading, spectra, layouts, settings)
+            verdict = _judged(known, reading, layouts, settings)
             free = verdict.status == "identified" and reading.through and not body.name
             # Where no body shows, no name beside a wall would stand.
             doubted = (verdict.status == "unknown" and _shows(known, reading, settings)) or free
             if doubted and body.turning_share < settings.turning:
-                reading, verdict = _beside_wall(known, reading, verdict, spectra, layouts, settings)
+                reading, verdict = _beside_wall(known, reading, verdict, layouts, settings)
             if body.name and readings:
                 verdict = _borne_out(reading, verdict, readings[0][0], settings)
             readings.append((reading, verdict))
@@ -290,11 +290,7 @@ def _against_bodies(
 
 
 def _judged(
-    known: _Bare,
-    reading: BodyReading,
-    spectra: Spectra,
-    layouts: Sequence[Layout],
-    settings: ContestSettings,
+    known: _Bare, reading: BodyReading, layouts: Sequence[Layout], settings: ContestSettings
 ) -> Verdict:
     """The verdict on a layout on a body, with the calibration's."""
     verdict = decide_on_body(reading, settings.decision)
@@ -307,7 +303,7 @@ def _judged(
     if verdict.status == "identified" and reading.body.name and reading.nominal_m >= settings.body.wide_m:
         layout = next(one for one in layouts if one.name == reading.layouts[0].layout)
         # A shell passes the wave to what stands inside it; a mug's wall does not.
-        verdict = contradicts(spectra, reading, layout) or verdict
+        verdict = contradicts(reading, layout) or verdict
     if verdict.status != "identified":
         return verdict
     return kept(_bound(reading, settings), verdict)
@@ -328,14 +324,13 @@ def _beside_wall(
     known: _Bare,
     reading: BodyReading,
     verdict: Verdict,
-    spectra: Spectra,
     layouts: Sequence[Layout],
     settings: ContestSettings,
 ) -> tuple[BodyReading, Verdict]:
     """A reading on a round body that is refused, or has many free terms, after what a wall says of it."""
-    beside = read_beside_wall(reading, known.points, spectra, layouts, settings.body)
+    beside = read_beside_wall(reading, known.points, layouts, settings.body)
     if beside is not None:
-        told = _judged(known, beside, spectra, layouts, settings)
+        told = _judged(known, beside, layouts, settings)
         if told.status == "identified":
             return beside, told
     if verdict.status == "identified" and not borne_out(reading, beside, settings.decision):

@@ -1,0 +1,72 @@
+"""A tag on one body, and what an enrolled body tells of the recording before its tag is read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.bodies.arrangement import off_axis
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
+from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose, Seen
+from tagid.tags.bodies.layout_search import rings_of
+from tagid.tags.bodies.reader import BodyReader
+from tagid.tags.bodies.reflectors_fit import Columns, solve
+from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.layouts.layout import Layout
+
+
+def read_on_body(
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    body: BodyModel,
+    settings: BodySettings,
+    hints: Sequence[complex] = (),
+) -> BodyReading | None:
+    """The best layout on a body, against every other arrangement; None where no layout can lie on one.
+
+    An enrolled body tells how unevenly the turntable turned (`BodyModel.seen`): first as if there were no
+    tag, then once more beside the layout and the arrangement that were found, together, so that the errors of
+    the angles suit neither of them alone.
+
+    Args:
+        spectra: the scans.
+        layouts: the enrolled ones; those with fewer than two reflectors off the axis cannot be read.
+        body: the body below the reflectors.
+        settings: search and priors.
+        hints: further centres to try, x + jy, m.
+    """
+    rings = rings_of(layouts, settings)
+    usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
+    if not usable:
+        return None
+    poses = body.poses(spectra)
+    seen = body.seen(spectra, poses[0].pose, None, poses[0].left / spectra.data.size)
+    if seen is None:
+        return BodyReader(spectra, usable, body, settings, poses).read(rings, hints)
+
+    def read(seen: Seen) -> BodyReading:
+        found = [alone(seen.spectra, body, seen.pose)]
+        return BodyReader(seen.spectra, usable, body, settings, found).read(rings, hints)
+
+    first = read(seen)
+    best = first.layouts[0]
+    other = next((placed for placed in first.others if placed.layout is None), best)
+    beside = np.concatenate([_columns(first.spectra, placed) for placed in (best, other)], axis=1)
+    again = body.seen(spectra, first.pose, beside, best.left / spectra.data.size)
+    if again is None or first.least - again.left < settings.look_again * first.error:
+        return first
+    return read(again)
+
+
+def alone(spectra: Spectra, body: BodyModel, pose: Pose) -> Candidate:
+    """A pose with what the body alone leaves there."""
+    echo = body.echo(spectra, np.array([pose.centre]), np.array([pose.turn_rad]))
+    return Candidate(pose, float(solve(spectra.data, centred(echo)[:, :, None]).left[0]))
+
+
+def _columns(spectra: Spectra, placed: Placed) -> NDArray[np.complex128]:
+    """(F, M, V) echo of an arrangement, a column for each term of its pattern."""
+    values = Columns.of(spectra, None, placed.batch).values[0]
+    return np.asarray(values[:, 1 : 1 + int(placed.batch.terms[0])])
