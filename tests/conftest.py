@@ -15,9 +15,12 @@ from hypothesis import settings
 settings.register_profile("fixed", derandomize=True)
 settings.load_profile("fixed")
 
-# A shell that runs the tests in the background has all their children ignore Ctrl-C, which some are about.
+# A shell that runs the tests in the background has all their children ignore Ctrl-C, and `nohup` a hang-up;
+# some are about these.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture

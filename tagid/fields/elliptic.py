@@ -101,6 +101,16 @@ class ShellField:
         """(F, V) echo of the shell alone to antennas x + jy (V,), m, in any common unit per frequency."""
         return self.seen_from(antenna).echoes(1)[:, 0]
 
+    def reach(self, places: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """(F, K, N) from the whole field on the contour to what the shell adds at places x + jy (K,), m."""
+        k = self.wavenumber[:, None, None]
+        apart = np.abs(places[:, None] - self.contour)
+        return np.asarray(k**2 * self.shell.sheet_m * _line_source(k * apart) * self.step_m)
+
+    def answers(self, places: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """(F, K, N) the same from the incident field, whatever its source."""
+        return np.asarray(self.reach(places) @ self.inverse)
+
     def seen_from(self, antenna: NDArray[np.complex128]) -> ShellView:
         """The field that antennas x + jy (V,), m, make."""
         range_m = np.abs(self.contour[:, None] - antenna)
@@ -142,8 +152,7 @@ class ShellView:
         """(F, K, V) echo of small reflectors at places x + jy (K,), m, over that without the shell."""
         field = self.field
         k = field.wavenumber[:, None, None]
-        reach = _line_source(k * np.abs(places[:, None] - field.contour)) * field.step_m
-        added = (k**2 * field.shell.sheet_m) * (reach @ self.whole)
+        added = field.reach(places) @ self.whole
         range_m = np.abs(self.antenna - places[:, None])
         return np.asarray((1 + added * range_m * np.exp(1j * k * range_m)) ** 2)
 

@@ -2,8 +2,7 @@
 
 All have their axis at `centre_m` of the object's frame and rotate and shift with the object. Amplitudes are
 scattering lengths in metres divided by `unit_m` (see `scatterers`). Not modelled: horizontal polarisation,
-multiple reflection between body and reflector, and the effect of shells and cartons on a reflector other than
-that of a round wall at the same distance.
+multiple reflection between body and reflector, and the effect of cartons on a reflector.
 """
 
 from __future__ import annotations
@@ -16,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
+from tagid.fields.elliptic import EllipticShell
+from tagid.simulate.beside import Beside, BesideRound, BesideShell
 from tagid.simulate.multipole import Layer, ring_m, solve
 from tagid.simulate.scattering import Returns
 from tagid.simulate.taps import CENTRE_HZ, AspectTaps, fit_taps, tap_offsets, wavenumber
@@ -36,8 +37,8 @@ class Carrier(Protocol):
         """As `scattering.Body`."""
         ...
 
-    def around(self, position_m: Floats) -> tuple[Layer, ...]:
-        """The round body beside a scatterer at (x, y), or (x, y, z) with its height, m; empty for none.
+    def around(self, position_m: Floats) -> Beside | None:
+        """What stands beside a scatterer at (x, y), or (x, y, z) with its height, m; None for nothing.
 
         Raises:
             DataError: the position is inside a wall or metal.
@@ -124,7 +125,7 @@ class RoundBody:
         factor = self.height_m / self.unit_m * height_factor(distance, antennas[:, 2], -half, half)
         return Returns(points, factor[:, None] * amplitude[None])
 
-    def around(self, position_m: Floats) -> tuple[Layer, ...]:
+    def around(self, position_m: Floats) -> Beside:
         """The body itself; DataError if the position is inside its wall or metal."""
         radius = float(np.hypot(*(np.asarray(position_m)[:2] - self.centre_m)))
         core = self.layers[0]
@@ -135,7 +136,8 @@ class RoundBody:
                 f"{self.layers[-1].radius_m * 1e3:.0f} mm radius",
                 "Choose a smaller body, or a layout whose reflectors are outside it.",
             )
-        return self.layers
+        # Rounded, so that equal radii share one table.
+        return BesideRound(self.layers, round(radius, 7))
 
 
 @lru_cache(maxsize=128)
@@ -228,23 +230,25 @@ class Shell:
         factor = height_factor(distance, antennas[:, 2], -self.skirt_m, self.skirt_m) / self.unit_m
         return Returns(points, factor[:, None] * taps.at(azimuth))
 
-    def around(self, position_m: Floats) -> tuple[Layer, ...]:
-        """A round wall through the shell's wall in that direction and at that height; none above the dome."""
-        x, y = np.asarray(position_m)[:2] - self.centre_m
+    def around(self, position_m: Floats) -> Beside | None:
+        """The shell's cross section at that height, as a thin sheet; none above the dome."""
+        x, y = (float(value) for value in np.asarray(position_m)[:2] - self.centre_m)
         up = float(position_m[2]) / self.up_m if len(position_m) > 2 else 0.0
         narrowed = float(np.sqrt(max(1 - max(up, 0.0) ** 2, 0.0)))
         r, half = float(np.hypot(x, y)), self.thickness_m / 2
         wall = min(self.x_m, self.y_m) if r < half else r / float(np.hypot(x / self.x_m, y / self.y_m))
         wall *= narrowed
         if wall <= self.thickness_m:
-            return ()
+            return None
         if abs(r - wall) < half:
             raise DataError(
                 f"a reflector {r * 1e3:.0f} mm from the axis is in the helmet's wall",
                 "Choose another size of the helmet.",
             )
-        inner, outer = round(wall - half, 7), round(wall + half, 7)
-        return Layer(inner), Layer(outer, self.permittivity)
+        # Open below and closed above, it acts as half of an endless one (`tagid.fields.elliptic`).
+        sheet_m = (self.permittivity - 1) * self.thickness_m / 2
+        across, along = (round(narrowed * axis, 7) for axis in (self.x_m, self.y_m))
+        return BesideShell(EllipticShell(across, along, sheet_m), complex(round(x, 7), round(y, 7)))
 
 
 @lru_cache(maxsize=64)
@@ -310,6 +314,6 @@ class Carton:
             amplitudes += [value, -value]
         return Returns(np.concatenate(points, axis=1), np.concatenate(amplitudes, axis=1).astype(complex))
 
-    def around(self, position_m: Floats) -> tuple[Layer, ...]:
-        """No round body: thin board changes the field next to it by only a tenth."""
-        return ()
+    def around(self, position_m: Floats) -> None:
+        """Nothing: thin board changes the field next to it by only a tenth."""
+        return

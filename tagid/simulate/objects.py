@@ -85,8 +85,8 @@ def parts(spec: BodySpec, body: Carrier, unit_m: float, variation: Variation) ->
 
     def mounted(rod: Rod, radius_m: float, place: np.ndarray) -> Mounted:
         position = axis + radius_m * place
-        layers = body.around(position[:2])
-        return Mounted(rod, position[None], np.ones(1, complex), (layers,), body.centre_m, unit_m)
+        beside = body.around(position[:2])
+        return Mounted(rod, position[None], np.ones(1, complex), (beside,), body.centre_m, unit_m)
 
     if "handle" in spec.parts:
         rod = Rod.metal_strip(0.010, 0.060) if spec.kind == "can" else Rod((Layer(0.006, PORCELAIN),), 0.060)
@@ -128,7 +128,7 @@ def tagged_object(
     if len(p):
         p = np.concatenate([p, np.zeros((len(p), 3 - p.shape[1]))], axis=1)
         strength = 10 ** (change.strength_db * rng.standard_normal(len(p)) / 20)
-        beside = tuple(base.around(place) if base else () for place in p)
+        beside = tuple(base.around(place) if base else None for place in p)
         axis = base.centre_m if base else (0.0, 0.0)
         made.append(Mounted(scatterer, p, strength.astype(np.complex128), beside, axis, unit))
     if base is not None:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.simulate.multipole import Layer, ring_m, solve
+from tagid.simulate.beside import DIRECT_M, Beside
+from tagid.simulate.multipole import Layer, solve
 from tagid.simulate.scattering import Returns
 from tagid.simulate.taps import CENTRE_HZ, AspectTaps, wavenumber
 
@@ -100,46 +101,39 @@ class Rod:
 
 
 @lru_cache(maxsize=512)
-def _taps_beside(scatterer: Scatterer, layers: tuple[Layer, ...], radius_m: float) -> AspectTaps:
-    """Echo of a scatterer at a distance from a round body's axis, over the antenna's direction.
-
-    b E^2 exp(-2jkr cos psi): E is the two-way effect of the body on the field, relative to the direct path.
-    """
+def _taps_beside(scatterer: Scatterer, body: Beside | None) -> AspectTaps:
+    """Echo of a scatterer beside a body, over the antenna's direction."""
 
     def response(frequency_hz: Floats, angle_rad: Floats) -> Complex:
         length = scatterer.scattering_length(frequency_hz)[:, None]
-        if not layers:
-            return np.asarray(length * np.ones((1, len(angle_rad))))
-        k = wavenumber(frequency_hz)
-        field = solve(k, layers).field(radius_m, angle_rad)
-        straight = np.exp(-2j * np.outer(k, radius_m * np.cos(angle_rad)))
-        return np.asarray(length * field**2 * straight)
+        effect = np.ones((1, len(angle_rad))) if body is None else body.effect(frequency_hz, angle_rad)
+        return np.asarray(length * effect)
 
-    # Via the body the path is longer by up to twice the distance.
-    reach = (-0.1, 0.1 + 2 * radius_m + ring_m(layers)) if layers else (-0.1, 0.1)
-    return AspectTaps.fit(response, reach, symmetric=True)
+    if body is None:
+        return AspectTaps.fit(response, (-DIRECT_M, DIRECT_M), symmetric=True)
+    return AspectTaps.fit(response, body.reach_m, body.symmetric)
 
 
 @dataclass(frozen=True, eq=False)
 class Mounted:
     """Identical small scatterers on an object, with the effect of its body on the wave in both directions.
 
-    Beside a round body the echo includes the double bounce between scatterer and wall, whose phase changes
-    with the aspect, and the body's shadow. Source: reciprocity, see `Multipoles.field`.
+    Beside a body the echo includes the double bounce between scatterer and wall, whose phase changes with the
+    aspect, and the body's shadow (`beside`).
 
     Attributes:
         scatterer: the scatterer at each position.
         positions: (n, 3) m, in the object's frame.
         amplitudes: (n,) complex128 relative strengths; 1 is the unscaled scatterer.
-        bodies: one entry per position: layers of the round body beside it, empty for none.
-        axis_m: (x, y) of the round body's axis, m.
+        bodies: one entry per position: the body beside it; None for none.
+        axis_m: (x, y) of the body's axis, m.
         unit_m: scattering length that is rendered as amplitude 1, m.
     """
 
     scatterer: Scatterer
     positions: Floats
     amplitudes: Complex
-    bodies: tuple[tuple[Layer, ...], ...]
+    bodies: tuple[Beside | None, ...]
     axis_m: tuple[float, float] = (0.0, 0.0)
     unit_m: float = 1.0
 
@@ -169,11 +163,9 @@ class Mounted:
         axis = np.asarray(self.axis_m)
         seen = antennas[:, :2] - axis
         points, amplitudes = [np.zeros((len(antennas), 0, 3))], [np.zeros((len(antennas), 0), complex)]
-        for position, strength, layers in zip(self.positions, self.amplitudes, self.bodies, strict=True):
+        for position, strength, body in zip(self.positions, self.amplitudes, self.bodies, strict=True):
             out = position[:2] - axis
-            # Rounded, so that equal radii share one table.
-            radius = round(float(np.hypot(*out)), 7)
-            taps = _taps_beside(self.scatterer, layers, radius)
+            taps = _taps_beside(self.scatterer, body)
             angle = np.arctan2(seen[:, 1], seen[:, 0]) - np.arctan2(out[1], out[0])
             away = position - antennas
             away = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
