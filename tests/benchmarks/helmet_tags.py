@@ -45,7 +45,7 @@ FREQUENCIES, ASPECTS = 7, 72
 
 @dataclass(frozen=True)
 class Tagged:
-    """A solved tag on a solved shell: files, its ring's radius, m, and its reflectors' directions, degrees."""
+    """A solved tag on a solved shell: files, radius of its ring, m, and directions of its reflectors, deg."""
 
     folder: Path
     shell: str
