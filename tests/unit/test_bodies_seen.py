@@ -1,4 +1,4 @@
-"""What an enrolled body tells of a recording with a tag: how unevenly it turned, and the pulse's tail."""
+"""What a body tells beside its tag: how unevenly it turned, the tail of the pulse, and how oval it is."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from bodies_synthetic import TAG, Thing, capture
 from numpy.typing import NDArray
 
 from tagid.capture import Capture, Pulse
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.pipeline.identify import aspect_spectra, identify
 from tagid.simulate import Acquisition, Placement, ReflectorSpec, Wobble, parse_body, simulate_capture
 from tagid.simulate.objects import Variation, object_scene
@@ -158,3 +159,52 @@ def test_a_tag_on_a_mug_is_named_after_an_uneven_turn_and_with_another_pulse(
     plain = read_on_body(spectra, LAYOUTS, body, BodySettings())
     assert wise is not None and plain is not None
     assert wise.least - wise.noise < 0.6 * (plain.least - plain.noise)
+
+
+def on_cup(oval_mm: float, tag: str = "", snr_db: float | None = None) -> Spectra:
+    """A cup 5 mm off the axis, alike but for how far out of round it is."""
+    layout = builtin_layouts()[tag].positions if tag else np.zeros((0, 2))
+    scene = object_scene(
+        "cup",
+        layout,
+        parse_body(f"cup:35mm,wall=4mm,oval={oval_mm}mm"),
+        ReflectorSpec("octahedron", 0.02),
+        rng=np.random.default_rng(7),
+        variation=Variation(0.9),
+    )
+    acquisition = Acquisition(views=36, snr_db=snr_db, placement=Placement((0.004, -0.003), 1.1))
+    scans = simulate_capture(scene, acquisition, 3)[0]
+    return Spectra.of(preprocess(scans, settings=PreprocessSettings(matched_filter=False, extent_m=0.5)))
+
+
+def apart(one: Spectra, other: Spectra) -> float:
+    """Energy of the difference of two recordings."""
+    return float((np.abs(one.data - other.data) ** 2).sum())
+
+
+def test_an_oval_cup_is_seen_as_if_it_were_round() -> None:
+    body, oval, even = RoundBody(), on_cup(0.3), on_cup(0.0)
+    begun = body.poses(oval)[0]
+    seen = body.seen(oval, begun.pose, None, begun.left / oval.data.size)
+    assert seen is not None
+    assert np.hypot(*np.subtract(seen.pose.centre_m, (0.004, -0.003))) < 2e-4
+    assert apart(seen.spectra, even) < 0.02 * apart(oval, even)
+    begun = body.poses(even)[0]
+    assert body.seen(even, begun.pose, None, begun.left / even.data.size) is None
+
+
+@pytest.mark.parametrize("tag", ["container-90", "container-180"])
+def test_a_tag_on_a_round_cup_does_not_make_it_oval(tag: str) -> None:
+    """A pair of reflectors opposite each other comes nearer twice a turn, too."""
+    even = on_cup(0.0, tag, 20.0)
+    found = read_on_body(even, LAYOUTS, RoundBody(), BodySettings())
+    assert found is not None and found.layouts[0].layout == tag and found.lead > 1
+    assert apart(found.spectra, even) == 0
+
+
+def test_how_oval_a_cup_is_shows_beside_its_tag() -> None:
+    oval, even = on_cup(0.3, "container-90", 20.0), on_cup(0.0, "container-90", 20.0)
+    found = read_on_body(oval, LAYOUTS, RoundBody(), BodySettings())
+    assert found is not None and found.layouts[0].layout == "container-90"
+    assert apart(oval, even) > 0.3 * found.tag
+    assert apart(found.spectra, even) < 0.02 * found.tag

@@ -39,9 +39,11 @@ class BodyDecision:
             for the error of the axis distance, and 39 mm more behind, for an unstated pulse that is late and
             for what wall and reflectors exchange in noise as well. Of 1,400 objects without an enrolled tag
             the longer range behind let none through.
-        wall_share: a body with this share of the moving echo has a wall, which cannot lie further outside the
-            reflectors than the larger of `early_m`: those of full-wave cans lie 8 to 17 mm inside, 21 mm
-            outside where the axis distance is wrong by 10 mm and the pulse is delayed.
+        wall_share: a body with this share of the moving echo, and `wall_noise` of the noise beyond it, has
+            a wall, which cannot lie further outside the reflectors than the larger of `early_m`: those of
+            full-wave cans lie 8 to 17 mm inside, 21 mm outside where the axis distance is wrong by 10 mm and
+            the pulse is delayed.
+        wall_noise: share of the noise that the fit of a body which hardly moves may explain.
         enrolled_m: the echo of an enrolled body comes from where it came at enrolment, to within this, one
             way: axis distances and pulses that nobody stated move it by up to 54 mm, a body that is not
             there answers from up to 88,
@@ -81,6 +83,7 @@ class BodyDecision:
     radius_m: float = 0.025
     early_m: tuple[float, float] = (-0.065, 0.030)
     wall_share: float = 0.05
+    wall_noise: float = 0.1
     enrolled_m: float = 0.065
     enrolled_share: float = 0.3
     early_glass_m: float = 0.055
@@ -137,6 +140,12 @@ def _is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
     return r.wall is None or r.early_m <= s.early_glass_m
 
 
+def _has_wall(reading: BodyReading, settings: BodyDecision) -> bool:
+    """Whether the body's echo stands out of the tag's and of the noise that its fit may explain."""
+    share = settings.wall_share * reading.energy + settings.wall_noise * max(reading.noise, 0.0)
+    return reading.body_energy > share
+
+
 def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
     """The verdict on the best layout of a body, before any calibration."""
     r, s = reading, settings
@@ -173,7 +182,7 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
             f"what looks like {name} is {abs(r.front_m) * 1e3:.0f} mm {side} where it was at enrolment",
         )
     inside = r.front_m - r.nominal_m
-    if r.body_energy > s.wall_share * r.energy and inside > s.early_m[1]:
+    if _has_wall(r, s) and inside > s.early_m[1]:
         return Verdict(
             "unknown",
             Code.BODY,

@@ -65,13 +65,13 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """An enrolled body where the turn may have been uneven, and the pulse another than at the enrolment.
+    """A body where the turn may have been uneven, the pulse not that of the enrolment, or a round wall oval.
 
     Attributes:
         pose: of the body.
-        spectra: the scans, seen from where they were taken then, without what the range window keeps of the
-            other pulse's tail.
-        left: energy left, with what the errors of the angles are charged.
+        spectra: the scans as the body's model has them: seen from where they were taken, without what the
+            range window keeps of the other pulse's tail, and as if the wall were round.
+        left: energy left, with what these deviations are charged.
     """
 
     pose: Pose
@@ -122,7 +122,7 @@ class BodyModel(Protocol):
         beside: NDArray[np.complex128] | None = None,
         variance: float = 0.0,
     ) -> Seen | None:
-        """Where it stands near a pose, with the errors of the views' angles; None where it cannot tell them.
+        """Where it stands near a pose, with what the scans deviate in; None where it tells nothing of that.
 
         Args:
             spectra: the scans.

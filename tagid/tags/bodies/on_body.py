@@ -1,4 +1,4 @@
-"""A tag on one body, and what an enrolled body tells of the recording before its tag is read."""
+"""A tag on one body, and what the body tells of the recording before its tag is read."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def read_on_body(
 ) -> BodyReading | None:
     """The best layout on a body, against every other arrangement; None where no layout can lie on one.
 
-    An enrolled body tells how unevenly the turntable turned (`BodyModel.seen`): first as if there were no
-    tag, then once more beside the layout and the arrangement that were found, together, so that the errors of
-    the angles suit neither of them alone.
+    A body tells how unevenly the turntable turned, or how oval it is (`BodyModel.seen`): first as if there
+    were no tag, then once more beside the layout and the arrangement that were found, together, so that what
+    it tells suits neither of them alone.
 
     Args:
         spectra: the scans.
@@ -43,21 +43,25 @@ def read_on_body(
         return None
     poses = body.poses(spectra)
     seen = body.seen(spectra, poses[0].pose, None, poses[0].left / spectra.data.size)
-    if seen is None:
-        return BodyReader(spectra, usable, body, settings, poses).read(rings, hints)
 
     def read(seen: Seen) -> BodyReading:
         found = [alone(seen.spectra, body, seen.pose)]
         return BodyReader(seen.spectra, usable, body, settings, found).read(rings, hints)
 
+    def as_stated() -> BodyReading:
+        return BodyReader(spectra, usable, body, settings, poses).read(rings, hints)
+
+    if seen is None:
+        return as_stated()
     first = read(seen)
     best = first.layouts[0]
     other = next((placed for placed in first.others if placed.layout is None), best)
     beside = np.concatenate([_columns(first.spectra, placed) for placed in (best, other)], axis=1)
     again = body.seen(spectra, first.pose, beside, best.left / spectra.data.size)
-    if again is None or first.least - again.left < settings.look_again * first.error:
-        return first
-    return read(again)
+    if again is None:
+        # Beside the tag nothing is left of it.
+        return min(first, as_stated(), key=lambda reading: reading.least)
+    return first if first.least - again.left < settings.look_again * first.error else read(again)
 
 
 def alone(spectra: Spectra, body: BodyModel, pose: Pose) -> Candidate:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.hypothesis import Candidate, Pose, Seen
+from tagid.tags.bodies.oval import rounded
 from tagid.tags.bodies.spectra import Spectra, centred
 
 APART_M = 3e-3
@@ -70,8 +71,8 @@ class RoundBody:
         beside: NDArray[np.complex128] | None = None,
         variance: float = 0.0,
     ) -> Seen | None:
-        """None: one that looks the same from all sides tells nothing of angles."""
-        return None
+        """Its centre, and the scans as if it were round; None where nothing shows that it is not (`oval`)."""
+        return rounded(spectra, pose, beside, variance)
 
     def poses(self, spectra: Spectra) -> list[Candidate]:
         """The best minima over the centre: a grid, then parabolic steps on both axes."""
