@@ -192,7 +192,7 @@ def test_crossed_pairs_on_a_can_are_not_one_pair(seed: int) -> None:
 def test_crossed_pairs_are_a_rival_where_few_terms_explain_them(
     between_deg: float, polarisation: str, seed: int
 ) -> None:
-    """In noise a pattern of three terms is enough for one pair to leave about as little as two crossed ones."""
+    """In noise a pattern of three terms is enough for one pair to leave nearly as little as crossed ones."""
     crossed = (0.0, between_deg, 180.0, 180.0 + between_deg)
     reading = on_body("can40", crossed, polarisation, seed, snr_db=10.0)
     assert reading.layout is None and reading.body is not None
