@@ -11,6 +11,7 @@ from tagid.tags.bodies.arrangement import off_axis
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose, Seen
 from tagid.tags.bodies.layout_search import rings_of
+from tagid.tags.bodies.middle import wave_in_the_middle
 from tagid.tags.bodies.reader import BodyReader
 from tagid.tags.bodies.reflectors_fit import Columns, solve
 from tagid.tags.bodies.spectra import Spectra, centred
@@ -57,6 +58,9 @@ def read_on_body(
     best = first.layouts[0]
     other = next((placed for placed in first.others if placed.layout is None), best)
     beside = np.concatenate([_columns(first.spectra, placed) for placed in (best, other)], axis=1)
+    if first.nominal_m >= settings.wide_m:
+        # What may stand in the middle is asked of what is read: nothing may be bent to explain it before.
+        beside = np.concatenate([beside, wave_in_the_middle(first.spectra, best)[:, None]], axis=1)
     again = body.seen(spectra, first.pose, beside, best.left / spectra.data.size)
     if again is None:
         # Beside the tag nothing is left of it.

@@ -25,6 +25,9 @@ class ShellDecision:
         wall_share: a shell has this share of the moving echo: without one the reading is that of a bare tag.
         middle: a reflector in the middle is told where it would show by so many errors of the reading,
         contrary: and stands there where it explains more than this share of that.
+        middle_off_axis: where the tag stands `off_axis_m` from the rotation axis one must show by so many: of
+            helmets of our simulator it does by 0.8 and more, and where one stands there, by 0.05 to 0.8: the
+            shell was bent to explain it.
         own_middle: one that the layout has must show by so much, and explain `contrary` of it: before a
             round wall, on the axis, two reflectors alone are that layout by up to 0.12.
     """
@@ -38,6 +41,8 @@ class ShellDecision:
     tag_nats: float = 80.0
     wall_share: float = 0.05
     middle: float = 0.1
+    middle_off_axis: float = 0.25
+    off_axis_m: float = 0.005
     contrary: float = 0.25
     own_middle: float = 0.15
 
@@ -66,6 +71,9 @@ def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
     if found.has_middle and found.middle_nats < s.own_middle:
         reason = f"on the axis the reflector in the middle of {name} does not show: move it by 3 mm"
         return Verdict("unknown", Code.MISSING, reason)
+    off_axis = abs(r.layouts[0].centre) > s.off_axis_m
+    if not found.has_middle and off_axis and found.middle_nats < s.middle_off_axis:
+        return Verdict("unknown", Code.EXTRA, f"a reflector may stand in the middle of {name}")
     told = not found.has_middle and found.middle_nats >= s.middle
     if told and found.middle_lead < -s.contrary * found.middle_nats:
         return Verdict("unknown", Code.EXTRA, f"a reflector stands in the middle of {name}")

@@ -18,6 +18,7 @@ from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.won import on_body
 from tagid.tags.verdicts.verdict import Code
 
+_MIDDLE = (Code.EXTRA, Code.MISSING)
 CLEARER = 0.5
 """A refusal is that on a shell, and a name on a glass is doubted, where a layout on the shell leaves this
 share of what every other hypothesis leaves."""
@@ -64,6 +65,10 @@ def on_shell(
     hypotheses = tuple(sorted((own, *settled.hypotheses), key=lambda one: one.left))
     clearer = own.left <= CLEARER * min((one.left for one in settled.hypotheses), default=1.0)
     if settled.status == "identified" and not clearer:
+        return None
+    # An enrolled body knows better what stands in the middle of the same tag.
+    known = settled.body if settled.kind is Kind.BODY else None
+    if known is not None and settled.code in _MIDDLE and known.layouts[0].layout == best.layout:
         return None
     # What stands there may be an enrolled body with another tag.
     other = (one for one in settled.hypotheses if one.kind is Kind.BODY and one.layout != best.layout)
