@@ -60,6 +60,8 @@ class BodySettings:
         rings_m: radii tried about each nominal one under `wide_m`, relative to it, m.
         wide_m: from here on a body is a shell, and only the nominal radius is tried.
         ring_step_m: spacing of the angles on a ring, m of arc.
+        clear_lead, clear_left: a round body is not asked how oval it is where a layout on it leads by so much
+            and leaves no more than this share of its echo.
         look_again: an enrolled body is read once more where what is known of the turn beside its tag would
             change the lead by so much.
         noise_nats: lead in noise variances that counts as much as the model's own error.
@@ -92,6 +94,8 @@ class BodySettings:
     rings_m: tuple[float, ...] = (-0.009, 0.005)
     wide_m: float = 0.076
     ring_step_m: float = 5.5e-3
+    clear_lead: float = 0.3
+    clear_left: float = 0.05
     look_again: float = 0.1
     noise_nats: float = 25.0
 

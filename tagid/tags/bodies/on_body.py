@@ -29,7 +29,8 @@ def read_on_body(
 
     A body tells how unevenly the turntable turned, or how oval it is (`BodyModel.seen`): first as if there
     were no tag, then once more beside the layout and the arrangement that were found, together, so that what
-    it tells suits neither of them alone.
+    it tells suits neither of them alone. Opposite reflectors make a round wall look oval: one that explains
+    the echo as it is stated is not asked.
 
     Args:
         spectra: the scans.
@@ -43,17 +44,19 @@ def read_on_body(
     if not usable:
         return None
     poses = body.poses(spectra)
+    stated = None
+    if not body.turns:
+        stated = BodyReader(spectra, usable, body, settings, poses).read(rings, hints)
+        if stated.lead >= settings.clear_lead and stated.unexplained <= settings.clear_left:
+            return stated
     seen = body.seen(spectra, poses[0].pose, None, poses[0].left / spectra.data.size)
 
     def read(seen: Seen) -> BodyReading:
         found = [alone(seen.spectra, body, seen.pose)]
         return BodyReader(seen.spectra, usable, body, settings, found).read(rings, hints)
 
-    def as_stated() -> BodyReading:
-        return BodyReader(spectra, usable, body, settings, poses).read(rings, hints)
-
     if seen is None:
-        return as_stated()
+        return stated or BodyReader(spectra, usable, body, settings, poses).read(rings, hints)
     first = read(seen)
     best = first.layouts[0]
     other = next((placed for placed in first.others if placed.layout is None), best)
@@ -62,10 +65,9 @@ def read_on_body(
         # What may stand in the middle is asked of what is read: nothing may be bent to explain it before.
         beside = np.concatenate([beside, wave_in_the_middle(first.spectra, best)[:, None]], axis=1)
     again = body.seen(spectra, first.pose, beside, best.left / spectra.data.size)
-    if again is None:
-        # Beside the tag nothing is left of it.
-        return min(first, as_stated(), key=lambda reading: reading.least)
-    return first if first.least - again.left < settings.look_again * first.error else read(again)
+    more = again is not None and first.least - again.left >= settings.look_again * first.error
+    told = read(again) if again is not None and more else first
+    return told if stated is None else min(told, stated, key=lambda reading: reading.least)
 
 
 def alone(spectra: Spectra, body: BodyModel, pose: Pose) -> Candidate:
