@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import off_axis
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
-from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose, Seen
+from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.layout_search import rings_of
 from tagid.tags.bodies.middle import wave_in_the_middle
 from tagid.tags.bodies.reader import BodyReader
@@ -43,21 +43,36 @@ def read_on_body(
     usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
     if not usable:
         return None
+
+    def read(seen: Spectra, poses: Sequence[Candidate]) -> BodyReading:
+        return BodyReader(seen, usable, body, settings, poses).read(rings, hints)
+
     poses = body.poses(spectra)
-    stated = None
-    if not body.turns:
-        stated = BodyReader(spectra, usable, body, settings, poses).read(rings, hints)
-        if stated.lead >= settings.clear_lead and stated.unexplained <= settings.clear_left:
-            return stated
-    seen = body.seen(spectra, poses[0].pose, None, poses[0].left / spectra.data.size)
+    stated = None if body.turns else read(spectra, poses)
+    if (
+        stated is not None
+        and stated.lead >= settings.clear_lead
+        and stated.unexplained <= settings.clear_left
+    ):
+        return stated
+    told = _as_told(spectra, body, poses[0], settings, read)
+    if stated is None or told is None:
+        return told or stated or read(spectra, poses)
+    return min(told, stated, key=lambda reading: reading.least)
 
-    def read(seen: Seen) -> BodyReading:
-        found = [alone(seen.spectra, body, seen.pose)]
-        return BodyReader(seen.spectra, usable, body, settings, found).read(rings, hints)
 
+def _as_told(
+    spectra: Spectra,
+    body: BodyModel,
+    begun: Candidate,
+    settings: BodySettings,
+    read: Callable[[Spectra, Sequence[Candidate]], BodyReading],
+) -> BodyReading | None:
+    """The reading of the scans as a body tells of them; None where it tells nothing."""
+    seen = body.seen(spectra, begun.pose, None, begun.left / spectra.data.size)
     if seen is None:
-        return stated or BodyReader(spectra, usable, body, settings, poses).read(rings, hints)
-    first = read(seen)
+        return None
+    first = read(seen.spectra, [alone(seen.spectra, body, seen.pose)])
     best = first.layouts[0]
     other = next((placed for placed in first.others if placed.layout is None), best)
     beside = np.concatenate([_columns(first.spectra, placed) for placed in (best, other)], axis=1)
@@ -65,9 +80,9 @@ def read_on_body(
         # What may stand in the middle is asked of what is read: nothing may be bent to explain it before.
         beside = np.concatenate([beside, wave_in_the_middle(first.spectra, best)[:, None]], axis=1)
     again = body.seen(spectra, first.pose, beside, best.left / spectra.data.size)
-    more = again is not None and first.least - again.left >= settings.look_again * first.error
-    told = read(again) if again is not None and more else first
-    return told if stated is None else min(told, stated, key=lambda reading: reading.least)
+    if again is None or first.least - again.left < settings.look_again * first.error:
+        return first
+    return read(again.spectra, [alone(again.spectra, body, again.pose)])
 
 
 def alone(spectra: Spectra, body: BodyModel, pose: Pose) -> Candidate:
