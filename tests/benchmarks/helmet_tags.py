@@ -34,6 +34,7 @@ from tagid.simulate.beside import Beside, BesideRound, BesideShell
 from tagid.simulate.multipole import Layer
 from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
+from tagid.simulate.taps import wavenumber
 
 SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared")) / "fullwave" / "responses"
 OWN = ROOT / "tests" / "data" / "shells"
@@ -91,7 +92,7 @@ def left(
     beside: Callable[[complex], Beside | None],
 ) -> float:
     """Share of an echo (F, V) that alike reflectors beside a body leave."""
-    k = 2 * np.pi * frequency_hz / 299792458.0
+    k = wavenumber(frequency_hz)
     wave = np.zeros_like(echo)
     for place in tag.places:
         apart = np.abs(antenna - place)

@@ -18,7 +18,8 @@ from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.enrolled import EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Pose
 from tagid.tags.bodies.joint import Named, enrol_signature
-from tagid.tags.bodies.on_body import alone, read_on_body
+from tagid.tags.bodies.on_body import read_on_body
+from tagid.tags.bodies.reflectors_fit import alone
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.bodies.spectra import Spectra, centred

@@ -15,10 +15,9 @@ from tagid.tags.bodies.arrangement import off_axis
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.layout_search import LayoutSearch, rings_of, turned_by
-from tagid.tags.bodies.on_body import alone
 from tagid.tags.bodies.posing import CENTRE_REACH_M
 from tagid.tags.bodies.reader import BodyReader
-from tagid.tags.bodies.reflectors_fit import FACING, OPEN, joined
+from tagid.tags.bodies.reflectors_fit import FACING, OPEN, alone, joined
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 

@@ -141,9 +141,7 @@ class EnrolledBody:
             return None
         found = steadied(spectra, own, pose, beside=beside, variance=variance)
         other = steadied(spectra, own, pose, beside=beside, variance=variance, tail=True)
-        if found.left - other.left > spectra.amplitude_cost:
-            found = other
-        return Seen(found.pose, found.spectra, found.left)
+        return other if found.left - other.left > spectra.amplitude_cost else found
 
     def _harmonics(self, wavenumbers: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(F, 2 M + 1) of the signature, those of its own frequencies as they are."""

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import off_axis
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
-from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
+from tagid.tags.bodies.hypothesis import BodyModel, Candidate
 from tagid.tags.bodies.layout_search import rings_of
 from tagid.tags.bodies.middle import wave_in_the_middle
 from tagid.tags.bodies.reader import BodyReader
-from tagid.tags.bodies.reflectors_fit import Columns, solve
-from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.reflectors_fit import Columns, alone
+from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 
 
@@ -83,12 +83,6 @@ def _as_told(
     if again is None or first.least - again.left < settings.look_again * first.error:
         return first
     return read(again.spectra, [alone(again.spectra, body, again.pose)])
-
-
-def alone(spectra: Spectra, body: BodyModel, pose: Pose) -> Candidate:
-    """A pose with what the body alone leaves there."""
-    echo = body.echo(spectra, np.array([pose.centre]), np.array([pose.turn_rad]))
-    return Candidate(pose, float(solve(spectra.data, centred(echo)[:, :, None]).left[0]))
 
 
 def _columns(spectra: Spectra, placed: Placed) -> NDArray[np.complex128]:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from tagid.tags.bodies.hypothesis import Pose, Seen
 from tagid.tags.bodies.posing import CENTRE_SIGMA_M, Linear, descend, noise_of
-from tagid.tags.bodies.reflectors_fit import solve
 from tagid.tags.bodies.signature import Standpoint
 from tagid.tags.bodies.spectra import Spectra, centred
 
@@ -36,7 +35,6 @@ def rounded(
     """
     variance = max(variance, noise_of(spectra))
     kappa = spectra.wavenumbers[:, None]
-    others = np.zeros((len(kappa), spectra.views, 0)) if beside is None else np.swapaxes(beside, 1, 2)
 
     def model(x: NDArray[np.float64]) -> Linear:
         at = Standpoint(spectra, complex(x[0], x[1]))
@@ -45,11 +43,7 @@ def rounded(
         bent = 2 * (x[3] * cosine - x[2] * sine) * at.azimuth_slopes()
         moved = at.carrier_slopes() / at.carrier * echo - 1j * kappa * echo * bent[:, None]
         nearer = np.stack([-1j * kappa * echo * cosine, -1j * kappa * echo * sine])
-        slopes = np.concatenate([moved, nearer])[..., None]
-        fixed = np.zeros((len(x), *others.shape), np.complex128)
-        return Linear(
-            np.concatenate([echo[..., None], others], axis=-1), np.concatenate([slopes, fixed], axis=-1)
-        )
+        return Linear(echo[..., None], np.concatenate([moved, nearer])[..., None]).with_fixed(beside)
 
     centre = np.array([*pose.centre_m, 0.0, 0.0])
     sigmas = np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, SIGMA_M, SIGMA_M])
@@ -59,8 +53,6 @@ def rounded(
     # Half the log of the values' number for each component (Schwarz 1978).
     if even.left - left < variance * np.log(2 * spectra.data.size):
         return None
-    columns = np.swapaxes(model(found.x).columns, 1, 2)
-    amplitude = solve(spectra.data, centred(columns)[None]).amplitudes[0, :, :1]
     as_round = Standpoint(spectra, complex(found.x[0], found.x[1])).carrier
-    data = spectra.data - amplitude * centred(columns[:, 0] - as_round)
+    data = spectra.data - found.part(0) + centred(found.amplitudes[:, :1] * as_round)
     return Seen(Pose((float(found.x[0]), float(found.x[1]))), replace(spectra, data=data), left)

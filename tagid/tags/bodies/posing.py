@@ -48,16 +48,36 @@ class Linear:
     columns: NDArray[np.complex128]
     slopes: NDArray[np.complex128]
 
+    def with_fixed(self, echoes: NDArray[np.complex128] | None) -> Linear:
+        """The same and columns (F, C, V) that no parameter changes; None for none."""
+        if echoes is None:
+            return self
+        fixed = np.swapaxes(echoes, 1, 2)
+        still = np.zeros((len(self.slopes), *fixed.shape), np.complex128)
+        return Linear(
+            np.concatenate([self.columns, fixed], axis=-1), np.concatenate([self.slopes, still], axis=-1)
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """End of a descent: parameters (P,), and the energy left, in the units of the spectra.
+    """End of a descent.
 
-    What loads charge is in the energy left.
+    Attributes:
+        x: (P,) parameters.
+        left: energy left, with what loads charge, in the units of the spectra.
+        columns: (F, V, N) of the model there.
+        amplitudes: (F, N) of them.
     """
 
     x: NDArray[np.float64]
     left: float
+    columns: NDArray[np.complex128]
+    amplitudes: NDArray[np.complex128]
+
+    def part(self, n: int) -> NDArray[np.complex128]:
+        """(F, V) what the column n explains, without what is constant over the views."""
+        return centred(self.amplitudes[:, n, None] * self.columns[..., n])
 
 
 @dataclass(frozen=True)
@@ -120,13 +140,15 @@ def descend(
         inner = q.conj().swapaxes(1, 2) @ data[..., None]
         return data - (q @ inner)[..., 0], q, r, inner
 
+    def amplitudes_of(r: NDArray[np.complex128], inner: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        load = 1e-12 * np.abs(r).max(axis=(1, 2), keepdims=True) + 1e-300
+        return np.asarray(np.linalg.solve(r + load * np.eye(r.shape[-1]), inner)[..., 0])
+
     parts = model(x)
     left, q, r, inner = rest(parts.columns)
     cost, damping = float(np.sum(np.abs(left) ** 2) + prior @ x**2), 1e-2
     for _ in range(iterations):
-        load = 1e-12 * np.abs(r).max(axis=(1, 2), keepdims=True) + 1e-300
-        amplitudes = np.linalg.solve(r + load * np.eye(r.shape[-1]), inner)[..., 0]
-        slopes = np.einsum("pfvn,fn->pfv", parts.slopes, amplitudes)
+        slopes = np.einsum("pfvn,fn->pfv", parts.slopes, amplitudes_of(r, inner))
         slopes = slopes - slopes.mean(axis=2, keepdims=True)
         if held is not None:
             slopes = np.concatenate([slopes, np.zeros((*slopes.shape[:2], held.shape[1]))], axis=2)
@@ -149,7 +171,7 @@ def descend(
             damping *= 6
         if gain < 1e-5 * cost:
             break
-    return Found(x, float(np.sum(np.abs(left) ** 2)))
+    return Found(x, float(np.sum(np.abs(left) ** 2)), parts.columns, amplitudes_of(r, inner))
 
 
 def round_centre(spectra: Spectra) -> tuple[complex, float]:

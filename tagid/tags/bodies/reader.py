@@ -39,12 +39,13 @@ from tagid.tags.bodies.reflectors_fit import (
     Columns,
     Fitter,
     Pattern,
+    alone,
     behind,
     joined,
     solve,
 )
 from tagid.tags.bodies.ring import PairSearch, Ring, peaks
-from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.bodies.starts import FREE, OTHER, Ringed, Row, Start
 from tagid.tags.bodies.symmetric import MOST, symmetric_left
 from tagid.tags.layouts.layout import Layout
@@ -267,12 +268,9 @@ class BodyReader:
 
     def _explained(self, left: float) -> float:
         """Share of what the body leaves of the coarse spectra, above noise, that an arrangement explains."""
-        first = self.body.echo(
-            self.coarse, np.array([self.poses[0].pose.centre]), np.array([self.poses[0].pose.turn_rad])
-        )
-        alone = float(solve(self.coarse.data, centred(first)[:, :, None]).left[0])
+        body_left = alone(self.coarse, self.body, self.poses[0].pose).left
         noise = self.noise * len(self.coarse.wavenumbers) / len(self.spectra.wavenumbers)
-        return (alone - max(left, noise)) / max(alone - noise, 1e-30)
+        return (body_left - max(left, noise)) / max(body_left - noise, 1e-30)
 
     def _kept(self, rows: Sequence[Row], batch: Batch, left: NDArray[np.float64]) -> tuple[list[Row], Batch]:
         """The best row of each key, and of each role those that may still matter."""

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.compiled import Arrangements
-from tagid.tags.bodies.hypothesis import BodyModel
+from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.spectra import Spectra, centred
 
 _LOAD = 1e-6
@@ -273,6 +273,12 @@ def solve(data: NDArray[np.complex128], cols: NDArray[np.complex128]) -> Solved:
     rest = np.asarray(data[None] - (amplitudes[..., None, :] @ cols)[..., 0, :], dtype=np.complex128)
     left = (rest.real**2 + rest.imag**2).sum(axis=(-1, -2))
     return Solved(amplitudes, rest, left, gram)
+
+
+def alone(spectra: Spectra, body: BodyModel, pose: Pose) -> Candidate:
+    """A pose with what the body alone leaves there."""
+    echo = body.echo(spectra, np.array([pose.centre]), np.array([pose.turn_rad]))
+    return Candidate(pose, float(solve(spectra.data, centred(echo)[:, :, None]).left[0]))
 
 
 @dataclass(frozen=True, eq=False)

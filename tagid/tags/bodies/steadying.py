@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.hypothesis import Pose, Seen
 from tagid.tags.bodies.posing import CENTRE_SIGMA_M, Linear, at_pose, descend, noise_of
 from tagid.tags.bodies.pulse_tail import SLOPE, slope
 from tagid.tags.bodies.signature import Signature, Standpoint, turned
@@ -29,20 +29,13 @@ is uneven by as much at every harmonic."""
 
 
 @dataclass(frozen=True, eq=False)
-class Steadied:
+class Steadied(Seen):
     """An object where its turn may have been uneven.
 
     Attributes:
-        pose: the best one.
-        spectra: the scans, seen from where they were taken then, without the pulse's tail where that was
-            fitted.
-        left: energy left, with what the priors of the angles and of the tail charge.
-        charged: what it charges.
+        charged: what the prior of the angles charges.
     """
 
-    pose: Pose
-    spectra: Spectra
-    left: float
     charged: float
 
 
@@ -79,10 +72,8 @@ def steadied(
         if tail:
             columns.append(slope(columns[0]))
             slopes.append(np.swapaxes(slope(np.swapaxes(slopes[0], 0, 1)), 0, 1))
-        if beside is not None:
-            columns.append(np.swapaxes(beside, 1, 2))
-            slopes.append(np.zeros((len(x), *columns[-1].shape), np.complex128))
-        return Linear(np.concatenate(columns, axis=-1), np.concatenate(slopes, axis=-1))
+        own = Linear(np.concatenate(columns, axis=-1), np.concatenate(slopes, axis=-1))
+        return own.with_fixed(beside)
 
     sigmas = SIGMA_RAD / np.repeat(np.arange(1, HARMONICS + 1), 2)
     start = np.concatenate([[*pose.centre_m, pose.turn_rad], np.zeros(2 * HARMONICS)])
@@ -99,7 +90,7 @@ def steadied(
     charged = variance * float(np.sum((found.x[3:] / sigmas) ** 2))
     seen = _turned_by(spectra, found.x[3:] @ shapes)
     if loads is not None:
-        seen = replace(seen, data=spectra.data - _tail(spectra.data, model(found.x).columns, loads))
+        seen = replace(seen, data=spectra.data - found.part(1))
     return Steadied(Pose((x, y), turn % (2 * np.pi)), seen, found.left + charged, charged)
 
 
@@ -114,18 +105,6 @@ def _loads(
     # Where there is no echo there is no tail.
     loads[:, 1] = np.minimum(variance / np.maximum((SLOPE * level) ** 2, 1e-300), 1e12 * size)
     return loads
-
-
-def _tail(
-    data: NDArray[np.complex128], columns: NDArray[np.complex128], loads: NDArray[np.float64]
-) -> NDArray[np.complex128]:
-    """(F, V) what the second column explains of data beside the others."""
-    rows = centred(np.swapaxes(columns, 1, 2))
-    gram = rows.conj() @ np.swapaxes(rows, 1, 2)
-    size = np.real(np.diagonal(gram, axis1=1, axis2=2)).max(axis=1, keepdims=True)
-    gram = gram + (loads + 1e-12 * size + 1e-300)[..., None] * np.eye(rows.shape[1])
-    amplitudes = np.linalg.solve(gram, rows.conj() @ data[..., None])
-    return np.asarray(amplitudes[:, 1] * rows[:, 1])
 
 
 def _harmonics(antenna: NDArray[np.complex128]) -> NDArray[np.float64]:
