@@ -283,6 +283,31 @@ def _crate62() -> Mesh:
     return shapes.box((0.062, 0.062, 0.085), 0.0100, shapes.sheet(2.4, 0.003))
 
 
+def _carton120() -> Mesh:
+    """Corrugated board, open at the top."""
+    return shapes.box((0.120, 0.120, 0.110), 0.0105, shapes.sheet(1.7, 0.004))
+
+
+def _carton140() -> Mesh:
+    """Corrugated board, oblong, open at the top."""
+    return shapes.box((0.140, 0.105, 0.120), 0.0105, shapes.sheet(1.5, 0.005))
+
+
+def _carton108() -> Mesh:
+    """Corrugated board, open at the top."""
+    return shapes.box((0.108, 0.108, 0.130), 0.0105, shapes.sheet(1.6, 0.005))
+
+
+def _carton150() -> Mesh:
+    """Corrugated board, oblong, open at the top."""
+    return shapes.box((0.150, 0.118, 0.100), 0.0105, shapes.sheet(1.8, 0.004))
+
+
+def _crate66() -> Mesh:
+    """Plastic, oblong, open at the top."""
+    return shapes.box((0.066, 0.054, 0.092), 0.0098, shapes.sheet(2.3, 0.0035))
+
+
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -397,6 +422,13 @@ OPENED = {
     "crate58": Object(_crate58),
     "crate58_c90": Object(_crate58, 20, ring(44, 0, 90)),
     "crate58_quad": Object(_crate58, 20, ring(45, 341, 19, 161, 199)),
+    "carton120": Object(_carton120),
+    "carton120_c90": Object(_carton120, 24, ring(45, 20, 110)),
+    "carton120_c180": Object(_carton120, 20, ring(45, 50, 230)),
+    "carton120_pair70": Object(_carton120, 24, ring(45, 20, 90)),
+    "carton140": Object(_carton140),
+    "carton140_c90": Object(_carton140, 20, ring(45, 100, 190)),
+    "carton140_three": Object(_carton140, 24, ring(45, 0, 100, 220)),
     "mug37": Object(_mug37),
     "mug37_c180": Object(_mug37, 20, ring(48, 300, 120)),
     "mug37_quad": Object(_mug37, 20, ring(48, 278, 322, 98, 142)),
@@ -474,7 +506,20 @@ OPENED = {
 }
 """Objects that were sealed, reported, and looked at since."""
 
-SEALED: dict[str, Object] = {}
+SEALED = {
+    "carton108": Object(_carton108),
+    "carton108_c180": Object(_carton108, 24, ring(45, 75, 255)),
+    "carton108_c90": Object(_carton108, 30, ring(45, 5, 95)),
+    "carton108_pair65": Object(_carton108, 30, ring(45, 5, 70)),
+    "carton150": Object(_carton150),
+    "carton150_c90": Object(_carton150, 20, ring(46, 200, 290)),
+    "carton150_c180": Object(_carton150, 30, ring(44, 30, 210)),
+    "carton150_four": Object(_carton150, 24, ring(45, 0, 75, 160, 255)),
+    "crate66": Object(_crate66),
+    "crate66_c90": Object(_crate66, 20, ring(46, 0, 90)),
+    "crate66_c180": Object(_crate66, 24, ring(45, 90, 270)),
+    "crate66_three": Object(_crate66, 20, ring(46, 0, 90, 180)),
+}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
