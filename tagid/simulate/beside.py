@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.fields.elliptic import EllipticShell, ShellField
+from tagid.fields.thin_shell import EllipticShell, ShellField
 from tagid.simulate.multipole import Layer, ring_m, solve
 from tagid.simulate.taps import wavenumber
 
@@ -110,11 +110,11 @@ class BesideShell:
         return False
 
     def effect(self, frequency_hz: Floats, angle_rad: Floats) -> Complex:
-        """See `Beside`; plane waves on the integral equation of `tagid.fields.elliptic`."""
+        """See `Beside`; plane waves on the integral equation of `tagid.fields.thin_shell`."""
         k = wavenumber(frequency_hz)
         field = _solved(self.shell, np.ascontiguousarray(k).tobytes())
         toward = np.exp(1j * (angle_rad + np.angle(self.place)))
-        along = (field.contour[:, None] * toward.conj()).real
+        along = (field.outline.contour[:, None] * toward.conj()).real
         direct = (self.place * toward.conj()).real
         # The incident field on the contour over that at the scatterer.
         incident = np.exp(1j * k[:, None, None] * (along - direct))

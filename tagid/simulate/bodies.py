@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.fields.elliptic import EllipticShell
+from tagid.fields.thin_shell import EllipticShell
 from tagid.simulate.beside import Beside, BesideRound, BesideShell
 from tagid.simulate.multipole import Layer, ring_m, solve
 from tagid.simulate.scattering import Returns
@@ -245,7 +245,7 @@ class Shell:
                 f"a reflector {r * 1e3:.0f} mm from the axis is in the helmet's wall",
                 "Choose another size of the helmet.",
             )
-        # Open below and closed above, it acts as half of an endless one (`tagid.fields.elliptic`).
+        # Open below and closed above, it acts as half of an endless one (`tagid.fields.thin_shell`).
         sheet_m = (self.permittivity - 1) * self.thickness_m / 2
         across, along = (round(narrowed * axis, 7) for axis in (self.x_m, self.y_m))
         return BesideShell(EllipticShell(across, along, sheet_m), complex(round(x, 7), round(y, 7)))

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from provenance import ROOT, commit
 
 from tagid.errors import DataError
-from tagid.fields.elliptic import EllipticShell
+from tagid.fields.thin_shell import EllipticShell
 from tagid.simulate.beside import Beside, BesideRound, BesideShell
 from tagid.simulate.multipole import Layer
 from tagid.simulate.response import Response

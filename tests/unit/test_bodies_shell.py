@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagid.fields.elliptic import EllipticShell, ShellField, ShellView
+from tagid.fields.thin_shell import EllipticShell, ShellField, ShellView
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.simulate import Acquisition, Placement, Wobble, simulate_capture

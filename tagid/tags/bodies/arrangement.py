@@ -80,6 +80,12 @@ def apart_deg(angles: NDArray[np.floating], wanted: NDArray[np.floating], resolu
     return min(difference_deg(gaps, wanted) for gaps in merging(gaps_deg(angles), resolution))
 
 
+def farthest(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> float:
+    """Largest distance of a place x + jy of either set from the nearest of the other (Hausdorff distance)."""
+    apart = np.abs(one[:, None] - other)
+    return float(max(apart.min(axis=0).max(), apart.min(axis=1).max()))
+
+
 def turn_to(angles: NDArray[np.floating], layout: NDArray[np.floating]) -> list[float]:
     """Turns (rad) that bring a layout's angles (K,) nearest to as many measured ones, one per pairing."""
     measured, own = np.sort(np.mod(angles, 2 * np.pi)), np.sort(np.mod(layout, 2 * np.pi))

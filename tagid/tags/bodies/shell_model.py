@@ -1,7 +1,7 @@
 """Thin elliptic shells as bodies: their echo, and the one that explains some scans best.
 
 A helmet is a sheet of plastic, about elliptic at the height of its reflectors. Two half axes and the strength
-of the sheet fix its echo from all sides, but for one amplitude per frequency (`tagid.fields.elliptic`).
+of the sheet fix its echo from all sides, but for one amplitude per frequency (`tagid.fields.thin_shell`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.fields.elliptic import EllipticShell, ShellField, ShellView
+from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField, ShellView, ThinShell
 from tagid.tags.bodies.enrolled import SLACK_M, EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Candidate, Pose, Seen
 from tagid.tags.bodies.posing import CENTRE_SIGMA_M, PoseSearch
@@ -25,6 +25,12 @@ SHEET_M = 2.8e-3
 ACROSS = (0.58, 0.61, 0.64, 0.67, 0.70, 0.73, 0.76)
 ALONG = (0.74, 0.77, 0.80, 0.83, 0.86, 0.89, 0.92)
 """Half axes that are tried over the radius of the reflectors' ring. Those between them are 1.7 mm away."""
+BOX_SHEET_M = 2.8e-3
+"""(eps - 1) d of a carton's or a crate's walls: 2.5 to 4 mm fit solved ones."""
+HALF_SIDES_M = tuple(0.025 * 1.05**i for i in range(29))
+"""Half sides of boxes that are tried, 25 to 98 mm."""
+_SIDES = 4
+"""Half sides of the best square boxes, whose pairs are tried as oblong ones."""
 OBLONG = 1.04
 """Least ratio of the half axes: a round shell is a round body."""
 _SEARCHED, _REFINED = 72, 84
@@ -43,7 +49,7 @@ class ShellFit:
         left: energy that it leaves, alone or beside the reflectors that were fitted with it.
     """
 
-    shell: EllipticShell
+    shell: ThinShell
     pose: Pose
     left: float
 
@@ -108,7 +114,7 @@ class ShellBody:
 
 
 def signature_of(
-    shell: EllipticShell, wavenumbers: NDArray[np.float64], distance_m: float, points: int = _SEARCHED
+    shell: ThinShell, wavenumbers: NDArray[np.float64], distance_m: float, points: int = _SEARCHED
 ) -> Signature:
     """The echo of a shell as angular harmonics, as those of an enrolled body.
 
@@ -118,7 +124,7 @@ def signature_of(
         distance_m: of the antenna, m.
         points: of the contour.
     """
-    radius = shell.along_m
+    radius = shell.radius_m
     order = order_of(float(wavenumbers[-1]), radius)
     aspects = 2 * order + 4
     antenna = distance_m * np.exp(2j * np.pi * np.arange(aspects) / aspects)
@@ -136,7 +142,7 @@ def signature_of(
 @lru_cache(maxsize=4)
 def _dictionary(
     wavenumbers: bytes, distance_m: float, ring_m: float
-) -> tuple[tuple[EllipticShell, Signature], ...]:
+) -> tuple[tuple[ThinShell, Signature], ...]:
     """Shells inside a ring with their harmonics."""
     kappa = np.frombuffer(wavenumbers)
     sizes = [(a * ring_m, b * ring_m) for a in ACROSS for b in ALONG if b >= OBLONG * a]
@@ -159,6 +165,35 @@ def likely_shells(spectra: Spectra, ring_m: float, count: int) -> list[ShellFit]
         left, pose = search.best(signature)
         found.append(ShellFit(shape, pose, left))
     return sorted(found, key=lambda fit: fit.left)[:count]
+
+
+def likely_boxes(spectra: Spectra, count: int) -> list[ShellFit]:
+    """The boxes that explain scans best, over all sizes, turns and centres.
+
+    A square box whose side is one of two of an oblong one explains the flashes of two of its walls.
+
+    Args:
+        spectra: the scans.
+        count: number of them.
+    """
+    wavenumbers, distance = spectra.wavenumbers.tobytes(), round(spectra.distance_m, 2)
+    search = PoseSearch(spectra, order_of(float(spectra.wavenumbers[-1]), np.sqrt(2) * HALF_SIDES_M[-1]))
+
+    def fitted(across_m: float, along_m: float) -> ShellFit:
+        shell = BoxShell(across_m, along_m, BOX_SHEET_M)
+        left, pose = search.best(_box_signature(wavenumbers, distance, across_m, along_m))
+        return ShellFit(shell, pose, left)
+
+    squares = sorted((fitted(half, half) for half in HALF_SIDES_M), key=lambda fit: fit.left)
+    sides = sorted(fit.shell.across_m for fit in squares[:_SIDES])
+    oblong = [fitted(a, b) for i, a in enumerate(sides) for b in sides[i + 1 :]]
+    return sorted([*squares, *oblong], key=lambda fit: fit.left)[:count]
+
+
+@lru_cache(maxsize=1024)
+def _box_signature(wavenumbers: bytes, distance_m: float, across_m: float, along_m: float) -> Signature:
+    shell = BoxShell(across_m, along_m, BOX_SHEET_M)
+    return signature_of(shell, np.frombuffer(wavenumbers), distance_m)
 
 
 def basis_of(

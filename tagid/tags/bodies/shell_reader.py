@@ -2,7 +2,7 @@
 
 A pattern that holds what a helmet's shell does to its reflectors has seven free terms, which takes 30 views
 and an enrolled body. But the shell's own wave fixes it: the field at a reflector is that beside an elliptic
-sheet (`tagid.fields.elliptic`), and few amplitudes per frequency are left, one for all reflectors, and for
+sheet (`tagid.fields.thin_shell`), and few amplitudes per frequency are left, one for all reflectors, and for
 the shell one of each power of the cosine of incidence,
 
     Y = B + sum_p A_p(f) echo_p(shell) + g(f) sum_k E(r_k)^2.
@@ -13,7 +13,7 @@ enrolled.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
@@ -21,8 +21,8 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.fields.elliptic import ShellField
-from tagid.tags.bodies.arrangement import apart_deg, gaps_deg, kind_of, off_axis, resolution_deg
+from tagid.fields.thin_shell import ShellField
+from tagid.tags.bodies.arrangement import apart_deg, farthest, gaps_deg, kind_of, off_axis, resolution_deg
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.points import Place, columns
 from tagid.tags.bodies.reflectors_fit import POINTS, THROUGH, Batch
@@ -32,6 +32,7 @@ from tagid.tags.bodies.shell_model import (
     ShellFit,
     basis_of,
     beyond,
+    likely_boxes,
     likely_shells,
     refined_beside,
 )
@@ -51,6 +52,8 @@ RING_M = 3e-3
 """Standard deviation of a reflector's distance from the ring's centre about its nominal one,"""
 OFF_M = 3e-3
 """and of that centre about the shell's, per coordinate."""
+LOOSE_M = 10e-3
+"""That of a tag in a carton about the carton's."""
 MOST_RING_M = 0.16
 """Largest ring of reflectors: what can be enrolled is no larger, and the contour's points are of helmets."""
 SMALLER = 0.8
@@ -89,34 +92,99 @@ def read_on_shell(
     wide = [layout for layout in layouts if settings.wide_m <= _ring_m(layout) <= MOST_RING_M]
     if not wide or spectra.views < FEWEST_VIEWS:
         return None
-    thin = spectra.thinned(2)
-    likely: list[ShellFit] = []
-    for ring in _rings_m(wide):
-        likely += likely_shells(spectra, ring, _TRIED)
-        if hint is not None:
-            likely += likely_shells(_without(spectra, hint), ring, _TRIED // 2)
-    starts = [_ShellReader(thin, wide, fit, settings, 1) for fit in likely]
+    rings = _rings_m(wide)
+
+    def likely(seen: Spectra, count: int) -> list[ShellFit]:
+        return [fit for ring in rings for fit in likely_shells(seen, ring, count)]
+
+    return _best_beside(likely, _Sought(spectra, wide, settings), hint)
+
+
+def read_in_box(
+    spectra: Spectra, layouts: Sequence[Layout], settings: BodySettings, hint: Place | None = None
+) -> ShellReading | None:
+    """The same beside four thin walls: a tag in a carton, or on a plastic crate.
+
+    Args:
+        spectra, layouts, settings, hint: as of `read_on_shell`; all layouts are read, in the middle of the box
+            and where the hint is: what is in a carton need not stand in its middle.
+    """
+    own = [layout for layout in layouts if 0 < _ring_m(layout) <= MOST_RING_M]
+    if not own or spectra.views < FEWEST_VIEWS:
+        return None
+    centre = None if hint is None else complex(*hint.centre_m)
+    return _best_beside(likely_boxes, _Sought(spectra, own, settings, LOOSE_M, centre), hint)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sought:
+    """What is sought beside shells.
+
+    Attributes:
+        spectra: the scans.
+        layouts: that may stand there.
+        settings: search and priors.
+        off_m: standard deviation of the reflectors' centre about the shell's, m, per coordinate.
+        centre: where layouts are sought besides the middle of the shell, x + jy, m.
+    """
+
+    spectra: Spectra
+    layouts: Sequence[Layout]
+    settings: BodySettings
+    off_m: float = OFF_M
+    centre: complex | None = None
+
+    @property
+    def loose(self) -> bool:
+        """Whether the reflectors need not stand around the middle of the shell."""
+        return self.off_m > OFF_M
+
+
+def _best_beside(
+    likely: Callable[[Spectra, int], list[ShellFit]], sought: _Sought, hint: Place | None
+) -> ShellReading | None:
+    """The reading beside the one of some shells that explains most together with a layout."""
+    shells = likely(sought.spectra, _TRIED)
+    if hint is not None:
+        shells += likely(_without(sought.spectra, hint), _TRIED // 2)
+    best = _beside_one_of(shells, sought)
+    if best is not None and sought.loose and not best.clear:
+        # A loud tag hides the walls: they are sought again without what was found of it.
+        wave = best.reader.wave_of(best.row)[..., None]
+        wave = wave / np.maximum(np.linalg.norm(wave, axis=1, keepdims=True), 1e-30)
+        rest = replace(sought.spectra, data=beyond(sought.spectra.data, wave))
+        again = _beside_one_of(likely(rest, _TRIED // 2), sought)
+        if again is not None and again.row.left < best.row.left:
+            best = again
+    return best.reader.read() if best is not None else None
+
+
+def _beside_one_of(shells: Sequence[ShellFit], sought: _Sought) -> _Beside | None:
+    """A layout beside the shell with which it explains most; None where none explains much."""
+    spectra = sought.spectra
+    thin = replace(sought, spectra=spectra.thinned(2))
+    starts = [_ShellReader(thin, fit, 1) for fit in shells]
     starts.sort(key=lambda reader: reader.start.left)
     # The reflectors may stand some millimetres further out than the layout has them.
     begun = [(reader, reader.fitted(reader.start, 2)) for reader in starts[:_BEGUN]]
     begun.sort(key=lambda pair: pair[1].left)
     if begun[0][0].explained(begun[0][1]) < PROMISING:
         return None
-    found: list[tuple[float, _ShellReader]] = []
+    found: list[_Beside] = []
     for reader, row in begun[:_REFINED]:
         # Beside its reflectors the shell is seen more exactly, and they beside it. One amplitude tells more
         # of its shape, several hold more of its echo.
-        fit = refined_beside(thin, reader.fit, reader.wave_of(row), 1)
-        reader = _ShellReader(spectra, wide, fit, settings, OBLIQUITIES)
+        fit = refined_beside(thin.spectra, reader.fit, reader.wave_of(row), 1)
+        reader = _ShellReader(sought, fit, OBLIQUITIES)
         row = reader.fitted(reader.start)
         fit = refined_beside(spectra, fit, reader.wave_of(row), OBLIQUITIES, 2)
-        reader = _ShellReader(spectra, wide, fit, settings, OBLIQUITIES)
+        reader = _ShellReader(sought, fit, OBLIQUITIES)
         row = reader.fitted(reader.start, 2)
         if reader.clears(row):
-            found.append((row.left, reader))
-            if reader.explained(row) >= ENOUGH:
+            found.append(_Beside(row, reader))
+            if found[-1].clear:
                 break
-    return min(found, key=lambda one: one[0])[1].read() if found else None
+    return min(found, key=lambda one: one.row.left, default=None)
 
 
 def _without(spectra: Spectra, hint: Place) -> Spectra:
@@ -189,21 +257,28 @@ class _Ringed:
         return np.asarray(self.at[3:][self.radii > 0])
 
 
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """A layout beside a shell, and the reader of that shell."""
+
+    row: _Ringed
+    reader: _ShellReader
+
+    @property
+    def clear(self) -> bool:
+        """Whether it explains so much that no other shell is asked."""
+        return self.reader.explained(self.row) >= ENOUGH
+
+
 class _ShellReader:
     """The search beside one shell in one place."""
 
-    def __init__(
-        self,
-        spectra: Spectra,
-        layouts: Sequence[Layout],
-        fit: ShellFit,
-        settings: BodySettings,
-        obliquities: int,
-    ) -> None:
-        self.spectra, self.layouts, self.fit, self.settings = spectra, layouts, fit, settings
+    def __init__(self, sought: _Sought, fit: ShellFit, obliquities: int) -> None:
+        self.sought, self.fit = sought, fit
+        spectra = self.spectra = sought.spectra
         field = ShellField.of(spectra.wavenumbers / 2, fit.shell)
         self.across = spectra.antenna - fit.pose.centre
-        self._rings: dict[tuple[float, float], NDArray[np.complex128]] = {}
+        self._rings: dict[tuple[float, float, complex], NDArray[np.complex128]] = {}
         self.seen = field.seen_from(self.across * np.exp(-1j * fit.pose.turn_rad))
         self.basis = basis_of(self.seen, obliquities)
         self.beyond = self._beyond_body(spectra.data)
@@ -251,7 +326,7 @@ class _ShellReader:
         steps = np.full(len(moves), _STEP_RAD)
         steps[:3] = _STEP_M
         weight = np.zeros(3 + k)
-        weight[:3] = OFF_M**-2, OFF_M**-2, RING_M**-2
+        weight[:3] = self.sought.off_m**-2, self.sought.off_m**-2, RING_M**-2
         weight *= self.variance / 2
         at = row.at
         rest = self._rest(at, row)
@@ -278,17 +353,17 @@ class _ShellReader:
                 break
         return replace(row, at=at, left=float((np.abs(rest) ** 2).sum()))
 
-    def _around(self, radius_m: float, height_m: float) -> NDArray[np.complex128]:
+    def _around(self, radius_m: float, height_m: float, centre: complex) -> NDArray[np.complex128]:
         """(F, 2 COUNT, V) echo of a reflector all around a ring; the first alone in the middle. Kept."""
-        key = (round(radius_m, 4), round(height_m, 4))
+        key = (round(radius_m, 4), round(height_m, 4), centre)
         if key not in self._rings:
-            places = radius_m * np.exp(1j * np.pi * np.arange(2 * COUNT) / COUNT)
+            places = centre + radius_m * np.exp(1j * np.pi * np.arange(2 * COUNT) / COUNT)
             count = len(places) if radius_m > 0 else 1
             self._rings[key] = self.each(places[:count], np.full(count, height_m))
         return self._rings[key]
 
-    def _turns(self, layout: Layout) -> list[_Ringed]:
-        """The best turns of a layout about the shell's centre."""
+    def _turns(self, layout: Layout, centre: complex) -> list[_Ringed]:
+        """The best turns of a layout about a place x + jy, m, off the shell's centre."""
         place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
         radii, angles = np.abs(place), np.angle(place)
         radii = np.where(radii > 0.01, radii, 0.0)
@@ -296,7 +371,7 @@ class _ShellReader:
         frequencies, views = self.spectra.data.shape
         total = np.zeros((frequencies, COUNT, views), dtype=np.complex128)
         for radius, angle, height in zip(radii, angles, heights, strict=True):
-            ring = self._around(float(radius), float(height))
+            ring = self._around(float(radius), float(height), centre)
             steps = np.rint(angle * COUNT / np.pi).astype(np.intp) + 2 * np.arange(COUNT)
             total += ring[:, steps % ring.shape[1]]
         waves = self._beyond_body(total)
@@ -304,7 +379,7 @@ class _ShellReader:
         value = (along / np.maximum((np.abs(waves) ** 2).sum(axis=-1), 1e-30)).sum(axis=0)
         found = []
         for i in peaks(value, 2):
-            at = np.concatenate([np.zeros(3), angles + 2 * np.pi * i / COUNT])
+            at = np.concatenate([[centre.real, centre.imag, 0.0], angles + 2 * np.pi * i / COUNT])
             found.append(_Ringed(at, radii, heights, layout.name, self.body_left - float(value[i])))
         return found
 
@@ -313,19 +388,20 @@ class _ShellReader:
         own = row.places[row.radii > 0] * np.exp(-1j * self.fit.pose.turn_rad)
         return bool((np.abs(self.fit.shell.outside_m(own)) > CLEAR_M).all())
 
-    def _others(self) -> list[_Ringed]:
-        """The best of each of some kinds of arrangements on the layouts' rings."""
+    def _others(self, centre: complex) -> list[_Ringed]:
+        """The best of each of some kinds of arrangements on the layouts' rings about such a place."""
         thin = slice(None, None, 2)
         angles = 2 * np.pi * np.arange(COUNT) / COUNT
         starts: list[_Ringed] = []
-        for radius in sorted({round(_ring_m(layout), 3) for layout in self.layouts}):
-            each = self._beyond_body(self.each(radius * np.exp(1j * angles), np.zeros(COUNT)))
+        for radius in sorted({round(_ring_m(layout), 3) for layout in self.sought.layouts}):
+            places = centre + radius * np.exp(1j * angles)
+            each = self._beyond_body(self.each(places, np.zeros(COUNT)))
             ring = Ring.from_columns(self.beyond[thin], each[thin], None, radius, POINTS, angles)
             scale = self.body_left / max(ring.energy, 1e-30)
-            for sets, values in ring.best(self.settings.most, _BEAM).values():
+            for sets, values in ring.best(self.sought.settings.most, _BEAM).values():
                 for indices, value in zip(sets, values, strict=True):
                     k = len(indices)
-                    at = np.concatenate([np.zeros(3), angles[indices]])
+                    at = np.concatenate([[centre.real, centre.imag, 0.0], angles[indices]])
                     left = (ring.energy - float(value)) * scale
                     starts.append(_Ringed(at, np.full(k, radius), np.zeros(k), None, left))
         kept: list[_Ringed] = []
@@ -340,7 +416,10 @@ class _ShellReader:
     @cached_property
     def turns(self) -> list[_Ringed]:
         """The best turns of every layout."""
-        return [row for layout in self.layouts for row in self._turns(layout)]
+        centres = [0j]
+        if self.sought.centre is not None:
+            centres.append(self.sought.centre - self.fit.pose.centre)
+        return [row for layout in self.sought.layouts for at in centres for row in self._turns(layout, at)]
 
     @property
     def start(self) -> _Ringed:
@@ -359,18 +438,19 @@ class _ShellReader:
         if not ranked or self.explained(ranked[0]) < HOPEFUL:
             return None
         best = ranked[0]
-        others = [self.fitted(row) for row in self._others()]
+        centre = complex(best.at[0], best.at[1]) if self.sought.loose else 0j
+        others = [self.fitted(row) for row in self._others(centre)]
         free = self.fitted(replace(best, layout=None))
         # With one amplitude per frequency the shell's shape is seen better, and what stands in its middle.
         fit = refined_beside(self.spectra, self.fit, self.wave_of(best), 1)
-        plain = _ShellReader(self.spectra, self.layouts, fit, self.settings, 1)
+        plain = _ShellReader(self.sought, fit, 1)
         return plain.middle_of(best, self._compared(ranked, others, free, fit))
 
     def _error(self, left: float) -> float:
         """Energy that a lead of 1 is, where an arrangement leaves so much."""
         tag = max(self.body_left - left, 1e-30)
         above = max(left - self.noise, 0.0)
-        return above + MODEL_ERROR * tag + self.settings.noise_nats * self.spectra.noise
+        return above + MODEL_ERROR * tag + self.sought.settings.noise_nats * self.spectra.noise
 
     def middle_of(self, best: _Ringed, reading: BodyReading) -> ShellReading:
         """A reading with what stands in the middle of its best layout.
@@ -414,17 +494,20 @@ class _ShellReader:
             free: the best layout's reflectors, each free.
             shown: the shell that the reading shows.
         """
-        settings, spectra = self.settings, self.spectra
+        settings, spectra = self.sought.settings, self.spectra
         best = ranked[0]
         wanted = gaps_deg(best.on_ring)
         radius = float(best.radii.max())
+
+        same = radius * float(np.deg2rad(settings.other_deg)) / 2
 
         def away(row: _Ringed) -> float:
             return apart_deg(row.on_ring, wanted, resolution_deg(radius))
 
         def is_other(row: _Ringed) -> bool:
             elsewhere = abs(float(row.radii.max() + row.at[2]) - radius) > settings.other_radius_m
-            return away(row) > settings.other_deg or elsewhere
+            # A pair a little less than opposite is the opposite one about another centre.
+            return (away(row) > settings.other_deg or elsewhere) and farthest(row.places, best.places) > same
 
         different = [row for row in found if is_other(row) and self.clears(row)]
         costs = [self._placed(row, spectra.angle_cost * (len(row.on_ring) - 1)) for row in different]

@@ -17,6 +17,7 @@ Amplitudes of a cylinder are not those of a half ellipsoid. With one free amplit
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
 
@@ -33,11 +34,11 @@ _FROM, _TO, _STEP = 0.02, 60.0, 0.004
 
 
 @dataclass(frozen=True)
-class EllipticShell:
-    """A thin elliptic shell.
+class ThinShell(ABC):
+    """A thin shell.
 
     Attributes:
-        across_m, along_m: half axes of the contour along its own x and y, m.
+        across_m, along_m: half the size of the contour along its own x and y, m.
         sheet_m: (eps - 1) d, m: 5.4 mm of plastic 3 mm thick. A shell that ends above and below acts as half
             of that.
     """
@@ -50,8 +51,43 @@ class EllipticShell:
         if not (0.01 <= self.across_m <= 1.0 and 0.01 <= self.along_m <= 1.0 and 0 < self.sheet_m <= 0.02):
             raise DataError(f"a shell has half axes of {self.across_m} and {self.along_m} m")
 
+    @property
+    @abstractmethod
+    def radius_m(self) -> float:
+        """Largest distance of the contour from its centre, m."""
+
+    @abstractmethod
+    def outline(self, points: int) -> Outline:
+        """The contour in cells."""
+
+    @abstractmethod
     def outside_m(self, places: NDArray[np.complex128]) -> NDArray[np.float64]:
-        """(...) distance of places x + jy (...) outside the contour along the ray from its centre, m."""
+        """(...) distance of places x + jy (...) outside the contour, m; negative inside.
+
+        Of an ellipse it is that along the ray from its centre.
+        """
+
+
+@dataclass(frozen=True)
+class EllipticShell(ThinShell):
+    """A thin elliptic shell, as that of a helmet."""
+
+    @property
+    def radius_m(self) -> float:
+        """The longer half axis."""
+        return max(self.across_m, self.along_m)
+
+    def outline(self, points: int) -> Outline:
+        """Cells of equal eccentric anomaly."""
+        turn = 2 * np.pi * (np.arange(points) + 0.5) / points
+        a, b = self.across_m, self.along_m
+        contour = a * np.cos(turn) + 1j * b * np.sin(turn)
+        step = np.hypot(a * np.sin(turn), b * np.cos(turn)) * 2 * np.pi / points
+        normal = contour.real / a**2 + 1j * contour.imag / b**2
+        return Outline(contour, step, normal / np.abs(normal))
+
+    def outside_m(self, places: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """See `ThinShell`."""
         direction = np.angle(places)
         wall = (
             self.across_m
@@ -61,6 +97,45 @@ class EllipticShell:
         return np.asarray(np.abs(places) - wall)
 
 
+@dataclass(frozen=True)
+class BoxShell(ThinShell):
+    """Four thin upright walls, as those of a carton or a crate."""
+
+    @property
+    def radius_m(self) -> float:
+        """Half the diagonal."""
+        return float(np.hypot(self.across_m, self.along_m))
+
+    def outline(self, points: int) -> Outline:
+        """As many cells on every wall, so that sizes change no cell's place along it."""
+        each = max(points // 4, 1)
+        along = (2 * np.arange(each) + 1 - each) / each
+        a, b, ones = self.across_m, self.along_m, np.ones(each)
+        contour = np.concatenate([a + 1j * b * along, -a * along + 1j * b, -a - 1j * b * along, a * along - 1j * b])
+        step = np.concatenate([b * ones, a * ones, b * ones, a * ones]) * 2 / each
+        normal = np.concatenate([ones + 0j, 1j * ones, -ones + 0j, -1j * ones])
+        return Outline(contour, step, normal)
+
+    def outside_m(self, places: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """Distance beyond the plane of the nearest wall."""
+        return np.asarray(np.maximum(np.abs(places.real) - self.across_m, np.abs(places.imag) - self.along_m))
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A contour in N cells.
+
+    Attributes:
+        contour: (N,) their middles x + jy, m.
+        step_m: (N,) their lengths, m.
+        normal: (N,) outward, unit length.
+    """
+
+    contour: NDArray[np.complex128]
+    step_m: NDArray[np.float64]
+    normal: NDArray[np.complex128]
+
+
 @dataclass(frozen=True, eq=False)
 class ShellField:
     """The solved field of a shell.
@@ -68,34 +143,30 @@ class ShellField:
     Attributes:
         wavenumber: (F,) in free space, rad/m.
         shell: see above.
-        contour: (N,) points x + jy, m.
-        step_m: (N,) length of the contour that each stands for, m.
+        outline: its contour.
         inverse: (F, N, N) from the incident field on the contour to the whole one.
     """
 
     wavenumber: NDArray[np.float64]
-    shell: EllipticShell
-    contour: NDArray[np.complex128]
-    step_m: NDArray[np.float64]
+    shell: ThinShell
+    outline: Outline
     inverse: NDArray[np.complex128]
 
     @classmethod
-    def of(cls, wavenumber: NDArray[np.float64], shell: EllipticShell, points: int = POINTS) -> ShellField:
+    def of(cls, wavenumber: NDArray[np.float64], shell: ThinShell, points: int = POINTS) -> ShellField:
         """The field at wavenumbers (F,), rad/m."""
-        turn = 2 * np.pi * (np.arange(points) + 0.5) / points
-        a, b = shell.across_m, shell.along_m
-        contour = a * np.cos(turn) + 1j * b * np.sin(turn)
-        step = np.hypot(a * np.sin(turn), b * np.cos(turn)) * 2 * np.pi / points
+        outline = shell.outline(points)
+        contour, step = outline.contour, outline.step_m
         apart = np.abs(contour[:, None] - contour)
         np.fill_diagonal(apart, 1.0)
         k = wavenumber[:, None, None]
         coupling = _line_source(k * apart) * step
         # The mean of Hankel's function over a cell about its singularity, by its leading terms.
         own = (1 - 2j / np.pi * (np.log(k[:, 0] * step / 4) + np.euler_gamma - 1)) / 4j * step
-        cells = np.arange(points)
+        cells = np.arange(len(contour))
         coupling[:, cells, cells] = own
-        system = np.eye(points) - k**2 * shell.sheet_m * coupling
-        return cls(wavenumber, shell, contour, step, np.asarray(np.linalg.inv(system)))
+        system = np.eye(len(contour)) - k**2 * shell.sheet_m * coupling
+        return cls(wavenumber, shell, outline, np.asarray(np.linalg.inv(system)))
 
     def echo(self, antenna: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """(F, V) echo of the shell alone to antennas x + jy (V,), m, in any common unit per frequency."""
@@ -104,8 +175,8 @@ class ShellField:
     def reach(self, places: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """(F, K, N) from the whole field on the contour to what the shell adds at places x + jy (K,), m."""
         k = self.wavenumber[:, None, None]
-        apart = np.abs(places[:, None] - self.contour)
-        return np.asarray(k**2 * self.shell.sheet_m * _line_source(k * apart) * self.step_m)
+        apart = np.abs(places[:, None] - self.outline.contour)
+        return np.asarray(k**2 * self.shell.sheet_m * _line_source(k * apart) * self.outline.step_m)
 
     def answers(self, places: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """(F, K, N) the same from the incident field, whatever its source."""
@@ -113,7 +184,7 @@ class ShellField:
 
     def seen_from(self, antenna: NDArray[np.complex128]) -> ShellView:
         """The field that antennas x + jy (V,), m, make."""
-        range_m = np.abs(self.contour[:, None] - antenna)
+        range_m = np.abs(self.outline.contour[:, None] - antenna)
         incident = np.exp(-1j * self.wavenumber[:, None, None] * range_m) / range_m
         return ShellView(self, antenna, incident, self.inverse @ incident)
 
@@ -139,13 +210,10 @@ class ShellView:
         A half ellipsoid curves upwards, too, and what it returns at grazing incidence is not what a cylinder
         does. With an amplitude for each of three powers, solved shells leave 0.04 to 0.6 % of their echo.
         """
-        field = self.field
-        shell, contour = field.shell, field.contour
-        normal = contour.real / shell.across_m**2 + 1j * contour.imag / shell.along_m**2
-        normal = normal / np.abs(normal)
-        toward = self.antenna - contour[:, None]
-        cosine = (toward * normal.conj()[:, None]).real / np.abs(toward)
-        powers = cosine ** np.arange(obliquities)[:, None, None] * field.step_m[:, None]
+        outline = self.field.outline
+        toward = self.antenna - outline.contour[:, None]
+        cosine = (toward * outline.normal.conj()[:, None]).real / np.abs(toward)
+        powers = cosine ** np.arange(obliquities)[:, None, None] * outline.step_m[:, None]
         return np.asarray(np.einsum("fnv,pnv->fpv", self.whole * self.incident, powers, optimize=True))
 
     def relative(self, places: NDArray[np.complex128]) -> NDArray[np.complex128]:

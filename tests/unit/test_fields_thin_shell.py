@@ -7,7 +7,7 @@ import pytest
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
-from tagid.fields.elliptic import EllipticShell, ShellField
+from tagid.fields.thin_shell import EllipticShell, ShellField
 from tagid.fields.shells import Shell, echoes
 
 K = 2 * np.pi / SPEED_OF_LIGHT * np.array([3.2e9, 4.0e9, 4.8e9])
