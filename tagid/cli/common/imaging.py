@@ -335,6 +335,7 @@ HYPOTHESES = {
     "bare": "a tag without a body",
     "round": "a tag on a round body",
     "shell": "a tag on a helmet shell",
+    "box": "a tag in or on a box of thin walls",
     "body": "a tag on an enrolled body",
     "object": "an enrolled object",
 }

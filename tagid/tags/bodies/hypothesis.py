@@ -31,6 +31,8 @@ class Kind(StrEnum):
     """Reflectors on a body of revolution that nobody enrolled."""
     SHELL = "shell"
     """Reflectors on a thin elliptic shell that nobody enrolled, as a helmet has one."""
+    BOX = "box"
+    """Reflectors in or on a box of thin walls that nobody enrolled, as a carton or a plastic crate has."""
     BODY = "body"
     """Reflectors on an enrolled body."""
     OBJECT = "object"

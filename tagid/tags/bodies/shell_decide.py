@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 from tagid.tags.bodies.decide import FARTHEST_CENTRE_M
 from tagid.tags.bodies.shell_reader import ShellReading
@@ -14,6 +15,10 @@ class ShellDecision:
     """Tests of a layout beside a shell.
 
     Attributes:
+        where: where the layout is, as sentences have it.
+        near_m: no reflector stands nearer outside than this: close together before a thin wall they are not
+            told from single ones. Two pairs of neighbours on a crate passed for `container-180`.
+        shift_m: largest difference of the reflectors' apparent distance from their centre from the layout's.
         unexplained: largest share of the tag's echo that it may leave beyond noise: of 24 tags on solved
             shells at 36 views up to 0.15, of tags that are not enrolled 0.66 and more,
         chance_sigmas: and so many standard deviations of the noise's energy.
@@ -32,6 +37,9 @@ class ShellDecision:
             round wall, on the axis, two reflectors alone are that layout by up to 0.12.
     """
 
+    where: str = "on a thin shell"
+    near_m: float = 0.0
+    shift_m: float = inf
     unexplained: float = 0.2
     chance_sigmas: float = 3.5
     lead: float = 0.3
@@ -54,17 +62,20 @@ def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
     if r.body_energy < s.wall_share * r.energy:
         return Verdict("unknown", Code.BODY, "no shell shows")
     if r.tag_nats < s.tag_nats:
-        return Verdict("unknown", Code.WEAK, f"{name} on a thin shell is too weak to be told from another")
+        return Verdict("unknown", Code.WEAK, f"{name} {s.where} is too weak to be told from another")
     by_chance = s.chance_sigmas * (max(r.noise, 0.0) * max(r.variance, 0.0)) ** 0.5 / r.tag
     if r.unexplained > s.unexplained + by_chance:
         left = f"{min(r.unexplained, 1):.0%} of its echo unexplained"
-        return Verdict("unknown", Code.BODY, f"{name} on a thin shell leaves {left}")
+        return Verdict("unknown", Code.BODY, f"{name} {s.where} leaves {left}")
+    if ((found.outside_m > 0) & (found.outside_m < s.near_m)).any():
+        reason = f"{name} {s.where} would stand before them, where other arrangements look alike"
+        return Verdict("unknown", Code.BODY, reason)
     off = max(abs(r.pose.centre), abs(r.layouts[0].centre))
     if off > s.centre_m:
         return Verdict("unknown", Code.OFF_CENTRE, f"the shell's centre lies {off * 1e3:.0f} mm off the axis")
     if r.angle_off_deg > s.angle_deg:
         return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {name}")
-    if r.radius_off_m > s.radius_m:
+    if r.radius_off_m > s.radius_m or abs(r.layouts[0].batch.at[0, 2]) > s.shift_m:
         return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {name}")
     if found.has_middle and found.middle_lead < s.contrary * found.middle_nats:
         return Verdict("unknown", Code.MISSING, f"the reflector in the middle of {name} is missing")
@@ -78,7 +89,6 @@ def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
     if told and found.middle_lead < -s.contrary * found.middle_nats:
         return Verdict("unknown", Code.EXTRA, f"a reflector stands in the middle of {name}")
     if r.lead < s.lead:
-        return Verdict(
-            "unknown", Code.OTHER, "another arrangement on a thin shell explains the echo about as well"
-        )
+        reason = f"another arrangement {s.where} explains the echo about as well"
+        return Verdict("unknown", Code.OTHER, reason)
     return Verdict("identified")

@@ -6,6 +6,7 @@ of the sheet fix its echo from all sides, but for one amplitude per frequency (`
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -29,8 +30,10 @@ BOX_SHEET_M = 2.8e-3
 """(eps - 1) d of a carton's or a crate's walls: 2.5 to 4 mm fit solved ones."""
 HALF_SIDES_M = tuple(0.025 * 1.05**i for i in range(29))
 """Half sides of boxes that are tried, 25 to 98 mm."""
-_SIDES = 4
+_SIDES = 5
 """Half sides of the best square boxes, whose pairs are tried as oblong ones."""
+UNLIKE = 0.06
+"""Boxes whose sides differ by less are one: the fit moves so far."""
 OBLONG = 1.04
 """Least ratio of the half axes: a round shell is a round body."""
 _SEARCHED, _REFINED = 72, 84
@@ -168,7 +171,7 @@ def likely_shells(spectra: Spectra, ring_m: float, count: int) -> list[ShellFit]
 
 
 def likely_boxes(spectra: Spectra, count: int) -> list[ShellFit]:
-    """The boxes that explain scans best, over all sizes, turns and centres.
+    """The boxes that explain scans best and differ in size, over all sizes, turns and centres.
 
     A square box whose side is one of two of an oblong one explains the flashes of two of its walls.
 
@@ -184,10 +187,20 @@ def likely_boxes(spectra: Spectra, count: int) -> list[ShellFit]:
         left, pose = search.best(_box_signature(wavenumbers, distance, across_m, along_m))
         return ShellFit(shell, pose, left)
 
-    squares = sorted((fitted(half, half) for half in HALF_SIDES_M), key=lambda fit: fit.left)
-    sides = sorted(fit.shell.across_m for fit in squares[:_SIDES])
+    squares = [fitted(half, half) for half in HALF_SIDES_M]
+    sides = sorted(fit.shell.across_m for fit in _unlike(squares, _SIDES))
     oblong = [fitted(a, b) for i, a in enumerate(sides) for b in sides[i + 1 :]]
-    return sorted([*squares, *oblong], key=lambda fit: fit.left)[:count]
+    return _unlike([*squares, *oblong], count)
+
+
+def _unlike(fits: Sequence[ShellFit], count: int) -> list[ShellFit]:
+    """The best shells, none of about the size of a better one."""
+    found: list[ShellFit] = []
+    for fit in sorted(fits, key=lambda one: one.left):
+        sizes = np.array([fit.shell.across_m, fit.shell.along_m])
+        if all((np.abs(sizes / (one.shell.across_m, one.shell.along_m) - 1) > UNLIKE).any() for one in found):
+            found.append(fit)
+    return found[:count]
 
 
 @lru_cache(maxsize=1024)

@@ -46,6 +46,8 @@ COUNT = 72
 _TRIED, _BEGUN, _REFINED = 8, 4, 3
 """Shells of the search beside which layouts are tried, those beside which the best one is fitted, and those
 that are fitted with it."""
+_BOXES = 4
+"""Boxes of unlike size, of the first kind."""
 _LAYOUTS, _KEPT, _BEAM = 8, 12, 8
 """Turns of layouts and other arrangements that are fitted, and sets kept per number of reflectors."""
 RING_M = 3e-3
@@ -144,25 +146,36 @@ def _best_beside(
     likely: Callable[[Spectra, int], list[ShellFit]], sought: _Sought, hint: Place | None
 ) -> ShellReading | None:
     """The reading beside the one of some shells that explains most together with a layout."""
-    shells = likely(sought.spectra, _TRIED)
+    tried = _BOXES if sought.loose else _TRIED
+    shells = likely(sought.spectra, tried)
     if hint is not None:
-        shells += likely(_without(sought.spectra, hint), _TRIED // 2)
+        shells += likely(_without(sought.spectra, hint), tried // 2)
     best = _beside_one_of(shells, sought)
     if best is not None and sought.loose and not best.clear:
         # A loud tag hides the walls: they are sought again without what was found of it.
         wave = best.reader.wave_of(best.row)[..., None]
         wave = wave / np.maximum(np.linalg.norm(wave, axis=1, keepdims=True), 1e-30)
         rest = replace(sought.spectra, data=beyond(sought.spectra.data, wave))
-        again = _beside_one_of(likely(rest, _TRIED // 2), sought)
+        again = _beside_one_of(likely(rest, tried), sought)
         if again is not None and again.row.left < best.row.left:
             best = again
     return best.reader.read() if best is not None else None
 
 
+def _refined(one: _Beside, sought: _Sought) -> _Beside:
+    """Beside its reflectors a shell is seen more exactly, and they beside it."""
+    # One amplitude tells more of the shell's shape, several hold more of its echo.
+    fit = refined_beside(one.reader.spectra, one.reader.fit, one.reader.wave_of(one.row), 1)
+    reader = _ShellReader(sought, fit, OBLIQUITIES)
+    row = reader.fitted(reader.start)
+    fit = refined_beside(sought.spectra, fit, reader.wave_of(row), OBLIQUITIES, 2)
+    reader = _ShellReader(sought, fit, OBLIQUITIES)
+    return _Beside(reader.fitted(reader.start, 2), reader)
+
+
 def _beside_one_of(shells: Sequence[ShellFit], sought: _Sought) -> _Beside | None:
     """A layout beside the shell with which it explains most; None where none explains much."""
-    spectra = sought.spectra
-    thin = replace(sought, spectra=spectra.thinned(2))
+    thin = replace(sought, spectra=sought.spectra.thinned(2))
     starts = [_ShellReader(thin, fit, 1) for fit in shells]
     starts.sort(key=lambda reader: reader.start.left)
     # The reflectors may stand some millimetres further out than the layout has them.
@@ -172,17 +185,10 @@ def _beside_one_of(shells: Sequence[ShellFit], sought: _Sought) -> _Beside | Non
         return None
     found: list[_Beside] = []
     for reader, row in begun[:_REFINED]:
-        # Beside its reflectors the shell is seen more exactly, and they beside it. One amplitude tells more
-        # of its shape, several hold more of its echo.
-        fit = refined_beside(thin.spectra, reader.fit, reader.wave_of(row), 1)
-        reader = _ShellReader(sought, fit, OBLIQUITIES)
-        row = reader.fitted(reader.start)
-        fit = refined_beside(spectra, fit, reader.wave_of(row), OBLIQUITIES, 2)
-        reader = _ShellReader(sought, fit, OBLIQUITIES)
-        row = reader.fitted(reader.start, 2)
-        if reader.clears(row):
-            found.append(_Beside(row, reader))
-            if found[-1].clear:
+        one = _refined(_Beside(row, reader), sought)
+        if one.reader.clears(one.row):
+            found.append(one)
+            if one.clear:
                 break
     return min(found, key=lambda one: one.row.left, default=None)
 
@@ -219,12 +225,14 @@ class ShellReading:
         middle_lead: what the best layout leaves less than the same with a reflector more in the middle, or
             without the one that it has there, over that error.
         has_middle: the best layout has one.
+        outside_m: (K,) how far outside the shell the best layout's reflectors stand, m; negative inside.
     """
 
     reading: BodyReading
     middle_nats: float
     middle_lead: float
     has_middle: bool
+    outside_m: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,6 +263,11 @@ class _Ringed:
     def on_ring(self) -> NDArray[np.float64]:
         """Angles of the reflectors off the middle, rad."""
         return np.asarray(self.at[3:][self.radii > 0])
+
+
+def _away_deg(row: _Ringed, best: _Ringed) -> float:
+    """How far the angles of an arrangement are from those of a layout."""
+    return apart_deg(row.on_ring, gaps_deg(best.on_ring), resolution_deg(float(best.radii.max())))
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,8 +398,11 @@ class _ShellReader:
 
     def clears(self, row: _Ringed) -> bool:
         """Whether no reflector on the ring stands in the shell's wall."""
+        return bool((np.abs(self._outside_m(row)) > CLEAR_M).all())
+
+    def _outside_m(self, row: _Ringed) -> NDArray[np.float64]:
         own = row.places[row.radii > 0] * np.exp(-1j * self.fit.pose.turn_rad)
-        return bool((np.abs(self.fit.shell.outside_m(own)) > CLEAR_M).all())
+        return self.fit.shell.outside_m(own)
 
     def _others(self, centre: complex) -> list[_Ringed]:
         """The best of each of some kinds of arrangements on the layouts' rings about such a place."""
@@ -468,7 +484,8 @@ class _ShellReader:
         extra = extra - wave * ((wave.conj() * extra).sum(axis=1) / size)[:, None]
         shows = float((np.abs(amplitude[:, None] * extra) ** 2).sum())
         has = bool((best.radii == 0).any())
-        return ShellReading(reading, shows / error, (other.left - own.left) / error, has)
+        lead = (other.left - own.left) / error
+        return ShellReading(reading, shows / error, lead, has, self._outside_m(own))
 
     def _toggled(self, row: _Ringed) -> _Ringed:
         """An arrangement with a reflector in the middle, or without the one that it has there."""
@@ -483,6 +500,16 @@ class _ShellReader:
         at = np.concatenate([row.at[:3], row.at[3:][keep]])
         return replace(row, at=at, radii=row.radii[keep], heights=row.heights[keep])
 
+    def _is_other(self, row: _Ringed, best: _Ringed) -> bool:
+        """Whether an arrangement is another than a layout."""
+        settings, radius = self.sought.settings, float(best.radii.max())
+        elsewhere = abs(float(row.radii.max() + row.at[2]) - radius) > settings.other_radius_m
+        if _away_deg(row, best) <= settings.other_deg and not elsewhere:
+            return False
+        # A pair a little less than opposite is the opposite one about another centre.
+        same = radius * float(np.deg2rad(settings.other_deg)) / 2
+        return farthest(row.places, best.places) > same
+
     def _compared(
         self, ranked: list[_Ringed], found: list[_Ringed], free: _Ringed, shown: ShellFit
     ) -> BodyReading:
@@ -496,20 +523,7 @@ class _ShellReader:
         """
         settings, spectra = self.sought.settings, self.spectra
         best = ranked[0]
-        wanted = gaps_deg(best.on_ring)
-        radius = float(best.radii.max())
-
-        same = radius * float(np.deg2rad(settings.other_deg)) / 2
-
-        def away(row: _Ringed) -> float:
-            return apart_deg(row.on_ring, wanted, resolution_deg(radius))
-
-        def is_other(row: _Ringed) -> bool:
-            elsewhere = abs(float(row.radii.max() + row.at[2]) - radius) > settings.other_radius_m
-            # A pair a little less than opposite is the opposite one about another centre.
-            return (away(row) > settings.other_deg or elsewhere) and farthest(row.places, best.places) > same
-
-        different = [row for row in found if is_other(row) and self.clears(row)]
+        different = [row for row in found if self._is_other(row, best) and self.clears(row)]
         costs = [self._placed(row, spectra.angle_cost * (len(row.on_ring) - 1)) for row in different]
         every = sorted([*costs, *(self._placed(row, 0.0) for row in ranked[1:])], key=lambda p: p.charged)
         tag = max(self.body_left - best.left, 1e-30)
@@ -539,7 +553,7 @@ class _ShellReader:
             untagged_lead=inf,
             error=error,
             rough=error,
-            angle_off_deg=away(free),
+            angle_off_deg=_away_deg(free, best),
             radius_off_m=abs(float(free.at[2] - best.at[2])),
             tag_nats=tag / max(spectra.noise, 1e-30),
             early_m=spectra.early_m(amplitude),

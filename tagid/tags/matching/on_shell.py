@@ -1,4 +1,4 @@
-"""What a thin shell that nobody enrolled says, where no other hypothesis names a tag."""
+"""What a thin shell or a box that nobody enrolled says, where no other hypothesis names a tag."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tagid.imaging.types import BasebandScans
+from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.bodies.hypothesis import Explanation, Kind
 from tagid.tags.bodies.points import Place
 from tagid.tags.bodies.shell_decide import decide_on_shell
@@ -16,7 +17,7 @@ from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.won import on_body
-from tagid.tags.verdicts.verdict import Code
+from tagid.tags.verdicts.verdict import Code, Verdict
 
 _MIDDLE = (Code.EXTRA, Code.MISSING)
 CLEARER = 0.5
@@ -36,7 +37,7 @@ def _hint(settled: Reading, layouts: Sequence[Layout]) -> Place | None:
 def on_shell(
     settled: Reading, scans: BasebandScans, layouts: Sequence[Layout], settings: ContestSettings
 ) -> Reading | None:
-    """The reading on a thin shell; None where a shell explains the scans no better than anything else.
+    """The reading on a thin shell, or in a box; None where neither explains the scans better than the others.
 
     Args:
         settled: what the other hypotheses come to: no name, or one beside a wall that the wave passes.
@@ -44,16 +45,32 @@ def on_shell(
         layouts: the enrolled ones.
         settings: of the contest.
     """
-    from tagid.tags.bodies.shell_reader import read_on_shell
+    from tagid.tags.bodies.shell_reader import read_in_box, read_on_shell
 
-    found = read_on_shell(Spectra.of(scans), layouts, settings.body, _hint(settled, layouts))
-    if found is None:
-        return None
-    verdict, reading = decide_on_shell(found, settings.shell), found.reading
+    spectra, hint = Spectra.of(scans), _hint(settled, layouts)
+    said = None
+    for kind, read, decision in (
+        (Kind.SHELL, read_on_shell, settings.shell),
+        (Kind.BOX, read_in_box, settings.box),
+    ):
+        found = read(spectra, layouts, settings.body, hint)
+        if found is None:
+            continue
+        own = _said(kind, found.reading, decide_on_shell(found, decision), settled, layouts)
+        if own is not None and own.status == "identified":
+            return own
+        said = said or own
+    return said
+
+
+def _said(
+    kind: Kind, reading: BodyReading, verdict: Verdict, settled: Reading, layouts: Sequence[Layout]
+) -> Reading | None:
+    """What a reading beside a shell says against the other hypotheses; None for nothing."""
     best = reading.layouts[0]
     share = (best.left - reading.noise) / max(reading.energy - reading.noise, 1e-30)
     own = Explanation(
-        Kind.SHELL,
+        kind,
         "",
         best.layout,
         float(np.clip(share, 0, 1)),
@@ -75,7 +92,7 @@ def on_shell(
     if any(one.left <= own.left for one in other):
         return None
     if verdict.status == "identified":
-        return replace(on_body(settled, reading, layouts, None), hypotheses=hypotheses, note="")
+        return replace(on_body(settled, reading, layouts, None), kind=kind, hypotheses=hypotheses, note="")
     if not clearer or verdict.code is Code.WEAK:
         return None
     return replace(
@@ -85,7 +102,7 @@ def on_shell(
         code=verdict.code,
         reason=verdict.reason,
         nearest=best.layout or settled.nearest,
-        kind=Kind.SHELL,
+        kind=kind,
         body=reading,
         hypotheses=hypotheses,
     )

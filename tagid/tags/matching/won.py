@@ -117,10 +117,7 @@ def on_object(
 
 
 def kind_on(reading: BodyReading) -> Kind:
-    if reading.body.name:
-        return Kind.BODY
-    # A body that nobody enrolled and that looks another from each side is a shell.
-    return Kind.SHELL if reading.body.turns else Kind.ROUND
+    return Kind.BODY if reading.body.name else Kind.ROUND
 
 
 def _rotation_deg(placed: Placed, layout: Layout) -> float:
