@@ -54,6 +54,11 @@ class ShellDecision:
     contrary: float = 0.25
     own_middle: float = 0.15
 
+    @classmethod
+    def beside_walls(cls) -> ShellDecision:
+        """Those in or on a carton or a crate."""
+        return cls(where="beside thin walls", near_m=0.025, shift_m=0.003, unexplained=0.1)
+
 
 def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
     """The verdict on the best layout beside a shell."""

@@ -1,7 +1,8 @@
-"""Thin elliptic shells as bodies: their echo, and the one that explains some scans best.
+"""Thin shells as bodies: their echo, and the one that explains some scans best.
 
 A helmet is a sheet of plastic, about elliptic at the height of its reflectors. Two half axes and the strength
-of the sheet fix its echo from all sides, but for one amplitude per frequency (`tagid.fields.thin_shell`).
+of the sheet fix its echo from all sides, but for one amplitude per frequency (`tagid.fields.thin_shell`); so
+do two sides that of a carton.
 """
 
 from __future__ import annotations
@@ -28,8 +29,11 @@ ALONG = (0.74, 0.77, 0.80, 0.83, 0.86, 0.89, 0.92)
 """Half axes that are tried over the radius of the reflectors' ring. Those between them are 1.7 mm away."""
 BOX_SHEET_M = 2.8e-3
 """(eps - 1) d of a carton's or a crate's walls: 2.5 to 4 mm fit solved ones."""
-HALF_SIDES_M = tuple(0.025 * 1.05**i for i in range(29))
+_STEP = 1.05
+HALF_SIDES_M = tuple(0.025 * _STEP**i for i in range(29))
 """Half sides of boxes that are tried, 25 to 98 mm."""
+_NEAR = 2
+"""Best boxes beside which those with a side one step off are tried."""
 _SIDES = 5
 """Half sides of the best square boxes, whose pairs are tried as oblong ones."""
 UNLIKE = 0.06
@@ -59,7 +63,7 @@ class ShellFit:
 
 @dataclass(frozen=True, eq=False)
 class ShellBody:
-    """A thin elliptic shell that nobody enrolled (a `BodyModel`).
+    """A thin shell that nobody enrolled (a `BodyModel`).
 
     Attributes:
         fit: its shape, and where it was found.
@@ -187,10 +191,14 @@ def likely_boxes(spectra: Spectra, count: int) -> list[ShellFit]:
         left, pose = search.best(_box_signature(wavenumbers, distance, across_m, along_m))
         return ShellFit(shell, pose, left)
 
-    squares = [fitted(half, half) for half in HALF_SIDES_M]
-    sides = sorted(fit.shell.across_m for fit in _unlike(squares, _SIDES))
-    oblong = [fitted(a, b) for i, a in enumerate(sides) for b in sides[i + 1 :]]
-    return _unlike([*squares, *oblong], count)
+    fits = [fitted(half, half) for half in HALF_SIDES_M]
+    sides = sorted(fit.shell.across_m for fit in _unlike(fits, _SIDES))
+    fits += [fitted(a, b) for i, a in enumerate(sides) for b in sides[i + 1 :]]
+    # The best side of a square is that of the nearest oblong box to within some steps.
+    for near in _unlike(fits, _NEAR):
+        a, b = near.shell.across_m, near.shell.along_m
+        fits += [fitted(a * x, b * y) for x, y in ((_STEP, 1), (1 / _STEP, 1), (1, _STEP), (1, 1 / _STEP))]
+    return _unlike(fits, count)
 
 
 def _unlike(fits: Sequence[ShellFit], count: int) -> list[ShellFit]:

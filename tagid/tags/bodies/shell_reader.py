@@ -1,9 +1,9 @@
-"""Which alike reflectors beside a thin elliptic shell made the echo, where free patterns cannot tell.
+"""Which alike reflectors beside a thin shell made the echo, where free patterns cannot tell.
 
 A pattern that holds what a helmet's shell does to its reflectors has seven free terms, which takes 30 views
-and an enrolled body. But the shell's own wave fixes it: the field at a reflector is that beside an elliptic
-sheet (`tagid.fields.thin_shell`), and few amplitudes per frequency are left, one for all reflectors, and for
-the shell one of each power of the cosine of incidence,
+and an enrolled body. But the shell's own wave fixes it: the field at a reflector is that beside a thin sheet,
+elliptic or, of a carton, rectangular (`tagid.fields.thin_shell`), and few amplitudes per frequency are left,
+one for all reflectors, and for the shell one of each power of the cosine of incidence,
 
     Y = B + sum_p A_p(f) echo_p(shell) + g(f) sum_k E(r_k)^2.
 
@@ -108,8 +108,8 @@ def read_in_box(
     """The same beside four thin walls: a tag in a carton, or on a plastic crate.
 
     Args:
-        spectra, layouts, settings, hint: as of `read_on_shell`; all layouts are read, in the middle of the box
-            and where the hint is: what is in a carton need not stand in its middle.
+        spectra, layouts, settings, hint: as of `read_on_shell`. All layouts are read, in the middle of the
+            box and where the hint is: what is in a carton need not stand in its middle.
     """
     own = [layout for layout in layouts if 0 < _ring_m(layout) <= MOST_RING_M]
     if not own or spectra.views < FEWEST_VIEWS:
@@ -521,8 +521,7 @@ class _ShellReader:
             free: the best layout's reflectors, each free.
             shown: the shell that the reading shows.
         """
-        settings, spectra = self.sought.settings, self.spectra
-        best = ranked[0]
+        spectra, best = self.spectra, ranked[0]
         different = [row for row in found if self._is_other(row, best) and self.clears(row)]
         costs = [self._placed(row, spectra.angle_cost * (len(row.on_ring) - 1)) for row in different]
         every = sorted([*costs, *(self._placed(row, 0.0) for row in ranked[1:])], key=lambda p: p.charged)

@@ -77,7 +77,7 @@ class ContestSettings:
     disputed_nats: float = 12.0
     transparent: TransparentDecision = field(default_factory=TransparentDecision)
     shell: ShellDecision = field(default_factory=ShellDecision)
-    box: ShellDecision = ShellDecision(where="beside thin walls", near_m=0.025, shift_m=0.003, unexplained=0.1)
+    box: ShellDecision = field(default_factory=ShellDecision.beside_walls)
     objects: ObjectDecision = field(default_factory=ObjectDecision)
     false_accept: float = 1e-3
     calibrated: Calibration | None = None
