@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.fields.thin_shell import EllipticShell, ShellField
+from tagid.fields.thin_shell import ShellField, ThinShell
 from tagid.simulate.multipole import Layer, ring_m, solve
 from tagid.simulate.taps import wavenumber
 
@@ -85,7 +85,7 @@ class BesideRound:
 
 @dataclass(frozen=True)
 class BesideShell:
-    """A thin elliptic shell, as that of a helmet.
+    """A thin shell, as that of a helmet, or the walls of a carton.
 
     It leaves 4 to 7 % of the echo of tags on solved helmet shells with one amplitude per frequency, where a
     round wall as far away as the shell leaves 14 to 16 % and no shell 18 to 28 %
@@ -96,7 +96,7 @@ class BesideShell:
         place: of the scatterer from there, x + jy, m.
     """
 
-    shell: EllipticShell
+    shell: ThinShell
     place: complex
 
     @property
@@ -123,6 +123,6 @@ class BesideShell:
 
 
 @lru_cache(maxsize=4)
-def _solved(shell: EllipticShell, wavenumbers: bytes) -> ShellField:
+def _solved(shell: ThinShell, wavenumbers: bytes) -> ShellField:
     """The reflectors of a helmet share a solution."""
     return ShellField.of(np.frombuffer(wavenumbers), shell, POINTS)

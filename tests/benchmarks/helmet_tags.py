@@ -5,6 +5,9 @@ model has the same reflectors, alike, and one free amplitude per frequency; the 
 those that suit the echo best, in steps of 2 mm. The share of the energy is what the model leaves, without
 what is constant over the aspects.
 
+In a carton, 105 by 140 mm wide and 120 mm high, of 5 mm cardboard with a permittivity of 1.5, the same with
+its four walls in place of an ellipse, at their true places; the last line is the carton alone.
+
     python tests/benchmarks/helmet_tags.py --write docs/results
 """
 
@@ -29,7 +32,7 @@ from numpy.typing import NDArray
 from provenance import ROOT, commit
 
 from tagid.errors import DataError
-from tagid.fields.thin_shell import EllipticShell
+from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField
 from tagid.simulate.beside import Beside, BesideRound, BesideShell
 from tagid.simulate.multipole import Layer
 from tagid.simulate.response import Response
@@ -41,6 +44,8 @@ OWN = ROOT / "tests" / "data" / "shells"
 WALL_M, PERMITTIVITY = 3e-3, 2.8
 """Of the simulator's helmets."""
 ACROSS_M, ALONG_M = np.arange(0.068, 0.085, 0.002), np.arange(0.088, 0.107, 0.002)
+CARTONS = ROOT / "tests" / "data" / "cartons"
+WALLS = BoxShell(0.070, 0.0525, (1.5 - 1) * 5e-3)
 FREQUENCIES, ASPECTS = 7, 72
 
 
@@ -67,6 +72,12 @@ TAGS = (
     Tagged(SHARED, "shell", "shell_h120_40", 0.110, (0, 120, 240)),
     Tagged(OWN, "shell74", "shell74_h120", 0.112, (25, 145, 265)),
     Tagged(OWN, "shell74", "shell74_lin", 0.090, (0, 180), middle=True),
+)
+
+
+IN_CARTONS = (
+    Tagged(CARTONS, "carton140", "carton140_c90", 0.045, (100, 190)),
+    Tagged(CARTONS, "carton140", "carton140_three", 0.045, (0, 100, 220)),
 )
 
 
@@ -101,7 +112,12 @@ def left(
         if body is not None:
             one = one * body.effect(frequency_hz, np.angle(antenna) - np.angle(place))
         wave += one
-    wave -= wave.mean(axis=1, keepdims=True)
+    return left_by(echo, wave)
+
+
+def left_by(echo: NDArray[np.complex128], wave: NDArray[np.complex128]) -> float:
+    """Share of an echo (F, V) that a wave (F, V) leaves with one amplitude per frequency."""
+    wave = wave - wave.mean(axis=1, keepdims=True)
     seen = echo - echo.mean(axis=1, keepdims=True)
     along = np.abs((wave.conj() * seen).sum(axis=1)) ** 2 / (np.abs(wave) ** 2).sum(axis=1)
     return float(1 - along.sum() / (np.abs(seen) ** 2).sum())
@@ -127,13 +143,20 @@ def best(
 
 def echo_of(tag: Tagged) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.complex128]]:
     """Echo (F, V) of a tag, frequencies (F,) and antennas x + jy (V,), 1 m away or as solved."""
-    tagged, shell = (read_response(tag.folder / f"{name}.npz") for name in (tag.name, tag.shell))
+    (tagged, frequency, antenna), (shell, _, _) = (solved(tag.folder, name) for name in (tag.name, tag.shell))
+    return tagged - shell, frequency, antenna
+
+
+def solved(
+    folder: Path, name: str
+) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.complex128]]:
+    """The same of a whole object."""
+    shell = read_response(folder / f"{name}.npz")
     antenna = distance_of(shell) * np.exp(2j * np.pi * np.arange(ASPECTS) / ASPECTS)
     where = np.stack([antenna.real, antenna.imag, 0 * antenna.real], axis=1)
     inside = np.flatnonzero((shell.frequency_hz >= 3.1e9) & (shell.frequency_hz <= 4.8e9))
     kept = inside[np.linspace(0, len(inside) - 1, FREQUENCIES).astype(int)]
-    echo = (tagged.seen_from(where) - shell.seen_from(where)).T[kept]
-    return echo, shell.frequency_hz[kept], antenna
+    return shell.seen_from(where).T[kept], shell.frequency_hz[kept], antenna
 
 
 def distance_of(response: Response) -> float:
@@ -148,7 +171,7 @@ def main() -> None:
     parser.add_argument("--write", type=Path, help="folder for helmet-tags.md")
     given = parser.parse_args()
     lines = [
-        "# Tags on helmets: our simulator against solved shells",
+        "# Tags on helmets and in cartons: thin sheets against solved ones",
         "",
         f"Command: `python {' '.join(sys.argv)}`. Commit: {commit()}.",
         f"Machine: {platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}.",
@@ -163,6 +186,16 @@ def main() -> None:
         values = best(tag, *echo_of(tag))
         lines.append(f"| {tag.name} | {' | '.join(f'{100 * value:.1f} %' for value in values)} |")
         print(lines[-1], flush=True)
+    lines += ["", "| solved | no walls | four walls |", "|---|---|---|"]
+    for tag in IN_CARTONS:
+        echo, frequency, antenna = echo_of(tag)
+        alone = left(echo, frequency, antenna, tag, lambda _: None)
+        walled = left(echo, frequency, antenna, tag, lambda place: BesideShell(WALLS, place))
+        lines.append(f"| {tag.name} | {100 * alone:.1f} % | {100 * walled:.1f} % |")
+    echo, frequency, antenna = solved(CARTONS, "carton140")
+    own = ShellField.of(wavenumber(frequency), WALLS).echo(antenna)
+    turned = own * np.exp(2j * wavenumber(frequency)[:, None] * np.abs(antenna))
+    lines.append(f"| carton140, untagged | | {100 * left_by(echo, turned):.1f} % |")
     text = "\n".join(lines) + "\n"
     print(text)
     if given.write:

@@ -150,31 +150,6 @@ def _best_beside(
     shells = likely(sought.spectra, tried)
     if hint is not None:
         shells += likely(_without(sought.spectra, hint), tried // 2)
-    best = _beside_one_of(shells, sought)
-    if best is not None and sought.loose and not best.clear:
-        # A loud tag hides the walls: they are sought again without what was found of it.
-        wave = best.reader.wave_of(best.row)[..., None]
-        wave = wave / np.maximum(np.linalg.norm(wave, axis=1, keepdims=True), 1e-30)
-        rest = replace(sought.spectra, data=beyond(sought.spectra.data, wave))
-        again = _beside_one_of(likely(rest, tried), sought)
-        if again is not None and again.row.left < best.row.left:
-            best = again
-    return best.reader.read() if best is not None else None
-
-
-def _refined(one: _Beside, sought: _Sought) -> _Beside:
-    """Beside its reflectors a shell is seen more exactly, and they beside it."""
-    # One amplitude tells more of the shell's shape, several hold more of its echo.
-    fit = refined_beside(one.reader.spectra, one.reader.fit, one.reader.wave_of(one.row), 1)
-    reader = _ShellReader(sought, fit, OBLIQUITIES)
-    row = reader.fitted(reader.start)
-    fit = refined_beside(sought.spectra, fit, reader.wave_of(row), OBLIQUITIES, 2)
-    reader = _ShellReader(sought, fit, OBLIQUITIES)
-    return _Beside(reader.fitted(reader.start, 2), reader)
-
-
-def _beside_one_of(shells: Sequence[ShellFit], sought: _Sought) -> _Beside | None:
-    """A layout beside the shell with which it explains most; None where none explains much."""
     thin = replace(sought, spectra=sought.spectra.thinned(2))
     starts = [_ShellReader(thin, fit, 1) for fit in shells]
     starts.sort(key=lambda reader: reader.start.left)
@@ -188,9 +163,20 @@ def _beside_one_of(shells: Sequence[ShellFit], sought: _Sought) -> _Beside | Non
         one = _refined(_Beside(row, reader), sought)
         if one.reader.clears(one.row):
             found.append(one)
-            if one.clear:
+            if one.explained >= ENOUGH:
                 break
-    return min(found, key=lambda one: one.row.left, default=None)
+    return min(found, key=lambda one: one.row.left).reader.read() if found else None
+
+
+def _refined(one: _Beside, sought: _Sought) -> _Beside:
+    """Beside its reflectors a shell is seen more exactly, and they beside it."""
+    # One amplitude tells more of the shell's shape, several hold more of its echo.
+    fit = refined_beside(one.reader.spectra, one.reader.fit, one.reader.wave_of(one.row), 1)
+    reader = _ShellReader(sought, fit, OBLIQUITIES)
+    row = reader.fitted(reader.start)
+    fit = refined_beside(sought.spectra, fit, reader.wave_of(row), OBLIQUITIES, 2)
+    reader = _ShellReader(sought, fit, OBLIQUITIES)
+    return _Beside(reader.fitted(reader.start, 2), reader)
 
 
 def _without(spectra: Spectra, hint: Place) -> Spectra:
@@ -278,9 +264,9 @@ class _Beside:
     reader: _ShellReader
 
     @property
-    def clear(self) -> bool:
-        """Whether it explains so much that no other shell is asked."""
-        return self.reader.explained(self.row) >= ENOUGH
+    def explained(self) -> float:
+        """Share that it explains of what the shell leaves."""
+        return self.reader.explained(self.row)
 
 
 class _ShellReader:
