@@ -184,7 +184,8 @@ def likely_boxes(spectra: Spectra, count: int) -> list[ShellFit]:
         count: number of them.
     """
     wavenumbers, distance = spectra.wavenumbers.tobytes(), round(spectra.distance_m, 2)
-    search = PoseSearch(spectra, order_of(float(spectra.wavenumbers[-1]), np.sqrt(2) * HALF_SIDES_M[-1]))
+    widest = np.sqrt(2) * _STEP * HALF_SIDES_M[-1]
+    search = PoseSearch(spectra, order_of(float(spectra.wavenumbers[-1]), widest))
 
     def fitted(across_m: float, along_m: float) -> ShellFit:
         shell = BoxShell(across_m, along_m, BOX_SHEET_M)
