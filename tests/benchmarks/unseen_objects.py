@@ -503,10 +503,6 @@ OPENED = {
     "crate62_c90": Object(_crate62, 24, ring(46, 0, 90)),
     "crate62_c180": Object(_crate62, 20, ring(46, 90, 270)),
     "crate62_three": Object(_crate62, 20, ring(46, 0, 90, 180)),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED = {
     "carton108": Object(_carton108),
     "carton108_c180": Object(_carton108, 24, ring(45, 75, 255)),
     "carton108_c90": Object(_carton108, 30, ring(45, 5, 95)),
@@ -515,6 +511,10 @@ SEALED = {
     "carton150_c90": Object(_carton150, 20, ring(46, 200, 290)),
     "carton150_c180": Object(_carton150, 30, ring(44, 30, 210)),
     "carton150_four": Object(_carton150, 24, ring(45, 0, 75, 160, 255)),
+}
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED = {
     "crate66": Object(_crate66),
     "crate66_c90": Object(_crate66, 20, ring(46, 0, 90)),
     "crate66_c180": Object(_crate66, 24, ring(45, 90, 270)),
