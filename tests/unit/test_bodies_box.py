@@ -8,19 +8,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from solved_shells import recorded_at
 
 from tagid.fields.thin_shell import BoxShell, ShellView
-from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
-from tagid.simulate import Acquisition, Placement, Wobble, simulate_capture
-from tagid.simulate.presets import room_clutter
-from tagid.simulate.response import Response
-from tagid.simulate.response_file import read_response
-from tagid.simulate.response_scene import response_scene
 from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.shell_decide import decide_on_shell
@@ -33,31 +27,14 @@ from tagid.tags.matching.matcher import read_tag
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code
 
-DATA = Path(__file__).parents[1] / "data"
 LAYOUTS = list(builtin_layouts().values())
 CENTRE_M = (-0.003, 0.005)
 
 
 @cache
-def response(folder: str, name: str) -> Response:
-    return read_response(DATA / folder / f"{name}.npz")
-
-
-@cache
 def recorded(name: str, views: int = 36, snr_db: float = 20.0) -> BasebandScans:
-    """A recording 6 mm off the axis, wobbling, axis distance wrong by 8 mm, in a room."""
-    rng = np.random.default_rng(len(name))
-    acquisition = Acquisition(
-        views=views,
-        snr_db=snr_db,
-        placement=Placement(CENTRE_M, 1.0),
-        wobble=Wobble(speed=0.005),
-        axis_distance_error_m=0.008,
-    )
-    one = response("responses", "free30_one")
-    scene = response_scene(response("cartons", name), acquisition, "V", one, room_clutter(rng))
-    capture, _ = simulate_capture(scene, acquisition, 1)
-    return preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+    """A recording 6 mm off the axis."""
+    return recorded_at(CENTRE_M, "cartons", name, views, snr_db)
 
 
 def read(name: str, views: int = 36, snr_db: float = 20.0) -> Reading:

@@ -1,4 +1,4 @@
-"""The field at a thin elliptic shell, against the exact one of a round shell and against its symmetries."""
+"""The field at thin shells, against exact ones of a round shell and an endless sheet, and symmetries."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_a_wall_passes_what_an_endless_sheet_passes() -> None:
     """Behind the middle of a wide wall the field is 1 / (1 + jk (eps - 1) d / 2) of the incident one.
 
     Source: Balanis, Advanced Engineering Electromagnetics, 1989, section 5.5, for a layer far below the
-    wavelength. The box is as good as a single wall: 4 mm deep behind it nothing stands for a metre.
+    wavelength.
     """
     sheet_m, k = 2.8e-3, K[:1]
     shell = BoxShell(0.35, 0.35, sheet_m)

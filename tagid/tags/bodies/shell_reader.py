@@ -115,7 +115,7 @@ def read_in_box(
     if not own or spectra.views < FEWEST_VIEWS:
         return None
     centre = None if hint is None else complex(*hint.centre_m)
-    return _best_beside(likely_boxes, _Sought(spectra, own, settings, LOOSE_M, centre), hint)
+    return _best_beside(likely_boxes, _Sought(spectra, own, settings, _BOXES, LOOSE_M, centre), hint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +126,7 @@ class _Sought:
         spectra: the scans.
         layouts: that may stand there.
         settings: search and priors.
+        tried: shells that are tried, and half as many without the echo of a hint.
         off_m: standard deviation of the reflectors' centre about the shell's, m, per coordinate.
         centre: where layouts are sought besides the middle of the shell, x + jy, m.
     """
@@ -133,6 +134,7 @@ class _Sought:
     spectra: Spectra
     layouts: Sequence[Layout]
     settings: BodySettings
+    tried: int = _TRIED
     off_m: float = OFF_M
     centre: complex | None = None
 
@@ -146,10 +148,9 @@ def _best_beside(
     likely: Callable[[Spectra, int], list[ShellFit]], sought: _Sought, hint: Place | None
 ) -> ShellReading | None:
     """The reading beside the one of some shells that explains most together with a layout."""
-    tried = _BOXES if sought.loose else _TRIED
-    shells = likely(sought.spectra, tried)
+    shells = likely(sought.spectra, sought.tried)
     if hint is not None:
-        shells += likely(_without(sought.spectra, hint), tried // 2)
+        shells += likely(_without(sought.spectra, hint), sought.tried // 2)
     thin = replace(sought, spectra=sought.spectra.thinned(2))
     starts = [_ShellReader(thin, fit, 1) for fit in shells]
     starts.sort(key=lambda reader: reader.start.left)

@@ -38,6 +38,12 @@ def _hint(settled: Reading, layouts: Sequence[Layout]) -> Place | None:
     return Place(layout, float(np.deg2rad(best.rotation_deg)), best.centre_m)
 
 
+def _plain_left(settled: Reading) -> float:
+    """Least share of the echo that a tag without a body, or no tag, leaves."""
+    plain = (one.left for one in settled.hypotheses if one.kind in (Kind.NO_TAG, Kind.BARE))
+    return min(plain, default=1.0)
+
+
 def on_shell(
     settled: Reading, scans: BasebandScans, layouts: Sequence[Layout], settings: ContestSettings
 ) -> Reading | None:
@@ -57,6 +63,8 @@ def on_shell(
         (Kind.SHELL, read_on_shell, settings.shell),
         (Kind.BOX, read_in_box, settings.box),
     ):
+        if kind is Kind.BOX and _plain_left(settled) < NEEDED:
+            break
         found = read(spectra, layouts, settings.body, hint)
         if found is None:
             continue
@@ -88,8 +96,7 @@ def _said(
     clearer = own.left <= CLEARER * others
     if settled.status == "identified" and not clearer:
         return None
-    plain = (one.left for one in settled.hypotheses if one.kind in (Kind.NO_TAG, Kind.BARE))
-    if kind is Kind.BOX and min(plain, default=1.0) - own.left < NEEDED:
+    if kind is Kind.BOX and _plain_left(settled) - own.left < NEEDED:
         return None
     # An enrolled body knows better what stands in the middle of the same tag.
     known = settled.body if settled.kind is Kind.BODY else None
