@@ -59,7 +59,10 @@ class ThinShell(ABC):
 
     @abstractmethod
     def outline(self, points: int) -> Outline:
-        """The contour in cells."""
+        """The contour in about so many cells, anticlockwise from the positive x axis.
+
+        Their number is a multiple of four, and those of a quadrant mirror those of the next.
+        """
 
     @abstractmethod
     def outside_m(self, places: NDArray[np.complex128]) -> NDArray[np.float64]:
@@ -80,6 +83,7 @@ class EllipticShell(ThinShell):
 
     def outline(self, points: int) -> Outline:
         """Cells of equal eccentric anomaly."""
+        points = 4 * max(round(points / 4), 1)
         turn = 2 * np.pi * (np.arange(points) + 0.5) / points
         a, b = self.across_m, self.along_m
         contour = a * np.cos(turn) + 1j * b * np.sin(turn)
@@ -109,7 +113,8 @@ class BoxShell(ThinShell):
 
     def outline(self, points: int) -> Outline:
         """As many cells on every wall, so that sizes change no cell's place along it."""
-        each = max(points // 4, 1)
+        half = max(round(points / 8), 1)
+        each = 2 * half
         along = (2 * np.arange(each) + 1 - each) / each
         a, b, ones = self.across_m, self.along_m, np.ones(each)
         contour = np.concatenate(
@@ -117,7 +122,8 @@ class BoxShell(ThinShell):
         )
         step = np.concatenate([b * ones, a * ones, b * ones, a * ones]) * 2 / each
         normal = np.concatenate([ones + 0j, 1j * ones, -ones + 0j, -1j * ones])
-        return Outline(contour, step, normal)
+        # From the corner to the middle of the first wall.
+        return Outline(np.roll(contour, -half), np.roll(step, -half), np.roll(normal, -half))
 
     def outside_m(self, places: NDArray[np.complex128]) -> NDArray[np.float64]:
         """Distance beyond the plane of the nearest wall."""
@@ -147,7 +153,8 @@ class ShellField:
         wavenumber: (F,) in free space, rad/m.
         shell: see above.
         outline: its contour.
-        inverse: (F, N, N) from the incident field on the contour to the whole one.
+        inverse: (4, F, N / 4, N / 4) from the incident field on the contour to the whole one. What is even or
+            odd about either axis couples with itself only: four systems of a quarter of the size.
     """
 
     wavenumber: NDArray[np.float64]
@@ -160,16 +167,18 @@ class ShellField:
         """The field at wavenumbers (F,), rad/m."""
         outline = shell.outline(points)
         contour, step = outline.contour, outline.step_m
-        apart = np.abs(contour[:, None] - contour)
-        np.fill_diagonal(apart, 1.0)
+        images = _images(len(contour))
+        quadrant = images[0]
+        apart = np.abs(contour[quadrant, None] - contour)
+        apart[quadrant, quadrant] = 1.0
         k = wavenumber[:, None, None]
         coupling = _line_source(k * apart) * step
         # The mean of Hankel's function over a cell about its singularity, by its leading terms.
-        own = (1 - 2j / np.pi * (np.log(k[:, 0] * step / 4) + np.euler_gamma - 1)) / 4j * step
-        cells = np.arange(len(contour))
-        coupling[:, cells, cells] = own
-        system = np.eye(len(contour)) - k**2 * shell.sheet_m * coupling
-        return cls(wavenumber, shell, outline, np.asarray(np.linalg.inv(system)))
+        own = (1 - 2j / np.pi * (np.log(k[:, 0] * step[quadrant] / 4) + np.euler_gamma - 1)) / 4j
+        coupling[:, quadrant, quadrant] = own * step[quadrant]
+        rows = np.eye(len(quadrant), len(contour)) - k**2 * shell.sheet_m * coupling
+        blocks = _even_odd(np.stack([rows[:, :, image] for image in images]))
+        return cls(wavenumber, shell, outline, np.asarray(np.linalg.inv(blocks)))
 
     def echo(self, antenna: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """(F, V) echo of the shell alone to antennas x + jy (V,), m, in any common unit per frequency."""
@@ -181,15 +190,37 @@ class ShellField:
         apart = np.abs(places[:, None] - self.outline.contour)
         return np.asarray(k**2 * self.shell.sheet_m * _line_source(k * apart) * self.outline.step_m)
 
-    def answers(self, places: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """(F, K, N) the same from the incident field, whatever its source."""
-        return np.asarray(self.reach(places) @ self.inverse)
+    def whole(self, incident: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """(F, N, V) the whole field on the contour from the incident one (F, N, V), whatever its source."""
+        images = _images(len(self.outline.contour))
+        parts = _even_odd(np.stack([incident[:, image] for image in images]))
+        answers = _even_odd(self.inverse @ parts)
+        out = np.empty_like(incident)
+        for image, answer in zip(images, answers, strict=True):
+            out[:, image] = answer / 4
+        return out
 
     def seen_from(self, antenna: NDArray[np.complex128]) -> ShellView:
         """The field that antennas x + jy (V,), m, make."""
         range_m = np.abs(self.outline.contour[:, None] - antenna)
-        incident = np.exp(-1j * self.wavenumber[:, None, None] * range_m) / range_m
-        return ShellView(self, antenna, incident, self.inverse @ incident)
+        incident = _waves(self.wavenumber, range_m) / range_m
+        return ShellView(self, antenna, incident, self.whole(incident))
+
+
+def _images(cells: int) -> NDArray[np.intp]:
+    """(4, N / 4) the first quadrant's cells, those mirrored left, down, and both."""
+    first = np.arange(cells // 4)
+    return np.stack([first, cells // 2 - 1 - first, cells - 1 - first, cells // 2 + first])
+
+
+def _even_odd(parts: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """(4, ...) sums that are even or odd about each axis, of (4, ...) one quadrant and its images; and back.
+
+    Twice is four times.
+    """
+    left, right = parts[0] + parts[1], parts[2] + parts[3]
+    odd_left, odd_right = parts[0] - parts[1], parts[2] - parts[3]
+    return np.stack([left + right, odd_left + odd_right, left - right, odd_left - odd_right])
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,23 +253,35 @@ class ShellView:
     def relative(self, places: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """(F, K, V) echo of small reflectors at places x + jy (K,), m, over that without the shell."""
         field = self.field
-        k = field.wavenumber[:, None, None]
         added = field.reach(places) @ self.whole
         range_m = np.abs(self.antenna - places[:, None])
-        return np.asarray((1 + added * range_m * np.exp(1j * k * range_m)) ** 2)
+        return np.asarray((1 + added * range_m * _waves(field.wavenumber, range_m).conj()) ** 2)
+
+
+def _waves(wavenumber: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """(F, ...) exp(-j k path) of paths (...), m, by products where wavenumbers (F,) are equally spaced."""
+    steps = np.diff(wavenumber)
+    if len(steps) < 2 or np.ptp(steps) > 1e-9 * wavenumber[-1]:
+        return np.asarray(np.exp(-1j * np.multiply.outer(wavenumber, path_m)))
+    out = np.empty((len(wavenumber), *path_m.shape), dtype=np.complex128)
+    out[0] = np.exp(-1j * wavenumber[0] * path_m)
+    turn = np.exp(-1j * steps.mean() * path_m)
+    for i in range(1, len(out)):
+        np.multiply(out[i - 1], turn, out=out[i])
+    return out
 
 
 @cache
-def _table() -> NDArray[np.complex128]:
-    """G at equally spaced arguments from _FROM on."""
+def _table() -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """G at equally spaced arguments from _FROM on, and how much more it is at the next."""
     found = bessel(0, np.arange(_FROM, _TO, _STEP))
-    return np.asarray((found.j[:, 0] - 1j * found.y[:, 0]) / 4j)
+    table = (found.j[:, 0] - 1j * found.y[:, 0]) / 4j
+    return table[:-1], np.diff(table)
 
 
 def _line_source(x: NDArray[np.float64]) -> NDArray[np.complex128]:
     """G of the module's formula at k |r - s|, its singularity cut off."""
-    table = _table()
-    at = np.clip((x - _FROM) / _STEP, 0, len(table) - 2)
+    table, slopes = _table()
+    at = np.clip((x - _FROM) / _STEP, 0, len(table) - 1)
     low = at.astype(np.intp)
-    here = table[low]
-    return np.asarray(here + (at - low) * (table[low + 1] - here))
+    return np.asarray(table.take(low) + (at - low) * slopes.take(low))

@@ -118,7 +118,7 @@ class BesideShell:
         direct = (self.place * toward.conj()).real
         # The incident field on the contour over that at the scatterer.
         incident = np.exp(1j * k[:, None, None] * (along - direct))
-        added = field.answers(np.array([self.place])) @ incident
+        added = field.reach(np.array([self.place])) @ field.whole(incident)
         return np.asarray((1 + added[:, 0]) ** 2)
 
 

@@ -2,7 +2,7 @@
 
 All have their axis at `centre_m` of the object's frame and rotate and shift with the object. Amplitudes are
 scattering lengths in metres divided by `unit_m` (see `scatterers`). Not modelled: horizontal polarisation,
-multiple reflection between body and reflector, and the effect of cartons on a reflector.
+and multiple reflection between body and reflector.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.fields.thin_shell import EllipticShell
+from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField
 from tagid.simulate.beside import Beside, BesideRound, BesideShell
 from tagid.simulate.multipole import Layer, ring_m, solve
 from tagid.simulate.scattering import Returns
@@ -263,14 +263,17 @@ def _shell_taps(
 
 @dataclass(frozen=True)
 class Carton:
-    """A cardboard box around or behind the tag: four upright sheets, by physical optics, near field included.
+    """A cardboard box around or behind the tag: four upright walls, as a thin sheet.
 
-    b = -(jk / 2 pi) Gamma h integral cos(theta) exp(-2jk (R' - R)) dw over Gauss points with their own
-    distances. A face gives a flash at normal incidence and its two edges otherwise; the wave passes the
-    sheets, so that all four contribute from every side.
+        b = k^2 (eps - 1) d h / (4 pi) integral E0 E ds (D e^jkD)^2
+
+    with the field E of `tagid.fields.thin_shell` and the wave E0 = exp(-jkR) / R of an antenna at the distance
+    D of the box: flashes are as wide as they are near the antenna, and the wave passes the walls, so that all
+    four contribute from every side.
 
     Attributes:
-        side_m, height_m: m.
+        side_m, depth_m: outer length of its walls along x and y before it is rotated, m; height_m: their
+            height, m, centred at the tag's height.
         thickness_m, permittivity: thickness, m, and permittivity of the board (corrugated: mostly air).
         rotation_rad: rotation of the box about its axis, rad.
         centre_m: (x, y) of its axis, m.
@@ -278,6 +281,7 @@ class Carton:
     """
 
     side_m: float
+    depth_m: float
     height_m: float = 0.1
     thickness_m: float = 0.004
     permittivity: float = 1.7
@@ -286,34 +290,50 @@ class Carton:
     unit_m: float = 1.0
 
     def __post_init__(self) -> None:
-        if not all(np.isfinite(size) and 0 < size <= 1 for size in (self.side_m, self.height_m)):
-            raise DataError(f"a box of {self.side_m} x {self.height_m} m, expected up to 1 m")
+        sizes = (self.side_m, self.depth_m, self.height_m)
+        if not all(np.isfinite(size) and 0 < size <= 1 for size in sizes):
+            raise DataError(f"a box of {self.side_m} x {self.depth_m} x {self.height_m} m, expected up to 1 m")
+
+    @property
+    def walls(self) -> BoxShell:
+        """In the middle of the board."""
+        across, along = (round((size - self.thickness_m) / 2, 7) for size in (self.side_m, self.depth_m))
+        return BoxShell(across, along, (self.permittivity - 1) * self.thickness_m)
 
     def returns(self, antennas: Floats) -> Returns:
-        """A pair of points for every Gauss node of every face; their difference gives the factor jk."""
-        half = 1e-3  # half the pair's distance, m: sin(2 k d) is off by 1 % at 6 GHz
-        # The phase 2 k w sin(theta) across a face needs one node per half radian at most.
-        count = int(np.ceil(2 * wavenumber(np.array(6.2e9)) * self.side_m / np.pi)) + 10
-        nodes, weights = np.polynomial.legendre.leggauss(count)
-        gamma = sheet(np.array([CENTRE_HZ]), self.thickness_m, self.permittivity)[0][0]
-        wall = (-self.height_m / 2, self.height_m / 2)
-        distance = _direction(antennas, self.centre_m)[0]
-        vertical = self.height_m * height_factor(distance, antennas[:, 2], *wall)
-        points, amplitudes = [], []
-        for quarter in range(4):
-            angle = self.rotation_rad + quarter * np.pi / 2
-            normal = np.array([np.cos(angle), np.sin(angle), 0.0])
-            along = np.array([-normal[1], normal[0], 0.0])
-            place = np.array([*self.centre_m, 0.0]) + self.side_m / 2 * (normal + nodes[:, None] * along)
-            sight = antennas[:, None] - place
-            sight /= np.maximum(np.linalg.norm(sight, axis=2, keepdims=True), 1e-9)
-            # -Gamma: a conductor's Gamma is -1 in `sheet` and +1 in physical optics.
-            scale = gamma / (2 * np.pi) / (4 * half) / self.unit_m * self.side_m / 2
-            value = scale * vertical[:, None] * weights * np.abs(sight @ normal)
-            points += [place + half * sight, place - half * sight]
-            amplitudes += [value, -value]
-        return Returns(np.concatenate(points, axis=1), np.concatenate(amplitudes, axis=1).astype(complex))
+        """The response as taps along the line from the antenna through the axis.
 
-    def around(self, position_m: Floats) -> None:
-        """Nothing: thin board changes the field next to it by only a tenth."""
-        return
+        The wave's curvature is that at the nearest tenth of a metre.
+        """
+        distance, azimuth, unit = _direction(antennas, self.centre_m)
+        walls = self.walls
+        taps = _box_taps(walls, max(round(float(distance.mean()), 1), round(2 * walls.radius_m, 2)))
+        depth = np.broadcast_to(taps.offset_m, (len(antennas), len(taps.offset_m)))
+        points = _along_sight(antennas, self.centre_m, unit, depth)
+        half = self.height_m / 2
+        factor = self.height_m / self.unit_m * height_factor(distance, antennas[:, 2], -half, half)
+        return Returns(points, factor[:, None] * taps.at(2 * (azimuth - self.rotation_rad)))
+
+    def around(self, position_m: Floats) -> Beside:
+        """The walls; DataError if the position is in one of them."""
+        place = complex(*(np.asarray(position_m)[:2] - self.centre_m)) * np.exp(-1j * self.rotation_rad)
+        outside = float(self.walls.outside_m(np.array([place]))[0])
+        if abs(outside) < self.thickness_m / 2:
+            raise DataError(
+                f"a reflector {abs(place) * 1e3:.0f} mm from the axis is in a wall of the box",
+                "Choose another size of the box.",
+            )
+        return BesideShell(self.walls, complex(round(place.real, 7), round(place.imag, 7)))
+
+
+@lru_cache(maxsize=64)
+def _box_taps(walls: BoxShell, distance_m: float) -> AspectTaps:
+    """Taps of walls 1 m high over half a turn, against twice the azimuth: they are symmetric about both axes."""
+
+    def response(frequency_hz: Floats, twice_rad: Floats) -> Complex:
+        k = wavenumber(frequency_hz)
+        antenna = distance_m * np.exp(0.5j * twice_rad)
+        echo = ShellField.of(k, walls).echo(antenna) * np.exp(2j * k[:, None] * distance_m)
+        return np.asarray(k[:, None] ** 2 * walls.sheet_m / (4 * np.pi) * distance_m**2 * echo)
+
+    return AspectTaps.fit(response, (-walls.radius_m - 0.1, walls.radius_m + 0.15), symmetric=True)

@@ -67,7 +67,8 @@ def carrier(spec: BodySpec, unit_m: float, variation: Variation) -> Carrier | No
         return Shell(x, spec.size_m, up, thickness_m=wall, centre_m=centre, unit_m=unit_m)
     if spec.kind == "box":
         height, wall = spec.length("height", 0.1), spec.length("wall", 0.004)
-        return Carton(spec.size_m, height, wall, rotation_rad=turned, centre_m=centre, unit_m=unit_m)
+        depth = spec.length("depth", spec.size_m)
+        return Carton(spec.size_m, depth, height, wall, rotation_rad=turned, centre_m=centre, unit_m=unit_m)
     return None
 
 

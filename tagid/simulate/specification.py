@@ -37,11 +37,12 @@ class Shape:
 
 
 _WALLED = {"height": (0.02, 0.5), "oval": (0.0, 0.005)}
+_BOX = {"depth": (0.05, 0.5), "height": (0.02, 0.5), "wall": (1e-3, 0.01)}
 SHAPES = {
     "can": Shape("radius", 0.033, 0.01, 0.15, ("handle", "seam"), _WALLED),
     "cup": Shape("radius", 0.040, 0.02, 0.15, ("handle", "seam", "filled"), _WALLED | {"wall": (1e-3, 0.01)}),
     "helmet": Shape("longer half axis", 0.101, 0.06, 0.2, ("seam",), {"wall": (1e-3, 0.01)}),
-    "box": Shape("side", 0.12, 0.05, 0.5, (), {"height": (0.02, 0.5), "wall": (1e-3, 0.01)}),
+    "box": Shape("side", 0.12, 0.05, 0.5, (), _BOX),
 }
 REFLECTORS = {"octahedron": (0.005, 0.060)}
 

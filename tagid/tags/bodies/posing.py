@@ -283,12 +283,17 @@ class PoseSearch:
         # (C, F, 4 M + 1) inner products of harmonics by their difference.
         self._lags = (np.abs(carrier) ** 2 + 0j) @ basis
 
-    def best(self, signature: Signature) -> tuple[float, Pose]:
+    def best(self, signature: Signature, alike: int = 1) -> tuple[float, Pose]:
         """The energy that a signature leaves of the frequencies searched, at its best pose.
+
+        Args:
+            signature: what is looked for.
+            alike: turns at which it looks alike, evenly spaced: two of an ellipse, four of a square. Other
+                harmonics than their multiples are nought, and the first of these turns is found.
 
         Raises DataError as `candidates` does.
         """
-        left = self._energies(signature)
+        left = self._energies(signature, alike)
         i, turn = np.unravel_index(int(np.argmin(left)), left.shape)
         return float(left[i, turn]), self._pose(int(i), int(turn))
 
@@ -312,8 +317,8 @@ class PoseSearch:
         at = complex(self._centres[centre])
         return Pose((at.real, at.imag), 2 * np.pi * turn / ROTATIONS)
 
-    def _energies(self, signature: Signature) -> NDArray[np.float64]:
-        """(C, ROTATIONS) energy left with every centre and rotation."""
+    def _energies(self, signature: Signature, alike: int = 1) -> NDArray[np.float64]:
+        """(C, ROTATIONS / alike) energy left with every centre and rotation."""
         if (
             not same_wavenumbers(self.spectra.wavenumbers, signature.wavenumbers)
             or signature.order > self._order
@@ -323,29 +328,31 @@ class PoseSearch:
                 "Enrol it again with this radar.",
             )
         order = signature.order
-        m = np.arange(-order, order + 1)
-        cut = slice(self._order - order, self._order + order + 1)
+        most = order // alike * alike
+        own = slice(order - most, order + most + 1, alike)
+        cut = slice(self._order - most, self._order + most + 1, alike)
         near = near_field(self._thin.wavenumbers, order, self._thin.distance_m)
-        weights = signature.turning[:: self._step] * near
+        weights = (signature.turning[:: self._step] * near)[:, own]
+        rotations = ROTATIONS // alike
         along, room, body = (
-            _over_rotation(weights.conj() * part[..., cut], m)
+            _over_rotation(weights.conj() * part[..., cut], rotations)
             for part in (self._data, self._room, self._round)
         )
         pairs = np.stack([np.correlate(w, w, "full") for w in weights.conj()])
-        wide = slice(2 * (self._order - order), 2 * (self._order + order) + 1)
-        lags = np.arange(-2 * order, 2 * order + 1)
-        size = _over_rotation(pairs * self._lags[..., wide].conj(), lags).real
+        wide = slice(2 * (self._order - most), 2 * (self._order + most) + 1, alike)
+        size = _over_rotation(pairs * self._lags[..., wide].conj(), rotations).real
         size -= np.abs(room) ** 2 + np.abs(body) ** 2
         noise = signature.noise[:: self._step] * 2 * order * self._thin.views
         size = np.maximum(size, 0) + noise[:, None] + 1e-300
         return np.asarray(self._left[:, None] - np.sum(np.abs(along) ** 2 / size, axis=1))
 
 
-def _over_rotation(values: NDArray[np.complex128], m: NDArray[np.intp]) -> NDArray[np.complex128]:
-    """(..., ROTATIONS) sum over m of values (..., N) times exp(j m g) at every rotation g."""
-    spectrum = np.zeros((*values.shape[:-1], ROTATIONS), complex)
-    spectrum[..., m % ROTATIONS] = values
-    return np.asarray(np.fft.ifft(spectrum, axis=-1) * ROTATIONS)
+def _over_rotation(values: NDArray[np.complex128], rotations: int) -> NDArray[np.complex128]:
+    """(..., rotations) sum over m = -M..M of values (..., 2 M + 1) times exp(j m g) at every rotation g."""
+    most = values.shape[-1] // 2
+    spectrum = np.zeros((*values.shape[:-1], rotations), complex)
+    spectrum[..., np.arange(-most, most + 1) % rotations] = values
+    return np.asarray(np.fft.ifft(spectrum, axis=-1) * rotations)
 
 
 def match(
