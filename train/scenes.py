@@ -152,11 +152,12 @@ def _body(kind: str, wall_m: float, d: BodyDistribution, rng: np.random.Generato
     """A body whose wall lies so far from its axis, with the parts that chance gives it."""
     if kind == "none":
         return BodySpec()
-    if kind == "helmet" and wall_m < SHAPES[kind].least_m:
-        kind = "cup"
+    # The corners of a box are its farthest points.
+    size = np.sqrt(2) * wall_m if kind == "box" else wall_m
+    if kind in ("helmet", "box") and size < SHAPES[kind].least_m:
+        kind, size = "cup", wall_m
     shape = SHAPES[kind]
-    # A box's faces are nearest in their middle.
-    size = float(np.clip(2 * wall_m if kind == "box" else wall_m, shape.least_m, shape.most_m))
+    size = float(np.clip(size, shape.least_m, shape.most_m))
     shares = {"handle": d.handle, "seam": d.seam, "filled": d.filled}
     parts = tuple(part for part in shape.parts if rng.uniform() < shares[part])
     lengths = []

@@ -267,9 +267,9 @@ class Carton:
 
         b = k^2 (eps - 1) d h / (4 pi) integral E0 E ds (D e^jkD)^2
 
-    with the field E of `tagid.fields.thin_shell` and the wave E0 = exp(-jkR) / R of an antenna at the distance
-    D of the box: flashes are as wide as they are near the antenna, and the wave passes the walls, so that all
-    four contribute from every side.
+    with the field E of `tagid.fields.thin_shell` and the wave E0 = exp(-jkR) / R of an antenna at the
+    distance D of the box: flashes are as wide as they are near the antenna, and the wave passes the walls, so
+    that all four contribute from every side.
 
     Attributes:
         side_m, depth_m: outer length of its walls along x and y before it is rotated, m; height_m: their
@@ -292,7 +292,9 @@ class Carton:
     def __post_init__(self) -> None:
         sizes = (self.side_m, self.depth_m, self.height_m)
         if not all(np.isfinite(size) and 0 < size <= 1 for size in sizes):
-            raise DataError(f"a box of {self.side_m} x {self.depth_m} x {self.height_m} m, expected up to 1 m")
+            raise DataError(
+                f"a box of {self.side_m} x {self.depth_m} x {self.height_m} m, expected up to 1 m"
+            )
 
     @property
     def walls(self) -> BoxShell:
@@ -328,7 +330,7 @@ class Carton:
 
 @lru_cache(maxsize=64)
 def _box_taps(walls: BoxShell, distance_m: float) -> AspectTaps:
-    """Taps of walls 1 m high over half a turn, against twice the azimuth: they are symmetric about both axes."""
+    """Taps of walls 1 m high, symmetric about both axes: half a turn of twice the azimuth."""
 
     def response(frequency_hz: Floats, twice_rad: Floats) -> Complex:
         k = wavenumber(frequency_hz)

@@ -28,7 +28,6 @@ from tagid.simulate import (
     Scene,
     TurningScene,
     Wobble,
-    cardboard_box,
     parse_body,
     parse_elevation,
     parse_reflector,
