@@ -52,6 +52,11 @@ def register(app: typer.Typer) -> None:
                 "motion.antenna_separation_m": antenna_separation,
             }
             return vote_on(files, load_config(overrides), background, "identify")
+        if len(files) > 1 and (preview or png):
+            raise UsageError(
+                f"--preview and --png draw one recording, and {len(files)} are given",
+                "Omit them, or identify the files one by one.",
+            )
         return run(
             terminal,
             files,
@@ -99,6 +104,7 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
     drawn: list[RenderableType] = []
     errors: list[dict[str, str]] = []
     remarks: list[str] = []
+    written: str | None = None
     settings = imaging.settings_from(config, view.background)
     loading = LoadSettings.of(config, view.background)
     for path in files:
@@ -110,10 +116,11 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
             answer = with_causes(answer, prepared, known.layouts)
             prefix = f"{displayable(path.name)}: " if len(files) > 1 else ""
             remarks += [prefix + remark for remark in recording_remarks(prepared.given)]
-            if (view.preview or view.png) and len(files) == 1:
+            if view.preview or view.png:
                 result = imaging.image_with_progress(terminal, prepared)
                 if view.png:
                     imaging.draw(result, answer, view.png)
+                    written = str(view.png)
                 if view.preview:
                     drawn.append(imaging.in_terminal(result))
         except TagidError as error:
@@ -133,7 +140,7 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
     if status == "error" and len(files) > 1:
         code = EXIT_BATCH
     notes = imaging.remember("identify", items, {"background": view.background, **_given(overrides)})
-    data = {"items": items, "png": str(view.png) if view.png else None}
+    data = {"items": items, "png": written}
     return Result(
         "identify", data, Group(*drawn) if drawn else None, status, code, (*remarks, *notes), tuple(errors)
     )

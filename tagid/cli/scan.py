@@ -298,7 +298,8 @@ def _record_and_read(
     from tagid.live.engine import LiveSettings
     from tagid.live.sure import EarlyEnding, check_angle_known, ended_answer
     from tagid.motion.urls import open_motion
-    from tagid.pipeline.diagnosis import ended_early, recording_remarks, with_causes
+    from tagid.pipeline.coverage import ended_early
+    from tagid.pipeline.diagnosis import recording_remarks, with_causes
     from tagid.pipeline.identify import identify
     from tagid.pipeline.load import LoadSettings, load_capture
     from tagid.pipeline.prepared import PreparedCapture

@@ -109,6 +109,7 @@ def register(app: typer.Typer) -> None:
         from rich.text import Text
 
         from tagid.recording.long_recording import part_path
+        from tagid.storage.journal import open_journal
         from tagid.storage.journal_capture import write_captures
         from tagid.storage.journal_lock import being_recorded
 
@@ -117,6 +118,9 @@ def register(app: typer.Typer) -> None:
                 f"{journal} is still being recorded by another process",
                 "That process writes the capture file when it ends.",
             )
+        # What is no journal is told before anything about the file to write.
+        with open_journal(journal):
+            pass
         target = _target(journal, out, CAPTURE_SUFFIX, force)
         written = write_captures(journal, lambda part: part_path(target, part))
         if written.has_track and len(written.paths) == 1:
@@ -154,5 +158,5 @@ def _target(source: Path, out: Path | None, suffix: str, force: bool) -> Path:
                 stem = stem.removesuffix(ending)
                 break
         out = source.with_name(stem + suffix)
-    check_new(out, force, "Choose another name with --out, or add --force.")
+    check_new(out, force, "Choose another name with --out, or add --force.", [source])
     return out

@@ -51,7 +51,7 @@ def register(app: typer.Typer) -> None:
         from tagid.pipeline.load import LoadSettings, load_capture
         from tagid.storage.exporters import export
 
-        check_new(out, force)
+        check_new(out, force, inputs=files)
         config = load_config(
             {
                 "motion.url": motion,
@@ -92,14 +92,14 @@ class Outputs:
     webp: Path | None
     surface: Path | None = None
 
-    def checked(self) -> dict[str, Path]:
-        """The files by kind. Raises as `check_drawing`."""
+    def checked(self, source: Path) -> dict[str, Path]:
+        """The files by kind; `source` is read. Raises as `check_drawing`."""
         found: dict[str, Path] = {}
         for kind, path in vars(self).items():
             if path is None:
                 continue
             option = "--out" if kind == "npz" else f"--{kind}"
-            check_drawing(option, path, (".ply" if kind == "surface" else f".{kind}",))
+            check_drawing(option, path, (".ply" if kind == "surface" else f".{kind}",), [source])
             found[kind] = path
         return found
 
@@ -121,7 +121,7 @@ class Asked:
 
 
 def make_volume(
-    terminal: Terminal, capture: Capture, config: Config, asked: Asked, outputs: Outputs
+    terminal: Terminal, capture: Capture, config: Config, asked: Asked, files: dict[str, Path]
 ) -> Result:
     """Reconstruct a volume and write it.
 
@@ -129,7 +129,7 @@ def make_volume(
         capture: loaded.
         config: with the method, the extent and the pixels.
         asked: what the command line says.
-        outputs: files to write.
+        files: to write, by kind, as `Outputs.checked` gives them.
     """
     from rich.console import Group
     from rich.text import Text
@@ -137,7 +137,6 @@ def make_volume(
     from tagid.cli.common import imaging
     from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
 
-    files = outputs.checked()
     method = "bp" if config["imaging.method"] == "auto" else config["imaging.method"]
     settings = VolumeSettings(
         method,

@@ -8,7 +8,7 @@ cause is stated only if the scans confirm it; it never changes the answer.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -18,16 +18,15 @@ from tagid.errors import DataError
 from tagid.imaging.preprocess import remove_background
 from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.axis_search import bright_offsets
+from tagid.pipeline.coverage import WHOLE_TURN, ended_early, widest_gap
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.resolve import one_of, speed_contradiction
 from tagid.pipeline.standstill import REMEDY, stopped_words
-from tagid.signal import median
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.reflectors import Reflector
+from tagid.tags.verdicts.verdict import Code
 
-WHOLE_TURN = 0.97
-"""Smallest share of a revolution that counts as complete: a gap of 10 degrees does not impair reading."""
 _LOSS = int(ViewFlag.AFTER_LOSS | ViewFlag.AFTER_GAP)
 _ALIKE_DB = 10.0
 """Detected reflectors within this level of the strongest may belong to a tag."""
@@ -38,44 +37,13 @@ _FARTHEST_M = 0.12
 _PLACE_TRIES = 3
 
 
-def turn_share(capture: Capture) -> float | None:
-    """Share of a turn that the views of a capture cover, up to 1; None for free antenna positions."""
-    gap = _widest_gap(capture)
-    return None if gap is None else gap.share
-
-
-@dataclass(frozen=True)
-class _Gap:
-    """The widest gap between the views of a turn.
-
-    Attributes:
-        share: share of a turn that is covered. The uncovered part is the gap minus the usual step.
-        sides: indexes of the two views beside the gap.
-    """
-
-    share: float
-    sides: tuple[int, int]
-
-
-def _widest_gap(capture: Capture) -> _Gap | None:
-    """The widest gap; None for free antenna positions or a single view."""
-    if capture.angles_rad is None or capture.views < 2:
-        return None
-    wrapped = np.mod(capture.angles_rad, 2 * np.pi)
-    order = np.argsort(wrapped)
-    gaps = np.diff(np.append(wrapped[order], wrapped[order[0]] + 2 * np.pi))
-    widest = int(np.argmax(gaps))
-    share = float(np.clip(1 - (gaps[widest] - median(gaps)) / (2 * np.pi), 0, 1))
-    return _Gap(share, (int(order[widest]), int(order[(widest + 1) % len(order)])))
-
-
 def _uncovered(capture: Capture) -> Cause | None:
     """The cause of views that do not cover a turn: lost scans, or a recording of less than a turn.
 
     Scans were lost if the object was recorded over more of the turn than the views cover, or, where the
     recorded turns are unknown, if a view beside the gap is flagged and the recording does not begin there.
     """
-    gap = None if ended_early(capture) else _widest_gap(capture)
+    gap = None if ended_early(capture) else widest_gap(capture)
     if gap is None or gap.share >= WHOLE_TURN:
         return None
     covered = f"the views cover {gap.share * 360:.0f} of 360 degrees"
@@ -102,12 +70,6 @@ def _uncovered(capture: Capture) -> Cause | None:
         "Check cable, switch and load of this computer with `tagid radar monitor`, which counts lost scans "
         "(docs/radar.md, Faults), then record again.",
     )
-
-
-def ended_early(capture: Capture) -> bool:
-    """Whether the recording ended on purpose before the turn did, because the answer was certain."""
-    ended = capture.radar.ended
-    return ended is not None and ended.reason == "sure"
 
 
 def recording_remarks(capture: Capture) -> tuple[str, ...]:
@@ -137,7 +99,8 @@ def with_causes(
     causes = [*_of_the_turn(prepared.given)]
     if not any(cause.code == "speed" for cause in causes):
         causes += _of_the_axis(prepared, layouts)
-    if not causes:
+    # Where the answer itself says so, a place farther out that explains the scans as well is none.
+    if not causes and answer.reading.code is not Code.OFF_CENTRE:
         causes += _of_the_place(prepared, answer.reading.reflectors, layouts)
     return replace(answer, causes=tuple(causes))
 

@@ -11,7 +11,8 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.imaging.preprocess import PreprocessSettings
 from tagid.pipeline.answer import Identification
-from tagid.pipeline.prepared import PreparedCapture, as_prepared
+from tagid.pipeline.coverage import of_the_part
+from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved
 from tagid.pipeline.settings import ImagingSettings, Stopwatch
 from tagid.pipeline.standstill import checked_reading
 
@@ -66,7 +67,7 @@ def identify(
     with watch.stage("read"):
         enrolled = enrolled_hypotheses(prepared.given, signatures, prepared.settings)
         reading = read_tag(scans, layouts, _reader_settings(prepared.settings, spent), enrolled)
-        reading = checked_reading(reading, prepared.given)
+        reading = of_the_part(checked_reading(reading, prepared.given), prepared.given)
     with watch.stage("look again"):
         second = _second_look(prepared, reading)
     labels = {one.name: one.label for one in signatures if one.kind == "object"}
@@ -192,6 +193,7 @@ def _check_views(prepared: PreparedCapture) -> None:
         raise DataError(
             f"the capture has {views} views, too few to read a tag", "Record at least 12 views per turn."
         )
+    check_moved(prepared.given)
 
 
 def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | None:

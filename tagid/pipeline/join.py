@@ -63,6 +63,11 @@ def join(captures: Sequence[Capture]) -> Capture:
         object=first.object,
         complete=all(capture.complete for capture in captures),
     )
+    if len(heights_of(joined)) < 2:
+        raise DataError(
+            f"all {len(captures)} captures were recorded at the same antenna height",
+            "Give captures from different heights, each recorded with its own --antenna-height.",
+        )
     flags = [capture.flags for capture in captures]
     if all(each is not None for each in flags):
         joined = replace(joined, flags=np.concatenate([each for each in flags if each is not None]))

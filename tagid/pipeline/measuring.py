@@ -127,6 +127,12 @@ def measure(
     if len(captures) < CAPTURES:
         if positions is not None:
             raise positions
+        if doubt := _doubt(captures, imaging):
+            raise DataError(
+                f"{doubt}, and the places found are not those of reflectors",
+                f"Give {CAPTURES} captures, the object moved and turned between them: it is enrolled by its "
+                "signature.",
+            )
         return Measured(estimate, None, f"no signature: it needs {CAPTURES} captures", unmoved)
     try:
         joint = signature(name, "object", [one.prepared for one in captures], imaging, progress)
@@ -146,6 +152,18 @@ def measure(
         )
         return Measured(None, joint, missing)
     return Measured(estimate, joint, unmoved=unmoved)
+
+
+def _doubt(captures: Sequence[Sighted], imaging: ImagingSettings) -> str:
+    """Why reflectors of few captures are not to be trusted; empty also where these cannot tell."""
+    from tagid.pipeline.identify import aspect_spectra
+    from tagid.tags.enrolling.averaging import trusted
+
+    try:
+        spectra = [aspect_spectra(one.prepared.capture, imaging) for one in captures]
+    except DataError:  # free antenna positions, or fewer views than a signature needs
+        return ""
+    return trusted([one.sighting for one in captures], spectra)
 
 
 def _unmoved(seen: Sequence[Sighting], estimate: LayoutEstimate | None) -> tuple[str, ...]:

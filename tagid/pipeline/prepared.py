@@ -9,8 +9,10 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from tagid.capture import Capture
-from tagid.errors import UsageError
+from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
 from tagid.imaging.lengths import views_needed
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 MAX_VIEWS = 2000
 """Most views of a turn or a path, so that an image takes seconds. Those of free antenna positions are
 decimated, not averaged."""
+_STILL_WAVELENGTHS = 1e-3
 
 
 def prepare(
@@ -52,6 +55,19 @@ def prepare(
         return one_turn(capture, MAX_VIEWS)
     capture = without_standstill(capture)
     return one_turn(capture, min(views_needed(extent_m, capture.wavelength_m), MAX_VIEWS))
+
+
+def check_moved(capture: Capture) -> None:
+    """Raise DataError if several views were taken from one place: they tell ranges only, not bearings."""
+    wavelength = capture.wave_speed_m_s / capture.center_frequency_hz
+    antennas = capture.aperture().antennas
+    moved = max(float(np.ptp(places, axis=0).max()) for places in antennas)
+    if capture.views > 1 and moved < _STILL_WAVELENGTHS * wavelength:
+        what = "angles" if capture.angles_rad is not None else "antenna positions"
+        raise DataError(
+            f"the {what} of all {capture.views} views are the same: nothing is seen from one place",
+            f"Give each view its own {'angle' if capture.angles_rad is not None else 'position'}.",
+        )
 
 
 class PreparedCapture:

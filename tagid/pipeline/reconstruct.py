@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tagid import __version__
 from tagid.capture import Capture
-from tagid.errors import DataError, UsageError
+from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import has_field, image_without_field, linear_iterations, settings_of
 from tagid.imaging.ats.fit import fit
@@ -27,7 +27,7 @@ from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans, Image
 from tagid.pipeline.methods import METHODS as IMAGING_METHODS
 from tagid.pipeline.methods import make_image
-from tagid.pipeline.prepared import PreparedCapture, as_prepared
+from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved
 from tagid.pipeline.settings import MOST_FREE_PIXELS, ImagingSettings, Progress, Stopwatch
 
 
@@ -76,7 +76,7 @@ def reconstruct(
     prepared = as_prepared(capture, settings)
     method = "ats" if prepared.settings.method == "auto" else prepared.settings.method
     watch = Stopwatch()
-    _check_moved(prepared.given)
+    check_moved(prepared.given)
     placed = _placed(prepared, watch)
     prepared, settings, grid, region = placed.prepared, placed.settings, placed.grid, placed.region
     check_extent(prepared.given, grid)
@@ -280,22 +280,6 @@ def _held_out(
         return fit(all_views, grid, fitted, lambda step, of, _: told(step, of), unseen).held_out
 
     return check(scans, unfiltered, grid, make, predicted if method == "ats" and has_field(prior) else None)
-
-
-_STILL_WAVELENGTHS = 1e-3
-
-
-def _check_moved(capture: Capture) -> None:
-    """Raise DataError if several views were taken from one place: they tell ranges only, not bearings."""
-    wavelength = capture.wave_speed_m_s / capture.center_frequency_hz
-    antennas = capture.aperture().antennas
-    moved = max(float(np.ptp(places, axis=0).max()) for places in antennas)
-    if capture.views > 1 and moved < _STILL_WAVELENGTHS * wavelength:
-        what = "angles" if capture.angles_rad is not None else "antenna positions"
-        raise DataError(
-            f"the {what} of all {capture.views} views are the same: nothing can be imaged from one place",
-            f"Give each view its own {'angle' if capture.angles_rad is not None else 'position'}.",
-        )
 
 
 def check_extent(capture: Capture, grid: ImageGrid) -> None:

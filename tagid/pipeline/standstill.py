@@ -16,6 +16,7 @@ from tagid.angles.standstill import Still, find_standstill
 from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion, Standstill
+from tagid.pipeline.coverage import LEAST_NAMED_TURNS
 from tagid.pipeline.resolve import clock_of
 from tagid.tags.verdicts.verdict import ADVICE, Code
 
@@ -32,9 +33,6 @@ _MOVED = 0.25
 """Without a speed: largest share of the recording before the stop. An object that turned would have shown
 its other sides in the rest."""
 REMEDY = ADVICE[Code.STOPPED]
-LEAST_NAMED_TURNS = 0.58
-"""Smallest part of a turn that names an object: a reflector on an opaque object is seen up to 75 degrees
-aside, so before that some side has not been seen, and what is there may be more than the layout has."""
 
 
 class TurnStoppedError(DataError):

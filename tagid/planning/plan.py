@@ -24,7 +24,6 @@ from tagid.simulate.scatterers import Octahedron, unit_of
 from tagid.simulate.snr import echo_levels
 from tagid.simulate.source import NOISE_COUNTS, NOISE_INDEX
 from tagid.simulate.specification import BodySpec, ReflectorSpec
-from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M
 from tagid.tags.layouts.layout import Layout
 
 _LEVEL_VIEWS = 72
@@ -34,6 +33,10 @@ SIZES_M = (0.015, 0.020, 0.025, 0.030, 0.035, 0.040, 0.050, 0.060)
 """Reflectors considered by `--want`."""
 DISTANCES_M = (0.6, 0.8, 1.0, 1.5, 2.0, 3.0)
 INDICES = tuple(range(9, 16))
+SMALLEST_M = 0.020
+"""Reflectors of the scenes on bodies in which the rates were measured: 20 and 40 mm."""
+CENTRING_M = 0.010
+"""Offset from the axis that the reader allows: it refuses beyond 13 mm, and needs a margin."""
 _LEAST_VIEWS = 72
 """Required views per turn when the integration is selected: the alias-free step of a helmet is 9
 degrees, and half of it leaves a margin for lost scans."""
@@ -143,12 +146,24 @@ def plan(setup: Setup) -> Plan:
         views,
         60 / setup.rpm,
         OVERLAP_TURNS * 60 / setup.rpm,
-        CENTRE_TOLERANCE_M,
+        CENTRING_M,
         None if body_db is None else moved_distance_m(body_db),
-        expected(body, views, view, enrolled=setup.enrolled),
-        None if setup.enrolled or body == "none" else expected(body, views, view, enrolled=True),
+        _rates(setup, body, views, view),
+        None
+        if setup.enrolled or body == "none"
+        else _rates(replace(setup, enrolled=True), body, views, view),
         setup.budget.terms(),
     )
+
+
+def _rates(setup: Setup, body: str, views: int, view_db: float) -> Expected:
+    """The rates of the tables, with a note where the reflectors are smaller than those that were measured."""
+    found = expected(body, views, view_db, enrolled=setup.enrolled)
+    if found.note or body == "none" or setup.reflector.size_m >= SMALLEST_M:
+        return found
+    size = f"{SMALLEST_M * 1e3:.0f} mm"
+    note = f"measured with reflectors of {size} and more; of smaller ones beside a body, fewer are named"
+    return replace(found, note=note)
 
 
 def moved_distance_m(body_db: float) -> float:
@@ -162,8 +177,8 @@ def moved_distance_m(body_db: float) -> float:
 
 
 def _class_of(body: BodySpec) -> str:
-    """The body in the tables that is closest to a given body."""
-    if body.kind == "cup" and "handle" in body.parts:
+    """The body in the tables that is closest to a given body; of a handle there are rates on cups only."""
+    if "handle" in body.parts:
         return "cup-handle"
     return body.kind
 

@@ -44,6 +44,7 @@ SHAPES = {
     "helmet": Shape("longer half axis", 0.101, 0.06, 0.2, ("seam",), {"wall": (1e-3, 0.01)}),
     "box": Shape("side", 0.12, 0.05, 0.5, (), _BOX),
 }
+_SYNONYMS = {"carton": "box", "mug": "cup"}
 REFLECTORS = {"octahedron": (0.005, 0.060)}
 
 
@@ -122,6 +123,7 @@ def parse_body(text: str) -> BodySpec:
     kind, colon, size_text = name.partition(":")
     if kind == "none" and not colon and not rest:
         return BodySpec()
+    kind = _SYNONYMS.get(kind, kind)
     if kind not in SHAPES:
         raise UsageError(
             f"--body: body {kind[:40]!r} is unknown",

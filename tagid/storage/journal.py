@@ -335,7 +335,10 @@ def open_journal(path: Path) -> Iterator[JournalStream]:
     with files.open_regular(path) as (stream, size):
         head = stream.read(PREAMBLE.size)
         if len(head) < PREAMBLE.size or head[: len(MAGIC)] != MAGIC:
-            raise FileFormatError(f"{path}: is not a tagid journal (it does not start with {MAGIC.decode()})")
+            raise FileFormatError(
+                f"{path}: is not a tagid journal (it does not start with {MAGIC.decode()})",
+                "Give the .tagid.journal file of the recording.",
+            )
         version = PREAMBLE.unpack(head)[1]
         if version != VERSION:
             raise FileFormatError(

@@ -20,7 +20,8 @@ from tagid.metadata import Ending, Track
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
 from tagid.motion.urls import open_motion
-from tagid.pipeline.diagnosis import recording_remarks, turn_share
+from tagid.pipeline.coverage import turn_share
+from tagid.pipeline.diagnosis import recording_remarks
 from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
 from tagid.pipeline.prepared import PreparedCapture

@@ -10,16 +10,28 @@ from tagid.errors import StorageError, UsageError
 from tagid.files import storage_error
 
 
-def check_new(path: Path, force: bool, how: str = "Choose another name, or add --force.") -> None:
-    """Raises StorageError if a file exists that may not be overwritten, or if nothing can be written there.
+def check_new(
+    path: Path,
+    force: bool,
+    how: str = "Choose another name, or add --force.",
+    inputs: Sequence[Path] = (),
+) -> None:
+    """Check a file that replaces another only where the user says so, and never one that is read.
 
     Args:
         path: file to write.
         force: whether an existing file may be overwritten.
         how: what to do about an existing file.
+        inputs: files that the command reads.
+
+    Raises:
+        UsageError: one of the inputs. StorageError: a file that may not be overwritten, or nothing can be
+            written there.
     """
-    if _is_file(path) and not force:
-        raise StorageError(f"{path} exists already", how)
+    if _is_file(path):
+        _check_other(path, inputs, str(path))
+        if not force:
+            raise StorageError(f"{path} exists already", how)
     _check_folder(path)
 
 
@@ -63,11 +75,17 @@ def check_drawing(
             f"Give a name that does, e.g. {option} NAME{suffixes[0]}.",
         )
     if _is_file(path):
-        if any(_exists(one) and one.samefile(path) for one in inputs):
-            raise UsageError(f"{option} {path} is the file that is read", "Choose another name.")
+        _check_other(path, inputs, f"{option} {path}")
         if path.suffix.lower() == ".npz" and not is_image(path):
             raise StorageError(f"{path} exists already and is not an image", "Choose another name.")
     _check_folder(path)
+
+
+def _check_other(path: Path, inputs: Sequence[Path], said: str) -> None:
+    """Raises UsageError for an existing file that is one of the inputs, by whatever name."""
+    if any(_exists(one) and one.samefile(path) for one in inputs):
+        what = "the file that is read" if len(inputs) == 1 else "one of the files that are read"
+        raise UsageError(f"{said} is {what}", "Choose another name for the output.")
 
 
 def _exists(path: Path) -> bool:

@@ -18,6 +18,7 @@ from tagid.storage.spreadsheet import FORMULA_STARTS
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.bodies.signature_file import from_bytes, to_bytes
 from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
+from tagid.tags.verdicts.verdict import NO_NAMES
 
 APPLICATION_ID = 0x74616764
 """Application id in the sqlite header (offset 68): "tagd"."""
@@ -245,10 +246,12 @@ class Registry:
                 layout.
 
         Raises RegistryError if a name is taken and `replace` is not set, and UsageError for a label or notes
-        that a spreadsheet would execute as a formula.
+        that a spreadsheet would execute as a formula, or a name that is an answer already.
         """
         for layout in layouts:
             _check_label(layout)
+        for name in (*(one.name for one in layouts), *(one.name for one in signatures)):
+            _check_answer(name)
         new: dict[Key, str | bytes] = {
             ("layout", one.name): json.dumps(one.to_dict(), sort_keys=True) for one in layouts
         }
@@ -478,6 +481,12 @@ class Registry:
 
 def _article(kind: str) -> str:
     return "an object" if kind == "object" else f"a {kind}"
+
+
+def _check_answer(name: str) -> None:
+    """Raises UsageError for an answer that names nothing: reports could not tell the two apart."""
+    if name in NO_NAMES:
+        raise UsageError(f"{name!r} is what answers say when they name nothing", "Choose another name.")
 
 
 def _check_label(layout: Layout) -> None:

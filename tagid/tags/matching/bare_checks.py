@@ -69,7 +69,8 @@ def checked(
     layout = next(one for one in layouts if one.name == reading.layout)
     centre = complex(*reading.centre_m)
     if len(layout.positions) == 2 and abs(centre) > settings.centre_m:
-        off = f"its centre lies {abs(centre) * 1e3:.0f} mm off the axis"
+        # No number: the search ends little farther out.
+        off = f"its centre lies more than {settings.centre_m * 1e3:.0f} mm off the axis"
         return reading.refused(Code.OFF_CENTRE, f"a pair in the spacing of {layout.name}, but {off}")
     own = next((p for p in points.layouts if p.layout == layout.name), None) if points is not None else None
     if points is None or own is None or opaque:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+NO_NAMES = ("no_tag", "unknown", "ambiguous", "failed")
+"""Answers that name nothing."""
+
 
 class Code(StrEnum):
     """Reason codes of answers that name nothing; stable, for programs."""
@@ -27,6 +30,7 @@ class Code(StrEnum):
     UNCALIBRATED = "not_calibrated"
     DISAGREE = "recordings_disagree"
     STOPPED = "turn_stopped"
+    PARTIAL = "partial_turn"
 
 
 _BODY = "if it has a handle, a rim or flat sides"
@@ -52,6 +56,7 @@ ADVICE = {
     Code.UNCALIBRATED: "Record 12 views or more, or accept a larger tags.false_accept.",
     Code.DISAGREE: "Check that all recordings are of one object, and record it again.",
     Code.STOPPED: "Check what holds the table, and its supply, then record a full turn again.",
+    Code.PARTIAL: "Record slightly more than one full turn.",
 }
 """One sentence for each code: what to do next."""
 
