@@ -12,7 +12,8 @@ from tagid.cli.common.outputs import check_own
 from tagid.cli.common.truth import is_truth
 from tagid.recording.radars import emulated_object
 from tagid.storage.history_export import is_export
-from tests.cli.test_bad_input import npz
+from tagid.storage.journal import JournalWriter
+from tests.cli.test_bad_input import GOOD, npz
 
 
 def stored(folder: Path) -> dict[str, bytes]:
@@ -30,6 +31,15 @@ def stored(folder: Path) -> dict[str, bytes]:
         ("show", "mine.npz", "--png", "mine.npz"),
         ("show", "mine.npz", "--png", "scan.tagid.h5"),
         ("identify", "mine.npz", "--png", "mine.npz"),
+        ("identify", "mine.npz", "other.npz", "--png", "both.png"),
+        ("recover", "cut.tagid.journal", "--out", "cut.tagid.journal", "--force"),
+        ("recover", "scan.tagid.h5"),
+        ("import", "mine.npz", "--out", "mine.npz", "--force"),
+        ("export", "scan.tagid.h5", "--out", "link.h5", "--force"),
+        ("join", "mine.npz", "other.npz", "--out", "other.npz", "--force"),
+        ("join", "mine.npz", "next.npz", "--out", "all.npz"),
+        ("reconstruct", "mine.npz", "--volume", "--out", "mine.npz"),
+        ("enroll", "no_tag", "--point", "0.1,0", "--point", "0,0.1"),
         ("layouts", "show", "helmet-120", "--png", "mine.npz"),
         ("layouts", "design", "--object", "mug", "--count", "2", "--out", "tags.toml"),
         ("history", "export", "table.csv"),
@@ -45,6 +55,10 @@ def test_no_recording_and_no_layouts_are_overwritten(tagid, tmp_path: Path, word
     (tmp_path / "other.parquet").write_bytes(b"PAR1 something else PAR1")
     (tmp_path / "notes.json").write_text('{"note": "mine"}')
     (tmp_path / "link.png").symlink_to("mine.npz")
+    (tmp_path / "link.h5").symlink_to("scan.tagid.h5")
+    (tmp_path / "next.npz").write_bytes(npz(samples=GOOD["samples"][::-1]))
+    with JournalWriter(tmp_path / "cut.tagid.journal", {}, sync_every=0) as journal:
+        journal.append(0, 0, 0, np.zeros(8, dtype=np.int32))
     before = stored(tmp_path)
     done = tagid(*words, "--output", "json")
     assert done.code in (1, 2) and done.json["errors"][0]["remedy"]

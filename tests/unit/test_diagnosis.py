@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tagid.capture import Capture, ViewFlag
+from tagid.errors import DataError
 from tagid.metadata import MotionInfo, RadarInfo, ResolvedMotion
 from tagid.pipeline.diagnosis import recording_remarks, with_causes
 from tagid.pipeline.identify import identify
@@ -76,3 +77,32 @@ def test_a_refused_answer_names_lost_scans_with_the_remedy() -> None:
     (cause,) = answer.causes
     assert cause.code == "scans_lost" and "35 scans were lost" in cause.text
     assert "tagid radar monitor" in cause.remedy and "one full turn" not in cause.remedy
+
+
+def part_of_a_turn(scene: str, share: float) -> PreparedCapture:
+    capture, _ = simulate_capture(scene_from_name(scene, 3), Acquisition(views=180, snr_db=20.0), seed=3)
+    assert capture.angles_rad is not None
+    return PreparedCapture(load_capture(capture.select(capture.angles_rad < share * 2 * np.pi)))
+
+
+def test_a_part_of_a_turn_shows_no_absence() -> None:
+    layouts = list(builtin_layouts().values())
+    assert identify(part_of_a_turn("empty", 1.0), layouts).status == "no_tag"
+    answer = identify(part_of_a_turn("empty", 0.4), layouts)
+    assert answer.status == "unknown" and answer.reading is not None
+    assert answer.reading.code == "partial_turn" and "144 of 360 degrees" in answer.reading.reason
+
+
+def test_the_bound_is_of_whole_turns() -> None:
+    layouts = list(builtin_layouts().values())
+    whole, part = (identify(part_of_a_turn("helmet-120", share), layouts).reading for share in (1.0, 0.8))
+    assert whole is not None and part is not None
+    assert (whole.status, part.status) == ("identified", "identified")
+    assert whole.bound is not None and part.bound is None
+
+
+def test_views_from_one_place_show_nothing() -> None:
+    prepared = part_of_a_turn("helmet-120", 1.0)
+    still = replace(prepared.given, angles_rad=np.zeros(prepared.given.views))
+    with pytest.raises(DataError, match="from one place"):
+        identify(PreparedCapture(still), list(builtin_layouts().values()))

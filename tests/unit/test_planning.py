@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from tagid.simulate.scatterers import Octahedron
 from tagid.simulate.source import NOISE_COUNTS, NOISE_INDEX
 from tagid.tags.layouts.layout import builtin_layouts
 
+ROOT = Path(__file__).resolve().parents[2]
 LAYOUT = builtin_layouts()["container-180"]
 
 
@@ -131,6 +133,21 @@ def test_rates_are_those_of_the_tables_and_between_them() -> None:
         expected("teapot", 36, 10)
 
 
+def test_rates_are_those_of_the_published_pages() -> None:
+    """`tests/benchmarks/planning_rates.py` was run after the last change of a page."""
+    for source in json.loads((ROOT / "tagid" / "planning" / "rates.json").read_text())["sources"].values():
+        page, commit = source.split(", ")[0], source.split(", ")[-1].removeprefix("commit ")
+        assert f"Commit: {commit}" in (ROOT / page).read_text(), page
+
+
+def test_a_handle_is_no_round_body_and_small_reflectors_are_told() -> None:
+    handle = plan(setup(body="can:35mm,handle"))
+    assert handle.rates.named.value < 0.5 < plan(setup(body="can:35mm")).rates.named.value
+    assert handle.if_enrolled is not None and handle.if_enrolled.named.value > 0.5
+    assert "20 mm and more" in plan(setup(0.010, "can:35mm")).rates.note
+    assert not plan(setup(0.020, "can:35mm")).rates.note
+
+
 def test_what_is_wanted_is_reached_by_the_least_effort() -> None:
     far = setup(0.02, distance_m=3.0, index=6)
     wanted = invert(far, 0.99)
@@ -150,7 +167,8 @@ def test_a_rate_below_the_measured_table_is_not_offered() -> None:
 def test_a_wish_that_nothing_reaches_ends_with_what_to_do(tagid: Callable[..., object]) -> None:
     done = tagid("plan", "--body", "cup:40mm,handle", "--want", 0.6)
     assert "enrol the untagged body" in done.out.replace("\n", " ")
-    done = tagid("plan", "--body", "cup:40mm,handle", "--want", 0.97)
+    weak = ("--reflector", "octahedron:10mm", "--distance", 15)
+    done = tagid("plan", "--body", "cup:40mm,handle", *weak, "--want", 0.97)
     assert "no setup reaches this rate" in done.out.replace("\n", " ")
 
 
