@@ -222,4 +222,6 @@ def register(app: typer.Typer) -> None:
             "body_subtracted": subtracted,
             "seconds": result.seconds,
         }
-        return Result("reconstruct", data, Group(*lines))
+        unseen = not (out or png or preview)
+        remarks = ("the image was not stored: give --out, --png or --preview",) if unseen else ()
+        return Result("reconstruct", data, Group(*lines), messages=remarks)

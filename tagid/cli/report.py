@@ -71,7 +71,7 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid report captures/ --out report --expect manifest.csv
         """
-        from tagid.batch.inputs import Collected, collect
+        from tagid.batch.inputs import Collected, collect, is_url
         from tagid.batch.run import Plan
         from tagid.report.page import PageSettings
 
@@ -90,6 +90,10 @@ def register(app: typer.Typer) -> None:
                 "motion.antenna_separation_m": antenna_separation,
             }
         )
+        if any(not is_url(word) and Path(word).resolve() == out.resolve() for word in inputs or ()):
+            raise UsageError(
+                f"--out {out} is the folder that is read", "Choose another folder for the report."
+            )
         page = PageSettings(title or PageSettings.title, page_megabytes)
         runner = _runner(terminal, jobs, dask)
         found = collect(inputs, out) if inputs else Collected(())

@@ -228,6 +228,16 @@ def _filter(samples: NDArray[Any], band: BandFilter, range_start_m: float) -> ND
     return out
 
 
+def outside_error(capture: Capture, what: str, at_m: float) -> DataError:
+    """That the object, of which `what` is at a range of `at_m`, lies outside the recorded ranges."""
+    first, last = capture.range_start_m, float(capture.ranges_m[-1])
+    return DataError(
+        f"the recorded range is {first:.3f} to {last:.3f} m, the {what} is at {at_m:.3f} m: "
+        "the object lies outside the data",
+        "Correct the axis distance (--axis-distance METRES) or the radar's range window.",
+    )
+
+
 def _gate(
     capture: Capture, aperture: Aperture, settings: PreprocessSettings, band: BandFilter
 ) -> tuple[float, float]:
@@ -243,11 +253,7 @@ def _gate(
     slack = kept + settings.extent_m / 2 if aperture.axis_distance is None else 0.0
     if median(axis) < first - slack or median(axis) > last + slack:
         what = "antenna to the origin" if aperture.axis_distance is None else "rotation axis"
-        raise DataError(
-            f"the recorded range is {first:.3f} to {last:.3f} m, the {what} is at {median(axis):.3f} m: "
-            "the object lies outside the data",
-            "Correct the axis distance (--axis-distance METRES) or the radar's range window.",
-        )
+        raise outside_error(capture, what, float(median(axis)))
     margin = kept + band.width_m
     return near - margin, far + margin
 

@@ -17,7 +17,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.geometry import ImageGrid
 from tagid.imaging.operator import ForwardOperator
-from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.preprocess import PreprocessSettings, outside_error, preprocess
 from tagid.imaging.sparse import omp
 from tagid.motion.urls import open_motion
 from tagid.pipeline.axis_search import bright_offsets
@@ -47,6 +47,14 @@ _EXPLAINED = 0.05
 at 15 dB, wrong speeds leave 0.14 to 0.8, the true one 0.02 to 0.1."""
 
 
+def _outside(capture: Capture) -> DataError | None:
+    """Why the scans cannot show how the object turned: they do not reach it."""
+    axis = capture.axis_distance_m
+    if axis is None or capture.range_start_m <= axis <= float(capture.ranges_m[-1]):
+        return None
+    return outside_error(capture, "rotation axis", axis)
+
+
 def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
     """The capture with angles; a period estimated from the data is checked for being a fraction of a turn.
 
@@ -65,7 +73,7 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
     try:
         first = with_angles(capture, motion)
     except DataError as error:
-        raise stopped_error(capture) or error from error
+        raise _outside(capture) or stopped_error(capture) or error from error
     resolved = first.motion.resolved
     url = first.motion.url or "free"
     table = open_motion(url)

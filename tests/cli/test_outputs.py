@@ -39,6 +39,7 @@ def stored(folder: Path) -> dict[str, bytes]:
         ("join", "mine.npz", "other.npz", "--out", "other.npz", "--force"),
         ("join", "mine.npz", "next.npz", "--out", "all.npz"),
         ("reconstruct", "mine.npz", "--volume", "--out", "mine.npz"),
+        ("report", ".", "--out", "."),
         ("enroll", "no_tag", "--point", "0.1,0", "--point", "0,0.1"),
         ("layouts", "show", "helmet-120", "--png", "mine.npz"),
         ("layouts", "design", "--object", "mug", "--count", "2", "--out", "tags.toml"),

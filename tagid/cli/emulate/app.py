@@ -173,7 +173,8 @@ def register(app: typer.Typer) -> None:
             _write_truth(truth, about)
         core = EmulatorCore(source, firmware=firmware)
         stop = threading.Event()
-        run = f"tagid scan --radar {{}} --axis-distance {axis_distance:g} --motion 'free?rpm={rpm:g}'"
+        run = f"tagid scan --radar {{}} --axis-distance {axis_distance:g}"
+        run += f" --motion 'free?rpm={rpm:g}'" if rpm > 0 else ""
         facts: dict[str, Any] = {} if about is None else {"object": about.to_json()}
 
         def listens(url: str, **more: str) -> None:
