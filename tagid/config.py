@@ -168,10 +168,10 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
             raise ValueError
     except (TypeError, ValueError):
         kind = {int: "a whole number", float: "a number", str: "text"}[setting.kind]
-        raise ConfigError(f"{where}: {name} is {raw!r}, expected {kind}", setting.help) from None
+        raise ConfigError(f"{where}: {name} is {raw!r}, expected {kind}", _another(setting)) from None
     if setting.low is not None and setting.high is not None and not setting.low <= value <= setting.high:
         raise ConfigError(
-            f"{where}: {name} is {value}, expected {setting.low:g} to {setting.high:g}", setting.help
+            f"{where}: {name} is {value}, expected {setting.low:g} to {setting.high:g}", _another(setting)
         )
     if name == "motion.axis_distance_m" and value >= IMPLAUSIBLE_AXIS_M:
         raise ConfigError(
@@ -179,8 +179,15 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
             f"e.g. {value / 100:g} for {value:g} cm; a turntable is usually about 1 m from the antennas.",
         )
     if setting.choices and value not in setting.choices:
-        raise ConfigError(f"{where}: {name} is {value!r}, expected one of {', '.join(setting.choices)}")
+        raise ConfigError(
+            f"{where}: {name} is {value!r}, expected one of {', '.join(setting.choices)}", _another(setting)
+        )
     return value
+
+
+def _another(setting: Setting) -> str:
+    """What to do about a value that cannot be."""
+    return f"Give another value: {setting.help}."
 
 
 def read_file(path: Path) -> dict[str, Any]:

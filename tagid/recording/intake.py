@@ -186,6 +186,8 @@ def notes(radar: RadarInfo) -> list[str]:
         why = radar.gaps[0].reason if radar.gaps else ""
         found.append(
             f"the radar was lost {times}, for {seconds:.1f} s in total; recording then continued ({why})"
+            # A loose cable is lost once or for good.
+            + (": is another program using it?" if radar.gap_count > 1 else "")
         )
     return found
 

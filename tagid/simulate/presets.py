@@ -127,7 +127,7 @@ def preset_names(layouts: Mapping[str, Layout] | None = None) -> list[str]:
 
 def is_plain(name: str) -> bool:
     """Whether a scene needs no layout: points-N, can, box, corner, empty, untagged."""
-    return name in _PLAIN or re.fullmatch(r"points-\d{1,3}", name) is not None
+    return name in _PLAIN or re.fullmatch(r"points-\d{1,9}", name) is not None
 
 
 def _layouts(layouts: Mapping[str, Layout] | None) -> Mapping[str, Layout]:
@@ -149,7 +149,7 @@ def scene_from_name(name: str, seed: int = 0, layouts: Mapping[str, Layout] | No
     """
     rng = np.random.default_rng(seed)
     about = {"seed": seed}
-    if match := re.fullmatch(r"points-(\d{1,3})", name):
+    if match := re.fullmatch(r"points-(\d{1,9})", name):
         count = int(match[1])
         if not 1 <= count <= MAX_POINTS:
             raise UsageError(f"scene {name!r} requests {count} points", f"Use 1 to {MAX_POINTS} points.")

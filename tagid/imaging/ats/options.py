@@ -56,4 +56,4 @@ def _value(name: str, text: str, default: Any) -> Any:
         return kind(text)
     except ValueError:
         words = {int: "a whole number", float: "a number"}[kind]
-        raise UsageError(f"ATS setting {name} is {text!r}, expected {words}") from None
+        raise UsageError(f"ATS setting {name} is {text!r}, expected {words}", f"Give {words}.") from None
