@@ -12,6 +12,10 @@ FARTHEST_CENTRE_M = 0.013
 """Of an object that stands within 10 mm of the axis, as measured."""
 
 
+EARLY_M = (-0.065, 0.030)
+"""How much earlier than from its place a reflector on a body may answer, see `BodyDecision.early_m`, m."""
+
+
 @dataclass(frozen=True)
 class BodyDecision:
     """Tests that a layout on a body must pass; each can only take a name away.
@@ -81,7 +85,7 @@ class BodyDecision:
     lead: float = 0.3
     angle_deg: float = 12.0
     radius_m: float = 0.025
-    early_m: tuple[float, float] = (-0.065, 0.030)
+    early_m: tuple[float, float] = EARLY_M
     wall_share: float = 0.05
     wall_noise: float = 0.1
     enrolled_m: float = 0.065
@@ -140,6 +144,17 @@ def _is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
     return r.wall is None or r.early_m <= s.early_glass_m
 
 
+def from_elsewhere(reading: BodyReading) -> Verdict:
+    """The verdict on reflectors that do not answer from where the layout has them."""
+    early = reading.early_m
+    return Verdict(
+        "unknown",
+        Code.BODY,
+        f"the echo comes from {abs(early) * 1e3:.0f} mm {'before' if early > 0 else 'behind'} "
+        f"the places of {reading.layouts[0].layout}, as from the wall of a body that is not round",
+    )
+
+
 def _has_wall(reading: BodyReading, settings: BodyDecision) -> bool:
     """Whether the body's echo stands out of the tag's and of the noise that its fit may explain."""
     share = settings.wall_share * reading.energy + settings.wall_noise * max(reading.noise, 0.0)
@@ -168,12 +183,7 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
             "unknown", Code.OFF_CENTRE, f"the {what}'s centre lies {off * 1e3:.0f} mm off the axis"
         )
     if not _is_in_place(r, s):
-        return Verdict(
-            "unknown",
-            Code.BODY,
-            f"the echo comes from {abs(r.early_m) * 1e3:.0f} mm {'before' if r.early_m > 0 else 'behind'} "
-            f"the places of {best.layout}, as from the wall of a body that is not round",
-        )
+        return from_elsewhere(r)
     if r.body.turns and r.body_energy > s.enrolled_share * r.energy and abs(r.front_m) > s.enrolled_m:
         side = "before" if r.front_m > 0 else "behind"
         return Verdict(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf
 
-from tagid.tags.bodies.decide import FARTHEST_CENTRE_M
+from tagid.tags.bodies.decide import EARLY_M, FARTHEST_CENTRE_M, from_elsewhere
 from tagid.tags.bodies.shell_reader import ShellReading
 from tagid.tags.verdicts.verdict import Code, Verdict
 
@@ -35,6 +35,7 @@ class ShellDecision:
             shell was bent to explain it.
         own_middle: one that the layout has must show by so much, and explain `contrary` of it: before a
             round wall, on the axis, two reflectors alone are that layout by up to 0.12.
+        early_m: range of `BodyReading.early_m`: of tags on solved shells and in solved cartons -36 to 18 mm.
     """
 
     where: str = "on a thin shell"
@@ -53,6 +54,7 @@ class ShellDecision:
     off_axis_m: float = 0.005
     contrary: float = 0.25
     own_middle: float = 0.15
+    early_m: tuple[float, float] = EARLY_M
 
     @classmethod
     def beside_walls(cls) -> ShellDecision:
@@ -78,6 +80,8 @@ def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
     off = max(abs(r.pose.centre), abs(r.layouts[0].centre))
     if off > s.centre_m:
         return Verdict("unknown", Code.OFF_CENTRE, f"the shell's centre lies {off * 1e3:.0f} mm off the axis")
+    if not s.early_m[0] <= r.early_m <= s.early_m[1]:
+        return from_elsewhere(r)
     if r.angle_off_deg > s.angle_deg:
         return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {name}")
     if r.radius_off_m > s.radius_m or abs(r.layouts[0].batch.at[0, 2]) > s.shift_m:
