@@ -192,7 +192,9 @@ def test_joined_captures_keep_their_positions_and_heights() -> None:
     with pytest.raises(DataError, match="the step between bins, the band"):
         join([parts[0], replace(parts[1], range_step_m=0.01, center_frequency_hz=4e9)])
     with pytest.raises(DataError, match="same height"):
-        reconstruct_volume(join([parts[0], replace(parts[0], uuid="another of the same height")]))
+        reconstruct_volume(one.select(heights_of(one)[0]))
+    with pytest.raises(DataError, match="at the same antenna height"):
+        join([parts[0], replace(parts[0], uuid="another of the same height")])
     with pytest.raises(UsageError, match="captures 1 and 2 are the same recording"):
         join([parts[0], parts[0]])
 
