@@ -214,9 +214,9 @@ def _images(cells: int) -> NDArray[np.intp]:
 
 
 def _even_odd(parts: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """(4, ...) sums that are even or odd about each axis, of (4, ...) one quadrant and its images; and back.
+    """(4, ...) parts that are even or odd about each axis, from values (4, ...) of a quadrant and its images.
 
-    Twice is four times.
+    It is its own inverse but for a factor of 4.
     """
     left, right = parts[0] + parts[1], parts[2] + parts[3]
     odd_left, odd_right = parts[0] - parts[1], parts[2] - parts[3]

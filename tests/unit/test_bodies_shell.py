@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from solved_shells import recorded_at
 
-from tagid.fields.thin_shell import EllipticShell, ShellField, ShellView
+from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField, ShellView, ThinShell
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.hypothesis import Kind, Pose
+from tagid.tags.bodies.posing import PoseSearch
 from tagid.tags.bodies.shell_decide import ShellDecision, decide_on_shell
 from tagid.tags.bodies.shell_model import ShellBody, ShellFit, refined_beside, signature_of
 from tagid.tags.bodies.shell_reader import ShellReading, read_on_shell
@@ -166,6 +167,20 @@ def test_the_shape_is_found_from_a_start_beside_it() -> None:
         [shell.across_m, shell.along_m, *pose.centre_m, 0.1 * pose.turn_rad],
         atol=4e-4,
     )
+
+
+@pytest.mark.parametrize(
+    ("shell", "alike"), [(EllipticShell(0.075, 0.095, 2.8e-3), 2), (BoxShell(0.06, 0.06, 2.8e-3), 4)]
+)
+def test_a_shell_is_sought_over_its_own_turns_only(shell: ThinShell, alike: int) -> None:
+    """Half a turn of an ellipse, and a quarter of one of a square, are its whole search."""
+    spectra = Spectra.of(recorded("shell74"))
+    signature = signature_of(shell, spectra.wavenumbers, 0.9)
+    search = PoseSearch(spectra, signature.order)
+    (left, pose), (least, whole) = search.best(signature, alike), search.best(signature)
+    assert left == pytest.approx(least, rel=1e-6)
+    assert pose.centre_m == whole.centre_m
+    assert pose.turn_rad == pytest.approx(whole.turn_rad % (2 * np.pi / alike), abs=1e-9)
 
 
 def test_harmonics_of_a_shell_are_its_echo() -> None:
