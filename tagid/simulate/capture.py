@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture, ViewFlag
+from tagid.errors import UsageError
 from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, ResolvedMotion, SimulatedTruth
 from tagid.simulate.acquisition import Acquisition, Turn
 from tagid.simulate.noise import draw_noise
@@ -99,6 +100,19 @@ def object_settings(scene: Scene, acquisition: Acquisition, snr: Snr) -> ObjectI
     return replace(ObjectInfo.from_json({"scene": scene.name, **scene.description}), truth=truth)
 
 
+def _check_clear(scene: Scene, acq: Acquisition) -> None:
+    if scene.tag is None or not len(scene.tag.positions):
+        return
+    reach = float(
+        np.hypot(*acq.placement.centre_m) + np.linalg.norm(scene.tag.positions[:, :2], axis=1).max()
+    )
+    if reach >= acq.axis_distance_m:
+        raise UsageError(
+            f"reflectors reach {reach:.3g} m from the axis, the antenna stands at {acq.axis_distance_m:g} m",
+            "Give a larger axis distance.",
+        )
+
+
 def simulate_capture(
     scene: Scene, acquisition: Acquisition | None = None, seed: int = 0
 ) -> tuple[Capture, Truth]:
@@ -116,8 +130,11 @@ def simulate_capture(
     Returns:
         the capture (with angles, axis distance and a radar clock in whole milliseconds as a file would state
         them), and the truth.
+
+    Raises UsageError if the object's reflectors would pass the antenna.
     """
     acq = Acquisition() if acquisition is None else acquisition
+    _check_clear(scene, acq)
     rng = np.random.default_rng(seed)
     window, table = acq.range_window, PulseTable.of(acq.pulse)
     turn = Turn.random(acq.wobble, acq.direction, rng)

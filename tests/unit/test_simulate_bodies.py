@@ -197,6 +197,11 @@ def test_a_reflector_in_a_carton_is_seen_through_its_walls() -> None:
         carton.around(np.array([0.0, 0.0535]))
 
 
+def test_reflectors_do_not_pass_the_antenna() -> None:
+    with pytest.raises(UsageError, match="antenna stands at 0.1 m"):
+        simulate_capture(scene_from_name("helmet-120"), Acquisition(views=12, axis_distance_m=0.1))
+
+
 def test_a_sheet_keeps_the_energy() -> None:
     reflection, transmission = sheet(BAND_HZ, 0.003, 2.8)
     assert np.abs(reflection) ** 2 + np.abs(transmission) ** 2 == pytest.approx(np.ones(3))
