@@ -106,7 +106,7 @@ def _check_clear(scene: Scene, acq: Acquisition) -> None:
     reach = float(
         np.hypot(*acq.placement.centre_m) + np.linalg.norm(scene.tag.positions[:, :2], axis=1).max()
     )
-    if reach >= acq.axis_distance_m:
+    if reach > acq.axis_distance_m:
         raise UsageError(
             f"reflectors reach {reach:.3g} m from the axis, the antenna stands at {acq.axis_distance_m:g} m",
             "Give a larger axis distance.",
