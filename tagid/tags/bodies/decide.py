@@ -12,10 +12,6 @@ FARTHEST_CENTRE_M = 0.013
 """Of an object that stands within 10 mm of the axis, as measured."""
 
 
-EARLY_M = (-0.065, 0.030)
-"""How much earlier than from its place a reflector on a body may answer, see `BodyDecision.early_m`, m."""
-
-
 @dataclass(frozen=True)
 class BodyDecision:
     """Tests that a layout on a body must pass; each can only take a name away.
@@ -85,7 +81,7 @@ class BodyDecision:
     lead: float = 0.3
     angle_deg: float = 12.0
     radius_m: float = 0.025
-    early_m: tuple[float, float] = EARLY_M
+    early_m: tuple[float, float] = (-0.065, 0.030)
     wall_share: float = 0.05
     wall_noise: float = 0.1
     enrolled_m: float = 0.065
