@@ -35,7 +35,7 @@ class ShellDecision:
             shell was bent to explain it.
         own_middle: one that the layout has must show by so much, and explain `contrary` of it: before a
             round wall, on the axis, two reflectors alone are that layout by up to 0.12.
-        early_m: range of `BodyReading.early_m`: of tags on solved shells and in solved cartons -36 to 18 mm.
+        early_m: range of `BodyReading.early_m`: of tags in solved cartons -36 to 18 mm.
     """
 
     where: str = "on a thin shell"
@@ -54,7 +54,7 @@ class ShellDecision:
     off_axis_m: float = 0.005
     contrary: float = 0.25
     own_middle: float = 0.15
-    early_m: tuple[float, float] = (-0.045, 0.030)
+    early_m: tuple[float, float] = (-inf, inf)
 
     @classmethod
     def beside_walls(cls) -> ShellDecision:
@@ -62,7 +62,14 @@ class ShellDecision:
 
         Tags in solved cartons lead by 0.46 and more; an untagged helmet of our simulator did by 0.4.
         """
-        return cls(where="beside thin walls", near_m=0.025, shift_m=0.003, unexplained=0.1, lead=0.45)
+        return cls(
+            where="beside thin walls",
+            near_m=0.025,
+            shift_m=0.003,
+            unexplained=0.1,
+            lead=0.45,
+            early_m=(-0.045, 0.030),
+        )
 
 
 def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
