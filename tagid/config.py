@@ -9,6 +9,7 @@ import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -69,7 +70,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("radar.resume_s", float, 20.0, "longest time to wait for a lost radar, s", 0, 3600),
     Setting("motion.url", str, "free", "device that rotates the object, e.g. free?rpm=2"),
     Setting("motion.passkey", str, None, "six-digit pass-key of the Bluetooth bridge"),
-    Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 1e-3, 1e4),
+    Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 1e-3, IMPLAUSIBLE_AXIS_M),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
     Setting(
         "motion.antenna_heights",
@@ -169,14 +170,14 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
     except (TypeError, ValueError):
         kind = {int: "a whole number", float: "a number", str: "text"}[setting.kind]
         raise ConfigError(f"{where}: {name} is {raw!r}, expected {kind}", _another(setting)) from None
-    if setting.low is not None and setting.high is not None and not setting.low <= value <= setting.high:
-        raise ConfigError(
-            f"{where}: {name} is {value}, expected {setting.low:g} to {setting.high:g}", _another(setting)
-        )
-    if name == "motion.axis_distance_m" and value >= IMPLAUSIBLE_AXIS_M:
+    if name == "motion.axis_distance_m" and IMPLAUSIBLE_AXIS_M <= value < inf:
         raise ConfigError(
             f"{where}: {name} is {value:g}. {value:g} m? Give metres",
             f"e.g. {value / 100:g} for {value:g} cm; a turntable is usually about 1 m from the antennas.",
+        )
+    if setting.low is not None and setting.high is not None and not setting.low <= value <= setting.high:
+        raise ConfigError(
+            f"{where}: {name} is {value}, expected {setting.low:g} to {setting.high:g}", _another(setting)
         )
     if setting.choices and value not in setting.choices:
         raise ConfigError(
