@@ -20,9 +20,10 @@ from tagid.batch.inputs import Source, is_url
 from tagid.errors import UsageError, displayable
 from tagid.proportion import wilson
 from tagid.report.records import ItemRecord
+from tagid.tags.verdicts.verdict import NO_NAMES
 
 MAX_BYTES = 64 << 20
-NO_LAYOUT = ("no_tag", "unknown", "ambiguous")
+NO_LAYOUT = tuple(answer for answer in NO_NAMES if answer != "failed")
 """Answers that can be expected instead of a layout."""
 _WANTED = "Write lines of file,expected_layout."
 _FILE_HEADS = ("file", "path", "filename", "name")
@@ -202,4 +203,4 @@ class Comparison:
 
 
 def _names_first(answer: str) -> tuple[bool, str]:
-    return answer in (*NO_LAYOUT, "failed"), answer
+    return answer in NO_NAMES, answer

@@ -168,7 +168,8 @@ def register(app: typer.Typer) -> None:
             from tagid.cli.volume import Asked, Outputs, make_volume
 
             loading = replace(LoadSettings.of(config, background), wave_speed_m_s=wave_speed)
-            outputs = Outputs(out, vti, ply, png, webp, surface).checked(file)
+            outputs = Outputs(out, vti, ply, png, webp, surface)
+            outputs.check(file)
             asked = Asked(background, imaging.parse_place(heights, "--heights"), levels, held_out)
             return make_volume(terminal, load_capture(file, loading), config, asked, outputs)
         given = imaging.settings_from(config, background, focus)

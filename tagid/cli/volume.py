@@ -92,16 +92,16 @@ class Outputs:
     webp: Path | None
     surface: Path | None = None
 
-    def checked(self, source: Path) -> dict[str, Path]:
-        """The files by kind; `source` is read. Raises as `check_drawing`."""
-        found: dict[str, Path] = {}
-        for kind, path in vars(self).items():
-            if path is None:
-                continue
+    @property
+    def files(self) -> dict[str, Path]:
+        """Those requested, by kind."""
+        return {kind: path for kind, path in vars(self).items() if path is not None}
+
+    def check(self, source: Path) -> None:
+        """Raises as `check_drawing`; `source` is the file that is read."""
+        for kind, path in self.files.items():
             option = "--out" if kind == "npz" else f"--{kind}"
             check_drawing(option, path, (".ply" if kind == "surface" else f".{kind}",), [source])
-            found[kind] = path
-        return found
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Asked:
 
 
 def make_volume(
-    terminal: Terminal, capture: Capture, config: Config, asked: Asked, files: dict[str, Path]
+    terminal: Terminal, capture: Capture, config: Config, asked: Asked, outputs: Outputs
 ) -> Result:
     """Reconstruct a volume and write it.
 
@@ -129,7 +129,7 @@ def make_volume(
         capture: loaded.
         config: with the method, the extent and the pixels.
         asked: what the command line says.
-        files: to write, by kind, as `Outputs.checked` gives them.
+        outputs: files to write, checked.
     """
     from rich.console import Group
     from rich.text import Text
@@ -137,6 +137,7 @@ def make_volume(
     from tagid.cli.common import imaging
     from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
 
+    files = outputs.files
     method = "bp" if config["imaging.method"] == "auto" else config["imaging.method"]
     settings = VolumeSettings(
         method,

@@ -101,6 +101,7 @@ def object_settings(scene: Scene, acquisition: Acquisition, snr: Snr) -> ObjectI
 
 
 def _check_clear(scene: Scene, acq: Acquisition) -> None:
+    """Raises UsageError if a reflector comes as far out as the antenna."""
     if scene.tag is None or not len(scene.tag.positions):
         return
     reach = float(

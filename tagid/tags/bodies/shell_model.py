@@ -169,7 +169,7 @@ def likely_shells(spectra: Spectra, ring_m: float, count: int) -> list[ShellFit]
     search = PoseSearch(spectra, max(signature.order for _, signature in known))
     found = []
     for shape, signature in known:
-        left, pose = search.best(signature, 2)
+        left, pose = search.best(signature, shape.alike)
         found.append(ShellFit(shape, pose, left))
     return sorted(found, key=lambda fit: fit.left)[:count]
 
@@ -190,7 +190,7 @@ def likely_boxes(spectra: Spectra, count: int) -> list[ShellFit]:
     def fitted(across_m: float, along_m: float) -> ShellFit:
         shell = BoxShell(across_m, along_m, BOX_SHEET_M)
         signature = _box_signature(wavenumbers, distance, across_m, along_m)
-        left, pose = search.best(signature, 4 if across_m == along_m else 2)
+        left, pose = search.best(signature, shell.alike)
         return ShellFit(shell, pose, left)
 
     fits = [fitted(half, half) for half in HALF_SIDES_M]
