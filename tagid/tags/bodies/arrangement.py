@@ -10,12 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.layouts.layout import Layout
+from tagid.tags.layouts.layout import MIN_SPACING_M, Layout
 
 AXIS_M = 0.01
 """A reflector nearer than this to the body's axis looks the same from all sides, as the body does."""
 MERGED_M = 0.02
 """Reflectors nearer than this along the ring are seen as one: the point response's null is at 14.5 mm."""
+LEAST_APART_M = 0.75 * MIN_SPACING_M
+"""Alike reflectors of no object stand nearer than MIN_SPACING_M, which before a wall may seem this much."""
 MERGED_LEAST_DEG, MERGED_MOST_DEG = 15.0, 36.0
 
 
@@ -78,6 +80,12 @@ def apart_deg(angles: NDArray[np.floating], wanted: NDArray[np.floating], resolu
     A layout may itself have neighbours nearer than the resolution: every stage is compared.
     """
     return min(difference_deg(gaps, wanted) for gaps in merging(gaps_deg(angles), resolution))
+
+
+def can_stand(angles: NDArray[np.floating], radius_m: float) -> bool:
+    """Whether alike reflectors can stand at angles (K,), rad, on a ring: none in another's place."""
+    chord = 2 * radius_m * np.sin(np.minimum(np.deg2rad(gaps_deg(angles)), np.pi) / 2)
+    return bool(len(angles) < 2 or chord.min() >= LEAST_APART_M)
 
 
 def farthest(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> float:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import (
     apart_deg,
+    can_stand,
     kind_of,
     layout_gaps_deg,
     off_axis,
@@ -333,7 +334,11 @@ class _CylinderReader:
             return apart_deg(row.angles, wanted, resolution)
 
         others = [self._placed(row, row.left + spectra.angle_cost * (len(row.angles) - 1)) for row in free]
-        others = [p for p, row in zip(others, free, strict=True) if away(row) > settings.other_deg]
+        others = [
+            p
+            for p, row in zip(others, free, strict=True)
+            if away(row) > settings.other_deg and can_stand(row.angles, self.radius_m)
+        ]
         layouts = [self._placed(row, row.left) for row in ranked]
         every = sorted([*others, *layouts[1:]], key=lambda p: p.charged)
         own = min(

@@ -241,6 +241,11 @@ def refine(
     return Match(Pose((float(found.x[0]), float(found.x[1])), turn), found.left)
 
 
+def search_step(spectra: Spectra) -> int:
+    """Step at which `PoseSearch` takes frequencies: five or a few more of them."""
+    return max(1, (len(spectra.wavenumbers) + 4) // 5)
+
+
 class PoseSearch:
     """Coarse search for the pose of any signature in one capture.
 
@@ -257,7 +262,7 @@ class PoseSearch:
 
     def __init__(self, spectra: Spectra, order: int, around: tuple[complex, ...] = ()) -> None:
         self.spectra = spectra
-        self._step = max(1, (len(spectra.wavenumbers) + 4) // 5)
+        self._step = search_step(spectra)
         self._thin = spectra.thinned(self._step)
         self._order = order
         count = int(CENTRE_REACH_M / CENTRE_GRID_M)
@@ -277,11 +282,14 @@ class PoseSearch:
         first = basis[..., order : 3 * order + 1].conj()
         flat = np.full_like(carrier, 1 / np.sqrt(spectra.views))
         # (C, F, 2 M + 1) inner products of each harmonic with the data, the room and the round body.
+        self._scale = max(float(np.sqrt(np.mean(self._left))), 1e-300)
+        # Single precision is enough: what turns is not nearly constant over the views, nor nearly round.
         self._data, self._room, self._round = (
-            (carrier.conj() * other) @ first for other in (rest, flat, unit)
+            ((carrier.conj() * other) @ first).astype(np.complex64)
+            for other in (rest / self._scale, flat, unit)
         )
         # (C, F, 4 M + 1) inner products of harmonics by their difference.
-        self._lags = (np.abs(carrier) ** 2 + 0j) @ basis
+        self._lags = ((np.abs(carrier) ** 2 + 0j) @ basis).astype(np.complex64)
 
     def best(self, signature: Signature, alike: int = 1) -> tuple[float, Pose]:
         """The energy that a signature leaves of the frequencies searched, at its best pose.
@@ -333,6 +341,8 @@ class PoseSearch:
         cut = slice(self._order - most, self._order + most + 1, alike)
         near = near_field(self._thin.wavenumbers, order, self._thin.distance_m)
         weights = (signature.turning[:: self._step] * near)[:, own]
+        loudest = max(float(np.abs(weights).max()), 1e-300)
+        weights = (weights / loudest).astype(np.complex64)
         rotations = ROTATIONS // alike
         along, room, body = (
             _over_rotation(weights.conj() * part[..., cut], rotations)
@@ -342,15 +352,15 @@ class PoseSearch:
         wide = slice(2 * (self._order - most), 2 * (self._order + most) + 1, alike)
         size = _over_rotation(pairs * self._lags[..., wide].conj(), rotations).real
         size -= np.abs(room) ** 2 + np.abs(body) ** 2
-        noise = signature.noise[:: self._step] * 2 * order * self._thin.views
-        size = np.maximum(size, 0) + noise[:, None] + 1e-300
-        return np.asarray(self._left[:, None] - np.sum(np.abs(along) ** 2 / size, axis=1))
+        noise = signature.noise[:: self._step] / loudest**2 * 2 * order * self._thin.views
+        explained = np.sum(np.abs(along) ** 2 / (np.maximum(size, 0) + noise[:, None] + 1e-300), axis=1)
+        return np.asarray(self._left[:, None] - self._scale**2 * explained)
 
 
-def _over_rotation(values: NDArray[np.complex128], rotations: int) -> NDArray[np.complex128]:
+def _over_rotation(values: NDArray[np.complex64], rotations: int) -> NDArray[np.complex64]:
     """(..., rotations) sum over m = -M..M of values (..., 2 M + 1) times exp(j m g) at every rotation g."""
     most = values.shape[-1] // 2
-    spectrum = np.zeros((*values.shape[:-1], rotations), complex)
+    spectrum = np.zeros((*values.shape[:-1], rotations), np.complex64)
     spectrum[..., np.arange(-most, most + 1) % rotations] = values
     return np.asarray(np.fft.ifft(spectrum, axis=-1) * rotations)
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import (
     apart_deg,
+    can_stand,
     gaps_deg,
     kind_of,
     off_axis,
@@ -484,7 +485,8 @@ class BodyReader:
             inside = low <= float(p.radii.mean()) <= high
             return away(p, least_deg) > settings.other_deg or not inside
 
-        every = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
+        rivals = [p for p in free + rigid if other(p) and can_stand(p.angles, float(p.radii.mean()))]
+        every = sorted([*rivals, *ranked[1:]], key=lambda p: p.charged)
         # Alike reflectors side by side have a common pattern that is symmetric, too: many terms hold it.
         split = [p for p in every if p.layout is None and not other(p, settings.split_deg)]
         others = [p for p in every if p not in split]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField, ShellView, ThinShell
 from tagid.tags.bodies.enrolled import SLACK_M, EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Candidate, Pose, Seen
-from tagid.tags.bodies.posing import CENTRE_SIGMA_M, PoseSearch
+from tagid.tags.bodies.posing import CENTRE_SIGMA_M, PoseSearch, search_step
 from tagid.tags.bodies.signature import Signature, near_field, order_of
 from tagid.tags.bodies.spectra import Spectra, centred
 
@@ -40,7 +40,7 @@ UNLIKE = 0.06
 """Boxes whose sides differ by less are one: the fit moves so far."""
 OBLONG = 1.04
 """Least ratio of the half axes: a round shell is a round body."""
-_SEARCHED, _REFINED = 72, 84
+SEARCHED, _REFINED = 72, 84
 """Points of the contour in the search, and in the fit."""
 _STEPS = np.array([1e-4, 1e-4, 1e-3, 1e-4, 1e-4])
 """Finite differences of centre, m, turn, rad, and half axes, m."""
@@ -121,7 +121,7 @@ class ShellBody:
 
 
 def signature_of(
-    shell: ThinShell, wavenumbers: NDArray[np.float64], distance_m: float, points: int = _SEARCHED
+    shell: ThinShell, wavenumbers: NDArray[np.float64], distance_m: float, points: int = SEARCHED
 ) -> Signature:
     """The echo of a shell as angular harmonics, as those of an enrolled body.
 
@@ -165,6 +165,7 @@ def likely_shells(spectra: Spectra, ring_m: float, count: int) -> list[ShellFit]
         ring_m: radius of the ring, m.
         count: number of them.
     """
+    spectra = spectra.thinned(search_step(spectra))
     known = _dictionary(spectra.wavenumbers.tobytes(), round(spectra.distance_m, 2), ring_m)
     search = PoseSearch(spectra, max(signature.order for _, signature in known))
     found = []
@@ -183,6 +184,7 @@ def likely_boxes(spectra: Spectra, count: int) -> list[ShellFit]:
         spectra: the scans.
         count: number of them.
     """
+    spectra = spectra.thinned(search_step(spectra))
     wavenumbers, distance = spectra.wavenumbers.tobytes(), round(spectra.distance_m, 2)
     widest = np.sqrt(2) * _STEP * HALF_SIDES_M[-1]
     search = PoseSearch(spectra, order_of(float(spectra.wavenumbers[-1]), widest))

@@ -21,13 +21,23 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.fields.thin_shell import POINTS as CONTOUR
 from tagid.fields.thin_shell import ShellField
-from tagid.tags.bodies.arrangement import apart_deg, farthest, gaps_deg, kind_of, off_axis, resolution_deg
+from tagid.tags.bodies.arrangement import (
+    apart_deg,
+    can_stand,
+    farthest,
+    gaps_deg,
+    kind_of,
+    off_axis,
+    resolution_deg,
+)
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.points import Place, columns
 from tagid.tags.bodies.reflectors_fit import POINTS, THROUGH, Batch
 from tagid.tags.bodies.ring import Ring, peaks
 from tagid.tags.bodies.shell_model import (
+    SEARCHED,
     ShellBody,
     ShellFit,
     basis_of,
@@ -152,7 +162,7 @@ def _best_beside(
     if hint is not None:
         shells += likely(_without(sought.spectra, hint), sought.tried // 2)
     thin = replace(sought, spectra=sought.spectra.thinned(2))
-    starts = [_ShellReader(thin, fit, 1) for fit in shells]
+    starts = [_ShellReader(thin, fit, 1, SEARCHED) for fit in shells]
     starts.sort(key=lambda reader: reader.start.left)
     # The reflectors may stand some millimetres further out than the layout has them.
     begun = [(reader, reader.fitted(reader.start, 2)) for reader in starts[:_BEGUN]]
@@ -174,7 +184,7 @@ def _refined(one: _Beside, sought: _Sought) -> _Beside:
     # One amplitude tells more of the shell's shape, several hold more of its echo.
     fit = refined_beside(one.reader.spectra, one.reader.fit, one.reader.wave_of(one.row), 1)
     reader = _ShellReader(sought, fit, OBLIQUITIES)
-    row = reader.fitted(reader.start)
+    row = reader.fitted(one.row)
     fit = refined_beside(sought.spectra, fit, reader.wave_of(row), OBLIQUITIES, 2)
     reader = _ShellReader(sought, fit, OBLIQUITIES)
     return _Beside(reader.fitted(reader.start, 2), reader)
@@ -273,10 +283,10 @@ class _Beside:
 class _ShellReader:
     """The search beside one shell in one place."""
 
-    def __init__(self, sought: _Sought, fit: ShellFit, obliquities: int) -> None:
+    def __init__(self, sought: _Sought, fit: ShellFit, obliquities: int, contour: int = CONTOUR) -> None:
         self.sought, self.fit = sought, fit
         spectra = self.spectra = sought.spectra
-        field = ShellField.of(spectra.wavenumbers / 2, fit.shell)
+        field = ShellField.of(spectra.wavenumbers / 2, fit.shell, contour)
         self.across = spectra.antenna - fit.pose.centre
         self._rings: dict[tuple[float, float, complex], NDArray[np.complex128]] = {}
         self.seen = field.seen_from(self.across * np.exp(-1j * fit.pose.turn_rad))
@@ -488,8 +498,10 @@ class _ShellReader:
         return replace(row, at=at, radii=row.radii[keep], heights=row.heights[keep])
 
     def _is_other(self, row: _Ringed, best: _Ringed) -> bool:
-        """Whether an arrangement is another than a layout."""
+        """Whether an arrangement is one, and another than a layout."""
         settings, radius = self.sought.settings, float(best.radii.max())
+        if not can_stand(row.on_ring, float(row.radii.max() + row.at[2])):
+            return False
         elsewhere = abs(float(row.radii.max() + row.at[2]) - radius) > settings.other_radius_m
         if _away_deg(row, best) <= settings.other_deg and not elsewhere:
             return False
