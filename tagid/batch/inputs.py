@@ -14,6 +14,7 @@ from typing import Any
 
 from tagid import files
 from tagid.constants import CAPTURE_SUFFIX
+from tagid.counting import counted
 from tagid.errors import DataError, MissingExtraError, StorageError, displayable
 from tagid.storage import mrm_ret, npz
 from tagid.storage.image import is_image
@@ -175,7 +176,7 @@ def _nothing(
     words: Sequence[str], passed_over: Sequence[str], recording: Sequence[str], unreadable: Sequence[str]
 ) -> DataError:
     where = ", ".join(displayable(word) for word in words[:3])
-    seen = f"; {len(passed_over)} other file(s) are not recordings" if passed_over else ""
+    seen = f"; not recordings: {counted(len(passed_over), 'other file')}" if passed_over else ""
     under_way = f"; {recording[0]} is still being recorded" if recording else ""
     closed = f"; could not open {unreadable[0]}" if unreadable else ""
     return DataError(

@@ -10,6 +10,7 @@ import typer
 
 from tagid.cli.common.frame import Terminal, command, group_command
 from tagid.cli.common.outputs import check_drawing
+from tagid.counting import counted
 from tagid.errors import LayoutConflictError
 from tagid.result import Result
 
@@ -146,7 +147,7 @@ def register(app: typer.Typer) -> None:
         if not bad:
             return Result("bodies check", data, human, messages=notes)
         error = LayoutConflictError(
-            f"{len(bad)} pair(s) of enrolled objects cannot be distinguished: "
+            f"{counted(len(bad), 'pair')} of enrolled objects cannot be distinguished: "
             + ", ".join(f"{p.first} and {p.second}" for p in bad),
             "Remove one of each pair with `tagid layouts --remove NAME`, or change its tag.",
         )

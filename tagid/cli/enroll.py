@@ -13,6 +13,7 @@ from tagid.cli.common import enrolling, options
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.points import parse_point
 from tagid.config import load_config
+from tagid.counting import counted
 from tagid.errors import RegistryError, UsageError
 from tagid.result import Result, Status
 
@@ -216,7 +217,7 @@ def _enrol_layout(
     if conflict is not None or wish.dry_run:
         error = () if conflict is None else (conflict,)
         return _result(proposal, measured, None, False, errors=error)
-    question = f"Enrol {layout.name} ({layout.size} reflectors)?"
+    question = f"Enrol {layout.name} ({counted(layout.size, 'reflector')})?"
     shown = enrolling.agree(terminal, _shown(proposal, measured), question, wish.yes)
     done = proposal.store(registry, source, wish.force)
     return _result(done.proposal, measured, done.version, shown)
@@ -295,7 +296,7 @@ def _shown(proposal: LayoutProposal, measured: Measured | None) -> Group:
         estimate = measured.estimate
         count = len(estimate.rotations_deg)
         known = f"which scatter by up to {max(estimate.spread_m) * 1e3:.1f} mm"
-        lines.append(Text(f"measured on {count} capture(s)" + (f", {known}" if count > 1 else "")))
+        lines.append(Text("measured on " + counted(count, "capture") + (f", {known}" if count > 1 else "")))
         if estimate.mirrored:
             lines.append(Text(f"taken as mirror images: {', '.join(estimate.mirrored)}"))
     if measured is not None and measured.joint is not None:

@@ -11,6 +11,7 @@ from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.outputs import check_drawing
 from tagid.config import load_config
+from tagid.counting import counted
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -210,7 +211,7 @@ def register(app: typer.Typer) -> None:
         took = sum(result.seconds.values())
         distance = result.image.settings["axis_distance_m"]
         where = "" if distance is None else f", axis at {distance:.3f} m"
-        lines.append(Text(f"{result.method} image of {result.views} views in {took:.2f} s{where}"))
+        lines.append(Text(f"{result.method} image of {counted(result.views, 'view')} in {took:.2f} s{where}"))
         lines += [Text(line) for line in imaging.learned_words(result)]
         if subtract_body:
             lines.append(Text(imaging.SUBTRACTED[subtracted]))

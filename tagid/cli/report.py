@@ -11,6 +11,7 @@ from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.frame import Output, Terminal, command
 from tagid.config import Config, load_config
+from tagid.counting import counted
 from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, StorageError, UsageError
 from tagid.result import Result, Status
 
@@ -241,7 +242,7 @@ def _remarks(plan: Plan, finished: Finished) -> list[str]:
     if more > 0:
         remarks.append(f"{more} more captures are in several files; summary.json lists them")
     if plan.inputs.passed_over:
-        remarks.append(f"{len(plan.inputs.passed_over)} files in the folders are not recordings")
+        remarks.append(f"not recordings: {counted(len(plan.inputs.passed_over), 'file')} in the folders")
     under_way = plan.inputs.being_recorded
     if under_way:
         others = f" and {len(under_way) - 1} more" if len(under_way) > 1 else ""

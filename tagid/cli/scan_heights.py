@@ -18,6 +18,7 @@ from tagid.cli.common.prompts import can_ask, confirm
 from tagid.cli.common.recording import Limits, capture_folder, plan_of, radar_url
 from tagid.config import Config
 from tagid.constants import CAPTURE_SUFFIX
+from tagid.counting import counted
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
 from tagid.result import Result
 
@@ -49,7 +50,7 @@ def parse_heights(text: str) -> tuple[float, ...]:
             f"--heights is {text[:80]!r}", "Give metres, such as --heights 0,0.15,0.30."
         ) from None
     if not 2 <= len(heights) <= MAX_HEIGHTS:
-        raise UsageError(f"--heights gives {len(heights)} height(s)", f"Give 2 to {MAX_HEIGHTS}.")
+        raise UsageError(f"--heights gives {counted(len(heights), 'height')}", f"Give 2 to {MAX_HEIGHTS}.")
     if not all(abs(height) <= MAX_HEIGHT_M for height in heights):
         raise UsageError(
             f"--heights is {text[:80]!r}", f"Give heights from -{MAX_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m."

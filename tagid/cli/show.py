@@ -12,6 +12,7 @@ from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.outputs import check_drawing
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
+from tagid.counting import counted
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -175,7 +176,7 @@ def _rows(summary: RecordingSummary) -> list[tuple[str, str]]:
 
     rate = or_dash(summary.scan_rate_hz, ".1f")
     clipped = "-" if summary.clipped_fraction is None else f"{summary.clipped_fraction:.2%}"
-    count = "1 scan" if summary.views == 1 else f"{summary.views} scans"
+    count = counted(summary.views, "scan")
     per_second = "" if summary.scan_rate_hz is None else f", {rate} per second"
     rows = [
         ("scans", f"{count} of {summary.bins} samples{per_second}"),

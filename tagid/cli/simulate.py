@@ -11,6 +11,7 @@ import typer
 from tagid.cli.common import options, response_options
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.outputs import check_new
+from tagid.counting import counted
 from tagid.errors import DataError, UsageError
 from tagid.result import Result
 
@@ -143,7 +144,9 @@ def register(app: typer.Typer) -> None:
             shown = files.scene(acquisition, seed)
         capture, truth = simulate_capture(shown, acquisition, seed)
         export(capture, out)
-        line = Text(f"{out}: {shown.name}, {capture.views} scans of {capture.bins} samples, {truth.snr}")
+        line = Text(
+            f"{out}: {shown.name}, {counted(capture.views, 'scan')} of {capture.bins} samples, {truth.snr}"
+        )
         data = {
             "path": str(out),
             "scene": shown.name,

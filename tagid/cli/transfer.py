@@ -12,6 +12,7 @@ from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.outputs import check_new
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
+from tagid.counting import counted
 from tagid.errors import StorageError, UsageError
 from tagid.result import Result
 
@@ -59,7 +60,7 @@ def register(app: typer.Typer) -> None:
             )
         capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
         write_capture(target, capture)
-        line = Text(f"{target}: {capture.views} scans of {capture.bins} samples")
+        line = Text(f"{target}: {counted(capture.views, 'scan')} of {capture.bins} samples")
         data = {
             "path": str(target),
             "views": capture.views,
@@ -126,7 +127,10 @@ def register(app: typer.Typer) -> None:
         if written.has_track and len(written.paths) == 1:
             _add_measured_angles(journal, target)
         state = "complete" if written.complete else "cut short"
-        lines = [f"{written.views} scans recovered, the recording was {state}", *map(str, written.paths)]
+        lines = [
+            f"{counted(written.views, 'scan')} recovered, the recording was {state}",
+            *map(str, written.paths),
+        ]
         dropped = written.bytes_dropped
         messages = (f"{dropped} bytes of the journal were dropped because they contain no complete scan",)
         data = {

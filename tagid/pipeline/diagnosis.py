@@ -35,6 +35,8 @@ _FITS_M = 0.008
 """RMS distance of detected reflectors from their positions in a layout, m."""
 _FARTHEST_M = 0.12
 _PLACE_TRIES = 3
+_AXIS_M = 0.01
+"""An axis distance wrong by less is no cause: the reader looks for that itself."""
 
 
 def _uncovered(capture: Capture) -> Cause | None:
@@ -144,10 +146,12 @@ def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[C
             continue
         if found.status == "identified" and found.reading is not None:
             best = given + offset + found.reading.offset_m
+            if abs(best - given) < _AXIS_M:
+                continue
             return [
                 Cause(
                     "axis_distance",
-                    f"with an axis distance of {best:.2f} m instead of {given:g} m the scans show "
+                    f"with an axis distance of {best:.2f} m instead of {given:.2f} m the scans show "
                     f"{found.reading.layout}",
                     "Measure the distance from the antennas to the rotation axis again; "
                     f"--axis-distance {best:.2f} applies it to this recording.",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tagid.capture import Capture
+from tagid.counting import counted
 from tagid.errors import DataError
 from tagid.imaging.preprocess import PreprocessSettings
 from tagid.pipeline.answer import Identification
@@ -158,7 +159,7 @@ def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) ->
         )
     if capture.views < MIN_SIGNATURE_VIEWS:
         raise DataError(
-            f"the capture has {capture.views} views, a signature needs {MIN_SIGNATURE_VIEWS}",
+            f"the capture has {counted(capture.views, 'view')}, a signature needs {MIN_SIGNATURE_VIEWS}",
             "Record more views per turn.",
         )
     prepared = PreparedCapture(capture, settings)
@@ -191,7 +192,8 @@ def _check_views(prepared: PreparedCapture) -> None:
     views = prepared.given.views
     if views < _FEWEST_VIEWS:
         raise DataError(
-            f"the capture has {views} views, too few to read a tag", "Record at least 12 views per turn."
+            f"the capture has {counted(views, 'view')}, too few to read a tag",
+            "Record at least 12 views per turn.",
         )
     check_moved(prepared.given)
 

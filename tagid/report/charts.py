@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
+from tagid.counting import counted
 from tagid.recording.curves import RecordingCurves, slow_time
 from tagid.report.axes import LABEL_SIZE, Axes, colour_bar
 from tagid.report.canvas import Canvas
@@ -52,7 +53,7 @@ def draw_recording(
     canvas.text((_LEFT, 30), fit_text(canvas, title, _WIDTH - _LEFT - 30, 28), 28)
     _draw_profile(canvas, curves, capture.range_step_m)
     what = "what changes in" if changing_only else "envelope of"
-    count = "1 scan" if capture.views == 1 else f"{capture.views} scans"
+    count = counted(capture.views, "scan")
     name = "Sinogram" if turning else "Scans over time"
     _draw_sinogram(canvas, capture, curves, f"{name}: {what} {count}")
     _draw_spectrum(canvas, capture, curves)

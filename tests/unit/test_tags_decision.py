@@ -98,7 +98,7 @@ def test_every_reason_of_the_decision_has_its_threshold() -> None:
     assert answer(nats=faint)[0] != "no_tag"
     assert answer(share=0.4499) == ("unknown", "the nearest layout explains 45% of the echo")
     assert answer(share=0.45)[0] == "identified"
-    assert answer(missing=1) == ("unknown", "1 reflector(s) of the nearest layout are missing")
+    assert answer(missing=1) == ("unknown", "the nearest layout lacks 1 reflector")
     limit = s.gain_nats + s.gain_spread_nats + s.gain_share * 90.0  # 8 + 5 + 5.4 nats
     assert limit == pytest.approx(18.4)
     assert answer(further_nats=limit - 0.01)[0] == "identified"
@@ -108,7 +108,7 @@ def test_every_reason_of_the_decision_has_its_threshold() -> None:
     )
     assert answer(further_nats=limit + 0.01, extra=2) == (
         "unknown",
-        "2 strong reflector(s) beyond the nearest layout",
+        "2 strong reflectors beyond the nearest layout",
     )
     assert answer(extra=2)[0] == "identified"
     assert answer(displacement_m=6.99e-3)[0] == "identified"  # 3 mm and four deviations of 1 mm

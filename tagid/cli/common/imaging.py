@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from tagid.cli.common.frame import Terminal
 from tagid.config import Config, data_folder
+from tagid.counting import counted
 from tagid.errors import EXIT_BATCH, EXIT_FAILED, EXIT_OK, EXIT_UNCERTAIN, TagidError, UsageError
 
 if TYPE_CHECKING:
@@ -407,7 +408,7 @@ def describe(answer: Identification, name: str) -> RenderableType:
             lines.append(
                 Text(
                     f"  rotated {degrees(reading.rotation_deg)} deg, centre ({x:.1f}, {y:.1f}) mm, "
-                    f"margin {reading.margin:.2f}, {len(reading.reflectors)} reflectors"
+                    f"margin {reading.margin:.2f}, {counted(len(reading.reflectors), 'reflector')}"
                 )
             )
     return Group(*lines)

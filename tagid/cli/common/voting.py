@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from tagid.counting import counted
+
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
@@ -39,4 +41,4 @@ def joint_text(
     from tagid.cli.common import imaging
 
     lines = [Text(f"  {file}: {imaging.headline(one)}") for file, one in zip(files, alone, strict=True)]
-    return Group(imaging.describe(joint, f"from {len(alone)} recordings"), *lines)
+    return Group(imaging.describe(joint, f"from {counted(len(alone), 'recording')}"), *lines)

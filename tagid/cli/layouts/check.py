@@ -9,6 +9,7 @@ import typer
 
 from tagid.cli.common.enrolling import rate_in_words
 from tagid.cli.common.frame import Terminal, command
+from tagid.counting import counted
 from tagid.errors import LayoutConflictError
 from tagid.result import Result
 
@@ -92,7 +93,7 @@ def register(app: typer.Typer) -> None:
         }
         if nested:
             remarks.append(
-                f"{len(nested)} layout(s) are a part of a larger one. This is allowed: the reader counts "
+                f"{counted(len(nested), 'layout')} inside a larger one. This is allowed: the reader counts "
                 "reflectors. But if the larger one loses a reflector, the smaller one may be named; avoid "
                 "such pairs on objects that could be mixed up."
             )
@@ -106,8 +107,8 @@ def register(app: typer.Typer) -> None:
         if not bad:
             return Result("layouts check", data, table, messages=tuple(remarks))
         error = LayoutConflictError(
-            f"{len(bad)} pair(s) of layouts could be confused: closer than {CONFUSABLE_M * 1e3:.0f} mm, or "
-            "more often than enrolling allows",
+            f"{counted(len(bad), 'pair')} of layouts could be confused: closer than "
+            f"{CONFUSABLE_M * 1e3:.0f} mm, or more often than enrolling allows",
             "Remove one of each pair with `tagid layouts --remove NAME`, or move a reflector.",
         )
         entry = {"code": error.code, "message": error.message, "remedy": error.remedy}

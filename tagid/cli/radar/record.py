@@ -14,6 +14,7 @@ from tagid.cli.common.recording import capture_folder
 from tagid.cli.radar.device import open_configured, radar_url
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
+from tagid.counting import counted
 from tagid.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 from tagid.result import Result
 
@@ -98,7 +99,7 @@ def register(group: typer.Typer) -> None:
             written = record_long(open_configured(config), plan, limits, path, watch)
         lost = written.radar.scans_lost or 0
         names = [str(each) for each in written.paths]
-        text = "\n".join([f"{written.views} scans of {written.bins} samples, {lost} lost", *names])
+        text = "\n".join([f"{counted(written.views, 'scan')} of {written.bins} samples, {lost} lost", *names])
         data: dict[str, Any] = {
             "path": names[0],
             "paths": names,

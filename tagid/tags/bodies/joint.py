@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.counting import counted
 from tagid.errors import DataError
 from tagid.tags.bodies.hypothesis import Pose
 from tagid.tags.bodies.posing import PoseSearch, matches, noise_of, refine, round_centre
@@ -451,7 +452,7 @@ def enrol_signature(
     """
     if len(captures) < CAPTURES:
         raise DataError(
-            f"{len(captures)} capture(s) of {name}, a signature needs {CAPTURES}",
+            f"{counted(len(captures), 'capture')} of {name}, a signature needs {CAPTURES}",
             "Record the object again, turned by about a third of a turn and moved by a few millimetres.",
         )
     first = captures[0].spectra

@@ -25,7 +25,6 @@ from tagid.fields.thin_shell import POINTS as CONTOUR
 from tagid.fields.thin_shell import ShellField
 from tagid.tags.bodies.arrangement import (
     apart_deg,
-    can_stand,
     farthest,
     gaps_deg,
     kind_of,
@@ -498,10 +497,11 @@ class _ShellReader:
         return replace(row, at=at, radii=row.radii[keep], heights=row.heights[keep])
 
     def _is_other(self, row: _Ringed, best: _Ringed) -> bool:
-        """Whether an arrangement is one, and another than a layout."""
+        """Whether an arrangement is another than a layout.
+
+        Reflectors too near for two stay in: beside walls they stand for what is no reflector.
+        """
         settings, radius = self.sought.settings, float(best.radii.max())
-        if not can_stand(row.on_ring, float(row.radii.max() + row.at[2])):
-            return False
         elsewhere = abs(float(row.radii.max() + row.at[2]) - radius) > settings.other_radius_m
         if _away_deg(row, best) <= settings.other_deg and not elsewhere:
             return False

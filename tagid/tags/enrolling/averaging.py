@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.counting import counted
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.spectra import Spectra, centred
@@ -164,7 +165,7 @@ def average(
     final = rotation_matrix(turn)
     notes = f"Measured on {len(used)} captures, scatter up to {spread.max() * 1e3:.1f} mm."
     if len(used) < 3:
-        notes = f"Measured on {len(used)} capture(s); three or more show their scatter."
+        notes = f"Measured on {counted(len(used), 'capture')}; three or more show their scatter."
     # Rounded to 0.1 micrometres: further digits carry no information.
     places = np.round(positions @ final.T, 7) + 0.0
     layout = Layout(
@@ -267,7 +268,7 @@ def _disagreement(
     """The error that names the captures that differ from the others."""
     size = len(sightings[together[0]].positions)
     if 2 * len(together) <= len(sightings):
-        seen = ", ".join(f"{one.name}: {len(one.positions)} reflectors" for one in sightings)
+        seen = ", ".join(f"{one.name}: {counted(len(one.positions), 'reflector')}" for one in sightings)
         return DataError(
             f"no majority of the captures agrees ({seen})",
             "Check that all show the same object turning in the configured direction, record again with more "
@@ -277,7 +278,7 @@ def _disagreement(
     for i, (straight, mirrored, allowed) in odd.items():
         count = len(sightings[i].positions)
         if count != size:
-            reason = f"shows {count} reflectors, the others {size}"
+            reason = f"shows {counted(count, 'reflector')}, the others {size}"
         elif mirrored <= allowed:
             reason = "is the mirror image of the others: the object turned the other way"
             remedy += " If the direction is not known: tagid config set tags.direction unknown."

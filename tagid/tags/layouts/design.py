@@ -14,6 +14,7 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.counting import counted
 from tagid.errors import UsageError
 from tagid.tags.layouts.cliques import farthest_set
 from tagid.tags.layouts.codebook import (
@@ -158,7 +159,7 @@ def design(
     set_name = _fingerprint(points[chosen], heights[chosen])
     stem = prefix or f"{target.name}-r{rules.reflectors}s{rules.slots}-{set_name}"
     digits = max(2, len(str(count)))
-    notes = f"Designed: {rules.reflectors} of {rules.slots} slots, {len(target.rows)} row(s)."
+    notes = f"Designed: {rules.reflectors} of {rules.slots} slots, {counted(len(target.rows), 'row')}."
     layouts = tuple(
         Layout(
             f"{stem}-{i + 1:0{digits}d}",

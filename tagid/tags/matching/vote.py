@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tagid.counting import counted
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.hypothesis import Enrolled, Kind
@@ -45,7 +46,7 @@ def read_together(
         RegistryError: no layouts. DataError: no or too many recordings, or one without the object's range.
     """
     if not 1 <= len(recordings) <= MAX_SCANS:
-        raise DataError(f"{len(recordings)} recordings to vote", f"Give 1 to {MAX_SCANS}.")
+        raise DataError(f"{counted(len(recordings), 'recording')} to vote", f"Give 1 to {MAX_SCANS}.")
     settings = settings or ReaderSettings()
     scans = [MatchedScan(recording, layouts, settings, enrolled) for recording in recordings]
     alone = [scan.settled(scan.own) for scan in scans]

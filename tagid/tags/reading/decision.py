@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp, lgamma, log, pi, sqrt
 
+from tagid.counting import counted
 from tagid.errors import UsageError
 from tagid.tags.verdicts.verdict import Code, Verdict
 
@@ -224,11 +225,13 @@ def decide(evidence: Evidence, settings: DecisionSettings) -> Verdict:
     if e.share < s.explained_share:
         return Verdict("unknown", Code.UNEXPLAINED, f"the nearest layout explains {e.share:.0%} of the echo")
     if e.missing:
-        return Verdict("unknown", Code.MISSING, f"{e.missing} reflector(s) of the nearest layout are missing")
+        return Verdict("unknown", Code.MISSING, f"the nearest layout lacks {counted(e.missing, 'reflector')}")
     by_chance = s.gain_nats * e.scans + s.gain_spread_nats * sqrt(e.scans)
     if e.further_nats > by_chance + s.gain_share * e.noise_nats:
         if e.extra:
-            return Verdict("unknown", Code.EXTRA, f"{e.extra} strong reflector(s) beyond the nearest layout")
+            return Verdict(
+                "unknown", Code.EXTRA, f"{counted(e.extra, 'strong reflector')} beyond the nearest layout"
+            )
         more = e.further_nats / max(e.noise_nats, 1e-9)
         return Verdict(
             "unknown", Code.ELSEWHERE, f"points elsewhere explain {more:.0%} more than the nearest layout"
