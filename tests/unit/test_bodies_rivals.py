@@ -23,6 +23,8 @@ from tagid.simulate.response_scene import response_scene
 from tagid.simulate.scattering import Points
 from tagid.simulate.scene import Scene
 from tagid.simulate.specification import ReflectorSpec
+from tagid.tags.bodies import cylinder_reader, reader
+from tagid.tags.bodies.arrangement import can_stand
 from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body
 from tagid.tags.bodies.hypothesis import Kind
@@ -253,3 +255,38 @@ def test_every_arrangement_on_a_body_pays_for_its_amplitudes() -> None:
     least = (FEWEST_TERMS - 1) * spectra.amplitude_cost
     for placed in (*reading.layouts, *reading.others):
         assert placed.charged - placed.left >= least * (1 - 1e-9)
+
+
+def on_can(seed: int, snr_db: float) -> BasebandScans:
+    """`container-90` of small reflectors on a can of our simulator, 4 mm off the axis."""
+    rng, positions = np.random.default_rng(seed), builtin_layouts()["container-90"].positions
+    small, can = ReflectorSpec("octahedron", 0.020), parse_body("can:33mm")
+    placed = Placement((0.004, 0.0), 0.5 * seed)
+    scene = object_scene("scene", positions, can, small, rng=rng)
+    return scans_of(scene, Acquisition(views=36, snr_db=snr_db, placement=placed), seed)
+
+
+def test_two_reflectors_in_one_place_are_no_rival(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairs 8 to 13 mm apart in a layout's places fit noise a little better, and no object has them."""
+    scans = on_can(19, snr_db=4.0)
+    assert read_tag(scans, LAYOUTS).layout == "container-90"
+    with monkeypatch.context() as without:
+        for module in (reader, cylinder_reader):
+            without.setattr(module, "can_stand", lambda *given: True)
+        assert read_tag(scans, LAYOUTS).layout is None
+    assert can_stand(np.deg2rad([0.0, 20.0, 180.0]), 0.045)
+    assert not can_stand(np.deg2rad([0.0, 180.0, 355.0]), 0.045)
+    assert can_stand(np.zeros(1), 0.045)
+
+
+@pytest.mark.parametrize(
+    ("early_m", "lead", "code"),
+    [(0.045, 1.2, Code.NONE), (0.045, 0.8, Code.BODY), (0.065, 1.2, Code.BODY), (-0.070, 1.2, Code.BODY)],
+)
+def test_an_unstated_pulse_is_early_where_the_layout_leads_clearly(
+    early_m: float, lead: float, code: Code
+) -> None:
+    found = read_on_body(Spectra.of(on_can(3, snr_db=20.0)), LAYOUTS, RoundBody(), BodySettings())
+    assert found is not None and not found.through
+    moved = replace(found, early_m=early_m, lead=lead, front_m=early_m + 0.030)
+    assert decide_on_body(moved, BodyDecision()).code is code
