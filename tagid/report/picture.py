@@ -5,7 +5,7 @@ Large letters on white, readable in sunlight and in printed reports.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from tagid.errors import DataError, UsageError
 from tagid.report.axes import Axes, colour_bar
-from tagid.report.canvas import Canvas
+from tagid.report.canvas import Canvas, Point
 from tagid.report.colours import INK, RGB, WHITE, colourise, to_decibels
 
 _UNMATCHED: RGB = (255, 140, 110)
 _WIDTH, _HEIGHT = 940, 900
 _SIDE = 700
 _LEFT, _TOP = 110, 100
+_SMALL = 0.5
+_MEANING = {True: "reflector of the layout", False: "other echo"}
 
 
 class Marker(NamedTuple):
@@ -69,11 +71,13 @@ def draw_image(
     axes = Axes(canvas, box, (x - half_x, x + half_x), (y - half_y, y + half_y))
     # Smoothing is cosmetic; large pixels are drawn as squares.
     axes.raster(colourise(decibels, dynamic_range_db), smooth=scale < 12)
-    for marker in reflectors:
-        _mark(axes, Marker(*marker))
+    marked = [marker for marker in (Marker(*given) for given in reflectors) if _is_inside(axes, marker)]
+    for marker in marked:
+        _mark(axes, marker)
     axes.frame("x (m)", "y (m)")
     colour_bar(canvas, (_LEFT + _SIDE + 24, _TOP, _LEFT + _SIDE + 50, box[3]), dynamic_range_db)
     canvas.text((_LEFT, 36), fit_text(canvas, title, _WIDTH - _LEFT - 30, 28), 28)
+    _legend(canvas, {marker.matched for marker in marked})
     canvas.save(Path(path))
 
 
@@ -105,19 +109,37 @@ def fit_text(canvas: Canvas, text: str, width: float, size: int) -> str:
     return line.rstrip() + "…"
 
 
-def _mark(axes: Axes, marker: Marker) -> None:
-    if not (axes.x[0] <= marker.x <= axes.x[1] and axes.y[0] <= marker.y <= axes.y[1]):
+def _legend(canvas: Canvas, kinds: Set[bool]) -> None:
+    """What the marks that are drawn mean, between the title and the image."""
+    x, y = _LEFT + 9.0, _TOP - 18.0
+    for matched, meaning in _MEANING.items():
+        if matched in kinds:
+            _symbol(canvas, (x, y), matched, INK, 2.0, _SMALL)
+            canvas.text((x + 18, y), meaning, 20, anchor="lm")
+            x += 48 + canvas.text_width(meaning, 20)
+
+
+def _symbol(canvas: Canvas, at: Point, matched: bool, colour: RGB, width: float, scale: float = 1.0) -> None:
+    """A circle, or a cross, of one colour."""
+    x, y = at
+    if matched:
+        canvas.circle(at, 17 * scale, colour, width)
         return
+    arm = 12 * scale
+    canvas.line([(x - arm, y - arm), (x + arm, y + arm)], colour, width)
+    canvas.line([(x - arm, y + arm), (x + arm, y - arm)], colour, width)
+
+
+def _is_inside(axes: Axes, marker: Marker) -> bool:
+    return axes.x[0] <= marker.x <= axes.x[1] and axes.y[0] <= marker.y <= axes.y[1]
+
+
+def _mark(axes: Axes, marker: Marker) -> None:
     x, y = axes.place(marker.x, marker.y)
     colour = WHITE if marker.matched else _UNMATCHED
-    for rim, shade in ((3.0, INK), (0.0, colour)):
-        width = 3 + rim
-        if marker.matched:
-            axes.canvas.circle((x, y), 17 + rim / 2, shade, width)
-        else:
-            arm = 12 + rim / 3
-            axes.canvas.line([(x - arm, y - arm), (x + arm, y + arm)], shade, width)
-            axes.canvas.line([(x - arm, y + arm), (x + arm, y - arm)], shade, width)
+    # A dark rim, so that marks show on bright pixels, too.
+    _symbol(axes.canvas, (x, y), marker.matched, INK, 6.0, 1.08)
+    _symbol(axes.canvas, (x, y), marker.matched, colour, 3.0)
     # Near the right edge the label goes to the other side.
     room = axes.canvas.text_width(marker.label, 22) + 26
     right = x + room < axes.box[2]

@@ -60,9 +60,16 @@ def test_markers_show_at_their_place_only_inside(tmp_path: Path) -> None:
     assert np.abs(columns - (LEFT + 0.7 * SIDE)).min() < 25
     near_first = np.hypot(columns - (LEFT + 0.7 * SIDE), rows - (TOP + 0.7 * SIDE)) < 60
     near_second = np.hypot(columns - (LEFT + 0.1 * SIDE), rows - (TOP + 0.1 * SIDE)) < 110
-    assert (near_first | near_second).all()
+    legend = (rows > TOP - 32) & (rows < TOP - 4)
+    assert (near_first | near_second | legend).all()
     assert near_first.any()
     assert near_second.any()
+    # A circle and a cross, each with its meaning.
+    assert legend.any() and columns[legend].max() > LEFT + 300
+    draw_image(values, 0.5, marked, reflectors=[Marker(0.1, -0.1, "1")])
+    with Image.open(plain) as a, Image.open(marked) as b:
+        one = np.nonzero((np.asarray(a) != np.asarray(b))[TOP - 32 : TOP - 4].any(axis=2))[1]
+    assert one.min() >= LEFT and one.max() < LEFT + 300
     outside = tmp_path / "outside.png"
     draw_image(values, 0.5, outside, reflectors=[Marker(0.4, 0.0, "far")])
     assert outside.read_bytes() == plain.read_bytes()
