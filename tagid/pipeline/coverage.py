@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tagid.capture import Capture
+from tagid.pipeline.standstill import stopped_words
 from tagid.signal import median
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code
@@ -58,9 +59,17 @@ def ended_early(capture: Capture) -> bool:
 def of_the_part(reading: Reading, capture: Capture) -> Reading:
     """The reading as far as the part of a turn that was seen carries it.
 
-    The calibration of the bound on false accept is of whole turns. In a smaller part the far side of the
-    object, and a tag there, were not seen: that no tag shows says nothing.
+    A name is withheld where the turn stopped before every side of the object was seen, and the bound on false
+    accept from any part: its calibration is of whole turns. In a small part the far side, and a tag there,
+    were not seen: that no tag shows says nothing.
     """
+    info = capture.motion.resolved
+    stopped = None if info is None else info.standstill
+    turns = None if info is None else info.turns
+    unseen = stopped is not None and turns is not None and turns < LEAST_NAMED_TURNS
+    if stopped is not None and unseen and reading.status == "identified":
+        until = f"{stopped_words(stopped)}, and until then the scans show {reading.layout}"
+        return replace(reading.refused(Code.STOPPED, f"{until}, but not every side"), bound=None)
     gap = None if ended_early(capture) else widest_gap(capture)
     if gap is None or gap.share >= WHOLE_TURN:
         return reading

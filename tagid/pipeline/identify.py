@@ -15,7 +15,6 @@ from tagid.pipeline.answer import Identification
 from tagid.pipeline.coverage import of_the_part
 from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved
 from tagid.pipeline.settings import ImagingSettings, Stopwatch
-from tagid.pipeline.standstill import checked_reading
 
 if TYPE_CHECKING:
     from tagid.tags.bodies.hypothesis import Enrolled
@@ -68,7 +67,7 @@ def identify(
     with watch.stage("read"):
         enrolled = enrolled_hypotheses(prepared.given, signatures, prepared.settings)
         reading = read_tag(scans, layouts, _reader_settings(prepared.settings, spent), enrolled)
-        reading = of_the_part(checked_reading(reading, prepared.given), prepared.given)
+        reading = of_the_part(reading, prepared.given)
     with watch.stage("look again"):
         second = _second_look(prepared, reading)
     labels = {one.name: one.label for one in signatures if one.kind == "object"}

@@ -16,13 +16,11 @@ from tagid.angles.standstill import Still, find_standstill
 from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion, Standstill
-from tagid.pipeline.coverage import LEAST_NAMED_TURNS
 from tagid.pipeline.resolve import clock_of
 from tagid.tags.verdicts.verdict import ADVICE, Code
 
 if TYPE_CHECKING:
     from tagid.motion.device import Motion
-    from tagid.tags.matching.reading import Reading
 
 _SCALES = 3.2
 _LEAST_SCALE = 0.03
@@ -100,18 +98,6 @@ def stopped_error(capture: Capture) -> TurnStoppedError | None:
         return None
     where = stopped_words(standstill_facts(still, times, None))
     return TurnStoppedError(f"{where}, and no turn was complete", REMEDY)
-
-
-def checked_reading(reading: Reading, capture: Capture) -> Reading:
-    """The reading, without its name if the turn stopped before every side of the object was seen."""
-    resolved: ResolvedMotion | None = capture.motion.resolved
-    found = None if resolved is None else resolved.standstill
-    if found is None or reading.status != "identified":
-        return reading
-    if resolved is None or resolved.turns is None or resolved.turns >= LEAST_NAMED_TURNS:
-        return reading
-    reason = f"{stopped_words(found)}, and until then the scans show {reading.layout}, but not every side"
-    return replace(reading.refused(Code.STOPPED, reason), bound=None)
 
 
 def stopped_words(found: Standstill) -> str:
