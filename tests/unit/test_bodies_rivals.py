@@ -281,7 +281,7 @@ def test_two_reflectors_in_one_place_are_no_rival(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize(
     ("early_m", "lead", "code"),
-    [(0.045, 1.2, Code.NONE), (0.045, 0.8, Code.BODY), (0.065, 1.2, Code.BODY), (-0.070, 1.2, Code.BODY)],
+    [(0.045, 2.2, Code.NONE), (0.045, 1.8, Code.BODY), (0.065, 2.2, Code.BODY), (-0.070, 2.2, Code.BODY)],
 )
 def test_an_unstated_pulse_is_early_where_the_layout_leads_clearly(
     early_m: float, lead: float, code: Code

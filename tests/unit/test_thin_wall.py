@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tags_synthetic import response, synthetic_scans
 
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
@@ -16,6 +17,7 @@ from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.hypotheses import Fit, search
 from tagid.tags.reading.thin_wall import thin_wall
 from tagid.tags.reading.uneven import UnevenFit
+from train.population import draw
 
 LAYOUTS = list(builtin_layouts().values())
 LAYOUT = builtin_layouts()["container-90"]
@@ -143,3 +145,9 @@ def test_a_hidden_sector_takes_no_name_away() -> None:
         reading = read_tag(replace(scans, samples=samples), LAYOUTS)
         named += (reading.status, reading.layout) == ("identified", "helmet-120")
     assert named == 4
+
+
+def test_two_reflectors_on_a_box_are_no_right_angle_before_a_thin_wall() -> None:
+    """Points elsewhere explained more, and the layout left two thirds of the echo."""
+    scans = preprocess(draw(4018822).capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+    assert read_tag(scans, LAYOUTS).status == "unknown"
