@@ -273,7 +273,9 @@ def test_more_signal_and_more_views_never_take_a_name_away() -> None:
             leads.append(reading.lead)
         # More signal buys other arrangements more terms of their pattern, which takes a little of the lead.
         assert min(leads[1:]) > 6 * BodyDecision().lead
-        assert all(b > 0.8 * a for a, b in pairwise(leads[1:]))
+        # Where two reflectors of the best rival come to stand in one place, the next one is far behind: a lead
+        # that is larger than any test asks may fall, no other.
+        assert all(b > min(0.8 * a, BodyDecision().clear_lead) for a, b in pairwise(leads[1:]))
 
 
 def test_calibration_promises_no_more_than_it_counted() -> None:
