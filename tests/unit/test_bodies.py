@@ -273,8 +273,8 @@ def test_more_signal_and_more_views_never_take_a_name_away() -> None:
             leads.append(reading.lead)
         # More signal buys other arrangements more terms of their pattern, which takes a little of the lead.
         assert min(leads[1:]) > 6 * BodyDecision().lead
-        # Where two reflectors of the best rival come to stand in one place, the next one is far behind: a lead
-        # that is larger than any test asks may fall, no other.
+        # Where two reflectors of the best rival come to stand in one place, the next one is far behind: only
+        # a lead that is larger than any test asks may fall.
         assert all(b > min(0.8 * a, BodyDecision().clear_lead) for a, b in pairwise(leads[1:]))
 
 

@@ -24,6 +24,9 @@ CLEARER = 0.5
 """A refusal is that on a shell, and a name on a glass is doubted, where a layout on the shell leaves this
 share of what every other hypothesis leaves."""
 
+NOTHING = 0.02
+"""What a hypothesis leaves no other need explain, if it is less: a name beside a glass gave way to a box that
+left nothing either."""
 NEEDED = 0.2
 """Walls explain so much of the echo more than what needs none: of 36 tags in solved cartons 0.4 and more. A
 reflector in the middle of `container-90`, near the noise, passed for a carton's walls."""
@@ -93,7 +96,7 @@ def _said(
     )
     hypotheses = tuple(sorted((own, *settled.hypotheses), key=lambda one: one.left))
     others = min((one.left for one in settled.hypotheses), default=1.0)
-    clearer = own.left <= CLEARER * others
+    clearer = own.left <= CLEARER * others and others > NOTHING
     if settled.status == "identified" and not clearer:
         return None
     # Walls with the right layout leave less than a round body with any: 65 of 65 tags in solved cartons.
