@@ -25,6 +25,7 @@ from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.matcher import read_tag
+from tagid.tags.matching.on_shell import on_shell
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code
 from train.population import draw
@@ -120,3 +121,15 @@ def test_objects_that_are_no_cartons_are_not_named_in_one(seed: int) -> None:
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
     reading = read_tag(preprocess(draw(seed).capture, settings=settings), LAYOUTS)
     assert reading.status == "unknown"
+
+
+@pytest.mark.parametrize(("left", "stands"), [(0.012, True), (0.05, False)])
+def test_a_name_beside_a_glass_that_leaves_nothing_does_not_give_way(left: float, stands: bool) -> None:
+    """The carton leaves half a per cent: of what is left beside the glass, too little for another body."""
+    scans = recorded("carton140_c90")
+    found = read("carton140_c90")
+    glass = next(one for one in found.hypotheses if one.kind is Kind.ROUND)
+    plain = tuple(one for one in found.hypotheses if one.kind in (Kind.BARE, Kind.NO_TAG))
+    settled = replace(found, kind=Kind.ROUND, hypotheses=(replace(glass, left=left), *plain))
+    said = on_shell(settled, scans, LAYOUTS, ContestSettings())
+    assert (said is None) == stands
