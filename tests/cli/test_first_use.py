@@ -191,7 +191,7 @@ def test_an_unknown_answer_names_the_nearest_layout_and_the_axis_distance_that_i
     assert here("simulate", "helmet-120", *words, "--out", "far.tagid.h5").code == 0
     ran = here("identify", "far.tagid.h5")
     assert ran.code == 3 and "nearest layout: helmet-120" in ran.out
-    assert "likely cause: with an axis distance of 1.00 m instead of 1.1 m" in ran.out
+    assert "likely cause: with an axis distance of 1.00 m instead of 1.10 m" in ran.out
     # What is advised works.
     option = re.search(r"--axis-distance \d+\.\d+", ran.out)
     assert option is not None
