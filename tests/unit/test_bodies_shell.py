@@ -14,6 +14,7 @@ import pytest
 from solved_shells import recorded_at
 
 from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField, ShellView, ThinShell
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.hypothesis import Kind, Pose
@@ -26,6 +27,7 @@ from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.matching.matcher import read_tag
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code
+from train.population import draw
 
 LAYOUTS = list(builtin_layouts().values())
 CENTRE_M = (0.004, -0.0045)
@@ -195,3 +197,10 @@ def test_harmonics_of_a_shell_are_its_echo() -> None:
     size = (np.abs(found) ** 2).sum(axis=1) * (np.abs(exact) ** 2).sum(axis=1)
     assert (along / size).min() > 0.995
     assert signature_of(shell, spectra.wavenumbers, 0.9).turning_share > 0.3
+
+
+def test_a_layout_on_a_shell_leaves_less_than_without_one() -> None:
+    """Two bare reflectors of `helmet-120`: as points they leave half of what the three on a shell leave."""
+    settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
+    reading = read_tag(preprocess(draw(9030460).capture, settings=settings), LAYOUTS)
+    assert (reading.status, reading.code) == ("unknown", Code.MISSING)

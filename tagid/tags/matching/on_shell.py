@@ -99,8 +99,12 @@ def _said(
     clearer = own.left <= CLEARER * others and others > NOTHING
     if settled.status == "identified" and not clearer:
         return None
-    # Walls with the right layout leave less than a round body with any: 65 of 65 tags in solved cartons.
-    if kind is Kind.BOX and (own.left > others or _plain_left(settled) - own.left < NEEDED):
+    # Walls with the right layout leave less than a round body with any, or than points: 65 of 65 tags in
+    # solved cartons. Two bare reflectors of three, which left half as much, passed for the three on a shell.
+    named = verdict.status == "identified"
+    if own.left > others and (named or kind is Kind.BOX):
+        return None
+    if kind is Kind.BOX and _plain_left(settled) - own.left < NEEDED:
         return None
     # An enrolled body knows better what stands in the middle of the same tag.
     known = settled.body if settled.kind is Kind.BODY else None
@@ -110,7 +114,7 @@ def _said(
     other = (one for one in settled.hypotheses if one.kind is Kind.BODY and one.layout != best.layout)
     if any(one.left <= own.left for one in other):
         return None
-    if verdict.status == "identified":
+    if named:
         return replace(on_body(settled, reading, layouts, None), kind=kind, hypotheses=hypotheses, note="")
     if not clearer or verdict.code is Code.WEAK:
         return None
