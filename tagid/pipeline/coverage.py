@@ -64,11 +64,9 @@ def of_the_part(reading: Reading, capture: Capture) -> Reading:
     were not seen: that no tag shows says nothing.
     """
     info = capture.motion.resolved
-    stopped = None if info is None else info.standstill
-    turns = None if info is None else info.turns
-    unseen = stopped is not None and turns is not None and turns < LEAST_NAMED_TURNS
-    if stopped is not None and unseen and reading.status == "identified":
-        until = f"{stopped_words(stopped)}, and until then the scans show {reading.layout}"
+    unseen = info is not None and info.turns is not None and info.turns < LEAST_NAMED_TURNS
+    if info is not None and info.standstill is not None and unseen and reading.status == "identified":
+        until = f"{stopped_words(info.standstill)}, and until then the scans show {reading.layout}"
         return replace(reading.refused(Code.STOPPED, f"{until}, but not every side"), bound=None)
     gap = None if ended_early(capture) else widest_gap(capture)
     if gap is None or gap.share >= WHOLE_TURN:

@@ -12,6 +12,7 @@ from dataclasses import asdict, replace
 from typing import Final
 
 from tagid.capture import ViewFlag
+from tagid.counting import counted
 from tagid.errors import StorageError
 from tagid.metadata import Ending, RadarInfo, ScanGap
 from tagid.radar.assembler import Scan
@@ -174,10 +175,10 @@ def notes(radar: RadarInfo) -> list[str]:
     """Notes on a recording for the user, one sentence each."""
     found = []
     if lost := radar.scans_lost:
-        found.append(f"{lost} scan{'' if lost == 1 else 's'} lost between radar and computer")
+        found.append(f"{counted(lost, 'scan')} lost between radar and computer")
     malformed = int((radar.statistics or {}).get("malformed", 0))
     if malformed:
-        found.append(f"{malformed} packet{'' if malformed == 1 else 's'} were damaged or not P440 messages")
+        found.append(f"{counted(malformed, 'packet')} were damaged or not P440 messages")
     if radar.scans_dropped:
         found.append(drop_note(radar.scans_dropped))
     if radar.gap_count:

@@ -20,6 +20,7 @@ from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate.noise import NoiseShape, draw_noise
+from tagid.tags.bodies import reader
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg, merged, resolution_deg
 from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.calibration import Basis, Bound, Calibration, Scores, Stratum, largest
@@ -251,8 +252,15 @@ def test_unenrolled_objects_are_not_named(seed: int) -> None:
     assert reading.reason
 
 
-def test_more_signal_and_more_views_never_take_a_name_away() -> None:
+@pytest.mark.parametrize("all_count", [True, False])
+def test_more_signal_and_more_views_never_take_a_name_away(
+    all_count: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same can at rising SNR and views: once named, named for good."""
+    if all_count:
+        # Where two reflectors of the best rival come to stand in one place, the next one is far behind, and
+        # the lead jumps. Against the same rivals it does not.
+        monkeypatch.setattr(reader, "can_stand", lambda *given: True)
     centre, angles = 0.004 - 0.003j, [0.4, 0.4 + np.pi / 2]
     rng = np.random.default_rng(5)
     for views in (24, 48):
@@ -273,9 +281,10 @@ def test_more_signal_and_more_views_never_take_a_name_away() -> None:
             leads.append(reading.lead)
         # More signal buys other arrangements more terms of their pattern, which takes a little of the lead.
         assert min(leads[1:]) > 6 * BodyDecision().lead
-        # Where two reflectors of the best rival come to stand in one place, the next one is far behind: only
-        # a lead that is larger than any test asks may fall.
-        assert all(b > min(0.8 * a, BodyDecision().clear_lead) for a, b in pairwise(leads[1:]))
+        if all_count:
+            assert all(b > 0.8 * a for a, b in pairwise(leads[1:]))
+        else:
+            assert min(leads[1:]) > BodyDecision().clear_lead
 
 
 def test_calibration_promises_no_more_than_it_counted() -> None:

@@ -23,8 +23,8 @@ class BodyDecision:
             and of its level, which the median of as many values gives to 1 / ln 2 of that.
         wall_unexplained: the same beside a wall: one that tapers, or ends near the reflectors, leaves a
             fifth, other arrangements a quarter and more,
-        wall_clear, clear_wall_lead: so much only where the layout leads clearly: straight walls leave up to
-            9 %, and handles, boxes and single reflectors, of which a pair is made, 10 to 18 %.
+        wall_clear: so much only where it leads by `clear_lead`, else this: straight walls leave up to 9 %,
+            and handles, boxes and single reflectors, of which a pair is made, 10 to 18 %.
         shell_unexplained: on an enrolled shell, before which patterns differ with the gap, where the layout
             leads by `shell_lead`: tags on oval shells leave up to 20 % and lead by 0.7 and more, 44 others
             leave 33 % or more and lead by -0.3 at most, those with one reflector too many 28 % and 0.44,
@@ -78,7 +78,6 @@ class BodyDecision:
     chance_sigmas: float = 3.5
     wall_unexplained: float = 0.20
     wall_clear: float = 0.10
-    clear_wall_lead: float = 2.0
     shell_unexplained: float = 0.22
     shell_lead: float = 0.6
     shell_m: float = 0.076
@@ -128,7 +127,7 @@ def most_unexplained(reading: BodyReading, settings: BodyDecision) -> float:
     deviation = sqrt(max(r.noise, 0.0) * max(r.variance, 0.0)) / max(r.tag, 1e-30)
     by_chance = s.chance_sigmas * deviation
     if r.wall is not None:
-        return (s.wall_unexplained if r.lead >= s.clear_wall_lead else s.wall_clear) + by_chance
+        return (s.wall_unexplained if r.lead >= s.clear_lead else s.wall_clear) + by_chance
     if r.body.name:
         clear = r.nominal_m >= s.shell_m and r.lead >= s.shell_lead
         return (s.shell_unexplained if clear else s.unexplained) + by_chance
@@ -143,15 +142,16 @@ def _is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
         # An enrolled body knows of the delay that its echo may have in common with the reflectors'. One that
         # the wave passes through returns most from behind, by paths of its own.
         delay = r.front_m if r.body_energy > s.wall_share * r.energy else 0.0
-        return r.early_m - max(delay, 0.0) <= s.early_m[1]
+        return r.early_m - max(delay, 0.0) <= _earliest_m(r, s)
     if not r.through:
         return s.early_m[0] <= r.early_m <= _earliest_m(r, s)
     return r.wall is None or r.early_m <= s.early_glass_m
 
 
 def _earliest_m(reading: BodyReading, settings: BodyDecision) -> float:
-    """How early reflectors on a round body, or its wall, may answer, m."""
-    return settings.early_clear_m if reading.lead >= settings.clear_lead else settings.early_m[1]
+    """How early reflectors, or the wall behind them, may answer, m: more in a clear case on a round body."""
+    clear = not reading.body.name and reading.lead >= settings.clear_lead
+    return settings.early_clear_m if clear else settings.early_m[1]
 
 
 def from_elsewhere(reading: BodyReading) -> Verdict:
@@ -202,7 +202,7 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
             f"what looks like {name} is {abs(r.front_m) * 1e3:.0f} mm {side} where it was at enrolment",
         )
     inside = r.front_m - r.nominal_m
-    if _has_wall(r, s) and inside > (s.early_m[1] if r.body.name else _earliest_m(r, s)):
+    if _has_wall(r, s) and inside > _earliest_m(r, s):
         return Verdict(
             "unknown",
             Code.BODY,

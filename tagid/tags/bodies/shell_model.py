@@ -120,22 +120,19 @@ class ShellBody:
         return EnrolledBody(signature_of(self.fit.shell, self.wavenumbers, self.distance_m), Searches(1))
 
 
-def signature_of(
-    shell: ThinShell, wavenumbers: NDArray[np.float64], distance_m: float, points: int = SEARCHED
-) -> Signature:
+def signature_of(shell: ThinShell, wavenumbers: NDArray[np.float64], distance_m: float) -> Signature:
     """The echo of a shell as angular harmonics, as those of an enrolled body.
 
     Args:
         shell: about its own centre.
         wavenumbers: (F,) kappa, rad/m.
         distance_m: of the antenna, m.
-        points: of the contour.
     """
     radius = shell.radius_m
     order = order_of(float(wavenumbers[-1]), radius)
     aspects = 2 * order + 4
     antenna = distance_m * np.exp(2j * np.pi * np.arange(aspects) / aspects)
-    seen = ShellField.of(wavenumbers / 2, shell, points).echo(antenna)
+    seen = ShellField.of(wavenumbers / 2, shell, SEARCHED).echo(antenna)
     seen = seen * np.exp(1j * wavenumbers[:, None] * distance_m)
     m = np.arange(-order, order + 1)
     harmonics = np.fft.fft(seen, axis=1)[:, m % aspects] / aspects
