@@ -41,7 +41,9 @@ SHAPE_PRIOR = 5.0
 """Values of the mean density that are added to those measured at each of them."""
 
 MIN_EARLY_VALUES = 16
-"""Values before the object from which the noise is known to 36 %, enough to notice that it is coloured."""
+"""Values before the object from which the noise is known to 36 %, enough to notice that it is coloured,"""
+EARLY_SIGMAS = 3.0
+"""by so many standard deviations of their power, over all frequencies or over the pulse's band."""
 
 MAX_SAMPLE = 1e15
 """Largest magnitude of a sample: sums of squares over a capture stay finite in single precision."""
@@ -275,17 +277,21 @@ class _Noise:
 def _raised(noise: _Noise, early: NDArray[np.complex64], band: BandFilter) -> _Noise:
     """The noise, or that of the range bins before the object where it is clearly stronger.
 
-    A receiver's filter, or a transmitter in the band, makes noise that the spectrum outside the band does
+    Stronger over the pulse's band is enough: a filter's noise is weaker outside it than white noise is. A
+    receiver's filter, or a transmitter in the band, makes noise that the spectrum outside the band does
     not show.
     """
     values = early.size * band.bandwidth_hz / band.rate_hz
     if noise.variance <= 0 or values < MIN_EARLY_VALUES:
         return noise
     seen = float(median(early.real**2 + early.imag**2)) / _LN2
+    inside = _band_density([early], band)
     # The median of n exponential variables has the relative standard deviation 1 / (ln 2 sqrt n).
-    if seen < (1 + 4 / (_LN2 * np.sqrt(values))) * noise.variance:
+    most = 1 + EARLY_SIGMAS / (_LN2 * np.sqrt(values))
+    if seen < most * noise.variance and inside < most * noise.density:
         return noise
-    density = _band_density([early], band) or noise.density * seen / noise.variance
+    seen = max(seen, noise.variance)
+    density = inside or noise.density * seen / noise.variance
     return _Noise(seen, density, _band_shape([early], band, density))
 
 

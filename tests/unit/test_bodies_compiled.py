@@ -153,7 +153,7 @@ def test_walls_that_do_not_fit_are_refused() -> None:
 
 def beside_walls(views: int) -> CylinderFitter:
     spectra = noise(views)
-    return CylinderFitter(spectra, Patterns.of(spectra, 0.045), RoundBody(), Priors(), 1.0)
+    return CylinderFitter(spectra, Patterns.of(spectra, 0.045), RoundBody(), 0j, Priors().centre_m, 1.0)
 
 
 def ringed(shell: int, layout: str | None, *angles: float) -> Ringed:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tagid.tags.bodies.compiled import RingedRows
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
-from tagid.tags.bodies.reflectors_fit import Priors, Solved, solve
+from tagid.tags.bodies.reflectors_fit import Solved, solve
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 
@@ -106,7 +106,8 @@ class CylinderFitter:
         spectra: the scans.
         patterns: beside the bodies of a family, at the frequencies of the scans.
         body: of revolution.
-        priors: see `Priors`.
+        expected: centre about which reflectors and wall are expected, x + jy, m,
+        spread_m: to within this standard deviation.
         variance: of one value's error in the fit.
         known: (F, V) echo of an enrolled body in its pose, in place of that of one of revolution; None for
             the latter.
@@ -115,7 +116,8 @@ class CylinderFitter:
     spectra: Spectra
     patterns: Patterns
     body: RoundBody
-    priors: Priors
+    expected: complex
+    spread_m: float
     variance: float
     known: NDArray[np.complex128] | None = None
 
@@ -145,12 +147,14 @@ class CylinderFitter:
         steps = np.full(at.shape[1], _STEP_RAD)
         steps[:3] = _STEPS_M
         weight = np.zeros(at.shape[1])
-        weight[:2], weight[2] = self.priors.centre_m**-2, RADIUS_M**-2
+        weight[:2], weight[2] = self.spread_m**-2, RADIUS_M**-2
+        mean = np.zeros(at.shape[1])
+        mean[:2] = self.expected.real, self.expected.imag
         along = moves * steps
         scale = 2 / self.variance
         now = self._left(many.rings)
         rest, left = now.rest, now.energy
-        cost = scale * left + at**2 @ weight
+        cost = scale * left + (at - mean) ** 2 @ weight
         damping = np.full(len(at), 1e-2)
         for _ in range(rounds):
             stepped = self._left(many.rings.moved(at[:, None] + along)).rest
@@ -160,14 +164,14 @@ class CylinderFitter:
             normal = scale * (slopes @ np.swapaxes(slopes, 1, 2))
             gradient = scale * (slopes @ error[..., None])[..., 0]
             normal = normal + (along * weight) @ np.swapaxes(along, 1, 2)
-            gradient = gradient + ((along * weight) @ at[..., None])[..., 0]
+            gradient = gradient + ((along * weight) @ (at - mean)[..., None])[..., 0]
             size = np.diagonal(normal, axis1=1, axis2=2)
             load = damping[:, None] * size + np.where(size > 0, 1e-9 * size, 1.0)
             step = -np.linalg.solve(normal + load[..., None] * np.eye(size.shape[1]), gradient[..., None])
             trial = at + (np.swapaxes(along, 1, 2) @ step)[..., 0]
             trial[:, 2] = np.clip(trial[:, 2], -MOST_OFFSET_M, MOST_OFFSET_M)
             there = self._left(many.rings.moved(trial[:, None]))
-            trial_cost = scale * there.energy + trial**2 @ weight
+            trial_cost = scale * there.energy + (trial - mean) ** 2 @ weight
             better = trial_cost < cost
             at[better], rest[better] = trial[better], there.rest[better]
             left[better], cost[better] = there.energy[better], trial_cost[better]

@@ -10,8 +10,10 @@ cans and cups, 3 to 15 % on thick glass, both together 0.2 to 2 % and 1 to 9 %.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +33,10 @@ COATED = (3.5e-3, 5.5)
 """Such a wall around water, which is nearly metal."""
 
 
+FINER_M, FINER_WALL_M, FINER_PERMITTIVITY = 1e-3, 1e-3, 1.2
+"""Steps to the walls between those of the family: of radius and thickness, and the ratio of permittivities."""
+
+
 def family(radius_m: float) -> tuple[Shell, ...]:
     """Bodies on which reflectors may stand `radius_m` from the axis, in both polarisations."""
     found = []
@@ -40,6 +46,35 @@ def family(radius_m: float) -> tuple[Shell, ...]:
             found.append(Shell(float(radius), *COATED, True, polarisation))
             found += [Shell(float(radius), *wall, False, polarisation) for wall in WALLS]
     return tuple(found)
+
+
+def between(wall: Shell, radius_m: float) -> tuple[Shell, ...]:
+    """A body of the family and those between it and its neighbours there.
+
+    Args:
+        wall: its polarisation is kept.
+        radius_m: of the reflectors, whose centres all of them clear, m.
+    """
+    steps = np.array([-1, 0, 1])
+    radii = wall.radius_m + FINER_M * steps
+    thicknesses = permittivities = np.zeros(1)
+    if not wall.metal:
+        thick, strong = (np.array(some) for some in zip(*WALLS, strict=True))
+        thicknesses = np.clip(FINER_WALL_M * steps, thick.min() - wall.wall_m, thick.max() - wall.wall_m)
+        permittivities = wall.permittivity * FINER_PERMITTIVITY**steps
+        permittivities = np.clip(permittivities, strong.min(), strong.max()) - wall.permittivity
+    return tuple(
+        dict.fromkeys(
+            replace(
+                wall,
+                radius_m=float(radius),
+                wall_m=float(wall.wall_m + thickness),
+                permittivity=float(wall.permittivity + permittivity),
+            )
+            for radius, thickness, permittivity in product(radii, thicknesses, permittivities)
+            if wall.wall_m + thickness < radius <= radius_m - CLEAR_M
+        )
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +142,12 @@ class Patterns:
         """Those of a radius, at the frequencies of spectra; the last ones are kept."""
         return _patterns(spectra.wavenumbers.tobytes(), round(radius_m, 4))
 
+    def finer(self, spectra: Spectra, walls: Iterable[int]) -> Patterns:
+        """Those of some of the bodies, by index, and of bodies between these and their neighbours."""
+        chosen = dict.fromkeys(self.shells[i] for i in walls)
+        around = dict.fromkeys(one for wall in chosen for one in (wall, *between(wall, self.radius_m)))
+        return _of(spectra.wavenumbers, self.radius_m, tuple(around))
+
     def thinned(self, step: int) -> Patterns:
         """At every `step`-th frequency only."""
         return Patterns(self.radius_m, self.shells, np.ascontiguousarray(self.relative[:, :, ::step]))
@@ -131,9 +172,12 @@ class Patterns:
 
 @lru_cache(maxsize=8)
 def _patterns(wavenumbers: bytes, radius_m: float) -> Patterns:
+    return _of(np.frombuffer(wavenumbers), radius_m, family(radius_m))
+
+
+def _of(wavenumbers: NDArray[np.float64], radius_m: float, shells: tuple[Shell, ...]) -> Patterns:
     # Spectra count both ways: kappa = 2k.
-    k = np.frombuffer(wavenumbers) / 2
+    k = wavenumbers / 2
     angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
-    shells = family(radius_m)
     direct = np.exp(2j * k[:, None] * radius_m * np.cos(angles))
     return Patterns(radius_m, shells, echoes(k, shells, radius_m, angles) / direct)

@@ -18,6 +18,8 @@ from tagid.tags.bodies.spectra import Spectra, centred
 APART_M = 3e-3
 """Minima of the body's fit nearer than this are one."""
 
+_FINEST_M = 1e-4
+
 
 @dataclass(frozen=True)
 class RoundBody:
@@ -88,6 +90,35 @@ class RoundBody:
             if len(found) == self.starts:
                 break
         return sorted((self._refined(spectra, one) for one in found), key=lambda one: one.left)
+
+    def middle(self, spectra: Spectra, echo: NDArray[np.complex128], near: complex) -> Candidate:
+        """The centre about which the whole echo (F, V) of another body is most that of a round one.
+
+        With what does not change over the views, so that it holds for a body on the rotation axis, too.
+
+        Args:
+            spectra: the scans.
+            echo: of that body in its pose, with what is constant over the views.
+            near: where the search begins, m.
+
+        Returns:
+            The centre, and the share of the echo's energy that a round body there leaves.
+        """
+        energy = max(float((np.abs(echo) ** 2).sum()), 1e-300)
+
+        def left(centres: NDArray[np.complex128]) -> NDArray[np.float64]:
+            column = self.echo(spectra, centres, np.zeros(len(centres)))
+            along = np.abs((column.conj() * echo).sum(axis=-1)) ** 2
+            return np.asarray(1 - (along / (np.abs(column) ** 2).sum(axis=-1)).sum(axis=-1) / energy)
+
+        centre, step = near, 2 * self.step_m
+        star = np.array([0, 1, -1, 1j, -1j], dtype=np.complex128)
+        while step > _FINEST_M:
+            value = left(centre + step * star)
+            best = int(np.argmin(value))
+            centre = complex(centre + step * star[best])
+            step = step if best else step / 2
+        return Candidate(Pose((centre.real, centre.imag)), float(left(np.array([centre]))[0]))
 
     def _refined(self, spectra: Spectra, start: Candidate) -> Candidate:
         centre, step, left = start.pose.centre, self.step_m / 2, start.left

@@ -29,7 +29,8 @@ class ShellDecision:
         tag_nats: a tag explains so many noise variances.
         wall_share: a shell has this share of the moving echo: without one the reading is that of a bare tag.
         middle: a reflector in the middle is told where it would show by so many errors of the reading,
-        contrary: and stands there where it explains more than this share of that.
+        contrary: and stands there where it explains more than this share of that,
+        told: and so much: less is noise, and what the shell's own model leaves.
         middle_off_axis: where the tag stands `off_axis_m` from the rotation axis one must show by so many: of
             helmets of our simulator it does by 0.8 and more, and where one stands there, by 0.05 to 0.8: the
             shell was bent to explain it.
@@ -53,6 +54,7 @@ class ShellDecision:
     middle_off_axis: float = 0.25
     off_axis_m: float = 0.005
     contrary: float = 0.25
+    told: float = 0.15
     own_middle: float = 0.15
     early_m: tuple[float, float] = (-inf, inf)
 
@@ -105,7 +107,7 @@ def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
     if not found.has_middle and off_axis and found.middle_nats < s.middle_off_axis:
         return Verdict("unknown", Code.EXTRA, f"a reflector may stand in the middle of {name}")
     told = not found.has_middle and found.middle_nats >= s.middle
-    if told and found.middle_lead < -s.contrary * found.middle_nats:
+    if told and found.middle_lead < -max(s.contrary * found.middle_nats, s.told):
         return Verdict("unknown", Code.EXTRA, f"a reflector stands in the middle of {name}")
     if r.lead < s.lead:
         reason = f"another arrangement {s.where} explains the echo about as well"

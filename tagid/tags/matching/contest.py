@@ -353,7 +353,8 @@ def _outdone(
         if not other.body.name:
             continue
         best = min((*other.layouts, *other.others), key=lambda placed: placed.charged)
-        leads = named.left - best.charged > settings.enrolled_lead * other.error
+        least = settings.enrolled_lead if best.layout == named.layout else settings.enrolled_other
+        leads = named.left - best.charged > least * other.error
         # Alone it explains far more than a round body does: then it is what stands there.
         stands = other.body_left < settings.standing * reading.body_left
         if leads or (stands and best.layout != named.layout):

@@ -38,7 +38,8 @@ class ContestSettings:
         much: a name without a body that leaves so much of the echo needs no wall to be contested: something
             else stands there. Neighbours on a can on the axis, horizontally polarised, left half of it.
         enrolled_lead: a name on a round body is refused where an enrolled body leads it by so much. Of 42
-            full-wave readings that are right it leads by 0.55 at most, of neighbours on a box by 5.
+            full-wave readings that are right it leads by 0.55 at most, of neighbours on a box by 5;
+        enrolled_other: or by so much with another arrangement: a handle and one reflector were a pair.
         standing: or where the enrolled body alone leaves so much less of the echo than a round one, and
             another arrangement on it leaves least: at 18 views a shell and `helmet-linear` passed for a cup
             with `container-180`.
@@ -71,6 +72,7 @@ class ContestSettings:
     better: float = 3.0
     much: float = 0.4
     enrolled_lead: float = 1.0
+    enrolled_other: float = 0.5
     standing: float = 0.5
     borne_out: float = 1.4
     turning: float = 0.5
