@@ -34,7 +34,7 @@ COATED = (3.5e-3, 5.5)
 
 
 FINER_M, FINER_WALL_M, FINER_PERMITTIVITY = 1e-3, 1e-3, 1.2
-"""Steps to the walls between those of the family: of radius and thickness, and the ratio of permittivities."""
+"""Steps to the walls between those of the family: radius, thickness, and the ratio of permittivities."""
 
 
 def family(radius_m: float) -> tuple[Shell, ...]:
