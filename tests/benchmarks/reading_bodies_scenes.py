@@ -14,7 +14,7 @@ import hashlib
 import importlib.util
 import os
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -37,6 +37,7 @@ from tagid.simulate import (
 )
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
+from tagid.simulate.scatterers import Mounted
 from tagid.simulate.scene import Scene, StaticReturns
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
@@ -261,7 +262,7 @@ def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
 
 
 @dataclass(frozen=True, eq=False)
-class _OwnRecording:
+class OwnRecording:
     """An object, its scene, how it is recorded, and the recording's seed."""
 
     made: _Object
@@ -269,16 +270,37 @@ class _OwnRecording:
     acquisition: Acquisition
     seed: int
 
+    @property
+    def name(self) -> str:
+        """Of the layout that it carries; empty for none."""
+        return self.made.name
 
-def _own_recording(cell: Cell, rng: np.random.Generator) -> _OwnRecording:
+    @property
+    def reflectors(self) -> int:
+        """Their number."""
+        return len(self.made.positions)
+
+
+def _own_recording(cell: Cell, rng: np.random.Generator) -> OwnRecording:
     made, scene = _standing(cell, rng)
-    return _OwnRecording(made, scene, _acquisition(cell, rng), int(rng.integers(2**32)))
+    return OwnRecording(made, scene, _acquisition(cell, rng), int(rng.integers(2**32)))
 
 
-def own_scene(cell: Cell, population: str, number: int) -> tuple[Scene, Acquisition, int]:
-    """The scene of an own cell, how it is recorded, and the recording's seed, as `draw` takes them."""
-    made = _own_recording(cell, _generator(cell, population, number))
-    return made.scene, made.acquisition, made.seed
+def own_recording(cell: Cell, population: str, number: int) -> OwnRecording:
+    """The recording of an own cell before it is made, as `draw` makes it."""
+    return _own_recording(cell, _generator(cell, population, number))
+
+
+def alike(own: OwnRecording, count: int) -> tuple[Mounted, ...]:
+    """Single reflectors of nominal strength all around an object's tag, at its mean radius and height."""
+    places = own.made.positions[np.hypot(*own.made.positions[:, :2].T) > 0.01]
+    radius, height = np.hypot(*places[:, :2].T).mean(), places[:, 2].mean()
+    angles = 2 * np.pi * np.arange(count) / count
+    around = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, height)], axis=1)
+    even = replace(own.made, variation=replace(own.made.variation, strength_db=0.0))
+    tag = _scene(even, "tagged", around, np.random.default_rng(0)).object[0]
+    assert isinstance(tag, Mounted)
+    return tuple(tag.single(i) for i in range(count))
 
 
 def _acquisition(cell: Cell, rng: np.random.Generator) -> Acquisition:

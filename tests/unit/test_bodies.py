@@ -178,6 +178,8 @@ def test_spectra_keep_what_turns() -> None:
         # and from the few bins before the object where these show more.
         (0.0, 100, 0.55, 150, 0.03),
         (0.5, 100, 0.55, 400, 0.03),
+        # A little of a filter's noise shows over the pulse's band only.
+        (0.13, 192, 0.12, 150, 0.08),
         # A long one has bins beside the object, whose spectrum is that of the noise.
         (0.0, 400, 0.2, 150, 0.03),
         (1.0, 400, 0.2, 150, 0.03),

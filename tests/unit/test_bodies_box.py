@@ -103,8 +103,11 @@ def test_reflectors_that_are_not_where_the_layout_has_them_are_refused() -> None
 def test_reflectors_before_a_wall_are_refused_and_those_far_from_it_are_not() -> None:
     found, decision = box_reading("carton140_c90"), ContestSettings().box
     assert (found.outside_m < 0).all()
-    before = decide_on_shell(replace(found, outside_m=np.array([0.015, -0.02])), decision)
-    assert before.code is Code.BODY and "would stand before them" in before.reason
+    near = np.array([0.015, -0.02])
+    for lead, is_refused in ((1.4, True), (1.6, False)):
+        led = replace(found, outside_m=near, reading=replace(found.reading, lead=lead))
+        before = decide_on_shell(led, decision)
+        assert (before.code is Code.BODY and "would stand before them" in before.reason) == is_refused
     assert decide_on_shell(replace(found, outside_m=np.array([0.05, 0.06])), decision).status == "identified"
 
 

@@ -145,6 +145,9 @@ def test_the_middle_of_a_tag_on_a_shell() -> None:
     assert (unseen.code, "move it" in unseen.reason) == (Code.MISSING, True)
     extra = decide_on_shell(replace(three, middle_nats=0.6, middle_lead=-0.5), ShellDecision())
     assert (missing.code, extra.code) == (Code.MISSING, Code.EXTRA)
+    # A variance of noise for one in the middle is no reflector.
+    noise = decide_on_shell(replace(three, middle_nats=0.3, middle_lead=-0.12), ShellDecision())
+    assert noise.status == "identified"
     # 6 mm off the axis a reflector in the middle must show; on it, none can.
     hidden = replace(three, middle_nats=0.05, middle_lead=-0.05)
     assert decide_on_shell(hidden, ShellDecision()).code is Code.EXTRA

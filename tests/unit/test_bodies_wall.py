@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import h2vp, hankel2, jv, jvp
 
 from tagid.constants import SPEED_OF_LIGHT
+from tagid.fields.shells import Shell
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.simulate import Acquisition, Placement, Wobble, simulate_capture
@@ -354,6 +355,11 @@ def test_what_an_enrolled_body_must_show_for_a_name_on_it() -> None:
     assert code(replace(own, variance=gain / 125)) is Code.NONE
     assert code(replace(own, variance=gain / 115)) is Code.WEAK
     assert code(replace(own, variance=gain / 50)) is Code.NO_TAG
+    # A wall's two amplitudes fit less of the noise.
+    walled = replace(own, wall=Shell(0.034, 0.0, 1.0, True))
+    assert code(replace(walled, lead=0.7, variance=gain / 85)) is Code.NONE
+    assert code(replace(walled, lead=0.7, variance=gain / 75)) is Code.WEAK
+    assert code(replace(walled, lead=0.5, variance=gain / 85)) is Code.WEAK
 
 
 @pytest.mark.parametrize(("times", "status"), [(1.3, "unknown"), (1.5, "identified")])

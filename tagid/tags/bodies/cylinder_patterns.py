@@ -146,7 +146,11 @@ class Patterns:
         """Those of some of the bodies, by index, and of bodies between these and their neighbours."""
         chosen = dict.fromkeys(self.shells[i] for i in walls)
         around = dict.fromkeys(one for wall in chosen for one in (wall, *between(wall, self.radius_m)))
-        return _of(spectra.wavenumbers, self.radius_m, tuple(around))
+        return self.beside(spectra, tuple(around))
+
+    def beside(self, spectra: Spectra, shells: tuple[Shell, ...]) -> Patterns:
+        """Those beside other bodies."""
+        return _of(spectra.wavenumbers, self.radius_m, shells)
 
     def thinned(self, step: int) -> Patterns:
         """At every `step`-th frequency only."""

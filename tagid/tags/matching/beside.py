@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
-from tagid.tags.bodies.decide import BodyDecision
+from tagid.tags.bodies.decide import BodyDecision, is_in_place
 from tagid.tags.bodies.points import PointReading
 from tagid.tags.layouts.layout import Layout
 
@@ -43,8 +43,10 @@ def read_beside_wall(
 def borne_out(reading: BodyReading, beside: BodyReading | None, decision: BodyDecision) -> bool:
     """Whether a wall bears out a layout that was named with a pattern of many free terms.
 
-    Five of them hold the echo of a helmet shell and its tag as a pair on a round body. No wall does.
+    Five of them hold the echo of a helmet shell and its tag as a pair on a round body. No wall does. Nor does
+    one whose reflectors do not answer from their places: neighbours on a crate passed for opposite ones.
     """
     if beside is None or beside.layouts[0].layout != reading.layouts[0].layout:
         return False
-    return beside.lead >= decision.lead and beside.unexplained <= DOUBTED
+    fits = beside.lead >= decision.lead and beside.unexplained <= DOUBTED
+    return fits and is_in_place(beside, decision)
