@@ -199,7 +199,8 @@ def test_an_enrolled_wall_holds_the_centre_of_the_tag() -> None:
     """Free of it, a pair 163 degrees apart passes for an opposite one about a centre 6 mm off."""
     spectra = spectra_of("cup36_c180", "V")
     patterns = Patterns.of(spectra, 0.045)
-    start = Ringed(0, 0.004 - 0.0045j, 0.0, np.array([1.0, 1.0 + np.pi]), np.full(2, 0.045), np.zeros(2), "pair")
+    angles, radii = np.array([1.0, 1.0 + np.pi]), np.full(2, 0.045)
+    start = Ringed(0, 0.004 - 0.0045j, 0.0, angles, radii, np.zeros(2), "pair")
     moved = []
     for spread_m in (8e-3, 1e-5):
         fitter = CylinderFitter(spectra, patterns, RoundBody(), 0.01 - 0.01j, spread_m, 10 * spectra.noise)
