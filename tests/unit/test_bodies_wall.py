@@ -355,6 +355,15 @@ def test_what_an_enrolled_body_must_show_for_a_name_on_it() -> None:
     assert code(replace(own, variance=gain / 125)) is Code.NONE
     assert code(replace(own, variance=gain / 115)) is Code.WEAK
     assert code(replace(own, variance=gain / 50)) is Code.NO_TAG
+    # Seen from all sides, they are no further in than the layout has them.
+    batch = own.layouts[0].batch
+    cases = (-0.010, 1.0, True), (-0.014, 1.0, False), (-0.014, 0.1, True), (0.017, 1.0, True)
+    for outside_m, back, is_named in cases:
+        at = batch.at.copy()
+        at[0, 2] = outside_m
+        placed = replace(own.layouts[0], batch=replace(batch, at=at))
+        shifted = replace(own, layouts=(placed, *own.layouts[1:]), back=back)
+        assert code(shifted) is (Code.NONE if is_named else Code.RADIUS)
     # A wall's two amplitudes fit less of the noise.
     walled = replace(own, wall=Shell(0.034, 0.0, 1.0, True))
     assert code(replace(walled, lead=0.7, variance=gain / 85)) is Code.NONE
