@@ -32,7 +32,7 @@ from tagid.tags.bodies.reader import BodyReader
 from tagid.tags.bodies.reflectors_fit import POINTS
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra
-from tagid.tags.bodies.starts import Start
+from tagid.tags.bodies.starts import Row, Start
 from tagid.tags.bodies.wall import METAL, SERIES, Material, Wall, series
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching import contest
@@ -59,9 +59,9 @@ def tag_of(one: str, body: str) -> Response:
     return response(one).without(response(body))
 
 
-def tagged(*degrees: float) -> Response:
+def tagged(*degrees: float, on: str = "handle34") -> Response:
     """A mug with a handle and, at each angle, what one reflector adds to a can; coupling is left out."""
-    body, added = response("handle34"), tag_of("can40_one", "can40").scattering_length_m
+    body, added = response(on), tag_of("can40_one", "can40").scattering_length_m
     m = np.fft.fftfreq(added.shape[2], 1 / added.shape[2])
     turns = sum(np.exp(-1j * m * np.deg2rad(a + TURN_DEG)) for a in degrees)
     values = body.scattering_length_m + np.fft.ifft(np.fft.fft(added, axis=2) * turns, axis=2)
@@ -233,6 +233,27 @@ def test_neighbours_no_longer_hide_a_pair_on_a_metal_mug(seed: int) -> None:
     free = read(tagged(0, 180), "H", replace(settings, nested_lead=0.0), 20.0, seed)
     assert 0 < free.lead < BodyDecision().lead
     assert len(free.others[0].angles) == 4
+
+
+def test_neighbours_in_place_of_a_pair_are_tried_where_the_search_missed_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On a full-wave can, in one of eight recordings; the pair led by 3.5 and was named."""
+    layouts, settings = list(builtin_layouts().values()), BodySettings()
+    spectra = spectra_of(tagged(0, 45, 180, 225, on="can40"), "V", 10.0, 3)
+
+    def two_at_most(reader: BodyReader, starts: list[Start], *patterns: object) -> list[Row]:
+        return free_rows(reader, [start for start in starts if len(start.angles) <= 2])
+
+    free_rows = BodyReader._free_rows
+    monkeypatch.setattr(BodyReader, "_free_rows", two_at_most)
+    monkeypatch.setattr(BodyReader, "_rigid_rows", lambda *given: [])
+    found = read_on_body(spectra, layouts, RoundBody(), settings)
+    monkeypatch.setattr(BodyReader, "_halved", lambda *given: [])
+    without = read_on_body(spectra, layouts, RoundBody(), settings)
+    assert found is not None and without is not None
+    assert found.layouts[0].layout == without.layouts[0].layout == "container-180"
+    assert found.lead < 0 < BodyDecision().lead < without.lead
 
 
 @pytest.mark.parametrize("polarisation", ["V", "H"])

@@ -47,7 +47,7 @@ from tagid.tags.bodies.reflectors_fit import (
 )
 from tagid.tags.bodies.ring import PairSearch, Ring, peaks
 from tagid.tags.bodies.spectra import Spectra
-from tagid.tags.bodies.starts import FREE, OTHER, Ringed, Row, Start
+from tagid.tags.bodies.starts import FREE, OTHER, Ringed, Row, Start, halved
 from tagid.tags.bodies.symmetric import MOST, symmetric_left
 from tagid.tags.layouts.layout import Layout
 
@@ -130,7 +130,7 @@ class BodyReader:
         reading = self._compared(ranked, free, others, per_term)
         if reading.lead <= 0:
             return reading
-        free += self._freed(self._loose([*free, *others]), per_term)
+        free += self._freed([*self._loose([*free, *others]), *self._halved(ranked[0])], per_term)
         enough = self.spectra.views >= self.settings.through_views
         reading = self._compared(ranked, free, others, per_term, walled=self.body.turns and enough)
         return self._on_faces(reading) if self.body.turns and reading.lead > 0 else reading
@@ -160,6 +160,18 @@ class BodyReader:
                 if fits and key not in seen and len(seen) < self.settings.loose:
                     seen.add(key)
                     found.append(p)
+        return found
+
+    def _halved(self, best: Placed) -> list[Placed]:
+        """Two neighbours in place of one or both reflectors of a layout, before their fit."""
+        if len(best.angles) != 2 or best.radii.mean() >= self.settings.wide_m:
+            return []
+        pattern = Pattern(int(best.batch.tilt[0]), int(best.batch.terms[0]))
+        found = []
+        for start in halved(best.centre, float(best.radii.mean()), best.angles):
+            row = self._ring_row(start, pattern, free=True)
+            row.at[0, 3:COMMON] = best.batch.at[0, 3:COMMON]
+            found.append(Placed(row, np.inf, np.inf, None))
         return found
 
     def _freed(self, several: Sequence[Placed], per_term: float) -> list[Placed]:

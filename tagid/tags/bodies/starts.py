@@ -12,6 +12,9 @@ from tagid.tags.bodies.reflectors_fit import Batch
 FREE, OTHER = "<free>", "<other>"
 """Roles of arrangements that are not a layout's: with free angles, and with those of the ring."""
 
+HALVED_DEG = (12.0, 18.0, 24.0, 30.0)
+"""Half the angle between neighbours that are tried in place of one reflector."""
+
 
 @dataclass(frozen=True)
 class Start:
@@ -50,3 +53,22 @@ class Row:
     role: str
     key: tuple[object, ...]
     batch: Batch
+
+
+def halved(centre: complex, radius_m: float, angles: NDArray[np.float64]) -> list[Start]:
+    """Neighbours in place of one or both reflectors of a pair, whose middle is where the reflector was.
+
+    The search keeps the best arrangement of every kind at the ring's angles. In one of eight recordings of
+    such neighbours on a full-wave can it kept others, and the pair led by 3.5.
+
+    Args:
+        centre: of the ring, x + jy, m.
+        radius_m: of the pair, m.
+        angles: (2,) of its reflectors, rad.
+    """
+    found = []
+    for half in np.deg2rad(HALVED_DEG):
+        first, second = ((angles[i] - half, angles[i] + half) for i in (0, 1))
+        for places in ((*first, *second), (*first, angles[1]), (angles[0], *second)):
+            found.append(Start(0.0, centre, radius_m / float(np.cos(half)), tuple(float(a) for a in places)))
+    return found
