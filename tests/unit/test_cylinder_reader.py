@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -23,7 +25,8 @@ from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.cylinder_fit import CylinderFitter, Ringed
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.cylinder_reader import _CylinderReader, read_on_cylinder
-from tagid.tags.bodies.decide import BodyDecision, decide_on_body
+from tagid.tags.bodies.decide import BodyDecision, decide_on_body, is_in_place
+from tagid.tags.bodies.hypothesis import BodyModel
 from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.reflectors_fit import solve
 from tagid.tags.bodies.revolution import RoundBody
@@ -160,6 +163,11 @@ def test_reflectors_behind_a_wall_that_the_wave_passes_answer_from_their_places(
         assert (decide_on_body(late, decision).status == "identified") == is_named
         assert borne_out(named, late, decision) == is_named
     assert decide_on_body(replace(own, lead=2.1, early_m=-0.07), decision).status == "unknown"
+    # A pulse that is later than at the enrolment delays the body as well.
+    known = replace(own, lead=0.6, early_m=-0.07, front_m=-0.04, body_energy=0.5 * own.energy)
+    assert not is_in_place(known, decision)
+    body = SimpleNamespace(name="mug", turns=True)
+    assert is_in_place(replace(known, body=cast("BodyModel", body)), decision)
 
 
 def test_walls_between_those_of_the_family_hold_one_that_is_not_in_it() -> None:

@@ -149,17 +149,18 @@ def most_unexplained(reading: BodyReading, settings: BodyDecision) -> float:
 def is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
     """Whether the reflectors answer from where the layout has them."""
     r, s = reading, settings
+    # An enrolled body knows of the delay that its echo may have in common with the reflectors'.
+    told = bool(r.body.name) and r.body_energy > s.wall_share * r.energy
+    delay = r.front_m if told else 0.0
     if r.body.name and not r.through:
-        # An enrolled body knows of the delay that its echo may have in common with the reflectors'. One that
-        # the wave passes through returns most from behind, by paths of its own.
-        delay = r.front_m if r.body_energy > s.wall_share * r.energy else 0.0
         return r.early_m - max(delay, 0.0) <= _earliest_m(r, s)
     if not r.through:
         return s.early_m[0] <= r.early_m <= _earliest_m(r, s)
     if r.wall is None:
+        # One that the wave passes through returns most from behind, by paths of its own.
         return True
     latest = s.early_m[0] if r.lead >= s.clear_lead else s.late_glass_m
-    return latest <= r.early_m <= s.early_glass_m
+    return latest <= r.early_m - min(delay, 0.0) and r.early_m <= s.early_glass_m
 
 
 def _earliest_m(reading: BodyReading, settings: BodyDecision) -> float:
