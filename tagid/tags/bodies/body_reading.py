@@ -188,6 +188,8 @@ class BodyReading:
         back: amplitude of the reflectors' pattern from behind over that from in front.
         points_lead: lead over the best arrangement of points without a body; infinite where none was fitted.
         wall: the round wall whose waves fix the reflectors' pattern; None where the pattern was free.
+        freely: energy that the layout leaves on this body with a free pattern, where `wall` fixes it here;
+            infinite where another layout is the best one then.
     """
 
     body: BodyModel
@@ -217,6 +219,7 @@ class BodyReading:
     back: float = 0.0
     points_lead: float = np.inf
     wall: Shell | None = None
+    freely: float = np.inf
 
     @property
     def least(self) -> float:

@@ -332,7 +332,8 @@ def _beside_wall(
     if beside is not None:
         told = _judged(known, beside, layouts, settings)
         if told.status == "identified":
-            return beside, told
+            own, free = beside.layouts[0], reading.layouts[0]
+            return replace(beside, freely=free.left if free.layout == own.layout else inf), told
     if verdict.status == "identified" and not borne_out(reading, beside, settings.decision):
         named = reading.layouts[0].layout
         verdict = Verdict("unknown", Code.BODY, f"no round wall bears out {named} on a round body")
