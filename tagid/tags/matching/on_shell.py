@@ -97,8 +97,9 @@ def _said(
     hypotheses = tuple(sorted((own, *settled.hypotheses), key=lambda one: one.left))
     others = min((one.left for one in settled.hypotheses), default=1.0)
     if kind is Kind.BOX and settled.body is not None and settled.layout == best.layout:
-        # Of a loud tag on a cup a wall leaves 4 %, which the sides of a box bend to: a free pattern leaves less.
-        others = min(others, (settled.body.freely - reading.noise) / max(reading.energy - reading.noise, 1e-30))
+        # A cup's wall leaves 4 % of a loud tag, to which the sides of a box bend: a free pattern leaves less.
+        signal = max(reading.energy - reading.noise, 1e-30)
+        others = min(others, (settled.body.freely - reading.noise) / signal)
     clearer = own.left <= CLEARER * others and others > NOTHING
     if settled.status == "identified" and not clearer:
         return None
