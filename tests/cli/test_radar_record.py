@@ -139,6 +139,7 @@ def test_memory_does_not_grow_with_the_journal(tmp_path: Path) -> None:
         tracemalloc.stop()
         return worst
 
+    peak(600)  # What is imported and kept at the first use counts once.
     assert peak(12_000) - peak(6_000) < 50_000  # 2.3 MB of samples more
 
 

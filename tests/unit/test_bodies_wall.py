@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -376,15 +377,17 @@ def test_what_an_enrolled_body_must_show_for_a_name_on_it() -> None:
     assert code(replace(own, variance=gain / 125)) is Code.NONE
     assert code(replace(own, variance=gain / 115)) is Code.WEAK
     assert code(replace(own, variance=gain / 50)) is Code.NO_TAG
-    # Seen from all sides, they are no further in than the layout has them.
+    # Before flat faces, seen from all sides, they are no further in than the layout has them.
     batch = own.layouts[0].batch
-    cases = (-0.010, 1.0, True), (-0.014, 1.0, False), (-0.014, 0.1, True), (0.017, 1.0, True)
-    for outside_m, back, is_named in cases:
+    cases = (0.8, -0.010, 1.0), (0.8, -0.014, 1.0), (0.8, -0.014, 0.1), (0.8, 0.017, 1.0), (0.3, -0.014, 1.0)
+    for share, outside_m, back in cases:
         at = batch.at.copy()
         at[0, 2] = outside_m
         placed = replace(own.layouts[0], batch=replace(batch, at=at))
-        shifted = replace(own, layouts=(placed, *own.layouts[1:]), back=back)
-        assert code(shifted) is (Code.NONE if is_named else Code.RADIUS)
+        thing = cast("BodyModel", SimpleNamespace(name="crate", turns=True, turning_share=share))
+        shifted = replace(own, body=thing, layouts=(placed, *own.layouts[1:]), back=back)
+        refused = (share, outside_m, back) == (0.8, -0.014, 1.0)
+        assert code(shifted) is (Code.RADIUS if refused else Code.NONE)
     # A wall's two amplitudes fit less of the noise.
     walled = replace(own, wall=Shell(0.034, 0.0, 1.0, True))
     assert code(replace(walled, lead=0.7, variance=gain / 85)) is Code.NONE

@@ -61,9 +61,10 @@ class BodyDecision:
             to within this. Only before an opaque wall does the bounce move a free pattern: of 90 tags that
             are right those seen from all sides are within 7 mm, those beside walls within 9; pairs 140 mm
             apart, before a thin shell, imitate ones of 90 mm from 15 to 25 mm outside,
-        seen_back: and reflectors are seen from all sides whose pattern has so much from behind. On enrolled
-            bodies such ones were right from 10 mm inside their places to 17 outside; neighbours on a crate
-            passed for an opposite pair from 14 and 15 mm inside.
+        seen_back: and reflectors are seen from all sides whose pattern has so much from behind,
+        flat: on an enrolled body where more of its echo than this turns: shells and boxes. Neighbours on a
+            crate passed for an opposite pair from 14 and 15 mm inside; on mugs, whose walls bend the wave,
+            right ones seem up to 18 mm inside.
         undone: body and reflectors beside a wall whose echoes cancel each other fit two echoes to what has
             neither: energy of the body's echo, and what the body alone leaves, over the moving echo.
             Uncorrelated ones make 1; 300 right readings up to 1.5, a tag on a helmet shell that was taken
@@ -105,6 +106,7 @@ class BodyDecision:
     late_glass_m: float = -0.042
     seen_m: float = 0.012
     seen_back: float = 0.45
+    flat: float = 0.5
     undone: float = 1.6
     undone_clear: float = 1.75
     free_more: float = 0.15
@@ -225,8 +227,8 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         )
     if r.angle_off_deg > s.angle_deg:
         return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {best.layout}")
-    seen = r.wall is not None or r.back > s.seen_back
-    # Before an enrolled wall that the wave passes, what bounces comes from further out, not from further in.
+    seen = r.wall is not None or (r.back > s.seen_back and (not r.body.name or r.body.turning_share > s.flat))
+    # On flat faces what bounces comes from further out, not from further in.
     farthest_m = inf if r.body.name and r.wall is None else s.seen_m
     if seen and not -s.seen_m <= r.outside_m <= farthest_m:
         side = "outside" if r.outside_m > 0 else "inside"

@@ -163,8 +163,12 @@ class BodyReader:
         return found
 
     def _halved(self, best: Placed) -> list[Placed]:
-        """Two neighbours in place of one or both reflectors of a layout, before their fit."""
-        if len(best.angles) != 2 or best.radii.mean() >= self.settings.wide_m:
+        """Two neighbours in place of one or both reflectors of a layout, before their fit.
+
+        Patterns of five terms hold them and the layout alike: there a wall of known waves must tell.
+        """
+        free = int(best.batch.terms[0]) > FACING.terms
+        if free or len(best.angles) != 2 or best.radii.mean() >= self.settings.wide_m:
             return []
         pattern = Pattern(int(best.batch.tilt[0]), int(best.batch.terms[0]))
         found = []
