@@ -277,9 +277,9 @@ class _Noise:
 def _raised(noise: _Noise, early: NDArray[np.complex64], band: BandFilter) -> _Noise:
     """The noise, or that of the range bins before the object where it is clearly stronger.
 
-    Stronger over the pulse's band is enough: a filter's noise is weaker outside it than white noise is. A
-    receiver's filter, or a transmitter in the band, makes noise that the spectrum outside the band does
-    not show.
+    A receiver's filter, or a transmitter in the band, makes noise that the spectrum outside the band does
+    not show. Stronger over the pulse's band is enough: a filter's noise is weaker outside it than white
+    noise is.
     """
     values = early.size * band.bandwidth_hz / band.rate_hz
     if noise.variance <= 0 or values < MIN_EARLY_VALUES:

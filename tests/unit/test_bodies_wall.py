@@ -329,9 +329,18 @@ def test_a_body_that_explains_the_echo_alone_leaves_no_name_to_another(
     assert (answer.status, answer.code) == ("no_tag", Code.NO_TAG)
 
 
-@pytest.mark.parametrize(("ahead", "status"), [(1.5, "unknown"), (0.5, "identified")])
+@pytest.mark.parametrize(
+    ("ahead", "layout", "status"),
+    [
+        (1.5, "container-180", "unknown"),
+        (0.5, "container-180", "identified"),
+        (0.7, "container-180", "identified"),
+        (0.7, "container-90", "unknown"),
+        (0.4, "container-90", "identified"),
+    ],
+)
 def test_an_enrolled_body_that_explains_more_refuses_a_name_on_a_round_one(
-    ahead: float, status: str, monkeypatch: pytest.MonkeyPatch
+    ahead: float, layout: str, status: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At 24 views neighbours on a box were a pair on a round body, which left seventeen times more."""
     own = read(tagged(0, 180), "H", BodySettings(), 20.0, 3)
@@ -342,7 +351,7 @@ def test_an_enrolled_body_that_explains_more_refuses_a_name_on_a_round_one(
     def read_on(spectra: Spectra, layouts: object, body: BodyModel, *rest: object) -> BodyReading:
         least = min(placed.charged for placed in (*own.layouts, *own.others))
         left = own.layouts[0].left if body.name else least + ahead * own.error
-        best = replace(own.layouts[0], left=left)
+        best = replace(own.layouts[0], left=left, layout=layout if body.name else own.layouts[0].layout)
         return replace(own, body=body, layouts=(best, *own.layouts[1:]))
 
     monkeypatch.setattr(on_body, "read_on_body", read_on)

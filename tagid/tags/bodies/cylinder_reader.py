@@ -156,9 +156,9 @@ class _CylinderReader:
         variance = spectra.noise + settings.priors.model_error * first.body_left / spectra.data.size
         least = 1e-12 * first.energy
         known = self._known(spectra)
-        self.expected, spread_m = self._expected(known)
+        expected, spread_m = self._expected(known)
         self.fitter = CylinderFitter(
-            spectra, patterns, settings.body, self.expected, spread_m, max(variance, least), known
+            spectra, patterns, settings.body, expected, spread_m, max(variance, least), known
         )
 
     def _known(self, spectra: Spectra) -> NDArray[np.complex128] | None:
@@ -213,9 +213,9 @@ class _CylinderReader:
 
     def _centres(self) -> list[complex]:
         """Where body and reflectors may stand, as the body and the free patterns tell."""
-        known = self.first.body.turns
-        centres = [self.expected if known else self.first.pose.centre]
-        other = self.first.layouts[0].centre
+        first, fitter = self.first, self.fitter
+        centres = [first.pose.centre if fitter.known is None else fitter.expected]
+        other = first.layouts[0].centre
         return centres if abs(other - centres[0]) < 3e-3 else [*centres, other]
 
     def _layouts_about(self, centre: complex) -> _Searched:
