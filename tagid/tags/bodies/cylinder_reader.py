@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +44,9 @@ OUTWARD_M = 8e-3
 """Reflectors may stand so far outside their nominal radius, on feet or foam,"""
 ENOUGH = 0.05
 """which is tried where a larger share of the echo is left without."""
-HOPEFUL = 0.5
-"""Share of the echo that the best layout of the search must explain for all arrangements to be fitted."""
+HOPEFUL, CHANCE_SIGMAS = 0.5, 3.0
+"""Share of the echo that the best layout of the search must explain for all arrangements to be fitted, beside
+what so many standard deviations of the noise's energy may hide: near the noise little stands out of it."""
 ROUND, MOUNTED_M = 0.5, 2e-3
 """The centre of an enrolled body is that of a round one which leaves no more of its echo: mugs with handles
 leave up to 0.28. It is known to 0.6 to 1.5 mm, and reflectors stand about it to within a millimetre."""
@@ -125,14 +127,15 @@ class _Searched:
     share: float
 
 
-def _alike(solved: Solved) -> NDArray[np.complex128]:
-    """(F,) amplitude of both dipoles alike that is nearest to the reflectors' echo.
+def _early_m(spectra: Spectra, solved: Solved) -> float:
+    """How early reflectors answer, from the amplitude of both dipoles alike that is nearest to their echo, m.
 
     Each alone is ill determined where the wall reverses neither field.
     """
     gram, dipoles = solved.gram[0, :, 1:, 1:], solved.amplitudes[0, :, 1:]
     echo = (gram @ dipoles[..., None]).sum(axis=(-1, -2))
-    return np.asarray(echo / gram.sum(axis=(-1, -2)))
+    energy = gram.sum(axis=(-1, -2)).real
+    return spectra.early_m(echo / energy, energy)
 
 
 class _CylinderReader:
@@ -179,6 +182,9 @@ class _CylinderReader:
             return 0j, self.settings.priors.centre_m
         first = self.first
         round_one = self.settings.body.middle(self.spectra, known, first.pose.centre)
+        if first.energy - first.body_left < first.tag:
+            # The pose of a body quieter than its tag may be that of the tag.
+            return 0j, self.settings.priors.centre_m
         if round_one.left > ROUND:
             return first.pose.centre, max(first.body.slack_m, MOUNTED_M)
         return round_one.pose.centre, MOUNTED_M
@@ -230,8 +236,8 @@ class _CylinderReader:
         ]
         energy = rings[0].energy
         noise = self.noise * len(self.coarse.wavenumbers) / len(self.spectra.wavenumbers)
-        least = min(start.left for start in starts)
-        share = (energy - max(least, noise)) / max(energy - noise, 1e-30)
+        least = min(start.left for start in starts) - CHANCE_SIGMAS * sqrt(noise * self.spectra.noise)
+        share = 1 - max(least - noise, 0.0) / max(energy - noise, 1e-30)
         return _Searched(centre, tuple(shells), tuple(rings), tuple(starts), share)
 
     def _others_about(self, searched: _Searched) -> list[Ringed]:
@@ -378,7 +384,9 @@ class _CylinderReader:
         tag = max(first.body_left - best.left, 1e-30)
         above = max(best.left - self.noise, 0.0)
         next_left = every[0].charged if every else first.body_left
-        error = above + settings.priors.model_error * tag + settings.noise_nats * spectra.noise
+        # What chance may add to the noise is no error of the model.
+        error = max(above - spectra.noise_spread, 0.0)
+        error += settings.priors.model_error * tag + settings.noise_nats * spectra.noise
         lead = (next_left - best.left) / error
         rough = error + (settings.simple_error - settings.priors.model_error) * tag
         untagged = np.inf
@@ -410,7 +418,7 @@ class _CylinderReader:
             angle_off_deg=away(own) if own is not None else 180.0,
             radius_off_m=0.0,
             tag_nats=tag / max(spectra.noise, 1e-30),
-            early_m=spectra.early_m(_alike(solved)),
+            early_m=_early_m(spectra, solved),
             through=not wall.metal,
             front_m=spectra.early_m(body),
             body_energy=float((np.abs(body[:, None] * echo) ** 2).sum()),

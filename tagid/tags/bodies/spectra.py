@@ -117,6 +117,11 @@ class Spectra:
         return float(self.noise * len(self.data) * (self.data.shape[1] - 1))
 
     @property
+    def noise_spread(self) -> float:
+        """Standard deviation of the energy of the noise in `data`: one variance times the root of their number."""
+        return float(self.noise * np.sqrt(len(self.data) * (self.data.shape[1] - 1)))
+
+    @property
     def amplitude_cost(self) -> float:
         """Energy charged for an amplitude more at every frequency: log V nats each (Schwarz 1978)."""
         return float(self.noise * len(self.wavenumbers) * np.log(self.views))
@@ -156,11 +161,20 @@ class Spectra:
                 np.multiply(out[f - 1], step, out=out[f])
         return out
 
-    def early_m(self, response: NDArray[np.complex128]) -> float:
-        """How much earlier than its place something answers (F,), from the slope of the phase, one way, m."""
+    def early_m(
+        self, response: NDArray[np.complex128], weight: NDArray[np.float64] | None = None
+    ) -> float:
+        """How much earlier than its place something answers, from the slope of the phase, one way, m.
+
+        Args:
+            response: (F,) its amplitude.
+            weight: (F,) energy that an amplitude of 1 has in the data: amplitudes count by how well the noise
+                lets them be known. None for those that count alike.
+        """
         ahead = np.arange(-_LONGEST_M, _LONGEST_M, 2e-3)
         turned = np.exp(-1j * ahead[:, None] * self.wavenumbers[None])
-        return float(ahead[int(np.argmax(np.abs(turned @ response)))])
+        known = response if weight is None else response * weight
+        return float(ahead[int(np.argmax(np.abs(turned @ known)))])
 
 
 def centred(columns: NDArray[np.complex128]) -> NDArray[np.complex128]:

@@ -50,3 +50,13 @@ def borne_out(reading: BodyReading, beside: BodyReading | None, decision: BodyDe
         return False
     fits = beside.lead >= decision.lead and beside.unexplained <= DOUBTED
     return fits and is_in_place(beside, decision)
+
+
+def disputed(reading: BodyReading, beside: BodyReading | None, decision: BodyDecision) -> bool:
+    """Whether another arrangement explains the echo beside a wall about as well, or better.
+
+    Where no arrangement beside a wall explains it, walls have no say: an enrolled body's own may taper.
+    """
+    if beside is None or beside.least - beside.noise > DOUBTED * beside.tag:
+        return False
+    return beside.layouts[0].layout != reading.layouts[0].layout or beside.lead < decision.lead

@@ -20,6 +20,7 @@ from tagid.tags.matching.won import on_body
 from tagid.tags.verdicts.verdict import Code, Verdict
 
 _MIDDLE = (Code.EXTRA, Code.MISSING)
+_WHERE = {Kind.SHELL: "on a thin shell", Kind.BOX: "in a box"}
 CLEARER = 0.5
 """A refusal is that on a shell, and a name on a glass is doubted, where a layout on the shell leaves this
 share of what every other hypothesis leaves."""
@@ -101,11 +102,18 @@ def _said(
         signal = max(reading.energy - reading.noise, 1e-30)
         others = min(others, (settled.body.freely - reading.noise) / signal)
     clearer = own.left <= CLEARER * others and others > NOTHING
+    named = verdict.status == "identified"
     if settled.status == "identified" and not clearer:
-        return None
+        # Near the noise points leave nothing: of two names on a body that counts which leaves less.
+        told = (one.left for one in settled.hypotheses if one.layout == settled.layout)
+        if not named or best.layout == settled.layout or own.left >= min(told, default=0.0):
+            return None
+        reason = f"the echo is that of {settled.layout} on a round body, or of {best.layout} {_WHERE[kind]}"
+        return replace(
+            settled, status="ambiguous", code=Code.AMBIGUOUS, reason=reason, hypotheses=hypotheses
+        )
     # Walls with the right layout leave less than a round body with any, or than points: 65 of 65 tags in
     # solved cartons. Two bare reflectors of three, which left half as much, passed for the three on a shell.
-    named = verdict.status == "identified"
     if own.left > others and (named or kind is Kind.BOX):
         return None
     if kind is Kind.BOX and _plain_left(settled) - own.left < NEEDED:
