@@ -32,7 +32,7 @@ from tagid.tags.bodies.reflectors_fit import solve
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching.beside import borne_out
+from tagid.tags.matching.beside import borne_out, disputed
 from tagid.tags.matching.matcher import read_tag
 from train.calibrate import one
 
@@ -124,6 +124,36 @@ def test_a_tag_on_a_cup_is_named_with_few_views_and_in_noise() -> None:
         assert reading.body is not None and reading.body.wall is not None
 
 
+@pytest.mark.parametrize(("snr_db", "level"), [(6.0, 1.6), (3.0, 0.8)])
+def test_walls_are_asked_where_little_stands_out_of_the_noise(snr_db: float, level: float) -> None:
+    """Whose level is known to a quarter: below it there is no share of the echo to be explained."""
+    spectra = spectra_of("cup36_c180", "V", snr_db=snr_db)
+    found = beside(replace(spectra, noise=level * spectra.noise))
+    assert found.layouts[0].layout == "container-180" and found.lead > 0.1
+
+
+def test_what_chance_adds_to_the_noise_is_no_error_of_the_model() -> None:
+    spectra = spectra_of("cup36_c180", "V", snr_db=10.0)
+    found = beside(spectra)
+    above = found.unexplained * found.tag
+    settings, spread = BodySettings(), spectra.noise_spread
+    assert spread == pytest.approx(spectra.noise_energy / np.sqrt(9 * 35), rel=1e-6)
+    assert above > 0
+    error = max(above - spread, 0.0) + settings.priors.model_error * found.tag
+    assert found.error == pytest.approx(error + settings.noise_nats * spectra.noise)
+
+
+def test_delays_count_amplitudes_by_what_the_noise_lets_be_known() -> None:
+    """Two frequencies that the wall hides carry nothing but noise, which made 70 mm of a delay of 20."""
+    spectra = spectra_of("cup36_c180", "V")
+    energy = np.ones(len(spectra.wavenumbers))
+    energy[:3] = 1e-3
+    response = np.exp(1j * spectra.wavenumbers * 0.02)
+    response[:3] = 30 * np.exp(1j * spectra.wavenumbers[:3] * -0.07)
+    assert spectra.early_m(response, energy) == pytest.approx(0.02, abs=0.003)
+    assert abs(spectra.early_m(response) - 0.02) > 0.01
+
+
 def test_a_wall_must_bear_out_a_pattern_of_many_free_terms() -> None:
     """The same layout ahead of all others beside a wall, which may be thicker than those tried."""
     beside_wall, decision = beside(spectra_of("cup36_c180", "V")), BodyDecision()
@@ -168,6 +198,25 @@ def test_reflectors_behind_a_wall_that_the_wave_passes_answer_from_their_places(
     assert not is_in_place(known, decision)
     body = SimpleNamespace(name="mug", turns=True)
     assert is_in_place(replace(known, body=cast("BodyModel", body)), decision)
+    ahead = replace(known, early_m=0.072, front_m=0.036)
+    assert not is_in_place(ahead, decision)
+    assert is_in_place(replace(ahead, body=cast("BodyModel", body)), decision)
+    assert not is_in_place(replace(ahead, early_m=0.1, body=cast("BodyModel", body)), decision)
+
+
+def test_a_wall_speaks_against_a_free_pattern_where_it_explains_the_echo() -> None:
+    """One reflector and a mug's handle passed for a layout on the enrolled mug, by 0.4."""
+    beside_wall, decision = beside(spectra_of("cup36_c180", "V")), BodyDecision()
+    named = replace(beside_wall, wall=None)
+    assert not disputed(named, beside_wall, decision) and not disputed(named, None, decision)
+    doubted = replace(beside_wall, lead=0.2)
+    assert disputed(named, doubted, decision)
+    other = replace(beside_wall, layouts=beside_wall.layouts[1:])
+    assert other.layouts and disputed(named, other, decision)
+    # A wall beside which nothing explains the echo has no say.
+    least = beside_wall.noise + 0.4 * beside_wall.tag
+    far = tuple(replace(placed, left=max(placed.left, least)) for placed in beside_wall.layouts)
+    assert not disputed(named, replace(doubted, layouts=far, others=()), decision)
 
 
 def test_walls_between_those_of_the_family_hold_one_that_is_not_in_it() -> None:

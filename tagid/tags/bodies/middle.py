@@ -1,19 +1,21 @@
-"""Whether a reflector stands in the middle of a tag on an enrolled shell.
+"""Whether a reflector stands in the middle of a tag on an enrolled shell or box.
 
 Arrangements on a ring do not hold it, and on the rotation axis it is removed with the room. Off the axis it
-adds one column about the ring's centre to what body and reflectors explain. Alike reflectors return alike, so
+adds one column about the ring's centre to what body and reflectors explain: `with_middle`. Alike reflectors return alike, so
 its energy there is compared with what it would be at their mean power.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import off_axis
 from tagid.tags.bodies.body_reading import BodyReading, Placed
+from tagid.tags.bodies.hypothesis import BodyModel
 from tagid.tags.bodies.reflectors_fit import Columns, solve
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import Layout
@@ -74,6 +76,48 @@ def wave_in_the_middle(spectra: Spectra, placed: Placed) -> NDArray[np.complex12
     """(F, V) echo of a point in the middle of an arrangement, without what is constant over the views."""
     distance = np.hypot(np.abs(spectra.antenna - placed.centre), spectra.height_m)
     return centred(spectra.waves(distance) * (spectra.distance_m / distance) ** 2)
+
+
+def with_middle(spectra: Spectra, body: BodyModel, placed: Placed) -> Placed:
+    """An arrangement with a reflector more in the middle of its ring, where that is worth its amplitudes.
+
+    In a box a tag of three in a row leaves a fifth to a half of its echo without.
+
+    Args:
+        spectra: the scans.
+        body: the enrolled one.
+        placed: on it, where it was fitted.
+    """
+    known = Columns.of(spectra, body, placed.batch).values[:, :, : 1 + int(placed.batch.terms[0])]
+    wave = wave_in_the_middle(spectra, placed)[None, :, None]
+    left = float(solve(spectra.data, np.concatenate([known, wave], axis=2)).left[0])
+    charged = left + placed.charged - placed.left + spectra.amplitude_cost
+    return replace(placed, left=left, charged=charged) if charged < placed.charged else placed
+
+
+def with_middles(
+    spectra: Spectra,
+    body: BodyModel,
+    layouts: Sequence[Layout],
+    wide_m: float,
+    several: Sequence[Placed],
+) -> list[Placed]:
+    """Arrangements with what stands in their middle, where they may have it, the likeliest first.
+
+    Args:
+        spectra, body: as of `with_middle`.
+        layouts: where none has a reflector on its axis, none is sought.
+        wide_m: from this mean radius on a body is a shell or a box, and passes the wave.
+        several: fitted arrangements; one of a layout has what the layout has.
+    """
+    has = {one.name for one in layouts if len(off_axis(one)[0]) < one.size}
+
+    def may(placed: Placed) -> bool:
+        own = placed.layout is None or placed.layout in has
+        return bool(has) and own and float(placed.radii.mean()) >= wide_m
+
+    found = [with_middle(spectra, body, placed) if may(placed) else placed for placed in several]
+    return sorted(found, key=lambda placed: placed.charged)
 
 
 def in_the_middle(reading: BodyReading) -> Middle:

@@ -28,6 +28,7 @@ from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.flat_face import least_on_faces
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.layout_search import LayoutSearch, turned_by
+from tagid.tags.bodies.middle import with_middles
 from tagid.tags.bodies.neighbours import led_before_wall
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
@@ -476,15 +477,18 @@ class BodyReader:
 
     def _compared(
         self,
-        ranked: list[Placed],
-        free: list[Placed],
-        rigid: list[Placed],
+        ranked: Sequence[Placed],
+        free: Sequence[Placed],
+        rigid: Sequence[Placed],
         per_term: float,
         *,
         walled: bool = False,
     ) -> BodyReading:
         """The best layout against all that is not it; `walled`: neighbours also by patterns before a wall."""
         settings = self.settings
+        if self.body.turns:
+            held = partial(with_middles, self.spectra, self.body, self.layouts, settings.wide_m)
+            ranked, free, rigid = held(ranked), held(free), held(rigid)
         best = ranked[0]
         layout = next(one for one in self.layouts if one.name == best.layout)
         radii, angles, _ = off_axis(layout)

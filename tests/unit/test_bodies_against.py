@@ -1,0 +1,158 @@
+"""What counts for and against a name that one hypothesis gives: middles, points, enrolled bodies, shells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture
+from tagid.pipeline.answer import Identification
+from tagid.pipeline.identify import aspect_spectra, identify
+from tagid.simulate import (
+    Acquisition,
+    NoiseShape,
+    Placement,
+    ReflectorSpec,
+    Wobble,
+    parse_body,
+    simulate_capture,
+)
+from tagid.simulate.objects import Variation, object_scene
+from tagid.tags.bodies import reader
+from tagid.tags.bodies.body_reading import BodyReading
+from tagid.tags.bodies.hypothesis import Explanation, Kind, Pose
+from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.middle import with_middles
+from tagid.tags.bodies.points import PointReading
+from tagid.tags.bodies.signature import Signature
+from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.matching import contest, on_shell
+from tagid.tags.matching.contest_settings import ContestSettings
+from tagid.tags.matching.reading import Reading
+from tagid.tags.verdicts.verdict import Code, Verdict
+
+LAYOUTS = list(builtin_layouts().values())
+BOX = "box:120mm,height=110mm"
+
+
+def recorded(
+    body: str, tag: np.ndarray, seed: int, snr_db: float, views: int = 36, off_m: float = 0.005
+) -> Capture:
+    """A tag on a body of our simulator, off the axis."""
+    scene = object_scene(
+        "scene",
+        tag,
+        parse_body(body),
+        ReflectorSpec("octahedron", 0.020),
+        rng=np.random.default_rng(3),
+        variation=Variation(0.7, (0.0004, -0.0003), 0.3),
+    )
+    rng = np.random.default_rng(seed)
+    side, turn = rng.uniform(0, 2 * np.pi, 2)
+    placed = Placement((off_m * np.cos(side), off_m * np.sin(side)), turn)
+    uneven = Wobble(speed=0.01 if views == 36 else 0.0)
+    noise = NoiseShape(0.5)
+    acquisition = Acquisition(views=views, snr_db=snr_db, placement=placed, wobble=uneven, noise=noise)
+    return simulate_capture(scene, acquisition, seed)[0]
+
+
+@cache
+def known(body: str) -> Signature:
+    """A body as three captures without a tag show it."""
+    captures = [
+        Named(f"c{i}", aspect_spectra(recorded(body, np.zeros((0, 2)), 900 + i, 20.0, 72, 0.002 * (i + 1))))
+        for i in range(3)
+    ]
+    return enrol_signature(captures, "its-body", "body").signature
+
+
+def read(body: str, tag: np.ndarray, seed: int, snr_db: float) -> Identification:
+    return identify(recorded(body, tag, seed, snr_db), LAYOUTS, signatures=(known(body),))
+
+
+def positions(name: str) -> np.ndarray:
+    return builtin_layouts()[name].positions
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_reflector_in_the_middle_of_a_known_box_counts_for_its_layout(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Off the axis it returns as much as the others, and no ring holds it."""
+
+    def lead() -> float:
+        reading = read(BOX, positions("helmet-linear"), seed, 8.0).reading
+        assert reading is not None and reading.layout == "helmet-linear"
+        assert reading.kind is Kind.BODY and reading.body is not None
+        return reading.body.lead
+
+    held = lead()
+    monkeypatch.setattr(reader, "with_middles", lambda *given: list(given[-1]))
+    assert held > 1.5 * lead()
+
+
+def test_a_layout_without_a_reflector_in_its_middle_is_given_none() -> None:
+    answer = read(BOX, positions("helmet-120"), 1, 20.0)
+    assert answer.reading is not None and answer.reading.body is not None
+    found = answer.reading.body
+    placed = found.layouts[0]
+    assert placed.layout == "helmet-120"
+    given = (found.spectra, found.body, LAYOUTS, 0.076, [replace(placed, layout="helmet-linear")])
+    # Nothing stands there: three amplitudes a frequency are not worth their charge.
+    assert with_middles(*given)[0].charged == pytest.approx(placed.charged, rel=0.2)
+    assert with_middles(*given[:4], [placed]) == [placed]
+    assert with_middles(found.spectra, found.body, [], 0.076, [placed]) == [placed]
+
+
+@cache
+def on_box() -> Reading:
+    reading = read(BOX, positions("helmet-linear"), 1, 8.0).reading
+    assert reading is not None and reading.body is not None and reading.layout == "helmet-linear"
+    assert reading.kind is Kind.BODY
+    return reading
+
+
+@pytest.mark.parametrize(
+    ("nearest", "leads", "refused"),
+    [("container-180", 0.0, True), ("container-90", 0.4, False), ("container-90", 0.6, True)],
+)
+def test_a_bare_name_is_held_against_points_and_a_known_body(
+    nearest: str, leads: float, refused: bool
+) -> None:
+    """Near the noise the image explained all of the echo of another tag, on a cup that was enrolled."""
+    reading, body = on_box(), cast("BodyReading", on_box().body)
+    least = min(placed.charged for placed in (*body.layouts, *body.others))
+    fit = SimpleNamespace(layout=nearest, left=least + leads * body.error)
+    own = Explanation(Kind.BARE, "", "container-90", 0.0, None, Pose())
+    points = cast("PointReading", SimpleNamespace(layouts=(fit,)))
+    known_of = contest._Bare(replace(reading, layout="container-90"), own, points, opaque=False)
+    taken = contest._disputed(known_of, body, ContestSettings())
+    assert (taken is not None) == refused
+    if taken is not None:
+        assert (taken.status, taken.layout, taken.code) == ("unknown", None, Code.OTHER)
+    assert contest._disputed(replace(known_of, points=None), body, ContestSettings()) is None
+
+
+@pytest.mark.parametrize(
+    ("named", "left", "status"),
+    [("container-180", 0.08, "ambiguous"), ("container-180", 0.0, None), ("helmet-linear", 0.08, None)],
+)
+def test_two_names_on_two_bodies_are_none_where_points_leave_nothing(
+    named: str, left: float, status: str | None
+) -> None:
+    """A tag on a helmet, at 18 views and 10 dB, was a pair beside a glass: its shell left less."""
+    reading, shell = on_box(), cast("BodyReading", on_box().body)
+    best = replace(shell.layouts[0], left=0.5 * shell.noise)
+    other = Explanation(Kind.BARE, "", None, 0.0, None, Pose())
+    own = Explanation(Kind.ROUND, "", named, left, left, Pose())
+    settled = replace(reading, layout=named, kind=Kind.ROUND, hypotheses=(other, own), body=None)
+    found = replace(shell, layouts=(best, *shell.layouts[1:]))
+    said = on_shell._said(Kind.SHELL, found, Verdict("identified"), settled, LAYOUTS)
+    assert (said.status if said is not None else None) == status
+    if said is not None:
+        assert said.code is Code.AMBIGUOUS and "on a thin shell" in said.reason
