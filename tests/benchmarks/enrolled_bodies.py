@@ -38,7 +38,7 @@ from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
 
-POPULATIONS = {"development": "development/1", "sealed": "sealed/8"}
+POPULATIONS = {"development": "development/1", "sealed": "sealed/9"}
 """Sealed seeds are renewed before every report that follows a change of the reader."""
 PARTS = ("solved", "designed")
 OFFSETS_MM = (0, 2, 6, 10)
@@ -350,7 +350,10 @@ handles and shells were named then, as by the reader before (commit ff3b9e4): wh
 is two solutions added (`can35_handle+can28_c180-can28`, 4 of 8) is refused by both.
 
 Since that mugs are read beside round walls, the middle of a tag on a shell must be as built, and a tag on an
-enrolled body must stand out of the noise. The sealed/8 scenes had not been read before.
+enrolled body must stand out of the noise. Of the sealed/8
+scenes 52 of 53 on handles and shells were named, none of 99 others. Since then walls are asked near the
+noise, and of every name by a free pattern on a body with a handle, and what stands in the middle of a ring on
+a shell or a box is fitted. The sealed/9 scenes had not been read before.
 """
 
 
