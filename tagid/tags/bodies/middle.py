@@ -1,8 +1,8 @@
 """Whether a reflector stands in the middle of a tag on an enrolled shell or box.
 
 Arrangements on a ring do not hold it, and on the rotation axis it is removed with the room. Off the axis it
-adds one column about the ring's centre to what body and reflectors explain: `with_middle`. Alike reflectors return alike, so
-its energy there is compared with what it would be at their mean power.
+adds one column about the ring's centre to what body and reflectors explain: `with_middle`. Alike reflectors
+return alike, so its energy there is compared with what it would be at their mean power.
 """
 
 from __future__ import annotations

@@ -487,8 +487,8 @@ class BodyReader:
         """The best layout against all that is not it; `walled`: neighbours also by patterns before a wall."""
         settings = self.settings
         if self.body.turns:
-            held = partial(with_middles, self.spectra, self.body, self.layouts, settings.wide_m)
-            ranked, free, rigid = held(ranked), held(free), held(rigid)
+            whole = partial(with_middles, self.spectra, self.body, self.layouts, settings.wide_m)
+            ranked, free, rigid = whole(ranked), whole(free), whole(rigid)
         best = ranked[0]
         layout = next(one for one in self.layouts if one.name == best.layout)
         radii, angles, _ = off_axis(layout)
@@ -505,7 +505,7 @@ class BodyReader:
             inside = low <= float(p.radii.mean()) <= high
             return away(p, least_deg) > settings.other_deg or not inside
 
-        rivals = [p for p in free + rigid if other(p) and can_stand(p.angles, float(p.radii.mean()))]
+        rivals = [p for p in (*free, *rigid) if other(p) and can_stand(p.angles, float(p.radii.mean()))]
         every = sorted([*rivals, *ranked[1:]], key=lambda p: p.charged)
         # Alike reflectors side by side have a common pattern that is symmetric, too: many terms hold it.
         split = [p for p in every if p.layout is None and not other(p, settings.split_deg)]

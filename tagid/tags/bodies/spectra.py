@@ -118,7 +118,7 @@ class Spectra:
 
     @property
     def noise_spread(self) -> float:
-        """Standard deviation of the energy of the noise in `data`: one variance times the root of their number."""
+        """Standard deviation of the energy of n values of noise: n ** 0.5 variances."""
         return float(self.noise * np.sqrt(len(self.data) * (self.data.shape[1] - 1)))
 
     @property
@@ -161,9 +161,7 @@ class Spectra:
                 np.multiply(out[f - 1], step, out=out[f])
         return out
 
-    def early_m(
-        self, response: NDArray[np.complex128], weight: NDArray[np.float64] | None = None
-    ) -> float:
+    def early_m(self, response: NDArray[np.complex128], weight: NDArray[np.float64] | None = None) -> float:
         """How much earlier than its place something answers, from the slope of the phase, one way, m.
 
         Args:

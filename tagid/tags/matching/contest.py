@@ -331,8 +331,7 @@ def _beside_wall(
     """A reading with a free pattern that is refused, or may imitate others, after what a wall says of it.
 
     Many terms imitate, and a few beside a handle: it and one reflector passed for `container-90` on an
-    enrolled cup by 0.4. The right ones of 58 names on cups and cans that are known lead before walls by 0.6 and
-    more.
+    enrolled cup by 0.4. Of 58 right names on enrolled cups and cans all lead before walls by 0.6 and more.
     """
     beside = read_beside_wall(reading, known.points, layouts, settings.body)
     if beside is not None:

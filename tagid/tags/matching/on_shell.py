@@ -109,9 +109,7 @@ def _said(
         if not named or best.layout == settled.layout or own.left >= min(told, default=0.0):
             return None
         reason = f"the echo is that of {settled.layout} on a round body, or of {best.layout} {_WHERE[kind]}"
-        return replace(
-            settled, status="ambiguous", code=Code.AMBIGUOUS, reason=reason, hypotheses=hypotheses
-        )
+        return replace(settled, status="ambiguous", code=Code.AMBIGUOUS, reason=reason, hypotheses=hypotheses)
     # Walls with the right layout leave less than a round body with any, or than points: 65 of 65 tags in
     # solved cartons. Two bare reflectors of three, which left half as much, passed for the three on a shell.
     if own.left > others and (named or kind is Kind.BOX):
