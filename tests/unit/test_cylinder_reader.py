@@ -26,7 +26,7 @@ from tagid.tags.bodies.cylinder_fit import CylinderFitter, Ringed
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.cylinder_reader import _CylinderReader, read_on_cylinder
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body, is_in_place
-from tagid.tags.bodies.hypothesis import BodyModel
+from tagid.tags.bodies.hypothesis import BodyModel, Pose
 from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.reflectors_fit import solve
 from tagid.tags.bodies.revolution import RoundBody
@@ -263,6 +263,29 @@ def test_an_enrolled_wall_holds_the_centre_of_the_tag() -> None:
         fitter = CylinderFitter(spectra, patterns, RoundBody(), 0.01 - 0.01j, spread_m, 10 * spectra.noise)
         moved.append(abs(fitter.fitted([start], 4)[0].centre - (0.01 - 0.01j)))
     assert moved[1] < 1e-3 < 3e-3 < moved[0]
+
+
+@pytest.mark.parametrize(
+    ("explained", "tag", "is_known"), [(100.0, 150.0, True), (40.0, 150.0, False), (40.0, 30.0, True)]
+)
+def test_a_wall_that_noise_and_tag_hide_tells_no_centre(explained: float, tag: float, is_known: bool) -> None:
+    """The pose of a filled cup, 40 variances of the noise beside a tag of 110, was 10 mm wrong."""
+    spectra, body, centre = spectra_of("cup36_c180", "V"), RoundBody(), 0.004 - 0.005j
+    wall = body.echo(spectra, np.array([centre]), np.zeros(1))[0]
+    first = SimpleNamespace(
+        energy=900.0 + explained,
+        body_left=900.0,
+        tag=tag,
+        variance=1.0,
+        pose=Pose((0.005, -0.004)),
+        body=body,
+    )
+    searched = SimpleNamespace(spectra=spectra, first=first, settings=BodySettings())
+    found, spread_m = _CylinderReader._expected(cast("_CylinderReader", searched), wall)
+    if is_known:
+        assert abs(found - centre) < 1e-3 and spread_m == cylinder_reader.MOUNTED_M
+    else:
+        assert (found, spread_m) == (0j, BodySettings().priors.centre_m)
 
 
 def test_what_free_patterns_found_is_tried_beside_walls(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -50,6 +50,8 @@ what so many standard deviations of the noise's energy may hide: near the noise 
 ROUND, MOUNTED_M = 0.5, 2e-3
 """The centre of an enrolled body is that of a round one which leaves no more of its echo: mugs with handles
 leave up to 0.28. It is known to 0.6 to 1.5 mm, and reflectors stand about it to within a millimetre."""
+POSED_NATS = 60.0
+"""Where it explains so many noise variances: 9 amplitudes and a pose explain some 40 of noise."""
 SAME_M = 4e-3
 """Layouts whose mean radii differ by less share one table of patterns."""
 
@@ -182,8 +184,8 @@ class _CylinderReader:
             return 0j, self.settings.priors.centre_m
         first = self.first
         round_one = self.settings.body.middle(self.spectra, known, first.pose.centre)
-        if first.energy - first.body_left < first.tag:
-            # The pose of a body quieter than its tag may be that of the tag.
+        if first.energy - first.body_left < min(first.tag, POSED_NATS * first.variance):
+            # The pose of a body that noise and its tag hide may be that of either.
             return 0j, self.settings.priors.centre_m
         if round_one.left > ROUND:
             return first.pose.centre, max(first.body.slack_m, MOUNTED_M)
