@@ -206,17 +206,18 @@ def test_reflectors_behind_a_wall_that_the_wave_passes_answer_from_their_places(
 
 def test_a_wall_speaks_against_a_free_pattern_where_it_explains_the_echo() -> None:
     """One reflector and a mug's handle passed for a layout on the enrolled mug, by 0.4."""
-    beside_wall, decision = beside(spectra_of("cup36_c180", "V")), BodyDecision()
+    beside_wall = beside(spectra_of("cup36_c180", "V"))
     named = replace(beside_wall, wall=None)
-    assert not disputed(named, beside_wall, decision) and not disputed(named, None, decision)
-    doubted = replace(beside_wall, lead=0.2)
-    assert disputed(named, doubted, decision)
+    assert not disputed(named, beside_wall) and not disputed(named, None)
+    assert not disputed(named, replace(beside_wall, lead=0.1))
+    doubted = replace(beside_wall, lead=-0.1)
+    assert disputed(named, doubted)
     other = replace(beside_wall, layouts=beside_wall.layouts[1:])
-    assert other.layouts and disputed(named, other, decision)
+    assert other.layouts and disputed(named, other)
     # A wall beside which nothing explains the echo has no say.
     least = beside_wall.noise + 0.4 * beside_wall.tag
     far = tuple(replace(placed, left=max(placed.left, least)) for placed in beside_wall.layouts)
-    assert not disputed(named, replace(doubted, layouts=far, others=()), decision)
+    assert not disputed(named, replace(doubted, layouts=far, others=()))
 
 
 def test_walls_between_those_of_the_family_hold_one_that_is_not_in_it() -> None:

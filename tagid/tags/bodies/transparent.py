@@ -32,7 +32,7 @@ class TransparentDecision:
 
     unexplained: float = 0.10
     lead: float = 0.0
-    behind: float = 0.1
+    behind: float = 0.12
 
     def bears_out(self, points: PointReading, reading: BodyReading) -> bool:
         """Whether points may name their best layout, which the reading on the body did not."""

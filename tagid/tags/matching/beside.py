@@ -52,11 +52,11 @@ def borne_out(reading: BodyReading, beside: BodyReading | None, decision: BodyDe
     return fits and is_in_place(beside, decision)
 
 
-def disputed(reading: BodyReading, beside: BodyReading | None, decision: BodyDecision) -> bool:
-    """Whether another arrangement explains the echo beside a wall about as well, or better.
+def disputed(reading: BodyReading, beside: BodyReading | None) -> bool:
+    """Whether another arrangement explains the echo better beside a wall.
 
     Where no arrangement beside a wall explains it, walls have no say: an enrolled body's own may taper.
     """
     if beside is None or beside.least - beside.noise > DOUBTED * beside.tag:
         return False
-    return beside.layouts[0].layout != reading.layouts[0].layout or beside.lead < decision.lead
+    return beside.layouts[0].layout != reading.layouts[0].layout or beside.lead < 0

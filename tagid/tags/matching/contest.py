@@ -339,7 +339,7 @@ def _beside_wall(
         if told.status == "identified":
             own, free = beside.layouts[0], reading.layouts[0]
             return replace(beside, freely=free.left if free.layout == own.layout else inf), told
-    stands = not disputed(reading, beside, settings.decision)
+    stands = not disputed(reading, beside)
     if not reading.body.name:
         stands = borne_out(reading, beside, settings.decision)
     if verdict.status == "identified" and not stands:
