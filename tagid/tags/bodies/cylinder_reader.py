@@ -130,14 +130,13 @@ class _Searched:
 
 
 def _early_m(spectra: Spectra, solved: Solved) -> float:
-    """How early reflectors answer, from the amplitude of both dipoles alike that is nearest to their echo, m.
+    """How early reflectors answer, from the part of their echo that both dipoles alike would send, m.
 
-    Each alone is ill determined where the wall reverses neither field.
+    Each dipole alone is ill determined where the wall reverses neither field. The echo, other than its
+    amplitude, counts frequencies by how well the noise lets them be known.
     """
     gram, dipoles = solved.gram[0, :, 1:, 1:], solved.amplitudes[0, :, 1:]
-    echo = (gram @ dipoles[..., None]).sum(axis=(-1, -2))
-    energy = gram.sum(axis=(-1, -2)).real
-    return spectra.early_m(echo / energy, energy)
+    return spectra.early_m((gram @ dipoles[..., None]).sum(axis=(-1, -2)))
 
 
 class _CylinderReader:

@@ -161,18 +161,11 @@ class Spectra:
                 np.multiply(out[f - 1], step, out=out[f])
         return out
 
-    def early_m(self, response: NDArray[np.complex128], weight: NDArray[np.float64] | None = None) -> float:
-        """How much earlier than its place something answers, from the slope of the phase, one way, m.
-
-        Args:
-            response: (F,) its amplitude.
-            weight: (F,) energy that an amplitude of 1 has in the data: amplitudes count by how well the noise
-                lets them be known. None for those that count alike.
-        """
+    def early_m(self, response: NDArray[np.complex128]) -> float:
+        """How much earlier than its place something answers (F,), from the slope of the phase, one way, m."""
         ahead = np.arange(-_LONGEST_M, _LONGEST_M, 2e-3)
         turned = np.exp(-1j * ahead[:, None] * self.wavenumbers[None])
-        known = response if weight is None else response * weight
-        return float(ahead[int(np.argmax(np.abs(turned @ known)))])
+        return float(ahead[int(np.argmax(np.abs(turned @ response)))])
 
 
 def centred(columns: NDArray[np.complex128]) -> NDArray[np.complex128]:
