@@ -103,8 +103,8 @@ def test_a_layout_without_a_reflector_in_its_middle_is_given_none() -> None:
     placed = found.layouts[0]
     assert placed.layout == "helmet-120"
     given = (found.spectra, found.body, LAYOUTS, 0.076, [replace(placed, layout="helmet-linear")])
-    # Nothing stands there: three amplitudes a frequency are not worth their charge.
-    assert with_middles(*given)[0].charged == pytest.approx(placed.charged, rel=0.2)
+    # Nothing stands there: an amplitude a frequency is hardly worth its charge.
+    assert 0 <= placed.charged - with_middles(*given)[0].charged < 0.01 * found.tag
     assert with_middles(*given[:4], [placed]) == [placed]
     assert with_middles(found.spectra, found.body, [], 0.076, [placed]) == [placed]
 

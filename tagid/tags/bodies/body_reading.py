@@ -99,6 +99,17 @@ class BodySettings:
     look_again: float = 0.1
     noise_nats: float = 25.0
 
+    def error(self, spectra: Spectra, above: float, tag: float) -> float:
+        """Energy that a lead of 1 is, see `BodyReading.error`.
+
+        Args:
+            spectra: the scans.
+            above: energy above the noise that a layout leaves. What chance may add is no error of the model.
+            tag: energy that the layout explains.
+        """
+        beyond = max(above - spectra.noise_spread, 0.0)
+        return beyond + (self.priors.model_error * tag + self.noise_nats * spectra.noise)
+
     def radius_offsets_m(self, radius_m: float) -> tuple[float, ...]:
         """Radii tried about a nominal one, relative to it, m."""
         return self.rings_m if radius_m < self.wide_m else (0.0,)

@@ -51,7 +51,8 @@ ROUND, MOUNTED_M = 0.5, 2e-3
 """The centre of an enrolled body is that of a round one which leaves no more of its echo: mugs with handles
 leave up to 0.28. It is known to 0.6 to 1.5 mm, and reflectors stand about it to within a millimetre."""
 POSED_NATS = 60.0
-"""Where it explains so many noise variances: 9 amplitudes and a pose explain some 40 of noise."""
+"""The pose of an enrolled body is known where its echo explains so many noise variances: of noise alone 9
+amplitudes and a pose explain some 40."""
 SAME_M = 4e-3
 """Layouts whose mean radii differ by less share one table of patterns."""
 
@@ -182,10 +183,10 @@ class _CylinderReader:
         if known is None:
             return 0j, self.settings.priors.centre_m
         first = self.first
-        round_one = self.settings.body.middle(self.spectra, known, first.pose.centre)
         if first.energy - first.body_left < min(first.tag, POSED_NATS * first.variance):
             # The pose of a body that noise and its tag hide may be that of either.
             return 0j, self.settings.priors.centre_m
+        round_one = self.settings.body.middle(self.spectra, known, first.pose.centre)
         if round_one.left > ROUND:
             return first.pose.centre, max(first.body.slack_m, MOUNTED_M)
         return round_one.pose.centre, MOUNTED_M
@@ -385,9 +386,7 @@ class _CylinderReader:
         tag = max(first.body_left - best.left, 1e-30)
         above = max(best.left - self.noise, 0.0)
         next_left = every[0].charged if every else first.body_left
-        # What chance may add to the noise is no error of the model.
-        error = max(above - spectra.noise_spread, 0.0)
-        error += settings.priors.model_error * tag + settings.noise_nats * spectra.noise
+        error = settings.error(spectra, above, tag)
         lead = (next_left - best.left) / error
         rough = error + (settings.simple_error - settings.priors.model_error) * tag
         untagged = np.inf

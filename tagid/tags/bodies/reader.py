@@ -518,9 +518,7 @@ class BodyReader:
         tag = max(self.poses[0].left - best.left, 1e-30)
         above = max(best.left - self._noise_after(int(best.batch.terms[0])), 0.0)
         next_left = others[0].charged if others else self.poses[0].left
-        # What chance may add to the noise is no error of the model.
-        error = max(above - self.spectra.noise_spread, 0.0)
-        error += settings.priors.model_error * tag + settings.noise_nats * self.spectra.noise
+        error = settings.error(self.spectra, above, tag)
         own = near[0] if near else None
         lead = (next_left - best.charged) / error
         if many:

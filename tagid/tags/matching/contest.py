@@ -339,12 +339,11 @@ def _beside_wall(
         if told.status == "identified":
             own, free = beside.layouts[0], reading.layouts[0]
             return replace(beside, freely=free.left if free.layout == own.layout else inf), told
-    stands = not disputed(reading, beside)
-    if not reading.body.name:
-        stands = borne_out(reading, beside, settings.decision)
+    known_body = bool(reading.body.name)
+    stands = not disputed(reading, beside) if known_body else borne_out(reading, beside, settings.decision)
     if verdict.status == "identified" and not stands:
         named = reading.layouts[0].layout
-        where = f"the enrolled body {reading.body.name}" if reading.body.name else "a round body"
+        where = f"the enrolled body {reading.body.name}" if known_body else "a round body"
         verdict = Verdict("unknown", Code.BODY, f"no round wall bears out {named} on {where}")
     return reading, verdict
 
