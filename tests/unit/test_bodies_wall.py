@@ -366,6 +366,38 @@ def test_an_enrolled_body_that_explains_more_refuses_a_name_on_a_round_one(
     assert ("the enrolled body handle34 explain the echo better" in answer.reason) == (status == "unknown")
 
 
+@pytest.mark.parametrize(("known", "status"), [(True, "unknown"), (False, "identified")])
+def test_what_stands_beside_the_wall_of_an_enrolled_body_refuses_a_name_on_a_round_one(
+    known: bool, status: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A handle and one reflector were `container-90` on a round body; only beside its wall the mug led."""
+    own = read(tagged(0, 180), "H", BodySettings(), 20.0, 3)
+    least = min(placed.charged for placed in (*own.layouts, *own.others))
+    named = replace(own, body=RoundBody(), layouts=(replace(own.layouts[0], left=least), *own.layouts[1:]))
+
+    def verdict(reading: BodyReading, settings: BodyDecision) -> Verdict:
+        return Verdict("unknown", Code.OTHER, "one reflector") if reading.body.name else Verdict("identified")
+
+    def beside(reading: BodyReading, *rest: object) -> BodyReading | None:
+        led = replace(own.layouts[0], layout=None, charged=least - 0.6 * own.error)
+        asked = bool(reading.body.name) == known
+        return replace(own, body=Solved("H"), others=(led, *own.others)) if asked else None
+
+    def read_on(spectra: Spectra, layouts: object, body: BodyModel, *rest: object) -> BodyReading:
+        return replace(own, body=body) if body.name else named
+
+    monkeypatch.setattr(on_body, "read_on_body", read_on)
+    monkeypatch.setattr(contest, "decide_on_body", verdict)
+    monkeypatch.setattr(contest, "borne_out", lambda *given: True)
+    monkeypatch.setattr(contest, "read_beside_wall", beside)
+    monkeypatch.setattr(contest, "_shows", lambda *given: True)
+    monkeypatch.setattr(contest, "kept", lambda bound, verdict: verdict)
+    scans = scans_of(tagged(0, 180), "H", 20.0, 3)
+    answer = read_tag(scans, list(builtin_layouts().values()), enrolled=Enrolled((Solved("H"),)))
+    assert answer.status == status
+    assert ("the enrolled body handle34 explain the echo better" in answer.reason) == known
+
+
 def test_what_an_enrolled_body_must_show_for_a_name_on_it() -> None:
     """Its place, a tag above the noise, and reflectors where they are, but for a delay that both have."""
     own, settings = read(tagged(0, 180), "H", BodySettings(), 20.0, 3), BodyDecision()
@@ -427,11 +459,10 @@ def test_an_enrolled_body_that_stands_there_refuses_another_name_on_a_round_one(
     other = replace(own.layouts[0], layout="helmet-linear", charged=own.layouts[0].left)
     enrolled = replace(own, layouts=(other,), others=(), body_left=alone * own.body_left)
     round_ = replace(own, body=RoundBody())
-    refused = Verdict("unknown", Code.OTHER, "")
-    verdict = contest._outdone(round_, Verdict("identified"), [(enrolled, refused)], settings)
+    verdict = contest._outdone(round_, Verdict("identified"), [enrolled], settings)
     assert verdict.status == status
     same = replace(enrolled, layouts=(replace(other, layout=own.layouts[0].layout),))
-    assert contest._outdone(round_, Verdict("identified"), [(same, refused)], settings).status == "identified"
+    assert contest._outdone(round_, Verdict("identified"), [same], settings).status == "identified"
 
 
 def test_a_bare_name_that_points_do_not_explain_is_held_against_an_enrolled_body(

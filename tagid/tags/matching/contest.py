@@ -206,6 +206,8 @@ def _against_bodies(
     named = bare.status in ("identified", "ambiguous")
     hints = [complex(*bare.centre_m)]
     readings: list[tuple[BodyReading, Verdict]] = []
+    # What each enrolled body says, with a free pattern and beside its wall.
+    on_known: list[BodyReading] = []
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
         reading = read_on_body(spectra, layouts, body, settings.body, hints)
         explained = any(v.status == "identified" for r, v in readings if r.body.name)
@@ -220,14 +222,18 @@ def _against_bodies(
             free = verdict.status == "identified" and (small if body.name else reading.through)
             # Where no body shows, no name beside a wall would stand.
             doubted = (verdict.status == "unknown" and _shows(known, reading, settings)) or free
+            said = [reading]
             if doubted and body.turning_share < settings.turning:
-                reading, verdict = _beside_wall(known, reading, verdict, layouts, settings)
+                beside = read_beside_wall(reading, known.points, layouts, settings.body)
+                said += [] if beside is None else [beside]
+                reading, verdict = _after_wall(known, reading, verdict, beside, layouts, settings)
+            on_known += said if body.name else []
             if body.name and readings:
                 verdict = _borne_out(reading, verdict, readings[0][0], settings)
             readings.append((reading, verdict))
     if not readings:
         return replace(bare, hypotheses=(own,))
-    readings = [(r, _outdone(r, v, readings, settings)) for r, v in readings]
+    readings = [(r, _outdone(r, v, on_known, settings)) for r, v in readings]
     explanations = [own, *_explanations(readings)]
     # An enrolled body alone explains the echo: a layout on another body only imitates it.
     alone = [(r, v) for r, v in readings if r.body.name and v.status == "no_tag"]
@@ -321,10 +327,11 @@ def _centre_absent(known: _Bare, reading: BodyReading) -> bool:
     return same and not reading.body.name and len(best.radii) < known.reading.evidence.size
 
 
-def _beside_wall(
+def _after_wall(
     known: _Bare,
     reading: BodyReading,
     verdict: Verdict,
+    beside: BodyReading | None,
     layouts: Sequence[Layout],
     settings: ContestSettings,
 ) -> tuple[BodyReading, Verdict]:
@@ -333,7 +340,6 @@ def _beside_wall(
     Many terms imitate, and a few beside a handle: it and one reflector passed for `container-90` on an
     enrolled cup by 0.4. Of 58 right names on enrolled cups and cans all lead before walls by 0.6 and more.
     """
-    beside = read_beside_wall(reading, known.points, layouts, settings.body)
     if beside is not None:
         told = _judged(known, beside, layouts, settings)
         if told.status == "identified":
@@ -351,16 +357,14 @@ def _beside_wall(
 def _outdone(
     reading: BodyReading,
     verdict: Verdict,
-    readings: Sequence[tuple[BodyReading, Verdict]],
+    on_known: Sequence[BodyReading],
     settings: ContestSettings,
 ) -> Verdict:
     """The verdict on a name on a round body, taken back where an enrolled body explains the echo better."""
     if verdict.status != "identified" or reading.body.name:
         return verdict
     named = reading.layouts[0]
-    for other, _ in readings:
-        if not other.body.name:
-            continue
+    for other in on_known:
         best = min((*other.layouts, *other.others), key=lambda placed: placed.charged)
         least = settings.enrolled_lead if best.layout == named.layout else settings.enrolled_other
         leads = named.left - best.charged > least * other.error
