@@ -366,6 +366,9 @@ def _outdone(
     named = reading.layouts[0]
     for other in on_known:
         best = min((*other.layouts, *other.others), key=lambda placed: placed.charged)
+        if other.wall is not None and best.layout == named.layout:
+            # The wall of its own body suits a layout better than one of which nothing is known.
+            continue
         least = settings.enrolled_lead if best.layout == named.layout else settings.enrolled_other
         leads = named.left - best.charged > least * other.error
         # Alone it explains far more than a round body does: then it is what stands there.
