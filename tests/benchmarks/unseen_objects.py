@@ -351,7 +351,7 @@ def _shell75() -> Mesh:
 
 
 def _shell84() -> Mesh:
-    return shapes.helmet((0.084, 0.102, 0.074), 0.019, 0.0104, shapes.sheet(2.6, 0.0032))
+    return shapes.helmet((0.084, 0.102, 0.074), 0.019, 0.0099, shapes.sheet(2.6, 0.0032))
 
 
 DEVELOPMENT = {

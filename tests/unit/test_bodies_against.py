@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -29,9 +29,10 @@ from tagid.tags.bodies.hypothesis import Explanation, Kind, Pose
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.middle import with_middles
 from tagid.tags.bodies.points import PointReading
+from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching import contest, on_shell
+from tagid.tags.matching import contest, matcher, on_shell
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code, Verdict
@@ -136,6 +137,79 @@ def test_a_bare_name_is_held_against_points_and_a_known_body(
     if taken is not None:
         assert (taken.status, taken.layout, taken.code) == ("unknown", None, Code.OTHER)
     assert contest._disputed(replace(known_of, points=None), body, ContestSettings()) is None
+
+
+@pytest.mark.parametrize(
+    ("explained", "nats", "shows"),
+    [(0.6, 100.0, True), (0.4, 100.0, False), (0.6, 50.0, False)],
+)
+def test_a_body_that_explains_most_of_the_echo_alone_shows(
+    explained: float, nats: float, shows: bool
+) -> None:
+    """The wall of an empty cup answers from behind its centre, as what bare reflectors exchange does."""
+    reading, body = on_box(), cast("BodyReading", on_box().body)
+    variance, settings = body.noise / 500, ContestSettings()
+    energy = body.noise + nats * variance / explained
+    empty = replace(
+        body,
+        body=RoundBody(),
+        energy=energy,
+        body_left=energy - nats * variance,
+        variance=variance,
+        front_m=-0.09,
+        points_lead=0.5,
+    )
+    own = Explanation(Kind.BARE, "", None, 0.0, None, Pose())
+    points = cast("PointReading", SimpleNamespace(least=0.0, layouts=()))
+    assert contest._shows(contest._Bare(reading, own, points, False), empty, settings) == shows
+
+
+@pytest.mark.parametrize(
+    ("cup", "name", "seed"),
+    [
+        ("cup:37mm,wall=3.7mm", "container-180", 0),
+        ("cup:37mm,wall=3.7mm", "container-90", 4),
+        ("cup:36mm,wall=4.2mm", "container-180", 5),
+    ],
+)
+def test_walls_are_asked_of_weak_tags_on_empty_cups(
+    cup: str, name: str, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A few points about the axis explain the echo of a cup 2 mm off it."""
+    capture = recorded(cup, positions(name), seed, 10.0, off_m=0.002)
+    reading = identify(capture, LAYOUTS).reading
+    assert reading is not None and reading.body is not None and reading.body.front_m < 0
+    assert (reading.layout, reading.kind) == (name, Kind.ROUND)
+    monkeypatch.setattr(contest, "_stands_alone", lambda *given: False)
+    refused = identify(capture, LAYOUTS).reading
+    assert refused is not None and refused.layout is None
+
+
+@pytest.mark.parametrize("nearest", ["container-180", "container-90"])
+def test_an_image_whose_name_points_contradict_does_not_contest_a_body(
+    nearest: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Near the noise it explains all of an echo: a pair on a cup was ambiguous with its `container-90`."""
+    capture = recorded("cup:37mm,wall=3.7mm", positions("container-180"), 3, 10.0, off_m=0.002)
+    plain = identify(capture, LAYOUTS).reading
+    assert plain is not None and (plain.layout, plain.kind) == ("container-180", Kind.ROUND)
+    settle, points_of = matcher.settle, contest.points_of
+
+    def named(bare: Reading, *rest: Any, **more: Any) -> Reading:
+        seen = replace(bare, status="ambiguous", layout="container-90", code=Code.AMBIGUOUS)
+        return settle(replace(seen, evidence=replace(seen.evidence, share=1.0)), *rest, **more)
+
+    def points(*given: Any) -> PointReading:
+        found = points_of(*given)
+        own = [p for p in found.layouts if p.layout == nearest]
+        return replace(found, lead=-1.0, layouts=(*own, *(p for p in found.layouts if p not in own)))
+
+    monkeypatch.setattr(matcher, "settle", named)
+    monkeypatch.setattr(contest, "points_of", points)
+    monkeypatch.setattr(contest, "without_body", lambda *given: None)
+    reading = identify(capture, LAYOUTS).reading
+    assert reading is not None
+    assert (reading.status == "ambiguous") == (nearest == "container-90")
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,8 @@ POSED_NATS = 60.0
 amplitudes and a pose explain some 40."""
 SAME_M = 4e-3
 """Layouts whose mean radii differ by less share one table of patterns."""
+_LEAST_OF_MIX = 1e-9
+"""Share of a mix of dipoles that sends nothing, relative to that which sends most: keeps it finite."""
 
 
 def read_on_cylinder(
@@ -131,13 +133,18 @@ class _Searched:
 
 
 def _early_m(spectra: Spectra, solved: Solved) -> float:
-    """How early reflectors answer, from the part of their echo that both dipoles alike would send, m.
+    """How early reflectors answer, from the mix of both dipoles that sends most of their echo, m.
 
-    Each dipole alone is ill determined where the wall reverses neither field. The echo, other than its
-    amplitude, counts frequencies by how well the noise lets them be known.
+    Alone each is ill determined where the wall reverses neither field, and in their sum they may cancel. The
+    echo, other than its amplitude, counts frequencies by how well the noise lets them be known.
     """
     gram, dipoles = solved.gram[0, :, 1:, 1:], solved.amplitudes[0, :, 1:]
-    return spectra.early_m((gram @ dipoles[..., None]).sum(axis=(-1, -2)))
+    energies, axes = np.linalg.eigh(gram.mean(axis=0))
+    scales = np.sqrt(np.maximum(energies, _LEAST_OF_MIX * energies[-1]))
+    # In these coordinates the energy of the echo is that of the amplitudes.
+    mix = np.linalg.svd(dipoles @ axes.conj() * scales, full_matrices=False)[2][0]
+    sent = (axes / scales) @ mix
+    return spectra.early_m(np.einsum("i,fij,fj->f", sent.conj(), gram, dipoles))
 
 
 class _CylinderReader:

@@ -264,7 +264,14 @@ def _against_bodies(
                 kind=Kind.OBJECT,
             )
     if seen is not None:
-        if not named or bare.layout == seen.layouts[0].layout or own.left > settings.better * _left(seen):
+        # Near the noise the image explains all of an echo, whichever layout it names.
+        doubted = known.points is not None and known.points.layouts[0].layout != bare.layout
+        if (
+            not named
+            or doubted
+            or bare.layout == seen.layouts[0].layout
+            or own.left > settings.better * _left(seen)
+        ):
             return on_body(bare, seen, layouts, _bound(seen, settings))
         if _left(seen) > settings.better * own.left:
             return bare
@@ -402,7 +409,8 @@ def _shows(known: _Bare, reading: BodyReading, settings: ContestSettings) -> boo
     )
     # Reflectors that are merely seen from one side are not explained by points, either.
     beyond = unlike and known.reading.code is not Code.HIDDEN
-    return bool(reading.body.name) or known.opaque or beyond or _walled(reading, settings)
+    seen = known.opaque or beyond or _walled(reading, settings) or _stands_alone(reading, settings)
+    return bool(reading.body.name) or seen
 
 
 def _clearer(
@@ -439,6 +447,16 @@ def _walled(reading: BodyReading, settings: ContestSettings) -> bool:
     """Whether the echo of a wall, before the body's centre, has its share of the energy."""
     strong = reading.body_energy >= settings.wall_share * reading.energy
     return strong and reading.front_m >= settings.wall_m
+
+
+def _stands_alone(reading: BodyReading, settings: ContestSettings) -> bool:
+    """Whether the body without reflectors explains most of the echo.
+
+    An empty cup's echo comes from behind its centre, where bare reflectors' interaction comes from as well.
+    """
+    explained = reading.energy - reading.body_left
+    by_chance = settings.decision.no_tag_nats * reading.variance
+    return explained >= max(settings.alone * (reading.energy - reading.noise), by_chance)
 
 
 def _share(reading: BodyReading, left: float) -> float:

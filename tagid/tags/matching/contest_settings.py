@@ -28,6 +28,7 @@ class ContestSettings:
         wall_m: a body takes part against a bare name only where its echo comes from so far before its centre
         wall_share: and has this share of the moving echo's energy: the interaction of bare reflectors comes
             from behind it.
+        alone: or alone explains this share of it: an empty cup's echo comes from behind, too,
         outward: or where the reflectors shine outward by more than this (`Evidence.outward`): bare
             full-wave tags reach 0.3, tags on full-wave cans have 0.64 or more.
         false_accept: probability of naming an object of the calibration's population.
@@ -67,6 +68,7 @@ class ContestSettings:
     explained: float = 0.9
     wall_m: float = 0.010
     wall_share: float = 0.05
+    alone: float = 0.5
     outward: float = 0.45
     beyond: float = 2.0
     better: float = 3.0
