@@ -439,10 +439,11 @@ def test_what_an_enrolled_body_must_show_for_a_name_on_it() -> None:
         refused = (share, outside_m, back) == (0.8, -0.014, 1.0)
         assert code(shifted) is (Code.RADIUS if refused else Code.NONE)
     # A wall's two amplitudes fit less of the noise.
-    walled = replace(own, wall=Shell(0.034, 0.0, 1.0, True))
+    walled = replace(own, wall=METAL_WALL)
     assert code(replace(walled, lead=0.7, variance=gain / 85)) is Code.NONE
     assert code(replace(walled, lead=0.7, variance=gain / 75)) is Code.WEAK
-    assert code(replace(walled, lead=0.5, variance=gain / 85)) is Code.WEAK
+    assert code(replace(walled, lead=0.4, variance=gain / 85)) is Code.NONE
+    assert code(replace(walled, lead=0.2, variance=gain / 85)) is Code.OTHER
 
 
 @pytest.mark.parametrize(("times", "status"), [(1.3, "unknown"), (1.5, "identified")])

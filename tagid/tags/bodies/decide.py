@@ -79,8 +79,9 @@ class BodyDecision:
         enrolled_nats: a tag on an enrolled body explains so many noise variances: the body's pose is fitted,
             too, and its signature has errors. Of 1,440 objects without an enrolled tag arrangements explained
             85 to 113 of four that would have been named,
-        walled_nats: fewer beside a wall of known waves, whose 18 amplitudes fit less of the noise, where the
-            layout leads by `walled_lead`.
+        walled_nats: fewer beside a wall of known waves, whose 18 amplitudes fit less of the noise: of some
+            900 foreign and untagged readings on enrolled cups, mugs and cans one led by 0.25 or more, by
+            0.54, and explained 78.
     """
 
     unexplained: float = 0.15
@@ -116,7 +117,6 @@ class BodyDecision:
     no_tag_share: float = 0.001
     enrolled_nats: float = 120.0
     walled_nats: float = 80.0
-    walled_lead: float = 0.6
 
 
 def score(reading: BodyReading, settings: BodyDecision) -> float:
@@ -255,8 +255,7 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         return Verdict(
             "unknown", Code.OTHER, "reflectors elsewhere, without a body, explain the echo about as well"
         )
-    told = r.wall is not None and r.lead >= s.walled_lead
-    if r.body.name and gain < (s.walled_nats if told else s.enrolled_nats) * r.variance:
+    if r.body.name and gain < (s.enrolled_nats if r.wall is None else s.walled_nats) * r.variance:
         return Verdict("unknown", Code.WEAK, f"the tag on {name} is too weak to be told from another")
     if r.lead < s.lead:
         return Verdict(
