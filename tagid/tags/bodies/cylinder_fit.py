@@ -193,11 +193,19 @@ class CylinderFitter:
         solved = self._solved(rings)
         return _Left(solved.rest, solved.left)
 
+    def echoes(self, row: Ringed) -> NDArray[np.complex128]:
+        """(F, 2, V) of the reflectors of an arrangement as electric and as magnetic dipoles."""
+        return self._columns(_Many.of([row]).rings)[0, :, 1:]
+
     def _solved(self, rings: RingedRows) -> Solved:
+        return solve(self.spectra.data, self._columns(rings))
+
+    def _columns(self, rings: RingedRows) -> NDArray[np.complex128]:
+        """(H, F, 3, V) of the body and of the reflectors' dipoles, without the room."""
         centres = np.asarray(rings.at[:, 0] + 1j * rings.at[:, 1])
         echo = self.body_echo(centres)
         radii = rings.radii + rings.at[:, 2:3]
         paths = Paths.of(self.spectra, centres, radii, rings.at[:, 3:], rings.heights)
         each = self.patterns.columns(paths, rings.shells)
         electric, magnetic = (each * rings.present[:, None, :, None]).sum(axis=3)
-        return solve(self.spectra.data, centred(np.stack([echo, electric, magnetic], axis=2)))
+        return centred(np.stack([echo, electric, magnetic], axis=2))
