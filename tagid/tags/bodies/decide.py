@@ -54,8 +54,8 @@ class BodyDecision:
             there answers from up to 88,
         enrolled_share: where it has this share of the moving echo. Below loud tags a thin shell's echo, up
             to a quarter, seems to come from as far as 150 mm.
-        early_glass_m: how early beside a wall of known waves that the wave passes,
-        late_glass_m: and how late, except where the layout leads by `clear_lead`: tags on cups, cans and
+        early_wall_m: how early beside a wall of known waves,
+        late_wall_m: and how late, except where the layout leads by `clear_lead`: tags on cups, cans and
             glasses, ours and solved, answer from 20 mm behind to 46 before, with pulses that nobody stated
             from up to 36 behind and 64 before; neighbours on a crate from 36 to 46 behind.
         seen_m: reflectors beside a wall of known waves, or seen from all sides, answer from where they are,
@@ -104,8 +104,8 @@ class BodyDecision:
     wall_noise: float = 0.1
     enrolled_m: float = 0.065
     enrolled_share: float = 0.3
-    early_glass_m: float = 0.065
-    late_glass_m: float = -0.040
+    early_wall_m: float = 0.065
+    late_wall_m: float = -0.040
     seen_m: float = 0.012
     seen_back: float = 0.45
     flat: float = 0.5
@@ -155,15 +155,15 @@ def is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
     # An enrolled body knows of the delay that its echo may have in common with the reflectors'.
     told = bool(r.body.name) and r.body_energy > s.wall_share * r.energy
     delay = r.front_m if told else 0.0
-    if r.body.name and not r.through:
-        return r.early_m - max(delay, 0.0) <= _earliest_m(r, s)
-    if not r.through:
-        return s.early_m[0] <= r.early_m <= _earliest_m(r, s)
-    if r.wall is None:
+    if r.wall is not None:
+        latest = s.early_m[0] if r.lead >= s.clear_lead else s.late_wall_m
+        return latest <= r.early_m - min(delay, 0.0) and r.early_m - max(delay, 0.0) <= s.early_wall_m
+    if r.through:
         # One that the wave passes through returns most from behind, by paths of its own.
         return True
-    latest = s.early_m[0] if r.lead >= s.clear_lead else s.late_glass_m
-    return latest <= r.early_m - min(delay, 0.0) and r.early_m - max(delay, 0.0) <= s.early_glass_m
+    if r.body.name:
+        return r.early_m - max(delay, 0.0) <= _earliest_m(r, s)
+    return s.early_m[0] <= r.early_m <= _earliest_m(r, s)
 
 
 def _earliest_m(reading: BodyReading, settings: BodyDecision) -> float:
