@@ -23,11 +23,14 @@ from tagid.simulate import (
     simulate_capture,
 )
 from tagid.simulate.objects import Variation, object_scene
-from tagid.tags.bodies import reader
-from tagid.tags.bodies.body_reading import BodyReading
+from tagid.tags.bodies import cylinder_reader, reader
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings
+from tagid.tags.bodies.cylinder_reader import read_on_cylinder
+from tagid.tags.bodies.enrolled import EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Explanation, Kind, Pose
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.middle import with_middles
+from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.signature import Signature
@@ -183,6 +186,36 @@ def test_walls_are_asked_of_weak_tags_on_empty_cups(
     monkeypatch.setattr(contest, "_stands_alone", lambda *given: False)
     refused = identify(capture, LAYOUTS).reading
     assert refused is not None and refused.layout is None
+
+
+@pytest.mark.parametrize(
+    ("body", "enrolled", "seed", "snr_db"),
+    [
+        ("cup:36mm,wall=4.7mm,oval=0.3mm", False, 0, 15.0),
+        ("cup:36mm,wall=4.7mm,oval=0.3mm", False, 2, 15.0),
+        ("cup:34mm,wall=4.5mm,handle", True, 4, 20.0),
+        ("cup:34mm,wall=4.5mm,handle", True, 5, 20.0),
+    ],
+)
+def test_what_a_body_tells_of_the_scans_is_asked_again_beside_its_wall(
+    body: str, enrolled: bool, seed: int, snr_db: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside free patterns little is seen of how oval a cup is, or how unevenly a mug was turned."""
+
+    def lead() -> float:
+        off_m = 0.005 if enrolled else 0.002
+        capture = recorded(body, positions("container-90"), seed, snr_db, off_m=off_m)
+        spectra, of = aspect_spectra(capture), known(body) if enrolled else None
+        model = EnrolledBody(of, Searches(of.order)) if of is not None else RoundBody()
+        first = read_on_body(spectra, LAYOUTS, model, BodySettings())
+        assert first is not None
+        beside = read_on_cylinder(first.spectra, LAYOUTS, first, BodySettings())
+        assert beside is not None and beside.layouts[0].layout == "container-90"
+        return beside.lead
+
+    told = lead()
+    monkeypatch.setattr(cylinder_reader, "ENOUGH", 1.0)
+    assert told > 2 * max(lead(), 1.0)
 
 
 @pytest.mark.parametrize("nearest", ["container-180", "container-90"])
