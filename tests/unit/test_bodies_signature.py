@@ -12,7 +12,7 @@ from tagid.errors import DataError, FileFormatError, UsageError
 from tagid.pipeline.identify import aspect_spectra
 from tagid.tags.bodies import posing, signature
 from tagid.tags.bodies.hypothesis import Pose
-from tagid.tags.bodies.joint import Basis, Joint, Named, _Estimate, _left, enrol_signature
+from tagid.tags.bodies.joint import Basis, Joint, Named, Residual, _Estimate, _left, enrol_signature
 from tagid.tags.bodies.likeness import compare, least_tag
 from tagid.tags.bodies.posing import PoseSearch, match, refine, round_centre
 from tagid.tags.bodies.signature import Signature, angular, order_of
@@ -215,3 +215,22 @@ def test_impossible_signatures_are_refused(mug: Joint, change: dict[str, object]
 def test_names_of_signatures_are_those_of_layouts(mug: Joint) -> None:
     with pytest.raises(UsageError, match="not valid"):
         replace(mug.signature, name="../mug")
+
+
+@pytest.mark.parametrize(
+    ("left", "turning", "moving", "noise"),
+    [
+        (1.39, 0.0, 0.0, True),
+        (1.41, 0.0, 0.0, False),
+        (2.1, 100.0, 100.0, True),
+        (2.41, 0.7, 3447.0, True),
+        (2.41, 0.7, 900.0, False),
+    ],
+)
+def test_a_capture_may_keep_a_little_of_what_turns_and_less_of_what_moves(
+    left: float, turning: float, moving: float, noise: bool
+) -> None:
+    """A cup 35 dB over the noise was refused for 0.04 % of its echo."""
+    residual = Residual("capture 1", left, 1.0, turning, moving)
+    assert residual.is_noise == noise
+    assert (residual.over <= 0) == noise
