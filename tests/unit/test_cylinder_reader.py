@@ -209,7 +209,14 @@ def test_reflectors_behind_a_wall_that_the_wave_passes_answer_from_their_places(
     own, decision = beside(spectra_of("cup36_c180", "V")), BodyDecision()
     named = replace(own, through=True, wall=None)
     assert own.through
-    for lead, early_m, is_named in ((0.6, -0.038, True), (0.6, -0.044, False), (2.1, -0.056, True)):
+    for lead, early_m, is_named in (
+        (0.6, -0.038, True),
+        (0.6, -0.044, False),
+        (1.1, -0.056, True),
+        (0.6, 0.048, True),
+        (0.6, 0.054, False),
+        (1.1, 0.062, True),
+    ):
         late = replace(own, lead=lead, early_m=early_m)
         assert (decide_on_body(late, decision).status == "identified") == is_named
         assert borne_out(named, late, decision) == is_named

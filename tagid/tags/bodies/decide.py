@@ -54,10 +54,11 @@ class BodyDecision:
             there answers from up to 88,
         enrolled_share: where it has this share of the moving echo. Below loud tags a thin shell's echo, up
             to a quarter, seems to come from as far as 150 mm.
-        early_wall_m: how early beside a wall of known waves,
-        late_wall_m: and how late, except where the layout leads by `clear_lead`: tags on cups, cans and
-            glasses, ours and solved, answer from 20 mm behind to 46 before, with pulses that nobody stated
-            from up to 36 behind and 64 before; neighbours on a crate from 36 to 46 behind.
+        early_wall_m: how early beside a wall of known waves, and where the layout leads by `walled_lead`,
+        late_wall_m: and how late: tags on cups, cans and glasses, ours and solved, answer from 36 mm behind
+            to 46 before, from 50 behind and 64 before where the pulse is one that nobody stated and they lead
+            by more; neighbours on a crate from 36 to 46 behind, an untagged shell from 54 before, both with
+            leads below 0.8.
         seen_m: reflectors beside a wall of known waves, or seen from all sides, answer from where they are,
             to within this. Only before an opaque wall does the bounce move a free pattern: of 90 tags that
             are right those seen from all sides are within 7 mm, those beside walls within 9; pairs 140 mm
@@ -104,8 +105,9 @@ class BodyDecision:
     wall_noise: float = 0.1
     enrolled_m: float = 0.065
     enrolled_share: float = 0.3
-    early_wall_m: float = 0.065
-    late_wall_m: float = -0.040
+    early_wall_m: tuple[float, float] = (0.050, 0.065)
+    late_wall_m: tuple[float, float] = (-0.040, -0.065)
+    walled_lead: float = 1.0
     seen_m: float = 0.012
     seen_back: float = 0.45
     flat: float = 0.5
@@ -156,8 +158,9 @@ def is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
     told = bool(r.body.name) and r.body_energy > s.wall_share * r.energy
     delay = r.front_m if told else 0.0
     if r.wall is not None:
-        latest = s.early_m[0] if r.lead >= s.clear_lead else s.late_wall_m
-        return latest <= r.early_m - min(delay, 0.0) and r.early_m - max(delay, 0.0) <= s.early_wall_m
+        clear = int(r.lead >= s.walled_lead)
+        latest, earliest = s.late_wall_m[clear], s.early_wall_m[clear]
+        return latest <= r.early_m - min(delay, 0.0) and r.early_m - max(delay, 0.0) <= earliest
     if r.through:
         # One that the wave passes through returns most from behind, by paths of its own.
         return True
