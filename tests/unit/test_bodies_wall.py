@@ -407,6 +407,32 @@ def test_what_stands_beside_the_wall_of_an_enrolled_body_refuses_another_name_on
     assert ("the enrolled body handle34 explain the echo better" in answer.reason) == (status == "unknown")
 
 
+def test_a_wide_layout_on_an_enrolled_mug_is_asked_beside_its_wall(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 18 views `container-180` on a mug was `helmet-linear` by a free pattern that left a tenth."""
+    own = read(tagged(0, 180), "H", BodySettings(), 20.0, 3)
+    batch = own.layouts[0].batch
+    wide = replace(own.layouts[0], batch=replace(batch, radii=2 * batch.radii), layout="helmet-linear")
+
+    def verdict(reading: BodyReading, settings: BodyDecision) -> Verdict:
+        return Verdict("identified") if reading.body.name else Verdict("unknown", Code.BODY, "")
+
+    def read_on(spectra: Spectra, layouts: object, body: BodyModel, *rest: object) -> BodyReading:
+        return replace(own, body=body, layouts=(wide, *own.layouts[1:]))
+
+    def beside(reading: BodyReading, *rest: object) -> BodyReading | None:
+        return replace(own, body=reading.body, wall=METAL_WALL) if reading.body.name else None
+
+    monkeypatch.setattr(on_body, "read_on_body", read_on)
+    monkeypatch.setattr(contest, "decide_on_body", verdict)
+    monkeypatch.setattr(contest, "read_beside_wall", beside)
+    monkeypatch.setattr(contest, "_borne_out", lambda reading, verdict, *rest: verdict)
+    monkeypatch.setattr(contest, "kept", lambda bound, verdict: verdict)
+    scans = scans_of(tagged(0, 180), "H", 20.0, 3)
+    answer = read_tag(scans, list(builtin_layouts().values()), enrolled=Enrolled((Solved("H"),)))
+    assert replace(own, layouts=(wide,)).nominal_m > BodySettings().wide_m
+    assert (answer.layout, answer.kind) == ("container-180", Kind.BODY)
+
+
 def test_what_an_enrolled_body_must_show_for_a_name_on_it() -> None:
     """Its place, a tag above the noise, and reflectors where they are, but for a delay that both have."""
     own, settings = read(tagged(0, 180), "H", BodySettings(), 20.0, 3), BodyDecision()

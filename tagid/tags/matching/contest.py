@@ -218,8 +218,7 @@ def _against_bodies(
         if reading is not None:
             reading = reading.against(known.points) if known.points is not None else reading
             verdict = _judged(known, reading, layouts, settings)
-            small = reading.nominal_m < settings.body.wide_m
-            free = verdict.status == "identified" and (small if body.name else reading.through)
+            free = verdict.status == "identified" and (bool(body.name) or reading.through)
             # Where no body shows, no name beside a wall would stand.
             doubted = (verdict.status == "unknown" and _shows(known, reading, settings)) or free
             said = [reading]
