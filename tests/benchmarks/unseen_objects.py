@@ -557,14 +557,6 @@ OPENED = {
     "carton150_c90": Object(_carton150, 20, ring(46, 200, 290)),
     "carton150_c180": Object(_carton150, 30, ring(44, 30, 210)),
     "carton150_four": Object(_carton150, 24, ring(45, 0, 75, 160, 255)),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED = {
-    "crate66": Object(_crate66),
-    "crate66_c90": Object(_crate66, 20, ring(46, 0, 90)),
-    "crate66_c180": Object(_crate66, 24, ring(45, 90, 270)),
-    "crate66_three": Object(_crate66, 20, ring(46, 0, 90, 180)),
     "can33": Object(_can33),
     "can33_c90": Object(_can33, 24, ring(47, 75, 165)),
     "can33_c180": Object(_can33, 20, ring(46, 140, 320)),
@@ -601,6 +593,14 @@ SEALED = {
     "shell84_h120": Object(_shell84, 30, ring(114, 5, 125, 245)),
     "shell84_lin": Object(_shell84, 24, ((90, 0), (90, 180), (0, 0))),
     "shell84_three": Object(_shell84, 24, ring(113, 0, 80, 200)),
+}
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED = {
+    "crate66": Object(_crate66),
+    "crate66_c90": Object(_crate66, 20, ring(46, 0, 90)),
+    "crate66_c180": Object(_crate66, 24, ring(45, 90, 270)),
+    "crate66_three": Object(_crate66, 20, ring(46, 0, 90, 180)),
 }
 """Objects that are only reported."""
 
