@@ -38,7 +38,7 @@ from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
 
-POPULATIONS = {"development": "development/1", "sealed": "sealed/9"}
+POPULATIONS = {"development": "development/1", "sealed": "sealed/10"}
 """Sealed seeds are renewed before every report that follows a change of the reader."""
 PARTS = ("solved", "designed")
 OFFSETS_MM = (0, 2, 6, 10)

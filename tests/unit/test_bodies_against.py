@@ -263,3 +263,21 @@ def test_two_names_on_two_bodies_are_none_where_points_leave_nothing(
     assert (said.status if said is not None else None) == status
     if said is not None:
         assert said.code is Code.AMBIGUOUS and "on a thin shell" in said.reason
+
+
+def test_what_points_at_other_places_explain_needs_no_walls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two bare octahedra 160 degrees apart passed for a pair in a box: their image left a third of them."""
+    pair = 0.045 * np.array([[1.0, 0.0], [np.cos(np.deg2rad(150)), np.sin(np.deg2rad(150))]])
+    settle = matcher.settle
+
+    def unexplained(bare: Reading, *rest: Any, **more: Any) -> Reading:
+        seen = replace(bare.refused(Code.ELSEWHERE, ""), evidence=replace(bare.evidence, share=0.6))
+        return settle(seen, *rest, **more)
+
+    monkeypatch.setattr(matcher, "settle", unexplained)
+    reading = identify(recorded("none", pair, 1, 20.0, 18), LAYOUTS).reading
+    assert reading is not None and reading.layout is None
+    # Not the 0.4 that the image leaves.
+    bare = next(one for one in reading.hypotheses if one.kind is Kind.BARE)
+    assert bare.left < 0.02
+    assert list(reading.hypotheses) == sorted(reading.hypotheses, key=lambda one: one.left)

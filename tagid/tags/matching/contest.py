@@ -283,9 +283,12 @@ def _against_bodies(
     first, verdict = min(alone or readings, key=lambda pair: pair[0].least)
     if named:
         return _disputed(known, first, settings) or _contested(bare, own, first, layouts, settings)
-    elsewhere = known.points is not None and known.points.displaced(settings.points)
-    if elsewhere and verdict.status != "no_tag":
-        return replace(bare, body=first)
+    points = known.points
+    if points is not None and points.displaced(settings.points) and verdict.status != "no_tag":
+        # What points at other places explain needs no shell or walls either.
+        least = replace(own, left=min(own.left, max(points.least, 0.0)))
+        told = (least if one is own else one for one in bare.hypotheses)
+        return replace(bare, body=first, hypotheses=tuple(sorted(told, key=lambda one: one.left)))
     clearer = own.left > max(settings.better * _share(first, first.least), settings.decision.unexplained)
     if clearer or verdict.status == "no_tag":
         if bare.status == "no_tag":
