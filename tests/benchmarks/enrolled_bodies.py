@@ -38,8 +38,8 @@ from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
 
-POPULATIONS = {"development": "development/1", "sealed": "sealed/10"}
-"""Sealed seeds are renewed before every report that follows a change of the reader."""
+POPULATIONS = {"development": "development/1", "sealed": "sealed/11"}
+"""Sealed seeds are renewed before every report of another reader; sealed/10 was reported last."""
 PARTS = ("solved", "designed")
 OFFSETS_MM = (0, 2, 6, 10)
 SNRS_DB = (20, 10)
@@ -353,7 +353,9 @@ Since that mugs are read beside round walls, the middle of a tag on a shell must
 enrolled body must stand out of the noise. Of the sealed/8
 scenes 52 of 53 on handles and shells were named, none of 99 others. Since then walls are asked near the
 noise, and of every name by a free pattern on a body with a handle, and what stands in the middle of a ring on
-a shell or a box is fitted. The sealed/9 scenes had not been read before.
+a shell or a box is fitted. Of the sealed/9 scenes 52 of 53 on handles and shells and 168 of 171 with designed
+layouts were named (commit 447a9c2), none of 152 others. Since then the body is asked once more how unevenly
+it was turned, beside its wall's reflectors. The sealed/10 scenes had not been read before.
 """
 
 
