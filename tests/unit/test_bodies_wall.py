@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -330,6 +331,23 @@ def test_a_body_that_explains_the_echo_alone_leaves_no_name_to_another(
     assert (answer.status, answer.code) == ("no_tag", Code.NO_TAG)
 
 
+def contested(
+    monkeypatch: pytest.MonkeyPatch,
+    read_on: Callable[..., BodyReading],
+    verdict: Callable[..., Verdict],
+    beside: Callable[..., BodyReading | None],
+) -> Reading:
+    """The answer where a round body and an enrolled mug show, and these say what stands on them."""
+    monkeypatch.setattr(on_body, "read_on_body", read_on)
+    monkeypatch.setattr(contest, "decide_on_body", verdict)
+    monkeypatch.setattr(contest, "borne_out", lambda *given: True)
+    monkeypatch.setattr(contest, "read_beside_wall", beside)
+    monkeypatch.setattr(contest, "_shows", lambda *given: True)
+    monkeypatch.setattr(contest, "kept", lambda bound, verdict: verdict)
+    scans = scans_of(tagged(0, 180), "H", 20.0, 3)
+    return read_tag(scans, list(builtin_layouts().values()), enrolled=Enrolled((Solved("H"),)))
+
+
 @pytest.mark.parametrize(
     ("ahead", "layout", "status"),
     [
@@ -355,14 +373,7 @@ def test_an_enrolled_body_that_explains_more_refuses_a_name_on_a_round_one(
         best = replace(own.layouts[0], left=left, layout=layout if body.name else own.layouts[0].layout)
         return replace(own, body=body, layouts=(best, *own.layouts[1:]))
 
-    monkeypatch.setattr(on_body, "read_on_body", read_on)
-    monkeypatch.setattr(contest, "decide_on_body", verdict)
-    monkeypatch.setattr(contest, "borne_out", lambda *given: True)
-    monkeypatch.setattr(contest, "read_beside_wall", lambda *given: None)
-    monkeypatch.setattr(contest, "_shows", lambda *given: True)
-    monkeypatch.setattr(contest, "kept", lambda bound, verdict: verdict)
-    scans = scans_of(tagged(0, 180), "H", 20.0, 3)
-    answer = read_tag(scans, list(builtin_layouts().values()), enrolled=Enrolled((Solved("H"),)))
+    answer = contested(monkeypatch, read_on, verdict, lambda *given: None)
     assert answer.status == status
     assert ("the enrolled body handle34 explain the echo better" in answer.reason) == (status == "unknown")
 
@@ -395,14 +406,7 @@ def test_what_stands_beside_the_wall_of_an_enrolled_body_refuses_another_name_on
     def read_on(spectra: Spectra, layouts: object, body: BodyModel, *rest: object) -> BodyReading:
         return replace(own, body=body) if body.name else named
 
-    monkeypatch.setattr(on_body, "read_on_body", read_on)
-    monkeypatch.setattr(contest, "decide_on_body", verdict)
-    monkeypatch.setattr(contest, "borne_out", lambda *given: True)
-    monkeypatch.setattr(contest, "read_beside_wall", beside)
-    monkeypatch.setattr(contest, "_shows", lambda *given: True)
-    monkeypatch.setattr(contest, "kept", lambda bound, verdict: verdict)
-    scans = scans_of(tagged(0, 180), "H", 20.0, 3)
-    answer = read_tag(scans, list(builtin_layouts().values()), enrolled=Enrolled((Solved("H"),)))
+    answer = contested(monkeypatch, read_on, verdict, beside)
     assert answer.status == status
     assert ("the enrolled body handle34 explain the echo better" in answer.reason) == (status == "unknown")
 
@@ -422,13 +426,8 @@ def test_a_wide_layout_on_an_enrolled_mug_is_asked_beside_its_wall(monkeypatch: 
     def beside(reading: BodyReading, *rest: object) -> BodyReading | None:
         return replace(own, body=reading.body, wall=METAL_WALL) if reading.body.name else None
 
-    monkeypatch.setattr(on_body, "read_on_body", read_on)
-    monkeypatch.setattr(contest, "decide_on_body", verdict)
-    monkeypatch.setattr(contest, "read_beside_wall", beside)
     monkeypatch.setattr(contest, "_borne_out", lambda reading, verdict, *rest: verdict)
-    monkeypatch.setattr(contest, "kept", lambda bound, verdict: verdict)
-    scans = scans_of(tagged(0, 180), "H", 20.0, 3)
-    answer = read_tag(scans, list(builtin_layouts().values()), enrolled=Enrolled((Solved("H"),)))
+    answer = contested(monkeypatch, read_on, verdict, beside)
     assert replace(own, layouts=(wide,)).nominal_m > BodySettings().wide_m
     assert (answer.layout, answer.kind) == ("container-180", Kind.BODY)
 

@@ -213,6 +213,7 @@ def test_reflectors_behind_a_wall_that_the_wave_passes_answer_from_their_places(
         (0.6, -0.038, True),
         (0.6, -0.044, False),
         (1.1, -0.056, True),
+        (2.1, -0.056, True),
         (0.6, 0.048, True),
         (0.6, 0.054, False),
         (1.1, 0.062, True),
@@ -220,6 +221,8 @@ def test_reflectors_behind_a_wall_that_the_wave_passes_answer_from_their_places(
         late = replace(own, lead=lead, early_m=early_m)
         assert (decide_on_body(late, decision).status == "identified") == is_named
         assert borne_out(named, late, decision) == is_named
+        # What stands beside metal is held alike.
+        assert is_in_place(replace(late, through=False), decision) == is_named
     assert decide_on_body(replace(own, lead=2.1, early_m=-0.07), decision).status == "unknown"
     # A pulse that is later than at the enrolment delays the body as well.
     known = replace(own, lead=0.6, early_m=-0.07, front_m=-0.04, body_energy=0.5 * own.energy)

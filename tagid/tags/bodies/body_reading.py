@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.fields.shells import Shell
-from tagid.tags.bodies.hypothesis import BodyModel, Pose
+from tagid.tags.bodies.hypothesis import BodyModel, Pose, Seen
 from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.reflectors_fit import Batch, Priors
 from tagid.tags.bodies.revolution import RoundBody
@@ -260,3 +260,25 @@ class BodyReading:
             return self
         lead = (min(rivals) - self.layouts[0].charged) / self.rough
         return replace(self, lead=min(self.lead, lead), points_lead=lead)
+
+
+def seen_again(
+    reading: BodyReading,
+    spectra: Spectra,
+    beside: NDArray[np.complex128],
+    left: float,
+    settings: BodySettings,
+) -> Seen | None:
+    """What the body of a reading tells of the scans beside reflectors; None where that would change little.
+
+    Args:
+        reading: the reading.
+        spectra: the scans.
+        beside: (F, C, V) echoes of the reflectors, each with a free amplitude per frequency.
+        left: energy that the reading leaves.
+        settings: how much is little.
+    """
+    seen = reading.body.seen(spectra, reading.pose, beside, reading.layouts[0].left / spectra.data.size)
+    if seen is None or left - seen.left < settings.look_again * reading.error:
+        return None
+    return seen

@@ -25,7 +25,7 @@ from tagid.tags.bodies.arrangement import (
     resolution_deg,
     turned_on,
 )
-from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed, seen_again
 from tagid.tags.bodies.cylinder_fit import CylinderFitter, Ringed
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.hypothesis import Pose
@@ -78,12 +78,14 @@ def read_on_cylinder(
         The reading; None where no layout can stand beside such a wall, or none explains much of the echo.
     """
     found = _read(spectra, layouts, first, settings)
-    if found is None or found.reading.unexplained <= ENOUGH:
-        return found.reading if found is not None else None
+    if found is None:
+        return None
     reading = found.reading
+    if reading.unexplained <= ENOUGH:
+        return reading
     left = reading.layouts[0].left
-    seen = first.body.seen(spectra, reading.pose, found.echoes, left / spectra.data.size)
-    if seen is None or left - seen.left < settings.look_again * reading.error:
+    seen = seen_again(reading, spectra, found.echoes(), left, settings)
+    if seen is None:
         return reading
     again = _read(seen.spectra, layouts, replace(first, pose=seen.pose), settings)
     better = again is not None and again.reading.layouts[0].left < left
@@ -96,12 +98,17 @@ class _Found:
 
     Attributes:
         reading: the reading.
-        echoes: (F, C, V) of the layout's reflectors as electric and as magnetic dipoles, and of those of the
-            best other arrangement: what a body tells beside them suits neither alone.
+        fitter: in its spectra.
+        rows: the layout, and the best other arrangement where there is one.
     """
 
     reading: BodyReading
-    echoes: NDArray[np.complex128]
+    fitter: CylinderFitter
+    rows: tuple[Ringed, ...]
+
+    def echoes(self) -> NDArray[np.complex128]:
+        """(F, C, V) of the reflectors of all rows: what a body tells beside them suits neither alone."""
+        return np.concatenate([self.fitter.echoes(row) for row in self.rows], axis=1)
 
 
 def _read(
@@ -465,7 +472,7 @@ class _CylinderReader:
             wall=wall,
         )
         nearest = sorted(rivals, key=lambda row: row.left)[:1]
-        return _Found(reading, np.concatenate([self.fitter.echoes(row) for row in (best, *nearest)], axis=1))
+        return _Found(reading, self.fitter, (best, *nearest))
 
     def _pose(self, centre: complex) -> Pose:
         """Of the body below reflectors about a centre."""

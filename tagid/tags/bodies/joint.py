@@ -136,7 +136,7 @@ class Joint:
 
     @property
     def excess(self) -> float:
-        """Excess over what is allowed, summed over the captures; at most 0 where all is noise."""
+        """Largest excess of a capture over what is allowed; at most 0 where all is noise."""
         return max(r.over for r in self.residuals)
 
 

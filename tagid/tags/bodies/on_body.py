@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import off_axis
-from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed, seen_again
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate
 from tagid.tags.bodies.layout_search import rings_of
 from tagid.tags.bodies.middle import wave_in_the_middle
@@ -79,8 +79,8 @@ def _as_told(
     if first.nominal_m >= settings.wide_m:
         # What may stand in the middle is asked of what is read: nothing may be bent to explain it before.
         beside = np.concatenate([beside, wave_in_the_middle(first.spectra, best)[:, None]], axis=1)
-    again = body.seen(spectra, first.pose, beside, best.left / spectra.data.size)
-    if again is None or first.least - again.left < settings.look_again * first.error:
+    again = seen_again(first, spectra, beside, first.least, settings)
+    if again is None:
         return first
     return read(again.spectra, [alone(again.spectra, body, again.pose)])
 

@@ -221,12 +221,11 @@ def _against_bodies(
             free = verdict.status == "identified" and (bool(body.name) or reading.through)
             # Where no body shows, no name beside a wall would stand.
             doubted = (verdict.status == "unknown" and _shows(known, reading, settings)) or free
-            said = [reading]
+            on_known += [reading] if body.name else []
             if doubted and body.turning_share < settings.turning:
                 beside = read_beside_wall(reading, known.points, layouts, settings.body)
-                said += [] if beside is None else [beside]
+                on_known += [beside] if body.name and beside is not None else []
                 reading, verdict = _after_wall(known, reading, verdict, beside, layouts, settings)
-            on_known += said if body.name else []
             if body.name and readings:
                 verdict = _borne_out(reading, verdict, readings[0][0], settings)
             readings.append((reading, verdict))
@@ -263,11 +262,9 @@ def _against_bodies(
                 kind=Kind.OBJECT,
             )
     if seen is not None:
-        # Near the noise the image explains all of an echo, whichever layout it names.
-        doubted = known.points is not None and known.points.layouts[0].layout != bare.layout
         if (
             not named
-            or doubted
+            or _contradicted(known)
             or bare.layout == seen.layouts[0].layout
             or own.left > settings.better * _left(seen)
         ):
@@ -476,16 +473,21 @@ def _left(reading: BodyReading) -> float:
     return _share(reading, reading.layouts[0].left)
 
 
-def _disputed(known: _Bare, reading: BodyReading, settings: ContestSettings) -> Reading | None:
-    """A bare name taken back where points, or an enrolled body, speak for others; None where neither does.
+def _contradicted(known: _Bare) -> bool:
+    """Whether points are nearest to another layout than the image names.
 
     Near the noise the image explains all of an echo, whichever layout it names.
     """
+    return known.points is not None and known.points.layouts[0].layout != known.reading.layout
+
+
+def _disputed(known: _Bare, reading: BodyReading, settings: ContestSettings) -> Reading | None:
+    """A bare name taken back where points, or an enrolled body, speak for others; None where neither does."""
     bare, points = known.reading, known.points
     if points is None:
         return None
     nearest = points.layouts[0]
-    if nearest.layout != bare.layout:
+    if _contradicted(known):
         reason = f"the echo is nearer to points at the places of {nearest.layout}"
         return replace(bare.refused(Code.OTHER, reason), body=reading)
     best = min((*reading.layouts, *reading.others), key=lambda placed: placed.charged)
