@@ -37,9 +37,10 @@ from tagid.tags.layouts.layout import Layout
 
 COUNT = 48
 """Angles on a ring: 7.5 degrees, 6 mm on a mug's ring."""
-_WALLS, _KEPT, _FREE, _BEAM, _FINER = 10, 12, 3, 6, 4
-"""Walls beside which every number of reflectors is tried; other arrangements fitted that were found there,
-and with free patterns; sets kept per number; walls between which finer ones are tried."""
+_WALLS, _KEPT, _FREE, _BEAM, _FINER = 10, 6, 3, 6, 4
+"""Walls beside which every number of reflectors is tried; other arrangements fitted that were found there, in
+each polarisation beside metal and beside dielectrics, and with free patterns; sets kept per number; walls
+between which finer ones are tried."""
 OUTWARD_M = 8e-3
 """Reflectors may stand so far outside their nominal radius, on feet or foam,"""
 ENOUGH = 0.05
@@ -378,20 +379,26 @@ class _CylinderReader:
         ]
 
     def _kept(self, starts: list[Ringed]) -> list[Ringed]:
-        """The best two starts of every layout, and the best of each of some kinds of other arrangements."""
+        """The best starts beside metal and beside dielectrics, in both polarisations, best first.
+
+        The fit moves a start to other walls, but not to the other polarisation, and seldom from metal to a
+        dielectric. Of each of the four: the best start of every layout, and of some kinds of others.
+        """
         kept: list[Ringed] = []
-        turns: dict[str, int] = {}
-        seen: set[tuple[int, ...]] = set()
+        named: set[tuple[str, str, bool]] = set()
+        kinds: dict[tuple[str, bool], set[tuple[int, ...]]] = {}
         for start in sorted(starts, key=lambda one: one.left):
+            wall = self.fitter.patterns.shells[start.shell]
+            of = wall.polarisation, wall.metal
             if start.layout is not None:
-                turns[start.layout] = turns.get(start.layout, 0) + 1
-                if turns[start.layout] <= 2:
+                if (start.layout, *of) not in named:
+                    named.add((start.layout, *of))
                     kept.append(start)
-            elif len(seen) < _KEPT:
-                kind = kind_of([float(a) for a in start.angles])
-                if kind not in seen:
-                    seen.add(kind)
-                    kept.append(start)
+                continue
+            seen, kind = kinds.setdefault(of, set()), kind_of([float(a) for a in start.angles])
+            if kind not in seen and len(seen) < _KEPT:
+                seen.add(kind)
+                kept.append(start)
         return kept
 
     def _found_freely(self, best: Ringed) -> list[Ringed]:
