@@ -77,8 +77,8 @@ def settle(
         if borne.status != done.status:
             # A name that no points bear out may be that of reflectors on a body.
             done, bare = None, borne
-        elif enrolled.bodies and points is not None and points.unexplained > settings.bare.unexplained:
-            # What points leave much of may be the echo of a known body, and of something on it.
+        elif points is not None and _leaves_much(done, points, enrolled, settings):
+            # It may be the echo of a body, and of something on it.
             done, bare = None, borne
             own = replace(own, left=max(own.left, min(points.unexplained, 1.0)))
         else:
@@ -90,6 +90,12 @@ def settle(
         settled = checked(settled, points, spectra, layouts, settings.bare, opaque=opaque)
     settled = undisputed(settled, points, spectra, layouts, settings)
     return promised(settled, points, spectra, settings)
+
+
+def _leaves_much(done: Reading, points: PointReading, enrolled: Enrolled, settings: ContestSettings) -> bool:
+    """Whether points leave so much that a body takes part: an enrolled one, or any where they give no name."""
+    asked = bool(enrolled.bodies) or done.status == "ambiguous"
+    return asked and points.unexplained > settings.bare.unexplained
 
 
 @dataclass(frozen=True)
@@ -161,6 +167,8 @@ def null_evidence(
     done = without_body(bare, points, layouts, settings)
     if done is not None:
         done = checked(done, points, spectra, layouts, settings.bare, opaque=known.opaque)
+        if points is not None and _leaves_much(done, points, Enrolled(), settings):
+            done = None
     contested = done is None or done.status == "unknown"
     if contested and decide_on_body(reading, settings.decision).status != "no_tag":
         beside = read_beside_wall(reading, points, layouts, settings.body)
