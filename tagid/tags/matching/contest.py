@@ -93,7 +93,7 @@ def settle(
 
 
 def _leaves_much(done: Reading, points: PointReading, enrolled: Enrolled, settings: ContestSettings) -> bool:
-    """Whether points leave so much that a body takes part: an enrolled one, or any where they give no name."""
+    """Whether points leave so much that a body takes part: an enrolled one, or any where none is named."""
     asked = bool(enrolled.bodies) or done.status == "ambiguous"
     return asked and points.unexplained > settings.bare.unexplained
 
