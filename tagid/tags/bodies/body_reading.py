@@ -107,10 +107,11 @@ class BodySettings:
 
         Args:
             spectra: the scans.
-            above: energy above the noise that a layout leaves. What chance may add is no error of the model.
+            above: energy above the noise that a layout leaves. What chance or the error of the noise's level
+                may add is no error of the model.
             tag: energy that the layout explains.
         """
-        beyond = max(above - spectra.noise_spread, 0.0)
+        beyond = max(above - spectra.noise_doubt, 0.0)
         return beyond + (self.priors.model_error * tag + self.noise_nats * spectra.noise)
 
     def radius_offsets_m(self, radius_m: float) -> tuple[float, ...]:

@@ -58,6 +58,19 @@ def named_alone(
     return Alone(named, points) if named.status == "identified" else None
 
 
+SILENT_SIGMAS = 3.0
+"""Moving echoes are there where they exceed what noise may have by so many standard deviations."""
+
+
+def is_silent(bare: Reading, spectra: Spectra) -> bool:
+    """Whether nothing moves: no point stands out of the noise, and neither does the energy of all of it.
+
+    What a wall makes of reflectors spreads over the views so that none of them looks like a point.
+    """
+    most = spectra.noise_energy + SILENT_SIGMAS * spectra.noise_doubt
+    return bare.code is Code.NO_ECHO and spectra.energy <= most
+
+
 def points_of(
     bare: Reading, spectra: Spectra, layouts: Sequence[Layout], settings: PointSettings
 ) -> PointReading:
@@ -95,7 +108,8 @@ def pointed(bare: Reading, points: PointReading, settings: ContestSettings) -> b
     apart: where the bare reading finds another layout nearest, its refusal is no ground to name this one.
     Nor is it where a reflector has no constant amplitude: free ones take up the echo of a wall.
     """
-    doubted = bare.status == "ambiguous" or bare.code is Code.HIDDEN or bare.evidence.absent > 0
+    doubted = bare.status == "ambiguous" or bare.code in (Code.HIDDEN, Code.NO_ECHO)
+    doubted = doubted or bare.evidence.absent > 0
     other = bare.layout is None and bare.nearest != points.layouts[0].layout
     return points.passes(settings.points) and not doubted and not other
 

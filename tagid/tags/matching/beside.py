@@ -13,7 +13,9 @@ DOUBTED = 0.30
 """A reading beside a wall bears out one with a free pattern where it leaves up to so much: a wall of another
 thickness than those tried leaves a quarter."""
 HOPEFUL = 0.30
-"""Walls are tried where free patterns leave no more: those of wide jars leave a quarter at 36 views."""
+"""Walls are tried where free patterns leave no more: those of wide jars leave a quarter at 36 views,"""
+DOUBT_SIGMAS = 2.0
+"""beside so many standard deviations of what the noise may have."""
 
 
 def read_beside_wall(
@@ -31,7 +33,8 @@ def read_beside_wall(
     """
     least, spectra = reading.least, reading.spectra
     rich = spectra.views >= body.through_views
-    if rich and least - reading.noise > HOPEFUL * max(reading.body_left - least, 0.0):
+    above = least - reading.noise - DOUBT_SIGMAS * spectra.noise_doubt
+    if rich and above > HOPEFUL * max(reading.body_left - least, 0.0):
         # Five free terms hold the patterns of round walls.
         return None
     from tagid.tags.bodies.cylinder_reader import read_on_cylinder

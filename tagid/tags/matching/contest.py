@@ -25,6 +25,7 @@ from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.alone import (
     in_place,
+    is_silent,
     pointed,
     points_of,
     promised,
@@ -68,7 +69,7 @@ def settle(
     opaque = bare.evidence.outward > settings.outward
     spectra = Spectra.of(scans, wavenumbers=enrolled.wavenumbers)
     points = None
-    if bare.code is not Code.NO_ECHO and direction_known:
+    if not is_silent(bare, spectra) and direction_known:
         points = points_of(bare, spectra, layouts, settings.points)
         bare = in_place(bare, points, settings.points)
     done = without_body(bare, points, layouts, settings)
@@ -150,7 +151,7 @@ def null_evidence(
 
     spectra = Spectra.of(scans)
     points, alone = None, -inf
-    if bare.code is not Code.NO_ECHO:
+    if not is_silent(bare, spectra):
         points = points_of(bare, spectra, layouts, settings.points)
         alone = bare_evidence(bare, points, scans, layouts, settings)
         bare = in_place(bare, points, settings.points)

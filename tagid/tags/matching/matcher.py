@@ -108,6 +108,15 @@ def null_evidence_of(scans: BasebandScans, layouts: Sequence[Layout], *, bodies:
     return evidence if found is None else replace(evidence, bare=found.points.lead)
 
 
+CARRIED = 0.2
+"""A body that alone explains this share of the moving echo hides reflectors that it carries."""
+
+
+def _carried(body: BodyReading | None) -> bool:
+    """Whether a round body shows, on which another arrangement explains the echo better than any layout."""
+    return body is not None and body.lead < 0 and body.body_left < (1 - CARRIED) * body.energy
+
+
 LEVEL_STEP_M = 8e-3
 """Half a null radius of the point response, as the pixels of the disc are a third of it."""
 
@@ -197,7 +206,7 @@ class MatchedScan:
     def _cleared_of(self, settled: Reading) -> Reading | None:
         """The name that `cleared` finds, with the other hypotheses; None for none."""
         found = self.cleared()
-        if found is None:
+        if found is None or (found.reading.hidden_deg > 0 and _carried(settled.body)):
             return None
         others = (one for one in settled.hypotheses if one.kind is not Kind.BARE)
         return replace(found.reading, hypotheses=(*found.reading.hypotheses, *others))
