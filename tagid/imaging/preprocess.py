@@ -137,7 +137,7 @@ def preprocess(
     # Nothing of the object arrives before its nearest point.
     before = float(np.linalg.norm(aperture.positions, axis=1).min()) - settings.extent_m / 2 - band.width_m
     early = baseband[:, 1 : max(1, int((before - start_m) / step_m) + 1)]
-    noise = _noise(samples, baseband, (first - guard, last + guard), early, band)
+    noise = _noise(samples, baseband, (first - guard, last + guard), band)
     noise = _raised(noise, early, band)
     return BasebandScans(
         samples=gated,
@@ -296,21 +296,14 @@ def _raised(noise: _Noise, early: NDArray[np.complex64], band: BandFilter) -> _N
 
 
 def _noise(
-    samples: NDArray[Any],
-    baseband: NDArray[np.complex64],
-    target: tuple[int, int],
-    early: NDArray[np.complex64],
-    band: BandFilter,
+    samples: NDArray[Any], baseband: NDArray[np.complex64], target: tuple[int, int], band: BandFilter
 ) -> _Noise:
     """Noise of the baseband samples, the background's share of it not yet restored.
 
-    Bins off the target are taken where there are enough, or the early ones before it; else the input's
-    spectrum outside the pulse's band, taken as white. All use the median of |z|^2, which is ln 2 times its
-    mean for complex Gaussian noise.
+    Bins off the target are taken where there are enough; else the input's spectrum outside the pulse's band,
+    taken as white. Both use the median of |z|^2, which is ln 2 times its mean for complex Gaussian noise.
     """
     sides = [baseband[:, : max(0, target[0])], baseband[:, max(0, target[1]) :]]
-    if sum(side.size for side in sides) * band.bandwidth_hz / band.rate_hz < MIN_NOISE_VALUES:
-        sides = [early]
     off = np.concatenate(sides, axis=1)
     power = np.abs(band.transfer) ** 2
     # A filter that is flat over the band passes noise in its skirts, too.

@@ -268,7 +268,7 @@ def on_can(seed: int, snr_db: float) -> BasebandScans:
 
 def test_two_reflectors_in_one_place_are_no_rival(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pairs 8 to 13 mm apart in a layout's places fit noise a little better, and no object has them."""
-    scans = on_can(19, snr_db=4.0)
+    scans = on_can(34, snr_db=4.0)
     assert read_tag(scans, LAYOUTS).layout == "container-90"
     with monkeypatch.context() as without:
         for module in (reader, cylinder_reader):

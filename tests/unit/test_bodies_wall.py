@@ -226,7 +226,7 @@ def test_neighbours_on_the_faces_of_a_box_are_not_one_reflector_each(snr_db: flo
     assert read_on_box("c180", snr_db, views).lead > 2 * BodyDecision().lead
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, 7])
 def test_neighbours_no_longer_hide_a_pair_on_a_metal_mug(seed: int) -> None:
     """Polarised horizontally, neighbours 42 degrees apart imitate the pair by patterns that are free."""
     settings = BodySettings()

@@ -155,15 +155,20 @@ def test_walls_are_asked_where_little_stands_out_of_the_noise(snr_db: float, lev
     assert found.layouts[0].layout == "container-180" and found.lead > 0.1
 
 
-def test_what_chance_adds_to_the_noise_is_no_error_of_the_model() -> None:
+def test_what_the_noise_may_have_is_no_error_of_the_model() -> None:
     spectra = spectra_of("cup36_c180", "V", snr_db=10.0)
     found = beside(spectra)
     above = found.unexplained * found.tag
-    settings, spread = BodySettings(), spectra.noise_spread
+    settings, spread, doubt = BodySettings(), spectra.noise_spread, spectra.noise_doubt
     assert spread == pytest.approx(spectra.noise_energy / np.sqrt(9 * 35), rel=1e-6)
+    # Its level is known to an eighth.
+    assert doubt == pytest.approx(np.hypot(spread, 0.12 * spectra.noise_energy), rel=1e-6)
     assert above > 0
-    error = max(above - spread, 0.0) + settings.priors.model_error * found.tag
+    error = max(above - doubt, 0.0) + settings.priors.model_error * found.tag
     assert found.error == pytest.approx(error + settings.noise_nats * spectra.noise)
+    assert settings.error(spectra, doubt + 5.0, 0.0) == pytest.approx(
+        5.0 + settings.noise_nats * spectra.noise
+    )
 
 
 def test_delays_count_amplitudes_by_what_the_noise_lets_be_known() -> None:

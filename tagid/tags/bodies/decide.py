@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import inf, log10, sqrt
 
-import numpy as np
-
 from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.verdicts.verdict import Code, Verdict
 
@@ -61,8 +59,6 @@ class BodyDecision:
             to 46 before, from 50 behind and 64 before where the pulse is one that nobody stated and they lead
             by more; neighbours on a crate from 36 to 46 behind, an untagged shell from 54 before, both with
             leads below 0.8.
-        common_m: the most of it that a round body's echo, which comes from before its wall, has in common:
-            50 mm of a pulse that nobody stated, and some of the axis distance's error.
         seen_m: reflectors beside a wall of known waves, or seen from all sides, answer from where they are,
             to within this. Only before an opaque wall does the bounce move a free pattern: of 90 tags that
             are right those seen from all sides are within 7 mm, those beside walls within 9; pairs 140 mm
@@ -111,7 +107,6 @@ class BodyDecision:
     enrolled_share: float = 0.3
     early_wall_m: tuple[float, float] = (0.050, 0.065)
     late_wall_m: tuple[float, float] = (-0.040, -0.065)
-    common_m: float = 0.055
     walled_lead: float = 1.0
     seen_m: float = 0.012
     seen_back: float = 0.45
@@ -160,12 +155,9 @@ def is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
     """Whether the reflectors answer from where the layout has them."""
     r, s = reading, settings
     # An enrolled body knows of the delay that its echo may have in common with the reflectors'.
-    shows = r.body_energy > s.wall_share * r.energy
-    delay = r.front_m if r.body.name and shows else 0.0
+    told = bool(r.body.name) and r.body_energy > s.wall_share * r.energy
+    delay = r.front_m if told else 0.0
     if r.wall is not None:
-        if shows and not r.body.name:
-            # Nothing of a round wall answers from before it but for a delay of the whole recording.
-            delay = float(np.clip(r.front_m - r.wall.radius_m, 0.0, s.common_m))
         clear = int(r.lead >= s.walled_lead)
         latest, earliest = s.late_wall_m[clear], s.early_wall_m[clear]
         return latest <= r.early_m - min(delay, 0.0) and r.early_m - max(delay, 0.0) <= earliest
