@@ -103,6 +103,8 @@ def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Ran]
         ("--wobble", "-0.1", "0.01 for 1 %"),
         ("--centre", "4,-2", "4 m? Give metres"),
         ("--centre", "0,1e300", "Give metres"),
+        ("--centre", "0.5,0", "at most 0.25 m"),
+        ("--centre", "-0.2,0.2", "at most 0.25 m"),
         ("--seed", "-1", "--seed"),
     ],
 )
@@ -120,6 +122,7 @@ def test_numbers_that_cannot_be_simulated_are_refused_with_their_range(
         ("p440", "--snr", "1e9"),
         ("p440", "--snr", "nan"),
         ("p440", "--centre", "4,-2"),
+        ("p440", "--centre", "0.3,0"),
         ("p440", "--axis-distance", "inf"),
         ("p440", "--wobble", "nan"),
         ("p440", "--delay-ms", "nan"),
