@@ -54,7 +54,10 @@ def register(app: typer.Typer) -> None:
             float | None, typer.Option("--snr", help="Ratio of peak echo to noise of one sample, dB.")
         ] = 20.0,
         snr_of: Annotated[
-            str, typer.Option("--snr-of", help="Echo to which --snr refers: strongest reflector, or sum.")
+            str,
+            typer.Option(
+                "--snr-of", help="Echo to which --snr refers: reflector (the strongest), or summed (all)."
+            ),
         ] = "reflector",
         noise: Annotated[
             float | None, typer.Option("--noise", help="Noise standard deviation; replaces --snr.")

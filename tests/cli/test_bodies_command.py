@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tagid.simulate.snr import REFERENCES
 from tagid.storage.importers import read_any
 
 
@@ -48,6 +50,12 @@ def test_both_snrs_are_printed_and_the_option_says_which_it_sets(tagid) -> None:
         shown = " ".join(done.out.split())
         assert ("12.0 dB per reflector" in shown) == (reference == "reflector")
         assert ("12.0 dB summed" in shown) == (reference == "summed")
+
+
+def test_the_help_names_the_values_that_are_accepted(tagid) -> None:
+    told = " ".join(tagid("simulate", "--help").out.split())
+    (line,) = re.findall(r"--snr-of (.*?) --noise ", told)
+    assert all(value in line for value in REFERENCES) and "or sum." not in line
 
 
 @pytest.mark.parametrize(
