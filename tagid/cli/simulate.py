@@ -118,8 +118,10 @@ def register(app: typer.Typer) -> None:
             scene = only_layout(file)
         if (scene is None) == (files is None):
             raise UsageError("give either a scene or --response FILE", "tagid simulate --help has examples.")
-        if files is not None and range_law:
-            raise UsageError("--range-law cannot be combined with --response", "Omit --range-law.")
+        if files is not None:
+            physical = {"--body": body is not None, "--reflector": reflector is not None}
+            given = {**physical, "--unlike": unlike != 0, "--range-law": range_law}
+            response_options.check_with_response(given)
         acquisition = Acquisition(
             views=views,
             turns=turns,
@@ -137,10 +139,6 @@ def register(app: typer.Typer) -> None:
             beam_width_rad=None if beam_deg is None else float(np.deg2rad(beam_deg)),
             range_law=range_law,
         )
-        if files is not None and (body or reflector or unlike):
-            raise UsageError(
-                "--body and --reflector require a scene", "A response file contains the complete object."
-            )
         if files is None:
             shown = _scene(scene or "", _Carrier(body, reflector, unlike), seed, file)
         else:

@@ -13,7 +13,7 @@ import numpy as np
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.geometry import Aperture
-from tagid.simulate.acquisition import Acquisition, RangeWindow
+from tagid.simulate.acquisition import Acquisition, Placement, RangeWindow
 from tagid.simulate.render import PulseTable, render_bodies
 from tagid.simulate.response import Floats, Response
 from tagid.simulate.scattering import Returns
@@ -88,10 +88,11 @@ def _taper(frequency_hz: Floats) -> Floats:
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(inside / (width + step), 0, 1)))
 
 
-def peak_echo(body: ResponseBody, acquisition: Acquisition) -> float:
-    """Largest envelope of the echo over one turn of 72 views, with the object's origin on the axis.
+def peak_echo(body: ResponseBody, acquisition: Acquisition, placement: Placement | None = None) -> float:
+    """Largest envelope of the echo over one turn of 72 views.
 
-    Pulse, distance and antenna height are those of the acquisition; no wobble, no placement.
+    Pulse, distance and antenna height are those of the acquisition; no wobble. The object's origin is on the
+    axis unless a placement is given.
     """
     distance = acquisition.axis_distance_m
     antennas = Aperture.turntable(
@@ -100,7 +101,7 @@ def peak_echo(body: ResponseBody, acquisition: Acquisition) -> float:
     window = RangeWindow.around(distance)
     out = np.zeros((72, window.bins), dtype=np.complex128)
     plain = Acquisition(axis_distance_m=distance, window=window)
-    render_bodies((body,), plain.placement, antennas, plain, PulseTable.of(acquisition.pulse), out)
+    render_bodies((body,), placement or Placement(), antennas, plain, PulseTable.of(acquisition.pulse), out)
     return float(np.abs(out).max())
 
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from tagid.radar.emulation.wires import PtyWire
     from tagid.simulate import Placement
 
+DEFAULT_SCENE = "helmet-120"
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
@@ -52,8 +54,11 @@ def register(app: typer.Typer) -> None:
             None
         ),
         scene: Annotated[
-            str, typer.Option("--scene", help="An enrolled layout, points-3, can, empty ...")
-        ] = "helmet-120",
+            str | None,
+            typer.Option(
+                "--scene", help="An enrolled layout, points-3, can, empty ...", show_default=DEFAULT_SCENE
+            ),
+        ] = None,
         file: options.LayoutFile = None,
         response: response_options.ResponseFile = None,
         polarisation: response_options.Polarisation = None,
@@ -130,7 +135,7 @@ def register(app: typer.Typer) -> None:
         from tagid.radar.emulation.firmware import Firmware
         from tagid.radar.emulation.sources import ScanSource
         from tagid.recording.sources import emulated_recording, emulated_scene
-        from tagid.simulate import Acquisition
+        from tagid.simulate import Acquisition, Wobble
 
         if truth is not None:
             check_own(truth, is_truth, "a truth file")
@@ -147,13 +152,25 @@ def register(app: typer.Typer) -> None:
                 "--antenna-height-file with --replay or --response: that antenna cannot be moved",
                 "Use --scene.",
             )
+        given = {"--scene": scene is not None, "--file": file is not None, "--body": body is not None}
+        given |= {"--reflector": reflector is not None, "--budget": budget}
+        if files is not None:
+            response_options.check_with_response(given)
+        if replay is not None:
+            given |= {"--elevation": elevation != "0m", "--centre": centre != "0,0"}
+            given |= {"--rotation": rotation != 0, "--wobble": wobble != 0, "--turned-by": bool(turned_by)}
+            given["--cable-delay"] = cable_delay != 0
+            response_options.check_scene_options("--replay", "a recording is sent as it is", given)
         source: ScanSource
         about: ObjectInfo | None = None
         if replay is not None:
             source = emulated_recording(Path(replay), loop)
         elif files is not None:
             placed = Acquisition(
-                axis_distance_m=axis_distance, snr_db=snr, placement=_placement(centre, rotation)
+                axis_distance_m=axis_distance,
+                snr_db=snr,
+                placement=_placement(centre, rotation, elevation),
+                wobble=Wobble(speed=wobble),
             )
             turner = TrueAngle(turned_by).at if turned_by else None
             turning = files.turning(placed, rpm, seed, cable_delay * 1e-12, turner)
@@ -161,13 +178,13 @@ def register(app: typer.Typer) -> None:
         else:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
             wanted |= {"cable_delay": cable_delay, "rotation": rotation, "wobble": wobble}
-            given = {key: str(value) for key, value in wanted.items()}
-            given |= {"centre": centre, "elevation": elevation, "budget": "1" if budget else "0"}
+            texts = {key: str(value) for key, value in wanted.items()}
+            texts |= {"centre": centre, "elevation": elevation, "budget": "1" if budget else "0"}
             chosen = {"body": body, "reflector": reflector, "turned_by": turned_by}
             chosen["file"] = None if file is None else str(file)
             chosen["antenna_height_file"] = None if antenna_height_file is None else str(antenna_height_file)
-            given |= {key: text for key, text in chosen.items() if text}
-            turning = emulated_scene(scene, given)
+            texts |= {key: text for key, text in chosen.items() if text}
+            turning = emulated_scene(scene or DEFAULT_SCENE, texts)
             source, about = turning, turning.about()
         if truth is not None:
             _write_truth(truth, about)
@@ -199,13 +216,14 @@ def _address(bind: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def _placement(centre: str, rotation: float) -> Placement:
+def _placement(centre: str, rotation: float, elevation: str) -> Placement:
     import numpy as np
 
     from tagid.cli.common.points import parse_point
-    from tagid.simulate import Placement
+    from tagid.simulate import Placement, parse_elevation
 
-    return Placement(parse_point("--centre", centre), float(np.deg2rad(rotation)))
+    turned = float(np.deg2rad(rotation))
+    return Placement(parse_point("--centre", centre), turned, parse_elevation(elevation))
 
 
 def _pty(framing: str, baud: int, link: Path | None) -> PtyWire:
