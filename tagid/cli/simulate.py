@@ -159,6 +159,8 @@ def register(app: typer.Typer) -> None:
                 "noise_std": truth.noise_std,
                 "snr_reflector_db": truth.snr.reflector_db,
                 "snr_summed_db": truth.snr.summed_db,
+                "snr_reference_db": truth.snr.reference_db,
+                "snr_reference": truth.snr.reference or None,
             },
         }
         return Result("simulate", data, line)

@@ -208,6 +208,11 @@ class Response:
                 total += weight[:, None] * (turn @ self._harmonics[:, table[h, d]].T)
         return total
 
+    @property
+    def difference(self) -> bool:
+        """Whether another response was subtracted, as by `without`."""
+        return "difference" in self.provenance
+
     def without(self, other: Response) -> Response:
         """Difference to the response `other`, for example a tagged can without the can.
 

@@ -146,6 +146,25 @@ def test_numbers_that_cannot_be_emulated_are_refused(
     assert done.code == 2 and ("Give" in done.err or "range" in done.err), done.err
 
 
+@pytest.mark.parametrize(
+    ("scene", "said"),
+    [
+        ("helmet-120", r"SNR 15\.0 dB per reflector, 1[89]\.\d dB summed at integration index 11"),
+        ("empty", r"SNR 15\.0 dB against a single reflector .*"),
+    ],
+)
+def test_an_emulated_radar_says_the_snr_that_it_applies(
+    here: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch, scene: str, said: str
+) -> None:
+    def listens(_core: object, _options: object, _stop: object, ready: Callable[[str, int], None]) -> None:
+        ready("127.0.0.1", 1)
+
+    monkeypatch.setattr("tagid.radar.emulation.emulator.serve_udp", listens)
+    done = here("emulate", "p440", "--scene", scene, "--snr", 15)
+    assert done.code == 0 and re.search(rf"^{said}$", done.err, re.M), done.err
+    assert "SNR" not in here("emulate", "p440", "--quiet").err
+
+
 def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
     here: Callable[..., Ran], home: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

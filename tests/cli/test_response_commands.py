@@ -25,7 +25,10 @@ def test_simulate_from_a_response(tagid: Callable[..., Any], tmp_path: Path) -> 
     ran = tagid(*words, "--out", "made.npz", "--output", "json")
     assert ran.code == 0, ran.err
     assert ran.json["data"]["scene"] == "can30_c180"
-    assert ran.json["data"]["truth"]["noise_std"] == pytest.approx(0.1)
+    truth = ran.json["data"]["truth"]
+    assert truth["noise_std"] == pytest.approx(0.1)
+    assert (truth["snr_reflector_db"], truth["snr_summed_db"]) == (None, pytest.approx(20.0))
+    assert "per reflector it is not known" in truth["snr_reference"]
     capture = read_any(tmp_path / "made.npz")
     assert capture.views == 24 and capture.axis_distance_m == pytest.approx(1.01)
     assert capture.object.snr_reference == "can30_c180 without can30"

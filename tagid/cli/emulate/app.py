@@ -21,7 +21,7 @@ from tagid.result import Result
 if TYPE_CHECKING:
     from tagid.metadata import ObjectInfo
     from tagid.radar.emulation.wires import PtyWire
-    from tagid.simulate import Placement
+    from tagid.simulate import Placement, TurningScene
 
 DEFAULT_SCENE = "helmet-120"
 
@@ -136,6 +136,7 @@ def register(app: typer.Typer) -> None:
         from tagid.radar.emulation.sources import ScanSource
         from tagid.recording.sources import emulated_recording, emulated_scene
         from tagid.simulate import Acquisition, Wobble
+        from tagid.simulate.source import NOISE_INDEX
 
         if truth is not None:
             check_own(truth, is_truth, "a truth file")
@@ -163,6 +164,8 @@ def register(app: typer.Typer) -> None:
             response_options.check_scene_options("--replay", "a recording is sent as it is", given)
         source: ScanSource
         about: ObjectInfo | None = None
+        remark: str | None = None
+        turning: TurningScene | None = None
         if replay is not None:
             source = emulated_recording(Path(replay), loop)
         elif files is not None:
@@ -174,7 +177,6 @@ def register(app: typer.Typer) -> None:
             )
             turner = TrueAngle(turned_by).at if turned_by else None
             turning = files.turning(placed, rpm, seed, cable_delay * 1e-12, turner)
-            source, about = turning, turning.about()
         else:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
             wanted |= {"cable_delay": cable_delay, "rotation": rotation, "wobble": wobble}
@@ -185,7 +187,9 @@ def register(app: typer.Typer) -> None:
             chosen["antenna_height_file"] = None if antenna_height_file is None else str(antenna_height_file)
             texts |= {key: text for key, text in chosen.items() if text}
             turning = emulated_scene(scene or DEFAULT_SCENE, texts)
+        if turning is not None:
             source, about = turning, turning.about()
+            remark = f"{turning.snr} at integration index {NOISE_INDEX}"
         if truth is not None:
             _write_truth(truth, about)
         core = EmulatorCore(source, firmware=firmware)
@@ -195,7 +199,7 @@ def register(app: typer.Typer) -> None:
         facts: dict[str, Any] = {} if about is None else {"object": about.to_json()}
 
         def listens(url: str, **more: str) -> None:
-            emulate_motion.announce(terminal, "emulate p440", {"url": url, **more, **facts}, run)
+            emulate_motion.announce(terminal, "emulate p440", {"url": url, **more, **facts}, run, remark)
 
         with interrupts.asked_to_stop(stop.set):
             if serial:
