@@ -83,7 +83,24 @@ def register(app: typer.Typer) -> None:
         wobble: Annotated[float, typer.Option("--wobble", help="Variation of the speed; 0.01 is 1 %.")] = 0.0,
         beam_deg: Annotated[float | None, typer.Option("--beam", help="-3 dB beam width, degrees.")] = None,
         range_law: Annotated[bool, typer.Option("--range-law", help="1/R^4 in power.")] = False,
-        seed: options.Seed = 0,
+        seed: Annotated[
+            int,
+            typer.Option(
+                "--seed",
+                help="Random seed of noise and wobble and, unless --object-seed is given, of the object: "
+                "also where a handle or seam is relative to the tag.",
+                min=0,
+            ),
+        ] = 0,
+        object_seed: Annotated[
+            int | None,
+            typer.Option(
+                "--object-seed",
+                help="Random seed of object and room alone, to record one object with different --seed.",
+                min=0,
+                show_default=False,
+            ),
+        ] = None,
         force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     ) -> Result:
         """Simulate a capture of a rotating scene, or of an object with a response file.
@@ -139,10 +156,11 @@ def register(app: typer.Typer) -> None:
             beam_width_rad=None if beam_deg is None else float(np.deg2rad(beam_deg)),
             range_law=range_law,
         )
+        of_object = seed if object_seed is None else object_seed
         if files is None:
-            shown = _scene(scene or "", _Carrier(body, reflector, unlike), seed, file)
+            shown = _scene(scene or "", _Carrier(body, reflector, unlike), of_object, file)
         else:
-            shown = files.scene(acquisition, seed)
+            shown = files.scene(acquisition, of_object)
         capture, truth = simulate_capture(shown, acquisition, seed)
         export(capture, out)
         line = Text(

@@ -68,6 +68,25 @@ def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid: Callable[..., Any]
     assert tagid("bodies", "--output", "json").json["data"]["signatures"] == []
 
 
+def test_three_simulated_captures_of_one_object_are_enrolled(tagid: Callable[..., Any]) -> None:
+    """As docs/simulation.md says: --seed alone also moves the handle relative to the tag."""
+    cup = ("simulate", "container-90", "--body", "cup:40mm,handle", "--snr", 30, "--views", 72)
+
+    def enrolled(*fixed: object) -> Any:
+        for i in (1, 2, 3):
+            how = f"--seed {i} --rotation {i}20 --centre 0.00{i},-0.003 --out {i}.tagid.h5".split()
+            made = tagid(*cup, *fixed, *how, "--force", "--output", "json")
+            assert made.code == 0, made.err
+        words = ("enroll", "mug-7", *(f"{i}.tagid.h5" for i in (1, 2, 3)), "--dry-run", "--output", "json")
+        return tagid(*words)
+
+    same = enrolled("--object-seed", 7)
+    assert same.code == 0, same.out
+    assert all(one["residual_over_noise"] < 1.4 for one in same.json["data"]["signature"]["captures"])
+    other = enrolled()
+    assert other.code == 1 and "enrolment by signature: " in other.json["errors"][0]["message"]
+
+
 @pytest.mark.parametrize(
     ("words", "missing"),
     [((), "a name and captures"), (("mug",), "captures"), (("--capture", "mug0.npz"), "a name")],

@@ -122,7 +122,14 @@ def register(app: typer.Typer) -> None:
         server: Annotated[
             bool, typer.Option("--server", help="Also act as the vendor's server program.")
         ] = False,
-        seed: options.Seed = 0,
+        seed: Annotated[
+            int,
+            typer.Option(
+                "--seed",
+                help="Random seed of the recording and of the object: also where a handle or seam is.",
+                min=0,
+            ),
+        ] = 0,
     ) -> Result:
         """Emulate a P440 on UDP, or on a serial port whose path is printed, until stopped.
 
