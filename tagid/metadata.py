@@ -440,6 +440,7 @@ class SimulatedTruth(JsonValue):
         pulse: "nominal" or "other".
         noise_colour: slope of the noise's spectrum.
         snr_reflector_db, snr_summed_db: SNR per reflector and of the summed echo, dB; None without a tag.
+        snr_reference_db: SNR of a whole object or another reference, where neither of these is known, dB.
         extra: what else was varied.
     """
 
@@ -453,6 +454,7 @@ class SimulatedTruth(JsonValue):
     noise_colour: float | None = None
     snr_reflector_db: float | None = None
     snr_summed_db: float | None = None
+    snr_reference_db: float | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -123,6 +123,12 @@ def register(app: typer.Typer) -> None:
         from tagid.tags.layouts.layout import KINDS
 
         captures = [*(captures or []), *(more or [])]
+        if body and not (name and captures):
+            missing = [what for what, there in (("a name", name), ("captures", captures)) if not there]
+            raise UsageError(
+                f"--body without {' and '.join(missing)}",
+                "Give three captures of the untagged body: tagid enroll --body NAME FILE FILE FILE.",
+            )
         ways = [bool(points), file is not None, bool(captures)]
         if sum(ways) != 1:
             raise UsageError(
@@ -136,8 +142,6 @@ def register(app: typer.Typer) -> None:
             )
         if sigma is not None and not points:
             raise UsageError("--sigma without --point", "Files and captures contain their accuracy.")
-        if body and not captures:
-            raise UsageError("--body without captures", "Give three captures of the untagged body.")
         if kind is not None and kind not in KINDS:
             raise UsageError(f"--kind is {kind[:80]!r}", f"Use {', '.join(KINDS)}.")
         config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})

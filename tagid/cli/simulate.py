@@ -54,7 +54,10 @@ def register(app: typer.Typer) -> None:
             float | None, typer.Option("--snr", help="Ratio of peak echo to noise of one sample, dB.")
         ] = 20.0,
         snr_of: Annotated[
-            str, typer.Option("--snr-of", help="Echo to which --snr refers: strongest reflector, or sum.")
+            str,
+            typer.Option(
+                "--snr-of", help="Echo to which --snr refers: reflector (the strongest), or summed (all)."
+            ),
         ] = "reflector",
         noise: Annotated[
             float | None, typer.Option("--noise", help="Noise standard deviation; replaces --snr.")
@@ -80,7 +83,24 @@ def register(app: typer.Typer) -> None:
         wobble: Annotated[float, typer.Option("--wobble", help="Variation of the speed; 0.01 is 1 %.")] = 0.0,
         beam_deg: Annotated[float | None, typer.Option("--beam", help="-3 dB beam width, degrees.")] = None,
         range_law: Annotated[bool, typer.Option("--range-law", help="1/R^4 in power.")] = False,
-        seed: options.Seed = 0,
+        seed: Annotated[
+            int,
+            typer.Option(
+                "--seed",
+                help="Random seed of noise and wobble and, unless --object-seed is given, of the object: "
+                "also where a handle or seam is relative to the tag.",
+                min=0,
+            ),
+        ] = 0,
+        object_seed: Annotated[
+            int | None,
+            typer.Option(
+                "--object-seed",
+                help="Random seed of object and room alone, to record one object with different --seed.",
+                min=0,
+                show_default=False,
+            ),
+        ] = None,
         force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     ) -> Result:
         """Simulate a capture of a rotating scene, or of an object with a response file.
@@ -115,8 +135,10 @@ def register(app: typer.Typer) -> None:
             scene = only_layout(file)
         if (scene is None) == (files is None):
             raise UsageError("give either a scene or --response FILE", "tagid simulate --help has examples.")
-        if files is not None and range_law:
-            raise UsageError("--range-law cannot be combined with --response", "Omit --range-law.")
+        if files is not None:
+            physical = {"--body": body is not None, "--reflector": reflector is not None}
+            given = {**physical, "--unlike": unlike != 0, "--range-law": range_law}
+            response_options.check_with_response(given)
         acquisition = Acquisition(
             views=views,
             turns=turns,
@@ -134,14 +156,11 @@ def register(app: typer.Typer) -> None:
             beam_width_rad=None if beam_deg is None else float(np.deg2rad(beam_deg)),
             range_law=range_law,
         )
-        if files is not None and (body or reflector or unlike):
-            raise UsageError(
-                "--body and --reflector require a scene", "A response file contains the complete object."
-            )
+        of_object = seed if object_seed is None else object_seed
         if files is None:
-            shown = _scene(scene or "", _Carrier(body, reflector, unlike), seed, file)
+            shown = _scene(scene or "", _Carrier(body, reflector, unlike), of_object, file)
         else:
-            shown = files.scene(acquisition, seed)
+            shown = files.scene(acquisition, of_object)
         capture, truth = simulate_capture(shown, acquisition, seed)
         export(capture, out)
         line = Text(
@@ -158,6 +177,8 @@ def register(app: typer.Typer) -> None:
                 "noise_std": truth.noise_std,
                 "snr_reflector_db": truth.snr.reflector_db,
                 "snr_summed_db": truth.snr.summed_db,
+                "snr_reference_db": truth.snr.reference_db,
+                "snr_reference": truth.snr.reference or None,
             },
         }
         return Result("simulate", data, line)

@@ -22,8 +22,11 @@ MAX_SAMPLES = 50_000_000
 SNR_RANGE_DB = (-100.0, 300.0)
 """Beyond it, samples of single precision hold noise only, or none."""
 MAX_NOISE_STD = 1e6
-MAX_CENTRE_M = 1.0
-"""A farther object is not on a turntable: its place was probably given in millimetres."""
+MAX_CENTRE_M = 0.25
+"""Half the width of an image (`imaging.extent_m`): the axis of a farther object is not in it."""
+MAX_RADIAL_M = 1.0
+IMPLAUSIBLE_CENTRE_M = 1.0
+"""From here on, an object's place was probably given in millimetres."""
 MAX_WOBBLE = 0.5
 """Beyond it, the table would stop or turn back."""
 
@@ -52,7 +55,7 @@ class Placement:
     """Placement of the object on the table: rotated by rotation_rad, then shifted by centre_m (x, y).
 
     Attributes:
-        centre_m: (x, y) of the object's origin from the rotation axis, m.
+        centre_m: (x, y) of the object's origin from the rotation axis, at most `MAX_CENTRE_M` away, m.
         rotation_rad: rotation about its origin, rad.
         height_m: height of the tag's plane above the plane to which the capture's antenna height refers;
             not stated in the capture.
@@ -68,10 +71,15 @@ class Placement:
                 "the object's placement is not finite", "Give numbers for centre, rotation and height."
             )
         farthest = max(self.centre_m, key=abs)
-        if abs(farthest) >= MAX_CENTRE_M:
+        if abs(farthest) >= IMPLAUSIBLE_CENTRE_M:
             raise UsageError(
                 f"the object's centre is {farthest:g} m off the axis. {farthest:g} m? Give metres",
-                f"e.g. {farthest / 1000:g} for {farthest:g} mm; less than {MAX_CENTRE_M:g} m.",
+                f"e.g. {farthest / 1000:g} for {farthest:g} mm; at most {MAX_CENTRE_M:g} m.",
+            )
+        if (off := float(np.hypot(*self.centre_m))) > MAX_CENTRE_M:
+            raise UsageError(
+                f"the object's centre is {off:.3g} m off the rotation axis",
+                f"Give at most {MAX_CENTRE_M:g} m: images of the usual width end there.",
             )
 
     def apply(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -95,7 +103,7 @@ class Wobble:
     def __post_init__(self) -> None:
         if not 0 <= self.speed < MAX_WOBBLE:
             raise UsageError(f"the wobble is {self.speed}", "Give 0 to 0.5, e.g. 0.01 for 1 %.")
-        if not 0 <= self.radial_m < MAX_CENTRE_M:
+        if not 0 <= self.radial_m < MAX_RADIAL_M:
             raise UsageError(f"the axis wobbles by {self.radial_m} m", "Give metres, e.g. 0.001.")
 
 

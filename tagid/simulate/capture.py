@@ -96,6 +96,7 @@ def object_settings(scene: Scene, acquisition: Acquisition, snr: Snr) -> ObjectI
         noise_colour=acquisition.noise.colour,
         snr_reflector_db=snr.reflector_db,
         snr_summed_db=snr.summed_db,
+        snr_reference_db=snr.reference_db,
     )
     return replace(ObjectInfo.from_json({"scene": scene.name, **scene.description}), truth=truth)
 
@@ -185,7 +186,7 @@ def simulate_capture(
         positions_m=placed_positions(scene, acq),
         amplitudes=np.zeros(0, complex) if tag is None else tag.amplitudes.astype(np.complex128),
         noise_std=noise_std * gain,
-        levels=EchoLevels(levels.reflector * gain, levels.summed * gain),
+        levels=replace(levels, reflector=levels.reflector * gain, summed=levels.summed * gain),
         snr=snr,
         clean=gain * (clean if acq.recording.dtype == "complex64" else clean.real),
     )

@@ -190,9 +190,13 @@ class Response:
             )
         z = antennas[:, 2]
         if z.min() < heights[0] - 5e-3 or z.max() > heights[-1] + 5e-3:
+            height = float(z[np.abs(z).argmax()])
+            side = "above" if height > 0 else "below"
+            many = f"heights of {heights[0]:g} to {heights[-1]:g} m"
+            held = many if len(heights) > 1 else f"the height {heights[0]:g} m"
             raise UsageError(
-                f"the antenna is {z[np.abs(z).argmax()]:.3f} m above the plane of {self.name}",
-                f"Its response holds heights of {heights[0]:g} to {heights[-1]:g} m.",
+                f"the antenna is {abs(height):.3f} m {side} the plane of {self.name}",
+                f"Its response holds {held} only: --antenna-height less --elevation must be that.",
             )
         by_distance = _lagrange(1 / distances, 1 / distance)
         by_height = _lagrange(heights, np.clip(z, heights[0], heights[-1]))
@@ -203,6 +207,11 @@ class Response:
                 weight = by_height[:, h] * by_distance[:, d]
                 total += weight[:, None] * (turn @ self._harmonics[:, table[h, d]].T)
         return total
+
+    @property
+    def difference(self) -> bool:
+        """Whether another response was subtracted, as by `without`."""
+        return "difference" in self.provenance
 
     def without(self, other: Response) -> Response:
         """Difference to the response `other`, for example a tagged can without the can.

@@ -47,7 +47,11 @@ class ResponseFiles:
         if reference is not None and self.reference_body is not None:
             reference = reference.without(read_response(self.reference_body))
         alone = response_scene(response, acquisition, self.polarisation, reference)
-        strengths = [peak_echo(body, acquisition) for body in alone.object if isinstance(body, ResponseBody)]
+        bodies = [body for body in alone.object if isinstance(body, ResponseBody)]
+        for body in bodies:
+            # An emulator says before its first scan that the response does not cover where the object stands.
+            peak_echo(body, acquisition, acquisition.placement)
+        strengths = [peak_echo(body, acquisition) for body in bodies]
         room = room_clutter(np.random.default_rng(seed))
         room = StaticReturns(room.ranges_m, room.amplitudes * max(1.0, *strengths))
         return response_scene(response, acquisition, self.polarisation, reference, room)

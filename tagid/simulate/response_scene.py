@@ -6,18 +6,20 @@ the response. So noise, room, wobble, placement and the emulator work unchanged.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tagid.constants import SPEED_OF_LIGHT
-from tagid.errors import DataError
+from tagid.errors import DataError, UsageError
 from tagid.geometry import Aperture
-from tagid.simulate.acquisition import Acquisition, RangeWindow
+from tagid.simulate.acquisition import Acquisition, Placement, RangeWindow
 from tagid.simulate.render import PulseTable, render_bodies
 from tagid.simulate.response import Floats, Response
 from tagid.simulate.scattering import Returns
 from tagid.simulate.scene import Scene, StaticReturns
+from tagid.simulate.snr import EchoLevels
 
 TAPER_HZ = 0.2e9
 """Width of the raised cosine at either end of the response's frequencies.
@@ -88,20 +90,61 @@ def _taper(frequency_hz: Floats) -> Floats:
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(inside / (width + step), 0, 1)))
 
 
-def peak_echo(body: ResponseBody, acquisition: Acquisition) -> float:
-    """Largest envelope of the echo over one turn of 72 views, with the object's origin on the axis.
+def peak_echo(body: ResponseBody, acquisition: Acquisition, placement: Placement | None = None) -> float:
+    """Largest envelope of the echo over one turn of 72 views.
 
-    Pulse, distance and antenna height are those of the acquisition; no wobble, no placement.
+    Pulse, distance and antenna height are those of the acquisition; no wobble. The object's origin is on the
+    axis unless a placement is given.
     """
+    return _summed_peak(body, acquisition, (placement or Placement(),))
+
+
+def _summed_peak(body: ResponseBody, acquisition: Acquisition, placements: Sequence[Placement]) -> float:
+    """As `peak_echo`, of several of these bodies together."""
     distance = acquisition.axis_distance_m
     antennas = Aperture.turntable(
         2 * np.pi * np.arange(72) / 72, distance, acquisition.antenna_height_m
     ).positions
-    window = RangeWindow.around(distance)
+    window, table = RangeWindow.around(distance), PulseTable.of(acquisition.pulse)
     out = np.zeros((72, window.bins), dtype=np.complex128)
     plain = Acquisition(axis_distance_m=distance, window=window)
-    render_bodies((body,), plain.placement, antennas, plain, PulseTable.of(acquisition.pulse), out)
+    for placement in placements:
+        render_bodies((body,), placement, antennas, plain, table, out)
     return float(np.abs(out).max())
+
+
+def _levels(
+    response: Response, reference: Response | None, unit: ResponseBody, acquisition: Acquisition
+) -> EchoLevels:
+    """What the SNR of a response refers to; `unit` is the reference, or else the response, of peak 1.
+
+    The echoes of several reflectors together are those of a reference with one reflector, which is turned and
+    shifted to where each of the object's reflectors is.
+    """
+    if reference is None:
+        return EchoLevels(1.0, 1.0, (), "the whole object, body included (--snr-reference takes another)")
+    name = reference.name + ("" if reference.difference else ", taken to have no body")
+    count, own = len(reference.reflectors_m), response.reflectors_m
+    if count == 0:
+        return EchoLevels(1.0, 1.0, (), f"{reference.name}; how many reflectors it has is not stated")
+    if count > 1:
+        return EchoLevels(1.0, 1.0, ("summed",), f"the {count} of {name}; per reflector it is not known")
+    if len(own) == 0:
+        return EchoLevels(1.0, 1.0, ("reflector",), f"{name}; the object's own reflectors are not stated")
+    (at,) = reference.reflectors_m
+    try:
+        summed = _summed_peak(unit, acquisition, [_moved(at, to) for to in own])
+    except UsageError:
+        # Where they stand, the antenna is nearer than the reference's response allows.
+        return EchoLevels(1.0, 1.0, ("reflector",), f"{name}; of the object's {len(own)} it is not known")
+    return EchoLevels(1.0, summed, reference=f"{len(own)} like that of {name}")
+
+
+def _moved(at: Floats, to: Floats) -> Placement:
+    """The placement that brings a reflector from one place (2,) to another, its outside still outside."""
+    turn = float(np.arctan2(to[1], to[0]) - np.arctan2(at[1], at[0]))
+    x, y = to - Placement(rotation_rad=turn).apply(at[None])[0]
+    return Placement((float(x), float(y)), turn)
 
 
 def response_scene(
@@ -134,6 +177,7 @@ def response_scene(
     if not peak > 0:
         raise DataError(f"response {shown.name} has no echo, so that no SNR can refer to it")
     body = ResponseBody(response, polarisation, distance, 1 / peak)
+    levels = _levels(response, reference, ResponseBody(shown, polarisation, distance, 1 / peak), acquisition)
     about = {
         "response": response.name,
         "polarisation": polarisation,
@@ -141,4 +185,4 @@ def response_scene(
         "reflectors_m": response.reflectors_m.tolist(),
         **{f"response_{key}": value for key, value in response.provenance.items()},
     }
-    return Scene(response.name, (body,), room=room, reference_amplitude=1.0, description=about)
+    return Scene(response.name, (body,), room=room, levels=levels, description=about)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import DataError
 from tagid.simulate.scattering import Body, Points, Returns
+from tagid.simulate.snr import EchoLevels
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,7 @@ class Scene:
         room: static echoes, or None.
         reference_amplitude: peak to which an SNR refers in a scene without reflectors (an untagged object, an
             empty table); None refers to the object's own peak.
+        levels: peaks to which an SNR refers if they are known otherwise than from the scene's own bodies.
         description: plain JSON values that go into the capture's object field.
     """
 
@@ -76,6 +78,7 @@ class Scene:
     object: tuple[Body, ...] = ()
     room: StaticReturns | None = field(default=None, kw_only=True)
     reference_amplitude: float | None = field(default=None, kw_only=True)
+    levels: EchoLevels | None = field(default=None, kw_only=True)
     description: dict[str, Any] = field(default_factory=dict, kw_only=True)
 
     @classmethod

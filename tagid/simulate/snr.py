@@ -6,8 +6,9 @@ is the largest value over all scans and samples of the noise-free envelope (magn
 - per reflector ("reflector"): of the strongest single reflector's echo, as mounted on its body;
 - summed ("summed"): of the echoes of all reflectors together, which may add up or cancel.
 
-The body's own echo, the room and interference never count. In a scene without reflectors both peaks are
-those of the reference given with the scene, or of the whole object if none is given.
+The body's own echo, the room and interference never count. A scene whose reflectors are not known one by one
+has a reference instead: both peaks are the reference's, and it says which of the two that is. Without either,
+they are those of the whole object.
 """
 
 from __future__ import annotations
@@ -34,12 +35,16 @@ class EchoLevels:
     """Peaks to which the SNR refers, relative to the peak of a unit reflector on the axis.
 
     Attributes:
-        reflector: peak of the strongest single reflector.
-        summed: peak of all reflectors together.
+        reflector: peak of the strongest single reflector, or of the reference.
+        summed: peak of all reflectors together, or of the reference.
+        known: which of `REFERENCES` are peaks of reflectors; the others are those of the reference.
+        reference: what is used in place of the scene's own reflectors, in words; empty if nothing is.
     """
 
     reflector: float
     summed: float
+    known: tuple[str, ...] = REFERENCES
+    reference: str = ""
 
     def of(self, reference: str) -> float:
         """The level of one of `REFERENCES`. Raises UsageError for another name."""
@@ -50,20 +55,35 @@ class EchoLevels:
 
 @dataclass(frozen=True)
 class Snr:
-    """Both SNRs of a recording, dB; None if there is no noise or no echo."""
+    """Both SNRs of a recording, dB; None if there is no noise, or if that echo is not known.
+
+    Attributes:
+        reflector_db, summed_db: of the strongest reflector, and of all together.
+        reference_db: of the reference, where it tells neither of the two.
+        reference: see `EchoLevels`.
+    """
 
     reflector_db: float | None
     summed_db: float | None
+    reference_db: float | None = None
+    reference: str = ""
 
     @classmethod
     def of(cls, levels: EchoLevels, noise_std: float) -> Snr:
         """From the levels and the standard deviation of one sample, in the same unit."""
-        return cls(ratio_db(levels.reflector, noise_std), ratio_db(levels.summed, noise_std))
+        reflector, summed = (
+            ratio_db(levels.of(name), noise_std) if name in levels.known else None for name in REFERENCES
+        )
+        whole = None if levels.known else ratio_db(levels.reflector, noise_std)
+        return cls(reflector, summed, whole, levels.reference)
 
     def __str__(self) -> str:
-        """Both values, as every command and table prints them."""
-        shown = ["-" if x is None else f"{x:.1f} dB" for x in (self.reflector_db, self.summed_db)]
-        return f"SNR {shown[0]} per reflector, {shown[1]} summed"
+        """The values that are known and what they refer to, as every command and table prints them."""
+        if self.reference_db is not None:
+            return f"SNR {self.reference_db:.1f} dB against {self.reference}"
+        both = ((self.reflector_db, "per reflector"), (self.summed_db, "summed"))
+        known = ", ".join(f"{value:.1f} dB {what}" for value, what in both if value is not None)
+        return "no noise" if not known else f"SNR {known}" + f" ({self.reference})" * bool(self.reference)
 
 
 def ratio_db(peak: float, noise_std: float) -> float | None:
@@ -87,12 +107,14 @@ def echo_levels(
         render_bodies(bodies, acquisition.placement, antenna, acquisition, table, echo)
         return float(np.abs(echo).max(initial=0.0))
 
-    if scene.reference_amplitude is not None:
-        return EchoLevels(scene.reference_amplitude, scene.reference_amplitude)
+    if scene.levels is not None:
+        return scene.levels
+    if (unit := scene.reference_amplitude) is not None:
+        return EchoLevels(unit, unit, (), "a single reflector of a tag on the axis, without a body")
     tag = scene.tag
     if tag is None or not len(tag.positions):
         level = peak(scene.object) or 1.0
-        return EchoLevels(level, level)
+        return EchoLevels(level, level, (), "the whole object")
     return EchoLevels(
         max(peak((tag.single(i),)) for i in range(len(tag.positions))) or 1.0,
         peak((tag,)) or 1.0,

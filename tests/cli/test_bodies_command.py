@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tagid.simulate.snr import REFERENCES
 from tagid.storage.importers import read_any
 
 
@@ -48,6 +50,28 @@ def test_both_snrs_are_printed_and_the_option_says_which_it_sets(tagid) -> None:
         shown = " ".join(done.out.split())
         assert ("12.0 dB per reflector" in shown) == (reference == "reflector")
         assert ("12.0 dB summed" in shown) == (reference == "summed")
+
+
+def test_the_help_names_the_values_that_are_accepted(tagid) -> None:
+    told = " ".join(tagid("simulate", "--help").out.split())
+    (line,) = re.findall(r"--snr-of (.*?) --noise ", told)
+    assert all(value in line for value in REFERENCES) and "or sum." not in line
+
+
+def test_the_object_stays_while_the_recording_changes(tagid, tmp_path: Path) -> None:
+    words = ("simulate", "container-90", "--body", "can:35mm,handle", "--unlike", 3, "--views", 12)
+    recorded = {}
+    for seed, of_object in ((1, 5), (2, 5), (5, None)):
+        fixed = () if of_object is None else ("--object-seed", of_object)
+        for noise in (0, 1):
+            done = tagid(*words, "--seed", seed, *fixed, "--noise", noise, "--out", f"{seed}{noise}.npz")
+            assert done.code == 0, done.err
+            recorded[seed, noise] = read_any(tmp_path / f"{seed}{noise}.npz")
+    for seed in (2, 5):
+        np.testing.assert_array_equal(recorded[1, 0].samples, recorded[seed, 0].samples)
+        assert np.abs(recorded[1, 1].samples - recorded[seed, 1].samples).std() > 0.5
+    assert [recorded[seed, 0].object.seed for seed in (1, 2, 5)] == [5, 5, 5]
+    assert [recorded[seed, 0].radar.seed for seed in (1, 2, 5)] == [1, 2, 5]
 
 
 @pytest.mark.parametrize(

@@ -68,6 +68,36 @@ def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid: Callable[..., Any]
     assert tagid("bodies", "--output", "json").json["data"]["signatures"] == []
 
 
+def test_three_simulated_captures_of_one_object_are_enrolled(tagid: Callable[..., Any]) -> None:
+    """As docs/simulation.md says: --seed alone also moves the handle relative to the tag."""
+    cup = ("simulate", "container-90", "--body", "cup:40mm,handle", "--snr", 30, "--views", 72)
+
+    def enrolled(*fixed: object) -> Any:
+        for i in (1, 2, 3):
+            how = f"--seed {i} --rotation {i}20 --centre 0.00{i},-0.003 --out {i}.tagid.h5".split()
+            made = tagid(*cup, *fixed, *how, "--force", "--output", "json")
+            assert made.code == 0, made.err
+        words = ("enroll", "mug-7", *(f"{i}.tagid.h5" for i in (1, 2, 3)), "--dry-run", "--output", "json")
+        return tagid(*words)
+
+    same = enrolled("--object-seed", 7)
+    assert same.code == 0, same.out
+    assert all(one["residual_over_noise"] < 1.4 for one in same.json["data"]["signature"]["captures"])
+    other = enrolled()
+    assert other.code == 1 and "enrolment by signature: " in other.json["errors"][0]["message"]
+
+
+@pytest.mark.parametrize(
+    ("words", "missing"),
+    [((), "a name and captures"), (("mug",), "captures"), (("--capture", "mug0.npz"), "a name")],
+)
+def test_a_body_without_a_name_or_captures(
+    tagid: Callable[..., Any], words: tuple[str, ...], missing: str
+) -> None:
+    refused = tagid("enroll", "--body", *words)
+    assert refused.code == 2 and f"--body without {missing}\n" in refused.err, refused.err
+
+
 def test_an_object_whose_reflectors_are_hidden_is_enrolled_by_its_signature(
     tagid: Callable[..., Any], files: Path
 ) -> None:
@@ -78,6 +108,13 @@ def test_an_object_whose_reflectors_are_hidden_is_enrolled_by_its_signature(
     assert any("cannot be seen" in message for message in stored.json["messages"])
     item = tagid("identify", "seen.npz", "--output", "json").json["data"]["items"][0]
     assert (item["layout"], item["label"], item["hypothesis"]) == ("mug-7", "The blue one", "object")
+    # Listed by `tagid bodies`, it is no body: what shows it and what removes it is said.
+    for words in (("show", "mug-7"), ("--remove", "mug-7")):
+        (error,) = tagid("bodies", *words, "--output", "json").json["errors"]
+        assert error["message"] == "no body is named 'mug-7', but an object is"
+        assert "`tagid bodies show mug-7 --object`" in error["remedy"]
+        assert "`tagid layouts --remove mug-7`" in error["remedy"]
+    assert tagid("bodies", "show", "mug-7", "--object").code == 0
     clash = tagid("enroll", "mug-8", *tagged, "--output", "json")
     assert clash.code == 1 and clash.json["errors"][0]["code"] == "layout_conflict"
     checked = tagid("bodies", "check", "--output", "json")

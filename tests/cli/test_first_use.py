@@ -103,6 +103,8 @@ def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Ran]
         ("--wobble", "-0.1", "0.01 for 1 %"),
         ("--centre", "4,-2", "4 m? Give metres"),
         ("--centre", "0,1e300", "Give metres"),
+        ("--centre", "0.5,0", "at most 0.25 m"),
+        ("--centre", "-0.2,0.2", "at most 0.25 m"),
         ("--seed", "-1", "--seed"),
     ],
 )
@@ -120,6 +122,7 @@ def test_numbers_that_cannot_be_simulated_are_refused_with_their_range(
         ("p440", "--snr", "1e9"),
         ("p440", "--snr", "nan"),
         ("p440", "--centre", "4,-2"),
+        ("p440", "--centre", "0.3,0"),
         ("p440", "--axis-distance", "inf"),
         ("p440", "--wobble", "nan"),
         ("p440", "--delay-ms", "nan"),
@@ -141,6 +144,25 @@ def test_numbers_that_cannot_be_emulated_are_refused(
     monkeypatch.setattr("tagid.cli.emulate.motion.announce", listening)
     done = here("emulate", *words)
     assert done.code == 2 and ("Give" in done.err or "range" in done.err), done.err
+
+
+@pytest.mark.parametrize(
+    ("scene", "said"),
+    [
+        ("helmet-120", r"SNR 15\.0 dB per reflector, 1[89]\.\d dB summed at integration index 11"),
+        ("empty", r"SNR 15\.0 dB against a single reflector .*"),
+    ],
+)
+def test_an_emulated_radar_says_the_snr_that_it_applies(
+    here: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch, scene: str, said: str
+) -> None:
+    def listens(_core: object, _options: object, _stop: object, ready: Callable[[str, int], None]) -> None:
+        ready("127.0.0.1", 1)
+
+    monkeypatch.setattr("tagid.radar.emulation.emulator.serve_udp", listens)
+    done = here("emulate", "p440", "--scene", scene, "--snr", 15)
+    assert done.code == 0 and re.search(rf"^{said}$", done.err, re.M), done.err
+    assert "SNR" not in here("emulate", "p440", "--quiet").err
 
 
 def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(

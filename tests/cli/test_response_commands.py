@@ -25,7 +25,10 @@ def test_simulate_from_a_response(tagid: Callable[..., Any], tmp_path: Path) -> 
     ran = tagid(*words, "--out", "made.npz", "--output", "json")
     assert ran.code == 0, ran.err
     assert ran.json["data"]["scene"] == "can30_c180"
-    assert ran.json["data"]["truth"]["noise_std"] == pytest.approx(0.1)
+    truth = ran.json["data"]["truth"]
+    assert truth["noise_std"] == pytest.approx(0.1)
+    assert (truth["snr_reflector_db"], truth["snr_summed_db"]) == (None, pytest.approx(20.0))
+    assert "per reflector it is not known" in truth["snr_reference"]
     capture = read_any(tmp_path / "made.npz")
     assert capture.views == 24 and capture.axis_distance_m == pytest.approx(1.01)
     assert capture.object.snr_reference == "can30_c180 without can30"
@@ -67,7 +70,42 @@ def test_horizontal_polarisation_is_another_response(tagid: Callable[..., Any], 
             2,
             "without a ref",
         ),
+        (["simulate", "--response", TAGGED, "--unlike", 3, "--out", "x.npz"], 2, "error: --unlike cannot be"),
+        (
+            [
+                "simulate",
+                "--response",
+                TAGGED,
+                "--body",
+                "can",
+                "--reflector",
+                "octahedron",
+                "--out",
+                "x.npz",
+            ],
+            2,
+            "error: --body and --reflector cannot be combined with --response",
+        ),
+        (["simulate", "--response", TAGGED, "--elevation", "50mm", "--out", "x.npz"], 2, "0.050 m below"),
         (["emulate", "p440", "--response", TAGGED, "--replay", "x.out"], 2, "both given"),
+        (
+            ["emulate", "p440", "--response", TAGGED, "--body", "can"],
+            2,
+            "error: --body cannot be combined with",
+        ),
+        (["emulate", "p440", "--response", TAGGED, "--scene", "can"], 2, "error: --scene cannot be combined"),
+        (
+            ["emulate", "p440", "--response", TAGGED, "--file", "x.toml", "--reflector", "o", "--budget"],
+            2,
+            "error: --file, --reflector and --budget cannot be combined with --response",
+        ),
+        (["emulate", "p440", "--response", TAGGED, "--elevation", "50mm"], 2, "0.050 m below"),
+        (["emulate", "p440", "--response", TAGGED, "--wobble", 0.9], 2, "wobble"),
+        (
+            ["emulate", "p440", "--replay", "x.out", "--scene", "can"],
+            2,
+            "error: --scene cannot be combined with",
+        ),
         (["emulate", "p440", "--response", "none.npz"], 1, "no such file"),
     ],
 )

@@ -155,6 +155,18 @@ def test_a_replayed_recording_is_captured_sample_for_sample(
     np.testing.assert_array_equal(np.diff(capture.radar_time_ms), np.diff(recorded.radar_time_ms))
 
 
+def test_the_demo_says_which_scenes_there_are(home: dict[str, str], tmp_path: Path) -> None:
+    done = subprocess.run(
+        [*TAGID, "scan", "--demo", "--demo-scene", "nonsense", "--save-dir", str(tmp_path), "--output",
+         "json"],
+        capture_output=True, text=True, env=home, timeout=60,
+    )  # fmt: skip
+    (error,) = json.loads(done.stdout)["errors"]
+    assert done.returncode == 2 and error["code"] == "usage"
+    assert "scene 'nonsense' is unknown" in error["message"]
+    assert "container-90, helmet-120" in error["remedy"] and "points-N" in error["remedy"]
+
+
 def test_the_demo(home: dict[str, str], tmp_path: Path) -> None:
     done = subprocess.run(
         [*TAGID, "scan", "--demo", "--demo-scene", "container-90", "--save-dir", str(tmp_path), "--method",

@@ -14,8 +14,11 @@ from types import ModuleType
 from urllib.parse import urlsplit
 
 import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
 
 import tagid
+from tagid.cli.app import app
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -119,6 +122,26 @@ def test_every_code_of_a_refusal_is_on_the_page() -> None:
     values = [node.value for kind in kinds for node in kind.body if isinstance(node, ast.Assign)]
     codes = [str(value.value) for value in values if isinstance(value, ast.Constant)]
     assert [code for code in codes if code and f"`{code}`" not in page] == []
+
+
+def test_every_command_that_a_message_names_exists() -> None:
+    """What to do next is a command that can be typed: also the one behind a group's name."""
+    named = {
+        (words, str(path.relative_to(ROOT)))
+        for path in (ROOT / "tagid").rglob("*.py")
+        for words in re.findall(r"`tagid ([a-z][a-z0-9 -]*)", path.read_text())
+    }
+    assert len(named) > 100
+    root = get_command(app)
+
+    def exists(words: str) -> bool:
+        first, *more = words.split()
+        found = root.get_command(None, first)
+        if not isinstance(found, TyperGroup) or not more or more[0].startswith("-"):
+            return found is not None
+        return found.get_command(None, more[0]) is not None
+
+    assert sorted(one for one in named if not exists(one[0])) == []
 
 
 @pytest.mark.parametrize("page", sorted((DOCS / "results").glob("*.md")), ids=lambda p: p.name)

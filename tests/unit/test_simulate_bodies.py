@@ -377,6 +377,18 @@ def test_snr_is_measured_on_the_samples(reference: str, index: int) -> None:
         Acquisition(snr_reference="loudest")
 
 
+@pytest.mark.parametrize(
+    ("text", "against"),
+    [("untagged", "a single reflector"), ("can:35mm", "a single reflector"), ("can", "the whole")],
+)
+def test_without_a_tag_one_snr_is_told_and_what_it_is_against(text: str, against: str) -> None:
+    capture, truth = simulate_capture(scene_of(text, tagged=False), Acquisition(views=12, snr_db=12.0))
+    assert str(truth.snr).startswith(f"SNR 12.0 dB against {against}")
+    told = capture.object.truth
+    assert (told.snr_reflector_db, told.snr_summed_db) == (None, None)
+    assert told.snr_reference_db == pytest.approx(12.0)
+
+
 @pytest.mark.parametrize("colour", [0.0, 0.5, 1.0])
 def test_noise_has_its_strength_whatever_its_colour(colour: float) -> None:
     ranges = FIXED.ranges_m

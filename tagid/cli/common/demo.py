@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tagid.errors import DeviceError
+from tagid.errors import DeviceError, TagidError, UsageError
 from tagid.files import write_bytes
 from tagid.metadata import ObjectInfo
 
@@ -41,7 +41,7 @@ class Emulated:
 def emulated_radar(scene: str) -> Iterator[Emulated]:
     """Run an emulator while the block runs; yields the connection settings and the emulated object.
 
-    Raises DeviceError with the emulator's message if it does not start.
+    Raises UsageError with the emulator's message if the scene is unknown, DeviceError if it does not start.
     """
     with tempfile.TemporaryDirectory(prefix="tagid-demo-") as folder:
         yield from _emulated(scene, Path(folder) / "antenna-height")
@@ -54,11 +54,12 @@ def _emulated(scene: str, height_file: Path) -> Iterator[Emulated]:
     place(0.0)
     arguments = ["emulate", "p440", "--bind", "127.0.0.1:0", "--scene", scene, "--rpm", str(DEMO_RPM)]
     arguments += ["--centre", DEMO_CENTRE, "--antenna-height-file", str(height_file)]
+    # Without a buffer: what is read ahead of the first line would be lost to `communicate`.
     process = subprocess.Popen(
         [sys.executable, "-m", "tagid", *arguments, "--output", "json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        text=True,
+        bufsize=0,
     )
     try:
         assert process.stdout is not None
@@ -68,10 +69,7 @@ def _emulated(scene: str, height_file: Path) -> Iterator[Emulated]:
             url, shown = data["url"], data["object"]
         except (ValueError, KeyError, TypeError):
             rest, errors = process.communicate(timeout=5)
-            raise DeviceError(
-                f"the emulated radar did not start: {_reason(line + rest, errors)}",
-                f"Run `tagid emulate p440 --scene {scene}` to see why.",
-            ) from None
+            raise _refusal(scene, (line + rest).decode(), errors.decode()) from None
         settings = {
             "radar.url": url,
             "motion.url": f"free?rpm={DEMO_RPM:g}",
@@ -87,8 +85,15 @@ def _emulated(scene: str, height_file: Path) -> Iterator[Emulated]:
             process.communicate()
 
 
-def _reason(output: str, errors: str) -> str:
+def _refusal(scene: str, output: str, errors: str) -> TagidError:
+    """The error of an emulator that did not start: UsageError if it refuses the scene, else DeviceError."""
     try:
-        return str(json.loads(output)["errors"][0]["message"])
-    except (ValueError, KeyError, IndexError, TypeError):
-        return (errors.strip().splitlines() or ["no reason given"])[-1]
+        (error,) = json.loads(output)["errors"]
+        kind = UsageError if error["code"] == UsageError.code else DeviceError
+        return kind(f"the emulated radar did not start: {error['message']}", str(error["remedy"]))
+    except (ValueError, KeyError, TypeError):
+        reason = (errors.strip().splitlines() or ["no reason given"])[-1]
+        return DeviceError(
+            f"the emulated radar did not start: {reason}",
+            f"Run `tagid emulate p440 --scene {scene}` to see why.",
+        )

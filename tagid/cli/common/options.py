@@ -135,7 +135,7 @@ Elevation = Annotated[
     ),
 ]
 ObjectCentre = Annotated[
-    str, typer.Option("--centre", help="Offset of the object from the axis, X,Y in metres.")
+    str, typer.Option("--centre", help="Offset of the object from the axis, X,Y in metres; up to 0.25.")
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Random seed.", min=0)]
 LayoutFile = Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,6 +28,30 @@ SnrReferenceBody = Annotated[
     Path | None,
     typer.Option("--snr-reference-body", help="Response subtracted from --snr-reference."),
 ]
+
+
+def check_scene_options(instead: str, why: str, given: Mapping[str, bool]) -> None:
+    """Refuse options of a scene beside the option that replaces it.
+
+    Args:
+        instead: that option.
+        why: what it brings with it.
+        given: for each option of a scene, whether the command line has it.
+
+    Raises UsageError, which names those that were given.
+    """
+    names = [name for name, there in given.items() if there]
+    if names:
+        listed = ", ".join(names[:-1]) + " and " * (len(names) > 1) + names[-1]
+        raise UsageError(
+            f"{listed} cannot be combined with {instead}",
+            f"Omit {'them' if len(names) > 1 else 'it'}: {why}.",
+        )
+
+
+def check_with_response(given: Mapping[str, bool]) -> None:
+    """Refuse options of a scene beside --response. Raises UsageError, which names those that were given."""
+    check_scene_options("--response", "a response file contains the complete object", given)
 
 
 def response_files(

@@ -21,7 +21,9 @@ from tagid.result import Result
 if TYPE_CHECKING:
     from tagid.metadata import ObjectInfo
     from tagid.radar.emulation.wires import PtyWire
-    from tagid.simulate import Placement
+    from tagid.simulate import Placement, TurningScene
+
+DEFAULT_SCENE = "helmet-120"
 
 
 def register(app: typer.Typer) -> None:
@@ -52,8 +54,11 @@ def register(app: typer.Typer) -> None:
             None
         ),
         scene: Annotated[
-            str, typer.Option("--scene", help="An enrolled layout, points-3, can, empty ...")
-        ] = "helmet-120",
+            str | None,
+            typer.Option(
+                "--scene", help="An enrolled layout, points-3, can, empty ...", show_default=DEFAULT_SCENE
+            ),
+        ] = None,
         file: options.LayoutFile = None,
         response: response_options.ResponseFile = None,
         polarisation: response_options.Polarisation = None,
@@ -117,7 +122,14 @@ def register(app: typer.Typer) -> None:
         server: Annotated[
             bool, typer.Option("--server", help="Also act as the vendor's server program.")
         ] = False,
-        seed: options.Seed = 0,
+        seed: Annotated[
+            int,
+            typer.Option(
+                "--seed",
+                help="Random seed of the recording and of the object: also where a handle or seam is.",
+                min=0,
+            ),
+        ] = 0,
     ) -> Result:
         """Emulate a P440 on UDP, or on a serial port whose path is printed, until stopped.
 
@@ -130,7 +142,8 @@ def register(app: typer.Typer) -> None:
         from tagid.radar.emulation.firmware import Firmware
         from tagid.radar.emulation.sources import ScanSource
         from tagid.recording.sources import emulated_recording, emulated_scene
-        from tagid.simulate import Acquisition
+        from tagid.simulate import Acquisition, Wobble
+        from tagid.simulate.source import NOISE_INDEX
 
         if truth is not None:
             check_own(truth, is_truth, "a truth file")
@@ -147,28 +160,43 @@ def register(app: typer.Typer) -> None:
                 "--antenna-height-file with --replay or --response: that antenna cannot be moved",
                 "Use --scene.",
             )
+        given = {"--scene": scene is not None, "--file": file is not None, "--body": body is not None}
+        given |= {"--reflector": reflector is not None, "--budget": budget}
+        if files is not None:
+            response_options.check_with_response(given)
+        if replay is not None:
+            given |= {"--elevation": elevation != "0m", "--centre": centre != "0,0"}
+            given |= {"--rotation": rotation != 0, "--wobble": wobble != 0, "--turned-by": bool(turned_by)}
+            given["--cable-delay"] = cable_delay != 0
+            response_options.check_scene_options("--replay", "a recording is sent as it is", given)
         source: ScanSource
         about: ObjectInfo | None = None
+        remark: str | None = None
+        turning: TurningScene | None = None
         if replay is not None:
             source = emulated_recording(Path(replay), loop)
         elif files is not None:
             placed = Acquisition(
-                axis_distance_m=axis_distance, snr_db=snr, placement=_placement(centre, rotation)
+                axis_distance_m=axis_distance,
+                snr_db=snr,
+                placement=_placement(centre, rotation, elevation),
+                wobble=Wobble(speed=wobble),
             )
             turner = TrueAngle(turned_by).at if turned_by else None
             turning = files.turning(placed, rpm, seed, cable_delay * 1e-12, turner)
-            source, about = turning, turning.about()
         else:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
             wanted |= {"cable_delay": cable_delay, "rotation": rotation, "wobble": wobble}
-            given = {key: str(value) for key, value in wanted.items()}
-            given |= {"centre": centre, "elevation": elevation, "budget": "1" if budget else "0"}
+            texts = {key: str(value) for key, value in wanted.items()}
+            texts |= {"centre": centre, "elevation": elevation, "budget": "1" if budget else "0"}
             chosen = {"body": body, "reflector": reflector, "turned_by": turned_by}
             chosen["file"] = None if file is None else str(file)
             chosen["antenna_height_file"] = None if antenna_height_file is None else str(antenna_height_file)
-            given |= {key: text for key, text in chosen.items() if text}
-            turning = emulated_scene(scene, given)
+            texts |= {key: text for key, text in chosen.items() if text}
+            turning = emulated_scene(scene or DEFAULT_SCENE, texts)
+        if turning is not None:
             source, about = turning, turning.about()
+            remark = f"{turning.snr} at integration index {NOISE_INDEX}"
         if truth is not None:
             _write_truth(truth, about)
         core = EmulatorCore(source, firmware=firmware)
@@ -178,7 +206,7 @@ def register(app: typer.Typer) -> None:
         facts: dict[str, Any] = {} if about is None else {"object": about.to_json()}
 
         def listens(url: str, **more: str) -> None:
-            emulate_motion.announce(terminal, "emulate p440", {"url": url, **more, **facts}, run)
+            emulate_motion.announce(terminal, "emulate p440", {"url": url, **more, **facts}, run, remark)
 
         with interrupts.asked_to_stop(stop.set):
             if serial:
@@ -199,13 +227,14 @@ def _address(bind: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def _placement(centre: str, rotation: float) -> Placement:
+def _placement(centre: str, rotation: float, elevation: str) -> Placement:
     import numpy as np
 
     from tagid.cli.common.points import parse_point
-    from tagid.simulate import Placement
+    from tagid.simulate import Placement, parse_elevation
 
-    return Placement(parse_point("--centre", centre), float(np.deg2rad(rotation)))
+    turned = float(np.deg2rad(rotation))
+    return Placement(parse_point("--centre", centre), turned, parse_elevation(elevation))
 
 
 def _pty(framing: str, baud: int, link: Path | None) -> PtyWire:

@@ -170,7 +170,9 @@ def serve(terminal: Terminal, name: str, facts: dict[str, Any]) -> None:
         stop.wait()
 
 
-def announce(terminal: Terminal, name: str, facts: dict[str, Any], command: str) -> None:
+def announce(
+    terminal: Terminal, name: str, facts: dict[str, Any], command: str, remark: str | None = None
+) -> None:
     """Print immediately where an emulator listens, because the user needs it while it runs.
 
     As JSON it is one line; as text the URL is on a line of its own on stdout, the rest on stderr.
@@ -180,6 +182,7 @@ def announce(terminal: Terminal, name: str, facts: dict[str, Any], command: str)
         name: of the command.
         facts: `url` and more.
         command: the next command, with {} for the URL.
+        remark: one more line of text about the object.
     """
     if terminal.output is Output.json:
         sys.stdout.write(json.dumps(Result(name, facts).envelope()) + "\n")
@@ -193,4 +196,6 @@ def announce(terminal: Terminal, name: str, facts: dict[str, Any], command: str)
         for key, value in facts.items():
             if key not in ("url", "truth", "object"):
                 typer.echo(f"{key} {value}", err=True)
+        if remark is not None:
+            typer.echo(remark, err=True)
         typer.echo(f"next, in another terminal: {next_command(str(facts['url']), command)}", err=True)

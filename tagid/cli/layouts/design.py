@@ -162,7 +162,7 @@ class _Asked:
         if self.beside and alternatives(self.target, self.rows, self.rules, self.count):
             return (
                 "The enrolled layouts leave no room: use a larger object, or remove layouts that are not in "
-                "use with `tagid layouts remove`."
+                "use with `tagid layouts --remove NAME`."
             )
         return "Use a larger object: neither fewer reflectors nor a smaller spacing works on this one."
 

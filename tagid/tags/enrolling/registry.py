@@ -23,6 +23,12 @@ from tagid.tags.verdicts.verdict import NO_NAMES
 APPLICATION_ID = 0x74616764
 """Application id in the sqlite header (offset 68): "tagd"."""
 MAX_DEFINITION = 64 * 1024
+_COMMANDS = {
+    "body": ("tagid bodies show {}", "tagid bodies --remove {}"),
+    "object": ("tagid bodies show {} --object", "tagid layouts --remove {}"),
+    "layout": ("tagid layouts show {}", "tagid layouts --remove {}"),
+}
+"""How an entry of each kind is shown, and removed."""
 
 _MIGRATIONS = (
     # 1: the layouts now, and the log of changes; a change's number is the registry's version.
@@ -472,11 +478,19 @@ class Registry:
             ) from None
 
     def _missing(self, name: str, kind: str = "layout") -> RegistryError:
-        table = "layout" if kind == "layout" else "signature WHERE kind = ?1"
+        """The error for a name that no entry of this kind has; it says which kind has it, if one does."""
         with self._database.connection() as connection:
-            rows = connection.execute(f"SELECT name, ?1 FROM {table} ORDER BY name", (kind,)).fetchall()
-        names = ", ".join(str(row[0])[:80] for row in rows)
-        return RegistryError(f"no {kind} is named {name[:80]!r}", f"Enrolled: {names or 'none'}.")
+            entries = list(self._entries(connection))
+        shown = name[:80]
+        other = next((k for k in ("body", "object", "layout") if k != kind and (k, name) in entries), None)
+        if other is not None:
+            show, remove = _COMMANDS[other]
+            return RegistryError(
+                f"no {kind} is named {shown!r}, but {_article(other)} is",
+                f"Show it with `{show.format(shown)}`, or remove it with `{remove.format(shown)}`.",
+            )
+        names = ", ".join(sorted(str(key[1])[:80] for key in entries if key[0] == kind))
+        return RegistryError(f"no {kind} is named {shown!r}", f"Enrolled: {names or 'none'}.")
 
 
 def _article(kind: str) -> str:
