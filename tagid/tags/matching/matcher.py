@@ -29,6 +29,7 @@ from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.heights import without_bodies
 from tagid.tags.matching.on_shell import on_shell
 from tagid.tags.matching.reading import LayoutScore, Reading
+from tagid.tags.matching.refused import attributed
 from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.hidden import HiddenSectors, hidden_sectors
@@ -181,7 +182,7 @@ class MatchedScan:
         contest = self._settings.contest
         settled = settle(bare, self.scans, self._layouts, self._enrolled, contest, direction_known=known)
         if not known:
-            return settled
+            return attributed(settled, contest)
         passed = settled.kind is Kind.ROUND and settled.body is not None and settled.body.through
         if settled.status == "identified" and passed:
             # A helmet's shell passes for a glass beside some arrangements.
@@ -192,7 +193,8 @@ class MatchedScan:
             named = self._beside_transparent(settled, settled.body)
         else:
             named = self._cleared_of(settled)
-        return named or on_shell(settled, self.scans, self._layouts, contest) or settled
+        last = named or on_shell(settled, self.scans, self._layouts, contest) or settled
+        return attributed(last, contest)
 
     def _cleared_of(self, settled: Reading) -> Reading | None:
         """The name that `cleared` finds, with the other hypotheses; None for none."""
