@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tagid.cli.common.imaging import HYPOTHESES, hypothesis_words
 from tagid.errors import FileFormatError, RegistryError
 from tagid.pipeline.answer import Identification
-from tagid.pipeline.identify import aspect_spectra, identify, without_body
+from tagid.pipeline.identify import _looked_at_again, aspect_spectra, identify, without_body
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.settings import ImagingSettings
 from tagid.tags.bodies import joint
@@ -164,6 +164,28 @@ def test_a_refusal_is_not_attributed_to_a_body_that_alone_explains_little() -> N
     assert reading is not None and reading.status == "unknown" and reading.body is not None
     bare = replace(reading, kind=Kind.BARE)
     assert attributed(bare, ContestSettings()) is bare
+
+
+def test_the_image_is_looked_at_without_the_body(mug: Signature) -> None:
+    """In that of the whole mug the network sees its handle, and none of the reflectors."""
+    answer = read(MUG.plus(TAG), mug)
+    assert answer.second is not None and answer.second.disagrees == ""
+    assert min(one.probability for one in answer.second.opinions) > 0.5
+    assert answer.to_dict()["note"] == ""
+
+
+def test_the_answer_says_where_the_image_contradicts_a_name() -> None:
+    named = read(TAG).reading
+    assert named is not None and named.status == "identified" and named.note == ""
+    where = {"centre": 0.004 - 0.004j, "rotation": 1.0, "views": 36}
+    elsewhere = PreparedCapture(capture(ring(10, 280), 50, **where))  # type: ignore[arg-type]
+    reading, second = _looked_at_again(elsewhere, replace(named, note="first"))
+    assert second is not None and reading.layout == named.layout
+    assert reading.note == "first; the image does not show its reflectors"
+    more = PreparedCapture(capture(TAG.plus(ring(325)), 50, **where))  # type: ignore[arg-type]
+    assert "that it does not have" in _looked_at_again(more, named)[0].note
+    refused = replace(named, status="unknown")
+    assert _looked_at_again(elsewhere, refused)[0] is refused
 
 
 def test_the_hypothesis_that_won_is_put_in_words(mug: Signature, tagged: Signature) -> None:
