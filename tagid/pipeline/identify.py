@@ -15,7 +15,8 @@ from tagid.imaging.preprocess import PreprocessSettings
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.coverage import of_the_part
 from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved
-from tagid.pipeline.settings import ImagingSettings, Stopwatch
+from tagid.pipeline.reading import reader_settings
+from tagid.pipeline.settings import ImagingSettings, Stopwatch, TagPriors
 
 if TYPE_CHECKING:
     from tagid.tags.bodies.body_reading import BodyReading
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from tagid.tags.bodies.spectra import Spectra
     from tagid.tags.enrolling.averaging import Sighting
     from tagid.tags.layouts.layout import Layout
-    from tagid.tags.matching.matcher import ReaderSettings
     from tagid.tags.matching.reading import Reading
     from tagid.tags.network.second_look import SecondLook
 
@@ -68,7 +68,7 @@ def identify(
     scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
     with watch.stage("read"):
         enrolled = enrolled_hypotheses(prepared.given, signatures, prepared.settings)
-        reading = read_tag(scans, layouts, _reader_settings(prepared.settings, spent), enrolled)
+        reading = read_tag(scans, layouts, reader_settings(prepared.settings, spent), enrolled)
         reading = of_the_part(reading, prepared.given)
     with watch.stage("look again"):
         reading, second = _looked_at_again(prepared, reading)
@@ -119,7 +119,7 @@ def identify_together(
         _check_views(one)
     recordings = [one.scans(settings.preprocessing(matched_filter=False)) for one in prepared]
     with watch.stage("read"):
-        joint, alone = read_together(recordings, layouts, _reader_settings(settings))
+        joint, alone = read_together(recordings, layouts, reader_settings(settings))
     labels = {layout.name: layout.label for layout in layouts}
     with watch.stage("look again"):
         looked = [_looked_at_again(one, reading) for reading, one in zip(alone, prepared, strict=True)]
@@ -206,11 +206,14 @@ def _check_views(prepared: PreparedCapture) -> None:
 
 
 def _looked_at_again(prepared: PreparedCapture, reading: Reading) -> tuple[Reading, SecondLook | None]:
-    """The reading, with a note where the image says otherwise than its name, and what the network says."""
+    """The reading, with a note on what speaks against its name or its bound, and what the network says."""
     second = _second_look(prepared, reading)
-    if second is None or not second.disagrees or reading.status != "identified":
+    if reading.status != "identified":
         return reading, second
-    return replace(reading, note="; ".join(filter(None, (reading.note, second.disagrees)))), second
+    notes = [reading.note, "" if second is None else second.disagrees]
+    if reading.bound is not None and prepared.settings.priors != TagPriors():
+        notes.append("the bound on false accept was calibrated with the default priors (tags.*_m)")
+    return replace(reading, note="; ".join(filter(None, notes))), second
 
 
 def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | None:
@@ -230,13 +233,3 @@ def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | No
         prepared = PreparedCapture(subtract.without_body(prepared.capture, body), known)
     matched = PreprocessSettings(prepared.settings.background, matched_filter=True, extent_m=GRID.extent)
     return look_again(prepared.scans(matched), reading.reflectors, reading.offset_m)
-
-
-def _reader_settings(settings: ImagingSettings, spent: float = 0.0) -> ReaderSettings:
-    from tagid.tags.matching.contest_settings import ContestSettings
-    from tagid.tags.matching.matcher import ReaderSettings
-    from tagid.tags.reading.decision import DecisionSettings
-
-    left = settings.false_accept * (1 - spent)
-    decision, contest = DecisionSettings(false_accept=left), ContestSettings(false_accept=left)
-    return ReaderSettings(decision=decision, contest=contest, direction_known=settings.direction_known)

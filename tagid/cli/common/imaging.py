@@ -67,7 +67,7 @@ def settings_from(config: Config, background: str = "mean", focus: bool = True) 
     """Imaging settings of the configuration and the command line."""
     from tagid.imaging.ats.options import parse_settings
     from tagid.imaging.ats.settings import AtsSettings
-    from tagid.pipeline.settings import ImagingSettings
+    from tagid.pipeline.settings import ImagingSettings, TagPriors
 
     if background not in ("mean", "median", "reference", "none"):
         raise UsageError(f"--background is {background!r}", "Use mean, median, reference or none.")
@@ -81,6 +81,13 @@ def settings_from(config: Config, background: str = "mean", focus: bool = True) 
         focus_m=None if focus else 0.0,
         false_accept=config["tags.false_accept"],
         direction_known=config["tags.direction"] == "known",
+        priors=TagPriors(
+            centre_sigma_m=config["tags.centre_sigma_m"],
+            radius_sigma_m=config["tags.radius_sigma_m"],
+            radius_inside_m=config["tags.radius_inside_m"],
+            radius_outside_m=config["tags.radius_outside_m"],
+            offset_range_m=config["tags.offset_range_m"],
+        ),
         pulse=config["imaging.pulse"],
         ats=AtsSettings(**parse_settings([config["imaging.ats"]])),
     )
