@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import shutil
 import sqlite3
 from dataclasses import replace
@@ -11,8 +12,9 @@ import numpy as np
 import pytest
 from bodies_synthetic import MUG, TAG, Thing, capture, ring
 from numpy.typing import NDArray
+from rich.console import Console
 
-from tagid.cli.common.imaging import HYPOTHESES, hypothesis_words
+from tagid.cli.common.imaging import HYPOTHESES, describe, hypothesis_words
 from tagid.errors import FileFormatError, RegistryError
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import _looked_at_again, aspect_spectra, identify, without_body
@@ -182,6 +184,12 @@ def test_the_answer_says_where_the_image_contradicts_a_name() -> None:
     reading, second = _looked_at_again(elsewhere, replace(named, note="first"))
     assert second is not None and reading.layout == named.layout
     assert reading.note == "first; the image does not show its reflectors"
+    # On the screen it stands before the bound, which takes five lines.
+    printed = io.StringIO()
+    answer = Identification(reading.status, reading, None, 1, second=second)
+    Console(file=printed, width=80).print(describe(answer, "x.h5"))
+    lines = printed.getvalue().splitlines()
+    assert lines[1].startswith("  read as: ") and lines[2].startswith("  note: first; the image")
     more = PreparedCapture(capture(TAG.plus(ring(325)), 50, **where))  # type: ignore[arg-type]
     assert "that it does not have" in _looked_at_again(more, named)[0].note
     refused = replace(named, status="unknown")

@@ -427,12 +427,12 @@ def describe(answer: Identification, name: str) -> RenderableType:
                 lines.append(Text(f"  {'otherwise' if answer.causes else 'what to do'}: {reading.advice}"))
         if words := hypothesis_words(reading):
             lines.append(Text(f"  read as: {words}"))
+        if reading.note:
+            lines.append(Text(f"  note: {reading.note}"))
         if reading.bound is not None:
             lines.append(Text(f"  {bound_words(reading.bound)}"))
         elif reading.status == "identified":
             lines.append(Text("  no bound on false accept: answers of this kind are not calibrated"))
-        if reading.note:
-            lines.append(Text(f"  note: {reading.note}"))
         if reading.layout:
             x, y = (value * 1e3 for value in reading.centre_m)
             lines.append(
