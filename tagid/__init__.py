@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from tagid.pipeline.reconstruct import Reconstruction as Reconstruction
     from tagid.pipeline.reconstruct import reconstruct as reconstruct
     from tagid.pipeline.settings import ImagingSettings as ImagingSettings
+    from tagid.pipeline.settings import TagPriors as TagPriors
     from tagid.radar.assembler import Scan as Scan
     from tagid.radar.assembler import Statistics as Statistics
     from tagid.radar.links import Link as Link
@@ -119,6 +120,7 @@ _HOMES = {
     "Reconstruction": "tagid.pipeline.reconstruct",
     "reconstruct": "tagid.pipeline.reconstruct",
     "ImagingSettings": "tagid.pipeline.settings",
+    "TagPriors": "tagid.pipeline.settings",
     "RecordingPlan": "tagid.recording.plan",
     "open_radar": "tagid.recording.radars",
     "record": "tagid.recording.recorder",

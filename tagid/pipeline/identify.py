@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,15 +15,16 @@ from tagid.imaging.preprocess import PreprocessSettings
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.coverage import of_the_part
 from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved
-from tagid.pipeline.settings import ImagingSettings, Stopwatch
+from tagid.pipeline.reading import reader_settings
+from tagid.pipeline.settings import ImagingSettings, Stopwatch, TagPriors
 
 if TYPE_CHECKING:
+    from tagid.tags.bodies.body_reading import BodyReading
     from tagid.tags.bodies.hypothesis import Enrolled
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.bodies.spectra import Spectra
     from tagid.tags.enrolling.averaging import Sighting
     from tagid.tags.layouts.layout import Layout
-    from tagid.tags.matching.matcher import ReaderSettings
     from tagid.tags.matching.reading import Reading
     from tagid.tags.network.second_look import SecondLook
 
@@ -66,10 +68,10 @@ def identify(
     scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
     with watch.stage("read"):
         enrolled = enrolled_hypotheses(prepared.given, signatures, prepared.settings)
-        reading = read_tag(scans, layouts, _reader_settings(prepared.settings, spent), enrolled)
+        reading = read_tag(scans, layouts, reader_settings(prepared.settings, spent), enrolled)
         reading = of_the_part(reading, prepared.given)
     with watch.stage("look again"):
-        second = _second_look(prepared, reading)
+        reading, second = _looked_at_again(prepared, reading)
     labels = {one.name: one.label for one in signatures if one.kind == "object"}
     labels |= {layout.name: layout.label for layout in layouts}
     label = labels.get(reading.layout or "", "")
@@ -84,12 +86,18 @@ def without_body(prepared: PreparedCapture, answer: Identification) -> PreparedC
     Returns the capture unchanged if no body hypothesis was selected.
     """
     from tagid.tags.bodies import subtract
+
+    body = None if answer.reading is None else _selected_body(answer.reading)
+    if body is None:
+        return prepared
+    return PreparedCapture(subtract.without_body(prepared.given, body), prepared.settings)
+
+
+def _selected_body(reading: Reading) -> BodyReading | None:
+    """The body whose echo is no part of the tag; None if no body hypothesis was selected."""
     from tagid.tags.bodies.hypothesis import Kind
 
-    reading = answer.reading
-    if reading is None or reading.body is None or reading.kind is Kind.BARE:
-        return prepared
-    return PreparedCapture(subtract.without_body(prepared.given, reading.body), prepared.settings)
+    return None if reading.kind is Kind.BARE else reading.body
 
 
 def identify_together(
@@ -111,10 +119,10 @@ def identify_together(
         _check_views(one)
     recordings = [one.scans(settings.preprocessing(matched_filter=False)) for one in prepared]
     with watch.stage("read"):
-        joint, alone = read_together(recordings, layouts, _reader_settings(settings))
+        joint, alone = read_together(recordings, layouts, reader_settings(settings))
     labels = {layout.name: layout.label for layout in layouts}
     with watch.stage("look again"):
-        seconds = [_second_look(one, reading) for reading, one in zip(alone, prepared, strict=True)]
+        looked = [_looked_at_again(one, reading) for reading, one in zip(alone, prepared, strict=True)]
     for one in prepared:
         watch.add(one.watch)
 
@@ -122,9 +130,9 @@ def identify_together(
         label, spent = labels.get(reading.layout or "", ""), dict(watch.seconds)
         return Identification(reading.status, reading, uuid, registry_version, label, spent, second=second)
 
-    each = [answer(r, c.uuid, second) for r, c, second in zip(alone, captures, seconds, strict=True)]
+    each = [answer(r, c.uuid, second) for (r, second), c in zip(looked, captures, strict=True)]
     only = len(captures) == 1
-    return answer(joint, captures[0].uuid if only else None, seconds[0] if only else None), each
+    return answer(joint, captures[0].uuid if only else None, looked[0][1] if only else None), each
 
 
 def enrolled_hypotheses(
@@ -197,22 +205,31 @@ def _check_views(prepared: PreparedCapture) -> None:
     check_moved(prepared.given)
 
 
+def _looked_at_again(prepared: PreparedCapture, reading: Reading) -> tuple[Reading, SecondLook | None]:
+    """The reading, with a note on what speaks against its name or its bound, and what the network says."""
+    second = _second_look(prepared, reading)
+    if reading.status != "identified":
+        return reading, second
+    notes = [reading.note, "" if second is None else second.disagrees]
+    if reading.bound is not None and prepared.settings.priors != TagPriors():
+        notes.append("the bound on false accept was calibrated with the default priors (tags.*_m)")
+    return replace(reading, note="; ".join(filter(None, notes))), second
+
+
 def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | None:
-    """The network's result for the backprojection, on its own grid; None for free antenna positions."""
+    """The network's result for the backprojection without the body's echo, on its own grid.
+
+    None for free antenna positions.
+    """
+    from tagid.tags.bodies import subtract
     from tagid.tags.network.planes import GRID
     from tagid.tags.network.second_look import look_again
 
     if prepared.given.angles_rad is None:
         return None
+    if (body := _selected_body(reading)) is not None:
+        # The pulse is chosen already.
+        known = replace(prepared.settings, pulse="auto")
+        prepared = PreparedCapture(subtract.without_body(prepared.capture, body), known)
     matched = PreprocessSettings(prepared.settings.background, matched_filter=True, extent_m=GRID.extent)
     return look_again(prepared.scans(matched), reading.reflectors, reading.offset_m)
-
-
-def _reader_settings(settings: ImagingSettings, spent: float = 0.0) -> ReaderSettings:
-    from tagid.tags.matching.contest_settings import ContestSettings
-    from tagid.tags.matching.matcher import ReaderSettings
-    from tagid.tags.reading.decision import DecisionSettings
-
-    left = settings.false_accept * (1 - spent)
-    decision, contest = DecisionSettings(false_accept=left), ContestSettings(false_accept=left)
-    return ReaderSettings(decision=decision, contest=contest, direction_known=settings.direction_known)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,16 +10,27 @@ import pytest
 from any_evidence import ANY, SETTINGS
 
 from tagid.capture import Capture
-from tagid.cli.common.imaging import bound_words
+from tagid.cli.common.imaging import bound_words, settings_from
+from tagid.config import load_config
 from tagid.constants import SPEED_OF_LIGHT
-from tagid.errors import ModelError
+from tagid.errors import ModelError, UsageError
 from tagid.geometry import Aperture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
-from tagid.pipeline.settings import ImagingSettings
+from tagid.pipeline.reading import reader_settings
+from tagid.pipeline.settings import ImagingSettings, TagPriors
+from tagid.simulate import (
+    Acquisition,
+    Placement,
+    parse_body,
+    parse_reflector,
+    scene_on_body,
+    simulate_capture,
+)
 from tagid.simulate.noise import NoiseShape, draw_noise
+from tagid.simulate.scene import Scene
 from tagid.tags.bodies import reader
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg, merged, resolution_deg
 from tagid.tags.bodies.body_reading import BodySettings
@@ -401,6 +412,60 @@ def test_early_looks_leave_a_name_on_a_body_the_rest_of_the_setting() -> None:
     assert most.bound.false_accept == pytest.approx((1 - SPENT) * ImagingSettings().false_accept)
     # A quarter is less than the calibration objects can bear out.
     assert (quarter.status, quarter.code) == ("unknown", Code.UNCALIBRATED)
+
+
+def test_the_default_priors_are_those_of_the_calibration() -> None:
+    stored = settings_from(load_config({}))
+    assert stored.priors == TagPriors()
+    usual, made = ReaderSettings(), reader_settings(stored)
+    assert made.search == usual.search
+    assert made.contest.body == usual.contest.body and made.contest.decision == usual.contest.decision
+
+
+def test_priors_are_set_by_the_user() -> None:
+    values = {
+        "tags.centre_sigma_m": 0.02,
+        "tags.radius_sigma_m": 0.004,
+        "tags.radius_inside_m": 0.01,
+        "tags.radius_outside_m": 0.005,
+        "tags.offset_range_m": 0.05,
+    }
+    made = reader_settings(settings_from(load_config(values)))
+    assert made.contest.body.priors == Priors(0.02, 0.004, -0.01, 0.005)
+    offsets = np.array(made.search.offsets_m)
+    # The refinement goes one step beyond the outermost.
+    assert offsets[-1] + np.diff(offsets)[-1] == pytest.approx(0.05) and np.diff(offsets).max() < 0.009
+
+
+@pytest.mark.parametrize("name", [each.name for each in fields(TagPriors)])
+@pytest.mark.parametrize("value", [-0.01, 0.06, np.nan])
+def test_priors_have_bounds(name: str, value: float) -> None:
+    with pytest.raises(UsageError, match=name):
+        TagPriors(**{name: value})
+
+
+def test_a_can_far_off_the_axis_is_named_by_who_expects_it_there() -> None:
+    scene = scene_on_body("container-90", parse_body("can:35mm"), parse_reflector("octahedron"))
+    acquisition = Acquisition(views=72, snr_db=20.0, placement=Placement((0.018, 0.0), 0.0))
+    capture, _ = simulate_capture(scene, acquisition, seed=7)
+    usual = identify(capture, LAYOUTS, ImagingSettings()).reading
+    assert usual is not None and (usual.status, usual.code) == ("unknown", Code.OFF_CENTRE)
+    told = ImagingSettings(priors=TagPriors(centre_sigma_m=0.02))
+    reading = identify(capture, LAYOUTS, told).reading
+    assert reading is not None and (reading.status, reading.layout) == ("identified", "container-90")
+    assert abs(complex(*reading.centre_m) - 0.018) < 0.002
+    assert "calibrated with the default priors" in reading.note
+
+
+def test_the_range_offset_is_searched_as_far_as_it_is_stated() -> None:
+    scene = Scene.of_points(builtin_layouts()["container-90"].positions)
+    acquisition = Acquisition(views=36, snr_db=20.0, axis_distance_error_m=0.035)
+    capture, _ = simulate_capture(scene, acquisition, seed=7)
+    usual = identify(capture, LAYOUTS, ImagingSettings()).reading
+    told = ImagingSettings(priors=TagPriors(offset_range_m=0.045))
+    wider = identify(capture, LAYOUTS, told).reading
+    assert usual is not None and abs(usual.offset_m) <= 0.024 + 1e-9
+    assert wider is not None and wider.offset_m == pytest.approx(-0.035, abs=0.006)
 
 
 def test_every_code_has_advice() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import shutil
 import sqlite3
 from dataclasses import replace
@@ -10,10 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bodies_synthetic import MUG, TAG, Thing, capture, ring
+from numpy.typing import NDArray
+from rich.console import Console
 
+from tagid.cli.common.imaging import HYPOTHESES, describe, hypothesis_words
 from tagid.errors import FileFormatError, RegistryError
 from tagid.pipeline.answer import Identification
-from tagid.pipeline.identify import aspect_spectra, identify
+from tagid.pipeline.identify import _looked_at_again, aspect_spectra, identify, without_body
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.settings import ImagingSettings
 from tagid.tags.bodies import joint
 from tagid.tags.bodies.enrolled import (
     EnrolledBody,
@@ -34,6 +40,7 @@ from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.matching.contest import _contested
 from tagid.tags.matching.contest_settings import ContestSettings
+from tagid.tags.matching.refused import attributed
 from tagid.tags.verdicts.verdict import Code
 
 GOLDEN = Path(__file__).parents[1] / "data" / "registry-v1.sqlite"
@@ -109,6 +116,103 @@ def test_an_enrolled_object_is_named_as_a_whole(mug: Signature, tagged: Signatur
         assert answer.status != "identified" or answer.reading.layout != "mug-7"  # type: ignore[union-attr]
     twin = replace(tagged, name="mug-8")
     assert read(MUG.plus(TAG), tagged, twin).status == "ambiguous"
+
+
+def test_an_enrolled_object_lists_the_reflectors_measured_on_its_body(
+    mug: Signature, tagged: Signature
+) -> None:
+    """They are those of the reading on the body that was fitted beside it."""
+    reading = read(MUG.plus(TAG), mug, tagged).reading
+    assert reading is not None and reading.kind is Kind.OBJECT
+    assert reading.body is not None and reading.body.body.name == "mug"
+    places = np.array([0.004 - 0.004j + point * np.exp(1j) for point in TAG.points])
+    found = np.array([complex(one.x_m, one.y_m) for one in reading.reflectors])
+    assert len(found) == 2 and all(one.matched for one in reading.reflectors)
+    assert np.abs(found[:, None] - places).min(axis=1).max() < 0.003
+    # Without the mug one reflector stands for its handle: the wall is fitted, and nothing is listed.
+    alone = read(MUG.plus(TAG), tagged).reading
+    assert alone is not None and alone.kind is Kind.OBJECT and alone.reflectors == ()
+    assert alone.body is not None and alone.body.body.name == ""
+
+
+def test_the_picture_of_an_enrolled_object_goes_without_its_body(mug: Signature, tagged: Signature) -> None:
+    taken = capture(MUG.plus(TAG), 50, centre=0.004 - 0.004j, rotation=1.0, views=36)
+    answer = identify(taken, LAYOUTS, None, 1, (mug, tagged))
+    shown = without_body(PreparedCapture(taken, ImagingSettings()), answer).given
+
+    def moving(samples: NDArray[np.floating]) -> float:
+        return float(((samples - samples.mean(axis=0)) ** 2).sum())
+
+    tag = moving(capture(TAG, 50, centre=0.004 - 0.004j, rotation=1.0, views=36).samples)
+    assert moving(taken.samples) > 5 * tag and moving(shown.samples) < 1.3 * tag
+
+
+@pytest.mark.parametrize("seed", [50, 51])
+def test_a_refused_tag_on_a_round_body_is_attributed_to_it(seed: int) -> None:
+    """Points on the wall explain most of its echo, but the body with reflectors far more."""
+    odd = ring(0, 71, 207)
+    reading = read(Thing((), (), wall=20.0).plus(odd), seed=seed).reading
+    assert reading is not None and (reading.status, reading.kind) == ("unknown", Kind.ROUND)
+    assert reading.code is Code.MISSING  # what points without a body are refused for
+    places = np.array([0.004 - 0.004j + point * np.exp(1j) for point in odd.points])
+    found = np.array([complex(one.x_m, one.y_m) for one in reading.reflectors])
+    assert len(found) == 3 and np.abs(found[:, None] - places).min(axis=1).max() < 0.003
+    won = reading.explained_by
+    assert won is not None and won.kind is Kind.ROUND and won.left < 0.02
+
+
+def test_a_refusal_is_not_attributed_to_a_body_that_alone_explains_little() -> None:
+    reading = read(ring(0, 71, 207)).reading
+    assert reading is not None and reading.status == "unknown" and reading.body is not None
+    bare = replace(reading, kind=Kind.BARE)
+    assert attributed(bare, ContestSettings()) is bare
+
+
+def test_the_image_is_looked_at_without_the_body(mug: Signature) -> None:
+    """In that of the whole mug the network sees its handle, and none of the reflectors."""
+    answer = read(MUG.plus(TAG), mug)
+    assert answer.second is not None and answer.second.disagrees == ""
+    assert min(one.probability for one in answer.second.opinions) > 0.5
+    assert answer.to_dict()["note"] == ""
+
+
+def test_the_answer_says_where_the_image_contradicts_a_name() -> None:
+    named = read(TAG).reading
+    assert named is not None and named.status == "identified" and named.note == ""
+    where = {"centre": 0.004 - 0.004j, "rotation": 1.0, "views": 36}
+    elsewhere = PreparedCapture(capture(ring(10, 280), 50, **where))  # type: ignore[arg-type]
+    reading, second = _looked_at_again(elsewhere, replace(named, note="first"))
+    assert second is not None and reading.layout == named.layout
+    assert reading.note == "first; the image does not show its reflectors"
+    # On the screen it stands before the bound, which takes five lines.
+    printed = io.StringIO()
+    answer = Identification(reading.status, reading, None, 1, second=second)
+    Console(file=printed, width=80).print(describe(answer, "x.h5"))
+    lines = printed.getvalue().splitlines()
+    assert lines[1].startswith("  read as: ") and lines[2].startswith("  note: first; the image")
+    more = PreparedCapture(capture(TAG.plus(ring(325)), 50, **where))  # type: ignore[arg-type]
+    assert "that it does not have" in _looked_at_again(more, named)[0].note
+    refused = replace(named, status="unknown")
+    assert _looked_at_again(elsewhere, refused)[0] is refused
+
+
+def test_the_hypothesis_that_won_is_put_in_words(mug: Signature, tagged: Signature) -> None:
+    """Its body's centre and what it leaves, for names and refusals alike, on one line of 80 columns."""
+
+    def words(thing: Thing, *signatures: Signature) -> str:
+        reading = read(thing, *signatures).reading
+        assert reading is not None
+        return hypothesis_words(reading)
+
+    assert words(MUG.plus(TAG), mug) == "a tag on the body mug, centre (1, -3) mm, 0.0 % unexplained"
+    assert words(MUG, mug) == "the body mug without a tag, centre (1, -3) mm, 0.0 % unexplained"
+    assert words(MUG.plus(TAG), tagged) == "an enrolled object, centre (1, -3) mm, 0.0 % unexplained"
+    refused = words(Thing((), (), wall=20.0).plus(ring(0, 71, 207)))
+    assert refused == "a tag on a round body, centre (3, -4) mm, 0.6 % unexplained"
+    # A name states the centre of its layout; without a body there is no other.
+    assert words(TAG) == "a tag without a body, 1.2 % unexplained"
+    longest = max(HYPOTHESES.values(), key=len)
+    assert len(f"  read as: {longest}, centre (-12, -12) mm, 9.9 % unexplained") <= 80
 
 
 @pytest.mark.parametrize("seed", [50, 51, 52])

@@ -67,6 +67,10 @@ def test_points_name_a_tag_on_a_crate(
     assert (found.status, found.layout, found.kind) == ("identified", wanted, Kind.BODY)
     assert found.body is not None and found.body.body.name == "crate"
     assert found.bound is not None and found.bound.objects > 0
+    # The points beside the body won, not the layout on it that was refused.
+    won = found.explained_by
+    assert won is not None and (won.kind, won.name, won.layout) == (Kind.BODY, "crate", wanted)
+    assert won.beyond_body is not None and won.left < won.beyond_body < 0.1
     centre = complex(*found.centre_m)
     one, other = (complex(r.x_m, r.y_m) - centre for r in found.reflectors[:2])
     apart = abs(np.rad2deg(np.angle(other / one)))

@@ -47,6 +47,11 @@ def test_unset_gives_the_default_back_and_keeps_the_rest() -> None:
         ("motion.axis_distance_m", "nan"),
         ("motion.axis_distance_m", "0"),
         ("imaging.method", "magic"),
+        ("tags.centre_sigma_m", "0"),
+        ("tags.radius_sigma_m", "12"),
+        ("tags.radius_inside_m", "-0.01"),
+        ("tags.radius_outside_m", "27"),
+        ("tags.offset_range_m", "nan"),
         ("no.such", "1"),
     ],
 )

@@ -75,6 +75,8 @@ def test_a_tag_is_named_from_the_views_that_show_it() -> None:
             noted += 1
             assert 75 <= reading.hidden_deg <= 180 and "hides a reflector" in reading.note
             assert reading.bound is not None
+            won = reading.explained_by
+            assert won is not None and won.layout == "container-90" and won.left < 0.2
     assert noted >= 1
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tagid.storage.history import History
     from tagid.tags.bodies.calibration import Bound
     from tagid.tags.enrolling.registry import Registry
+    from tagid.tags.matching.reading import Reading
 
 
 def open_registry() -> Registry:
@@ -66,7 +67,7 @@ def settings_from(config: Config, background: str = "mean", focus: bool = True) 
     """Imaging settings of the configuration and the command line."""
     from tagid.imaging.ats.options import parse_settings
     from tagid.imaging.ats.settings import AtsSettings
-    from tagid.pipeline.settings import ImagingSettings
+    from tagid.pipeline.settings import ImagingSettings, TagPriors
 
     if background not in ("mean", "median", "reference", "none"):
         raise UsageError(f"--background is {background!r}", "Use mean, median, reference or none.")
@@ -80,6 +81,13 @@ def settings_from(config: Config, background: str = "mean", focus: bool = True) 
         focus_m=None if focus else 0.0,
         false_accept=config["tags.false_accept"],
         direction_known=config["tags.direction"] == "known",
+        priors=TagPriors(
+            centre_sigma_m=config["tags.centre_sigma_m"],
+            radius_sigma_m=config["tags.radius_sigma_m"],
+            radius_inside_m=config["tags.radius_inside_m"],
+            radius_outside_m=config["tags.radius_outside_m"],
+            offset_range_m=config["tags.offset_range_m"],
+        ),
         pulse=config["imaging.pulse"],
         ats=AtsSettings(**parse_settings([config["imaging.ats"]])),
     )
@@ -336,7 +344,7 @@ HYPOTHESES = {
     "bare": "a tag without a body",
     "round": "a tag on a round body",
     "shell": "a tag on a helmet shell",
-    "box": "a tag in or on a box of thin walls",
+    "box": "a tag in or on a thin box",
     "body": "a tag on an enrolled body",
     "object": "an enrolled object",
 }
@@ -364,6 +372,30 @@ def bound_words(bound: Bound) -> str:
     return f"{words}, from {bound.objects} calibration objects ({bound.stratum}): {bound.population}"
 
 
+def hypothesis_words(reading: Reading) -> str:
+    """The hypothesis that won, its body's centre and the share of the moving echo that it leaves unexplained.
+
+    Empty where the scans hold no echo that any hypothesis could explain.
+    """
+    from tagid.tags.bodies.hypothesis import Kind
+
+    kind, won = reading.kind, reading.explained_by
+    if kind is Kind.BARE and reading.status == "no_tag":
+        return ""
+    words = HYPOTHESES[kind]
+    if won is None:
+        return words
+    if kind is Kind.NO_TAG and won.name:
+        words = "an enrolled body without a tag"
+    if won.name and kind is not Kind.OBJECT:
+        words = words.replace("an enrolled body", f"the body {won.name}")
+    x, y = (round(value * 1e3) for value in won.pose.centre_m)
+    # A layout without a body has a centre of its own, which a name states with its rotation.
+    where = "" if kind is Kind.BARE else f", centre ({x}, {y}) mm"
+    percent = 100 * won.left
+    return f"{words}{where}, {percent:.{0 if percent >= 9.95 else 1}f} % unexplained"
+
+
 def nearest_words(answer: Identification) -> str:
     """The nearest layout, and the share of the echo that it explains, if compared."""
     nearest = answer.to_dict()["nearest"]
@@ -375,8 +407,6 @@ def describe(answer: Identification, name: str) -> RenderableType:
     """The answer as text: one bold line, then the details."""
     from rich.console import Group
     from rich.text import Text
-
-    from tagid.tags.bodies.hypothesis import Kind
 
     colours = {"identified": "bold green", "failed": "bold red"}
     style = colours.get(answer.status, "bold yellow")
@@ -395,14 +425,14 @@ def describe(answer: Identification, name: str) -> RenderableType:
                 lines.append(Text(f"  what to do: {cause.remedy}"))
             if all(cause.code != reading.code.value for cause in answer.causes):
                 lines.append(Text(f"  {'otherwise' if answer.causes else 'what to do'}: {reading.advice}"))
-        if reading.kind is not Kind.BARE:
-            lines.append(Text(f"  read as: {HYPOTHESES[reading.kind]}"))
+        if words := hypothesis_words(reading):
+            lines.append(Text(f"  read as: {words}"))
+        if reading.note:
+            lines.append(Text(f"  note: {reading.note}"))
         if reading.bound is not None:
             lines.append(Text(f"  {bound_words(reading.bound)}"))
         elif reading.status == "identified":
             lines.append(Text("  no bound on false accept: answers of this kind are not calibrated"))
-        if reading.note:
-            lines.append(Text(f"  note: {reading.note}"))
         if reading.layout:
             x, y = (value * 1e3 for value in reading.centre_m)
             lines.append(

@@ -26,8 +26,8 @@ FLAT_M, EDGE_M = 0.24, 0.42
 """The range window about the axis is flat to the first and ends at the second distance: an object of 0.13 m
 radius, its creeping waves and double bounces, and a range offset of 0.05 m lie in the flat part."""
 LEVEL_ERROR = 0.12
-"""Relative standard deviation of the noise's level: 0.13 over 48 recordings of our simulator with noise that is
-partly coloured, 0.06 of it from chance in what it was compared with."""
+"""Relative standard deviation of the noise's level: 0.13 over 48 recordings of our simulator with noise that
+is partly coloured, 0.06 of it from chance in what it was compared with."""
 _LONGEST_M = 0.15
 """Delays of a response are looked for up to this, one way, m."""
 

@@ -259,8 +259,10 @@ def _against_bodies(
     bare = replace(bare, hypotheses=tuple(sorted(explanations, key=lambda e: e.left)))
     if objects:
         whole = decide_object(objects, settings.objects)
+        fitted = min((r for r, _ in readings), key=lambda r: r.least)
+        shown = fitted if _shows(known, fitted, settings) else None
         if whole.status == "identified":
-            return on_object(bare, objects[0], passed, settings.objects.second)
+            return on_object(bare, objects[0], passed, settings.objects.second, shown)
         if whole.status == "ambiguous" and not passed:
             return replace(
                 bare,
@@ -269,6 +271,7 @@ def _against_bodies(
                 code=whole.code,
                 reason=whole.reason,
                 kind=Kind.OBJECT,
+                body=shown,
             )
     if seen is not None:
         if (

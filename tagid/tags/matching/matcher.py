@@ -29,6 +29,7 @@ from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.heights import without_bodies
 from tagid.tags.matching.on_shell import on_shell
 from tagid.tags.matching.reading import LayoutScore, Reading
+from tagid.tags.matching.refused import attributed
 from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.hidden import HiddenSectors, hidden_sectors
@@ -190,7 +191,7 @@ class MatchedScan:
         contest = self._settings.contest
         settled = settle(bare, self.scans, self._layouts, self._enrolled, contest, direction_known=known)
         if not known:
-            return settled
+            return attributed(settled, contest)
         passed = settled.kind is Kind.ROUND and settled.body is not None and settled.body.through
         if settled.status == "identified" and passed:
             # A helmet's shell passes for a glass beside some arrangements.
@@ -201,7 +202,8 @@ class MatchedScan:
             named = self._beside_transparent(settled, settled.body)
         else:
             named = self._cleared_of(settled)
-        return named or on_shell(settled, self.scans, self._layouts, contest) or settled
+        last = named or on_shell(settled, self.scans, self._layouts, contest) or settled
+        return attributed(last, contest)
 
     def _cleared_of(self, settled: Reading) -> Reading | None:
         """The name that `cleared` finds, with the other hypotheses; None for none."""
@@ -224,7 +226,18 @@ class MatchedScan:
         found = MatchedScan(scans, self._layouts, self._settings)._alone()
         if found is None or not contest.transparent.bears_out(found.points, on_body):
             return None
-        return replace(found.reading, kind=Kind.BODY, body=on_body, hypotheses=settled.hypotheses)
+        points = found.points
+        left = points.unexplained * points.tag / max(on_body.energy - on_body.noise, 1e-30)
+        own = Explanation(
+            Kind.BODY,
+            on_body.body.name,
+            found.reading.layout,
+            float(np.clip(left, 0, 1)),
+            float(np.clip(points.unexplained, 0, 1)),
+            on_body.pose,
+        )
+        hypotheses = tuple(sorted((own, *settled.hypotheses), key=lambda one: one.left))
+        return replace(found.reading, kind=Kind.BODY, body=on_body, hypotheses=hypotheses)
 
     @property
     def _best(self) -> Fit:
@@ -280,7 +293,8 @@ class MatchedScan:
             return None
         lost = 360.0 * float(np.mean(~self.hidden.seen))
         note = f"something hides a reflector in {lost:.0f} degrees of the turn, which were left out"
-        return replace(found, reading=replace(found.reading, note=note, hidden_deg=lost))
+        own = (_as_hypothesis(found),)
+        return replace(found, reading=replace(found.reading, hypotheses=own, note=note, hidden_deg=lost))
 
     def _alone(self) -> Alone | None:
         """The name without a body."""
@@ -294,9 +308,7 @@ class MatchedScan:
         if found is None:
             return None
         reading, radius = found.reading, self.wall.radius_m
-        left = float(np.clip(found.points.unexplained, 0, 1))
-        pose = Pose(reading.centre_m)
-        own = Explanation(Kind.BARE, "", reading.layout, left, None, pose, reading.rotation_deg)
+        own = _as_hypothesis(found)
         note = f"the echo of a thin round wall, about {radius * 1e3:.0f} mm in radius, was taken out first"
         return replace(found, reading=replace(reading, hypotheses=(own,), note=note, wall_m=radius))
 
@@ -339,6 +351,14 @@ class MatchedScan:
             scores=tuple(_score(matched, fit, signal) for fit in ranked),
             evidence=evidence,
         )
+
+
+def _as_hypothesis(found: Alone) -> Explanation:
+    """A name without a body as a hypothesis."""
+    reading, left = found.reading, float(np.clip(found.points.unexplained, 0, 1))
+    return Explanation(
+        Kind.BARE, "", reading.layout, left, None, Pose(reading.centre_m), reading.rotation_deg
+    )
 
 
 def _levels(matched: MatchedField, bounds_m: tuple[float, float]) -> NDArray[np.float64]:

@@ -82,6 +82,26 @@ class Reading:
     hidden_deg: float = 0.0
 
     @property
+    def explained_by(self) -> Explanation | None:
+        """The hypothesis that won, as it was fitted; None where none was, as in a vote.
+
+        Of several enrolled bodies or objects, the one that was read; of the layouts on it, the nearest one.
+        """
+        body = self.body
+        if self.kind is Kind.NO_TAG and body is not None and body.body.name:
+            # Among the hypotheses, no tag is a round body.
+            signal = max(body.energy - body.noise, 1e-30)
+            left = min(max((body.body_left - body.noise) / signal, 0.0), 1.0)
+            return Explanation(Kind.NO_TAG, body.body.name, None, left, None, body.pose)
+        alike = [one for one in self.hypotheses if one.kind is self.kind]
+        if self.kind is Kind.BODY and body is not None:
+            alike = [one for one in alike if one.name == body.body.name]
+        if self.kind is Kind.OBJECT:
+            alike = [one for one in alike if self.layout in (one.layout, one.name)] or alike
+        named = [one for one in alike if one.layout == self.layout]
+        return min(named or alike, key=lambda one: one.left, default=None)
+
+    @property
     def advice(self) -> str:
         """What to do next; empty where a layout is named."""
         return ADVICE[self.code]

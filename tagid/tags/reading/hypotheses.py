@@ -7,7 +7,7 @@ templates, because three degrees are 6 mm at a helmet's rim and decide between l
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -70,6 +70,13 @@ class SearchSettings:
     balance: float = 0.35
     aspects: tuple[Aspect, ...] = (TRANSPARENT, ROUND)
     patterns: tuple[Aspect, ...] = PATTERNS
+
+    def within(self, offset_m: float) -> SearchSettings:
+        """The same with range offsets up to this, m; the refinement goes one step beyond the outermost."""
+        step = self.offsets_m[1] - self.offsets_m[0]
+        count = max(round(offset_m / step) - 1, 1)
+        finer = offset_m / (count + 1)
+        return replace(self, offsets_m=tuple(i * finer for i in range(-count, count + 1)))
 
 
 @dataclass(frozen=True, eq=False)
