@@ -27,7 +27,7 @@ from tagid.tags.bodies import cylinder_reader, reader
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.cylinder_reader import read_on_cylinder
 from tagid.tags.bodies.enrolled import EnrolledBody, Searches
-from tagid.tags.bodies.hypothesis import Explanation, Kind, Pose
+from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.middle import with_middles
 from tagid.tags.bodies.on_body import read_on_body
@@ -35,7 +35,7 @@ from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching import contest, matcher, on_shell
+from tagid.tags.matching import alone, contest, matcher, on_shell
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code, Verdict
@@ -165,6 +165,55 @@ def test_a_body_that_explains_most_of_the_echo_alone_shows(
     own = Explanation(Kind.BARE, "", None, 0.0, None, Pose())
     points = cast("PointReading", SimpleNamespace(least=0.0, layouts=()))
     assert contest._shows(contest._Bare(reading, own, points, False), empty, settings) == shows
+
+
+@pytest.mark.parametrize(
+    ("status", "unexplained", "bodies", "asked"),
+    [
+        ("ambiguous", 0.45, 0, True),
+        ("ambiguous", 0.10, 0, False),
+        ("identified", 0.45, 0, False),
+        ("identified", 0.45, 1, True),
+    ],
+)
+def test_bodies_are_asked_where_points_leave_much_and_name_nothing(
+    status: str, unexplained: float, bodies: int, asked: bool
+) -> None:
+    """A pair on a cup was ambiguous with another layout; both left half of the echo."""
+    done = replace(on_box(), status=status)
+    points = cast("PointReading", SimpleNamespace(unexplained=unexplained))
+    enrolled = Enrolled(bodies=(RoundBody(),) * bodies)
+    assert contest._leaves_much(done, points, enrolled, ContestSettings()) == asked
+
+
+@pytest.mark.parametrize(
+    ("code", "excess", "silent"),
+    [(Code.NO_ECHO, 0.3, True), (Code.NO_ECHO, 0.5, False), (Code.MISSING, 0.0, False)],
+)
+def test_an_echo_that_is_no_point_is_not_silent(code: Code, excess: float, silent: bool) -> None:
+    """What a cup makes of its reflectors looks like no point: 0.8 of the noise's energy was "no echo"."""
+    body = cast("BodyReading", on_box().body)
+    spectra = body.spectra
+    level = spectra.energy / (1 + excess) / (len(spectra.data) * (spectra.views - 1))
+    assert alone.is_silent(replace(on_box(), code=code), replace(spectra, noise=level)) == silent
+
+
+@pytest.mark.parametrize(
+    ("lead", "explains", "carried"), [(-1.2, 0.3, True), (-1.2, 0.1, False), (0.2, 0.3, False)]
+)
+def test_a_body_hides_the_reflectors_that_it_carries(lead: float, explains: float, carried: bool) -> None:
+    """Without the half that a can hid, two reflectors on it were `container-90` without a body."""
+    body = cast("BodyReading", on_box().body)
+    on_can = replace(body, lead=lead, body_left=(1 - explains) * body.energy)
+    assert matcher._carried(on_can) == carried and not matcher._carried(None)
+    settled = replace(on_box(), status="unknown", layout=None, body=on_can)
+    bare = replace(on_box(), kind=Kind.BARE, hidden_deg=185.0, hypotheses=())
+    found = SimpleNamespace(reading=bare)
+    scan = cast("matcher.MatchedScan", SimpleNamespace(cleared=lambda: found))
+    assert (matcher.MatchedScan._cleared_of(scan, settled) is None) == carried
+    # A wall that was taken out hides nothing.
+    found.reading = replace(bare, hidden_deg=0.0)
+    assert matcher.MatchedScan._cleared_of(scan, settled) is not None
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,9 +16,9 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.pipeline.identify import aspect_spectra, identify
 from tagid.simulate import Acquisition, Placement, ReflectorSpec, Wobble, parse_body, simulate_capture
 from tagid.simulate.objects import Variation, object_scene
-from tagid.tags.bodies.body_reading import BodySettings
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings, seen_again
 from tagid.tags.bodies.enrolled import EnrolledBody, Searches
-from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.hypothesis import Pose, Seen
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.on_body import read_on_body
 from tagid.tags.bodies.reflectors_fit import alone
@@ -209,3 +211,29 @@ def test_how_oval_a_cup_is_shows_beside_its_tag() -> None:
     assert found is not None and found.layouts[0].layout == "container-90"
     assert apart(oval, even) > 0.3 * found.tag
     assert apart(found.spectra, even) < 0.02 * found.tag
+
+
+@pytest.mark.parametrize(("away_m", "used"), [(0.0005, True), (0.008, False)])
+def test_what_a_body_tells_is_not_used_where_free_patterns_take_its_part(away_m: float, used: bool) -> None:
+    """Beside them the centre of a cup ran away by 8 mm; alone it then left 17 to 136 times as much."""
+    spectra, _ = unevenly(Thing((0.0,), (6.0,)), 0.0)
+    body = RoundBody()
+    pose = body.poses(spectra)[0].pose
+    moved = Pose((pose.centre_m[0] + away_m, pose.centre_m[1]))
+
+    class Telling(RoundBody):
+        def seen(self, spectra: Spectra, *given: object) -> Seen:
+            return Seen(moved, spectra, 0.0)
+
+    told = SimpleNamespace(
+        body=Telling(),
+        pose=pose,
+        body_left=0.02 * spectra.energy,
+        layouts=[SimpleNamespace(left=0.01 * spectra.energy)],
+        error=0.001 * spectra.energy,
+    )
+    beside = np.zeros((len(spectra.data), 1, spectra.views), dtype=np.complex128)
+    reading, left = cast("BodyReading", told), 0.01 * spectra.energy
+    assert (seen_again(reading, spectra, beside, left, BodySettings()) is not None) == used
+    # Nor where it changes little.
+    assert seen_again(reading, spectra, beside, 0.00005 * spectra.energy, BodySettings()) is None
