@@ -12,7 +12,7 @@ from tagid.tags.bodies.hypothesis import BodyModel, Pose, Seen
 from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.reflectors_fit import Batch, Priors, alone
 from tagid.tags.bodies.revolution import RoundBody
-from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.bodies.spectra import Spectra, centred
 
 
 @dataclass(frozen=True)
@@ -107,11 +107,10 @@ class BodySettings:
 
         Args:
             spectra: the scans.
-            above: energy above the noise that a layout leaves. What chance or the error of the noise's level
-                may add is no error of the model.
+            above: energy above the noise that a layout leaves. What chance may add is no error of the model.
             tag: energy that the layout explains.
         """
-        beyond = max(above - spectra.noise_doubt, 0.0)
+        beyond = max(above - spectra.noise_spread, 0.0)
         return beyond + (self.priors.model_error * tag + self.noise_nats * spectra.noise)
 
     def radius_offsets_m(self, radius_m: float) -> tuple[float, ...]:
@@ -251,6 +250,19 @@ class BodyReading:
     def outside_m(self) -> float:
         """How far outside the best layout's places its reflectors seem to be, m."""
         return float(self.layouts[0].radii.mean()) - self.nominal_m
+
+    @property
+    def body_over_tag(self) -> float:
+        """Energy of the whole echo of the body over that of the tag.
+
+        Estimated from what moves of it: of a body on the rotation axis nothing does, and anything may stand
+        there; off the axis, a body that returns as much as reflectors moves as they do.
+        """
+        at, turn = np.array([self.layouts[0].centre]), np.array([self.pose.turn_rad])
+        echo = self.body.echo(self.spectra, at, turn)[0]
+        whole = float((np.abs(echo) ** 2).sum())
+        moving = float((np.abs(centred(echo)) ** 2).sum())
+        return self.body_energy * whole / max(moving * self.tag, 1e-30)
 
     def against(self, points: PointReading) -> BodyReading:
         """The reading with the lead that is left against points without a body.

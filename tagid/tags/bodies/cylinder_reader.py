@@ -9,6 +9,7 @@ make alike differ by a tenth of the echo and more.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
@@ -37,10 +38,12 @@ from tagid.tags.layouts.layout import Layout
 
 COUNT = 48
 """Angles on a ring: 7.5 degrees, 6 mm on a mug's ring."""
-_WALLS, _KEPT, _FREE, _BEAM, _FINER = 10, 6, 3, 6, 4
-"""Walls beside which every number of reflectors is tried; other arrangements fitted that were found there, in
-each polarisation beside metal and beside dielectrics, and with free patterns; sets kept per number; walls
-between which finer ones are tried."""
+_WALLS, _KEPT, _KEPT_THERE, _FREE, _BEAM, _FINER = 10, 12, 6, 3, 6, 4
+"""Walls beside which every number of reflectors is tried; other arrangements fitted that were found there,
+of few views also of each polarisation beside metal and beside dielectrics, and with free patterns; sets
+kept per number; walls between which finer ones are tried."""
+FEW_VIEWS = 24
+"""With fewer, walls of either polarisation may look alike: 12 lost tags on cans to the wrong one."""
 OUTWARD_M = 8e-3
 """Reflectors may stand so far outside their nominal radius, on feet or foam,"""
 ENOUGH = 0.05
@@ -379,25 +382,33 @@ class _CylinderReader:
         ]
 
     def _kept(self, starts: list[Ringed]) -> list[Ringed]:
-        """The best starts beside metal and beside dielectrics, in both polarisations, best first.
+        """The best two starts of every layout, and the best of each of some kinds of other arrangements.
 
-        The fit moves a start to other walls, but not to the other polarisation, and seldom from metal to a
-        dielectric. Of each of the four: the best start of every layout, and of some kinds of others.
+        Of few views also some beside metal and beside dielectrics in both polarisations. The fit moves a
+        start to other walls, but not to the other polarisation, and seldom from metal to a dielectric. More
+        views tell these apart, and more starts only fit more of the noise.
         """
+        few = self.spectra.views < FEW_VIEWS
         kept: list[Ringed] = []
+        turns: Counter[str] = Counter()
         named: set[tuple[str, str, bool]] = set()
-        kinds: dict[tuple[str, bool], set[tuple[int, ...]]] = {}
+        kinds: set[tuple[int, ...]] = set()
+        there: dict[tuple[str, bool], set[tuple[int, ...]]] = {}
         for start in sorted(starts, key=lambda one: one.left):
             wall = self.fitter.patterns.shells[start.shell]
             of = wall.polarisation, wall.metal
             if start.layout is not None:
-                if (start.layout, *of) not in named:
-                    named.add((start.layout, *of))
-                    kept.append(start)
-                continue
-            seen, kind = kinds.setdefault(of, set()), kind_of([float(a) for a in start.angles])
-            if kind not in seen and len(seen) < _KEPT:
-                seen.add(kind)
+                turns[start.layout] += 1
+                new = turns[start.layout] <= 2 or (few and (start.layout, *of) not in named)
+                named.add((start.layout, *of))
+            else:
+                kind, seen = kind_of([float(a) for a in start.angles]), there.setdefault(of, set())
+                first = kind not in kinds and len(kinds) < _KEPT
+                new = first or (few and kind not in seen and len(seen) < _KEPT_THERE)
+                if new:
+                    kinds.add(kind)
+                    seen.add(kind)
+            if new:
                 kept.append(start)
         return kept
 

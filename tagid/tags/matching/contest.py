@@ -162,16 +162,17 @@ def null_evidence(
         return NullEvidence(-inf, -inf, alone, 0.0)
     known = _Bare(bare, _own(bare), points, bare.evidence.outward > settings.outward)
     reading = reading.against(points) if points is not None else reading
-    evidence = score(reading, settings.decision) if _shows(known, reading, settings) else -inf
-    walled = -inf
-    # Where points without a body are named, `settle` asks no wall.
     done = without_body(bare, points, layouts, settings)
     if done is not None:
         done = checked(done, points, spectra, layouts, settings.bare, opaque=known.opaque)
         if points is not None and _leaves_much(done, points, Enrolled(), settings):
             done = None
-    contested = done is None or done.status == "unknown"
-    if contested and decide_on_body(reading, settings.decision).status != "no_tag":
+    if done is not None and done.status != "unknown":
+        # `settle` asks no body.
+        return NullEvidence(-inf, -inf, alone, tag_snr_db(reading))
+    evidence = score(reading, settings.decision) if _shows(known, reading, settings) else -inf
+    walled = -inf
+    if decide_on_body(reading, settings.decision).status != "no_tag":
         beside = read_beside_wall(reading, points, layouts, settings.body)
         if beside is not None and _shows(known, beside, settings):
             walled = score(beside, settings.decision)
