@@ -108,7 +108,8 @@ def main() -> None:
         parser.error(f"seeds from {SEALED} on are sealed")
     if arguments.count:
         only = arguments.only_views
-        chosen = [s for s in seeds if not only or draw(s).views in only]
+        specimens = ((seed, draw(seed)) for seed in seeds)
+        chosen = [s for s, d in specimens if not d.is_enrolled_pair and (not only or d.views in only)]
         with (
             multiprocessing.get_context("fork").Pool(arguments.jobs) as pool,
             arguments.scores.open("a") as file,

@@ -47,6 +47,8 @@ GRID_VIEWS = (12, 18, 36, 72)
 GRID_SNRS_DB = (0.0, 5.0, 10.0, 20.0, 30.0)
 FIRST_SEALED = 105
 """First seed of the reported full-wave scenes; 1 to 103 were reported before, faults mended since."""
+ENROLLED_PAIR = "enrolled_pair"
+"""Outcome of what was drawn as a foreign object and is none: it is left out."""
 DRAWN_FROM = {True: 0, False: 640_000}
 """First number of the drawn full-wave scenes: of development, and reported; 500,000 to 630,000 on were
 before."""
@@ -147,6 +149,8 @@ def one(task: Task) -> tuple[str, Answer]:
         return task.key, read(captured(scene, recording, numbers[0]), None, row)
     if task.part == "null":
         specimen = draw(numbers[0])
+        if specimen.is_enrolled_pair:
+            return task.key, Answer("", "", "", ENROLLED_PAIR, "", "", 0.0)
         row = (
             specimen.body,
             f"{specimen.views} views",
@@ -320,8 +324,9 @@ def null(run: Run, number: int) -> list[str]:
     """Named objects of the sealed population; of its own seeds in development."""
     seeds = range(100_000, 110_000) if run.development else sealed_seeds()
     seeds = seeds[: min(number, len(seeds))]
-    answers = answered([Task("null", (seed,)) for seed in seeds], run)
-    head = f"Population: {STATEMENT}. Seeds {seeds[0]} to {seeds[0] + len(answers) - 1}."
+    drawn_ones = answered([Task("null", (seed,)) for seed in seeds], run)
+    answers = [a for a in drawn_ones if a.outcome != ENROLLED_PAIR]
+    head = f"Population: {STATEMENT}. Seeds {seeds[0]} to {seeds[0] + len(drawn_ones) - 1}."
     lines = [head, "", named(answers), "", *table(answers, "refused")]
     if run.development:
         lines += [

@@ -26,6 +26,7 @@ from tagid.simulate.objects import Variation, object_scene
 from tagid.tags.bodies import cylinder_reader, reader
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.cylinder_reader import read_on_cylinder
+from tagid.tags.bodies.decide import BodyDecision, decide_on_body
 from tagid.tags.bodies.enrolled import EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose
 from tagid.tags.bodies.joint import Named, enrol_signature
@@ -39,6 +40,7 @@ from tagid.tags.matching import alone, contest, matcher, on_shell
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code, Verdict
+from train.population import draw
 
 LAYOUTS = list(builtin_layouts().values())
 BOX = "box:120mm,height=110mm"
@@ -214,6 +216,33 @@ def test_a_body_hides_the_reflectors_that_it_carries(lead: float, explains: floa
     # A wall that was taken out hides nothing.
     found.reading = replace(bare, hidden_deg=0.0)
     assert matcher.MatchedScan._cleared_of(scan, settled) is not None
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.3, False), (0.7, True)])
+def test_a_round_body_moves_with_its_tag(share: float, named: bool) -> None:
+    """Reflectors 165 degrees apart are 180 degrees apart about a point where nothing stands."""
+    capture = recorded("can:33mm", positions("container-180"), 5, 20.0)
+    reading = identify(capture, LAYOUTS).reading
+    assert reading is not None and reading.body is not None and reading.layout == "container-180"
+    found = reading.body
+    assert found.body_over_tag > 1
+    weak = replace(found, body_energy=found.body_energy * share / found.body_over_tag)
+    assert weak.body_over_tag == pytest.approx(share)
+    verdict = decide_on_body(weak, BodyDecision())
+    assert (verdict.status == "identified") == named
+    assert named or "no body moves" in verdict.reason
+
+
+def test_bare_pairs_of_an_enrolled_spacing_are_no_foreign_objects() -> None:
+    """63.9 mm for the 63.6 of `container-90`; with a body there is a centre, and an angle about it."""
+    drawn = draw(4060594)
+    own, other = np.array([0.0, 0.0639 + 0j]), np.array([0.0, 0.0670 + 0j])
+    assert drawn.body == "none" and drawn.is_enrolled_pair
+    assert replace(drawn, places=own).is_enrolled_pair
+    assert not replace(drawn, places=other).is_enrolled_pair
+    assert not replace(drawn, body="can").is_enrolled_pair
+    assert not replace(drawn, places=np.append(own, 0.1j)).is_enrolled_pair
+    assert not replace(drawn, truth="container-90").is_enrolled_pair
 
 
 @pytest.mark.parametrize(

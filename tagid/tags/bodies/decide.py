@@ -234,12 +234,6 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
             Code.BODY,
             f"the body's wall lies {inside * 1e3:.0f} mm outside the reflectors of {best.layout}",
         )
-    if not r.body.name and r.body_over_tag < s.least_body:
-        return Verdict(
-            "unknown",
-            Code.BODY,
-            f"no body moves with {best.layout}: where it would stand one would show",
-        )
     if r.angle_off_deg > s.angle_deg:
         return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {best.layout}")
     seen = r.wall is not None or (r.back > s.seen_back and (not r.body.name or r.body.turning_share > s.flat))
@@ -259,6 +253,12 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         )
     if r.radius_off_m > s.radius_m:
         return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {best.layout}")
+    if not r.body.name and r.body_over_tag < s.least_body:
+        return Verdict(
+            "unknown",
+            Code.BODY,
+            f"no body moves with {best.layout}: where it would stand one would show",
+        )
     if r.untagged_lead < s.lead:
         return Verdict(
             "unknown",
