@@ -82,7 +82,7 @@ def test_whitened_noise_has_one_density_and_echoes_keep_their_model() -> None:
 def test_tags_on_cans_are_read_in_coloured_noise() -> None:
     """Least squares that weigh all frequencies alike lose them: the noise of the middle of the band rules."""
     layouts = list(LAYOUTS.values())
-    scans = [scans_of(NoiseShape(0.8), 9.0, seed, "can:30mm,height=100mm") for seed in range(4)]
+    scans = [scans_of(NoiseShape(0.8), 7.0, seed, "can:30mm,height=100mm") for seed in range(4)]
     unaware = [replace(one, noise_shape=()) for one in scans]
     aware, without = (
         sum(read_tag(one, layouts).layout == "container-90" for one in some) for some in (scans, unaware)
