@@ -73,14 +73,13 @@ def beside(spectra: Spectra) -> BodyReading:
 
 @pytest.mark.parametrize(("polarisation", "most"), [("V", 0.08), ("H", 0.12)])
 def test_a_pair_on_a_ceramic_cup_is_told_from_every_other_arrangement(polarisation: str, most: float) -> None:
-    """Upright, the wall comes out as well: 36 mm, 3 mm thick, permittivity 5. Across, others imitate it."""
+    """Upright, the wall comes out as well: 36 mm, 3 mm thick, of permittivity 5."""
     found = beside(spectra_of("cup36_c180", polarisation))
     assert found.layouts[0].layout == "container-180"
     assert found.unexplained < most and found.lead > 1
-    assert found.wall is not None
+    assert found.wall is not None and found.wall.polarisation == polarisation
     if polarisation == "V":
-        assert found.wall.polarisation == "V" and not found.wall.metal
-        assert found.wall.radius_m == pytest.approx(0.036, abs=3e-3)
+        assert not found.wall.metal and found.wall.radius_m == pytest.approx(0.036, abs=3e-3)
     # The reflectors answer from where they are: the wrong distance is all that is left.
     assert abs(found.early_m) < 0.02
     off = (np.sort(found.layouts[0].angles) - np.deg2rad([0, 180]) - 1.0) % np.pi
@@ -105,7 +104,9 @@ def test_other_tags_on_round_bodies_are_other_arrangements(name: str, polarisati
 @pytest.mark.parametrize("name", ["box_c90", "handle34_c90"])
 def test_bodies_that_are_not_round_are_not_explained(name: str) -> None:
     found, decision = reading_of(spectra_of(name, "V")), BodyDecision()
-    assert found is None or (found.unexplained > 0.19 and decide_on_body(found, decision).status == "unknown")
+    assert found is None or (
+        found.unexplained > 0.199 and decide_on_body(found, decision).status == "unknown"
+    )
 
 
 def test_a_tag_on_a_cup_is_named_with_few_views_and_in_noise() -> None:
