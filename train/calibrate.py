@@ -27,7 +27,7 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import null_evidence_of
-from train.population import STATEMENT, draw
+from train.population import STATEMENT, Specimen, draw
 
 SEALED = 9_000_000
 """Seeds from here on are drawn once, for the report."""
@@ -42,7 +42,16 @@ KEPT = 60
 
 def one(seed: int, bodies: bool = True) -> dict[str, float | int | str]:
     """The scores of the object of a seed, on a round body and without one."""
+    return _scored(seed, draw(seed), bodies)
+
+
+def _foreign(seed: int, bodies: bool) -> dict[str, float | int | str] | None:
+    """The same; None for what was drawn as a foreign object and is an enrolled pair."""
     specimen = draw(seed)
+    return None if specimen.is_enrolled_pair else _scored(seed, specimen, bodies)
+
+
+def _scored(seed: int, specimen: Specimen, bodies: bool) -> dict[str, float | int | str]:
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
     scans = preprocess(specimen.capture, settings=settings)
     found = null_evidence_of(scans, list(builtin_layouts().values()), bodies=bodies)
@@ -108,17 +117,17 @@ def main() -> None:
         parser.error(f"seeds from {SEALED} on are sealed")
     if arguments.count:
         only = arguments.only_views
-        specimens = ((seed, draw(seed)) for seed in seeds)
-        chosen = [s for s, d in specimens if not d.is_enrolled_pair and (not only or d.views in only)]
+        chosen = [s for s in seeds if not only or draw(s).views in only]
         with (
             multiprocessing.get_context("fork").Pool(arguments.jobs) as pool,
             arguments.scores.open("a") as file,
         ):
             for row in pool.imap_unordered(
-                partial(one, bodies=arguments.only is not Basis.BARE), chosen, chunksize=4
+                partial(_foreign, bodies=arguments.only is not Basis.BARE), chosen, chunksize=4
             ):
-                file.write(json.dumps(row) + "\n")
-                file.flush()
+                if row is not None:
+                    file.write(json.dumps(row) + "\n")
+                    file.flush()
     if arguments.write:
         rows = {}
         for path in arguments.files:

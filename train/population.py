@@ -43,8 +43,7 @@ class Specimen:
         capture: as recorded.
         truth: the layout's name; None where the object carries none of the enrolled ones.
         body, clutter: kinds.
-        reflectors: number,
-        places: (K,) and their places on the object, x + jy, m.
+        places: (K,) of the reflectors on the object, x + jy, m.
         views, snr_db: of the recording, SNR per reflector at the peak of one sample.
     """
 
@@ -52,10 +51,14 @@ class Specimen:
     truth: str | None
     body: str
     clutter: str
-    reflectors: int
     places: NDArray[np.complex128]
     views: int
     snr_db: float
+
+    @property
+    def reflectors(self) -> int:
+        """Their number."""
+        return len(self.places)
 
     @property
     def is_enrolled_pair(self) -> bool:
@@ -124,7 +127,7 @@ def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: floa
         angles_rad=angles,
         axis_distance_m=distance + error,
     )
-    return Specimen(capture, truth, body, clutter, len(places), places, views, snr)
+    return Specimen(capture, truth, body, clutter, places, views, snr)
 
 
 def _foreign(rng: np.random.Generator, body: str) -> NDArray[np.complex128]:

@@ -22,6 +22,7 @@ Progress = Callable[[float, float, str], None]
 PULSES = ("auto", "nominal", "estimate")
 PRESETS = ("field", "paper")
 MOST_PRIOR_M = 0.05
+"""Largest value of a prior that a user may set, m."""
 MOST_FREE_PIXELS = 512
 """Largest default number of pixels per side, used for short wavelengths."""
 

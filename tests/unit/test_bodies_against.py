@@ -261,7 +261,7 @@ def test_walls_are_asked_of_weak_tags_on_empty_cups(
     reading = identify(capture, LAYOUTS).reading
     assert reading is not None and reading.body is not None and reading.body.front_m < 0
     assert (reading.layout, reading.kind) == (name, Kind.ROUND)
-    monkeypatch.setattr(contest, "_stands_alone", lambda *given: False)
+    monkeypatch.setattr(contest, "stands_alone", lambda *given: False)
     refused = identify(capture, LAYOUTS).reading
     assert refused is not None and refused.layout is None
 

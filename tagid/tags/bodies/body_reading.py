@@ -252,6 +252,15 @@ class BodyReading:
         return float(self.layouts[0].radii.mean()) - self.nominal_m
 
     @property
+    def signal(self) -> float:
+        """Energy of the moving echo above noise."""
+        return max(self.energy - self.noise, 1e-30)
+
+    def share(self, left: float) -> float:
+        """Energy left above noise as a share of the moving echo above noise, 0..1."""
+        return float(np.clip((left - self.noise) / self.signal, 0, 1))
+
+    @property
     def body_over_tag(self) -> float:
         """Energy of the whole echo of the body over that of the tag.
 

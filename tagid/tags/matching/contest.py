@@ -299,7 +299,7 @@ def _against_bodies(
         least = replace(own, left=min(own.left, max(points.least, 0.0)))
         told = (least if one is own else one for one in bare.hypotheses)
         return replace(bare, body=first, hypotheses=tuple(sorted(told, key=lambda one: one.left)))
-    clearer = own.left > max(settings.better * _share(first, first.least), settings.decision.unexplained)
+    clearer = own.left > max(settings.better * first.share(first.least), settings.decision.unexplained)
     if clearer or verdict.status == "no_tag":
         if bare.status == "no_tag":
             return replace(bare, body=first)
@@ -421,7 +421,7 @@ def _shows(known: _Bare, reading: BodyReading, settings: ContestSettings) -> boo
     )
     # Reflectors that are merely seen from one side are not explained by points, either.
     beyond = unlike and known.reading.code is not Code.HIDDEN
-    seen = known.opaque or beyond or _walled(reading, settings) or _stands_alone(reading, settings)
+    seen = known.opaque or beyond or _walled(reading, settings) or stands_alone(reading, settings)
     return bool(reading.body.name) or seen
 
 
@@ -461,20 +461,14 @@ def _walled(reading: BodyReading, settings: ContestSettings) -> bool:
     return strong and reading.front_m >= settings.wall_m
 
 
-def _stands_alone(reading: BodyReading, settings: ContestSettings) -> bool:
+def stands_alone(reading: BodyReading, settings: ContestSettings) -> bool:
     """Whether the body without reflectors explains most of the echo.
 
     An empty cup's echo comes from behind its centre, where bare reflectors' interaction comes from as well.
     """
     explained = reading.energy - reading.body_left
     by_chance = settings.decision.no_tag_nats * reading.variance
-    return explained >= max(settings.alone * (reading.energy - reading.noise), by_chance)
-
-
-def _share(reading: BodyReading, left: float) -> float:
-    """Energy left above noise as a share of the moving echo above noise."""
-    signal = max(reading.energy - reading.noise, 1e-30)
-    return float(np.clip((left - reading.noise) / signal, 0, 1))
+    return explained >= max(settings.alone * reading.signal, by_chance)
 
 
 def _beyond(reading: BodyReading) -> float:
@@ -483,7 +477,7 @@ def _beyond(reading: BodyReading) -> float:
 
 
 def _left(reading: BodyReading) -> float:
-    return _share(reading, reading.layouts[0].left)
+    return reading.share(reading.layouts[0].left)
 
 
 def _contradicted(known: _Bare) -> bool:
@@ -533,11 +527,11 @@ def _contested(
     )
     if best.layout == bare.layout or not apart or not doubtful:
         return replace(bare, body=reading)
-    if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):
+    if own.left <= settings.better * max(reading.share(best.left), settings.body.priors.model_error):
         return replace(bare, body=reading)
     refused = bare.refused(
         Code.OTHER,
-        f"another arrangement on a body leaves {_share(reading, best.left):.0%} of the echo, "
+        f"another arrangement on a body leaves {reading.share(best.left):.0%} of the echo, "
         f"{bare.layout} without one {own.left:.0%}",
     )
     return replace(refused, kind=kind_on(reading), body=reading)
@@ -546,7 +540,7 @@ def _contested(
 def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Explanation]:
     """No tag, and the best layout on every body."""
     first = readings[0][0]
-    found = [Explanation(Kind.NO_TAG, "", None, _share(first, first.body_left), None, first.pose)]
+    found = [Explanation(Kind.NO_TAG, "", None, first.share(first.body_left), None, first.pose)]
     for reading, _ in readings:
         best = reading.layouts[0]
         found.append(
@@ -554,7 +548,7 @@ def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Expla
                 kind_on(reading),
                 reading.body.name,
                 best.layout,
-                _share(reading, best.left),
+                reading.share(best.left),
                 float(min(reading.unexplained, 1.0)),
                 reading.pose,
                 None,

@@ -227,7 +227,7 @@ class MatchedScan:
         if found is None or not contest.transparent.bears_out(found.points, on_body):
             return None
         points = found.points
-        left = points.unexplained * points.tag / max(on_body.energy - on_body.noise, 1e-30)
+        left = points.unexplained * points.tag / on_body.signal
         own = Explanation(
             Kind.BODY,
             on_body.body.name,

@@ -84,12 +84,11 @@ def _said(
 ) -> Reading | None:
     """What a reading beside a shell says against the other hypotheses; None for nothing."""
     best = reading.layouts[0]
-    share = (best.left - reading.noise) / max(reading.energy - reading.noise, 1e-30)
     own = Explanation(
         kind,
         "",
         best.layout,
-        float(np.clip(share, 0, 1)),
+        reading.share(best.left),
         float(np.clip(reading.unexplained, 0, 1)),
         reading.pose,
         None,
@@ -99,8 +98,7 @@ def _said(
     others = min((one.left for one in settled.hypotheses), default=1.0)
     if kind is Kind.BOX and settled.body is not None and settled.layout == best.layout:
         # A cup's wall leaves 4 % of a loud tag, to which the sides of a box bend: a free pattern leaves less.
-        signal = max(reading.energy - reading.noise, 1e-30)
-        others = min(others, (settled.body.freely - reading.noise) / signal)
+        others = min(others, (settled.body.freely - reading.noise) / reading.signal)
     clearer = own.left <= CLEARER * others and others > NOTHING
     named = verdict.status == "identified"
     if settled.status == "identified" and not clearer:

@@ -90,8 +90,7 @@ class Reading:
         body = self.body
         if self.kind is Kind.NO_TAG and body is not None and body.body.name:
             # Among the hypotheses, no tag is a round body.
-            signal = max(body.energy - body.noise, 1e-30)
-            left = min(max((body.body_left - body.noise) / signal, 0.0), 1.0)
+            left = body.share(body.body_left)
             return Explanation(Kind.NO_TAG, body.body.name, None, left, None, body.pose)
         alike = [one for one in self.hypotheses if one.kind is self.kind]
         if self.kind is Kind.BODY and body is not None:

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.bodies.hypothesis import Kind
+from tagid.tags.matching.contest import stands_alone
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.won import kind_on, measured
@@ -35,8 +36,5 @@ def attributed(settled: Reading, settings: ContestSettings) -> Reading:
 
 def _stands(settled: Reading, body: BodyReading, settings: ContestSettings) -> bool:
     """Whether the body alone explains most of the echo, and reflectors on it leave less than ones without."""
-    signal = max(body.energy - body.noise, 1e-30)
-    by_chance = settings.decision.no_tag_nats * body.variance
-    alone = body.energy - body.body_left >= max(settings.alone * signal, by_chance)
     bare = min((one.left for one in settled.hypotheses if one.kind is Kind.BARE), default=1.0)
-    return alone and (body.least - body.noise) / signal < bare
+    return stands_alone(body, settings) and (body.least - body.noise) / body.signal < bare
