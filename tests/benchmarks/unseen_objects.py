@@ -354,6 +354,48 @@ def _shell84() -> Mesh:
     return shapes.helmet((0.084, 0.102, 0.074), 0.019, 0.0099, shapes.sheet(2.6, 0.0032))
 
 
+def _can40() -> Mesh:
+    """Metal, open at the top."""
+    return shapes.can(0.040, 0.094, 0.0095)
+
+
+def _tin30() -> Mesh:
+    """Tall and closed."""
+    return _profile(0.0092, (0, -55), (30, -55), (30, 55), (0, 55))
+
+
+def _bottle32() -> Mesh:
+    """A plastic bottle with a shoulder and a neck."""
+    profile = 1e-3 * np.array([(0, -56), (32, -56), (32, 22), (13, 46), (13, 60)])
+    return shapes.revolved(profile, 0.0090, sheet_m=shapes.sheet(2.5, 0.0015))
+
+
+def _mug41() -> Mesh:
+    """Porcelain, with a large porcelain handle."""
+    wall = shapes.sheet(5.6, 0.0030)
+    handle = shapes.handle(0.043, 0.030, 0.062, 0.012, 0.009, wall).moved((0.0, 0.0, 0.005), np.deg2rad(200))
+    return Mesh.join(shapes.can(0.041, 0.090, 0.0095, wall), handle)
+
+
+def _mug46() -> Mesh:
+    """Metal, with a handle near its upper rim."""
+    handle = shapes.handle(0.037, 0.027, 0.052, 0.012, 0.009).moved((0.0, 0.0, 0.012), np.deg2rad(75))
+    return Mesh.join(shapes.can(0.035, 0.098, 0.0093), handle)
+
+
+def _cup37() -> Mesh:
+    """Stoneware."""
+    return shapes.can(0.037, 0.082, 0.0093, shapes.sheet(6.1, 0.0034))
+
+
+def _shell78() -> Mesh:
+    return shapes.helmet((0.078, 0.097, 0.083), 0.021, 0.0102, shapes.sheet(2.8, 0.0029))
+
+
+def _shell80() -> Mesh:
+    return shapes.helmet((0.080, 0.104, 0.076), 0.017, 0.0104, shapes.sheet(2.7, 0.0036))
+
+
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -601,6 +643,38 @@ SEALED = {
     "crate66_c90": Object(_crate66, 20, ring(46, 0, 90)),
     "crate66_c180": Object(_crate66, 24, ring(45, 90, 270)),
     "crate66_three": Object(_crate66, 20, ring(46, 0, 90, 180)),
+    "can40": Object(_can40),
+    "can40_c90": Object(_can40, 40, ring(62, 140, 230)),
+    "can40_c180": Object(_can40, 20, ring(51, 35, 215)),
+    "can40_three": Object(_can40, 20, ring(51, 0, 85, 210)),
+    "tin30": Object(_tin30),
+    "tin30_c90": Object(_tin30, 20, ring(43, 70, 160)),
+    "tin30_c180": Object(_tin30, 36, ring(49, 120, 300)),
+    "tin30_pair65": Object(_tin30, 24, ring(45, 70, 135)),
+    "bottle32": Object(_bottle32),
+    "bottle32_c90": Object(_bottle32, 20, ring(44, 185, 275)),
+    "bottle32_c180": Object(_bottle32, 28, ring(47, 15, 195)),
+    "bottle32_pair115": Object(_bottle32, 24, ring(45, 0, 115)),
+    "cup37": Object(_cup37),
+    "cup37_c90": Object(_cup37, 24, ring(50, 55, 145)),
+    "cup37_c180": Object(_cup37, 20, ring(48, 165, 345)),
+    "cup37_three": Object(_cup37, 20, ring(48, 0, 90, 195)),
+    "mug41": Object(_mug41),
+    "mug41_c90": Object(_mug41, 22, ring(52, 50, 140)),
+    "mug41_c180": Object(_mug41, 28, ring(55, 110, 290)),
+    "mug41_pair60": Object(_mug41, 24, ring(53, 0, 60)),
+    "mug46": Object(_mug46),
+    "mug46_c90": Object(_mug46, 20, ring(46, 140, 230)),
+    "mug46_c180": Object(_mug46, 28, ring(49, 160, 340)),
+    "mug46_three": Object(_mug46, 20, ring(46, 140, 230, 0)),
+    "shell78": Object(_shell78),
+    "shell78_h120": Object(_shell78, 20, ring(110, 20, 140, 260)),
+    "shell78_lin": Object(_shell78, 30, ((90, 0), (90, 180), (0, 0))),
+    "shell78_pair120": Object(_shell78, 24, ring(111, 20, 140)),
+    "shell80": Object(_shell80),
+    "shell80_h120": Object(_shell80, 40, ring(114, 75, 195, 315)),
+    "shell80_lin": Object(_shell80, 20, ((90, 90), (90, 270), (0, 0))),
+    "shell80_three": Object(_shell80, 26, ring(112, 0, 90, 215)),
 }
 """Objects that are only reported."""
 
@@ -612,6 +686,7 @@ ROUND = (
     *("soda34", "crock38", "flask29", "goblet33", "tub41"),
     *("free22", "free32", "free26", "can31", "cup39", "can36", "glass38"),
     *("can33", "tin41", "cup34", "glass31"),
+    *("can40", "tin30", "bottle32", "cup37"),
 )
 """Bodies of revolution, and tags alone: to be read without enrolment."""
 
