@@ -45,9 +45,9 @@ def one(seed: int, bodies: bool = True) -> dict[str, float | int | str]:
     return _scored(seed, draw(seed), bodies)
 
 
-def _foreign(seed: int, bodies: bool) -> dict[str, float | int | str] | None:
+def _foreign(seed: int, bodies: bool, views: tuple[int, ...]) -> dict[str, float | int | str] | None:
     """The same; None for what was drawn as a foreign object and is an enrolled pair."""
-    specimen = draw(seed)
+    specimen = draw(seed, views=views[seed % len(views)] if views else None)
     return None if specimen.is_enrolled_pair else _scored(seed, specimen, bodies)
 
 
@@ -106,6 +106,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=0)
     parser.add_argument("--only-views", type=int, nargs="*", help="only objects with so many views")
     parser.add_argument(
+        "--draw-views",
+        type=int,
+        nargs="*",
+        default=(),
+        help="views of the objects, in turn; else drawn",
+    )
+    parser.add_argument(
         "--views", type=int, nargs="*", default=VIEWS, help="limits of the strata; each needs 999 objects"
     )
     parser.add_argument("--only", type=Basis, choices=list(Basis), help="one kind of evidence")
@@ -123,7 +130,9 @@ def main() -> None:
             arguments.scores.open("a") as file,
         ):
             for row in pool.imap_unordered(
-                partial(_foreign, bodies=arguments.only is not Basis.BARE), chosen, chunksize=4
+                partial(_foreign, bodies=arguments.only is not Basis.BARE, views=tuple(arguments.draw_views)),
+                chosen,
+                chunksize=4,
             ):
                 if row is not None:
                     file.write(json.dumps(row) + "\n")

@@ -19,7 +19,8 @@ from tagid.tags.layouts.layout import Layout, builtin_layouts
 STATEMENT = (
     "simulated objects without an enrolled tag: round, oval, handled and box-shaped bodies, bare tags, "
     "hands, cables and pairs of objects; no tag, or 1 to 5 reflectors in no enrolled arrangement (bare "
-    "pairs: 2 mm from an enrolled spacing); up to 10 mm off the axis, 12 to 72 views, 0 to 20 dB"
+    "pairs: 2 mm from an enrolled spacing); up to 10 mm off the axis, 12 to 72 views (for names without a "
+    "body 6 to 72), 0 to 20 dB"
 )
 BODIES = ("none", "can", "oval", "handle", "box", "shell")
 CLUTTER = ("", "", "", "", "hand", "cable", "second")

@@ -393,7 +393,7 @@ def _shell78() -> Mesh:
 
 
 def _shell80() -> Mesh:
-    return shapes.helmet((0.080, 0.104, 0.076), 0.017, 0.0104, shapes.sheet(2.7, 0.0036))
+    return shapes.helmet((0.080, 0.104, 0.076), 0.017, 0.0099, shapes.sheet(2.7, 0.0036))
 
 
 DEVELOPMENT = {

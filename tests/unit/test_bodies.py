@@ -38,6 +38,7 @@ from tagid.tags.bodies.calibration import Basis, Bound, Calibration, Scores, Str
 from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.on_body import read_on_body
+from tagid.tags.bodies.posing import Linear, descend
 from tagid.tags.bodies.reflectors_fit import COMMON, FACING, Batch, Columns, Fitter, Priors, solve
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import PairSearch, Ring
@@ -468,6 +469,32 @@ def test_the_range_offset_is_searched_as_far_as_it_is_stated() -> None:
     assert wider is not None and wider.offset_m == pytest.approx(-0.035, abs=0.006)
 
 
+def bare_pair(views: int) -> Capture:
+    scene = Scene.of_points(builtin_layouts()["container-90"].positions)
+    return simulate_capture(scene, Acquisition(views=views, snr_db=20.0), seed=7)[0]
+
+
+@pytest.mark.parametrize(
+    ("views", "false_accept", "code"),
+    [
+        (36, 1e-3, Code.NONE),
+        (36, 1e-5, Code.UNCALIBRATED),
+        (8, 1e-3, Code.NONE),
+        (5, 1e-3, Code.UNCALIBRATED),
+    ],
+)
+def test_names_without_a_body_are_kept_to_the_setting_as_well(
+    views: int, false_accept: float, code: Code
+) -> None:
+    reading = identify(bare_pair(views), LAYOUTS, ImagingSettings(false_accept=false_accept)).reading
+    assert reading is not None and reading.kind is Kind.BARE and reading.bound is not None
+    assert reading.code is code and (reading.layout == "container-90") == (code is Code.NONE)
+    assert reading.bound.objects == (
+        0 if views < 6 else Calibration.shipped().bound(9.0, views, 20.0, false_accept, Basis.BARE).objects
+    )
+    assert reading.bound.kept == (code is Code.NONE)
+
+
 def test_every_code_has_advice() -> None:
     assert set(ADVICE) == set(Code)
     assert all(ADVICE[code].endswith(".") for code in Code if code is not Code.NONE)
@@ -487,3 +514,15 @@ def test_a_layout_on_the_axis_has_no_gaps() -> None:
     middle = Layout("middle", np.array([[0.01, 0.0], [-0.01, 0.0]]))
     assert len(layout_gaps_deg(middle)) == 0
     assert np.allclose(layout_gaps_deg(builtin_layouts()["container-90"]), [90.0, 270.0])
+
+
+def test_more_amplitudes_than_views_leave_nothing() -> None:
+    """A turn of few views: those amplitudes that the views cannot tell are 0."""
+    spectra = Spectra.of(scans_of(draw(3, views=6).capture))
+    rng = np.random.default_rng(3)
+    shape = (len(spectra.wavenumbers), 6, 8)
+    columns = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+    found = descend(spectra, lambda x: Linear(columns + x[0], np.ones((3, *shape), complex)), np.zeros(3))
+    assert found.amplitudes.shape == (shape[0], 8) and np.isfinite(found.amplitudes).all()
+    assert found.left < 1e-9 * spectra.energy

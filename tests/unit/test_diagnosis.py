@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +11,15 @@ import pytest
 from tagid.capture import Capture, ViewFlag
 from tagid.errors import DataError
 from tagid.metadata import MotionInfo, RadarInfo, ResolvedMotion
+from tagid.pipeline.circling import circling
 from tagid.pipeline.diagnosis import recording_remarks, with_causes
 from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
 from tagid.pipeline.prepared import PreparedCapture
+from tagid.simulate import Placement, parse_body, parse_reflector
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
-from tagid.simulate.presets import scene_from_name
+from tagid.simulate.presets import scene_from_name, scene_on_body
 from tagid.tags.layouts.layout import builtin_layouts
 
 
@@ -106,3 +109,33 @@ def test_views_from_one_place_show_nothing() -> None:
     still = replace(prepared.given, angles_rad=np.zeros(prepared.given.views))
     with pytest.raises(DataError, match="from one place"):
         identify(PreparedCapture(still), list(builtin_layouts().values()))
+
+
+def can_off_the_axis(off_m: float, body: str, layout: str = "container-90") -> PreparedCapture:
+    scene = scene_on_body(layout, parse_body(body), parse_reflector("octahedron:20mm"))
+    placed = Placement((0.8 * off_m, 0.6 * off_m), 0.4)
+    capture, _ = simulate_capture(scene, Acquisition(views=36, snr_db=20.0, placement=placed), seed=3)
+    return PreparedCapture(load_capture(capture))
+
+
+@pytest.mark.parametrize(
+    ("off_mm", "told"), [(16, "10 to 20 mm"), (35, "about 3[2-7] mm"), (60, "about (59|60|61) mm")]
+)
+def test_a_can_beside_the_axis_is_told_by_the_circle_of_its_echo(off_mm: float, told: str) -> None:
+    prepared, layouts = can_off_the_axis(1e-3 * off_mm, "can:35mm"), list(builtin_layouts().values())
+    (cause,) = with_causes(identify(prepared, layouts), prepared, layouts).causes
+    assert cause.code == "off_centre" and "Place" in cause.remedy
+    assert re.search(f"a round body {told} off it$", cause.text)
+
+
+def test_the_circle_is_about_the_bodys_middle() -> None:
+    found = circling(can_off_the_axis(0.05, "can:35mm").given)
+    assert found is not None and found.share == 1.0 and found.spread_m < 0.006
+    assert np.hypot(found.centre_m[0] - 0.04, found.centre_m[1] - 0.03) < 0.005
+
+
+def test_a_handle_circles_but_is_no_body_off_the_axis() -> None:
+    layouts = list(builtin_layouts().values())
+    prepared = can_off_the_axis(0.002, "can:35mm,handle")
+    answer = with_causes(identify(prepared, layouts), prepared, layouts)
+    assert answer.status == "unknown" and not answer.causes

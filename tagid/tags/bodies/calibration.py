@@ -8,7 +8,7 @@ distribution: the conformal p-value (Vovk, Gammerman and Shafer 2005, chapter 2)
 views and SNR.
 
 The bound of a name on a body is that of the whole answer, whichever way a name was found: objects named
-without a body, which no bound takes back, count in full beside those that are as convincing on one.
+without a body count in full, whatever their lead, beside those that are as convincing on one.
 """
 
 from __future__ import annotations

@@ -75,7 +75,9 @@ class BodyDecision:
         least_body: a round body returns at least this share of what its reflectors do, as far as its movement
             tells. Of 520 right readings full-wave ones return 1.5 times as much and more, our own 0.7, with
             12 views 0.2 in one and 0.4 in another; of the ten best of 28,000 objects without an enrolled tag
-            six return 0.03 to 0.3: other reflectors about a point 3 to 12 mm off the axis.
+            six return 0.03 to 0.3: other reflectors about a point 3 to 12 mm off the axis,
+        least_body_clear: unless the layout leads by so much: none of them led by more than 3.4, a reflector
+            of 40 mm on a can that returned 0.1 of what it did by 11.
         free_more: lead by which a free pattern must be ahead of one of known waves, to be as convincing.
         centre_m: largest distance of the centres of body and tag from the rotation axis.
         no_tag_nats: a body is untagged where no arrangement explains so many noise variances more: fitting
@@ -118,6 +120,7 @@ class BodyDecision:
     undone: float = 1.6
     undone_clear: float = 1.75
     least_body: float = 0.5
+    least_body_clear: float = 5.0
     free_more: float = 0.15
     centre_m: float = FARTHEST_CENTRE_M
     no_tag_nats: float = 60.0
@@ -253,7 +256,7 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         )
     if r.radius_off_m > s.radius_m:
         return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {best.layout}")
-    if not r.body.name and r.body_over_tag < s.least_body:
+    if not r.body.name and r.body_over_tag < s.least_body and r.lead < s.least_body_clear:
         return Verdict(
             "unknown",
             Code.BODY,

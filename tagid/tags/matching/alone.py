@@ -17,9 +17,10 @@ from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.bare_checks import checked
 from tagid.tags.matching.contest_settings import ContestSettings
+from tagid.tags.matching.promise import kept
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.won import as_points
-from tagid.tags.verdicts.verdict import Code
+from tagid.tags.verdicts.verdict import Code, Verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,7 @@ def named_alone(
         return None
     # Reflectors that shine outward only are never named without a body.
     named = checked(named, points, spectra, layouts, settings.bare, opaque=False)
-    named = promised(undisputed(named, points, spectra, layouts, settings), points, spectra, settings)
+    named = promised(undisputed(named, points, spectra, layouts, settings), points, spectra.views, settings)
     return Alone(named, points) if named.status == "identified" else None
 
 
@@ -161,17 +162,18 @@ def undisputed(
     return replace(refused, body=body)
 
 
-def promised(
-    reading: Reading, points: PointReading | None, spectra: Spectra, settings: ContestSettings
-) -> Reading:
-    """A name without a body with the bound that holds for it.
+def promised(reading: Reading, points: PointReading | None, views: int, settings: ContestSettings) -> Reading:
+    """A name without a body with the bound that holds for it, taken back where the setting asks for more.
 
-    The bound is stated and takes no name back: such a name rests on its own decision, and a pair of bare
-    reflectors in an enrolled spacing is that layout, whatever object it belongs to.
+    Args:
+        reading: with a name or without one.
+        points: what the scans show without a body; None where none were fitted: nothing is promised then.
+        views: of the scans.
+        settings: of the contest.
     """
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
-    bound = settings.calibration().bound(
-        points.lead, spectra.views, points.snr_db, settings.false_accept, Basis.BARE
-    )
-    return replace(reading, bound=bound)
+    bound = settings.calibration().bound(points.lead, views, points.snr_db, settings.false_accept, Basis.BARE)
+    verdict = kept(bound, Verdict("identified"))
+    promise = replace(reading, bound=bound)
+    return promise if verdict.status == "identified" else promise.refused(verdict.code, verdict.reason)

@@ -65,6 +65,19 @@ def settle(
         settings: see there.
         direction_known: whether layouts are known from their mirror images; points are fitted only then.
     """
+    settled, points = _weighed(bare, scans, layouts, enrolled, settings, direction_known)
+    return promised(settled, points, scans.aperture.views, settings)
+
+
+def _weighed(
+    bare: Reading,
+    scans: BasebandScans,
+    layouts: Sequence[Layout],
+    enrolled: Enrolled,
+    settings: ContestSettings,
+    direction_known: bool = True,
+) -> tuple[Reading, PointReading | None]:
+    """What `settle` says before the bound of names without a body, and the points that the scans show."""
     own = _own(bare)
     opaque = bare.evidence.outward > settings.outward
     spectra = Spectra.of(scans, wavenumbers=enrolled.wavenumbers)
@@ -89,8 +102,7 @@ def settle(
     if done is None:
         settled = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
         settled = checked(settled, points, spectra, layouts, settings.bare, opaque=opaque)
-    settled = undisputed(settled, points, spectra, layouts, settings)
-    return promised(settled, points, spectra, settings)
+    return undisputed(settled, points, spectra, layouts, settings), points
 
 
 def _leaves_much(done: Reading, points: PointReading, enrolled: Enrolled, settings: ContestSettings) -> bool:
@@ -128,7 +140,7 @@ def bare_evidence(
     if (without_body(placed, points, layouts, settings) or placed).status != "identified":
         return -inf
     freely = replace(settings, calibrated=Calibration("none", (), {}))
-    last = settle(bare, scans, layouts, Enrolled(), freely)
+    last, _ = _weighed(bare, scans, layouts, Enrolled(), freely)
     return points.lead if (last.status, last.kind) == ("identified", Kind.BARE) else -inf
 
 
