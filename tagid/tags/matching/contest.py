@@ -453,10 +453,13 @@ def _clearer(
     """
     from tagid.tags.bodies.below import read_below
 
-    if reading.unexplained <= settings.decision.unexplained:
+    # A body that returns far less than its tag stands alone where it imitates the tag best.
+    left, by_chance = reading.layouts[0].left, settings.decision.no_tag_nats * reading.variance
+    worse = left > first.layouts[0].left + by_chance
+    if reading.unexplained <= settings.decision.unexplained and not worse:
         return reading
     centres = [first.pose.centre]
-    below = read_below(spectra, layouts, reading.body, settings.body, centres, reading.least)
+    below = read_below(spectra, layouts, reading.body, settings.body, centres, max(left, reading.least))
     if below is None or below.least >= reading.least:
         return reading
     # Without a tag the body stands where it leaves least on its own.
