@@ -396,6 +396,34 @@ def _shell80() -> Mesh:
     return shapes.helmet((0.080, 0.104, 0.076), 0.017, 0.0099, shapes.sheet(2.7, 0.0036))
 
 
+def _can38() -> Mesh:
+    """Metal, open, slightly wider at the bottom."""
+    return _profile(0.0095, (0, -48), (38, -48), (36, 48))
+
+
+def _jar35() -> Mesh:
+    """A plastic jar, closed below."""
+    profile = 1e-3 * np.array([(0, -46), (35, -46), (35, 46)])
+    return shapes.revolved(profile, 0.0093, sheet_m=shapes.sheet(2.4, 0.0020))
+
+
+def _bottle30() -> Mesh:
+    """A plastic bottle with a long neck."""
+    profile = 1e-3 * np.array([(0, -54), (30, -54), (30, 14), (12, 40), (12, 62)])
+    return shapes.revolved(profile, 0.0090, sheet_m=shapes.sheet(2.7, 0.0018))
+
+
+def _mug45() -> Mesh:
+    """Plastic, with a plastic handle."""
+    wall = shapes.sheet(2.6, 0.0030)
+    handle = shapes.handle(0.040, 0.028, 0.056, 0.012, 0.009, wall).moved(turn_rad=np.deg2rad(150))
+    return Mesh.join(shapes.can(0.038, 0.088, 0.0094, wall), handle)
+
+
+def _shell83() -> Mesh:
+    return shapes.helmet((0.083, 0.101, 0.080), 0.018, 0.0098, shapes.sheet(2.9, 0.0031))
+
+
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -635,14 +663,6 @@ OPENED = {
     "shell84_h120": Object(_shell84, 30, ring(114, 5, 125, 245)),
     "shell84_lin": Object(_shell84, 24, ((90, 0), (90, 180), (0, 0))),
     "shell84_three": Object(_shell84, 24, ring(113, 0, 80, 200)),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED = {
-    "crate66": Object(_crate66),
-    "crate66_c90": Object(_crate66, 20, ring(46, 0, 90)),
-    "crate66_c180": Object(_crate66, 24, ring(45, 90, 270)),
-    "crate66_three": Object(_crate66, 20, ring(46, 0, 90, 180)),
     "can40": Object(_can40),
     "can40_c90": Object(_can40, 40, ring(62, 140, 230)),
     "can40_c180": Object(_can40, 20, ring(51, 35, 215)),
@@ -676,6 +696,34 @@ SEALED = {
     "shell80_lin": Object(_shell80, 20, ((90, 90), (90, 270), (0, 0))),
     "shell80_three": Object(_shell80, 26, ring(112, 0, 90, 215)),
 }
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED = {
+    "crate66": Object(_crate66),
+    "crate66_c90": Object(_crate66, 20, ring(46, 0, 90)),
+    "crate66_c180": Object(_crate66, 24, ring(45, 90, 270)),
+    "crate66_three": Object(_crate66, 20, ring(46, 0, 90, 180)),
+    "can38": Object(_can38),
+    "can38_c90": Object(_can38, 20, ring(48, 15, 105)),
+    "can38_c180": Object(_can38, 34, ring(56, 75, 255)),
+    "can38_three": Object(_can38, 20, ring(48, 0, 120, 215)),
+    "jar35": Object(_jar35),
+    "jar35_c90": Object(_jar35, 24, ring(46, 130, 220)),
+    "jar35_c180": Object(_jar35, 20, ring(45, 60, 240)),
+    "jar35_pair120": Object(_jar35, 24, ring(46, 0, 120)),
+    "bottle30": Object(_bottle30),
+    "bottle30_c90": Object(_bottle30, 22, ring(45, 205, 295)),
+    "bottle30_c180": Object(_bottle30, 26, ring(45, 100, 280)),
+    "bottle30_three": Object(_bottle30, 22, ring(45, 0, 85, 200)),
+    "mug45": Object(_mug45),
+    "mug45_c90": Object(_mug45, 24, ring(51, 20, 110)),
+    "mug45_c180": Object(_mug45, 20, ring(50, 80, 260)),
+    "mug45_pair65": Object(_mug45, 24, ring(51, 0, 65)),
+    "shell83": Object(_shell83),
+    "shell83_h120": Object(_shell83, 24, ring(113, 40, 160, 280)),
+    "shell83_lin": Object(_shell83, 28, ((90, 0), (90, 180), (0, 0))),
+    "shell83_four": Object(_shell83, 24, ring(112, 0, 80, 190, 260)),
+}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
@@ -687,6 +735,7 @@ ROUND = (
     *("free22", "free32", "free26", "can31", "cup39", "can36", "glass38"),
     *("can33", "tin41", "cup34", "glass31"),
     *("can40", "tin30", "bottle32", "cup37"),
+    *("can38", "jar35", "bottle30"),
 )
 """Bodies of revolution, and tags alone: to be read without enrolment."""
 
