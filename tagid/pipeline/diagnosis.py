@@ -178,11 +178,12 @@ def _of_the_place(
     if prepared.given.angles_rad is None or prepared.given.axis_distance_m is None:
         return []
     circle = circling(prepared.given)
-    if circle is not None and not _CIRCLES_M < circle.radius_m < _FARTHEST_M:
-        circle = None
     centres = _other_centres(reflectors, layouts)
-    if circle is not None and circle.spread_m < _CIRCLE_M and circle.share > _CIRCLE_SHARE:
-        centres = [circle.centre_m, *centres]
+    if circle is not None and _CIRCLES_M < circle.radius_m < _FARTHEST_M:
+        if cause := _of_a_round_body(circle):
+            return [cause]
+        if circle.spread_m < _CIRCLE_M and circle.share > _CIRCLE_SHARE:
+            centres = [circle.centre_m, *centres]
     for centre in centres:
         try:
             moved = recentred(prepared.given, centre)
@@ -199,16 +200,16 @@ def _of_the_place(
                     _CENTRE_IT,
                 )
             ]
-    return [] if circle is None else _of_a_round_body(circle)
+    return []
 
 
-def _of_a_round_body(circle: Circling) -> list[Cause]:
+def _of_a_round_body(circle: Circling) -> Cause | None:
     """The cause of an echo that nothing but a round body off the axis makes."""
     if circle.spread_m > _ROUND_M or circle.share < _ROUND_SHARE or circle.faintest < _ROUND_FAINTEST:
-        return []
+        return None
     off = f"about {circle.radius_m * 1e3:.0f} mm" if circle.radius_m >= _TOLD_M else "10 to 20 mm"
     told = f"the strongest echo circles the rotation axis, as that of a round body {off} off it"
-    return [Cause("off_centre", told, _CENTRE_IT)]
+    return Cause("off_centre", told, _CENTRE_IT)
 
 
 def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -> list[tuple[float, float]]:
