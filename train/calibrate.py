@@ -146,7 +146,7 @@ def main() -> None:
         drawn = strata(list(rows.values()), arguments.views)
         if arguments.only:
             known = Calibration.from_json(arguments.write.read_text("utf-8"))
-            made = replaced(known, drawn, sorted(rows), arguments.only)
+            made = replace(replaced(known, drawn, sorted(rows), arguments.only), population=STATEMENT)
         else:
             made = Calibration(STATEMENT, drawn, dict.fromkeys(Basis, ranges(sorted(rows))))
         arguments.write.write_text(made.to_json())

@@ -75,9 +75,12 @@ class BodyDecision:
         least_body: a round body returns at least this share of what its reflectors do, as far as its movement
             tells. Of 520 right readings full-wave ones return 1.5 times as much and more, our own 0.7, with
             12 views 0.2 in one and 0.4 in another; of the ten best of 28,000 objects without an enrolled tag
-            six return 0.03 to 0.3: other reflectors about a point 3 to 12 mm off the axis,
-        least_body_clear: unless the layout leads by so much: none of them led by more than 3.4, a reflector
-            of 40 mm on a can that returned 0.1 of what it did by 11.
+            six return 0.03 to 0.3: other reflectors about a point 3 to 12 mm off the axis. None led by more
+            than 3.4,
+        sure_lead: a layout that leads by so much needs no loud body: reflectors of 40 mm on a can that
+            returned a tenth of what they did led by 11.
+        far_wall_m: and it may answer from so far before or behind beside a wall of known waves: pulses that
+            nobody stated delay tags on cans by up to 72 mm.
         free_more: lead by which a free pattern must be ahead of one of known waves, to be as convincing.
         centre_m: largest distance of the centres of body and tag from the rotation axis.
         no_tag_nats: a body is untagged where no arrangement explains so many noise variances more: fitting
@@ -120,7 +123,8 @@ class BodyDecision:
     undone: float = 1.6
     undone_clear: float = 1.75
     least_body: float = 0.5
-    least_body_clear: float = 5.0
+    sure_lead: float = 4.0
+    far_wall_m: float = 0.080
     free_more: float = 0.15
     centre_m: float = FARTHEST_CENTRE_M
     no_tag_nats: float = 60.0
@@ -168,6 +172,8 @@ def is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
     if r.wall is not None:
         clear = int(r.lead >= s.walled_lead)
         latest, earliest = s.late_wall_m[clear], s.early_wall_m[clear]
+        if r.lead >= s.sure_lead:
+            latest, earliest = -s.far_wall_m, s.far_wall_m
         return latest <= r.early_m - min(delay, 0.0) and r.early_m - max(delay, 0.0) <= earliest
     if r.through:
         # One that the wave passes through returns most from behind, by paths of its own.
@@ -256,7 +262,7 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         )
     if r.radius_off_m > s.radius_m:
         return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {best.layout}")
-    if not r.body.name and r.body_over_tag < s.least_body and r.lead < s.least_body_clear:
+    if not r.body.name and r.body_over_tag < s.least_body and r.lead < s.sure_lead:
         return Verdict(
             "unknown",
             Code.BODY,
