@@ -130,6 +130,7 @@ def undisputed(
     """A name without a body, taken back where other reflectors on a round body explain the echo better.
 
     A weak echo is explained to the noise by many arrangements of points; then it counts which explains most.
+    Two reflectors on a thin plastic wall seem farther apart than they are: to points they are another pair.
     Reflectors that are hidden in some views are explained by their layout on a body, which counts for it.
     Where points leave little beyond the noise, and what the fewest amplitudes on a body are charged, no body
     is tried.
@@ -137,7 +138,7 @@ def undisputed(
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
     own = next((placed.left for placed in points.layouts if placed.layout == reading.layout), inf)
-    margin = settings.disputed_nats * spectra.noise + settings.points.unexplained * points.tag
+    margin = settings.disputed_nats * spectra.noise + settings.disputed_share * points.tag
     least = BODY_LEAVES * spectra.noise_energy + (FEWEST_TERMS - 1) * spectra.amplitude_cost
     if spectra.noise <= 0 or own - least <= margin:
         return reading
