@@ -50,7 +50,7 @@ FIRST_SEALED = 121
 ENROLLED_PAIR = "enrolled_pair"
 """Outcome of what was drawn as a foreign object and is none: it is left out."""
 DRAWN_FROM = {True: 0, False: 660_000}
-"""First number of the drawn full-wave scenes: of development, and reported; 500,000 to 640,000 on were
+"""First number of the drawn full-wave scenes: of development, and reported; 500,000 to 650,000 on were
 before."""
 
 
