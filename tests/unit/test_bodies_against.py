@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tagid.capture import Capture
+from tagid.fields.shells import Shell
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import aspect_spectra, identify
 from tagid.simulate import (
@@ -26,7 +27,7 @@ from tagid.simulate.objects import Variation, object_scene
 from tagid.tags.bodies import cylinder_reader, reader
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.cylinder_reader import read_on_cylinder
-from tagid.tags.bodies.decide import BodyDecision, decide_on_body
+from tagid.tags.bodies.decide import BodyDecision, decide_on_body, is_in_place
 from tagid.tags.bodies.enrolled import EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose
 from tagid.tags.bodies.joint import Named, enrol_signature
@@ -218,19 +219,43 @@ def test_a_body_hides_the_reflectors_that_it_carries(lead: float, explains: floa
     assert matcher.MatchedScan._cleared_of(scan, settled) is not None
 
 
-@pytest.mark.parametrize(("share", "named"), [(0.3, False), (0.7, True)])
-def test_a_round_body_moves_with_its_tag(share: float, named: bool) -> None:
+@pytest.mark.parametrize(
+    ("share", "nats", "lead", "named"),
+    [
+        (0.7, 20.0, 1.0, True),
+        (0.3, 20.0, 1.0, False),
+        (0.3, 80.0, 1.0, True),
+        (0.1, 80.0, 1.0, False),
+        (0.1, 20.0, 5.0, True),
+    ],
+)
+def test_a_round_body_moves_with_its_tag(share: float, nats: float, lead: float, named: bool) -> None:
     """Reflectors 165 degrees apart are 180 degrees apart about a point where nothing stands."""
     capture = recorded("can:33mm", positions("container-180"), 5, 20.0)
     reading = identify(capture, LAYOUTS).reading
     assert reading is not None and reading.body is not None and reading.layout == "container-180"
     found = reading.body
     assert found.body_over_tag > 1
-    weak = replace(found, body_energy=found.body_energy * share / found.body_over_tag)
+    energy = found.body_energy * share / found.body_over_tag
+    weak = replace(found, body_energy=energy, lead=lead, variance=energy / nats)
     assert weak.body_over_tag == pytest.approx(share)
-    verdict = decide_on_body(weak, BodyDecision())
+    verdict = decide_on_body(weak, BodyDecision(no_tag_nats=0.0))
     assert (verdict.status == "identified") == named
     assert named or "no body moves" in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("lead", "early_mm", "named"),
+    [(1.5, 64, True), (1.5, 70, False), (5.0, 78, True), (5.0, -78, True), (5.0, 82, False)],
+)
+def test_a_clear_layout_may_answer_from_farther_off(lead: float, early_mm: float, named: bool) -> None:
+    """Pulses that nobody stated delay the whole echo."""
+    reading = identify(recorded("can:33mm", positions("container-180"), 5, 20.0), LAYOUTS).reading
+    assert reading is not None and reading.body is not None
+    beside = replace(
+        reading.body, lead=lead, early_m=1e-3 * early_mm, front_m=0.0, wall=Shell(0.033, 0.0, 1.0, True, "V")
+    )
+    assert is_in_place(beside, BodyDecision()) == named
 
 
 def test_bare_pairs_of_an_enrolled_spacing_are_no_foreign_objects() -> None:

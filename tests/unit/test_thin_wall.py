@@ -68,6 +68,14 @@ def test_a_tag_before_a_thin_wall_is_named() -> None:
     assert named == 8 and noted >= 3
 
 
+@pytest.mark.parametrize("snr_db", [5.0, 10.0])
+def test_a_pair_on_a_can_is_no_row_before_a_thin_wall(snr_db: float) -> None:
+    """At 12 views three reflectors and a wave that was taken out left a sixth of the echo."""
+    capture = draw(90163, tagged=True, views=12, snr_db=snr_db).capture
+    scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+    assert read_tag(scans, LAYOUTS).layout in (None, "container-180")
+
+
 def test_a_vote_of_such_recordings_names_it_too() -> None:
     """What hides the name in each recording hides it in all of them."""
     recordings = [with_wall(synthetic_scans(TAG, noise=0.5, seed=s), 0.025, 0.55) for s in (1, 3, 7)]
