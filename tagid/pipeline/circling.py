@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.imaging.preprocess import remove_background
@@ -46,7 +47,7 @@ def circling(capture: Capture) -> Circling | None:
     views; these are left out in turns.
 
     Args:
-        capture: of a turntable, with angles and axis distance.
+        capture: of a turntable, with angles.
     """
     if capture.angles_rad is None or capture.views < _FEWEST:
         return None
@@ -58,7 +59,7 @@ def circling(capture: Capture) -> Circling | None:
     for _ in range(_ROUNDS):
         found = np.linalg.lstsq(columns[kept], ranges[kept], rcond=None)[0]
         off = np.abs(ranges - columns @ found)
-        # A median absolute deviation is 0.67 standard deviations; a bin is the least that it can be.
+        # A median absolute deviation is 0.67 standard deviations; a quarter of a bin is the least.
         usual = max(float(np.median(off)) / 0.67, capture.range_step_m / 4)
         again = off <= _KEPT_DEVIATIONS * usual
         if again.sum() < _FEWEST or np.array_equal(again, kept):
@@ -70,7 +71,7 @@ def circling(capture: Capture) -> Circling | None:
     return Circling((float(found[1]), float(found[2])), spread, float(kept.mean()), faintest)
 
 
-def _peaks(envelope: np.ndarray) -> np.ndarray:
+def _peaks(envelope: NDArray[np.floating]) -> NDArray[np.float64]:
     """(V,) bin of each view's largest value, between bins by a parabola."""
     top = np.clip(envelope.argmax(axis=1), 1, envelope.shape[1] - 2)
     views = np.arange(len(envelope))
