@@ -18,7 +18,7 @@ from tagid.errors import DataError
 from tagid.imaging.preprocess import remove_background
 from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.axis_search import bright_offsets
-from tagid.pipeline.circling import Circling, circling
+from tagid.pipeline.circling import circling
 from tagid.pipeline.coverage import WHOLE_TURN, ended_early, widest_gap
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
@@ -110,10 +110,12 @@ def with_causes(
     if answer.status in ("identified", "failed") or answer.reading is None:
         return answer
     causes = [*_of_the_turn(prepared.given)]
-    if not any(cause.code == "speed" for cause in causes):
-        causes += _of_the_axis(prepared, layouts)
     # Where the answer itself says so, a place farther out that explains the scans as well is none.
-    if not causes and answer.reading.code is not Code.OFF_CENTRE:
+    says_so = answer.reading.code is Code.OFF_CENTRE
+    if not any(cause.code == "speed" for cause in causes):
+        beside = None if says_so else _of_a_round_body(prepared.given)
+        causes += _of_the_axis(prepared, layouts) if beside is None else [beside]
+    if not causes and not says_so:
         causes += _of_the_place(prepared, answer.reading.reflectors, layouts)
     return replace(answer, causes=tuple(causes))
 
@@ -177,13 +179,10 @@ def _of_the_place(
     """A position of the object off the axis, if the reader names it after the scans are moved there."""
     if prepared.given.angles_rad is None or prepared.given.axis_distance_m is None:
         return []
-    circle = circling(prepared.given)
     centres = _other_centres(reflectors, layouts)
-    if circle is not None and _CIRCLES_M < circle.radius_m < _FARTHEST_M:
-        if cause := _of_a_round_body(circle):
-            return [cause]
-        if circle.spread_m < _CIRCLE_M and circle.share > _CIRCLE_SHARE:
-            centres = [circle.centre_m, *centres]
+    circle = circling(prepared.given)
+    if circle is not None and circle.spread_m < _CIRCLE_M and circle.share > _CIRCLE_SHARE:
+        centres = [circle.centre_m, *centres] if _CIRCLES_M < circle.radius_m < _FARTHEST_M else centres
     for centre in centres:
         try:
             moved = recentred(prepared.given, centre)
@@ -203,8 +202,11 @@ def _of_the_place(
     return []
 
 
-def _of_a_round_body(circle: Circling) -> Cause | None:
+def _of_a_round_body(capture: Capture) -> Cause | None:
     """The cause of an echo that nothing but a round body off the axis makes."""
+    circle = circling(capture)
+    if circle is None or not _CIRCLES_M < circle.radius_m < _FARTHEST_M:
+        return None
     if circle.spread_m > _ROUND_M or circle.share < _ROUND_SHARE or circle.faintest < _ROUND_FAINTEST:
         return None
     off = f"about {circle.radius_m * 1e3:.0f} mm" if circle.radius_m >= _TOLD_M else "10 to 20 mm"
