@@ -355,8 +355,8 @@ scenes 52 of 53 on handles and shells were named, none of 99 others. Since then 
 noise, and of every name by a free pattern on a body with a handle, and what stands in the middle of a ring on
 a shell or a box is fitted. Of the sealed/9 scenes 52 of 53 on handles and shells and 168 of 171 with designed
 layouts were named (commit 447a9c2), none of 152 others. Since then the body is asked once more how unevenly
-it was turned, beside its wall's reflectors. Of the sealed/10 scenes 53 of 53 and 171 of 171 were named (commit
-d6192b8), none of 152 others. Since then an enrolled body that returns less than its tag is sought below it.
+it was turned, beside its wall's reflectors. Of the sealed/10 scenes 53 of 53 and 171 of 171 were named, none
+of 152 others (commit d6192b8). Since then an enrolled body that returns less than its tag is sought below it.
 The sealed/11 scenes had not been read before.
 """
 
