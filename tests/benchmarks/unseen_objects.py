@@ -695,14 +695,6 @@ OPENED = {
     "shell80_h120": Object(_shell80, 40, ring(114, 75, 195, 315)),
     "shell80_lin": Object(_shell80, 20, ((90, 90), (90, 270), (0, 0))),
     "shell80_three": Object(_shell80, 26, ring(112, 0, 90, 215)),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED = {
-    "crate66": Object(_crate66),
-    "crate66_c90": Object(_crate66, 20, ring(46, 0, 90)),
-    "crate66_c180": Object(_crate66, 24, ring(45, 90, 270)),
-    "crate66_three": Object(_crate66, 20, ring(46, 0, 90, 180)),
     "can38": Object(_can38),
     "can38_c90": Object(_can38, 20, ring(48, 15, 105)),
     "can38_c180": Object(_can38, 34, ring(56, 75, 255)),
@@ -723,6 +715,17 @@ SEALED = {
     "shell83_h120": Object(_shell83, 24, ring(113, 40, 160, 280)),
     "shell83_lin": Object(_shell83, 28, ((90, 0), (90, 180), (0, 0))),
     "shell83_four": Object(_shell83, 24, ring(112, 0, 80, 190, 260)),
+    "bottle30_pair150": Object(_bottle30, 26, ring(45, 100, 250)),
+    "bottle30_pair155": Object(_bottle30, 22, ring(45, 30, 185)),
+    "jar35_pair150": Object(_jar35, 24, ring(45, 60, 210)),
+}
+"""Objects that were sealed, reported, and looked at since, and three pairs on thin plastic."""
+
+SEALED = {
+    "crate66": Object(_crate66),
+    "crate66_c90": Object(_crate66, 20, ring(46, 0, 90)),
+    "crate66_c180": Object(_crate66, 24, ring(45, 90, 270)),
+    "crate66_three": Object(_crate66, 20, ring(46, 0, 90, 180)),
 }
 """Objects that are only reported."""
 
