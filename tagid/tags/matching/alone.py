@@ -138,7 +138,9 @@ def undisputed(
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
     own = next((placed.left for placed in points.layouts if placed.layout == reading.layout), inf)
-    margin = settings.disputed_nats * spectra.noise + settings.disputed_share * points.tag
+    pairs = [one.name for one in layouts if len(one.positions) == 2]
+    share = settings.disputed_share if reading.layout in pairs else settings.points.unexplained
+    margin = settings.disputed_nats * spectra.noise + share * points.tag
     least = BODY_LEAVES * spectra.noise_energy + (FEWEST_TERMS - 1) * spectra.amplitude_cost
     if spectra.noise <= 0 or own - least <= margin:
         return reading

@@ -53,9 +53,10 @@ class ContestSettings:
         disputed_nats: a name without a body is refused where another arrangement on a round body leaves so
             many noise variances less, its amplitudes charged: in a weak echo one reflector on a can passes
             for two without a body,
-        disputed_share: beyond this share of the tag's echo. A pair 150 degrees apart on a plastic bottle,
-            whose wall delays the farther reflector by 3 mm, has the spacing of an opposite one. Of 1,008
-            recordings of solved bare tags, of 5 dB and more, none is lost to 0.015, three are to 0.008.
+        disputed_share: beyond this share of a pair's echo, and what `points` may leave of other tags. Two
+            reflectors 150 degrees apart on a plastic bottle, whose wall delays the farther one by 3 mm, have
+            the spacing of opposite ones. Of 1,008 recordings of solved bare tags, of 5 dB and more, none is
+            lost to 0.015, three are to 0.008.
         transparent: of names that points have beside an enrolled body.
         shell: tests on a thin shell that nobody enrolled,
         box: and in or on a box of thin walls. Tags that are read rightly there seem 0.7 mm nearer to their
