@@ -245,6 +245,26 @@ def test_a_round_body_moves_with_its_tag(share: float, nats: float, lead: float,
 
 
 @pytest.mark.parametrize(
+    ("lead", "wide", "passed", "named"),
+    [(1.4, True, True, False), (2.5, True, True, True), (1.4, False, True, True), (1.4, True, False, True)],
+)
+def test_a_row_on_a_shell_is_no_pair_beside_a_glass(
+    monkeypatch: pytest.MonkeyPatch, lead: float, wide: bool, passed: bool, named: bool
+) -> None:
+    """With a free pattern the three of `helmet-linear` explain the echo, beside a small glass two do."""
+    reading = identify(recorded("can:33mm", positions("container-180"), 5, 20.0), LAYOUTS).reading
+    assert reading is not None and reading.body is not None
+    beside = replace(reading.body, lead=lead, through=passed)
+    other = SimpleNamespace(layout="helmet-linear" if wide else "container-90", left=1.0)
+    nominal_m = 0.09 if wide else 0.045
+    freely = SimpleNamespace(layouts=[other], nominal_m=nominal_m, body=SimpleNamespace(name=""))
+    monkeypatch.setattr(contest, "_judged", lambda *_: Verdict("identified"))
+    verdict = Verdict("unknown", Code.BODY, "before")
+    arguments: Any = (None, freely, verdict, beside, LAYOUTS, ContestSettings())
+    assert (contest._after_wall(*arguments)[1].status == "identified") == named
+
+
+@pytest.mark.parametrize(
     ("lead", "early_mm", "named"),
     [(1.5, 64, True), (1.5, 70, False), (5.0, 78, True), (5.0, -78, True), (5.0, 82, False)],
 )

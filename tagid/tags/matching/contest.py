@@ -373,8 +373,12 @@ def _after_wall(
     """
     if beside is not None:
         told = _judged(known, beside, layouts, settings)
+        own, free = beside.layouts[0], reading.layouts[0]
+        wider = free.layout != own.layout and reading.nominal_m >= settings.body.wide_m > beside.nominal_m
+        if wider and beside.through and not reading.body.name and beside.lead < settings.decision.clear_lead:
+            # Three in a line on a helmet's shell passed for a pair beside a small glass.
+            told = Verdict("unknown", Code.OTHER, f"with a free pattern {free.layout} explains the echo")
         if told.status == "identified":
-            own, free = beside.layouts[0], reading.layouts[0]
             return replace(beside, freely=free.left if free.layout == own.layout else inf), told
     known_body = bool(reading.body.name)
     stands = not disputed(reading, beside) if known_body else borne_out(reading, beside, settings.decision)
