@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.imaging.preprocess import remove_background
-from tagid.signal import analytic
+from tagid.signal import analytic, median, peak_place
 
 _FEWEST = 8
 """Views that a circle, three numbers, needs."""
@@ -52,7 +51,7 @@ def circling(capture: Capture) -> Circling | None:
     if capture.angles_rad is None or capture.views < _FEWEST:
         return None
     envelope = np.abs(analytic(remove_background(capture.samples, "mean")))
-    ranges = capture.range_start_m + capture.range_step_m * _peaks(envelope)
+    ranges = capture.range_start_m + capture.range_step_m * np.array([peak_place(view) for view in envelope])
     angles = capture.angles_rad
     columns = np.stack([np.ones(len(angles)), -np.cos(angles), np.sin(angles)], axis=1)
     kept = np.ones(len(angles), dtype=bool)
@@ -60,22 +59,12 @@ def circling(capture: Capture) -> Circling | None:
         found = np.linalg.lstsq(columns[kept], ranges[kept], rcond=None)[0]
         off = np.abs(ranges - columns @ found)
         # A median absolute deviation is 0.67 standard deviations; a quarter of a bin is the least.
-        usual = max(float(np.median(off)) / 0.67, capture.range_step_m / 4)
+        usual = max(float(median(off)) / 0.67, capture.range_step_m / 4)
         again = off <= _KEPT_DEVIATIONS * usual
         if again.sum() < _FEWEST or np.array_equal(again, kept):
             break
         kept = again
     spread = float(np.sqrt(np.mean((ranges - columns @ found)[kept] ** 2)))
     amplitudes = envelope.max(axis=1)
-    faintest = float(np.quantile(amplitudes, 0.1) / max(np.median(amplitudes), 1e-30))
+    faintest = float(np.quantile(amplitudes, 0.1) / max(float(median(amplitudes)), 1e-30))
     return Circling((float(found[1]), float(found[2])), spread, float(kept.mean()), faintest)
-
-
-def _peaks(envelope: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(V,) bin of each view's largest value, between bins by a parabola."""
-    top = np.clip(envelope.argmax(axis=1), 1, envelope.shape[1] - 2)
-    views = np.arange(len(envelope))
-    before, at, after = (envelope[views, top + i].astype(np.float64) for i in (-1, 0, 1))
-    bend = before - 2 * at + after
-    shift = np.divide(before - after, 2 * bend, out=np.zeros_like(bend), where=bend < 0)
-    return np.asarray(top + np.clip(shift, -0.5, 0.5))

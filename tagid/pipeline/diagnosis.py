@@ -18,7 +18,7 @@ from tagid.errors import DataError
 from tagid.imaging.preprocess import remove_background
 from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.axis_search import bright_offsets
-from tagid.pipeline.circling import circling
+from tagid.pipeline.circling import Circling, circling
 from tagid.pipeline.coverage import WHOLE_TURN, ended_early, widest_gap
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
@@ -112,11 +112,12 @@ def with_causes(
     causes = [*_of_the_turn(prepared.given)]
     # Where the answer itself says so, a place farther out that explains the scans as well is none.
     says_so = answer.reading.code is Code.OFF_CENTRE
+    circle = None if says_so else _circle(prepared.given)
     if not any(cause.code == "speed" for cause in causes):
-        beside = None if says_so else _of_a_round_body(prepared.given)
+        beside = None if circle is None else _of_a_round_body(circle)
         causes += _of_the_axis(prepared, layouts) if beside is None else [beside]
     if not causes and not says_so:
-        causes += _of_the_place(prepared, answer.reading.reflectors, layouts)
+        causes += _of_the_place(prepared, answer.reading.reflectors, layouts, circle)
     return replace(answer, causes=tuple(causes))
 
 
@@ -174,15 +175,17 @@ def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[C
 
 
 def _of_the_place(
-    prepared: PreparedCapture, reflectors: Sequence[Reflector], layouts: Sequence[Layout]
+    prepared: PreparedCapture,
+    reflectors: Sequence[Reflector],
+    layouts: Sequence[Layout],
+    circle: Circling | None,
 ) -> list[Cause]:
     """A position of the object off the axis, if the reader names it after the scans are moved there."""
     if prepared.given.angles_rad is None or prepared.given.axis_distance_m is None:
         return []
     centres = _other_centres(reflectors, layouts)
-    circle = circling(prepared.given)
     if circle is not None and circle.spread_m < _CIRCLE_M and circle.share > _CIRCLE_SHARE:
-        centres = [circle.centre_m, *centres] if _CIRCLES_M < circle.radius_m < _FARTHEST_M else centres
+        centres = [circle.centre_m, *centres]
     for centre in centres:
         try:
             moved = recentred(prepared.given, centre)
@@ -202,11 +205,14 @@ def _of_the_place(
     return []
 
 
-def _of_a_round_body(capture: Capture) -> Cause | None:
-    """The cause of an echo that nothing but a round body off the axis makes."""
+def _circle(capture: Capture) -> Circling | None:
+    """The circle of the strongest echo, where something off the axis, not too far, makes one."""
     circle = circling(capture)
-    if circle is None or not _CIRCLES_M < circle.radius_m < _FARTHEST_M:
-        return None
+    return circle if circle is not None and _CIRCLES_M < circle.radius_m < _FARTHEST_M else None
+
+
+def _of_a_round_body(circle: Circling) -> Cause | None:
+    """The cause of an echo that nothing but a round body off the axis makes."""
     if circle.spread_m > _ROUND_M or circle.share < _ROUND_SHARE or circle.faintest < _ROUND_FAINTEST:
         return None
     off = f"about {circle.radius_m * 1e3:.0f} mm" if circle.radius_m >= _TOLD_M else "10 to 20 mm"

@@ -20,7 +20,7 @@ from tagid.errors import DataError, UsageError
 from tagid.metadata import RadarInfo, RadarSettings, ReferenceFacts, ReferenceName
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
-from tagid.signal import from_positive, positive_spectrum, vertex
+from tagid.signal import from_positive, peak_place, positive_spectrum
 from tagid.waveform import nominal_pulse, pulse_at
 
 LONGEST_DELAY_PS = 25_000.0
@@ -104,18 +104,18 @@ def estimate_delay(
         )
     background = np.zeros(target.bins) if empty is None else empty
     raw, matched = _envelopes(scans.mean(axis=0) - background, step_ps * 1e-12)
-    peak = _peak(matched, low, high)
+    peak = peak_place(matched, low, high)
     snr_db = _check_echo(target, scans, matched, _Found(low, high, peak, start_ps, step_ps))
     edges = np.linspace(0, len(scans), _BLOCKS + 1).astype(int)
     near = round(_APART_PS / step_ps * _FINER)
     around = max(low, round(peak) - near), min(high, round(peak) + near)
     parts = [
-        _peak(_envelopes(scans[a:b].mean(axis=0) - background, step_ps * 1e-12)[1], *around)
+        peak_place(_envelopes(scans[a:b].mean(axis=0) - background, step_ps * 1e-12)[1], *around)
         for a, b in pairwise(edges)
     ]
     to_ps = step_ps / _FINER
     noise_ps = float(np.std(parts, ddof=1)) / math.sqrt(_BLOCKS) * to_ps
-    shape_ps = abs(_peak(raw, *around) - peak) * to_ps
+    shape_ps = abs(peak_place(raw, *around) - peak) * to_ps
     tape_ps = 2e12 * tape_error_m / SPEED_OF_LIGHT
     # The radar reports its window in whole ps; the window starts on a grid of 1.9 ps.
     grid_ps = BIN_PS / math.sqrt(12)
@@ -235,14 +235,6 @@ def _envelopes(scan: NDArray[np.float64], step_s: float) -> tuple[NDArray[np.flo
     both = np.stack([spectrum, spectrum * np.conj(pulse)])
     envelopes = np.abs(from_positive(both, length, bins, _FINER))
     return envelopes[0], envelopes[1]
-
-
-def _peak(envelope: NDArray[np.float64], low: int, high: int) -> float:
-    """Position of the envelope's maximum in low..high, refined by a parabola."""
-    best = low + int(envelope[low : high + 1].argmax())
-    if not 0 < best < len(envelope) - 1:
-        return float(best)
-    return best + float(vertex(*envelope[best - 1 : best + 2]))
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,8 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
-import platform
 import sys
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from itertools import product
 from pathlib import Path
 from statistics import NormalDist
@@ -35,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 import reading_bodies_scenes as scenes
 from own_bound import spectra
-from provenance import commit
+from provenance import made_with, method
 from reading_bodies_scenes import Cell
 
 from tagid.tags.bodies.body_reading import BodySettings
@@ -116,11 +114,9 @@ def main() -> None:
     lines = [
         "# Tags beside walls that nobody states: what is left to tell them by",
         "",
-        f"Command: `python {' '.join(sys.argv)}`. Commit: {commit()}.",
-        f"Machine: {platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}.",
-        f"Date: {datetime.now(UTC):%Y-%m-%d}. Seeds: development, numbers {FIRST} to {last}.",
+        *made_with(f"development, numbers {FIRST} to {last}"),
         "",
-        *(str(__doc__).split("\n\n", 1)[1].split("    python tests")[0].strip().splitlines()),
+        *method(__doc__),
         "",
         *document(found),
     ]

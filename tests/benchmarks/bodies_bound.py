@@ -13,10 +13,7 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
-import sys
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -24,7 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from bodies_scenes import FULLWAVE, generator
 from numpy.typing import NDArray
-from provenance import commit
+from provenance import made_with
 from scipy.special import log_ndtr
 
 from tagid.capture import Capture
@@ -227,9 +224,7 @@ def main() -> None:
     lines = [
         "# Tags on bodies: what the waves allow",
         "",
-        f"Command: `python {' '.join(sys.argv)}`. Commit: {commit()}.",
-        f"Machine: {platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}.",
-        f"Date: {datetime.now(UTC):%Y-%m-%d}. Seeds: {SEED}, of the noise alone.",
+        *made_with(f"{SEED}, of the noise alone"),
         "Full-wave responses, 6 mm off the axis, vertical polarisation.",
         "",
         "*Confused*: probability that an ideal reader, which knows the echo of the body with every",

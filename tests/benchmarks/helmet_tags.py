@@ -15,11 +15,9 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -29,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from numpy.typing import NDArray
-from provenance import ROOT, commit
+from provenance import ROOT, made_with, method
 
 from tagid.errors import DataError
 from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField
@@ -173,11 +171,9 @@ def main() -> None:
     lines = [
         "# Tags on helmets and in cartons: thin sheets against solved ones",
         "",
-        f"Command: `python {' '.join(sys.argv)}`. Commit: {commit()}.",
-        f"Machine: {platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}.",
-        f"Date: {datetime.now(UTC):%Y-%m-%d}. Seeds: none, nothing is drawn.",
+        *made_with("none, nothing is drawn"),
         "",
-        *(str(__doc__).split("\n\n", 1)[1].split("    python tests")[0].strip().splitlines()),
+        *method(__doc__),
         "",
         "| solved tag | no shell | round wall | elliptic sheet |",
         "|---|---|---|---|",

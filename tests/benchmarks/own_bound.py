@@ -23,10 +23,8 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
-import platform
 import sys
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from itertools import product
 from pathlib import Path
 
@@ -36,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 import reading_bodies_scenes as scenes
 from numpy.typing import NDArray
-from provenance import commit
+from provenance import made_with, method
 from reading_bodies_scenes import Cell
 
 from tagid.capture import Capture
@@ -168,11 +166,9 @@ def main() -> None:
     lines = [
         "# Tags on our simulator's bodies: what the waves hold",
         "",
-        f"Command: `python {' '.join(sys.argv)}`. Commit: {commit()}.",
-        f"Machine: {platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}.",
-        f"Date: {datetime.now(UTC):%Y-%m-%d}. Seeds: development, numbers 300 to {299 + given.numbers}.",
+        *made_with(f"development, numbers 300 to {299 + given.numbers}"),
         "",
-        *(str(__doc__).split("\n\n", 1)[1].split("    python tests")[0].strip().splitlines()),
+        *method(__doc__),
         "",
         *document(found),
     ]

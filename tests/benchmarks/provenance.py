@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import os
+import platform
 import subprocess
+import sys
+from datetime import UTC, datetime
 from pathlib import Path
+
+import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -20,3 +25,17 @@ def commit() -> str:
 
     changed = git("status", "--porcelain", "--untracked-files=no")
     return f"{git('rev-parse', '--short=10', 'HEAD').strip()}{'+' if changed else ''}"
+
+
+def made_with(seeds: str) -> list[str]:
+    """Lines of a page: command, commit, machine and date, and the seeds as given."""
+    return [
+        f"Command: `python {' '.join(sys.argv)}`. Commit: {commit()}.",
+        f"Machine: {platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}.",
+        f"Date: {datetime.now(UTC):%Y-%m-%d}. Seeds: {seeds}.",
+    ]
+
+
+def method(docstring: str | None) -> list[str]:
+    """Lines of a page: what a script says of its method, between its first line and its command."""
+    return str(docstring).split("\n\n", 1)[1].split("    python tests")[0].strip().splitlines()

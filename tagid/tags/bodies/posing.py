@@ -143,8 +143,8 @@ def descend(
     def amplitudes_of(r: NDArray[np.complex128], inner: NDArray[np.complex128]) -> NDArray[np.complex128]:
         load = 1e-12 * np.abs(r).max(axis=(1, 2), keepdims=True) + 1e-300
         # More amplitudes than views: those that the views cannot tell are 0.
-        lacking = ((0, 0), (0, r.shape[2] - r.shape[1]), (0, 0))
-        r, inner = np.pad(r, lacking), np.pad(inner, lacking)
+        if lacking := r.shape[2] - r.shape[1]:
+            r, inner = (np.pad(one, ((0, 0), (0, lacking), (0, 0))) for one in (r, inner))
         return np.asarray(np.linalg.solve(r + load * np.eye(r.shape[-1]), inner)[..., 0])
 
     parts = model(x)

@@ -373,12 +373,8 @@ def _after_wall(
     """
     if beside is not None:
         told = _judged(known, beside, layouts, settings)
-        own, free = beside.layouts[0], reading.layouts[0]
-        wider = free.layout != own.layout and reading.nominal_m >= settings.body.wide_m > beside.nominal_m
-        if wider and beside.through and not reading.body.name and beside.lead < settings.decision.clear_lead:
-            # Three in a line on a helmet's shell passed for a pair beside a small glass.
-            told = Verdict("unknown", Code.OTHER, f"with a free pattern {free.layout} explains the echo")
-        if told.status == "identified":
+        if told.status == "identified" and not _of_a_shell(reading, beside, settings):
+            own, free = beside.layouts[0], reading.layouts[0]
             return replace(beside, freely=free.left if free.layout == own.layout else inf), told
     known_body = bool(reading.body.name)
     stands = not disputed(reading, beside) if known_body else borne_out(reading, beside, settings.decision)
@@ -387,6 +383,16 @@ def _after_wall(
         where = f"the enrolled body {reading.body.name}" if known_body else "a round body"
         verdict = Verdict("unknown", Code.BODY, f"no round wall bears out {named} on {where}")
     return reading, verdict
+
+
+def _of_a_shell(reading: BodyReading, beside: BodyReading, settings: ContestSettings) -> bool:
+    """Whether what a wall that the wave passes names may be a helmet's layout: a free pattern finds one.
+
+    Three reflectors in a line on a shell passed for a pair beside a small glass.
+    """
+    wider = reading.nominal_m >= settings.body.wide_m > beside.nominal_m
+    clear = beside.lead >= settings.decision.clear_lead
+    return wider and beside.through and not reading.body.name and not clear
 
 
 def _outdone(
