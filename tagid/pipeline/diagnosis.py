@@ -14,13 +14,11 @@ from itertools import permutations
 import numpy as np
 
 from tagid.capture import Capture, ViewFlag
-from tagid.errors import DataError
-from tagid.imaging.preprocess import remove_background
 from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.circling import Circling, circling
 from tagid.pipeline.coverage import WHOLE_TURN, ended_early, widest_gap
-from tagid.pipeline.identify import identify
+from tagid.pipeline.elsewhere import clearer, named, recentred
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.resolve import one_of, speed_contradiction
 from tagid.pipeline.standstill import REMEDY, stopped_words
@@ -35,7 +33,10 @@ _MOST_REFLECTORS = 6
 _FITS_M = 0.008
 """RMS distance of detected reflectors from their positions in a layout, m."""
 _FARTHEST_M = 0.12
-_PLACE_TRIES = 3
+_PLACES = 3
+"""Centres off the axis that are compared."""
+_AXIS_TRIES, _PLACE_TRIES = 2, 1
+"""Axis distances, and places, that are read in full, the best first."""
 _CIRCLE_M, _CIRCLE_SHARE = 0.025, 0.8
 """Largest spread of the strongest echo about its circle, m, and the least share of views that follow it."""
 _ROUND_M, _ROUND_SHARE, _ROUND_FAINTEST = 0.010, 0.85, 0.65
@@ -148,25 +149,22 @@ def _stopped(capture: Capture) -> Cause | None:
 
 def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[Cause]:
     """A different axis distance, if the reader names the object with it."""
-    capture = prepared.given
+    capture = prepared.capture
     given = capture.axis_distance_m
     if given is None or capture.angles_rad is None:
         return []
-    for offset in bright_offsets(capture, prepared.settings.background):
-        moved = replace(capture, axis_distance_m=given + offset)
-        try:
-            found = identify(PreparedCapture(moved, prepared.settings), layouts)
-        except DataError:
-            continue
-        if found.status == "identified" and found.reading is not None:
-            best = given + offset + found.reading.offset_m
+    offsets = bright_offsets(capture, prepared.settings.background)
+    tries = [replace(capture, axis_distance_m=given + offset) for offset in offsets]
+    for i in clearer(prepared, tries, layouts)[:_AXIS_TRIES]:
+        if (found := named(tries[i], prepared, layouts)) is not None:
+            best = given + offsets[i] + found.offset_m
             if abs(best - given) < _AXIS_M:
                 continue
             return [
                 Cause(
                     "axis_distance",
                     f"with an axis distance of {best:.2f} m instead of {given:.2f} m the scans show "
-                    f"{found.reading.layout}",
+                    f"{found.layout}",
                     "Measure the distance from the antennas to the rotation axis again; "
                     f"--axis-distance {best:.2f} applies it to this recording.",
                 )
@@ -181,24 +179,21 @@ def _of_the_place(
     circle: Circling | None,
 ) -> list[Cause]:
     """A position of the object off the axis, if the reader names it after the scans are moved there."""
-    if prepared.given.angles_rad is None or prepared.given.axis_distance_m is None:
+    capture = prepared.capture
+    if capture.angles_rad is None or capture.axis_distance_m is None:
         return []
     centres = _other_centres(reflectors, layouts)
     if circle is not None and circle.spread_m < _CIRCLE_M and circle.share > _CIRCLE_SHARE:
         centres = [circle.centre_m, *centres]
-    for centre in centres:
-        try:
-            moved = recentred(prepared.given, centre)
-            found = identify(PreparedCapture(moved, prepared.settings), layouts)
-        except DataError:
-            continue
-        if found.status == "identified" and found.reading is not None:
-            away = np.add(centre, found.reading.centre_m) * 1e3
+    moved = [recentred(capture, centre) for centre in centres]
+    for i in clearer(prepared, moved, layouts)[:_PLACE_TRIES]:
+        if (found := named(moved[i], prepared, layouts)) is not None:
+            away = np.add(centres[i], found.centre_m) * 1e3
             return [
                 Cause(
                     "off_centre",
-                    f"the scans show {found.reading.layout} {np.linalg.norm(away):.0f} mm off the rotation "
-                    f"axis, at ({away[0]:.0f}, {away[1]:.0f}) mm",
+                    f"the scans show {found.layout} {np.linalg.norm(away):.0f} mm off the rotation axis, at "
+                    f"({away[0]:.0f}, {away[1]:.0f}) mm",
                     _CENTRE_IT,
                 )
             ]
@@ -241,31 +236,4 @@ def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -
     for _, centre in sorted(fits, key=lambda fit: -fit[0]):
         if all(np.hypot(centre[0] - x, centre[1] - y) > CENTRE_TOLERANCE_M for x, y in chosen):
             chosen.append(centre)
-    return chosen[:_PLACE_TRIES]
-
-
-def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:
-    """The scans as they would be if the point `centre` of the turntable were its axis.
-
-    Each view is shifted in range by the difference between the distances of that point and of the axis, and
-    its angle becomes the direction of the antenna from that point. The static background is subtracted
-    first, because it would no longer be static. The remaining error is the change of curvature, under 1 mm
-    for an object of 0.1 m at 1 m.
-
-    Args:
-        capture: of a turntable, with angles and axis distance.
-        centre: (x, y), m.
-    """
-    if capture.angles_rad is None or capture.axis_distance_m is None:
-        raise DataError("only scans of a turntable can be moved to another axis")
-    distance = capture.axis_distance_m
-    x = distance * np.cos(capture.angles_rad) - centre[0]
-    y = -distance * np.sin(capture.angles_rad) - centre[1]
-    still = remove_background(capture.samples, "mean")
-    bins = still.shape[1]
-    padded = 1 << int(np.ceil(np.log2(2 * bins)))
-    cycles = np.fft.fftfreq(padded)
-    shift = (np.hypot(x, y) - distance) / capture.range_step_m
-    moved = np.fft.ifft(np.fft.fft(still, padded) * np.exp(2j * np.pi * cycles * shift[:, None]))[:, :bins]
-    samples = moved if np.iscomplexobj(still) else moved.real
-    return replace(capture, samples=samples.astype(still.dtype), angles_rad=-np.arctan2(y, x))
+    return chosen[:_PLACES]

@@ -244,6 +244,11 @@ class MatchedScan:
         """The fit that leads in this recording."""
         return self._fits[int(np.argmin(self.criteria))]
 
+    @property
+    def charged(self) -> float:
+        """The most energy that a layout explains without a body, after the charge for unlike amplitudes."""
+        return self._best.charged
+
     @cached_property
     def own(self) -> Reading:
         """What this recording says without a body where its own best layout leads."""
