@@ -278,6 +278,30 @@ def test_a_clear_layout_may_answer_from_farther_off(lead: float, early_mm: float
     assert is_in_place(beside, BodyDecision()) == named
 
 
+@pytest.mark.parametrize(
+    ("lead", "early_mm", "passed", "named"),
+    [
+        (2.0, 28, True, True),
+        (2.0, 34, True, False),
+        (2.0, -34, True, False),
+        (2.0, 34, False, True),
+        (3.0, -45, True, True),
+    ],
+)
+def test_a_pair_beside_a_glass_answers_from_its_place(
+    lead: float, early_mm: float, passed: bool, named: bool
+) -> None:
+    """Three in a line on a helmet's shell passed for an opposite pair from 34 mm behind it and more."""
+    reading = identify(recorded("can:33mm", positions("container-180"), 5, 20.0), LAYOUTS).reading
+    assert reading is not None and reading.body is not None
+    wall = Shell(0.033, 0.004, 6.0, not passed, "V")
+    early_m = 1e-3 * early_mm
+    beside = replace(reading.body, lead=lead, early_m=early_m, front_m=0.0, wall=wall, through=passed)
+    assert is_in_place(beside, BodyDecision()) == named
+    other = next(one for one in beside.layouts if one.layout == "container-90")
+    assert is_in_place(replace(beside, layouts=(other, *beside.layouts)), BodyDecision())
+
+
 def test_bare_pairs_of_an_enrolled_spacing_are_no_foreign_objects() -> None:
     """63.9 mm for the 63.6 of `container-90`; with a body there is a centre, and an angle about it."""
     drawn = draw(4060594)
