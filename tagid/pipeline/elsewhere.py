@@ -90,8 +90,10 @@ def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:
     turned = np.exp(2j * np.pi * np.fft.fftfreq(padded) * shift[:, None])
     spectra = _without_either(np.fft.fft(capture.samples, padded), turned)
     moved = np.fft.ifft(spectra * turned)[:, :bins]
-    samples = moved if np.iscomplexobj(capture.samples) else moved.real
-    return replace(capture, samples=samples.astype(capture.samples.dtype), angles_rad=-np.arctan2(y, x))
+    # Not back to the integers of a P440: nothing may be rounded away.
+    real = not np.iscomplexobj(capture.samples)
+    samples = moved.real.astype(np.float32) if real else moved.astype(np.complex64)
+    return replace(capture, samples=samples, angles_rad=-np.arctan2(y, x))
 
 
 def _without_either(

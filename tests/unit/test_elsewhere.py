@@ -1,0 +1,80 @@
+"""Scans about another axis: what is the same in every view is left out, reflectors stay where they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tagid.capture import Capture
+from tagid.pipeline.elsewhere import clearer, named, recentred
+from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.simulate.acquisition import Acquisition
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.presets import scene_from_name
+from tagid.tags.layouts.layout import builtin_layouts
+
+START_M, STEP_M, DISTANCE_M, VIEWS = 0.5, 0.009, 1.0, 36
+ANGLES = 2 * np.pi * np.arange(VIEWS) / VIEWS
+CENTRE = (0.03, -0.02)
+LAYOUTS = list(builtin_layouts().values())
+
+
+def antennas() -> NDArray[np.complex128]:
+    """x + jy in the turntable's frame, m."""
+    return np.asarray(DISTANCE_M * np.exp(-1j * ANGLES))
+
+
+def echo(ranges_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(VIEWS, 110) scans of one echo at these ranges: 3.9 GHz, 1 GHz wide."""
+    away = START_M + STEP_M * np.arange(110) - ranges_m[:, None]
+    return np.asarray(np.exp(-((away / 0.08) ** 2)) * np.cos(2 * np.pi * away / 0.0385))
+
+
+def scans(samples: NDArray[np.float64]) -> Capture:
+    return Capture(samples.astype(np.float32), START_M, STEP_M, ANGLES, axis_distance_m=DISTANCE_M)
+
+
+def test_the_room_and_a_round_body_about_the_new_axis_are_left_out() -> None:
+    room = echo(np.full(VIEWS, 1.03))
+    body = echo(np.abs(antennas() - complex(*CENTRE)) - 0.035)
+    left = recentred(scans(5 * room + body), CENTRE).samples
+    assert (left**2).sum() < 1e-3 * (body**2).sum()
+    whole = np.rint(1e4 * (5 * room + body)).astype(np.int32)
+    counts = recentred(Capture(whole, START_M, STEP_M, ANGLES, axis_distance_m=DISTANCE_M), CENTRE).samples
+    assert counts.dtype == np.float32 and np.allclose(1e-4 * counts, left, atol=2e-4)
+    # About another point the body moves, and stays.
+    other = recentred(scans(5 * room + body), (-0.03, 0.02)).samples
+    assert (other**2).sum() > 0.5 * (body**2).sum()
+
+
+def test_a_reflector_keeps_its_place_about_the_new_axis() -> None:
+    place = complex(0.01, 0.05)
+    moved = recentred(scans(echo(np.abs(antennas() - place))), CENTRE)
+    assert moved.angles_rad is not None
+    seen = DISTANCE_M * np.exp(-1j * moved.angles_rad)
+    expected = echo(np.abs(seen - (place - complex(*CENTRE))))
+    alike = (moved.samples * expected).sum(axis=1)
+    sizes = np.linalg.norm(moved.samples, axis=1) * np.linalg.norm(expected, axis=1)
+    assert np.median(alike / sizes) > 0.95
+
+
+@pytest.mark.parametrize("error_m", [-0.12, 0.07])
+def test_a_layout_explains_more_at_the_right_axis_distance(error_m: float) -> None:
+    capture, _ = simulate_capture(
+        scene_from_name("helmet-120", 3), Acquisition(views=36, snr_db=20.0), seed=3
+    )
+    right = load_capture(capture)
+    assert right.axis_distance_m is not None
+    wrong = replace(right, axis_distance_m=right.axis_distance_m + error_m)
+    farther = replace(right, axis_distance_m=right.axis_distance_m + 2 * error_m)
+    prepared = PreparedCapture(wrong)
+    assert clearer(prepared, [farther, right], LAYOUTS) == [1]
+    assert clearer(PreparedCapture(right), [wrong, farther], LAYOUTS) == []
+    assert clearer(prepared, [], LAYOUTS) == []
+    found = named(right, prepared, LAYOUTS)
+    assert found is not None and found.layout == "helmet-120"
+    assert named(farther, prepared, LAYOUTS) is None
