@@ -238,7 +238,7 @@ def test_a_wall_and_reflectors_that_cancel_each_other_name_nothing() -> None:
 
 def test_reflectors_behind_a_wall_that_the_wave_passes_answer_from_their_places() -> None:
     """Neighbours on a crate passed for an opposite pair that answered from 44 and 56 mm behind its places."""
-    # Opposite pairs are held closer, see `test_a_pair_beside_a_glass_answers_from_its_place`.
+    # Pairs are held closer, see `test_a_pair_beside_a_glass_answers_from_its_place`.
     own, decision = beside(spectra_of("cup36_c180", "V")), BodyDecision(pair_lead=0.0)
     named = replace(own, through=True, wall=None)
     assert own.through
