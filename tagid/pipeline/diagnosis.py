@@ -18,7 +18,7 @@ from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.circling import Circling, circling
 from tagid.pipeline.coverage import WHOLE_TURN, ended_early, widest_gap
-from tagid.pipeline.elsewhere import clearer, named, recentred
+from tagid.pipeline.elsewhere import Elsewhere, recentred
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.resolve import one_of, speed_contradiction
 from tagid.pipeline.standstill import REMEDY, stopped_words
@@ -114,11 +114,12 @@ def with_causes(
     # Where the answer itself says so, a place farther out that explains the scans as well is none.
     says_so = answer.reading.code is Code.OFF_CENTRE
     circle = None if says_so else _circle(prepared.given)
+    elsewhere = Elsewhere(prepared, layouts)
     if not any(cause.code == "speed" for cause in causes):
         beside = None if circle is None else _of_a_round_body(circle)
-        causes += _of_the_axis(prepared, layouts) if beside is None else [beside]
+        causes += _of_the_axis(elsewhere) if beside is None else [beside]
     if not causes and not says_so:
-        causes += _of_the_place(prepared, answer.reading.reflectors, layouts, circle)
+        causes += _of_the_place(elsewhere, answer.reading.reflectors, circle)
     return replace(answer, causes=tuple(causes))
 
 
@@ -147,16 +148,16 @@ def _stopped(capture: Capture) -> Cause | None:
     return Cause("turn_stopped", stopped_words(resolved.standstill), REMEDY)
 
 
-def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[Cause]:
+def _of_the_axis(elsewhere: Elsewhere) -> list[Cause]:
     """A different axis distance, if the reader names the object with it."""
-    capture = prepared.capture
+    capture = elsewhere.prepared.capture
     given = capture.axis_distance_m
     if given is None or capture.angles_rad is None:
         return []
-    offsets = bright_offsets(capture, prepared.settings.background)
+    offsets = bright_offsets(capture, elsewhere.prepared.settings.background)
     tries = [replace(capture, axis_distance_m=given + offset) for offset in offsets]
-    for i in clearer(prepared, tries, layouts)[:_AXIS_TRIES]:
-        if (found := named(tries[i], prepared, layouts)) is not None:
+    for i in elsewhere.clearer(tries)[:_AXIS_TRIES]:
+        if (found := elsewhere.named(tries[i])) is not None:
             best = given + offsets[i] + found.offset_m
             if abs(best - given) < _AXIS_M:
                 continue
@@ -173,21 +174,18 @@ def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[C
 
 
 def _of_the_place(
-    prepared: PreparedCapture,
-    reflectors: Sequence[Reflector],
-    layouts: Sequence[Layout],
-    circle: Circling | None,
+    elsewhere: Elsewhere, reflectors: Sequence[Reflector], circle: Circling | None
 ) -> list[Cause]:
     """A position of the object off the axis, if the reader names it after the scans are moved there."""
-    capture = prepared.capture
+    capture = elsewhere.prepared.capture
     if capture.angles_rad is None or capture.axis_distance_m is None:
         return []
-    centres = _other_centres(reflectors, layouts)
+    centres = _other_centres(reflectors, elsewhere.layouts)
     if circle is not None and circle.spread_m < _CIRCLE_M and circle.share > _CIRCLE_SHARE:
         centres = [circle.centre_m, *centres]
     moved = [recentred(capture, centre) for centre in centres]
-    for i in clearer(prepared, moved, layouts)[:_PLACE_TRIES]:
-        if (found := named(moved[i], prepared, layouts)) is not None:
+    for i in elsewhere.clearer(moved)[:_PLACE_TRIES]:
+        if (found := elsewhere.named(moved[i])) is not None:
             away = np.add(centres[i], found.centre_m) * 1e3
             return [
                 Cause(

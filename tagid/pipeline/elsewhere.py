@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,47 +23,52 @@ _CLEARER = 1.125
 113 mm. Of 200 other objects a fifth have such a place at all."""
 
 
-def clearer(prepared: PreparedCapture, tries: Sequence[Capture], layouts: Sequence[Layout]) -> list[int]:
-    """Indices of the captures in which a layout explains clearly more than in the given one, the best first.
+@dataclass(frozen=True, eq=False)
+class Elsewhere:
+    """An object that was not named, and where else it may be.
 
-    Points are compared without a body: a layout's own echo tells where its axis is, and it takes a twentieth
-    of a reading.
-
-    Args:
-        prepared: the capture of an answer.
-        tries: the same scans elsewhere.
+    Attributes:
+        prepared: the capture of the answer.
         layouts: the enrolled ones.
     """
-    if not tries:
-        return []
-    least = _CLEARER * _explained(prepared, layouts)
-    energies = [_explained(_with_its_pulse(one, prepared), layouts) for one in tries]
-    return [int(i) for i in np.argsort(energies)[::-1] if energies[i] > least]
 
+    prepared: PreparedCapture
+    layouts: Sequence[Layout]
 
-def named(elsewhere: Capture, prepared: PreparedCapture, layouts: Sequence[Layout]) -> Reading | None:
-    """The reading of the scans elsewhere, with the settings of `prepared`, if it names the object."""
-    try:
-        found = identify(_with_its_pulse(elsewhere, prepared), layouts)
-    except DataError:
-        return None
-    return found.reading if found.status == "identified" else None
+    def clearer(self, tries: Sequence[Capture]) -> list[int]:
+        """Indices of the captures in which a layout explains clearly more than in this one, the best first.
 
+        Points are compared without a body: a layout's own echo tells where its axis is, and it takes a
+        twentieth of a reading.
 
-def _with_its_pulse(elsewhere: Capture, prepared: PreparedCapture) -> PreparedCapture:
-    """The pulse was chosen when the capture was prepared."""
-    return PreparedCapture(elsewhere, replace(prepared.settings, pulse="auto"))
+        Args:
+            tries: the same scans elsewhere.
+        """
+        energies = [self._explained(self.prepared.elsewhere(one)) for one in tries]
+        return [int(i) for i in np.argsort(energies)[::-1] if energies[i] > _CLEARER * self._here]
 
+    def named(self, elsewhere: Capture) -> Reading | None:
+        """The reading of the scans elsewhere if it names the object."""
+        try:
+            found = identify(self.prepared.elsewhere(elsewhere), self.layouts)
+        except DataError:
+            return None
+        return found.reading if found.status == "identified" else None
 
-def _explained(prepared: PreparedCapture, layouts: Sequence[Layout]) -> float:
-    """The most energy that a layout explains as points; 0 where the scans do not hold the object's range."""
-    from tagid.tags.matching.matcher import MatchedScan
+    @cached_property
+    def _here(self) -> float:
+        """What a layout explains where the reader looked."""
+        return self._explained(self.prepared)
 
-    try:
-        scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
-        return MatchedScan(scans, layouts, reader_settings(prepared.settings)).charged
-    except DataError:
-        return 0.0
+    def _explained(self, prepared: PreparedCapture) -> float:
+        """Most energy that a layout explains as points; 0 where the scans do not hold the object's range."""
+        from tagid.tags.matching.matcher import MatchedScan
+
+        try:
+            scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
+            return MatchedScan(scans, self.layouts, reader_settings(prepared.settings)).charged
+        except DataError:
+            return 0.0
 
 
 def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:

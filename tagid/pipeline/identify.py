@@ -228,8 +228,6 @@ def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | No
     if prepared.given.angles_rad is None:
         return None
     if (body := _selected_body(reading)) is not None:
-        # The pulse is chosen already.
-        known = replace(prepared.settings, pulse="auto")
-        prepared = PreparedCapture(subtract.without_body(prepared.capture, body), known)
+        prepared = prepared.elsewhere(subtract.without_body(prepared.capture, body))
     matched = PreprocessSettings(prepared.settings.background, matched_filter=True, extent_m=GRID.extent)
     return look_again(prepared.scans(matched), reading.reflectors, reading.offset_m)

@@ -107,6 +107,10 @@ class PreparedCapture:
             self._with_pulse = self._selected_pulse(progress)
         return self._with_pulse
 
+    def elsewhere(self, capture: Capture) -> PreparedCapture:
+        """Other scans, made from `capture`, with these settings: their pulse is chosen already."""
+        return PreparedCapture(capture, replace(self.settings, pulse="auto"))
+
     @property
     def pulse_estimate(self) -> PulseEstimate | None:
         """The estimate of the pulse; None if the settings select none."""

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 import reading_bodies_scenes as scenes
-from provenance import made_with, method
+from provenance import page, publish
 
 from tagid.capture import Capture
 from tagid.pipeline.diagnosis import with_causes
@@ -113,19 +113,10 @@ def main() -> None:
         sys.exit("torch is loaded: an answer must not need it")
     timed("", next(captures(0))[1])
     found = [timed(group, capture) for group, capture in captures(given.others)]
-    lines = [
-        "# Time from the last scan to the answer",
-        "",
-        *made_with(f"development, number {NUMBER}; {FIRST:,} to {FIRST + given.others - 1:,}"),
-        "",
-        *method(__doc__),
-        "",
-        *document(found),
-    ]
-    text = "\n".join(lines) + "\n"
-    print(text)
-    if given.write:
-        (given.write / "time-to-answer.md").write_text(text)
+    title = "Time from the last scan to the answer"
+    seeds = f"development, number {NUMBER}; {FIRST:,} to {FIRST + given.others - 1:,}"
+    lines = [*page(title, seeds, __doc__), *document(found)]
+    publish(lines, given.write, "time-to-answer.md")
 
 
 if __name__ == "__main__":

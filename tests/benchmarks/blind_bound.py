@@ -33,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 import reading_bodies_scenes as scenes
 from own_bound import spectra
-from provenance import made_with, method
+from provenance import page, publish
 from reading_bodies_scenes import Cell
 
 from tagid.tags.bodies.body_reading import BodySettings
@@ -111,19 +111,10 @@ def main() -> None:
     with multiprocessing.get_context("fork").Pool(given.jobs) as pool:
         found = pool.starmap(apart, tasks, 2)
     last = FIRST + given.numbers - 1
-    lines = [
-        "# Tags beside walls that nobody states: what is left to tell them by",
-        "",
-        *made_with(f"development, numbers {FIRST} to {last}"),
-        "",
-        *method(__doc__),
-        "",
-        *document(found),
-    ]
-    text = "\n".join(lines) + "\n"
-    print(text)
-    if given.write:
-        (given.write / "blind-bound.md").write_text(text)
+    title = "Tags beside walls that nobody states: what is left to tell them by"
+    seeds = f"development, numbers {FIRST} to {last}"
+    lines = [*page(title, seeds, __doc__), *document(found)]
+    publish(lines, given.write, "blind-bound.md")
 
 
 if __name__ == "__main__":

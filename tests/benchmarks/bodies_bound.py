@@ -21,7 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from bodies_scenes import FULLWAVE, generator
 from numpy.typing import NDArray
-from provenance import made_with
+from provenance import made_with, publish
 from scipy.special import log_ndtr
 
 from tagid.capture import Capture
@@ -243,9 +243,7 @@ def main() -> None:
     for case in CASES:
         for views in arguments.views:
             lines += row(case, views)
-    print("\n".join(lines))
-    if arguments.write:
-        (arguments.write / "bodies-bound.md").write_text("\n".join(lines) + "\n")
+    publish(lines, arguments.write, "bodies-bound.md")
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from numpy.typing import NDArray
-from provenance import ROOT, made_with, method
+from provenance import ROOT, page, publish
 
 from tagid.errors import DataError
 from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField
@@ -168,13 +168,9 @@ def main() -> None:
     )
     parser.add_argument("--write", type=Path, help="folder for helmet-tags.md")
     given = parser.parse_args()
+    title = "Tags on helmets and in cartons: thin sheets against solved ones"
     lines = [
-        "# Tags on helmets and in cartons: thin sheets against solved ones",
-        "",
-        *made_with("none, nothing is drawn"),
-        "",
-        *method(__doc__),
-        "",
+        *page(title, "none, nothing is drawn", __doc__),
         "| solved tag | no shell | round wall | elliptic sheet |",
         "|---|---|---|---|",
     ]
@@ -191,10 +187,7 @@ def main() -> None:
     echo, frequency, antenna = solved(CARTONS, "carton140")
     own = ShellField.of(wavenumber(frequency), WALLS).echo(antenna)
     lines.append(f"| carton140, untagged | | {100 * left_by(echo, own):.1f} % |")
-    text = "\n".join(lines) + "\n"
-    print(text)
-    if given.write:
-        (given.write / "helmet-tags.md").write_text(text)
+    publish(lines, given.write, "helmet-tags.md")
 
 
 if __name__ == "__main__":

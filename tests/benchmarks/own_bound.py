@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 import reading_bodies_scenes as scenes
 from numpy.typing import NDArray
-from provenance import made_with, method
+from provenance import page, publish
 from reading_bodies_scenes import Cell
 
 from tagid.capture import Capture
@@ -163,19 +163,10 @@ def main() -> None:
     tasks = [(cell, 300 + number) for number in range(given.numbers) for cell in cells]
     with multiprocessing.get_context("fork").Pool(given.jobs) as pool:
         found = pool.starmap(held, tasks, 4)
-    lines = [
-        "# Tags on our simulator's bodies: what the waves hold",
-        "",
-        *made_with(f"development, numbers 300 to {299 + given.numbers}"),
-        "",
-        *method(__doc__),
-        "",
-        *document(found),
-    ]
-    text = "\n".join(lines) + "\n"
-    print(text)
-    if given.write:
-        (given.write / "own-bound.md").write_text(text)
+    title = "Tags on our simulator's bodies: what the waves hold"
+    seeds = f"development, numbers 300 to {299 + given.numbers}"
+    lines = [*page(title, seeds, __doc__), *document(found)]
+    publish(lines, given.write, "own-bound.md")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.pipeline.elsewhere import clearer, named, recentred
+from tagid.pipeline.elsewhere import Elsewhere, recentred
 from tagid.pipeline.load import load_capture
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.simulate.acquisition import Acquisition
@@ -71,10 +71,10 @@ def test_a_layout_explains_more_at_the_right_axis_distance(error_m: float) -> No
     assert right.axis_distance_m is not None
     wrong = replace(right, axis_distance_m=right.axis_distance_m + error_m)
     farther = replace(right, axis_distance_m=right.axis_distance_m + 2 * error_m)
-    prepared = PreparedCapture(wrong)
-    assert clearer(prepared, [farther, right], LAYOUTS) == [1]
-    assert clearer(PreparedCapture(right), [wrong, farther], LAYOUTS) == []
-    assert clearer(prepared, [], LAYOUTS) == []
-    found = named(right, prepared, LAYOUTS)
+    elsewhere = Elsewhere(PreparedCapture(wrong), LAYOUTS)
+    assert elsewhere.clearer([farther, right]) == [1]
+    assert Elsewhere(PreparedCapture(right), LAYOUTS).clearer([wrong, farther]) == []
+    assert elsewhere.clearer([]) == []
+    found = elsewhere.named(right)
     assert found is not None and found.layout == "helmet-120"
-    assert named(farther, prepared, LAYOUTS) is None
+    assert elsewhere.named(farther) is None
