@@ -64,11 +64,16 @@ class Specimen:
     @property
     def is_enrolled_pair(self) -> bool:
         """Whether it is an enrolled pair without a body, though it was drawn as a foreign one."""
-        if self.truth is not None or self.body != "none" or len(self.places) != 2:
-            return False
-        spacing = abs(self.places[0] - self.places[1])
-        pairs = [one.positions for one in builtin_layouts().values() if len(one.positions) == 2]
-        return any(abs(spacing - np.linalg.norm(pair[0] - pair[1])) < PAIR_APART_M for pair in pairs)
+        return self.truth is None and self.body == "none" and has_enrolled_spacing(self.places)
+
+
+def has_enrolled_spacing(places: NDArray[np.complex128]) -> bool:
+    """Whether reflectors at x + jy (K,), m, are two, as far apart as those of an enrolled pair."""
+    if len(places) != 2:
+        return False
+    spacing = abs(places[0] - places[1])
+    pairs = [one.positions for one in builtin_layouts().values() if len(one.positions) == 2]
+    return any(abs(spacing - np.linalg.norm(pair[0] - pair[1])) < PAIR_APART_M for pair in pairs)
 
 
 @dataclass(frozen=True, eq=False)

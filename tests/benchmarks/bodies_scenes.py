@@ -21,6 +21,7 @@ from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.simulate.response_file import read_response
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg
+from train.population import has_enrolled_spacing
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared"))
@@ -36,8 +37,8 @@ FOREIGN_DEG = (
 )  # fmt: skip
 DRAWN_BODIES = ("can35", "can28", "can40", "cup36", "free20", "free40")
 """Bodies of drawn foreign tags, with a single reflector that was solved on each."""
-APART_DEG, APART_M = 15.0, 0.01
-"""A foreign tag differs by more than this from every enrolled one of its size: on a body, and without one."""
+APART_DEG = 15.0
+"""A foreign tag differs by more than this from every enrolled one of its size."""
 RING_M = 0.045
 LEAST_M = 0.03
 """Octahedra on a ring of 45 mm stand at least so far apart."""
@@ -58,6 +59,13 @@ class Scene:
     name: str
     angles_deg: tuple[float, ...] | None
     truth: str | None
+
+    @property
+    def is_enrolled_pair(self) -> bool:
+        """Whether it is an enrolled pair without a body, as in the simulated population."""
+        if self.truth is not None or self.angles_deg is None or not self.name.startswith("free"):
+            return False
+        return has_enrolled_spacing(RING_M * np.exp(1j * np.deg2rad(self.angles_deg)))
 
 
 @dataclass(frozen=True)
@@ -156,12 +164,6 @@ def drawn(number: int) -> tuple[Scene, Recording]:
     )
     name = "bare" if free else "on a body"
     return Scene(f"foreign tag, {name}", body, tuple(np.rad2deg(angles)), None), recording
-
-
-def _distances(angles: np.ndarray) -> np.ndarray:
-    """Distances between any two reflectors on the ring, ascending, m; one reflector has none."""
-    places = RING_M * np.exp(1j * angles)
-    return np.sort(np.append(np.abs(places[:, None] - places)[np.triu_indices(len(places), 1)], 0.0))
 
 
 def _solved(scene: Scene) -> bool:

@@ -398,6 +398,8 @@ class _CylinderReader:
         kinds: set[tuple[int, ...]] = set()
         there: dict[tuple[str, bool], set[tuple[int, ...]]] = {}
         for start in sorted(starts, key=lambda one: one.left):
+            if start.layout is None and not few and len(kinds) == _KEPT:
+                continue
             wall = self.fitter.patterns.shells[start.shell]
             of = wall.polarisation, wall.metal
             if start.layout is not None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.decide import BodyDecision, is_in_place
 from tagid.tags.bodies.points import PointReading
 from tagid.tags.layouts.layout import Layout
+from tagid.tags.matching.contest_settings import ContestSettings
+from tagid.tags.verdicts.verdict import Verdict
 
 DOUBTED = 0.30
 """A reading beside a wall bears out one with a free pattern where it leaves up to so much: a wall of another
@@ -41,6 +44,29 @@ def read_beside_wall(
 
     beside = read_on_cylinder(spectra, layouts, reading, body)
     return beside if beside is None or points is None else beside.against(points)
+
+
+def is_doubted(reading: BodyReading, verdict: Verdict, hopeful: bool) -> bool:
+    """Whether walls are asked about a reading with a free pattern.
+
+    Args:
+        reading, verdict: the reading, and what is said of it.
+        hopeful: whether a name that walls give to a refused reading could stand.
+    """
+    free = verdict.status == "identified" and (bool(reading.body.name) or reading.through)
+    return free or (hopeful and verdict.status == "unknown")
+
+
+def outdone(reading: BodyReading, others: Sequence[BodyReading], settings: ContestSettings) -> bool:
+    """Whether reflectors on another enrolled body explain the echo clearly better than on this enrolled one.
+
+    Args:
+        reading: with a free pattern, which leaves less than any wall does.
+        others: on the enrolled bodies read before.
+        settings: of the contest.
+    """
+    least = min((other.least for other in others), default=inf)
+    return bool(reading.body.name) and reading.least - least > settings.enrolled_other * reading.error
 
 
 def borne_out(reading: BodyReading, beside: BodyReading | None, decision: BodyDecision) -> bool:

@@ -33,7 +33,7 @@ from tagid.tags.matching.alone import (
     without_body,
 )
 from tagid.tags.matching.bare_checks import checked
-from tagid.tags.matching.beside import borne_out, disputed, read_beside_wall
+from tagid.tags.matching.beside import borne_out, disputed, is_doubted, outdone, read_beside_wall
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.promise import bound_on_body, kept
 from tagid.tags.matching.reading import Reading
@@ -231,20 +231,22 @@ def _against_bodies(
     # What each enrolled body says, with a free pattern and beside its wall.
     on_known: list[BodyReading] = []
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
-        reading = read_on_body(spectra, layouts, body, settings.body, hints)
         explained = any(v.status == "identified" for r, v in readings if r.body.name)
         if explained and len(readings) > ENOUGH_BODIES:
             break
+        # Where an enrolled body alone explains the echo nothing else is named.
+        empty = any(v.status == "no_tag" for r, v in readings if r.body.name)
+        reading = read_on_body(spectra, layouts, body, settings.body, hints)
         if reading is not None and body.name and readings and not explained:
             reading = _clearer(reading, readings[0][0], spectra, layouts, settings)
         if reading is not None:
             reading = reading.against(known.points) if known.points is not None else reading
             verdict = _judged(known, reading, layouts, settings)
-            free = verdict.status == "identified" and (bool(body.name) or reading.through)
             # Where no body shows, no name beside a wall would stand.
-            doubted = (verdict.status == "unknown" and _shows(known, reading, settings)) or free
+            hopeful = _shows(known, reading, settings) and not outdone(reading, on_known, settings)
+            doubted = is_doubted(reading, verdict, hopeful)
             on_known += [reading] if body.name else []
-            if doubted and body.turning_share < settings.turning:
+            if doubted and not empty and body.turning_share < settings.turning:
                 beside = read_beside_wall(reading, known.points, layouts, settings.body)
                 on_known += [beside] if body.name and beside is not None else []
                 reading, verdict = _after_wall(known, reading, verdict, beside, layouts, settings)
