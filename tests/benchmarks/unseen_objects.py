@@ -413,6 +413,18 @@ def _bottle30() -> Mesh:
     return shapes.revolved(profile, 0.0090, sheet_m=shapes.sheet(2.7, 0.0018))
 
 
+def _flask33() -> Mesh:
+    """Thin plastic, with shoulders that slope."""
+    profile = 1e-3 * np.array([(0, -50), (33, -50), (33, 10), (24, 34), (15, 52)])
+    return shapes.revolved(profile, 0.0092, sheet_m=shapes.sheet(2.3, 0.0013))
+
+
+def _pot28() -> Mesh:
+    """Plastic, open at the top, a little wider there."""
+    profile = 1e-3 * np.array([(0, -48), (26, -48), (29, 48)])
+    return shapes.revolved(profile, 0.0090, sheet_m=shapes.sheet(2.5, 0.0023))
+
+
 def _mug45() -> Mesh:
     """Plastic, with a plastic handle."""
     wall = shapes.sheet(2.6, 0.0030)
@@ -726,6 +738,14 @@ SEALED = {
     "crate66_c90": Object(_crate66, 20, ring(46, 0, 90)),
     "crate66_c180": Object(_crate66, 24, ring(45, 90, 270)),
     "crate66_three": Object(_crate66, 20, ring(46, 0, 90, 180)),
+    "flask33": Object(_flask33),
+    "flask33_c90": Object(_flask33, 24, ring(45, 60, 150)),
+    "flask33_c180": Object(_flask33, 22, ring(45, 140, 320)),
+    "flask33_pair152": Object(_flask33, 24, ring(45, 20, 172)),
+    "pot28": Object(_pot28),
+    "pot28_c90": Object(_pot28, 20, ring(45, 240, 330)),
+    "pot28_c180": Object(_pot28, 28, ring(45, 75, 255)),
+    "pot28_pair157": Object(_pot28, 26, ring(45, 110, 267)),
 }
 """Objects that are only reported."""
 
@@ -739,6 +759,7 @@ ROUND = (
     *("can33", "tin41", "cup34", "glass31"),
     *("can40", "tin30", "bottle32", "cup37"),
     *("can38", "jar35", "bottle30"),
+    *("flask33", "pot28"),
 )
 """Bodies of revolution, and tags alone: to be read without enrolment."""
 

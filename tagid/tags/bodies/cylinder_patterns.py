@@ -27,31 +27,52 @@ ANGLES = 256
 """Angles of a table, between which patterns are interpolated: to 0.5 % of their steepest part."""
 LEAST_M, STEP_M, CLEAR_M = 0.018, 2e-3, 4.5e-3
 """Radius of the smallest body and steps to the largest, which the reflectors' centres clear by so much."""
-WALLS = tuple((wall_m, permittivity) for wall_m in (2.5e-3, 4.5e-3) for permittivity in (2.3, 4.0, 6.0, 8.5))
-"""Dielectric walls, thickness in m and permittivity: plastic, ceramic, glass and porcelain of mugs."""
 COATED = (3.5e-3, 5.5)
-"""Such a wall around water, which is nearly metal."""
+"""A wall around water, which is nearly metal: its thickness, m, and permittivity."""
 
+
+@dataclass(frozen=True)
+class Family:
+    """Materials of round bodies.
+
+    Attributes:
+        walls: dielectric ones, thickness in m and permittivity.
+        filled: metal as well, and a wall around water.
+    """
+
+    walls: tuple[tuple[float, float], ...]
+    filled: bool
+
+
+ANY = Family(
+    tuple((wall_m, permittivity) for wall_m in (2.5e-3, 4.5e-3) for permittivity in (2.3, 4.0, 6.0, 8.5)),
+    True,
+)
+"""Cans, and walls of plastic, ceramic, glass and the porcelain of mugs."""
+THIN = Family(tuple((wall_m, 2.3) for wall_m in (0.8e-3, 1.6e-3, 2.5e-3)), False)
+"""Plastic bottles and cups. A thin wall shows by its thickness times its permittivity less one."""
 
 FINER_M, FINER_WALL_M, FINER_PERMITTIVITY = 1e-3, 1e-3, 1.2
 """Steps to the walls between those of the family: radius, thickness, and the ratio of permittivities."""
 
 
-def family(radius_m: float) -> tuple[Shell, ...]:
-    """Bodies on which reflectors may stand `radius_m` from the axis, in both polarisations."""
+def bodies_of(family: Family, radius_m: float) -> tuple[Shell, ...]:
+    """Bodies of a family on which reflectors may stand `radius_m` from the axis, in both polarisations."""
     found = []
     for radius in np.arange(LEAST_M, radius_m - CLEAR_M, STEP_M):
         for polarisation in ("V", "H"):
-            found.append(Shell(float(radius), 0.0, 1.0, True, polarisation))
-            found.append(Shell(float(radius), *COATED, True, polarisation))
-            found += [Shell(float(radius), *wall, False, polarisation) for wall in WALLS]
+            if family.filled:
+                found.append(Shell(float(radius), 0.0, 1.0, True, polarisation))
+                found.append(Shell(float(radius), *COATED, True, polarisation))
+            found += [Shell(float(radius), *wall, False, polarisation) for wall in family.walls]
     return tuple(found)
 
 
-def between(wall: Shell, radius_m: float) -> tuple[Shell, ...]:
-    """A body of the family and those between it and its neighbours there.
+def between(family: Family, wall: Shell, radius_m: float) -> tuple[Shell, ...]:
+    """A body of a family and those between it and its neighbours there.
 
     Args:
+        family: no thicker wall than its thickest is given, no thinner one, nor other permittivities.
         wall: its polarisation is kept.
         radius_m: of the reflectors, whose centres all of them clear, m.
     """
@@ -59,7 +80,7 @@ def between(wall: Shell, radius_m: float) -> tuple[Shell, ...]:
     radii = wall.radius_m + FINER_M * steps
     thicknesses = permittivities = np.zeros(1)
     if not wall.metal:
-        thick, strong = (np.array(some) for some in zip(*WALLS, strict=True))
+        thick, strong = (np.array(some) for some in zip(*family.walls, strict=True))
         thicknesses = np.clip(FINER_WALL_M * steps, thick.min() - wall.wall_m, thick.max() - wall.wall_m)
         permittivities = wall.permittivity * FINER_PERMITTIVITY**steps
         permittivities = np.clip(permittivities, strong.min(), strong.max()) - wall.permittivity
@@ -126,6 +147,7 @@ class Patterns:
     """Patterns beside every body of a family.
 
     Attributes:
+        family: to which the bodies belong.
         radius_m: distance of the reflectors from the axis, m.
         shells: (S,) the bodies.
         relative: (DIPOLES, S, F, ANGLES) complex128 two-way responses of both dipoles over that of a
@@ -133,28 +155,31 @@ class Patterns:
             seen from the axis.
     """
 
+    family: Family
     radius_m: float
     shells: tuple[Shell, ...]
     relative: NDArray[np.complex128]
 
     @classmethod
-    def of(cls, spectra: Spectra, radius_m: float) -> Patterns:
+    def of(cls, spectra: Spectra, radius_m: float, family: Family = ANY) -> Patterns:
         """Those of a radius, at the frequencies of spectra; the last ones are kept."""
-        return _patterns(spectra.wavenumbers.tobytes(), round(radius_m, 4))
+        return _patterns(spectra.wavenumbers.tobytes(), round(radius_m, 4), family)
 
     def finer(self, spectra: Spectra, walls: Iterable[int]) -> Patterns:
         """Those of some of the bodies, by index, and of bodies between these and their neighbours."""
         chosen = dict.fromkeys(self.shells[i] for i in walls)
-        around = dict.fromkeys(one for wall in chosen for one in (wall, *between(wall, self.radius_m)))
+        around = dict.fromkeys(
+            one for wall in chosen for one in (wall, *between(self.family, wall, self.radius_m))
+        )
         return self.beside(spectra, tuple(around))
 
     def beside(self, spectra: Spectra, shells: tuple[Shell, ...]) -> Patterns:
         """Those beside other bodies."""
-        return _of(spectra.wavenumbers, self.radius_m, shells)
+        return _of(spectra.wavenumbers, self.family, self.radius_m, shells)
 
     def thinned(self, step: int) -> Patterns:
         """At every `step`-th frequency only."""
-        return Patterns(self.radius_m, self.shells, np.ascontiguousarray(self.relative[:, :, ::step]))
+        return replace(self, relative=np.ascontiguousarray(self.relative[:, :, ::step]))
 
     def columns(
         self, paths: Paths, shells: NDArray[np.intp], dipoles: int = DIPOLES
@@ -175,13 +200,15 @@ class Patterns:
 
 
 @lru_cache(maxsize=8)
-def _patterns(wavenumbers: bytes, radius_m: float) -> Patterns:
-    return _of(np.frombuffer(wavenumbers), radius_m, family(radius_m))
+def _patterns(wavenumbers: bytes, radius_m: float, family: Family) -> Patterns:
+    return _of(np.frombuffer(wavenumbers), family, radius_m, bodies_of(family, radius_m))
 
 
-def _of(wavenumbers: NDArray[np.float64], radius_m: float, shells: tuple[Shell, ...]) -> Patterns:
+def _of(
+    wavenumbers: NDArray[np.float64], family: Family, radius_m: float, shells: tuple[Shell, ...]
+) -> Patterns:
     # Spectra count both ways: kappa = 2k.
     k = wavenumbers / 2
     angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
     direct = np.exp(2j * k[:, None] * radius_m * np.cos(angles))
-    return Patterns(radius_m, shells, echoes(k, shells, radius_m, angles) / direct)
+    return Patterns(family, radius_m, shells, echoes(k, shells, radius_m, angles) / direct)

@@ -28,7 +28,7 @@ from tagid.tags.bodies.arrangement import (
 )
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed, seen_again
 from tagid.tags.bodies.cylinder_fit import CylinderFitter, Ringed
-from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
+from tagid.tags.bodies.cylinder_patterns import ANY, Family, Paths, Patterns
 from tagid.tags.bodies.hypothesis import Pose
 from tagid.tags.bodies.reflectors_fit import POINTS, THROUGH, Batch, Solved
 from tagid.tags.bodies.ring import Ring, peaks
@@ -67,7 +67,11 @@ _LEAST_OF_MIX = 1e-9
 
 
 def read_on_cylinder(
-    spectra: Spectra, layouts: Sequence[Layout], first: BodyReading, settings: BodySettings
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    first: BodyReading,
+    settings: BodySettings,
+    family: Family = ANY,
 ) -> BodyReading | None:
     """The best layout beside a round wall, against every other arrangement there.
 
@@ -80,11 +84,12 @@ def read_on_cylinder(
         layouts: the enrolled ones; those that stand on a ring under `settings.wide_m` are read.
         first: the reading on a round body with free patterns: its centres are where the search begins.
         settings: search and priors.
+        family: materials of the walls.
 
     Returns:
         The reading; None where no layout can stand beside such a wall, or none explains much of the echo.
     """
-    found = _read(spectra, layouts, first, settings)
+    found = _read(spectra, layouts, first, settings, family)
     if found is None:
         return None
     reading = found.reading
@@ -94,7 +99,7 @@ def read_on_cylinder(
     seen = seen_again(reading, spectra, found.echoes(), left, settings)
     if seen is None:
         return reading
-    again = _read(seen.spectra, layouts, replace(first, pose=seen.pose), settings)
+    again = _read(seen.spectra, layouts, replace(first, pose=seen.pose), settings, family)
     better = again is not None and again.reading.layouts[0].left < left
     return again.reading if again is not None and better else reading
 
@@ -119,14 +124,18 @@ class _Found:
 
 
 def _read(
-    spectra: Spectra, layouts: Sequence[Layout], first: BodyReading, settings: BodySettings
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    first: BodyReading,
+    settings: BodySettings,
+    family: Family,
 ) -> _Found | None:
     """The best layout beside a wall that is round, at each radius where layouts stand and further out."""
     several = []
     for radius, group in _groups(layouts, settings):
-        found = _CylinderReader(spectra, radius, 0.0, group, first, settings).read()
+        found = _CylinderReader(spectra, radius, 0.0, group, first, settings, family).read()
         if found is None or found.reading.unexplained > ENOUGH:
-            outside = _CylinderReader(spectra, radius, OUTWARD_M, group, first, settings).read()
+            outside = _CylinderReader(spectra, radius, OUTWARD_M, group, first, settings, family).read()
             found = _nearer(found, outside)
         if found is not None:
             several.append(found)
@@ -207,10 +216,11 @@ class _CylinderReader:
         layouts: Sequence[Layout],
         first: BodyReading,
         settings: BodySettings,
+        family: Family = ANY,
     ) -> None:
         self.spectra, self.radius_m, self.outward_m = spectra, radius_m + outward_m, outward_m
         self.layouts, self.first, self.settings = layouts, first, settings
-        patterns = Patterns.of(spectra, self.radius_m)
+        patterns = Patterns.of(spectra, self.radius_m, family)
         self.coarse = spectra.thinned(2)
         self.coarse_patterns = patterns.thinned(2)
         self.noise = spectra.noise_energy * max(spectra.views - 3, 1) / (spectra.views - 1)
@@ -313,10 +323,11 @@ class _CylinderReader:
         return found
 
     def _coarse_shells(self) -> list[int]:
-        """Every second size of body, and every second permittivity: the others follow in the fit."""
+        """Every second size of body, and of several permittivities: the others follow in the fit."""
         shells = self.fitter.patterns.shells
         sizes = sorted({one.radius_m for one in shells})[::2]
-        walls = sorted({one.permittivity for one in shells if not one.metal})[1::2]
+        walls = sorted({one.permittivity for one in shells if not one.metal})
+        walls = walls[1::2] or walls
         return [
             i
             for i, one in enumerate(shells)

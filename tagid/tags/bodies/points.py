@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.loops import loop
+from tagid.tags.bodies.reflectors_fit import solve
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import Layout
 
@@ -174,6 +175,26 @@ def columns(
 ) -> NDArray[np.complex128]:
     """(F, 1 or 2, V) of the model, centred: the points, and the double bounce where there are two or more."""
     return centred(_waves(spectra, places, heights).columns)
+
+
+def tapered_left(spectra: Spectra, placed: PlacedPoints, centre: complex) -> float:
+    """Energy that points leave where they may be brighter or darker from outside than from behind.
+
+    Per frequency the points have two amplitudes, for 1 and for cos psi, psi the angle between their outward
+    direction and that of the antenna, beside the double bounce.
+
+    Args:
+        spectra: the scans.
+        placed: the points.
+        centre: of the object, from which they point outward, x + jy, m.
+    """
+    across = spectra.antenna[None] - placed.places[:, None]
+    distance = np.hypot(np.abs(across), spectra.height_m[None] - placed.heights[:, None])
+    single = spectra.waves(distance) * (spectra.distance_m / distance) ** 2
+    outward = np.angle(across) - np.angle(placed.places - centre)[:, None]
+    tapered = centred((single * np.cos(outward)).sum(axis=1, keepdims=True))
+    cols = np.concatenate([columns(spectra, placed.places, placed.heights), tapered], axis=1)
+    return float(solve(spectra.data, cols[None]).left[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.bare_checks import checked
 from tagid.tags.matching.contest_settings import ContestSettings
+from tagid.tags.matching.delayed import undelayed
 from tagid.tags.matching.promise import kept
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.won import as_points
@@ -55,7 +56,9 @@ def named_alone(
         return None
     # Reflectors that shine outward only are never named without a body.
     named = checked(named, points, spectra, layouts, settings.bare, opaque=False)
-    named = promised(undisputed(named, points, spectra, layouts, settings), points, spectra.views, settings)
+    named = undisputed(named, points, spectra, layouts, settings)
+    named = undelayed(named, points, spectra, layouts, settings)
+    named = promised(named, points, spectra.views, settings)
     return Alone(named, points) if named.status == "identified" else None
 
 

@@ -35,9 +35,10 @@ from tagid.tags.matching.alone import (
 from tagid.tags.matching.bare_checks import checked
 from tagid.tags.matching.beside import borne_out, disputed, is_doubted, outdone, read_beside_wall
 from tagid.tags.matching.contest_settings import ContestSettings
+from tagid.tags.matching.delayed import pair_on_thin_wall, undelayed
 from tagid.tags.matching.promise import bound_on_body, kept
 from tagid.tags.matching.reading import Reading
-from tagid.tags.matching.won import kind_on, on_body, on_object
+from tagid.tags.matching.won import explained, kind_on, on_body, on_object
 from tagid.tags.verdicts.verdict import Code, Verdict
 
 ENOUGH_BODIES = 2
@@ -102,7 +103,8 @@ def _weighed(
     if done is None:
         settled = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
         settled = checked(settled, points, spectra, layouts, settings.bare, opaque=opaque)
-    return undisputed(settled, points, spectra, layouts, settings), points
+    settled = undisputed(settled, points, spectra, layouts, settings)
+    return undelayed(settled, points, spectra, layouts, settings), points
 
 
 def _leaves_much(done: Reading, points: PointReading, enrolled: Enrolled, settings: ContestSettings) -> bool:
@@ -117,7 +119,7 @@ class NullEvidence:
 
     Attributes:
         round: on a body of revolution (`score`).
-        wall: beside a wall of known waves, where the reading above is refused.
+        wall: beside a wall of known waves, where the reading above is refused, or beside a thin one.
         bare: without a body (`PointReading.lead`).
         snr_db: energy of what is not of the body over that of the noise.
     """
@@ -188,6 +190,9 @@ def null_evidence(
         beside = read_beside_wall(reading, points, layouts, settings.body)
         if beside is not None and _shows(known, beside, settings):
             walled = score(beside, settings.decision)
+    if points is not None:
+        delayed = pair_on_thin_wall(done or bare, points, spectra, layouts, settings)
+        walled = max(walled, delayed.lead if delayed is not None else -inf)
     return NullEvidence(evidence, walled, alone, tag_snr_db(reading))
 
 
@@ -567,22 +572,8 @@ def _contested(
 def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Explanation]:
     """No tag, and the best layout on every body."""
     first = readings[0][0]
-    found = [Explanation(Kind.NO_TAG, "", None, first.share(first.body_left), None, first.pose)]
-    for reading, _ in readings:
-        best = reading.layouts[0]
-        found.append(
-            Explanation(
-                kind_on(reading),
-                reading.body.name,
-                best.layout,
-                reading.share(best.left),
-                float(min(reading.unexplained, 1.0)),
-                reading.pose,
-                None,
-                float(best.radii.mean()),
-            )
-        )
-    return found
+    no_tag = Explanation(Kind.NO_TAG, "", None, first.share(first.body_left), None, first.pose)
+    return [no_tag, *(explained(reading) for reading, _ in readings)]
 
 
 def _object_explanation(spectra: Spectra, reading: ObjectReading) -> Explanation:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tagid.tags.bodies.body_reading import BodyReading, Placed
 from tagid.tags.bodies.calibration import Bound
-from tagid.tags.bodies.hypothesis import Kind
+from tagid.tags.bodies.hypothesis import Explanation, Kind
 from tagid.tags.bodies.objects import ObjectReading
-from tagid.tags.bodies.points import PointReading
+from tagid.tags.bodies.points import PlacedPoints, PointReading
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.reading import Reading
 from tagid.tags.reading.reflectors import Reflector
@@ -20,6 +20,22 @@ from tagid.tags.verdicts.verdict import Code, Verdict
 UNEXPLAINED = 0.04
 """Reflectors of an arrangement that leaves more of what the body leaves are not reported: they stand for
 something else. Tags on cans leave up to 2 %, a handle for which one reflector stands 4.6 to 13 %."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a layout lies: its origin, x + jy, m, and its turn, rad."""
+
+    centre: complex
+    turn_rad: float
+
+
+def placement_of(layout: Layout, placed: PlacedPoints) -> Placement:
+    """Where a layout lies whose reflectors were fitted as points."""
+    own = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+    turn = complex(np.vdot(own - own.mean(), placed.places - placed.places.mean()))
+    centre = complex(placed.places.mean() - own.mean() * turn / max(abs(turn), 1e-30))
+    return Placement(centre, float(np.angle(turn)))
 
 
 def as_points(bare: Reading, points: PointReading, layouts: Sequence[Layout]) -> Reading:
@@ -35,10 +51,8 @@ def as_points(bare: Reading, points: PointReading, layouts: Sequence[Layout]) ->
             reason=f"{bare.layout} and {best.layout} explain the echo about equally",
         )
     layout = next(one for one in layouts if one.name == best.layout)
-    own = layout.positions[:, 0] + 1j * layout.positions[:, 1]
-    turn = complex(np.vdot(own - own.mean(), best.places - best.places.mean()))
-    centre = complex(best.places.mean() - own.mean() * turn / max(abs(turn), 1e-30))
-    each = max(points.tag / max(len(own), 1), 1e-30)
+    placement = placement_of(layout, best)
+    each = max(points.tag / max(len(best.places), 1), 1e-30)
     snr = float(10 * np.log10(each / max(points.noise, 1e-9 * each)))
     return replace(
         bare,
@@ -49,8 +63,8 @@ def as_points(bare: Reading, points: PointReading, layouts: Sequence[Layout]) ->
         nearest=layout.name,
         score=float(np.clip(1 - points.unexplained, 0, 1)),
         margin=float(np.clip(points.lead / (1 + max(points.lead, 0.0)), 0, 1)),
-        rotation_deg=float(np.rad2deg(np.angle(turn)) % (360 / layout.symmetry)),
-        centre_m=(centre.real, centre.imag),
+        rotation_deg=float(np.rad2deg(placement.turn_rad) % (360 / layout.symmetry)),
+        centre_m=(placement.centre.real, placement.centre.imag),
         reflectors=tuple(
             Reflector(float(z.real), float(z.imag), 1.0 + 0j, 0.0, snr, True) for z in points.free.places
         ),
@@ -130,6 +144,21 @@ def on_object(
         extra=0,
         kind=Kind.OBJECT,
         body=fitted,
+    )
+
+
+def explained(reading: BodyReading) -> Explanation:
+    """The best layout on a body as a hypothesis."""
+    best = reading.layouts[0]
+    return Explanation(
+        kind_on(reading),
+        reading.body.name,
+        best.layout,
+        reading.share(best.left),
+        float(min(reading.unexplained, 1.0)),
+        reading.pose,
+        None,
+        float(best.radii.mean()),
     )
 
 
