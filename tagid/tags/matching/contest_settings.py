@@ -55,12 +55,12 @@ class ContestSettings:
             for two without a body,
         disputed_share: beyond this share of a pair's echo, and what `points` may leave of other tags. Two
             reflectors 150 degrees apart on a plastic bottle, whose wall delays the farther one by 3 mm, have
-            the spacing of opposite ones. Of 1,008 recordings of simulated bare tags, of 5 dB and more, none is
-            lost to 0.015, three are to 0.008.
+            the spacing of opposite ones. Of 1,008 recordings of simulated bare tags, of 5 dB and more, none
+            is lost to 0.015, three are to 0.008.
         undone_nats, undone_share: a pair's name without a body is asked of a thin wall where arrangements
             beside one leave so many noise variances, and this share of the echo, less than its points, which
-            may be darker from behind. Of 1,008 recordings of simulated bare tags, of 5 dB and more, one is lost,
-            of 60 of foreign pairs on a bottle and a jar 7 are named, 19 without.
+            may be darker from behind. One of those recordings is lost; of 60 of foreign pairs on a bottle and
+            a jar 7 are named, 19 without.
         delayed_nats, delayed_share: and such a wall may bear out a pair that is not where it was found where
             they leave so much less than points anywhere do: 1.9 % and more of the echo of pairs on a bottle
             of 2 mm, 0.9 % at most of 120 recordings of solved pairs without a body.
