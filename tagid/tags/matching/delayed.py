@@ -103,7 +103,9 @@ def _taken_back(
 ) -> Reading:
     """A name, or none where a thin wall shows beside which other reflectors are as likely."""
     own = next((placed for placed in points.layouts if placed.layout == reading.layout), None)
-    if own is None or len(own.places) != 2:
+    # Reflectors that shine outward only are no points, and their name does not rest on them.
+    opaque = reading.evidence.outward > settings.outward
+    if own is None or len(own.places) != 2 or opaque:
         return reading
     layout = next(one for one in layouts if one.name == reading.layout)
     left = min(own.left, tapered_left(spectra, own, placement_of(layout, own).centre))
