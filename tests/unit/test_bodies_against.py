@@ -37,7 +37,7 @@ from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching import alone, contest, matcher, on_shell
+from tagid.tags.matching import alone, beside, contest, matcher, on_shell
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code, Verdict
@@ -428,3 +428,34 @@ def test_what_points_at_other_places_explain_needs_no_walls(monkeypatch: pytest.
     bare = next(one for one in reading.hypotheses if one.kind is Kind.BARE)
     assert bare.left < 0.02
     assert list(reading.hypotheses) == sorted(reading.hypotheses, key=lambda one: one.left)
+
+
+@pytest.mark.parametrize(
+    ("least", "enrolled", "other", "out"),
+    [(2.0, True, 1.0, True), (1.2, True, 1.0, False), (2.0, False, 1.0, False), (0.5, True, 1.0, False)],
+)
+def test_walls_are_not_asked_of_a_body_that_another_one_outdoes(
+    least: float, enrolled: bool, other: float, out: bool
+) -> None:
+    name = SimpleNamespace(name="mug" if enrolled else "")
+    reading = cast(BodyReading, SimpleNamespace(body=name, least=least, error=1.0))
+    rival = cast(BodyReading, SimpleNamespace(least=other))
+    assert beside.outdone(reading, [rival], ContestSettings()) is out
+    assert not beside.outdone(reading, [], ContestSettings())
+
+
+def test_no_wall_is_asked_after_a_body_that_is_there_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An enrolled box without a tag, and a mug that is not there."""
+    asked: list[str] = []
+
+    def never(reading: BodyReading, *_: object) -> None:
+        asked.append(reading.body.name)
+
+    monkeypatch.setattr(contest, "read_beside_wall", never)
+    monkeypatch.setattr(contest, "outdone", lambda *_: False)
+    capture = recorded(BOX, np.zeros((0, 2)), 1, 20.0)
+    mug = replace(known("cup:40mm,handle"), name="a-mug")
+    assert identify(capture, LAYOUTS, signatures=(known(BOX), mug)).status == "no_tag"
+    assert "a-mug" not in asked
+    identify(capture, LAYOUTS, signatures=(mug,))
+    assert "a-mug" in asked
