@@ -32,8 +32,11 @@ from tagid.tags.bodies.reflectors_fit import Solved, solve
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching.beside import borne_out, disputed
+from tagid.tags.matching import contest
+from tagid.tags.matching.beside import borne_out, disputed, is_doubted
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.matcher import read_tag
+from tagid.tags.verdicts.verdict import Code, Verdict
 from train.calibrate import one
 
 RESPONSES = Path(__file__).parents[1] / "data" / "responses"
@@ -282,6 +285,21 @@ def test_a_wall_speaks_against_a_free_pattern_where_it_explains_the_echo() -> No
     least = beside_wall.noise + 0.4 * beside_wall.tag
     far = tuple(replace(placed, left=max(placed.left, least)) for placed in beside_wall.layouts)
     assert not disputed(named, replace(doubted, layouts=far, others=()))
+
+
+def test_walls_take_back_a_name_on_a_can_that_others_explain_better() -> None:
+    """Three reflectors on a can passed for two of them by 0.7, with a free pattern."""
+    beside_wall = beside(spectra_of("can40_c90", "V"))
+    named = replace(beside_wall, wall=None, through=False, lead=0.7)
+    right, contest_settings = Verdict("identified"), ContestSettings()
+    assert is_doubted(named, right, False)
+    assert not is_doubted(replace(named, lead=1.2), right, False)
+    assert is_doubted(replace(named, lead=1.2, through=True), right, False)
+    known = cast("contest._Bare", None)
+    for other, status in ((beside_wall, "identified"), (replace(beside_wall, lead=-0.5), "unknown")):
+        kept, verdict = contest._after_wall(known, named, right, other, LAYOUTS, contest_settings)
+        assert kept is named and verdict.status == status
+    assert verdict.code is Code.OTHER
 
 
 def test_walls_between_those_of_the_family_hold_one_that_is_not_in_it() -> None:

@@ -378,6 +378,12 @@ def _after_wall(
     Many terms imitate, and a few beside a handle: it and one reflector passed for `container-90` on an
     enrolled cup by 0.4. Of 58 right names on enrolled cups and cans all lead before walls by 0.6 and more.
     """
+    named = reading.layouts[0].layout
+    if verdict.status == "identified" and not reading.body.name and not reading.through:
+        if disputed(reading, beside):
+            reason = f"beside a round wall another arrangement explains the echo better than {named}"
+            verdict = Verdict("unknown", Code.OTHER, reason)
+        return reading, verdict
     if beside is not None:
         told = _judged(known, beside, layouts, settings)
         if told.status == "identified" and not _of_a_shell(reading, beside, settings):
@@ -386,7 +392,6 @@ def _after_wall(
     known_body = bool(reading.body.name)
     stands = not disputed(reading, beside) if known_body else borne_out(reading, beside, settings.decision)
     if verdict.status == "identified" and not stands:
-        named = reading.layouts[0].layout
         where = f"the enrolled body {reading.body.name}" if known_body else "a round body"
         verdict = Verdict("unknown", Code.BODY, f"no round wall bears out {named} on {where}")
     return reading, verdict
