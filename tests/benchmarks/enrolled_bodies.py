@@ -38,8 +38,8 @@ from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
 
-POPULATIONS = {"development": "development/1", "sealed": "sealed/13"}
-"""Sealed seeds are renewed before every report of another reader; sealed/12 was reported last."""
+POPULATIONS = {"development": "development/1", "sealed": "sealed/14"}
+"""Sealed seeds are renewed before every report of another reader; sealed/13 was reported last."""
 PARTS = ("solved", "designed")
 OFFSETS_MM = (0, 2, 6, 10)
 SNRS_DB = (20, 10)
@@ -357,8 +357,11 @@ a shell or a box is fitted. Of the sealed/9 scenes 52 of 53 on handles and shell
 layouts were named (commit 447a9c2), none of 152 others. Since then the body is asked once more how unevenly
 it was turned, beside its wall's reflectors. Of the sealed/10 scenes 53 of 53 and 171 of 171 were named, none
 of 152 others (commit d6192b8). Since then an enrolled body that returns less than its tag is sought below it.
-Of the sealed/11 scenes 52 of 53 and 170 of 171 were named, none of 152 others (commit d4b8061). The sealed/12
-scenes had not been read before.
+Of the sealed/11 scenes 52 of 53 and 170 of 171 were named, none of 152 others (commit d4b8061), of the
+sealed/12 scenes 53 of 53 and 169 of 171, none of 152 others (commit 672ceb2). Of the sealed/13 scenes, which
+had not been read before, the reader before (4aeaa9b) refuses the same three on the mug that is two solutions
+added. Since they were read walls more than 35 mm inside the reflectors are left out, and noise is not counted
+where enrolled bodies are compared: the longest reading of 16 layouts takes 2.9 s then, with the same answers.
 """
 
 

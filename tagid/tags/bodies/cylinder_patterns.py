@@ -27,6 +27,8 @@ ANGLES = 256
 """Angles of a table, between which patterns are interpolated: to 0.5 % of their steepest part."""
 LEAST_M, STEP_M, CLEAR_M = 0.018, 2e-3, 4.5e-3
 """Radius of the smallest body and steps to the largest, which the reflectors' centres clear by so much."""
+FARTHEST_M = 0.035
+"""No reflector stands farther outside the wall that carries it."""
 COATED = (3.5e-3, 5.5)
 """A wall around water, which is nearly metal: its thickness, m, and permittivity."""
 
@@ -59,7 +61,8 @@ FINER_M, FINER_WALL_M, FINER_PERMITTIVITY = 1e-3, 1e-3, 1.2
 def bodies_of(family: Family, radius_m: float) -> tuple[Shell, ...]:
     """Bodies of a family on which reflectors may stand `radius_m` from the axis, in both polarisations."""
     found = []
-    for radius in np.arange(LEAST_M, radius_m - CLEAR_M, STEP_M):
+    sizes = np.arange(LEAST_M, radius_m - CLEAR_M, STEP_M)
+    for radius in sizes[sizes > radius_m - FARTHEST_M - STEP_M / 2]:
         for polarisation in ("V", "H"):
             if family.filled:
                 found.append(Shell(float(radius), 0.0, 1.0, True, polarisation))

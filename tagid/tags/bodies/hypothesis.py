@@ -187,7 +187,9 @@ MOST_BODIES = 3
 among the first."""
 FAR_BODY = 2.0
 """A body that alone leaves so many times what the best one leaves is not what stands there: a tag adds the
-same to both."""
+same to both. So does noise, which is not counted,"""
+CHANCE_SIGMAS = 3.0
+"""beside so many standard deviations of its energy."""
 
 
 def plausible(spectra: Spectra, bodies: Sequence[BodyModel]) -> list[BodyModel]:
@@ -198,7 +200,9 @@ def plausible(spectra: Spectra, bodies: Sequence[BodyModel]) -> list[BodyModel]:
     """
     found = [(body.poses(spectra)[0].left, i) for i, body in enumerate(bodies) if body.turns]
     least = min((left for left, _ in found), default=0.0)
-    near = [i for left, i in sorted(found) if left <= FAR_BODY * least]
+    noise = spectra.noise_energy
+    most = noise + FAR_BODY * max(least - noise, 0.0) + CHANCE_SIGMAS * spectra.noise_spread
+    near = [i for left, i in sorted(found) if left <= most]
     return [bodies[i] for i in near[:MOST_BODIES]]
 
 
