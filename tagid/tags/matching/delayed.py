@@ -31,32 +31,28 @@ _AMPLITUDES, _SPREADS = 3, 2.0
 """Amplitudes per frequency beside a wall; standard deviations of the noise's energy."""
 
 
-def undelayed(
+def borne_out_by_thin_wall(
     reading: Reading,
-    points: PointReading | None,
+    points: PointReading,
     spectra: Spectra,
     layouts: Sequence[Layout],
     settings: ContestSettings,
-) -> Reading:
-    """The reading after a thin wall was asked: with a pair's name taken back, or with one that it bears out.
+) -> Reading | None:
+    """The reading of a pair that a thin wall moves from its places; None where it bears out none.
 
     Args:
-        reading: as settled between the other hypotheses.
-        points: fit of points with double bounce; None where none was made.
+        reading: as settled between the other hypotheses, without a name.
+        points: fit of points with double bounce.
         spectra: the scans.
         layouts: the enrolled ones.
         settings: of the contest.
     """
-    if points is None or reading.kind is not Kind.BARE:
-        return reading
-    if reading.status == "identified":
-        return _taken_back(reading, points, spectra, layouts, settings)
     found = pair_on_thin_wall(reading, points, spectra, layouts, settings)
     if found is None:
-        return reading
+        return None
     bound = bound_on_body(found, settings.delayed_tests, settings.calibration(), settings.false_accept)
     if kept(bound, Verdict("identified")).status != "identified":
-        return reading
+        return None
     hypotheses = tuple(sorted((*reading.hypotheses, explained(found)), key=lambda one: one.left))
     return replace(on_body(reading, found, layouts, bound), hypotheses=hypotheses)
 
@@ -72,13 +68,13 @@ def pair_on_thin_wall(
 
     Args:
         reading: one that names nothing.
-        points, spectra, layouts, settings: as of `undelayed`.
+        points, spectra, layouts, settings: as of `borne_out_by_thin_wall`.
     """
     own = points.layouts[0]
     near = points.least <= settings.points.unexplained and points.unexplained <= settings.bare.unexplained
     # Of 18 views a wall explains other spacings as well: 3 of 2,000 bare pairs 1 to 4 mm wider were named.
     rich = spectra.views >= settings.body.through_views
-    asked = reading.status == "unknown" and reading.code in ASKED
+    asked = reading.status == "unknown" and reading.kind is Kind.BARE and reading.code in ASKED
     if not (asked and near and rich) or len(own.places) != 2:
         return None
     left = min(one.left for one in (own, points.free, *points.others))
@@ -94,14 +90,22 @@ def pair_on_thin_wall(
     return found if best.layout == own.layout and passed and whole else None
 
 
-def _taken_back(
+def undelayed(
     reading: Reading,
-    points: PointReading,
+    points: PointReading | None,
     spectra: Spectra,
     layouts: Sequence[Layout],
     settings: ContestSettings,
 ) -> Reading:
-    """A name, or none where a thin wall shows beside which other reflectors are as likely."""
+    """A pair's name without a body, taken back where beside a thin wall other reflectors are as likely.
+
+    Args:
+        reading: as settled between the other hypotheses, with a name or without one.
+        points: fit of points with double bounce; None where none was made.
+        spectra, layouts, settings: as of `borne_out_by_thin_wall`.
+    """
+    if points is None or reading.status != "identified" or reading.kind is not Kind.BARE:
+        return reading
     own = next((placed for placed in points.layouts if placed.layout == reading.layout), None)
     # Reflectors that shine outward only are no points, and their name does not rest on them.
     opaque = reading.evidence.outward > settings.outward
@@ -130,7 +134,7 @@ def _beside_thin_wall(
     """The best layout beside a thin wall about the middle of the points.
 
     Args:
-        reading, points, spectra, layouts, settings: as of `undelayed`.
+        reading, points, spectra, layouts, settings: as of `borne_out_by_thin_wall`.
         most: energy that it, or another arrangement there, may leave at most; None is returned otherwise.
     """
     # An arrangement beside a wall leaves the noise that it does not happen to fit.

@@ -23,9 +23,10 @@ from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.bodies.transparent import without_transparent
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.matching.alone import Alone, named_alone
+from tagid.tags.matching.alone import Alone, named_alone, points_of
 from tagid.tags.matching.contest import NullEvidence, null_evidence, settle
 from tagid.tags.matching.contest_settings import ContestSettings
+from tagid.tags.matching.delayed import ASKED, borne_out_by_thin_wall
 from tagid.tags.matching.heights import without_bodies
 from tagid.tags.matching.on_shell import on_shell
 from tagid.tags.matching.reading import LayoutScore, Reading
@@ -201,7 +202,7 @@ class MatchedScan:
         if settled.body is not None and settled.body.body.name:
             named = self._beside_transparent(settled, settled.body)
         else:
-            named = self._cleared_of(settled)
+            named = self._cleared_of(settled) or self._before_thin_plastic(settled)
         last = named or on_shell(settled, self.scans, self._layouts, contest) or settled
         return attributed(last, contest)
 
@@ -212,6 +213,15 @@ class MatchedScan:
             return None
         others = (one for one in settled.hypotheses if one.kind is not Kind.BARE)
         return replace(found.reading, hypotheses=(*found.reading.hypotheses, *others))
+
+    def _before_thin_plastic(self, settled: Reading) -> Reading | None:
+        """The name of a pair that a thin wall moves from its places; None for none."""
+        contest = self._settings.contest
+        if settled.code not in ASKED or self.scans.aperture.views < contest.body.through_views:
+            return None
+        spectra = Spectra.of(self.scans)
+        points = points_of(self.own, spectra, self._layouts, contest.points)
+        return borne_out_by_thin_wall(settled, points, spectra, self._layouts, contest)
 
     def _beside_transparent(self, settled: Reading, on_body: BodyReading) -> Reading | None:
         """The name of points beside an enrolled body that hardly changes the wave; None for none.
