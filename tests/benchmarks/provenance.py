@@ -51,4 +51,5 @@ def publish(lines: list[str], folder: Path | None, name: str) -> None:
     text = "\n".join(lines) + "\n"
     print(text)
     if folder:
+        folder.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
