@@ -38,7 +38,7 @@ from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.delayed import pair_on_thin_wall, undelayed
 from tagid.tags.matching.promise import bound_on_body, kept
 from tagid.tags.matching.reading import Reading
-from tagid.tags.matching.won import explained, kind_on, on_body, on_object
+from tagid.tags.matching.won import hypothesis_on, kind_on, on_body, on_object
 from tagid.tags.verdicts.verdict import Code, Verdict
 
 ENOUGH_BODIES = 2
@@ -578,7 +578,7 @@ def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Expla
     """No tag, and the best layout on every body."""
     first = readings[0][0]
     no_tag = Explanation(Kind.NO_TAG, "", None, first.share(first.body_left), None, first.pose)
-    return [no_tag, *(explained(reading) for reading, _ in readings)]
+    return [no_tag, *(hypothesis_on(reading) for reading, _ in readings)]
 
 
 def _object_explanation(spectra: Spectra, reading: ObjectReading) -> Explanation:

@@ -22,7 +22,7 @@ from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.promise import bound_on_body, kept
 from tagid.tags.matching.reading import Reading
-from tagid.tags.matching.won import explained, on_body, placement_of
+from tagid.tags.matching.won import hypothesis_on, on_body, placement_of
 from tagid.tags.verdicts.verdict import Code, Verdict
 
 ASKED = (Code.DISPLACED, Code.ELSEWHERE, Code.EXTRA, Code.MISSING, Code.OTHER)
@@ -53,7 +53,7 @@ def borne_out_by_thin_wall(
     bound = bound_on_body(found, settings.delayed_tests, settings.calibration(), settings.false_accept)
     if kept(bound, Verdict("identified")).status != "identified":
         return None
-    hypotheses = tuple(sorted((*reading.hypotheses, explained(found)), key=lambda one: one.left))
+    hypotheses = tuple(sorted((*reading.hypotheses, hypothesis_on(found)), key=lambda one: one.left))
     return replace(on_body(reading, found, layouts, bound), hypotheses=hypotheses)
 
 

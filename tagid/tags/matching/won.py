@@ -147,7 +147,7 @@ def on_object(
     )
 
 
-def explained(reading: BodyReading) -> Explanation:
+def hypothesis_on(reading: BodyReading) -> Explanation:
     """The best layout on a body as a hypothesis."""
     best = reading.layouts[0]
     return Explanation(
