@@ -1,0 +1,69 @@
+"""Threads whose owner learns of their end, whatever ended them."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+
+class Worker:
+    """A daemon thread that keeps the exception that ended it.
+
+    The owner starts it, asks `failure` wherever it relies on the thread's work, and joins it.
+
+    Args:
+        work: runs on the thread.
+        name: of the thread, for logs.
+        failed: called on the thread, after `failure` is set, if `work` raised; wakes an owner that waits.
+
+    >>> worker = Worker(lambda: int("x"), "example")
+    >>> worker.start()
+    >>> worker.join()
+    True
+    >>> type(worker.failure).__name__
+    'ValueError'
+    """
+
+    def __init__(
+        self,
+        work: Callable[[], None],
+        name: str,
+        failed: Callable[[BaseException], None] = lambda error: None,
+    ) -> None:
+        self.name = name
+        self._work, self._failed = work, failed
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    @property
+    def failure(self) -> BaseException | None:
+        """The exception that ended the thread, or kept it from starting; None if there was none."""
+        return self._failure
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread is running."""
+        return self._thread.is_alive()
+
+    def start(self) -> None:
+        """Start the thread. Raises RuntimeError if the system allows no further one; `failure` keeps it."""
+        try:
+            self._thread.start()
+        except RuntimeError as error:
+            self._failure = error
+            raise
+
+    def join(self, timeout_s: float | None = None) -> bool:
+        """Wait for the end of the thread; True if it has ended, or was never started."""
+        if self._thread.ident is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout_s)
+        return not self.alive
+
+    def _run(self) -> None:
+        try:
+            self._work()
+        except BaseException as error:
+            self._failure = error
+            logging.getLogger("tagid").debug("thread %s ended", self.name, exc_info=True)
+            self._failed(error)
