@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import os
 from dataclasses import replace
 from functools import partial
@@ -23,6 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
+from tagid import processes
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
 from tagid.tags.layouts.layout import builtin_layouts
@@ -126,7 +126,7 @@ def main() -> None:
         only = arguments.only_views
         chosen = [s for s in seeds if not only or draw(s).views in only]
         with (
-            multiprocessing.get_context("fork").Pool(arguments.jobs) as pool,
+            processes.spawn_context().Pool(arguments.jobs) as pool,
             arguments.scores.open("a") as file,
         ):
             for row in pool.imap_unordered(

@@ -7,7 +7,6 @@ same dataset, and what was made is never made again.
 from __future__ import annotations
 
 import json
-import multiprocessing
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import processes
 from tagid.errors import StorageError, UsageError
 from tagid.files import replacing
 from tagid.tags.network.planes import GRID
@@ -174,7 +174,7 @@ def build(
     done = plan.shards - len(tasks)
     if progress:
         progress(done, plan.shards)
-    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+    with processes.spawn_context().Pool(jobs) as pool:
         for _ in pool.imap_unordered(_write, tasks):
             done += 1
             if progress:

@@ -7,7 +7,6 @@ gives the same weights as one that was not.
 from __future__ import annotations
 
 import io
-import multiprocessing
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -20,6 +19,7 @@ from torch import nn
 from torch.optim import AdamW, Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
+from tagid import processes
 from tagid.errors import StorageError
 from tagid.files import read_bytes, write_bytes
 from train.dataset import Samples
@@ -163,7 +163,7 @@ def _batches(training: Samples, jobs: int) -> Iterator[Callable[[list[Draw]], It
     if jobs < 2:
         yield lambda draws: (make_batch(training, d.which, d.symmetries) for d in draws)
         return
-    with multiprocessing.get_context("spawn").Pool(jobs, _receive, (training,)) as pool:
+    with processes.spawn_context().Pool(jobs, _receive, (training,)) as pool:
         yield lambda draws: map(Batch.of, pool.imap(_arrays, draws))
 
 

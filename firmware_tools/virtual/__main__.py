@@ -29,9 +29,9 @@ from firmware_tools.virtual.air import COMMAND_TIMEOUT_S, Air, HciServer, make_c
 from firmware_tools.virtual.ble import VirtualBle
 from firmware_tools.virtual.board import RESET_CAUSES, Board
 from firmware_tools.virtual.modules import install
+from tagid import processes
 
 _FIRMWARE = Path(__file__).resolve().parent.parent / "bridge"
-_ROOT = _FIRMWARE.parent.parent
 _CAUSES = {name.removesuffix("_RESET").lower(): number for name, number in RESET_CAUSES.items()}
 _WATCHDOG, _RESET = 70, 71
 """Exit codes of a board whose watchdog fired, and of one that called machine.reset()."""
@@ -94,11 +94,7 @@ def make_end(options: argparse.Namespace) -> Callable[[int], None]:
         if options.reboot and code in (_WATCHDOG, _RESET):
             cause = "wdt" if code == _WATCHDOG else "hard"
             words = [word for word in sys.argv[1:] if not word.startswith("--reset-cause")]
-            os.chdir(_ROOT)
-            os.execv(
-                sys.executable,
-                [sys.executable, "-m", "firmware_tools.virtual", *words, f"--reset-cause={cause}"],
-            )
+            processes.replace("firmware_tools.virtual", *words, f"--reset-cause={cause}")
         os._exit(code)
 
     return end

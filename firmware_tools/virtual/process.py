@@ -7,20 +7,18 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import queue
 import subprocess
-import sys
 import tempfile
-import threading
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
 
+from tagid import processes
 from tagid.errors import DeviceTimeoutError
-
-_ROOT = Path(__file__).resolve().parents[2]
+from tagid.workers import Worker
 
 
 class BoardProcess:
@@ -49,28 +47,30 @@ class BoardProcess:
 
     def __enter__(self) -> Self:
         self._folder = tempfile.TemporaryDirectory(prefix="tagid-bridge-")
-        words = [sys.executable, "-m", "firmware_tools.virtual", "--uart", self._uart, *self._options]
+        words = ["--uart", self._uart, *self._options]
         if self._config is not None:
             path = Path(self._folder.name) / "config.json"
             path.write_text(json.dumps(dict(self._config)), encoding="utf-8")
             words += ["--config", str(path)]
-        paths = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
-        self.process: subprocess.Popen[str] = subprocess.Popen(
-            words,
-            stdin=subprocess.PIPE,
+        self.process: subprocess.Popen[str] = processes.start(
+            "firmware_tools.virtual",
+            *words,
+            attached=False,
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, "PYTHONPATH": paths},
             cwd=self._folder.name,
         )
-        assert self.process.stdout is not None
-        threading.Thread(target=self._read, args=(self.process.stdout,), daemon=True).start()
+        lines = self.process.stdout
+        assert lines is not None
+        Worker(lambda: self._read(lines), "board", lambda error: self._lines.put(None)).start()
         try:
             ready = self._answer("ready")
         except BaseException:
             self.__exit__(None, None, None)
             raise
         self.hci, self.address = ready["hci"], ready["address"]
+        if "--reboot" not in self._options:
+            self._folder.cleanup()  # the board has copied its configuration; a killed host leaves nothing
         return self
 
     def __exit__(
@@ -97,9 +97,10 @@ class BoardProcess:
         self._lines.put(None)
 
     def _answer(self, key: str) -> dict[str, Any]:
+        until = time.monotonic() + self._timeout
         while True:
             try:
-                line = self._lines.get(timeout=self._timeout)
+                line = self._lines.get(timeout=max(0.0, until - time.monotonic()))
             except queue.Empty:
                 raise DeviceTimeoutError("the virtual bridge does not answer", "Check its output.") from None
             if line is None:

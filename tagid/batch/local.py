@@ -6,18 +6,15 @@ A worker that dies (out of memory, a fault in native code) loses only the item t
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import resource_tracker
-from multiprocessing.connection import wait as wait_for
 
+from tagid import processes
 from tagid.batch.inputs import Source
 from tagid.batch.job import Answered, Job, Outcome
 from tagid.batch.work import failed_record, unexpected, work
@@ -69,7 +66,8 @@ def run_local(tasks: Tasks, job: Job, workers: int) -> Results:
     At most `AHEAD` tasks per worker are taken from `tasks` before their results are yielded.
     """
     pool = _Pool(job, workers)
-    with one_thread_each():
+    # Every core already has a worker: each runs linear algebra on one thread.
+    with processes.environment_set(dict.fromkeys(_THREADS, "1")):
         try:
             yield from pool.run(tasks)
         finally:
@@ -169,9 +167,7 @@ _END = object()
 
 
 def _executor(job: Job, workers: int) -> ProcessPoolExecutor:
-    # Spawned, not forked: a fork would copy the locks of the parent's threads and its open database.
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(job,))
+    return ProcessPoolExecutor(workers, processes.spawn_context(), initializer=_begin, initargs=(job,))
 
 
 @contextlib.contextmanager
@@ -181,7 +177,7 @@ def _no_interrupt() -> Iterator[None]:
     The parent decides when they end.
     """
     # Start the tracker first: starting it unblocks SIGINT, also in the first process created afterwards.
-    resource_tracker.ensure_running()
+    processes.start_resource_tracker()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
@@ -196,34 +192,10 @@ def _stop(executor: ProcessPoolExecutor) -> None:
     executor.shutdown(wait=True, cancel_futures=True)
 
 
-@contextlib.contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Context in which new processes run linear algebra on one thread: every core already has a worker."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
 def _begin(job: Job) -> None:
     """Set up a worker process."""
     global _job
     _job = job
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-
-
-def _end_with(sentinel: int) -> None:
-    """Exit when the parent is gone: a killed parent cannot stop its workers."""
-    wait_for([sentinel])
-    os._exit(1)
 
 
 def _work(source: Source) -> Outcome:

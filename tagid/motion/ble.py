@@ -8,13 +8,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
+from tagid import processes
 from tagid.errors import (
     DeviceError,
     DeviceGoneError,
@@ -24,10 +25,11 @@ from tagid.errors import (
 )
 from tagid.motion.bridge import Event, Op, Tripped
 from tagid.motion.bridge.client import Bridge
-from tagid.motion.bridge.find import Backends, bluetooth_errors, find
+from tagid.motion.bridge.find import Backends, bluetooth_errors, find, scanning, unless_busy
 from tagid.motion.guardian import Guarded, Watch
 from tagid.motion.links import WAKE_S, require
 from tagid.motion.virtual import virtual_bluetooth
+from tagid.workers import Worker
 
 T = TypeVar("T")
 _OPEN_S: Final = 60.0
@@ -75,15 +77,35 @@ async def backends_of(address: BleAddress) -> AsyncIterator[Backends]:
 
 
 class _Loop:
-    """An event loop on a thread."""
+    """An event loop on a thread.
 
-    def __init__(self) -> None:
+    Args:
+        failed: called with the error if the thread dies.
+
+    Raises DeviceError if the thread does not start.
+    """
+
+    def __init__(self, failed: Callable[[TagidError], None]) -> None:
         self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="bluetooth", daemon=True)
-        self._thread.start()
+        self._worker = Worker(self._loop.run_forever, "bluetooth", lambda error: failed(self._dead(error)))
+        try:
+            self._worker.start()
+        except RuntimeError as error:
+            self._loop.close()
+            raise self._dead(error) from error
+
+    @staticmethod
+    def _dead(error: BaseException) -> DeviceError:
+        return DeviceError(
+            f"the thread that speaks Bluetooth has ended: {error}",
+            "Free memory and processes, then try again.",
+        )
 
     def run(self, work: Coroutine[Any, Any, T], timeout: float, what: str) -> T:
         """Run work on the loop; return its result. Raises DeviceTimeoutError, and the errors of the work."""
+        if self._worker.failure is not None:
+            work.close()
+            raise self._dead(self._worker.failure)
         future: Future[T] = asyncio.run_coroutine_threadsafe(work, self._loop)
         try:
             return future.result(timeout)
@@ -113,8 +135,7 @@ class _Loop:
             with contextlib.suppress(TagidError):
                 self.run(cancel_all(), _WRITE_S, "ending")
             self._loop.call_soon_threadsafe(self._loop.stop)
-            self._thread.join(_WRITE_S)
-            if not self._thread.is_alive():
+            if self._worker.join(_WRITE_S):
                 self._loop.close()
 
 
@@ -171,7 +192,7 @@ class BridgeLink:
         self._relaxed = False
         self._guard = Guarded()
         self._stack = AsyncExitStack()
-        self._loop = _Loop()
+        self._loop = _Loop(self._inbox.fail)
         try:
             self.bridge = self._loop.run(self._open(), _OPEN_S, f"connecting to {address.target}")
         except BaseException:
@@ -273,22 +294,20 @@ class CharacteristicLink:
     Args:
         address: its name or address; a name prefix is enough.
         service, characteristic: UUIDs.
-        stop: words of a command that reconnects and stops the device if this process dies.
+        url: of the device, for the command that reconnects and stops it if this process dies.
 
     Raises:
         DeviceError and its subclasses: no adapter, no such device.
     """
 
-    def __init__(
-        self, address: BleAddress, service: str, characteristic: str, stop: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, address: BleAddress, service: str, characteristic: str, url: str) -> None:
         require("bleak", "motion", "Bluetooth")
-        self._stop = tuple(stop)
+        self._url = url
         self._guard = Guarded()
         self._address, self._service, self._characteristic = address, service, characteristic
         self._inbox = _Inbox()
         self._stack = AsyncExitStack()
-        self._loop = _Loop()
+        self._loop = _Loop(self._inbox.fail)
         self._closing = False
         try:
             self._client = self._loop.run(self._open(), _OPEN_S, f"connecting to {address.target}")
@@ -300,7 +319,7 @@ class CharacteristicLink:
         return self._address.target
 
     async def _open(self) -> Any:
-        from bleak import BleakClient, BleakScanner
+        from bleak import BleakClient
 
         backends = await self._stack.enter_async_context(backends_of(self._address))
         wanted = self._address.target.lower()
@@ -312,9 +331,8 @@ class CharacteristicLink:
             if (device.address.lower() == wanted or name.startswith(wanted)) and not found.done():
                 found.set_result(device)
 
-        with bluetooth_errors(f"looking for {self._address.target}"):
-            async with BleakScanner(seen, backend=backends.scanner):
-                await asyncio.wait([found], timeout=self._address.seconds)
+        async with scanning(seen, backends, f"looking for {self._address.target}"):
+            await asyncio.wait([found], timeout=self._address.seconds)
         if not found.done():
             raise DeviceGoneError(
                 f"no device called {self._address.target!r} within {self._address.seconds:g} s",
@@ -323,7 +341,8 @@ class CharacteristicLink:
         device = found.result()
         with bluetooth_errors(f"connecting to {self._address.target}"):
             client = BleakClient(device, self._lost, backend=backends.client)
-            await self._stack.enter_async_context(client)
+            await unless_busy(client.connect)
+            self._stack.push_async_callback(client.disconnect)
             if self._service not in {one.uuid.lower() for one in client.services}:
                 raise DeviceError(f"{self._address.target} is another device", "Choose another name.")
             await client.start_notify(self._characteristic, lambda _, data: self._inbox.put(bytes(data)))
@@ -351,8 +370,9 @@ class CharacteristicLink:
 
     def arm(self, timeout_s: float) -> None:
         """Start the helper that stops the table if this process dies; the table itself has no dead-man."""
+        stop = processes.python("tagid.motion.emergency")
         limit = max(timeout_s, _GUARD_S)
-        self._guard.start(Watch(self._address.target, limit, command=self._stop))
+        self._guard.start(Watch(self._address.target, limit, command=stop, command_input=f"{self._url}\n"))
 
     def beat(self) -> None:
         """Tell the helper that this process is alive."""

@@ -11,7 +11,7 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from tagid.motion.ble import BleAddress, backends_of
-from tagid.motion.bridge.find import bluetooth_errors
+from tagid.motion.bridge.find import scanning
 from tagid.motion.bridge.protocol import NUS
 
 _ADAPTERS: Final = {
@@ -64,8 +64,6 @@ def serial_devices() -> list[Found]:
 
 
 async def _listen(seconds: float, hci: str | None) -> list[Found]:
-    from bleak import BleakScanner
-
     heard: dict[str, Found] = {}
 
     def seen(device: Any, advertisement: Any) -> None:
@@ -80,10 +78,11 @@ async def _listen(seconds: float, hci: str | None) -> list[Found]:
             return
         heard[device.address] = Found(url, what, device.address, advertisement.rssi)
 
-    async with backends_of(BleAddress("", hci=hci)) as backends:
-        with bluetooth_errors("looking for devices"):
-            async with BleakScanner(seen, backend=backends.scanner):
-                await asyncio.sleep(seconds)
+    async with (
+        backends_of(BleAddress("", hci=hci)) as backends,
+        scanning(seen, backends, "looking for devices"),
+    ):
+        await asyncio.sleep(seconds)
     return sorted(heard.values(), key=lambda one: -(one.signal_dbm or 0))
 
 

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from tagid import hostclock
 from tagid.angles.views import Angles
-from tagid.errors import DataError, DeviceError, TagidError, UsageError
+from tagid.errors import DataError, DeviceError, DeviceRejectedError, TagidError, UsageError
 from tagid.metadata import Track
 from tagid.motion.device import MotionStoppedError, PausedError
+from tagid.motion.guardian import ask_to_stop
 
 _JOIN_S: Final = 5.0
 MEASURED_TURNS: Final = 1.15
@@ -45,6 +46,8 @@ class DrivenMotion(ABC):
     moves = True
     measures = True
     kind = "driven"
+    target = ""
+    """Its port, name or address, under which its guardian is found."""
     stops_by = "switch it off"
     """What the user does if the program can no longer stop it; follows "It may still be turning: "."""
     warning = ""
@@ -97,9 +100,29 @@ class DrivenMotion(ABC):
         Raises DeviceError and its subclasses.
         """
 
-    @abstractmethod
+    def _connect_and_halt(self) -> None:
+        """Open the link, whatever the device does, and stop it. Raises DeviceError if it does not confirm."""
+        raise DeviceRejectedError(f"{self.name} takes no command to stop", "Switch its table off.")
+
     def halt_now(self) -> None:
-        """Stop it, even if another program started it. Raises DeviceError if it does not confirm."""
+        """Stop it, even if another program started it: through that program's guardian if there is one.
+
+        Raises DeviceError if it does not confirm.
+        """
+        if not ask_to_stop(self.target):
+            self.halt_directly()
+
+    def halt_directly(self) -> None:
+        """Stop it without its guardian. Raises DeviceError if it does not confirm."""
+        try:
+            self._connect_and_halt()
+        except DeviceError as error:
+            raise type(error)(self._still_turning(error), error.remedy) from error
+        finally:
+            self._close()
+
+    def _still_turning(self, cause: TagidError) -> str:
+        return f"It may still be turning: {self.stops_by}. {cause.message}"
 
     def _facts(self) -> dict[str, Any]:
         """Metadata of a Track besides its readings."""
@@ -113,14 +136,15 @@ class DrivenMotion(ABC):
         self._stopping.clear()
         try:
             self._begin()
+            self._thread = threading.Thread(target=self._work, name=f"motion-{self.kind}", daemon=True)
+            self._thread.start()
         except BaseException as error:
+            self._thread = None
             self._error = error if isinstance(error, TagidError) else None
             self._end()
             if self._unconfirmed and self._error is not None:
                 raise self._error from error
             raise
-        self._thread = threading.Thread(target=self._work, name=f"motion-{self.kind}", daemon=True)
-        self._thread.start()
 
     def _work(self) -> None:
         until = time.monotonic() + self.max_seconds
@@ -159,8 +183,7 @@ class DrivenMotion(ABC):
             self._unconfirmed = True
             found = error if isinstance(error, TagidError) else DeviceError(f"{self.name}: {error}")
             cause = self._error or found
-            text = f"It may still be turning: {self.stops_by}. {cause.message}"
-            self._error = type(cause)(text, cause.remedy)
+            self._error = type(cause)(self._still_turning(cause), cause.remedy)
 
     def _end(self) -> None:
         self._safely_halt()

@@ -3,112 +3,51 @@
 The driver sends heartbeats. A missed heartbeat (kill -9, SIGSTOP, Ctrl-Z, a computer that slept), a broken
 pipe, and `tagid motion stop` from another process all have the same effect: the helper writes the halt bytes
 to the shared port, or starts the command that stops the device. It answers every heartbeat, so that the
-driver in turn notices a dead guardian.
+driver in turn notices a dead guardian. Where the system has systemd it runs in a cgroup of its own.
+
+`motion stop` finds the guardian by the name of an abstract socket, which no environment variable changes;
+both sides ask the kernel for the other's user. `guard` is the program that runs in the helper process.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
+import logging
 import os
+import secrets
 import select
+import signal
 import socket
-import stat
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
+from tagid import processes
 from tagid.errors import DeviceError
+from tagid.motion import guard
 from tagid.motion.device import MotionStoppedError, PausedError
+from tagid.ports import holders
 
 PAUSES_S: Final = (0.0, 0.03, 0.12)
 """Pauses before the three stops: the first may complete a truncated command."""
 _START_S: Final = 5.0
 _DEAF_S: Final = 1.0
 """A guardian that answers no heartbeat for this time is considered dead."""
+_SCOPE_S: Final = 2.0
+"""Longest wait for systemd to start the guardian in a cgroup of its own; then it starts without one."""
 _ASK_S: Final = 3.0
+_AGAIN_S: Final = 0.01
+_COMMAND_S: Final = guard.OWNER_S + guard.COMMAND_S + 5.0
+_SOCKETS: Final = Path("/proc/net/unix")
 _FAREWELL: Final = b"x"
 _BEAT: Final = b"."
 _ECHO, _TRIPPED, _ASKED = b"e", b"t", b"a"
-
-# Plain Python without the package, so that it starts in about 20 ms. CLOCK_BOOTTIME continues while the
-# computer sleeps. Only processes of the same user can reach the socket: its folder is closed to all others.
-_PROGRAM: Final = """
-import os, select, signal, socket, subprocess, sys, time
-for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP, signal.SIGPIPE):
-    signal.signal(number, signal.SIG_IGN)
-port, halt, limit, path = int(sys.argv[1]), bytes.fromhex(sys.argv[2]), float(sys.argv[3]), sys.argv[4]
-pauses, command = [float(pause) for pause in sys.argv[5].split(",")], sys.argv[6:]
-clock = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
-now = lambda: time.clock_gettime(clock)
-server = None
-if path:
-    try:
-        os.unlink(path)
-    except OSError:
-        pass
-    server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    server.bind(path)
-    server.listen(4)
-
-def tell(mark):
-    try:
-        os.write(1, mark)
-    except OSError:
-        pass
-
-def stop():
-    for pause in pauses:
-        time.sleep(pause)
-        if port >= 0:
-            try:
-                os.write(port, halt)
-            except OSError:
-                pass
-    if command:
-        null = subprocess.DEVNULL
-        subprocess.Popen(command, stdin=null, stdout=null, stderr=null, start_new_session=True)
-
-tell(b"r")
-heard, tripped, ended = now(), False, False
-while not ended:
-    wait = max(0.0, heard + limit - now()) if not tripped else 3600.0
-    ready = select.select([0] + ([server] if server else []), [], [], wait)[0]
-    asked = None
-    if server in ready:
-        asked = server.accept()[0]
-    if 0 in ready:
-        data = os.read(0, 4096)
-        if b"x" in data:
-            break
-        ended = not data
-        if data and now() - heard <= limit:
-            heard = now()
-            tell(b"e")
-    late = not tripped and now() - heard > limit
-    if asked or ended or late:
-        # Told first: the driver must not take the device's answer to the halt bytes for an error of its own.
-        tell(b"a" if asked else b"t")
-        if not tripped or asked:
-            stop()
-        tripped = True
-    if asked:
-        try:
-            asked.sendall(b"stopped")
-        except OSError:
-            pass
-        asked.close()
-if path:
-    try:
-        os.unlink(path)
-    except OSError:
-        pass
-"""
 
 
 @dataclass(frozen=True)
@@ -121,6 +60,8 @@ class Watch:
         port: file descriptor of the open port, which the guardian shares; -1 for none.
         halt: bytes that stop the device, written three times.
         command: words of a command that stops the device if there is no port to share; () for none.
+        command_input: its standard input, which no other user can read.
+        remedy: what the user does if the guardian cannot stop the device.
     """
 
     name: str
@@ -128,6 +69,8 @@ class Watch:
     port: int = -1
     halt: bytes = b""
     command: Sequence[str] = ()
+    command_input: str = ""
+    remedy: str = "It may still be turning: switch it off."
 
 
 class Guardian:
@@ -142,24 +85,8 @@ class Guardian:
         self._process: subprocess.Popen[bytes] | None = None
         if os.name != "posix":
             return
-        path = stop_socket(watch.name)
-        self._process = subprocess.Popen(
-            [
-                sys.executable, "-I", "-S", "-c", _PROGRAM, str(watch.port), watch.halt.hex(),
-                str(watch.limit_s), str(path or ""), ",".join(map(str, PAUSES_S)), *watch.command,
-            ],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            pass_fds=(watch.port,) if watch.port >= 0 else (),
-            start_new_session=True,
-        )  # fmt: skip
-        assert self._process.stdin is not None and self._process.stdout is not None
-        os.set_blocking(self._process.stdin.fileno(), False)
-        ready, _, _ = select.select([self._process.stdout], [], [], _START_S)
-        if not ready or os.read(self._process.stdout.fileno(), 1) != b"r":
-            self._process.kill()
-            self.release()
+        self._process = _start(watch, scope=True) or _start(watch, scope=False)
+        if self._process is None:
             raise DeviceError(
                 "the helper process that stops the motion in an emergency does not start",
                 "Nothing was moved. Free memory and processes, then try again.",
@@ -248,39 +175,113 @@ class Guarded:
             guardian.release(farewell)
 
 
-def runtime_folder() -> Path | None:
-    """A folder that only this user can enter, created if missing; None if no safe folder is available."""
-    if os.name != "posix":
-        return None
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(base) / "tagid" if base else Path(tempfile.gettempdir()) / f"tagid-{os.getuid()}"
+def _start(watch: Watch, scope: bool) -> subprocess.Popen[bytes] | None:
+    """The guardian's process once it watches; None if it does not start in time."""
+    errors = -1
+    with contextlib.suppress(OSError):  # standard error may be closed
+        errors = os.dup(2)
+    linux = sys.platform.startswith("linux")
+    parameters = {
+        **asdict(watch),
+        "halt": watch.halt.hex(),
+        "pauses_s": PAUSES_S,
+        "errors": errors,
+        "socket": f"{_socket_name(watch.name)}-{secrets.token_hex(8)}" if linux else "",
+    }
     try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:
+        process = processes.start_alone(
+            Path(guard.__file__),
+            scope=scope,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            pass_fds=[number for number in (watch.port, errors) if number >= 0],
+        )
+    except OSError as error:
+        raise DeviceError(
+            f"the helper process that stops the motion in an emergency does not start ({error})",
+            "Nothing was moved. Free memory and processes, then try again.",
+        ) from error
+    finally:
+        if errors >= 0:
+            os.close(errors)
+    if process is None:
         return None
-    private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
-    return folder if private else None
+    assert process.stdin is not None and process.stdout is not None and process.stderr is not None
+    os.set_blocking(process.stdin.fileno(), False)
+    with contextlib.suppress(OSError):
+        os.write(process.stdin.fileno(), json.dumps(parameters).encode() + b"\n")
+    ready, _, _ = select.select([process.stdout], [], [], _SCOPE_S if scope else _START_S)
+    if ready and os.read(process.stdout.fileno(), 1) == b"r":
+        process.stderr.close()  # it writes to this process's own
+        return process
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    # Something that it started may still hold the pipe.
+    os.set_blocking(process.stderr.fileno(), False)
+    logging.getLogger("tagid").debug("no guardian, scope=%s: %r", scope, process.stderr.read(1000))
+    for pipe in (process.stdin, process.stdout, process.stderr):
+        pipe.close()
+    return None
 
 
-def stop_socket(name: str) -> Path | None:
-    """The guardian's socket for a device; the same for a port and for links to it."""
-    folder = runtime_folder()
-    if folder is None:
-        return None
+def _socket_name(name: str) -> str:
+    """The common part of the names of a device's guardians; the same for a port and for links to it."""
     real = os.path.realpath(name) if name.startswith("/") else name.lower()
-    return folder / f"stop-{hashlib.sha256(real.encode()).hexdigest()[:16]}"
+    return f"tagid-stop-{hashlib.sha256(real.encode()).hexdigest()[:16]}"
+
+
+def _guardians(name: str) -> Iterator[str]:
+    """Names of the sockets of all guardians of a device, and of whoever pretends to be one."""
+    mark = f"@{_socket_name(name)}-"
+    with contextlib.suppress(OSError):
+        for line in _SOCKETS.read_text(errors="replace").splitlines():
+            words = line.split()
+            if words[-1].startswith(mark):
+                yield words[-1]
 
 
 def ask_to_stop(name: str) -> bool:
-    """Ask the guardian of another process to stop a device; False if no guardian monitors it."""
-    path = stop_socket(name)
-    if path is None or not path.exists():
-        return False
-    try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
-            line.settimeout(_ASK_S)
-            line.connect(str(path))
-            return line.recv(16) == b"stopped"
-    except OSError:
-        return False
+    """Ask the guardians of other processes to stop a device; False if none confirms.
+
+    A guardian of this user is believed; root believes those of all users that hold the device's port.
+    """
+    confirmed = [_confirms(line) for line in _connected(name)]
+    return any(confirmed)
+
+
+def _connected(name: str) -> list[socket.socket]:
+    """Connections to all guardians that are to be believed; each connection is a request to stop."""
+    root = os.getuid() == 0
+    holding = [holder.pid for holder in holders(name)] if root else []
+    lines = []
+    until, pending = time.monotonic() + _ASK_S, list(_guardians(name))
+    while pending:
+        address = pending.pop(0)
+        line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        line.setblocking(False)
+        try:
+            line.connect("\0" + address[1:])
+            pid, uid = guard.peer(line)
+            if uid == os.getuid() or pid in holding:
+                lines.append(line)
+                continue
+        except BlockingIOError:  # others wait for it as well
+            if time.monotonic() < until:
+                pending.append(address)
+                time.sleep(_AGAIN_S)
+        except OSError:
+            pass
+        line.close()
+    return lines
+
+
+def _confirms(line: socket.socket) -> bool:
+    answer = b""
+    with line, contextlib.suppress(OSError):
+        line.settimeout(_ASK_S)
+        while piece := line.recv(64):
+            answer += piece
+            line.settimeout(_COMMAND_S)  # a command is running
+    return answer.endswith(b"stopped")

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from tagid.motion.emulation.truth import TrueAngle
-from tagid.motion.guardian import Guardian, Watch, ask_to_stop, runtime_folder, stop_socket
+from tagid.motion.guardian import Guardian, Watch, ask_to_stop
 
 pytestmark = pytest.mark.realtime
 

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
+from tagid import processes
 from tagid.errors import DeviceError, TagidError, UsageError
-from tagid.files import write_bytes
 from tagid.metadata import ObjectInfo
 
 DEMO_RPM = 6.0
 DEMO_AXIS_DISTANCE_M = 1.0
+_HEIGHT_BYTES = 40
+"""Every height is written over the whole of the one before."""
 DEMO_CENTRE = "0.005,-0.003"
 """Objects are never exactly on the axis: object and body are 6 mm off."""
 
@@ -43,23 +44,28 @@ def emulated_radar(scene: str) -> Iterator[Emulated]:
 
     Raises UsageError with the emulator's message if the scene is unknown, DeviceError if it does not start.
     """
-    with tempfile.TemporaryDirectory(prefix="tagid-demo-") as folder:
-        yield from _emulated(scene, Path(folder) / "antenna-height")
+    # A file without a name: nothing of it stays, however this process ends.
+    with tempfile.TemporaryFile() as height_file:
+        yield from _emulated(scene, height_file.fileno())
 
 
-def _emulated(scene: str, height_file: Path) -> Iterator[Emulated]:
+def _emulated(scene: str, height_file: int) -> Iterator[Emulated]:
     def place(height_m: float) -> None:
-        write_bytes(height_file, f"{height_m!r}\n".encode())
+        os.pwrite(height_file, f"{height_m!r}\n".ljust(_HEIGHT_BYTES).encode(), 0)
 
     place(0.0)
     arguments = ["emulate", "p440", "--bind", "127.0.0.1:0", "--scene", scene, "--rpm", str(DEMO_RPM)]
-    arguments += ["--centre", DEMO_CENTRE, "--antenna-height-file", str(height_file)]
+    arguments += ["--centre", DEMO_CENTRE, "--antenna-height-file", f"/dev/fd/{height_file}"]
     # Without a buffer: what is read ahead of the first line would be lost to `communicate`.
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tagid", *arguments, "--output", "json"],
+    process = processes.start(
+        "tagid",
+        *arguments,
+        "--output",
+        "json",
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         bufsize=0,
+        pass_fds=(height_file,),
     )
     try:
         assert process.stdout is not None

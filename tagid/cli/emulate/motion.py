@@ -20,7 +20,9 @@ from tagid.cli.common.frame import Output, Terminal, command
 from tagid.cli.common.urls import next_command
 from tagid.errors import UsageError
 from tagid.result import Result
+from tagid.workers import Worker
 
+_LOOK_S = 0.5
 _Truth = Annotated[
     int,
     typer.Option(
@@ -93,13 +95,14 @@ def register(group: typer.Typer) -> None:
         with RoombaHost(body, world, baud, asleep, event, truth, link) as host:
             if not ble:
                 facts = {"url": f"roomba+serial://{link or host.port.path}", "truth": host.truth.address}
-                serve(terminal, "emulate roomba", facts)
+                serve(terminal, "emulate roomba", facts, host.port.worker, host.truth.worker)
             else:
                 from tagid.cli.emulate.virtual_bridge import bridge_before
 
-                with bridge_before(host, name, passkey) as hci:
+                with bridge_before(host, name, passkey) as (hci, brc):
                     url = f"roomba+ble://{name}?hci={hci}" + (f"&passkey={passkey}" if passkey else "")
-                    serve(terminal, "emulate roomba", {"url": url, "truth": host.truth.address})
+                    facts = {"url": url, "truth": host.truth.address}
+                    serve(terminal, "emulate roomba", facts, host.port.worker, host.truth.worker, brc)
         raise typer.Exit(0)
 
     @command(group, "emulate comxim")
@@ -128,7 +131,7 @@ def register(group: typer.Typer) -> None:
         core = ComximCore(rate_error, time.monotonic(), fail)
         with PtyPort(core, link) as port, TruthServer(core.table.state, truth) as told:
             facts = {"url": f"comxim+serial://{link or port.path}", "truth": told.address}
-            serve(terminal, "emulate comxim", facts)
+            serve(terminal, "emulate comxim", facts, port.worker, told.worker)
         raise typer.Exit(0)
 
     @command(group, "emulate revopoint")
@@ -158,16 +161,20 @@ def register(group: typer.Typer) -> None:
             TruthServer(core.table.state, truth) as told,
         ):
             facts = {"url": f"revopoint+ble://?hci={port.hci}", "truth": told.address}
-            serve(terminal, "emulate revopoint", facts)
+            serve(terminal, "emulate revopoint", facts, port.worker, told.worker)
         raise typer.Exit(0)
 
 
-def serve(terminal: Terminal, name: str, facts: dict[str, Any]) -> None:
-    """Print where the emulator listens, and wait for a stop signal."""
+def serve(terminal: Terminal, name: str, facts: dict[str, Any], *workers: Worker) -> None:
+    """Print where the emulator listens, and wait for a stop signal. Raises DeviceError if a thread dies."""
+    from tagid.motion.emulation.pty import raise_failure
+
     stop = threading.Event()
     with interrupts.asked_to_stop(stop.set):
         announce(terminal, name, facts, "tagid motion info {}")
-        stop.wait()
+        while not stop.wait(_LOOK_S):
+            for worker in workers:
+                raise_failure(worker)
 
 
 def announce(

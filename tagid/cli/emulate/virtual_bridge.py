@@ -5,12 +5,12 @@ It is part of `tagid emulate`, because it needs the firmware tools.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from tagid.errors import DeviceError, UsageError
+from tagid.workers import Worker
 
 if TYPE_CHECKING:
     from tagid.motion.emulation.host import RoombaHost
@@ -19,8 +19,8 @@ BRC_PIN = 6
 
 
 @contextmanager
-def bridge_before(host: RoombaHost, name: str, passkey: str | None) -> Iterator[str]:
-    """A bridge connected to the robot's UART and BRC pin; yields the address of its controller.
+def bridge_before(host: RoombaHost, name: str, passkey: str | None) -> Iterator[tuple[str, Worker]]:
+    """A bridge connected to the robot's UART and BRC pin; yields its controller's address and its thread.
 
     Raises MissingExtraError, UsageError.
     """
@@ -48,11 +48,12 @@ def bridge_before(host: RoombaHost, name: str, passkey: str | None) -> Iterator[
                     change = board.wait_for("pin")
                 except DeviceError:
                     if board.process.poll() is not None:
-                        return
+                        raise
                     continue
                 if change.get("pin") == BRC_PIN and not change.get("value"):
                     with host.port.lock:
                         host.core.pulse_brc()
 
-        threading.Thread(target=watch_brc, name="brc", daemon=True).start()
-        yield board.hci
+        worker = Worker(watch_brc, "brc")
+        worker.start()
+        yield board.hci, worker

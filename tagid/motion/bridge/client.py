@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, DeviceTimeoutError
-from tagid.motion.bridge.find import Backends, Heard, bluetooth_errors
+from tagid.motion.bridge.find import Backends, Heard, bluetooth_errors, unless_busy
 from tagid.motion.bridge.protocol import (
     COMMAND,
     CONTROL,
@@ -117,7 +117,7 @@ class Bridge:
 
     async def _open(self) -> None:
         with bluetooth_errors(f"connecting to {self!r}"):
-            await self._client.connect()
+            await unless_busy(self._client.connect)
             services = {service.uuid.lower() for service in self._client.services}
             if not {NUS, CONTROL} <= services:
                 raise DeviceError(

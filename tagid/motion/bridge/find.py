@@ -6,10 +6,10 @@ Other devices (a Foldio turntable) advertise the same serial service, and two br
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, UsageError
 from tagid.motion.bridge.protocol import NUS
@@ -17,12 +17,29 @@ from tagid.motion.bridge.protocol import NUS
 if TYPE_CHECKING:
     from bleak.backends.client import BaseBleakClient
     from bleak.backends.device import BLEDevice
-    from bleak.backends.scanner import BaseBleakScanner
+    from bleak.backends.scanner import AdvertisementData, BaseBleakScanner
 
 _ADAPTER = (
     "Switch Bluetooth on (Linux: `bluetoothctl power on`, and the service `bluetooth` must run), or plug in "
     "an adapter for Bluetooth 4.0 or newer."
 )
+_RESTART = "Restart this computer's Bluetooth: `sudo systemctl restart bluetooth`."
+_BLUEZ: Final = {
+    "org.bluez.Error.InProgress": "Another program on this computer is using Bluetooth for a search or a "
+    f"connection: end it. {_RESTART}",
+    "org.bluez.Error.NotReady": _ADAPTER,
+    "ServiceUnknown": _ADAPTER,
+    "org.bluez was not provided": _ADAPTER,
+    "org.freedesktop.DBus.Error.AccessDenied": "Add yourself to the group bluetooth "
+    "(sudo usermod -aG bluetooth $USER) and log in again.",
+    "org.freedesktop.DBus.Error.NoReply": _RESTART,
+}
+"""Errors of BlueZ that concern this computer and not the device, and their remedies."""
+_BUSY: Final = "org.bluez.Error.InProgress"
+_BUSY_PAUSES_S: Final = (1.0, 2.0)
+"""Pauses before it is tried again."""
+_START_S: Final = 10.0
+"""Longest time in which the system starts or ends a search, s."""
 
 
 @dataclass(frozen=True)
@@ -63,19 +80,20 @@ def bluetooth_errors(doing: str) -> Iterator[None]:
         ) from error
     except BleakError as error:
         text = _line(error)
-        if "ServiceUnknown" in text or "org.bluez was not provided" in text:
-            raise DeviceError(f"Bluetooth is not available while {doing}: {text}", _ADAPTER) from error
+        for mark, remedy in _BLUEZ.items():
+            if mark in text:
+                raise DeviceError(f"Bluetooth is not available while {doing}: {text}", remedy) from error
         if "NSUFFICIENT_AUTH" in text.upper() or "NotPermitted" in text or "0x05" in text:
             raise DeviceError(
-                f"the bridge does not know this computer while {doing}",
+                f"the device does not know this computer while {doing}",
                 "Pair with the bridge's pass-key first.",
             ) from error
         raise DeviceError(
-            f"Bluetooth failed while {doing}: {text}", "Try again; then power-cycle the bridge."
+            f"Bluetooth failed while {doing}: {text}", f"Try again; then power-cycle the device. {_RESTART}"
         ) from error
     except TimeoutError as error:
         raise DeviceTimeoutError(
-            f"no answer over Bluetooth while {doing}", "Move the bridge closer and check its power."
+            f"no answer over Bluetooth while {doing}", "Move the device closer and check its power."
         ) from error
     except OSError as error:
         raise DeviceError(f"Bluetooth is not available while {doing}: {_line(error)}", _ADAPTER) from error
@@ -85,10 +103,41 @@ def _line(error: BaseException) -> str:
     return str(error).partition("\n")[0] or type(error).__name__
 
 
-async def listen(seconds: float, backends: Backends | None = None) -> list[Heard]:
-    """Every device with the serial service found within `seconds`, strongest first."""
+async def unless_busy(action: Callable[[], Awaitable[None]]) -> None:
+    """Await an action; again after a pause if the system is busy with another search or connection."""
+    from bleak.exc import BleakError
+
+    for pause_s in _BUSY_PAUSES_S:
+        try:
+            await action()
+            return
+        except BleakError as error:
+            if _BUSY not in str(error):
+                raise
+        await asyncio.sleep(pause_s)
+    await action()
+
+
+@asynccontextmanager
+async def scanning(
+    seen: Callable[[BLEDevice, AdvertisementData], None], backends: Backends | None, doing: str
+) -> AsyncIterator[None]:
+    """Call `seen` for every advertisement while the block runs. Raises the errors of `bluetooth_errors`."""
     from bleak import BleakScanner
 
+    with bluetooth_errors(doing):
+        scanner = BleakScanner(seen, backend=(backends or Backends()).scanner)
+        async with asyncio.timeout(_START_S):
+            await unless_busy(scanner.start)
+        try:
+            yield
+        finally:
+            async with asyncio.timeout(_START_S):
+                await scanner.stop()
+
+
+async def listen(seconds: float, backends: Backends | None = None) -> list[Heard]:
+    """Every device with the serial service found within `seconds`, strongest first."""
     heard: dict[str, Heard] = {}
 
     def seen(device: BLEDevice, advertisement: Any) -> None:
@@ -96,9 +145,8 @@ async def listen(seconds: float, backends: Backends | None = None) -> list[Heard
             name = advertisement.local_name or device.name or ""
             heard[device.address] = Heard(name, device.address, advertisement.rssi, device)
 
-    with bluetooth_errors("listening for bridges"):
-        async with BleakScanner(seen, backend=(backends or Backends()).scanner):
-            await asyncio.sleep(seconds)
+    async with scanning(seen, backends, "listening for bridges"):
+        await asyncio.sleep(seconds)
     return sorted(heard.values(), key=lambda item: -item.rssi)
 
 
@@ -113,8 +161,6 @@ async def find(wanted: str, seconds: float = 5.0, backends: Backends | None = No
         UsageError: several bridges have that name.
         DeviceError: no Bluetooth.
     """
-    from bleak import BleakScanner
-
     heard: dict[str, Heard] = {}
     by_address = asyncio.Event()
 
@@ -126,10 +172,9 @@ async def find(wanted: str, seconds: float = 5.0, backends: Backends | None = No
         if device.address.lower() == wanted.lower():
             by_address.set()
 
-    with bluetooth_errors(f"looking for {wanted}"):
-        async with BleakScanner(seen, backend=(backends or Backends()).scanner):
-            with suppress(TimeoutError):
-                await asyncio.wait_for(by_address.wait(), seconds)
+    async with scanning(seen, backends, f"looking for {wanted}"):
+        with suppress(TimeoutError):
+            await asyncio.wait_for(by_address.wait(), seconds)
     found = [item for item in heard.values() if wanted.lower() in (item.name.lower(), item.address.lower())]
     if len(found) > 1:
         addresses = ", ".join(sorted(item.address for item in found))

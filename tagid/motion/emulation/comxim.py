@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import re
+from enum import Enum
 from typing import Final
 
 from tagid.motion.emulation.table import TurningTable, check_rate_error
 
 _COMMAND: Final = re.compile(r"CT\+([A-Z]+)\(([-0-9.,]*)\)")
-_UNKNOWN, _OUT_OF_RANGE = 80, 81
+_UNKNOWN, _OUT_OF_RANGE, _BUSY = 80, 81, 82
 SECONDS_A_TURN: Final = 20.0
+
+
+class Steps(Enum):
+    """When a table takes a command to turn by an angle: no document says what a turning one does with it."""
+
+    ALWAYS = "always"
+    AT_REST = "at rest"
+    NONE = "never"
 
 
 class ComximCore:
@@ -18,8 +27,9 @@ class ComximCore:
     Args:
         rate_error: relative amount by which it turns slower than commanded.
         now_s: time at the start.
-        fail: error code in its answer to CT+RUN; None for none.
+        fail: error code in its answer to a command to turn; None for none.
         backwards: whether its motor turns opposite to the manufacturer's documents.
+        steps: when it takes a command to turn by an angle.
     """
 
     baud = 115200
@@ -30,11 +40,13 @@ class ComximCore:
         now_s: float = 0.0,
         fail: int | None = None,
         backwards: bool = False,
+        steps: Steps = Steps.ALWAYS,
     ) -> None:
         check_rate_error(rate_error)
         self.table = TurningTable(now_s)
         self._rate_error = rate_error
         self._fail = fail
+        self.steps = steps
         self._sense = -1 if backwards else 1
         self._speed, self._way, self._ack, self._events = 1, -1, False, False
         self._buffer = ""
@@ -75,13 +87,19 @@ class ComximCore:
         elif name == "SETDIR":
             # 0 is left, clockwise from above (docs/motion.md).
             self._way = 1 if first else -1
+        elif name in ("RUN", "TRUNSINGLE") and self._fail is not None:
+            return _error(self._fail)
+        elif name == "TRUNSINGLE" and (len(values) != 2 or self.steps is Steps.NONE):
+            return _error(_UNKNOWN)
+        elif name == "TRUNSINGLE" and self.table.speed_deg_s and self.steps is Steps.AT_REST:
+            return _error(_BUSY)
         elif name == "RUN":
-            if self._fail is not None:
-                return _error(self._fail)
+            self._ends_at = None
             self.table.turn(self._way * speed * self._sense)
         elif name == "SETSTOP":
+            self._ends_at = None
             self.table.turn(0.0)
-        elif name == "TRUNSINGLE" and len(values) == 2:
+        elif name == "TRUNSINGLE":
             self.table.turn((1 if first else -1) * speed * self._sense)
             self._ends_at = self.table.now_s + values[1] / speed
         elif name in ("ACK", "EVENT"):

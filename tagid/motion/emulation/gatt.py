@@ -11,9 +11,10 @@ import time
 from typing import Any, Final
 
 from tagid.errors import DeviceTimeoutError
-from tagid.motion.emulation.pty import SerialCore
+from tagid.motion.emulation.pty import SerialCore, raise_failure
 from tagid.motion.links import require
 from tagid.motion.virtual import virtual_bluetooth
+from tagid.workers import Worker
 
 _START_S: Final = 20.0
 _TICK_S: Final = 0.01
@@ -31,8 +32,9 @@ class GattPort:
     Attributes:
         hci: address of its controller for a host.
         lock: held while the core is used; hold it to inspect the core.
+        worker: its thread.
 
-    Raises MissingExtraError without bumble.
+    Raises MissingExtraError without bumble, DeviceError at the end of the block if the thread has died.
     """
 
     def __init__(self, core: SerialCore, name: str, service: str, characteristic: str) -> None:
@@ -44,25 +46,21 @@ class GattPort:
         self._ready = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._work, name="gatt-port", daemon=True)
+        self.worker = Worker(lambda: asyncio.run(self._serve()), "gatt-port", lambda _: self._ready.set())
 
     def __enter__(self) -> GattPort:
-        self._thread.start()
-        if not self._ready.wait(_START_S):
-            raise DeviceTimeoutError("the emulated table does not start", "Try again.") from self._error
+        self.worker.start()
+        if not self._ready.wait(_START_S) or self.worker.failure is not None:
+            raise DeviceTimeoutError(
+                "the emulated table does not start", "Try again."
+            ) from self.worker.failure
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._loop is not None and self._end is not None:
             self._loop.call_soon_threadsafe(self._end.set)
-        self._thread.join(timeout=5)
-
-    def _work(self) -> None:
-        try:
-            asyncio.run(self._serve())
-        except (OSError, RuntimeError) as error:
-            self._error = error
+        self.worker.join(5)
+        raise_failure(self.worker)
 
     async def _serve(self) -> None:
         from bumble import hci

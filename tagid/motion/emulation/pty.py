@@ -15,6 +15,9 @@ import time
 from pathlib import Path
 from typing import Final, Protocol
 
+from tagid.errors import DeviceError
+from tagid.workers import Worker
+
 _TICK_S: Final = 0.005
 _BAUDS: Final = {
     getattr(termios, f"B{rate}"): rate
@@ -44,6 +47,14 @@ def garbled(data: bytes) -> bytes:
     return bytes((byte * 7 & 0x78) | 0x80 for byte in data[::3])
 
 
+def raise_failure(worker: Worker) -> None:
+    """Raise DeviceError if the thread of an emulated device has died."""
+    if worker.failure is not None:
+        raise DeviceError(
+            f"the emulated device ({worker.name}) has died: {worker.failure!r}", "Start it again."
+        )
+
+
 class PtyPort:
     """Serves a core on a pty from a thread; a context manager.
 
@@ -55,6 +66,9 @@ class PtyPort:
     Attributes:
         path: the port to open.
         lock: held while the core is used; hold it to inspect the core.
+        worker: its thread.
+
+    Raises DeviceError at the end of the block if the thread has died.
     """
 
     def __init__(self, core: SerialCore, link: Path | None = None, enforce_baud: bool = True) -> None:
@@ -77,20 +91,21 @@ class PtyPort:
         self.lock = threading.Lock()
         self._stop = threading.Event()
         self._cut = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="pty-port", daemon=True)
+        self.worker = Worker(self._serve, "pty-port")
 
     def __enter__(self) -> PtyPort:
-        self._thread.start()
+        self.worker.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
-        self._thread.join(timeout=5)
+        self.worker.join(5)
         for descriptor in (self._master, self._slave):
             with contextlib.suppress(OSError):
                 os.close(descriptor)
         if self._link is not None:
             self._link.unlink(missing_ok=True)
+        raise_failure(self.worker)
 
     def cut(self) -> None:
         """Cut the cable: no more bytes pass, while the device keeps running."""

@@ -15,6 +15,7 @@ from typing import Final
 
 from tagid.errors import DeviceError, UsageError
 from tagid.radar.links import bind_udp
+from tagid.workers import Worker
 
 _LONGEST: Final = 512
 _TRIES: Final = 3
@@ -27,29 +28,37 @@ class TruthServer:
     Args:
         state: function from a time (time.monotonic) to JSON values; `angle_rad` is the true angle.
         port: port on 127.0.0.1; 0 selects any free one.
+
+    Attributes:
+        worker: its thread.
     """
 
     def __init__(self, state: Callable[[float], dict[str, float | int | bool]], port: int = 0) -> None:
         self._state = state
         self._socket = bind_udp("127.0.0.1", port)
-        self._thread = threading.Thread(target=self._serve, name="true-angle", daemon=True)
+        self._socket.settimeout(_WAIT_S)
+        self._stop = threading.Event()
+        self.worker = Worker(self._serve, "true-angle")
         self.address = f"127.0.0.1:{self._socket.getsockname()[1]}"
 
     def __enter__(self) -> TruthServer:
-        self._thread.start()
+        self.worker.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._socket.close()
+    def __exit__(self, *error: object) -> None:
+        self._stop.set()
+        host, _, port = self.address.rpartition(":")
         with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as waker:
-            waker.sendto(b"", (self.address.split(":")[0], int(self.address.split(":")[1])))
+            waker.sendto(b"", (host, int(port)))
+        self.worker.join(5)
+        self._socket.close()
 
     def _serve(self) -> None:
-        while True:
+        while not self._stop.is_set():
             try:
                 asked, sender = self._socket.recvfrom(_LONGEST)
-            except OSError:
-                return
+            except TimeoutError:
+                continue
             try:
                 moment = float(json.loads(asked)["at"])
             except (ValueError, KeyError, TypeError):

@@ -15,11 +15,11 @@ from typing import Any, Final
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.driven import DrivenMotion, Reading
-from tagid.motion.guardian import ask_to_stop
 from tagid.motion.links import ByteLink
 from tagid.motion.roomba.client import FAREWELL, OpenInterface, RobotStatus
 from tagid.motion.roomba.messages import FRAME_S, Mode, Packet
 from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, WHEEL_BASE_MM, SpinOdometry
+from tagid.motion.roomba.stream import StreamDecoder
 
 SPEED_STEP_MM_S: Final = 28.5
 """Step of the wheels' speed (seen on Create 2 robots): 13.9 deg/s per step when turning in place."""
@@ -111,11 +111,12 @@ class Roomba(DrivenMotion):
             s.max_seconds,
         )
         self.settings = s
-        self.robot = name
+        self.target = name
         self.first_angle_s: float | None = None
         """Seconds from `start` to the first angle."""
         self._open_link = open_link
         self._oi: OpenInterface | None = None
+        self._decoder: StreamDecoder | None = None
         self._driven = False
         self._driving = threading.Lock()
         """Held while a drive command is written; none may follow the stop sequence."""
@@ -131,7 +132,7 @@ class Roomba(DrivenMotion):
         """Battery, charger, predicted motion, and the calibration of its wheel base."""
         status, s = self.inspect(), self.settings
         return {
-            "robot": self.robot,
+            "robot": self.target,
             **asdict(status),
             "mode": status.mode.name.lower(),
             "wheel_base_mm": s.wheel_base_mm,
@@ -140,21 +141,12 @@ class Roomba(DrivenMotion):
             "seconds_a_turn": [round(step_period_s(n, s.wheel_base_mm), 2) for n in range(1, MAX_STEP + 1)],
         }
 
-    def halt_now(self) -> None:
-        """Stop the robot and leave it in Passive mode; through the guardian of the process that drives it, if
-        there is one.
-
-        Raises DeviceError if it does not confirm.
-        """
-        if ask_to_stop(self.robot):
-            return
-        try:
-            oi = self._interface()
-            oi.link.write(HALT)
-            oi.wake()
-            oi.leave()
-        finally:
-            self._close()
+    def _connect_and_halt(self) -> None:
+        """Stop the robot and leave it in Passive mode."""
+        oi = self._interface()
+        oi.link.write(HALT)
+        oi.wake()
+        oi.leave()
 
     def _interface(self) -> OpenInterface:
         if self._oi is None:
@@ -170,6 +162,7 @@ class Roomba(DrivenMotion):
         self._driven = True
         oi.safe()
         oi.stream(WATCHED_FAST if s.fast else WATCHED)
+        self._decoder = oi.decoder
         self._odometry = SpinOdometry(s.direction, s.wheel_base_mm)
         self._fed = self._heard = self._moved = self._looked = time.monotonic()
         self._counts = (0, 0)
@@ -280,13 +273,12 @@ class Roomba(DrivenMotion):
 
     def _facts(self) -> dict[str, Any]:
         s = self.settings
-        decoder = self._oi.decoder if self._oi else None
         return {
-            "robot": self.robot,
+            "robot": self.target,
             "wheel_base_mm": s.wheel_base_mm,
             "calibrated": s.calibrated,
             "step": s.step,
             "step_s": FRAME_S,
-            "bytes_dropped": decoder.dropped if decoder else 0,
+            "bytes_dropped": self._decoder.dropped if self._decoder else 0,
             "first_angle_s": self.first_angle_s,
         }

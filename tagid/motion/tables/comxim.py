@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Final
 
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
+from tagid.motion.driven import Reading
 from tagid.motion.links import SerialLink
 from tagid.motion.tables.polled import PolledTable
 from tagid.motion.urls import Options
@@ -16,6 +18,8 @@ from tagid.motion.urls import Options
 BAUD: Final = 115200
 SECONDS_A_TURN: Final = 20.0
 """Seconds per turn at speed 1 (an estimate); higher numbers are slower. Give `period` if it matters."""
+BOUND_S: Final = 6.0
+"""Time for which a command lets the table turn, at its nominal speed; renewed at half of it, s."""
 CLOCKWISE, COUNTER_CLOCKWISE = 0, 1
 """Arguments of SETDIR: 0 is left, clockwise, according to ComXim's command list as a public client quotes it
 (docs/motion.md)."""
@@ -31,14 +35,48 @@ class Comxim(PolledTable):
     stops_by = "disconnect its power supply"
     warning = "If its cable is disconnected nothing stops it: then disconnect its power supply"
     speed = 1
+    _renewed_deg: float | None = None
+    """The angle at which the current step was commanded; None while a command is not renewed."""
+
+    @property
+    def _way(self) -> int:
+        return CLOCKWISE if self.commanded < 0 else COUNTER_CLOCKWISE
+
+    @property
+    def step_deg(self) -> int:
+        """The angle after which the table stops unless the command is renewed, degrees."""
+        return max(10, min(360, round(360 * BOUND_S / self.nominal_s)))
 
     def _set_going(self) -> None:
         # A table that is still turning rejects the settings of a new run.
         self.link().write(b"CT+STARTUP();CT+ACK(1);CT+EVENT(1);")
         self.answer("OK", 2.0)
-        way = CLOCKWISE if self.commanded < 0 else COUNTER_CLOCKWISE
-        for command in ("SETSTOP()", "SETMODE(0)", f"SETDIR({way})", f"SETSPEED({self.speed})", "RUN()"):
+        for command in ("SETSTOP()", "SETMODE(0)", f"SETDIR({self._way})", f"SETSPEED({self.speed})"):
             self._command(command)
+        self._renewed_deg = 0.0 if self._step(self.step_deg) else None
+
+    def _step(self, degrees: int) -> bool:
+        """Turn by an angle from here; without end, and False, if the table takes no angle."""
+        try:
+            self._command(f"TRUNSINGLE({self._way},{degrees})")
+        except DeviceRejectedError:
+            self._command("RUN()")
+            return False
+        return True
+
+    def _poll(self) -> list[Reading]:
+        readings = super()._poll()
+        turned = abs(self._turned_deg)
+        if self._renewed_deg is not None and turned - self._renewed_deg > self.step_deg / 2:
+            self._renewed_deg = turned
+            try:
+                self._command(f"TRUNSINGLE({self._way},{self.step_deg})")
+            except DeviceRejectedError:
+                # It takes no command while it turns: stop it, and command all that remains at once.
+                self._renewed_deg = None
+                self._command("SETSTOP()")
+                self._step(math.ceil(360 * self.turns - turned) + self.step_deg)
+        return readings
 
     def _command(self, text: str) -> None:
         self.forget()

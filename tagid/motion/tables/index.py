@@ -38,6 +38,7 @@ class IndexTable(DrivenMotion):
 
     kind = "index"
     moves = False
+    stops_by = "switch the table off"
 
     def __init__(self, address: BleAddress, direction: int, nominal_s: float, turns: float | None) -> None:
         # Two pulses are exactly one turn; the angle outside them continues at the same speed.
@@ -114,10 +115,6 @@ class IndexTable(DrivenMotion):
 
     def _halt(self) -> None:
         """Does nothing: the table is not commanded."""
-
-    def halt_now(self) -> None:
-        """Not possible. Raises DeviceRejectedError."""
-        raise DeviceRejectedError(f"{self.name} cannot stop its table", "Switch the table off.")
 
     def describe(self) -> dict[str, Any]:
         """Information and status of the bridge."""

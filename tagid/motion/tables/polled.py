@@ -15,7 +15,6 @@ from tagid import hostclock
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.driven import DrivenMotion, Reading
-from tagid.motion.guardian import ask_to_stop
 from tagid.motion.links import ByteLink
 
 POLL_S: Final = 0.05
@@ -188,15 +187,9 @@ class PolledTable(DrivenMotion):
         self._tell_stop()
         self._link.disarm()
 
-    def halt_now(self) -> None:
-        """Stop it, through the guardian of the process that drives it if there is one."""
-        if ask_to_stop(self.target):
-            return
-        try:
-            self.link()
-            self._tell_stop()
-        finally:
-            self._close()
+    def _connect_and_halt(self) -> None:
+        self.link()
+        self._tell_stop()
 
     def describe(self) -> dict[str, Any]:
         """Its angle."""

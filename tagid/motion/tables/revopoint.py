@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from typing import Final
 
 from tagid.errors import DeviceRejectedError
@@ -54,9 +53,8 @@ class Revopoint(PolledTable):
 def open_ble(options: Options) -> Revopoint:
     """Options: period (17.5 to 90 s per turn), direction, reversed, turns, hci, wait."""
     address = ble_address(options, REVOPOINT)
-    stop = [sys.executable, "-m", "tagid", "motion", "stop", options.url]
     table = Revopoint(
-        lambda: CharacteristicLink(address, SERVICE, CHARACTERISTIC, stop),
+        lambda: CharacteristicLink(address, SERVICE, CHARACTERISTIC, options.url),
         address.target,
         options.direction(),
         options.number("period", 30.0, FASTEST_S, SLOWEST_S) or 30.0,
