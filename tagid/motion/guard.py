@@ -154,8 +154,9 @@ class Guard:
                 say(f"the command that stops {self.watch['name']} does not start ({error})")
                 self.report(1)
                 return
-            with suppress(OSError):
-                self.command.communicate(self.watch["command_input"].encode(), timeout=0)
+            assert self.command.stdin is not None
+            with suppress(OSError), self.command.stdin as line:
+                line.write(self.watch["command_input"].encode())
         if self.command is not None:
             code = self.command.poll()
             if code is not None:

@@ -25,6 +25,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -33,6 +34,7 @@ from tagid.errors import DeviceError
 from tagid.motion import guard
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.ports import holders
+from tagid.workers import Worker
 
 PAUSES_S: Final = (0.0, 0.03, 0.12)
 """Pauses before the three stops: the first may complete a truncated command."""
@@ -82,6 +84,7 @@ class Guardian:
     def __init__(self, watch: Watch) -> None:
         self._name = watch.name
         self._limit_s = watch.limit_s
+        self._commands = bool(watch.command)
         self._process: subprocess.Popen[bytes] | None = None
         if os.name != "posix":
             return
@@ -148,8 +151,16 @@ class Guardian:
         try:
             process.wait(timeout=2)
         except subprocess.TimeoutExpired:
+            if self._commands and not farewell:
+                # It waits for the command that stops the device, and tells how that ended.
+                Worker(partial(_reap, process), "guardian").start()
+                return
             process.kill()
             process.wait()
+
+
+def _reap(process: subprocess.Popen[bytes]) -> None:
+    process.wait()
 
 
 class Guarded:

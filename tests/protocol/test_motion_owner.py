@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import pwd
 import signal
-import stat
 import subprocess
 import sys
 import time
@@ -18,7 +18,8 @@ from typing import Any
 import pytest
 
 from tagid.motion.emulation.truth import TrueAngle
-from tagid.motion.guardian import Guardian, Watch, ask_to_stop
+from tagid.motion.guardian import Guardian, Watch, _socket_name, ask_to_stop
+from tagid.motion.links import SerialLink
 
 pytestmark = pytest.mark.realtime
 
@@ -137,11 +138,15 @@ def test_a_dead_guardian_stops_the_motion(home: dict[str, str], how: signal.Sign
 
 
 @pytest.mark.parametrize("device", ["roomba", "comxim"])
-def test_motion_stop_works_while_another_process_holds_the_port(home: dict[str, str], device: str) -> None:
+def test_motion_stop_works_while_another_process_holds_the_port(
+    home: dict[str, str], device: str, tmp_path: Path
+) -> None:
     with emulated(home, device) as (there, _), spinning(home, there) as (process, truth):
+        elsewhere = {k: v for k, v in home.items() if k != "XDG_RUNTIME_DIR"} | {"TMPDIR": str(tmp_path)}
         stop = subprocess.run(
-            [*TAGID, "motion", "stop", there["url"]], env=home, capture_output=True, text=True, timeout=60
-        )
+            [*TAGID, "motion", "stop", there["url"]],
+            env=elsewhere, capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
         assert stop.returncode == 0, stop.stderr
         stands_after(truth, time.monotonic())
         assert "stopped by another process" in ended(process)["message"]
@@ -184,22 +189,112 @@ def test_an_emulated_radar_that_watches_it_says_so_too(home: dict[str, str], tmp
         assert ended(scan)["message"].startswith("It may still be turning: lift it")
 
 
-def test_the_socket_is_its_owners_alone(home: dict[str, str], tmp_path: Path) -> None:
-    assert ask_to_stop("/dev/ttyNOBODY") is False
-    folder = runtime_folder()
-    assert folder is not None and stat.S_IMODE(folder.stat().st_mode) == 0o700
+@pytest.fixture
+def guarded() -> Iterator[tuple[str, int]]:
+    """A guarded port: its name, and a pipe from which its halt bytes can be read."""
     read, write = os.pipe()
-    guard = Guardian(Watch("/dev/ttyTEST", 30.0, write, b"halt"))
-    path = stop_socket("/dev/ttyTEST")
-    assert path is not None and stat.S_ISSOCK(path.stat().st_mode)
-    assert ask_to_stop("/dev/ttyTEST") is True
-    assert os.read(read, 100) == b"halt" * 3
+    name = f"/dev/ttyTEST{os.getpid()}"
+    guard = Guardian(Watch(name, 30.0, write, b"halt"))
+    yield name, read
     guard.release()
-    assert not path.exists() and ask_to_stop("/dev/ttyTEST") is False
-    folder.chmod(0o755)  # whoever may enter could be in the way: then there is no socket at all
-    assert stop_socket("/dev/ttyTEST") is None
+    assert ask_to_stop(name) is False
     for descriptor in (read, write):
         os.close(descriptor)
+
+
+def asked_by(uid: int, name: str, **environment: str) -> str:
+    """What `ask_to_stop` answers another process, of another user and in another environment."""
+    code = """
+import os, sys
+from tagid.motion.guardian import ask_to_stop
+if os.getuid() != int(sys.argv[1]):
+    os.setuid(int(sys.argv[1]))
+print(ask_to_stop(sys.argv[2]))
+"""
+    return subprocess.run(
+        [sys.executable, "-c", code, str(uid), name],
+        stdout=subprocess.PIPE, text=True, check=True, env={**os.environ, **environment},
+    ).stdout.strip()  # fmt: skip
+
+
+def test_the_guardian_is_found_from_every_environment(guarded: tuple[str, int], tmp_path: Path) -> None:
+    name, halts = guarded
+    other = {"XDG_RUNTIME_DIR": str(tmp_path), "TMPDIR": str(tmp_path), "HOME": str(tmp_path)}
+    assert asked_by(os.getuid(), name, **other) == "True"
+    assert os.read(halts, 100) == b"halt" * 3
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to be another user")
+def test_another_user_neither_stops_nor_pretends(guarded: tuple[str, int]) -> None:
+    name, halts = guarded
+    os.set_blocking(halts, False)
+    assert asked_by(65534, name) == "False"
+    with pytest.raises(BlockingIOError):
+        os.read(halts, 100)
+    # Another user's process listens under the name of a guardian and says that it has stopped the device.
+    code = """
+import os, socket, sys
+os.setuid(65534)
+line = socket.socket(socket.AF_UNIX)
+line.bind("\\0" + sys.argv[1] + "-0"); line.listen(); print(flush=True)
+while True: line.accept()[0].sendall(b"stopped")
+"""
+    false = subprocess.Popen(
+        [sys.executable, "-c", code, _socket_name("/dev/ttyFALSE")], stdout=subprocess.PIPE, text=True
+    )
+    assert false.stdout is not None and false.stdout.readline()
+    try:
+        assert ask_to_stop("/dev/ttyFALSE") is False
+    finally:
+        false.kill()
+        false.communicate()
+
+
+@pytest.mark.parametrize("device", ["roomba", "comxim"])
+def test_a_held_port_without_a_guardian_is_told_with_its_holder(home: dict[str, str], device: str) -> None:
+    with emulated(home, device) as (there, _):
+        port = SerialLink(there["url"].partition("://")[2])
+        stop = subprocess.run(
+            [*TAGID, "motion", "stop", there["url"]], env=home, capture_output=True, text=True, timeout=60
+        )
+        port.close()
+    user = pwd.getpwuid(os.getuid()).pw_name
+    assert stop.returncode == 4 and "It may still be turning: " in stop.stderr
+    assert f"process {os.getpid()} (" in stop.stderr and f"user {user})" in stop.stderr
+
+
+@pytest.mark.parametrize(
+    ("systemd_run", "line"),
+    [
+        ("execs", 'while [ "$1" != -- ]; do shift; done; shift; exec "$@"'),
+        ("hangs", "sleep 600"),
+        ("fails", "echo Failed to connect to bus >&2; exit 1"),
+    ],
+)
+def test_the_guardian_gets_a_scope_of_its_own_where_there_is_one(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    systemd_run: str,
+    line: str,
+) -> None:
+    program = tmp_path / "bin" / "systemd-run"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/words\n{line}\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}:{os.environ['PATH']}")
+    read, write = os.pipe()
+    began = time.monotonic()
+    guard = Guardian(Watch("one", 30.0, write, b"halt"))
+    assert time.monotonic() - began < 10
+    words = (tmp_path / "words").read_text().split()
+    assert "--scope" in words and ("--user" in words) == (os.getuid() != 0)
+    guard.beat()
+    guard.release(farewell=False)
+    assert os.read(read, 100) == b"halt" * 3
+    for descriptor in (read, write):
+        os.close(descriptor)
+    assert "bus" not in capfd.readouterr().err
 
 
 def test_a_guardian_left_without_a_farewell_writes_three_halts(home: dict[str, str]) -> None:

@@ -13,7 +13,7 @@ import pytest
 from tagid.errors import DeviceGoneError, DeviceRejectedError, DeviceTimeoutError, UsageError
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.driven import DrivenMotion
-from tagid.motion.emulation.comxim import ComximCore
+from tagid.motion.emulation.comxim import ComximCore, Steps
 from tagid.motion.emulation.gatt import GattPort
 from tagid.motion.emulation.pty import PtyPort
 from tagid.motion.emulation.revopoint import RevopointCore
@@ -71,6 +71,30 @@ def test_a_comxim_table_tells_its_angle(comxim: Emulated, direction: str) -> Non
     motion = open_motion(f"comxim+serial://{comxim.path}?direction={direction}&turns=1")
     assert isinstance(motion, DrivenMotion)
     turn_and_compare(motion, comxim.core.table, 0.3)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("steps", Steps)
+def test_a_comxim_table_is_commanded_for_seconds_where_it_takes_an_angle(steps: Steps) -> None:
+    """If everything on the computer dies at once, the last command ends by itself."""
+    core = ComximCore(now_s=time.monotonic(), steps=steps)
+    with PtyPort(core) as port:
+        # The true table is ten times as fast as told: steps of 11 degrees, renewed every 5.
+        motion = open_motion(f"comxim+serial://{port.path}?period=200&turns=0.1")
+        assert isinstance(motion, DrivenMotion)
+        motion.start()
+        ends: set[float | None] = set()
+        deadline = time.monotonic() + 30
+        while abs(motion.turned_rad) < 0.3:
+            motion.check()
+            assert time.monotonic() < deadline
+            with port.lock:
+                ends.add(core.ends_at if core.table.speed_deg_s else 0.0)
+                assert core.ends_at is None or core.ends_at - core.table.now_s < 3.0
+            time.sleep(0.005)
+        motion.stop()
+    assert len(ends - {0.0, None}) >= {Steps.ALWAYS: 3, Steps.AT_REST: 2, Steps.NONE: 0}[steps]
+    assert (None in ends) == (steps is Steps.NONE)
 
 
 @pytest.mark.realtime

@@ -26,7 +26,16 @@ LAYERS = (
     {"imaging"},
     {"angles", "motion", "radar", "storage"},
     {"capture", "metadata", "geometry", "waveform", "signal", "files", "config", "result", "ports"}
-    | {"models_store", "interrupts", "hostclock", "onnx_files", "proportion", "counting", "workers", "processes"},
+    | {
+        "models_store",
+        "interrupts",
+        "hostclock",
+        "onnx_files",
+        "proportion",
+        "counting",
+        "workers",
+        "processes",
+    },
     {"fields"},
     {"constants", "errors", "loops", "__init__"},
 )

@@ -30,6 +30,9 @@ class ComximCore:
         fail: error code in its answer to a command to turn; None for none.
         backwards: whether its motor turns opposite to the manufacturer's documents.
         steps: when it takes a command to turn by an angle.
+
+    Attributes:
+        ends_at: when the current step ends; None while it turns without end, or rests.
     """
 
     baud = 115200
@@ -50,7 +53,7 @@ class ComximCore:
         self._sense = -1 if backwards else 1
         self._speed, self._way, self._ack, self._events = 1, -1, False, False
         self._buffer = ""
-        self._ends_at: float | None = None
+        self.ends_at: float | None = None
 
     def handle(self, data: bytes, now_s: float) -> bytes:
         """Process received bytes; return the answers."""
@@ -65,8 +68,8 @@ class ComximCore:
     def advance(self, now_s: float) -> bytes:
         """Advance the time; the end of a step is reported as an event."""
         self.table.advance(now_s)
-        if self._ends_at is not None and now_s >= self._ends_at:
-            self._ends_at = None
+        if self.ends_at is not None and now_s >= self.ends_at:
+            self.ends_at = None
             self.table.turn(0.0)
             return b"CR+EVENT=TB_END;" if self._events else b""
         return b""
@@ -94,14 +97,14 @@ class ComximCore:
         elif name == "TRUNSINGLE" and self.table.speed_deg_s and self.steps is Steps.AT_REST:
             return _error(_BUSY)
         elif name == "RUN":
-            self._ends_at = None
+            self.ends_at = None
             self.table.turn(self._way * speed * self._sense)
         elif name == "SETSTOP":
-            self._ends_at = None
+            self.ends_at = None
             self.table.turn(0.0)
         elif name == "TRUNSINGLE":
             self.table.turn((1 if first else -1) * speed * self._sense)
-            self._ends_at = self.table.now_s + values[1] / speed
+            self.ends_at = self.table.now_s + values[1] / speed
         elif name in ("ACK", "EVENT"):
             self._ack = bool(first) if name == "ACK" else self._ack
             self._events = bool(first) if name == "EVENT" else self._events

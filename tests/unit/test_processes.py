@@ -1,0 +1,166 @@
+"""Child processes: no code of the current folder runs in them, and they end with their parent."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SHADOWED = ("selectors", "pickle", "socket", "tempfile", "numpy", "h5py", "syslog", "json", "runpy")
+
+
+@pytest.fixture
+def hostile(tmp_path: Path) -> Path:
+    """A folder with modules of all kinds; each leaves a file if it runs, and fails."""
+    folder = tmp_path / "hostile"
+    (folder / "tagid").mkdir(parents=True)
+    for name in (*SHADOWED, "tagid/__init__"):
+        owned = tmp_path / f"owned-{name.replace('/', '-')}"
+        (folder / f"{name}.py").write_text(f"open({str(owned)!r}, 'w'); raise SystemExit(9)\n")
+    return folder
+
+
+def owned(folder: Path) -> list[str]:
+    return [path.name for path in folder.parent.glob("owned-*")]
+
+
+def run(folder: Path, code: str) -> str:
+    """Output of a program that runs in a folder but does not import from it."""
+    done = subprocess.run(
+        [sys.executable, "-P", "-W", "error", "-c", code], cwd=folder, capture_output=True, text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"}, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_no_child_runs_code_of_the_current_folder(hostile: Path) -> None:
+    """A module, a pool of multiprocessing with its resource tracker, and a module in place of a process."""
+    code = """
+import os, subprocess, sys
+from tagid import processes
+os.environ["PYTHONPATH"] = os.pathsep.join(("", ".", "here"))
+with processes.start("tagid", "--version", stdout=subprocess.PIPE) as child:
+    print(child.stdout.read().decode().split()[0])
+with processes.spawn_context().Pool(1) as pool:
+    print(pool.apply(divmod, (7, 4)))
+assert "PYTHONSAFEPATH" not in os.environ, "the caller's own environment is kept"
+sys.stdout.flush()
+processes.replace("tagid", "--version")
+"""
+    output = run(hostile, code)
+    assert output.splitlines()[:2] == ["tagid", "(1, 3)"] and output.splitlines()[2].startswith("tagid ")
+    assert owned(hostile) == []
+
+
+def test_a_child_finds_the_clone_from_which_its_parent_runs(tmp_path: Path) -> None:
+    """`python -m tagid` in a clone: the child is of the clone, not of an installed version."""
+    clone = tmp_path / "clone"
+    shutil.copytree(
+        ROOT / "tagid", clone / "tagid", ignore=shutil.ignore_patterns("*.so", "__pycache__", "data")
+    )
+    code = """
+import os, subprocess, sys
+sys.path.insert(0, os.getcwd())
+from tagid import processes
+with processes.start("tagid.where", stdout=subprocess.PIPE) as child:
+    print(child.stdout.read().decode())
+"""
+    (clone / "tagid" / "where.py").write_text("import tagid\nprint(tagid.__file__)\n")
+    assert run(clone, code).strip() == str(clone / "tagid" / "__init__.py")
+
+
+def test_the_guardian_and_its_command_run_no_code_of_the_current_folder(hostile: Path) -> None:
+    """The command runs, also where the folder was removed, and what it says is seen."""
+    code = """
+import os, shutil, sys
+from pathlib import Path
+from tagid import processes
+from tagid.motion.guardian import Guardian, Watch
+if sys.argv[1:] == ["removed"]:
+    shutil.rmtree(os.getcwd())
+url = "comxim+serial:///dev/ttyNOWHERE?speed=0"
+command = processes.python("tagid.motion.emergency")
+guard = Guardian(Watch("x", 30.0, command=command, command_input=url + chr(10)))
+words = Path(f"/proc/{guard._process.pid}/cmdline").read_bytes()
+assert b"NOWHERE" not in words and "NOWHERE" not in " ".join(command), "others can read command lines"
+assert guard._process.poll() is None
+guard.release(farewell=False)
+"""
+    for words in ([], ["removed"]):
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", code, *words],
+            cwd=hostile,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+        assert "NOWHERE" in done.stderr and "speed is 0" in done.stderr, done.stderr
+        assert "x could not be stopped. It may still be turning" in done.stderr
+        assert owned(hostile) == []
+
+
+def test_the_emulator_ends_with_a_killed_demo(tmp_path: Path) -> None:
+    code = """
+import time
+from tagid.cli.common.demo import emulated_radar
+from tagid import processes
+started = []
+start = processes.start
+processes.start = lambda *words, **more: started.append(start(*words, **more)) or started[-1]
+with emulated_radar("helmet-120") as emulated:
+    emulated.place(0.25)
+    print(started[0].pid, flush=True)
+    time.sleep(60)
+"""
+    (tmp_path / "tmp").mkdir()
+    demo = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(tmp_path / "tmp")},
+    )
+    assert demo.stdout is not None
+    emulator = int(demo.stdout.readline())
+    demo.kill()
+    demo.communicate()
+    deadline = time.monotonic() + 10
+    while Path(f"/proc/{emulator}").exists() and "Z" not in state(emulator):
+        assert time.monotonic() < deadline, "the emulator outlives its demo"
+        time.sleep(0.02)
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def state(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return "Z"
+
+
+def test_a_worker_of_a_pool_ends_with_a_killed_parent() -> None:
+    code = """
+import time, os
+from tagid import processes
+if __name__ == "__main__":
+    with processes.spawn_context().Pool(1) as pool:
+        print(pool.apply(os.getpid), flush=True)
+        time.sleep(60)
+"""
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    worker = int(parent.stdout.readline())
+    parent.send_signal(signal.SIGKILL)
+    parent.communicate()
+    deadline = time.monotonic() + 10
+    while state(worker) != "Z":
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
