@@ -235,6 +235,7 @@ class Adapter(ServiceInterface):
     def __init__(self, bus, device):
         super().__init__("org.bluez.Adapter1")
         self.bus, self.device, self.discovering, self.shown, self.task = bus, device, False, False, None
+        self.errors = sys.argv[3:]
 
     @dbus_property(access=READ)
     def Address(self) -> "s":
@@ -262,6 +263,8 @@ class Adapter(ServiceInterface):
 
     @dbus_method()
     def StartDiscovery(self):
+        if self.errors:
+            raise DBusError(self.errors.pop(0), "as asked")
         self.discovering = True
         self.emit_properties_changed({"Discovering": True})
         if not self.shown:

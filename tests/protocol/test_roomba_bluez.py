@@ -26,6 +26,7 @@ from tagid.motion.urls import open_motion
 pytestmark = pytest.mark.realtime
 
 ROOT = Path(__file__).resolve().parents[2]
+BUSY = "org.bluez.Error.InProgress"
 FAKE = Path(__file__).with_name("fake_bluez.py")
 BUS = """<!DOCTYPE busconfig PUBLIC "-//freedesktop//DTD D-Bus Bus Configuration 1.0//EN"
  "http://www.freedesktop.org/standards/dbus/1.0/busconfig.dtd">
@@ -53,10 +54,11 @@ def bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @contextmanager
-def bluez(host: RoombaHost, passkey: str) -> Iterator[None]:
+def bluez(host: RoombaHost, passkey: str, *errors: str) -> Iterator[None]:
+    """A private BlueZ, whose first searches fail with these errors."""
     paths = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     process = subprocess.Popen(
-        [sys.executable, str(FAKE), host.port.path, passkey],
+        [sys.executable, str(FAKE), host.port.path, passkey, *errors],
         stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": paths},
     )  # fmt: skip
     try:
@@ -89,6 +91,23 @@ def test_an_unpaired_host_is_refused(bus: None) -> None:
             open_motion("roomba+ble://robot-1?passkey=111111&wait=1").start()
         assert "pass-key" in error.value.remedy
         assert host.core.mode is Mode.OFF
+
+
+def test_a_busy_bluetooth_is_tried_again(bus: None) -> None:
+    with RoombaHost() as host, bluez(host, "482913", BUSY, BUSY):
+        motion = open_motion("roomba+ble://robot-1?passkey=482913&wait=1")
+        assert isinstance(motion, Roomba)
+        assert motion.describe()["charge"] is not None
+
+
+@pytest.mark.parametrize(
+    ("error", "remedy"), [(BUSY, "systemctl restart bluetooth"), ("org.bluez.Error.NotReady", "power on")]
+)
+def test_an_error_of_this_computer_is_not_blamed_on_the_bridge(bus: None, error: str, remedy: str) -> None:
+    with RoombaHost() as host, bluez(host, "482913", *[error] * 3):
+        with pytest.raises(DeviceError) as raised:
+            open_motion("revopoint+ble://robot-1?wait=1").start()
+        assert remedy in raised.value.remedy and "bridge" not in raised.value.remedy
 
 
 def test_without_bluez_the_remedy_names_bluetooth(bus: None) -> None:

@@ -50,6 +50,18 @@ def truth_at_last_reading(host: RoombaHost, motion: Roomba) -> float:
         return host.core.body.heading_at(time.monotonic() - ago)
 
 
+def test_bytes_outside_frames_are_counted_in_the_result(host: RoombaHost) -> None:
+    """A robot near its charger prints its own log between its packets."""
+    text = b"bat:   min 7  sec 41   mV 14980  mA -310  deg-C 23 \r\n"
+    motion = robot_at(host, "?step=3")
+    motion.start()
+    turned(motion, 0.1)
+    os.write(host.port._master, text)
+    turned(motion, 0.3)
+    motion.stop()
+    assert motion.track().info["bytes_dropped"] == len(text)
+
+
 @pytest.mark.parametrize("direction", ["ccw", "cw"])
 def test_it_turns_the_way_it_was_told_and_says_how_far(host: RoombaHost, direction: str) -> None:
     motion = robot_at(host, f"?step=3&direction={direction}")

@@ -153,6 +153,54 @@ def imported_parts(tree: ast.AST) -> set[str]:
     return found
 
 
+STARTS_CHILDREN = {
+    "subprocess": {"Popen", "run", "call", "check_call", "check_output", "getoutput", "getstatusoutput"},
+    "multiprocessing": {"get_context", "set_start_method", "Process", "Pool", "Manager"},
+    "os": {"fork", "forkpty", "system", "popen", "posix_spawn", "posix_spawnp"}
+    | {
+        f"{kind}{how}"
+        for kind in ("exec", "spawn")
+        for how in ("l", "le", "lp", "lpe", "v", "ve", "vp", "vpe")
+    },
+    "asyncio": {"create_subprocess_exec", "create_subprocess_shell"},
+    "pty": {"fork", "spawn"},
+    "sys": {"executable"},
+}
+CHILDREN_ARE_STARTED_BY = {"tagid/processes.py", "tagid/motion/guard.py"}
+"""One module, and the guardian's program, which starts words made by that module."""
+
+
+def starts_of_children(tree: ast.AST) -> list[str]:
+    """Uses of what starts a process, or names the interpreter, in a file; types of processes are none."""
+    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    uses = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            starts = node.attr in STARTS_CHILDREN.get(node.value.id, ())
+            uses += [ast.unparse(node)] if starts and (node.attr != "Popen" or id(node) in called) else []
+        elif isinstance(node, ast.ImportFrom) and node.module in STARTS_CHILDREN:
+            names = {alias.name for alias in node.names}
+            uses += [f"{node.module}.{name}" for name in names & STARTS_CHILDREN[node.module]]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("ProcessPoolExecutor"):
+            words = ast.unparse(node)
+            uses += [] if "processes.spawn_context()" in words else [words]
+    return uses
+
+
+def test_children_are_started_in_one_place() -> None:
+    """Elsewhere a child would import from the current folder, and outlive a parent that is killed."""
+    files = [path for part in ("tagid", "firmware_tools", "train") for path in (ROOT / part).rglob("*.py")]
+    found = {
+        f"{path.relative_to(ROOT)}: {use}"
+        for path in files
+        if str(path.relative_to(ROOT)) not in CHILDREN_ARE_STARTED_BY
+        for use in starts_of_children(ast.parse(path.read_text()))
+    }
+    assert found - {"train/origin.py: subprocess.run"} == set()  # git
+    bent = "import os, subprocess\nsubprocess.Popen([])\nos.execv('', [])\nfrom multiprocessing import Pool"
+    assert len(starts_of_children(ast.parse(bent))) == 3
+
+
 @pytest.mark.parametrize("name", ["radar", "motion"])
 def test_devices_never_import_imaging(name: str) -> None:
     for path in (PACKAGE / name).rglob("*.py"):

@@ -40,6 +40,8 @@ def test_the_unit_starts_a_command_that_exists() -> None:
     words = unit["Service"]["ExecStart"].split()
     assert words[:2] == ["/usr/bin/env", "tagid"] and words[2] in COMMANDS
     assert unit["Install"]["WantedBy"] == "default.target"
+    # The guardian of a device must outlive the station, however that ends (docs/motion.md).
+    assert unit["Service"]["KillMode"] == "process"
     if shutil.which("systemd-analyze"):
         done = subprocess.run(
             ["systemd-analyze", "verify", "--user", str(UNIT)], capture_output=True, text=True

@@ -1,0 +1,329 @@
+"""Attacks on what turns, and on the child processes of everything: with real processes and emulated devices."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tagid.motion.emulation.truth import TrueAngle
+from tests.attacks import Outcome, attack
+
+TAGID = str(Path(sys.executable).parent / "tagid")
+MODULES = ("selectors", "pickle", "socket", "tempfile", "numpy", "h5py")
+
+
+def children_of(pid: int) -> list[int]:
+    """Children of a process."""
+    return [
+        int(child)
+        for task in Path(f"/proc/{pid}/task").iterdir()
+        for child in (task / "children").read_text().split()
+    ]
+
+
+@contextlib.contextmanager
+def emulated(*words: str) -> Iterator[tuple[str, TrueAngle]]:
+    """An emulated device: its URL and what it truly does."""
+    process = subprocess.Popen(
+        [TAGID, "emulate", *words, "--output", "json"], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        data = json.loads(process.stdout.readline())["data"]
+        yield data["url"], TrueAngle(data["truth"])
+    finally:
+        process.terminate()
+        process.communicate()
+
+
+@contextlib.contextmanager
+def spinning(url: str, truth: TrueAngle, **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """`tagid motion spin` that turns its device for long."""
+    process = subprocess.Popen(
+        [TAGID, "motion", "spin", url, "--turns", "20", "--yes", "-q"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **options,
+    )  # fmt: skip
+    try:
+        wait_for(lambda: bool(truth.state()["moving"]), 60)
+        time.sleep(1)
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def wait_for(what: Any, seconds: float) -> bool:
+    """Whether something becomes true in time."""
+    until = time.monotonic() + seconds
+    while not what():
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def hostile_folder(folder: Path) -> Path:
+    """A folder with modules that children would import, each of which leaves a file and fails."""
+    place = folder / "shared"
+    (place / "tagid").mkdir(parents=True)
+    for name in (*MODULES, "tagid/__init__"):
+        mark = folder / f"owned-{name.partition('/')[0]}"
+        (place / f"{name}.py").write_text(f"open({str(mark)!r}, 'w').close()\nraise SystemExit(9)\n")
+    return place
+
+
+@attack(
+    "F3",
+    "code of the current folder runs in child processes",
+    before="6 of 6 modules ran or failed children: report exit 5, scan --demo exit 4",
+    test="tests/unit/test_processes.py::test_no_child_runs_code_of_the_current_folder",
+)
+def current_folder(folder: Path) -> Outcome:
+    place = hostile_folder(folder)
+    subprocess.run(
+        [TAGID, "simulate", "helmet-120", "--views", "72", "--out", place / "h1.tagid.h5", "-q"],
+        check=True, stdout=subprocess.DEVNULL, cwd=folder,
+    )  # fmt: skip
+    codes = {}
+    for words in (["report", ".", "--out", "../rep", "-j", "1", "--method", "bp"], ["scan", "--demo"]):
+        done = subprocess.run([TAGID, *words, "-q"], cwd=place, capture_output=True, text=True)
+        codes[words[0]] = done.returncode
+    ran = sorted(path.name.removeprefix("owned-") for path in folder.glob("owned-*"))
+    return Outcome(
+        f"exit codes {codes}, ran: {', '.join(ran) or 'nothing'}", not ran and not any(codes.values())
+    )
+
+
+@attack(
+    "F3b",
+    "the Revopoint's emergency command, from a folder with a package tagid",
+    before="the table turned on, nothing was said, the pass-key in `ps`: yes",
+    test="tests/unit/test_processes.py::test_the_guardian_and_its_command_run_no_code_of_the_current_folder",
+)
+def emergency_words(folder: Path) -> Outcome:
+    place = hostile_folder(folder)
+    with emulated("revopoint") as (url, truth), spinning(f"{url}&passkey=918273", truth, cwd=place) as spin:
+        guardian = children_of(spin.pid)[0]
+        secret = "918273" in Path(f"/proc/{guardian}/cmdline").read_text()
+        spin.kill()
+        stopped = wait_for(lambda: not truth.state()["moving"], 40)
+        spin.wait()
+    ran = [path.name for path in folder.glob("owned-*")]
+    figure = f"stopped: {stopped}, ran: {ran}, pass-key in the guardian's words: {secret}"
+    return Outcome(figure, stopped and not ran and not secret)
+
+
+@attack(
+    "F5",
+    "`motion stop` from another environment of the user, and without a guardian",
+    before="0 of 6 stopped; exit 4, 'in use by another program'",
+    test="tests/protocol/test_motion_owner.py::test_the_guardian_is_found_from_every_environment",
+)
+def other_environments(folder: Path) -> Outcome:
+    other = folder / "other"
+    other.mkdir(mode=0o700)
+    plain = {k: v for k, v in os.environ.items() if k != "XDG_RUNTIME_DIR"}
+    environments = [
+        {**plain, "XDG_RUNTIME_DIR": str(other)},
+        {**plain, "TMPDIR": str(other)},
+        {"PATH": os.environ["PATH"]},
+    ]
+    runtime = folder / "run"
+    runtime.mkdir(mode=0o700)
+    stopped, told = 0, 0
+    for device in ("comxim", "roomba"):
+        with emulated(device) as (url, truth):
+            for environment in environments:
+                mine = {**os.environ, "XDG_RUNTIME_DIR": str(runtime)}
+                with spinning(url, truth, env=mine):
+                    stop = subprocess.run(
+                        [TAGID, "motion", "stop", url], env=environment, capture_output=True
+                    )
+                    stopped += stop.returncode == 0 and not truth.state()["moving"]
+            with spinning(url, truth) as spin:
+                for number in (signal.SIGSTOP, signal.SIGKILL):
+                    os.kill(spin.pid if number == signal.SIGSTOP else children_of(spin.pid)[0], number)
+                stop = subprocess.run([TAGID, "motion", "stop", url], capture_output=True)
+                told += b"still be turning" in stop.stderr and f"process {spin.pid} ".encode() in stop.stderr
+    return Outcome(f"{stopped} of 6 stopped; {told} of 2 name the holder", stopped == 6 and told == 2)
+
+
+@attack(
+    "F7",
+    "driver and guardian of a Comxim killed together",
+    before="turned on without end",
+    test="tests/protocol/test_tables.py::"
+    "test_a_comxim_table_is_commanded_for_seconds_where_it_takes_an_angle",
+)
+def both_killed(folder: Path) -> Outcome:
+    with emulated("comxim") as (url, truth), spinning(url, truth) as spin:
+        for pid in (*children_of(spin.pid), spin.pid):
+            os.kill(pid, signal.SIGKILL)
+        began = time.monotonic()
+        still = wait_for(lambda: not truth.state()["moving"], 30)
+        seconds = truth.state()["still_since_s"] - began
+    return Outcome(f"still after {seconds:.1f} s" if still else "turns on after 30 s", still)
+
+
+@attack(
+    "F7b",
+    "driver of a Roomba and everything in its cgroup killed, the guardian in a scope of its own",
+    before="no scope is asked for",
+    test="tests/protocol/test_motion_owner.py::test_the_guardian_gets_a_scope_of_its_own_where_there_is_one",
+)
+def cgroup_killed(folder: Path) -> Outcome:
+    program = folder / "systemd-run"
+    program.write_text(
+        f'#!/bin/sh\necho "$$" "$@" >> {folder}/words\n'
+        'while [ "$1" != -- ]; do shift; done; shift; exec "$@"\n'
+    )
+    program.chmod(0o755)
+    path = {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}"}
+    with emulated("roomba") as (url, truth), spinning(url, truth, env=path) as spin:
+        words = (folder / "words").read_text().split() if (folder / "words").exists() else ["0"]
+        scoped = int(words[0])
+        for pid in (*(one for one in children_of(spin.pid) if one != scoped), spin.pid):
+            os.kill(pid, signal.SIGKILL)
+        began = time.monotonic()
+        still = wait_for(lambda: not truth.state()["moving"], 10)
+        seconds = truth.state()["still_since_s"] - began
+    figure = f"still after {seconds:.1f} s" if still else "turns on after 10 s"
+    return Outcome(figure, still and "--scope" in words)
+
+
+@attack(
+    "F20b",
+    "`scan --demo` killed: its emulator and its temporary folder",
+    before="the emulator runs on, 1 folder left",
+    test="tests/unit/test_processes.py::test_the_emulator_ends_with_a_killed_demo",
+)
+def killed_demo(folder: Path) -> Outcome:
+    place = folder / "tmp"
+    place.mkdir()
+    scan = subprocess.Popen(
+        [TAGID, "scan", "--demo", "-q"], cwd=folder, env={**os.environ, "TMPDIR": str(place)},
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    wait_for(lambda: bool(children_of(scan.pid)), 30)
+    time.sleep(5)
+    kids = children_of(scan.pid)
+    scan.kill()
+    scan.wait()
+
+    def gone() -> bool:
+        return not any("emulate" in words_of(kid) for kid in kids)
+
+    ended = wait_for(gone, 20)
+    for kid in kids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(kid, signal.SIGKILL)
+    left = list(place.iterdir())
+    return Outcome(f"emulator ended: {ended}, left: {len(left)}", ended and not left and bool(kids))
+
+
+def words_of(pid: int) -> str:
+    """Command line of a process; empty if it has ended."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text()
+    except OSError:
+        return ""
+
+
+class Proxy:
+    """A serial proxy that prints a robot's log between its packets and loses one byte in 400."""
+
+    def __init__(self, device: str) -> None:
+        self.robot = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(self.robot)
+        self.program, far = os.openpty()
+        tty.setraw(far)
+        os.set_blocking(self.program, False)
+        self.path = os.ttyname(far)
+        self.stop = threading.Event()
+        self.thread = threading.Thread(target=self.run)
+        self.thread.start()
+
+    def run(self) -> None:
+        chance, last = random.Random(3), time.monotonic()
+        while not self.stop.is_set():
+            for source, sink, lossy in (
+                (self.program, self.robot, False), (self.robot, self.program, True),
+            ):  # fmt: skip
+                with contextlib.suppress(BlockingIOError):
+                    data = os.read(source, 4096)
+                    os.write(sink, bytes(b for b in data if not lossy or chance.random() > 1 / 400))
+            if time.monotonic() - last > 0.7:
+                os.write(self.program, b"docking: no\r\n")
+                last = time.monotonic()
+            time.sleep(0.002)
+
+
+@attack(
+    "field 15",
+    "bytes outside frames are counted in the result",
+    before="bytes_dropped 0",
+    test="tests/protocol/test_roomba_device.py::test_bytes_outside_frames_are_counted_in_the_result",
+)
+def dropped_bytes(folder: Path) -> Outcome:
+    with emulated("roomba") as (url, _):
+        proxy = Proxy(url.partition("://")[2])
+        try:
+            spin = subprocess.run(
+                [TAGID, "motion", "spin", f"roomba+serial://{proxy.path}?step=3", "--yes", "-q"]
+                + ["--output", "json"],
+                capture_output=True, text=True,
+            )  # fmt: skip
+        finally:
+            proxy.stop.set()
+            proxy.thread.join()
+    data = json.loads(spin.stdout)["data"]
+    figure = f"turned {data['turned_deg']:.0f} degrees, bytes_dropped {data['bytes_dropped']}"
+    return Outcome(figure, data["bytes_dropped"] > 0)
+
+
+BLUEZ = """
+import sys
+import bleak
+from bleak.exc import BleakDBusError
+starts = 0
+async def fail(self, *a, **k):
+    global starts
+    starts += 1
+    raise BleakDBusError(NAME, ["as asked"])
+NAME = sys.argv.pop(1)
+bleak.BleakScanner.start = bleak.BleakScanner.__aenter__ = fail
+from tagid.cli.app import main
+try: main()
+finally: print(f"[scans started: {starts}]", file=sys.stderr)
+"""
+
+
+@attack(
+    "field 16",
+    "BlueZ is busy, or not ready",
+    before="InProgress: 1 try, 'power-cycle the bridge'; NotReady: 'power-cycle the bridge'",
+    test="tests/protocol/test_roomba_bluez.py::test_a_busy_bluetooth_is_tried_again",
+)
+def busy_bluetooth(folder: Path) -> Outcome:
+    said = {}
+    for name in ("InProgress", "NotReady"):
+        words = [f"org.bluez.Error.{name}", "motion", "info", "roomba+ble://robot-7"]
+        done = subprocess.run([sys.executable, "-P", "-c", BLUEZ, *words], capture_output=True, text=True)
+        said[name] = done.stderr
+    tries = said["InProgress"].count("scans started: 3")
+    figure = f"InProgress: {'3 tries' if tries else '1 try'}; bridge blamed: " + str(
+        any("power-cycle the bridge" in text for text in said.values())
+    )
+    held = bool(tries) and "restart bluetooth" in said["InProgress"] and "power on" in said["NotReady"]
+    return Outcome(figure, held and "power-cycle" not in "".join(said.values()))
