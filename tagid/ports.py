@@ -104,10 +104,13 @@ def open_port(path: str, baud: int, write_timeout_s: float, find: str) -> serial
         text = str(error)
         if number in (errno.EAGAIN, errno.EBUSY) or "exclusively lock" in text:
             opened = holders(path)
-            who = ", ".join(str(one) for one in [one for one in opened if one.locks] or opened)
+            opened = [one for one in opened if one.locks] or opened
+            who = ", ".join(map(str, opened))
+            kill = " or ".join(f"`kill {one.pid}`" for one in opened)
             raise PortInUseError(
                 f"{path} is in use by another program{f': {who}' if who else ''}",
-                "Close the other program (a terminal, another tagid, ModemManager) and try again.",
+                "Close the other program (a terminal, another tagid, ModemManager"
+                f"{f'; {kill}' if kill else ''}) and try again.",
             ) from error
         if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO) or not Path(path).exists():
             raise DeviceGoneError(f"no serial port {path}", f"Plug it in; {find}.") from error

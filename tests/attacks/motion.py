@@ -1,4 +1,4 @@
-"""Attacks on what turns, and on the child processes of everything: with real processes and emulated devices."""
+"""Attacks on what turns, and on the child processes of everything: real processes, emulated devices."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def hostile_folder(folder: Path) -> Path:
 @attack(
     "F3",
     "code of the current folder runs in child processes",
-    before="6 of 6 modules ran or failed children: report exit 5, scan --demo exit 4",
+    before="exit codes {'report': 5, 'scan': 4}, ran: pickle, tagid",
     test="tests/unit/test_processes.py::test_no_child_runs_code_of_the_current_folder",
 )
 def current_folder(folder: Path) -> Outcome:
@@ -108,7 +108,7 @@ def current_folder(folder: Path) -> Outcome:
 @attack(
     "F3b",
     "the Revopoint's emergency command, from a folder with a package tagid",
-    before="the table turned on, nothing was said, the pass-key in `ps`: yes",
+    before="stopped: False, ran: ['owned-tagid'], pass-key in the guardian's words: True",
     test="tests/unit/test_processes.py::test_the_guardian_and_its_command_run_no_code_of_the_current_folder",
 )
 def emergency_words(folder: Path) -> Outcome:
@@ -127,7 +127,7 @@ def emergency_words(folder: Path) -> Outcome:
 @attack(
     "F5",
     "`motion stop` from another environment of the user, and without a guardian",
-    before="0 of 6 stopped; exit 4, 'in use by another program'",
+    before="0 of 6 stopped; 0 of 2 name the holder",
     test="tests/protocol/test_motion_owner.py::test_the_guardian_is_found_from_every_environment",
 )
 def other_environments(folder: Path) -> Outcome:
@@ -162,7 +162,7 @@ def other_environments(folder: Path) -> Outcome:
 @attack(
     "F7",
     "driver and guardian of a Comxim killed together",
-    before="turned on without end",
+    before="turns on after 30 s",
     test="tests/protocol/test_tables.py::"
     "test_a_comxim_table_is_commanded_for_seconds_where_it_takes_an_angle",
 )
@@ -179,7 +179,7 @@ def both_killed(folder: Path) -> Outcome:
 @attack(
     "F7b",
     "driver of a Roomba and everything in its cgroup killed, the guardian in a scope of its own",
-    before="no scope is asked for",
+    before="turns on after 10 s",
     test="tests/protocol/test_motion_owner.py::test_the_guardian_gets_a_scope_of_its_own_where_there_is_one",
 )
 def cgroup_killed(folder: Path) -> Outcome:
@@ -205,7 +205,7 @@ def cgroup_killed(folder: Path) -> Outcome:
 @attack(
     "F20b",
     "`scan --demo` killed: its emulator and its temporary folder",
-    before="the emulator runs on, 1 folder left",
+    before="emulator ended: False, left: 1",
     test="tests/unit/test_processes.py::test_the_emulator_ends_with_a_killed_demo",
 )
 def killed_demo(folder: Path) -> Outcome:
@@ -272,16 +272,15 @@ class Proxy:
 @attack(
     "field 15",
     "bytes outside frames are counted in the result",
-    before="bytes_dropped 0",
+    before="turned 361 degrees, bytes_dropped 0",
     test="tests/protocol/test_roomba_device.py::test_bytes_outside_frames_are_counted_in_the_result",
 )
 def dropped_bytes(folder: Path) -> Outcome:
     with emulated("roomba") as (url, _):
-        proxy = Proxy(url.partition("://")[2])
+        proxy, json_ = Proxy(url.partition("://")[2]), ("--output", "json")
         try:
             spin = subprocess.run(
-                [TAGID, "motion", "spin", f"roomba+serial://{proxy.path}?step=3", "--yes", "-q"]
-                + ["--output", "json"],
+                [TAGID, "motion", "spin", f"roomba+serial://{proxy.path}?step=3", "--yes", "-q", *json_],
                 capture_output=True, text=True,
             )  # fmt: skip
         finally:
@@ -312,7 +311,7 @@ finally: print(f"[scans started: {starts}]", file=sys.stderr)
 @attack(
     "field 16",
     "BlueZ is busy, or not ready",
-    before="InProgress: 1 try, 'power-cycle the bridge'; NotReady: 'power-cycle the bridge'",
+    before="InProgress: 1 try; bridge blamed: True",
     test="tests/protocol/test_roomba_bluez.py::test_a_busy_bluetooth_is_tried_again",
 )
 def busy_bluetooth(folder: Path) -> Outcome:
