@@ -260,9 +260,9 @@ class BridgeLink:
 
         The helper process stops nothing here; it only receives the request of `tagid motion stop`.
         """
+        self._guard.start(Watch(self._address.target, _GUARD_S))
         self.request(Op.ARM, round(timeout_s * 1000))
         self._armed = True
-        self._guard.start(Watch(self._address.target, _GUARD_S))
 
     def beat(self) -> None:
         """Check whether another process wants the robot to stop."""

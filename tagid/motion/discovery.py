@@ -11,7 +11,7 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from tagid.motion.ble import BleAddress, backends_of
-from tagid.motion.bridge.find import scanning
+from tagid.motion.bridge.find import bluetooth_errors, scanning
 from tagid.motion.bridge.protocol import NUS
 
 _ADAPTERS: Final = {
@@ -24,6 +24,8 @@ _ADAPTERS: Final = {
     (0x1027, 0x0003): "P410 radar, not a robot",
 }
 _NOT_A_ROBOT: Final = frozenset({(0x303A, 0x1001), (0x1027, 0x0005), (0x1027, 0x0003)})
+_OPEN_S: Final = 60.0
+"""Longest time to open and close a controller, s."""
 _ON_BOARD: Final = "serial port of this computer: a robot's cable, if one is connected"
 REVOPOINT: Final = "REVO_DUAL_AXIS_TABLE"
 """Advertised name of the dual-axis table."""
@@ -88,4 +90,5 @@ async def _listen(seconds: float, hci: str | None) -> list[Found]:
 
 def bluetooth_devices(seconds: float, hci: str | None = None) -> list[Found]:
     """Bridges and tables that advertise within a few seconds, strongest first. Raises DeviceError."""
-    return asyncio.run(_listen(seconds, hci))
+    with bluetooth_errors("looking for devices"):
+        return asyncio.run(asyncio.wait_for(_listen(seconds, hci), seconds + _OPEN_S))

@@ -22,6 +22,8 @@ OWNER_S = 1.0
 """Time that a driver has to stop the device by itself on request, before the command is started."""
 COMMAND_S = 120.0
 LOOK_S = 0.1
+LOG_WARNING = 12
+"""A user's message (8) that is a warning (4)."""
 
 
 def now() -> float:
@@ -36,14 +38,16 @@ def tell(mark: bytes) -> None:
 
 
 def say(text: str) -> None:
-    """Tell the user: on the driver's standard error, which may be closed by now, and in the system's log."""
-    with suppress(OSError):
-        os.write(2, f"tagid: {text}\n".encode())
-    with suppress(ImportError):
-        import syslog
+    """Tell the user: on the driver's standard error, which may be closed by now, and in the system's log.
 
-        syslog.openlog("tagid")
-        syslog.syslog(syslog.LOG_WARNING, text)
+    Neither may hold the guardian up: a terminal that the user has stopped takes no more.
+    """
+    with suppress(OSError, ValueError):
+        if select.select([], [2], [], LOOK_S)[1]:
+            os.write(2, f"tagid: {text}\n".encode())
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as log:
+        log.setblocking(False)
+        log.sendto(f"<{LOG_WARNING}>tagid: {text}".encode(), "/dev/log")
 
 
 def peer(line: socket.socket) -> tuple[int, int]:
@@ -123,17 +127,18 @@ class Guard:
 
     def stop(self, owner_s: float) -> None:
         """Write the halt bytes three times, or start the command after `owner_s`."""
-        failure = None
+        failure: OSError | None = None
         for pause in self.watch["pauses_s"]:
             time.sleep(pause)
             if self.watch["port"] >= 0:
                 try:
                     os.write(self.watch["port"], bytes.fromhex(self.watch["halt"]))
+                    failure = None
                 except OSError as error:
                     failure = error
         if failure is not None:
-            say(f"cannot stop {self.watch['name']} ({failure}). {self.watch['remedy']}")
             self.answer(b"failed")
+            say(f"cannot stop {self.watch['name']} ({failure}). {self.watch['remedy']}")
         if not self.watch["command"]:
             self.answer(b"stopped")
         elif self.command is None and self.command_at is None:

@@ -88,7 +88,8 @@ class Guardian:
         self._process: subprocess.Popen[bytes] | None = None
         if os.name != "posix":
             return
-        self._process = _start(watch, scope=True) or _start(watch, scope=False)
+        stops = watch.port >= 0 or bool(watch.command)
+        self._process = (_start(watch, scope=True) if stops else None) or _start(watch, scope=False)
         if self._process is None:
             raise DeviceError(
                 "the helper process that stops the motion in an emergency does not start",
@@ -264,9 +265,7 @@ def ask_to_stop(name: str) -> bool:
 
 def _connected(name: str) -> list[socket.socket]:
     """Connections to all guardians that are to be believed; each connection is a request to stop."""
-    root = os.getuid() == 0
-    holding = [holder.pid for holder in holders(name)] if root else []
-    lines = []
+    lines: list[socket.socket] = []
     until, pending = time.monotonic() + _ASK_S, list(_guardians(name))
     while pending:
         address = pending.pop(0)
@@ -274,10 +273,8 @@ def _connected(name: str) -> list[socket.socket]:
         line.setblocking(False)
         try:
             line.connect("\0" + address[1:])
-            pid, uid = guard.peer(line)
-            if uid == os.getuid() or pid in holding:
-                lines.append(line)
-                continue
+            lines.append(line)
+            continue
         except BlockingIOError:  # others wait for it as well
             if time.monotonic() < until:
                 pending.append(address)
@@ -285,7 +282,17 @@ def _connected(name: str) -> list[socket.socket]:
         except OSError:
             pass
         line.close()
-    return lines
+    holding: set[int] | None = None
+    trusted = []
+    for line in lines:
+        pid, uid = guard.peer(line)
+        if uid != os.getuid() and os.getuid() == 0 and holding is None:
+            holding = {holder.pid for holder in holders(name)}
+        if uid == os.getuid() or pid in (holding or ()):
+            trusted.append(line)
+        else:
+            line.close()
+    return trusted
 
 
 def _confirms(line: socket.socket) -> bool:

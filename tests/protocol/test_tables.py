@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagid.errors import DeviceGoneError, DeviceRejectedError, DeviceTimeoutError, UsageError
+from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, DeviceTimeoutError, UsageError
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.driven import DrivenMotion
 from tagid.motion.emulation.comxim import ComximCore, Steps
@@ -185,6 +185,15 @@ def test_a_port_that_holds_no_table_is_told() -> None:
         motion = open_motion(f"comxim+serial://{port.path}")
         with pytest.raises(DeviceTimeoutError, match="does not answer"):
             motion.start()
+
+
+def test_an_emulated_device_whose_thread_dies_is_told() -> None:
+    class Broken(ComximCore):
+        def advance(self, now_s: float) -> bytes:
+            raise MemoryError("none left")
+
+    with pytest.raises(DeviceError, match="none left"), PtyPort(Broken()) as port:
+        assert port.worker.join(5)
 
 
 @pytest.mark.realtime

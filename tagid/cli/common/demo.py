@@ -7,7 +7,7 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from tagid.metadata import ObjectInfo
 
 DEMO_RPM = 6.0
 DEMO_AXIS_DISTANCE_M = 1.0
+_REFUSAL_S = 5.0
 _HEIGHT_BYTES = 40
 """Every height is written over the whole of the one before."""
 DEMO_CENTRE = "0.005,-0.003"
@@ -74,7 +75,9 @@ def _emulated(scene: str, height_file: int) -> Iterator[Emulated]:
             data = json.loads(line)["data"]
             url, shown = data["url"], data["object"]
         except (ValueError, KeyError, TypeError):
-            rest, errors = process.communicate(timeout=5)
+            with suppress(subprocess.TimeoutExpired):  # `communicate` would close its input, which ends it
+                process.wait(_REFUSAL_S)
+            rest, errors = process.communicate()
             raise _refusal(scene, (line + rest).decode(), errors.decode()) from None
         settings = {
             "radar.url": url,
