@@ -102,7 +102,7 @@ class Guard:
                 self.stop(OWNER_S if asked and not ended else 0.0)
                 tripped = True
                 if gone:
-                    say(f"{self.watch['name']}: stopped by its guardian, as its program ended without a stop")
+                    say(f"{self.watch['name']}: its program ended without a stop; its guardian stops it")
             self.look_after_command()
         self.end_command()
 
