@@ -5,13 +5,24 @@ from __future__ import annotations
 import itertools
 import json
 import random
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from firmware_tools.build import compile_firmware, write_build
-from tagid.motion.bridge.protocol import BridgeInfo, Flag, IndexPulse, Op, Reply, Status, decode_event, encode
+from firmware_tools.build import SOURCE, compile_firmware, write_build
+from tagid.motion.bridge.protocol import (
+    BridgeInfo,
+    Flag,
+    IndexPulse,
+    Op,
+    Reply,
+    Status,
+    Tripped,
+    decode_event,
+    encode,
+)
 from tests.firmware.conftest import CONFIG
 from tests.firmware.microvm import needs_vm, run_in_vm
 
@@ -43,13 +54,13 @@ def command(ms: float, op: Op, *arguments: int, seq: int = 1) -> list[Any]:
     return [ms, "command", encode(op, seq, *arguments).hex()]
 
 
-@pytest.mark.parametrize("start_us", [0, (1 << 30) - 700_000, (1 << 30) * 1000 - 1_200_000])
-def test_a_link_cut_at_any_moment_stops_the_wheels_within_500_ms(board: Path, start_us: int) -> None:
-    """Ten random moments; also where the microsecond and the millisecond ticks wrap meanwhile."""
+def test_a_link_cut_at_any_moment_stops_the_wheels_within_500_ms(board: Path) -> None:
+    """Twelve random moments; of some, the microsecond and the millisecond ticks wrap meanwhile."""
     random.seed(11)
-    cuts = [random.uniform(300, 1500) for _ in range(10)]
+    cuts = [random.uniform(300, 1500) for _ in range(12)]
+    starts_us = [0, (1 << 30) - 700_000, (1 << 30) * 1000 - 1_200_000] * 4
     plans = []
-    for cut in cuts:
+    for cut, start_us in zip(cuts, starts_us, strict=True):
         beats = [command(ms, Op.HEARTBEAT) for ms in range(100, int(cut), 100)]
         actions = [*HELLO, command(20, Op.ARM, 400), [30, "rx", "80" + "83" + DRIVE], *beats]
         plans.append({"start_us": start_us, "end_ms": 2500, "actions": actions})
@@ -277,6 +288,99 @@ def test_an_invalid_configuration_drives_nothing_and_says_so(board: Path) -> Non
             assert info.name == "tagid-setup" and Flag.PROVISIONED not in info.flags
     finally:
         (board / "bridge.json").write_text(valid)
+
+
+IDLE_MS = [round(m * 60_000) for m in (9, 17, 27)] + [round(d * 86_400_000) for d in (6.3, 12.5, 30)]
+"""Ticks of us compare rightly over 8.9 min and wrap after 17.9 min, ticks of ms 6.2 and 12.4 days."""
+IDLE_AT_MS = 1600
+BOUNCE_MS = (1 << 30) // 1000 - 1670
+"""After this idle time a pulse comes 20 ms after the previous one, but for a whole period of ticks_us."""
+
+
+def session(at: float) -> list[list[Any]]:
+    """Every kind of action: pairing, dead-man, ARM and DISARM, BRC, index pulse, short pieces, loop-back."""
+    return [
+        [at, "connect", 247], [at + 10, "passkey", 0], [at + 50, "trust", 1], command(at + 60, Op.TIME),
+        [at + 70, "rx", DRIVE * 12], command(at + 700, Op.ARM, 400), [at + 710, "rx", DRIVE],
+        command(at + 740, Op.HEARTBEAT), command(at + 800, Op.DISARM), command(at + 980, Op.BRC, 50, 2, 30),
+        [at + 1000, "pulse", 0], [at + 1000.8, "pulse", 0], [at + 1200, "robot", "1301"],
+        [at + 1203, "robot", "1302"], command(at + 1250, Op.LOOPBACK, 16),
+    ]  # fmt: skip
+
+
+def without_idle_time(result: dict[str, Any], idle_ms: int) -> list[tuple[float, str, Any]]:
+    """What a bridge did after it idled (the scenario's clock stood still); its own stamps less that time."""
+    log: list[tuple[float, str, Any]] = []
+    for ms, what, text in result["log"]:
+        detail: Any = text
+        if ms < IDLE_AT_MS:
+            continue
+        if what == "event":
+            detail = decode_event(bytes.fromhex(text))
+            if isinstance(detail, Reply) and detail.op in (Op.TIME, Op.HEARTBEAT):
+                uptime_us = int.from_bytes(detail.payload, "little") - idle_ms * 1000
+                detail = replace(detail, payload=uptime_us.to_bytes(8, "little"))
+            elif isinstance(detail, IndexPulse):
+                detail = replace(detail, stamp_us=detail.stamp_us - idle_ms * 1000)
+        log.append((ms, what, detail))
+    return log
+
+
+def test_nothing_depends_on_how_long_the_bridge_idled(board: Path) -> None:
+    """Whatever is done after minutes or weeks goes as after ten seconds, to the microsecond."""
+    # Before the used bridge idles, its link is lost with a short piece waiting, and a pass-key fails.
+    lost = [[1500, "room", 0], [1505, "robot", "1303"], [1530, "lose", 0], [1535, "room", 99]]
+    failed = [[1540, "connect", 247], [1550, "passkey", 0], [1570, "lose", 0]]
+    stranger = [[3100, "lose", 0], [3200, "connect", 247], [3250, "busy", 59_850]]
+
+    def plans(idle_ms: int) -> list[dict[str, Any]]:
+        idle = [IDLE_AT_MS, "idle", idle_ms]
+        used = [*session(10), *lost, *failed, idle, *session(1700), *stranger]
+        fresh = [*HELLO, idle, *session(1700)[3:]]
+        return [
+            {"end_ms": 63_300, "round_us": 1500, "actions": used},
+            {"end_ms": 3100, "round_us": 1500, "actions": fresh},
+        ]
+
+    idles = [10_000, *IDLE_MS, BOUNCE_MS]
+    results = run_in_vm(board, *[plan for idle_ms in idles for plan in plans(idle_ms)])
+    logs = [
+        [without_idle_time(result, idle_ms) for result in results[2 * n : 2 * n + 2]]
+        for n, idle_ms in enumerate(idles)
+    ]
+    for idle_ms, log in zip(idles, logs, strict=True):
+        assert log == logs[0], f"after {idle_ms} ms"
+    stops, pattern = [STOP] * 3, bytes(range(0x40, 0x50)).hex()
+    for log in logs[0]:
+        wire = "".join(text for _, what, text in log if what == "uart")
+        assert wire == "".join((DRIVE * 12, *stops, DRIVE, *stops, pattern))
+        assert [text for _, what, text in log if what == "bytes"] == ["13011302"]
+        pulses = [event for _, _, event in log if isinstance(event, IndexPulse)]
+        assert len(pulses) == 1 and pulses[0].age_us < 5000
+    shown, ended = ([ms for ms, what, _ in logs[0][0] if what == name] for name in ("passkey", "disconnect"))
+    assert len(shown) == 1 and len(ended) == 1 and 60_000 < ended[0] - 3200 < 60_010
+
+
+def test_a_pulse_and_a_fault_tell_how_long_ago_it_was(board: Path) -> None:
+    """At most what 32 bits hold: 71 min and 49.7 days. The pulse waits behind 16 replies."""
+    idles = [17 * 60_000, IDLE_MS[3], 50 * 86_400_000]
+    replies = [command(21 + n / 10, Op.TIME) for n in range(16)]
+    waiting = [*HELLO, [20, "room", 0], *replies, [30, "pulse", 0]]
+    plans = [
+        {"end_ms": 900, "actions": [*waiting, [40, "idle", idle_ms], [60, "room", 99], [100, "fault", 0]]}
+        for idle_ms in idles
+    ]
+    for idle_ms, result in zip(idles, run_in_vm(board, *plans), strict=True):
+        *_, pulse, fault = (decode_event(bytes.fromhex(text)) for _, text in of(result, "event"))
+        assert isinstance(pulse, IndexPulse) and isinstance(fault, Tripped)
+        assert pulse.age_us == pytest.approx(min((idle_ms + 30) * 1000, 0xFFFFFFFF), abs=3000)
+        assert pulse.stamp_us < 1_000_000
+        assert fault.silent_ms == min(idle_ms, 0xFFFFFFFF) or 0 < fault.silent_ms - idle_ms < 500
+
+
+def test_only_the_clock_reads_ticks() -> None:
+    for source in (SOURCE / "tagid_bridge").glob("*.py"):
+        assert ("ticks" in source.read_text()) == (source.name == "clock.py"), source.name
 
 
 HEAP_BYTES = 64 * 1024

@@ -2,12 +2,12 @@
 
 import sys
 from struct import pack, unpack
-from time import sleep_ms, ticks_diff, ticks_ms
+from time import sleep_ms
 
 import machine
 from micropython import const
-from tagid_bridge import PROTOCOL, VERSION, settings
-from tagid_bridge.index import Clock, IndexPulse
+from tagid_bridge import PROTOCOL, VERSION, clock, settings
+from tagid_bridge.index import IndexPulse
 from tagid_bridge.radio import Radio
 from tagid_bridge.robot import ARMED, FAULT, IDLE, SILENCE, TRIPPED, Robot
 
@@ -29,6 +29,7 @@ _BRC = const(0x06)
 _LOOPBACK = const(0x08)
 _QUEUE = const(16)
 _WHILE_AWAKE_MS = const(600000)
+_MOST = 0xFFFFFFFF  # the protocol's counters and durations have 32 bits
 
 
 class Bridge:
@@ -38,7 +39,6 @@ class Bridge:
         self._config = config
         self._provisioned = problem is None
         self._after_watchdog = after_watchdog
-        self.clock = Clock()
         self.robot = robot
         self.index = None
         if config["index_pin"] is not None:
@@ -51,7 +51,7 @@ class Bridge:
         self._pulse_reply = None
         self._loop = None
         self._waiting_since = None
-        self._round_at = ticks_ms()
+        self._round_at = clock.ms()
         self._longest_ms = 0
         self.radio = Radio(config["name"], config["passkey"], self._on_bytes, self._on_command, self._on_lost)
         self._flags_told = None
@@ -77,8 +77,9 @@ class Bridge:
 
     def step(self):
         """One pass of the loop; all state is in the objects, so it can run for hours."""
-        now = ticks_ms()
-        self._longest_ms = max(self._longest_ms, ticks_diff(now, self._round_at))
+        clock.advance()
+        now = clock.ms()
+        self._longest_ms = max(self._longest_ms, now - self._round_at)
         self._round_at = now
         if self.radio.fault is not None:
             raise self.radio.fault
@@ -89,7 +90,6 @@ class Bridge:
             silent = self.robot.silent_ms()
             self.robot.trip(TRIPPED)
             self._tell(pack("<BBI", _TRIPPED_EVENT, SILENCE, silent))
-        self.clock.now()
         while self._commands:
             self._execute(self._commands.pop(0))
         self.robot.tick()
@@ -101,7 +101,7 @@ class Bridge:
         else:
             self.robot.move(self.radio.trusted())
         for direction, lost in self.robot.overflows():
-            self._tell(pack("<BBI", _OVERFLOW_EVENT, direction, lost))
+            self._tell(pack("<BBI", _OVERFLOW_EVENT, direction, min(lost, _MOST)))
         self._tell_pulses()
         self._send()
         self.radio.tick()
@@ -117,10 +117,11 @@ class Bridge:
         self._events = []
         self._pulse_reply = None
         self._loop = None
+        self._waiting_since = None
 
     def tell_fault(self):
         """Tell the host, if connected, that the firmware failed and stopped the robot."""
-        self._tell(pack("<BBI", _TRIPPED_EVENT, FAULT, self.robot.silent_ms()))
+        self._tell(pack("<BBI", _TRIPPED_EVENT, FAULT, min(self.robot.silent_ms(), _MOST)))
         self._send()
 
     def _send(self):
@@ -141,8 +142,8 @@ class Bridge:
     def _waited(self):
         """Delay short pieces a little so that fewer notifications carry more bytes."""
         if self._waiting_since is None:
-            self._waiting_since = ticks_ms()
-        return ticks_diff(ticks_ms(), self._waiting_since) >= self._config["linger_ms"]
+            self._waiting_since = clock.ms()
+        return clock.ms() - self._waiting_since >= self._config["linger_ms"]
 
     def _tell(self, data):
         if self.radio.connected() and len(self._events) < 2 * _QUEUE:
@@ -157,10 +158,10 @@ class Bridge:
             pulse = self.index.take()
             if pulse is None:
                 break
-            stamp = self.clock.at(pulse[1])
             if self.radio.trusted():
-                age = self.clock.now() - stamp
-                self._tell(pack("<BIQI", _INDEX_EVENT, pulse[0], stamp, age))
+                number, stamp = pulse
+                age = min(clock.us() - stamp, _MOST)
+                self._tell(pack("<BIQI", _INDEX_EVENT, number, stamp, age))
         if self.index.lost != self._index_lost_told:
             self._index_lost_told = self.index.lost
             self._tell(pack("<BBI", _OVERFLOW_EVENT, 2, self.index.lost))
@@ -192,7 +193,7 @@ class Bridge:
         if not self._provisioned and op in _DRIVING:
             return _NOT_PROVISIONED, b""
         if self.robot.state == TRIPPED and op == 0x04:
-            return _TRIPPED, pack("<Q", self.clock.now())
+            return _TRIPPED, pack("<Q", clock.us())
         return _HANDLERS[op](self, seq, args if form is None else values)
 
     def _version(self, seq, values):
@@ -212,8 +213,8 @@ class Bridge:
             0 if index is None else index.lost,
             self._bad_commands,
         )
-        head = pack("<BQ", robot.state, self.clock.now())
-        body = pack("<9I", *[count & 0xFFFFFFFF for count in counts])
+        head = pack("<BQ", robot.state, clock.us())
+        body = pack("<9I", *[count & _MOST for count in counts])
         room = robot.to_robot.free()
         return _OK, head + body + pack(
             "<HHIH", room, self.radio.mtu, robot.baud, min(self._longest_ms, 0xFFFF)
@@ -227,7 +228,7 @@ class Bridge:
         return _OK, pack("<H", self.robot.timeout_ms)
 
     def _time(self, seq, values):
-        return _OK, pack("<Q", self.clock.now())
+        return _OK, pack("<Q", clock.us())
 
     def _disarm(self, seq, values):
         self.robot.disarm()
@@ -260,7 +261,7 @@ class Bridge:
         while uart.any():
             uart.read(uart.any())
         # Reply tag, bytes to send, bytes sent, bytes that came back correctly, start, time of the last byte.
-        self._loop = [seq, count, 0, 0, self.clock.now(), ticks_ms()]
+        self._loop = [seq, count, 0, 0, clock.us(), clock.ms()]
         return None, b""
 
     def _loop_back(self):
@@ -276,11 +277,11 @@ class Bridge:
             right += 1
         loop[3] += right
         if right:
-            loop[5] = ticks_ms()
-        quiet = ticks_diff(ticks_ms(), loop[5]) > 100 + 320000 // self.robot.baud
+            loop[5] = clock.ms()
+        quiet = clock.ms() - loop[5] > 100 + 320000 // self.robot.baud
         if loop[3] == loop[1] or right < len(data) or quiet:
             self._loop = None
-            took = self.clock.now() - loop[4]
+            took = clock.us() - loop[4]
             status = _OK if loop[3] == loop[1] else _NO_ECHO
             self._reply(_LOOPBACK, loop[0], status, pack("<HHI", loop[2], loop[3], took & 0xFFFFFFFF))
 

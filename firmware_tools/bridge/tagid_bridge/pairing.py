@@ -8,9 +8,9 @@ attempts are therefore counted over the life of the pass-key and limited (calcul
 import json
 import os
 from binascii import hexlify, unhexlify
-from time import ticks_diff, ticks_ms
 
 from micropython import const
+from tagid_bridge import clock
 
 BONDS = "bonds.json"
 TRIES = "tries.json"
@@ -26,7 +26,7 @@ class Pairing:
 
     def __init__(self):
         self.failed = _load_tries()
-        self._since = ticks_ms()
+        self._since = clock.ms()
         self._bonds = _load_bonds()
         self._changed = False
         self.secure = False
@@ -38,11 +38,11 @@ class Pairing:
         """Whether an attempt is allowed; the wait restarts at boot, as the clock stops without power."""
         if self.failed >= len(WAITS_MS):
             return False
-        return ticks_diff(ticks_ms(), self._since) >= WAITS_MS[self.failed]
+        return clock.ms() - self._since >= WAITS_MS[self.failed]
 
     def begin(self):
         """Count an attempt as failed, in flash, before it is answered, so that a power cut cannot undo it."""
-        self._since = ticks_ms()
+        self._since = clock.ms()
         self.failed += 1
         _write(TRIES, self.failed)
 

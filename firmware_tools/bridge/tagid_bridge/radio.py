@@ -4,10 +4,10 @@ A write that arrives before the link is authenticated is discarded, whether the 
 """
 
 from struct import pack
-from time import ticks_diff, ticks_ms
 
 import bluetooth
 from micropython import const
+from tagid_bridge import clock
 from tagid_bridge.pairing import Pairing
 
 _CONNECT = const(1)
@@ -137,8 +137,8 @@ class Radio:
         if self._pairing is not None:
             self._tend_pairing()
         # A host that connects and does not pair would block the owner.
-        if self.connected() and not self.trusted() and ticks_diff(ticks_ms(), self._since) > _PAIRING_MS:
-            self._since = ticks_ms()
+        if self.connected() and not self.trusted() and clock.ms() - self._since > _PAIRING_MS:
+            self._since = clock.ms()
             self._hang_up(self._connection)
 
     def _tend_pairing(self):
@@ -187,7 +187,7 @@ class Radio:
             self._paired = False
             self._forget_pairing()
             self.mtu = _DEFAULT_MTU
-            self._since = ticks_ms()
+            self._since = clock.ms()
         elif event == _DISCONNECT:
             self._connection = None
             self._paired = False

@@ -4,10 +4,11 @@ Data queued for the robot waits here and not in the serial driver, because the d
 discard an outdated drive command.
 """
 
-from time import sleep_ms, ticks_add, ticks_diff, ticks_ms, ticks_us
+from time import sleep_ms
 
 from machine import UART, Pin
 from micropython import const
+from tagid_bridge import clock
 from tagid_bridge.ring import Ring
 
 IDLE = const(0)
@@ -49,8 +50,8 @@ class Robot:
         self.from_robot = Ring(4096)
         self.state = IDLE
         self.timeout_ms = config["deadman_ms"]
-        self._fed = ticks_ms()
-        self._free_at = ticks_us()
+        self._fed = clock.ms()
+        self._free_at = 0
         self._repeats = []
         self.drove = False
         self.sent = self.received = self.lost_out = self.lost_in = self.trips = 0
@@ -77,7 +78,7 @@ class Robot:
 
     def feed(self):
         """Note that the host is alive."""
-        self._fed = ticks_ms()
+        self._fed = clock.ms()
 
     def arm(self, timeout_ms):
         """From now on stop the wheels if the host is silent for longer than `timeout_ms`."""
@@ -93,7 +94,7 @@ class Robot:
 
     def silent_ms(self):
         """Time since the host last sent anything, ms."""
-        return ticks_diff(ticks_ms(), self._fed)
+        return clock.ms() - self._fed
 
     def overdue(self):
         """Whether an armed host has been silent for too long."""
@@ -110,8 +111,8 @@ class Robot:
         self.state = TRIPPED
         self.to_robot.clear()
         self.stop()
-        now = ticks_ms()
-        self._repeats = [ticks_add(now, wait) for wait in _AGAIN_MS]
+        now = clock.ms()
+        self._repeats = [now + wait for wait in _AGAIN_MS]
         self.drove = False
         self.state = next_state
 
@@ -151,16 +152,16 @@ class Robot:
         """Transfer bytes; without `keep` there is no listener, and bytes from the robot are dropped."""
         if self.uart is None:
             return
-        now = ticks_us()
         # While stops are pending nothing else is sent: a drive command must not overtake them.
-        if len(self.to_robot) and not self._repeats and ticks_diff(now, self._free_at) >= 0:
+        if len(self.to_robot) and not self._repeats and clock.ms() >= self._free_at:
             # Send only as much as the line carries in a few milliseconds: see the module's docstring.
             data = self.to_robot.peek(max(1, self.baud * _SLICE_MS // 10000))
             self.drove = self.drove or any(byte in _MOVING for byte in data)
             self.uart.write(data)
             self.to_robot.drop(len(data))
             self.sent += len(data)
-            self._free_at = ticks_add(now, len(data) * 10000000 // self.baud)
+            # Rounded up to whole milliseconds.
+            self._free_at = clock.ms() - (-len(data) * 10000 // self.baud)
         waiting = self.uart.any()
         while waiting:
             data = self.uart.read(min(waiting, 256))
@@ -187,7 +188,7 @@ class Robot:
         """Start `count` low pulses on BRC."""
         self._brc_times = (width_ms, gap_ms)
         self._brc_steps = 2 * count
-        self._brc_next = ticks_ms()
+        self._brc_next = clock.ms()
 
     def pulsing(self):
         """Whether pulses are in progress."""
@@ -195,14 +196,12 @@ class Robot:
 
     def tick(self):
         """Do the work that is due: repeats of the stop bytes, edges on BRC."""
-        now = ticks_ms()
-        if self._repeats and ticks_diff(now, self._repeats[0]) >= 0:
+        now = clock.ms()
+        if self._repeats and now >= self._repeats[0]:
             self._repeats.pop(0)
             self.stop()
-        if self._brc_steps and ticks_diff(now, self._brc_next) >= 0:
+        if self._brc_steps and now >= self._brc_next:
             low = self._brc_steps % 2 == 0
             self.brc.value(1 - self._released if low else self._released)
-            self._brc_next = ticks_add(now, self._brc_times[0 if low else 1])
+            self._brc_next = now + self._brc_times[0 if low else 1]
             self._brc_steps -= 1
-            if self._brc_steps == 0:
-                self._brc_next = now

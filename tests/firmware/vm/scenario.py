@@ -9,6 +9,7 @@ with open("/board/scenario.json") as file:
     PLANS = json.load(file)
 PLAN = {}
 PERIOD = 1 << 30
+IDLE_US = 480_000_000  # a round while the scenario idles: shorter than half a period of ticks_us
 SCHEDULED = 8  # MICROPY_SCHEDULER_DEPTH of the ESP32 port
 PEER = b"\x01123456"
 
@@ -38,6 +39,7 @@ def renew():
     World.irq = World.pin_irq = None
     World.values = {}
     World.fed = 0
+    World.idle_us = 0
 
 
 def note(what, text):
@@ -179,6 +181,8 @@ def do(action, value):
             World.scheduled.append(World.pin_irq)
     elif action == "busy":
         World.us += value * 1000
+    elif action == "idle":
+        World.idle_us = value * 1000
     elif action == "passkey":
         World.irq(31, (0, 3, 0))
     elif action == "interrupt":
@@ -196,9 +200,16 @@ def do(action, value):
 
 
 def sleep_ms(duration):
+    # Idle time passes in few rounds, and the scenario's own time stands still meanwhile.
+    if World.idle_us:
+        step = min(World.idle_us, IDLE_US)
+        World.us += step
+        World.begin += step
+        World.idle_us -= step
+        return
     # A round of the loop costs time, too.
     target = World.us + duration * 1000 + PLAN.get("round_us", 300)
-    while World.irq and due() <= target:
+    while World.irq and not World.idle_us and due() <= target:
         when, action, value = PLAN["actions"][World.next]
         World.next += 1
         World.us = max(World.us, World.begin + int(when * 1000))
