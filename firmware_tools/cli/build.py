@@ -27,7 +27,7 @@ def register(app: typer.Typer) -> None:
 
         from firmware_tools.build import compile_firmware, write_build
 
-        with terminal.progress("building", 6) as advance:
+        with terminal.progress("building", None) as advance:
             made = compile_firmware(advance)
         write_build(made, out)
         table = Table("file", "bytes", "sha256", box=None)

@@ -11,6 +11,7 @@ import json
 import secrets
 import struct
 import threading
+import traceback
 import uuid
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any
@@ -233,6 +234,13 @@ class VirtualBle:
 
     def _start_sender(self) -> None:
         self._sender_task = self._loop.create_task(self._sender())
+        self._sender_task.add_done_callback(self._sender_ended)
+
+    def _sender_ended(self, task: asyncio.Task[None]) -> None:
+        """Without its sender the radio is full for ever: the board ends, as it does without its firmware."""
+        if not task.cancelled():
+            traceback.print_exception(task.exception())
+            self._board.end(1)
 
     def _characteristic(self, handle: int, uuid_: MicroUUID, flags: int) -> gatt.Characteristic[bytes]:
         def write(connection: Connection, value: bytes) -> None:

@@ -12,11 +12,12 @@ import os
 import queue
 import struct
 import termios
-import threading
 import time
 import tty
 from collections.abc import Callable
 from typing import Any
+
+from tagid.workers import Worker
 
 Report = Callable[[dict[str, Any]], None]
 RESET_CAUSES = {
@@ -98,8 +99,8 @@ class Board:
                 self.end(70)
 
     def start_guard(self) -> None:
-        """Start the watchdog."""
-        threading.Thread(target=self.guard, daemon=True).start()
+        """Start the watchdog; it also fires if its thread fails, e.g. because nobody reads its report."""
+        Worker(self.guard, "watchdog", lambda error: self.end(70)).start()
 
 
 class VirtualPin:

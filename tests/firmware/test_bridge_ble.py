@@ -5,15 +5,18 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
+import queue
 import random
 import termios
 import time
 from contextlib import AbstractContextManager
+from typing import Any
 
 import pytest
 from bleak.backends.scanner import BaseBleakScanner
 
 from firmware_tools.virtual.backend import open_backend
+from firmware_tools.virtual.board import Board
 from firmware_tools.virtual.process import BoardProcess
 from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, UsageError
 from tagid.motion.bridge.find import Backends, find
@@ -324,3 +327,14 @@ def test_names_that_are_absent_or_ambiguous(board: BoardProcess) -> None:
             assert (await find(board.address, 20.0, Backends(*pair))).address == board.address
 
     asyncio.run(run())
+
+
+def test_a_watchdog_whose_report_nobody_reads_fires_all_the_same() -> None:
+    def report(document: dict[str, Any]) -> None:
+        raise BrokenPipeError
+
+    ended: queue.Queue[int] = queue.Queue()
+    board = Board("loop", report, ended.put)
+    board.feed(0)
+    board.start_guard()
+    assert ended.get(timeout=20) == 70

