@@ -11,12 +11,16 @@ from typing import Any
 
 import pytest
 
+from firmware_tools.bridge.tagid_bridge import settings
+from firmware_tools.bridge.tagid_bridge.ring import Ring
 from firmware_tools.build import SOURCE, compile_firmware, write_build
 from tagid.motion.bridge.protocol import (
     BridgeInfo,
+    BridgeStatus,
     Flag,
     IndexPulse,
     Op,
+    Overflow,
     Reply,
     Status,
     Tripped,
@@ -87,15 +91,16 @@ def test_nothing_is_written_where_nothing_was_driven(board: Path) -> None:
     assert [text for _, text in of(said_goodbye, "uart")] == ["80"]
 
 
-@pytest.mark.parametrize("cause", [1, 2, 3, 4, 5])
-def test_every_boot_stops_the_robot_three_times(board: Path, cause: int) -> None:
-    (result,) = run_in_vm(board, {"end_ms": 300, "actions": [], "reset_cause": cause})
-    stops = at_boot(result, "uart")
-    assert [text for _, text in stops] == [STOP] * 3 and of(result, "uart") == []
-    gaps = [b - a for (a, _), (b, _) in itertools.pairwise(stops)]
-    assert 30 <= gaps[0] < 40 and 120 <= gaps[1] < 130
-    flags = BridgeInfo.from_bytes(bytes.fromhex(result["info"])).flags
-    assert (Flag.AFTER_WATCHDOG in flags) == (cause == 3)
+def test_every_boot_stops_the_robot_three_times(board: Path) -> None:
+    causes = [1, 2, 3, 4, 5]
+    plans = [{"end_ms": 300, "actions": [], "reset_cause": cause} for cause in causes]
+    for cause, result in zip(causes, run_in_vm(board, *plans), strict=True):
+        stops = at_boot(result, "uart")
+        assert [text for _, text in stops] == [STOP] * 3 and of(result, "uart") == []
+        gaps = [b - a for (a, _), (b, _) in itertools.pairwise(stops)]
+        assert 30 <= gaps[0] < 40 and 120 <= gaps[1] < 130
+        flags = BridgeInfo.from_bytes(bytes.fromhex(result["info"])).flags
+        assert (Flag.AFTER_WATCHDOG in flags) == (cause == 3)
 
 
 def test_a_disarmed_robot_that_may_move_is_stopped_and_no_command_overtakes_the_stops(board: Path) -> None:
@@ -121,7 +126,23 @@ def test_a_stop_that_still_waits_when_the_link_is_lost_is_not_dropped(board: Pat
         (result,) = run_in_vm(board, {"end_ms": 900, "actions": actions})
     finally:
         (board / "bridge.json").write_text(valid)
-    assert [text for _, text in of(result, "uart")][-3:] == [STOP] * 3
+    sent = of(result, "uart")
+    assert [text for _, text in sent][-3:] == [STOP] * 3
+    paces = [b - a for (a, _), (b, text) in itertools.pairwise(sent) if text != STOP]
+    assert len(paces) > 4 and min(paces) >= 10 / 300 * 1000
+
+
+def test_after_each_opcode_that_moves_the_robot_disarming_stops_it(board: Path) -> None:
+    drives = (134, 135, 136, 137, 143, 144, 145, 146)
+    actions = [[*HELLO, [30, "rx", f"80{drive:02x}0000"], command(50, Op.DISARM)] for drive in drives]
+    for result in run_in_vm(board, *[{"end_ms": 300, "actions": each} for each in actions]):
+        assert [text for _, text in of(result, "uart")][1:] == [STOP] * 3
+
+
+def test_bytes_alone_keep_the_wheels_turning(board: Path) -> None:
+    bytes_only = [[ms, "rx", DRIVE] for ms in range(30, 1500, 300)]
+    (result,) = run_in_vm(board, {"end_ms": 1600, "actions": [*HELLO, *bytes_only]})
+    assert [text for _, text in of(result, "uart")] == [DRIVE] * 5
 
 
 def test_without_the_passkey_no_byte_reaches_the_robot(board: Path) -> None:
@@ -153,21 +174,24 @@ def test_failed_passkeys_wait_longer_each_time_and_then_close_the_door(board: Pa
     assert len(of(result, "disconnect")) == 5
 
 
-@pytest.mark.parametrize(
-    ("files", "answered"),
-    [
-        ({}, 1),
-        ({"tries.json": "0"}, 1),
-        ({"tries.json": "4"}, 0),
-        ({"tries.json": "5"}, 0),
-        ({"tries.json": "{"}, 0),
-        ({"tries.json": '"5"'}, 0),
-    ],
-)
-def test_a_reboot_forgets_no_failed_try(board: Path, files: dict[str, str], answered: int) -> None:
-    plan = {"end_ms": 900, "actions": [[5, "connect", 247], [500, "passkey", 0]], "files": files}
-    (result,) = run_in_vm(board, plan)
-    assert len(of(result, "passkey")) == answered
+def test_a_reboot_forgets_no_failed_try(board: Path) -> None:
+    """A damaged count is the largest."""
+    answered = {None: 1, "0": 1, "4": 0, "5": 0, "-1": 0, "{": 0, '"5"': 0}
+    actions = [[5, "connect", 247], [500, "passkey", 0]]
+    plans = [
+        {"end_ms": 900, "actions": actions, "files": {} if text is None else {"tries.json": text}}
+        for text in answered
+    ]
+    for shown, result in zip(answered.values(), run_in_vm(board, *plans), strict=True):
+        assert len(of(result, "passkey")) == shown and len(of(result, "disconnect")) == 1 - shown
+        assert of(result, "reset") == []
+
+
+def test_a_right_passkey_takes_back_its_own_attempt_only(board: Path) -> None:
+    actions = [[10, "connect", 247], [10_100, "passkey", 0], [10_110, "trust", 1]]
+    plan = {"end_ms": 10_300, "round_us": 9000, "files": {"tries.json": "2"}}
+    (result,) = run_in_vm(board, {**plan, "actions": [*actions, [10_200, "file", "tries.json"]]})
+    assert len(of(result, "passkey")) == 1 and of(result, "tries.json")[0][1] == "2"
 
 
 def test_only_secure_connections_are_trusted(board: Path) -> None:
@@ -178,7 +202,19 @@ def test_only_secure_connections_are_trusted(board: Path) -> None:
     back = [[50, "lose", 0], [60, "connect", 247], [61, "again", 0], [70, "rx", DRIVE]]
     again = {"end_ms": 200, "actions": [*connect, [11, "trust", 1], *back]}
     unknown = {"end_ms": 200, "actions": [*connect, [11, "again", 0], *drive]}
-    refused, trusted, unpaired = run_in_vm(board, legacy, again, unknown)
+    # Legacy pairing of a computer that had a bond leaves it none, and the system may remove one.
+    worse = {
+        "end_ms": 300,
+        "actions": [*connect, [11, "trust", 1], [20, "legacy", 0], [90, "file", "bonds.json"]],
+    }
+    removed = {
+        "end_ms": 300,
+        "actions": [*connect, [11, "trust", 1], [20, "unpair", 0], [90, "file", "bonds.json"]],
+    }
+    refused, trusted, unpaired, *without = run_in_vm(board, legacy, again, unknown, worse, removed)
+    assert [of(result, "bonds.json")[0][1] for result in without] == ["[]", "[]"]
+    flags = [BridgeInfo.from_bytes(bytes.fromhex(result["info"])).flags for result in (trusted, unpaired)]
+    assert [Flag.TRUSTED in flag for flag in flags] == [True, False]
     assert of(refused, "uart") == [] and len(of(refused, "disconnect")) == 1
     assert [text for _, text in of(trusted, "uart")][:1] == [DRIVE]
     assert of(unpaired, "uart") == []
@@ -186,15 +222,35 @@ def test_only_secure_connections_are_trusted(board: Path) -> None:
 
 def test_bonds_are_bounded(board: Path) -> None:
     pairs = [[10 + n, "pair", n] for n in range(1, 12)]
-    (result,) = run_in_vm(board, {"end_ms": 100, "actions": [[5, "connect", 247], *pairs, [50, "bonds", 0]]})
-    ((_, text),) = of(result, "bonds")
+    (result,) = run_in_vm(
+        board,
+        {
+            "end_ms": 100,
+            "actions": [
+                [5, "connect", 247],
+                *pairs,
+                [50, "file", "bonds.json"],
+                [60, "erase", "bonds.json"],
+                [90, "file", "bonds.json"],
+            ],
+        },
+    )
+    (_, text), (_, later) = of(result, "bonds.json")
+    assert later == "", "the flash is written only when a bond changes"
     peers = [int(row[1][2:4], 16) for row in json.loads(text)]
     assert peers == [4, 5, 6, 7, 8, 9, 10, 11], "the oldest make room"
 
 
 def test_notifications_fill_the_mtu_and_a_refused_one_is_sent_again(board: Path) -> None:
     data = random.Random(3).randbytes(2000).hex()
-    actions = [*HELLO, [20, "room", 2], [21, "robot", data], [60, "room", 3], [90, "room", 99]]
+    actions = [
+        [10, "connect", 512],
+        HELLO[1],
+        [20, "room", 2],
+        [21, "robot", data],
+        [60, "room", 3],
+        [90, "room", 99],
+    ]
     (result,) = run_in_vm(board, {"end_ms": 300, "actions": actions})
     pieces = [text for _, text in of(result, "bytes")]
     assert "".join(pieces) == data
@@ -279,10 +335,14 @@ def test_an_invalid_configuration_drives_nothing_and_says_so(board: Path) -> Non
     try:
         for text in ("{", json.dumps({**CONFIG, "baud": 115201}), json.dumps({**CONFIG, "uart_tx": 5})):
             (board / "bridge.json").write_text(text)
-            actions = [[10, "connect", 247], command(20, Op.ARM, 0), [30, "rx", DRIVE]]
+            driving = [
+                command(20, Op.ARM, 0), command(21, Op.BRC, 9, 1, 0), command(22, Op.LOOPBACK, 9),
+                command(23, Op.BAUD, 9600),
+            ]  # fmt: skip
+            actions = [[10, "connect", 247], *driving, [30, "rx", DRIVE]]
             (result,) = run_in_vm(board, {"end_ms": 600, "actions": actions})
-            reply = decode_event(bytes.fromhex(of(result, "event")[0][1]))
-            assert isinstance(reply, Reply) and reply.status == Status.NOT_PROVISIONED
+            replies = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
+            assert [r.status for r in replies if isinstance(r, Reply)] == [Status.NOT_PROVISIONED] * 4
             assert of(result, "uart") == []
             info = BridgeInfo.from_bytes(bytes.fromhex(result["info"]))
             assert info.name == "tagid-setup" and Flag.PROVISIONED not in info.flags
@@ -357,6 +417,8 @@ def test_nothing_depends_on_how_long_the_bridge_idled(board: Path) -> None:
         assert [text for _, what, text in log if what == "bytes"] == ["13011302"]
         pulses = [event for _, _, event in log if isinstance(event, IndexPulse)]
         assert len(pulses) == 1 and pulses[0].age_us < 5000
+        ((quiet, _),) = [(ms, e) for ms, _, e in log if isinstance(e, Reply) and e.op == Op.LOOPBACK]
+        assert 100 < quiet - 2950 < 110
     shown, ended = ([ms for ms, what, _ in logs[0][0] if what == name] for name in ("passkey", "disconnect"))
     assert len(shown) == 1 and len(ended) == 1 and 60_000 < ended[0] - 3200 < 60_010
 
@@ -379,8 +441,102 @@ def test_a_pulse_and_a_fault_tell_how_long_ago_it_was(board: Path) -> None:
 
 
 def test_only_the_clock_reads_ticks() -> None:
+    """And its mark, a minute old at most and renewed in every round, is never too old."""
+    assert 60_000 + settings.NUMBERS["watchdog_ms"][2] < (1 << 29) / 1000
     for source in (SOURCE / "tagid_bridge").glob("*.py"):
         assert ("ticks" in source.read_text()) == (source.name == "clock.py"), source.name
+
+
+def test_nothing_of_a_lost_link_reaches_the_next_one(board: Path) -> None:
+    """The next computer is trusted before the loop has seen that the last one is gone."""
+
+    def change(ms: float) -> list[list[Any]]:
+        return [[ms, "lose", 0], [ms, "connect", 247], [ms, "again", 0], [ms, "room", 99]]
+
+    waiting = [[20, "room", 0], [21, "robot", "1301"], command(22, Op.TIME, seq=3)]
+    pulsing = [command(30, Op.BRC, 100, 1, 0, seq=4), command(50, Op.ARM, 5000, seq=5), *change(50)]
+    after = [[60, "rx", "80"], command(70, Op.BRC, 50, 1, 0, seq=6)]
+    looping = [command(20, Op.LOOPBACK, 16, seq=7), *change(40)]
+    first, second = run_in_vm(
+        board,
+        {"end_ms": 400, "actions": [*HELLO, *waiting, *pulsing, *after]},
+        {"end_ms": 400, "actions": [*HELLO, *looping, *after]},
+    )
+    for result in (first, second):
+        replies = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
+        assert [(r.seq, r.status) for r in replies if isinstance(r, Reply)] == [(6, Status.OK)]
+        assert of(result, "bytes") == []
+        assert "80" in [text for _, text in of(result, "uart")]
+
+
+def test_arguments_are_bounded_as_the_protocol_says(board: Path) -> None:
+    good, bad = Status.OK, Status.BAD_ARGUMENT
+    asked: list[tuple[bytes, Status]] = [
+        (encode(Op.ECHO, 0, data=bytes(241)), good), (encode(Op.ECHO, 0, data=bytes(242)), bad),
+        (encode(Op.BAUD, 0, 299), bad), (encode(Op.BAUD, 0, 115201), bad), (encode(Op.BAUD, 0, 300), good),
+        (encode(Op.BAUD, 0, 115200), good), (encode(Op.LOOPBACK, 0, 0), bad),
+        (encode(Op.LOOPBACK, 0, 513), bad), (encode(Op.BRC, 0, 0, 1, 0), bad),
+        (encode(Op.BRC, 0, 2001, 1, 0), bad),
+        (encode(Op.BRC, 0, 9, 0, 0), bad), (encode(Op.BRC, 0, 9, 6, 0), bad),
+        (encode(Op.BRC, 0, 9, 1, 2001), bad),
+        (encode(Op.ARM, 0, 99), bad), (encode(Op.ARM, 0, 5001), bad), (encode(Op.ARM, 0, 100), good),
+        (encode(Op.ARM, 0, 5000), good),
+        (encode(Op.BAUD, 0, 9600), Status.BUSY), (encode(Op.LOOPBACK, 0, 1), Status.BUSY),
+        (encode(Op.TIME, 0) + b"x", bad), (bytes((11, 0)), Status.UNKNOWN),
+    ]  # fmt: skip
+    actions = [[20 + 4 * n, "command", frame.hex()] for n, (frame, _) in enumerate(asked)]
+    (result,) = run_in_vm(board, {"end_ms": 200, "actions": [*HELLO, *actions]})
+    replies = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
+    statuses = [(r.op, r.status) for r in replies if isinstance(r, Reply)]
+    assert statuses == [(frame[0], status) for frame, status in asked]
+
+
+def test_the_status_counts_and_each_loss_is_told_once(board: Path) -> None:
+    actions = [
+        *HELLO, [20, "rx", DRIVE], [100, "busy", 200], [500, "rx", DRIVE], [600, "robot", "1301"],
+        [700, "pulse", 0], [800, "command", "ff"], [900, "room", 0], [905, "robot", "13"], [920, "room", 99],
+        command(1000, Op.STATUS),
+    ]  # fmt: skip
+    (result,) = run_in_vm(board, {"end_ms": 1100, "actions": actions})
+    events = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
+    assert [e for e in events if isinstance(e, Overflow)] == [Overflow("to the robot", 5)]
+    (reply,) = (e for e in events if isinstance(e, Reply))
+    status = BridgeStatus.from_bytes(reply.payload)
+    assert (status.state, status.trips, status.index_count, status.index_lost) == ("tripped", 1, 1, 0)
+    stops = len(bytes.fromhex(STOP))
+    assert (status.to_robot, status.from_robot) == (5 + 6 * stops, 3)
+    assert (status.lost_to_robot, status.lost_from_robot, status.bad_commands) == (5, 0, 1)
+    assert (status.mtu, status.baud, status.queue_free) == (247, 115200, 1024)
+    assert 200 <= status.longest_round_ms < 205 and status.notify_retries > 0
+
+
+def test_pulses_that_nobody_takes_are_lost_from_the_oldest_on(board: Path) -> None:
+    """Sixteen replies wait for the radio, then sixteen pulses."""
+    replies = [command(21 + n / 10, Op.TIME) for n in range(16)]
+    pulses = [[100 + 60 * n, "pulse", 0] for n in range(20)]
+    actions = [*HELLO, [20, "room", 0], *replies, *pulses, [1400, "room", 99]]
+    (result,) = run_in_vm(board, {"end_ms": 1600, "actions": actions})
+    events = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
+    assert [e.number for e in events if isinstance(e, IndexPulse)] == list(range(5, 21))
+    assert [e for e in events if isinstance(e, Overflow)] == [Overflow("index pulses", 4)]
+
+
+def test_a_ring_keeps_bytes_in_order_and_takes_all_or_nothing() -> None:
+    random.seed(5)
+    ring, model = Ring(20), b""
+    for _ in range(3000):
+        data = random.randbytes(random.randrange(0, 22))
+        assert ring.put(data) == (len(model) + len(data) <= 20)
+        model += data if len(model) + len(data) <= 20 else b""
+        assert (len(ring), ring.free(), ring.peek(99), ring.peek(7)) == (
+            len(model), 20 - len(model), model, model[:7],
+        )  # fmt: skip
+        count = random.randrange(0, 22)
+        ring.drop(count)
+        model = model[count:]
+        if random.random() < 0.02:
+            ring.clear()
+            model = b""
 
 
 HEAP_BYTES = 64 * 1024

@@ -163,6 +163,8 @@ def do(action, value):
         World.irq(30, (1, PEER, PEER + b"\x10" + bytes(8) + b"RandomNo" + b"K" * 16))
     elif action == "pair":
         World.irq(30, (1, bytes([1, value]) + bytes(5), bytes(24) + b"K" * 16))
+    elif action == "unpair":
+        World.irq(30, (1, PEER, None))
     elif action == "again":
         note("secret", str(World.irq(29, (1, 0, PEER)) is not None))
         World.irq(28, (0, 1, 1, 1, 16))
@@ -189,9 +191,14 @@ def do(action, value):
         raise KeyboardInterrupt
     elif action == "break":
         World.irq(21, ())  # the radio's handler fails
-    elif action == "bonds":
-        with open("bonds.json") as file:
-            note("bonds", file.read())
+    elif action == "file":
+        text = ""
+        if value in os.listdir():
+            with open(value) as file:
+                text = file.read()
+        note(value, text)
+    elif action == "erase":
+        os.remove(value)
     elif action == "fault":
         raise ValueError("a fault of the radio")
     elif action == "collect":
