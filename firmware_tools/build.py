@@ -144,7 +144,7 @@ def read_build(folder: Path) -> Build:
         wanted = {str(name): str(entry["sha256"]) for name, entry in manifest["files"].items()}
         if manifest["mpy_version"] != MPY_VERSION:
             raise FileFormatError(f"{path}: bytecode version {manifest['mpy_version']}", again)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileFormatError(f"{path}: is not the manifest of a build ({error})", again) from error
     files = {}
     for name, digest in wanted.items():

@@ -45,7 +45,7 @@ def make_config(chip: str, given: Mapping[str, Any], path: Path | None = None) -
         where = str(path)
         try:
             read = json.loads(read_bytes(path, _LARGEST))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ConfigError(
                 f"{path}: is not JSON ({error})", "See docs/bridge.md for an example."
             ) from error
@@ -120,7 +120,7 @@ def _config_of(board: Board) -> dict[str, Any] | None:
         return None
     try:
         return dict(settings.check(json.loads(data)))
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, RecursionError):
         return None
 
 
@@ -165,7 +165,7 @@ def compare(board: Board, build: Build, progress: Callable[[float, str], None]) 
         try:
             config = dict(settings.check(json.loads(data)))
             passkey = config.pop("passkey") is not None
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, RecursionError) as error:
             problem = str(error)
     folder = (
         board.evaluate("__import__('os').listdir('tagid_bridge')") if "missing" not in files.values() else []

@@ -243,6 +243,7 @@ def test_configurations_that_the_board_would_refuse(
     ("text", "message"),
     [
         ("{", "is not JSON"),
+        ("[" * 4000, "is not JSON"),
         ("[1]", "not a table of keys"),
         ('{"uart_pin": 3}', "unknown key 'uart_pin'"),
         ('{"uart_tx": 5}', "must be different pins"),
@@ -270,9 +271,10 @@ def test_a_build_is_the_same_every_time_and_checked_when_read(firmware: Command,
     (folder / "tagid_bridge" / "robot.mpy").write_bytes(b"M\x06")
     with pytest.raises(FileFormatError, match=r"robot\.mpy: is not the file that was built"):
         read_build(folder)
-    (folder / "manifest.json").write_text('{"version": 1}')
-    with pytest.raises(FileFormatError, match="not the manifest"):
-        read_build(folder)
+    for text in ('{"version": 1}', "[" * 100_000):
+        (folder / "manifest.json").write_text(text)
+        with pytest.raises(FileFormatError, match="not the manifest"):
+            read_build(folder)
     write_build(build, folder)
     assert read_build(folder).files == build.files
     with pytest.raises(StorageError):
