@@ -67,3 +67,6 @@ class Worker:
             self._failure = error
             logging.getLogger("tagid").debug("thread %s ended", self.name, exc_info=True)
             self._failed(error)
+        finally:
+            # As in `threading.Thread`: an owner that refers to it is freed without garbage collection.
+            del self._work, self._failed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -61,7 +61,8 @@ def register(app: typer.Typer) -> None:
         }
 
         def announce(code: str) -> None:
-            typer.echo(f"pairing code: {code}", err=True)
+            with suppress(OSError):  # the terminal may be gone
+                typer.echo(f"pairing code: {code}", err=True)
 
         with ExitStack() as stack:
             if demo:
@@ -78,6 +79,8 @@ def register(app: typer.Typer) -> None:
             with interrupts.asked_to_stop(stop.set):
                 while server.running and not stop.wait(0.5):
                     pass
+            if server.failure is not None:
+                raise server.failure
         raise typer.Exit(0)
 
 

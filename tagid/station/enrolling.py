@@ -24,7 +24,7 @@ from tagid.pipeline.enrolment import (
     propose_signature,
 )
 from tagid.pipeline.measuring import Measured, Prepared, Sighted, measure, sight
-from tagid.station.errors import EnrolmentError
+from tagid.station.errors import EnrolmentError, reported
 from tagid.storage.spreadsheet import FORMULA_STARTS
 from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout
@@ -289,8 +289,7 @@ class Enrolling:
             result = replace(result, trouble=error)
         except Exception as error:
             logging.getLogger("tagid").debug("measuring", exc_info=True)
-            trouble = TagidError(f"unexpected {type(error).__name__}: {error}", "This is a bug in tagid.")
-            result = replace(result, trouble=trouble)
+            result = replace(result, trouble=reported(error))
         finally:
             self._state = result
 

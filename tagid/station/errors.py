@@ -1,8 +1,9 @@
-"""Refusals of the station; each has a code and an HTTP status (`tagid.station.web`)."""
+"""Refusals of the station; each has a code and an HTTP status (`tagid.station.requests`)."""
 
 from __future__ import annotations
 
-from tagid.errors import UsageError
+from tagid.errors import DeviceError, TagidError, UsageError
+from tagid.workers import Worker
 
 
 class BusyError(UsageError):
@@ -27,3 +28,39 @@ class EnrolmentError(UsageError):
     """The enrolment is not at a step that allows the action."""
 
     code = "enrolment"
+
+
+class GuessesError(UsageError):
+    """Too many pairing codes of one address wait to be compared."""
+
+    code = "too_many_guesses"
+
+
+class InterlockError(DeviceError):
+    """Nothing would stop the motion if the operator is lost."""
+
+    code = "interlock"
+
+
+class NoThreadError(TagidError):
+    """The system allows no further thread."""
+
+    code = "no_thread"
+
+
+def begin(worker: Worker) -> None:
+    """Start a thread. Raises NoThreadError."""
+    try:
+        worker.start()
+    except RuntimeError as error:
+        raise NoThreadError(
+            f"the thread {worker.name} cannot start: {error}",
+            "End other programs, or raise the limits on processes and memory.",
+        ) from error
+
+
+def reported(error: BaseException) -> TagidError:
+    """Any exception as an error that can be shown."""
+    if isinstance(error, TagidError):
+        return error
+    return TagidError(f"unexpected {type(error).__name__}: {error}", "This is a bug in tagid.")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from contextlib import suppress
 from typing import Any
 
@@ -11,17 +10,16 @@ from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from tagid import __version__
-from tagid.errors import TagidError
+from tagid.errors import UsageError
 from tagid.station import wire
 from tagid.station.errors import BusyError
-from tagid.station.requests import refused
+from tagid.station.requests import json_object, refusal_of, refused
 from tagid.station.station import MAX_CONNECTIONS, Station
 
 FRAME_S = 0.1
 _STATUS_S = 1.0
 _SEND_S = 10.0
 """Time after which a client that does not accept a frame is disconnected, s."""
-_MESSAGES_PER_SECOND = 20
 
 
 class Hub:
@@ -130,8 +128,9 @@ class LiveSocket:
 
     async def _serve(self, socket: WebSocket) -> None:
         operators = self._station.operators
+        connected = socket.scope["state"]["connected"]
         try:
-            key = operators.join(await _hello(socket))
+            key = operators.join(await _hello(socket), connected)
         except (WebSocketDisconnect, _BadMessageError, TimeoutError):
             await _close(socket, 1008)
             return
@@ -147,7 +146,7 @@ class LiveSocket:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._hub.remove(client)
-            operators.leave(key)
+            operators.leave(key, connected)
             for task in tasks:
                 task.cancel()
             done = await asyncio.gather(*tasks, return_exceptions=True)
@@ -171,16 +170,8 @@ class LiveSocket:
                     await socket.send_text(text)
 
     async def _receive(self, socket: WebSocket, client: Client) -> None:
-        loop = asyncio.get_running_loop()
-        window, count = loop.time(), 0
         while True:
-            message = _message(await socket.receive())
-            if loop.time() - window > 1.0:
-                window, count = loop.time(), 0
-            count += 1
-            if count > _MESSAGES_PER_SECOND:
-                raise _BadMessageError
-            await self._act(client, message)
+            await self._act(client, _message(await socket.receive()))
 
     async def _act(self, client: Client, message: dict[str, Any]) -> None:
         """Execute a message; a refusal is reported to its sender."""
@@ -200,8 +191,11 @@ class LiveSocket:
                 station.release(client.key)
             else:
                 raise _BadMessageError
-        except TagidError as error:
-            client.unsent["error"] = wire.to_text({"type": "error", "error": wire.error_entry(error)})
+        except _BadMessageError:
+            raise
+        except Exception as error:
+            refusal = refusal_of(error, "live")
+            client.unsent["error"] = wire.to_text({"type": "error", "error": refusal.entry})
         self._hub.refresh()
 
 
@@ -224,12 +218,9 @@ def _message(received: Any) -> dict[str, Any]:
     if received["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(received.get("code", 1005))
     try:
-        found = json.loads(received.get("text") or "")
-    except (ValueError, RecursionError):
+        return json_object(received.get("text") or "")
+    except UsageError:
         raise _BadMessageError from None
-    if not isinstance(found, dict):
-        raise _BadMessageError
-    return found
 
 
 async def _close(socket: WebSocket, code: int) -> None:

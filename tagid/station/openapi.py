@@ -29,7 +29,9 @@ def document() -> dict[str, Any]:
         },
         "security": [{}, {"bearer": []}, {"cookie": []}],
         "paths": {
-            "/api/v1/pair": {"post": _post("Create a token from the pairing code", "Pairing", 200, "Token")},
+            "/api/v1/pair": {
+                "post": _post("Create a token from the pairing code", "Pairing", 200, "Token", 429)
+            },
             "/api/v1/status": {"get": _get("State of the station", "Status")},
             "/api/v1/scan": {
                 "get": _get("The newest scan with its result so far", "Scan", missing=True),
@@ -157,7 +159,7 @@ def _get(summary: str, schema: str, missing: bool = False) -> dict[str, Any]:
     return {"summary": summary, "responses": {**responses, **({"404": _error()} if missing else {})}}
 
 
-def _post(summary: str, asked: str, status: int, answered: str) -> dict[str, Any]:
+def _post(summary: str, asked: str, status: int, answered: str, *refused: int) -> dict[str, Any]:
     return {
         "summary": summary,
         "parameters": [
@@ -166,7 +168,7 @@ def _post(summary: str, asked: str, status: int, answered: str) -> dict[str, Any
         "requestBody": {"content": {"application/json": {"schema": _ref(asked)}}},
         "responses": {
             str(status): _answer(answered),
-            **{str(code): _error() for code in (400, 401, 403, 409, 503, 507)},
+            **{str(code): _error() for code in (400, 401, 403, 409, *refused, 503, 507)},
         },
     }
 

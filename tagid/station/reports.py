@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Sequence
@@ -15,9 +14,10 @@ from tagid.batch.local import run_local
 from tagid.batch.run import FILES, Hooks, Plan, run_batch
 from tagid.errors import TagidError, UsageError
 from tagid.report.page import PageSettings
-from tagid.station.errors import BusyError
+from tagid.station.errors import BusyError, begin, reported
 from tagid.station.setup import ReadingSetup
 from tagid.tags.enrolling.registry import RegistryContents
+from tagid.workers import Worker
 
 MOST_CAPTURES = 200
 _KEPT = 20
@@ -53,11 +53,11 @@ class ReportRun:
         self._captures = [str(path) for path in captures]
         self._job = job
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._work, name=f"station-report-{number}", daemon=True)
+        self._thread = Worker(self._work, f"station-report-{number}", self._fail)
 
     def start(self) -> None:
-        """Begin."""
-        self._thread.start()
+        """Begin. Raises NoThreadError."""
+        begin(self._thread)
 
     def stop(self) -> None:
         """Request its end; the finished captures are in the report."""
@@ -70,25 +70,18 @@ class ReportRun:
     @property
     def running(self) -> bool:
         """Whether it still identifies or writes."""
-        return self._thread.is_alive()
+        return self._thread.alive
 
     def _work(self) -> None:
         sources = tuple(Source(path, Path(path).name) for path in self._captures)
         page = PageSettings("Captures of the station", _PAGE_MEGABYTES)
         hooks = Hooks(self._progress, self._stop.is_set)
-        try:
-            run_batch(
-                Plan(Collected(sources), self.folder, page=page),
-                self._job,
-                partial(run_local, workers=1),
-                hooks,
-            )
-            self.complete = True
-        except TagidError as error:
-            self.error = error
-        except Exception as error:
-            logging.getLogger("tagid").debug("report of the station", exc_info=True)
-            self.error = TagidError(f"unexpected {type(error).__name__}: {error}", "This is a bug in tagid.")
+        plan = Plan(Collected(sources), self.folder, page=page)
+        run_batch(plan, self._job, partial(run_local, workers=1), hooks)
+        self.complete = True
+
+    def _fail(self, error: BaseException) -> None:
+        self.error = reported(error)
 
     def _progress(self, done: int, total: int, rate: float, left: float | None) -> None:
         self.done = done

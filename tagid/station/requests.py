@@ -1,4 +1,4 @@
-"""What the HTTP handlers share: bodies, query parameters, responses and errors."""
+"""What the HTTP handlers share: bodies, query parameters, responses, and the status of every error."""
 
 from __future__ import annotations
 
@@ -6,18 +6,52 @@ import json
 import logging
 from typing import Any
 
+from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
-from tagid.errors import DataError, DeviceError, RegistryError, StorageError, TagidError, UsageError
+from tagid.errors import DataError, FileFormatError, RegistryError, StorageError, TagidError, UsageError
 from tagid.station import wire
-from tagid.station.errors import BusyError, EnrolmentError, NoSuchItemError, NotOperatorError
-from tagid.station.security import MOST_BODY_BYTES
+from tagid.station.errors import BusyError, EnrolmentError, GuessesError, NoSuchItemError, NotOperatorError
+from tagid.station.security import MOST_BODY_BYTES, Refusal
 from tagid.station.station import HISTORY_LIMIT
 from tagid.storage.history import Filter
 
 _MOST_DIGITS = 18
 """Digits of a number in a request: it fits into a 64-bit integer."""
+_NO_THREAD = "can't start new thread"
+"""What `threading` says of the RuntimeError that it raises."""
+_LOGGED = 200
+"""Characters of a path in the log."""
+STATUSES: tuple[tuple[type[TagidError], int], ...] = (
+    (BusyError, 409),
+    (EnrolmentError, 409),
+    (NotOperatorError, 403),
+    (NoSuchItemError, 404),
+    (GuessesError, 429),
+    (UsageError, 400),
+    (RegistryError, 409),
+    (DataError, 422),
+    (FileFormatError, 422),
+    (StorageError, 507),
+    (TagidError, 503),
+)
+"""HTTP status of each class of errors; the first that fits. Any other exception is a fault of tagid: 500."""
+
+
+class _Number(Convertor[int]):
+    """A number in a path; longer ones are no address."""
+
+    regex = f"[0-9]{{1,{_MOST_DIGITS}}}"
+
+    def convert(self, value: str) -> int:
+        return int(value)
+
+    def to_string(self, value: int) -> str:
+        return str(value)
+
+
+register_url_convertor("number", _Number())
 
 
 async def body(request: Request) -> dict[str, Any]:
@@ -27,12 +61,20 @@ async def body(request: Request) -> dict[str, Any]:
         content += part
         if len(content) > MOST_BODY_BYTES:
             raise UsageError("the body is too large")
+    return json_object(content or b"{}")
+
+
+def json_object(content: bytes | str) -> dict[str, Any]:
+    """The JSON object of a body or a message. Raises UsageError, also for a text that is not Unicode."""
     try:
-        found = json.loads(content or b"{}")
+        found = json.loads(content)
+        json.dumps(found, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        raise UsageError("a text contains half a surrogate pair", "Send Unicode characters.") from None
     except (ValueError, RecursionError):
-        raise UsageError("the body is not JSON") from None
+        raise UsageError("this is not JSON", "Send a JSON object.") from None
     if not isinstance(found, dict):
-        raise UsageError("the body is not a JSON object")
+        raise UsageError("this is not a JSON object", "Send an object, e.g. {}.")
     return found
 
 
@@ -94,11 +136,8 @@ def _whole(text: str) -> int | None:
 
 
 def number_in(request: Request) -> int:
-    """The number in the path of a request. Raises NoSuchItemError if it is too large for the history."""
-    number = int(request.path_params["number"])
-    if number >= 10**_MOST_DIGITS:
-        raise NoSuchItemError("there is no such entry")
-    return number
+    """The number in the path of a request."""
+    return int(request.path_params["number"])
 
 
 def as_json(value: dict[str, Any], status: int = 200) -> Response:
@@ -117,24 +156,31 @@ def refused(status: int, code: str, message: str, remedy: str) -> Response:
     return JSONResponse({"error": {"code": code, "message": message, "remedy": remedy}}, status_code=status)
 
 
+def refusal_of(error: Exception, place: str) -> Refusal:
+    """The status of an exception and what its client is shown.
+
+    Args:
+        error: what a handler raised; a fault of the program is logged.
+        place: path of the request, for the log.
+    """
+    if isinstance(error, MemoryError) or str(error) == _NO_THREAD:
+        return Refusal(503, "overloaded", "the computer has no memory or thread left", "End other programs.")
+    if not isinstance(error, TagidError):
+        logging.getLogger("tagid").error("%.*s: %s: %s", _LOGGED, place, type(error).__name__, error)
+        return Refusal(500, "failed", "the station failed to answer", "See its log for the reason.")
+    status = next(code for kind, code in STATUSES if isinstance(error, kind))
+    return Refusal(status, error.code, error.message, error.remedy)
+
+
 async def on_error(request: Request, error: Exception) -> Response:
     """The response for an exception of a handler."""
-    if not isinstance(error, TagidError):
-        logging.getLogger("tagid").error("%s: %s: %s", request.url.path, type(error).__name__, error)
-        return refused(500, "failed", "the station failed to answer", "See its log for the reason.")
-    statuses: tuple[tuple[type[TagidError], int], ...] = (
-        (BusyError, 409),
-        (EnrolmentError, 409),
-        (NotOperatorError, 403),
-        (NoSuchItemError, 404),
-        (UsageError, 400),
-        (RegistryError, 409),
-        (DataError, 422),
-        (DeviceError, 503),
-        (StorageError, 507),
-    )
-    status = next((code for kind, code in statuses if isinstance(error, kind)), 500)
-    return refused(status, error.code, error.message, error.remedy)
+    found = refusal_of(error, request.url.path)
+    return JSONResponse({"error": found.entry}, status_code=found.status)
+
+
+async def on_gone(request: Request, error: Exception) -> Response:
+    """The response for a client that is gone, which nobody reads."""
+    return Response(status_code=400)
 
 
 async def on_missing(request: Request, error: Exception) -> Response:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from tagid.capture import Capture
 from tagid.config import data_folder
 from tagid.constants import CAPTURE_SUFFIX
-from tagid.errors import DeviceError, TagidError
+from tagid.errors import CaptureInterrupted, DeviceError, TagidError
 from tagid.live.engine import LiveSettings, LiveView
 from tagid.live.state import LiveState, Phase
 from tagid.metadata import ScanGap
@@ -29,13 +29,17 @@ from tagid.recording.plan import capture_path
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
 from tagid.report.picture import Marker, draw_image
+from tagid.station.errors import begin, reported
 from tagid.station.setup import ScanSetup
 from tagid.storage.history import FILE_NAME, History
 from tagid.tags.enrolling.registry import Registry
+from tagid.workers import Worker
 
 Then = Callable[[Path, Capture, Identification], None]
 COMMAND = "station"
 """Name of the station's runs in the history."""
+_RADAR_S = 60.0
+"""Longest wait for a health check; its own waits for a radar are shorter, s."""
 
 
 class ScanRun:
@@ -74,11 +78,11 @@ class ScanRun:
         self._last_scan_at: float | None = None
         self._remark = ""
         self._device_failed = False
-        self._thread = threading.Thread(target=self._work, name=f"station-scan-{number}", daemon=True)
+        self._thread = Worker(self._run, f"station-scan-{number}", self._fail)
 
     def start(self) -> None:
-        """Begin."""
-        self._thread.start()
+        """Begin. Raises NoThreadError."""
+        begin(self._thread)
 
     def stop(self) -> None:
         """Request its end; the motion stops, and the recorded scans are kept."""
@@ -86,13 +90,12 @@ class ScanRun:
 
     def join(self, seconds: float) -> None:
         """Wait for its end."""
-        if self._thread.ident is not None:
-            self._thread.join(seconds)
+        self._thread.join(seconds)
 
     @property
     def running(self) -> bool:
         """Whether it still records, reads or writes."""
-        return self._thread.is_alive()
+        return self._thread.alive
 
     @property
     def state(self) -> LiveState:
@@ -116,22 +119,28 @@ class ScanRun:
             return 0.0
         return time.monotonic() - self._last_scan_at
 
-    def _work(self) -> None:
+    def _fail(self, error: BaseException) -> None:
+        self._device_failed = isinstance(error, DeviceError)
+        self._view.fail(reported(error))
+
+    @contextmanager
+    def _radar_alone(self) -> Iterator[None]:
+        """Hold the radar, which a health check may be using. Raises CaptureInterrupted, DeviceError."""
+        end = time.monotonic() + _RADAR_S
+        while not self._radar.acquire(timeout=0.1):
+            if self._stop.is_set():
+                raise CaptureInterrupted("stopped before the first scan")
+            if time.monotonic() > end:
+                raise DeviceError("the health check still uses the radar", "Check the radar's connection.")
         try:
-            self._run()
-        except TagidError as error:
-            self._device_failed = isinstance(error, DeviceError)
-            self._view.fail(error)
-        except Exception as error:
-            logging.getLogger("tagid").debug("scan of the station", exc_info=True)
-            self._view.fail(
-                TagidError(f"unexpected {type(error).__name__}: {error}", "This is a bug in tagid.")
-            )
+            yield
+        finally:
+            self._radar.release()
 
     def _run(self) -> None:
         setup, paths = self._setup, [Path()]
         with self._view:
-            with self._radar:
+            with self._radar_alone():
                 capture = record(
                     open_radar(setup.radar_url, setup.radar_timeout_s),
                     self.motion,

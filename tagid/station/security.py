@@ -7,16 +7,19 @@ large or malformed bodies (limits).
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
 import json
 import secrets
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from tagid.errors import UsageError
+from tagid.station.errors import GuessesError
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -28,7 +31,8 @@ CORS preflight request, which is never allowed."""
 MOST_BODY_BYTES = 4096
 _CODE_LETTERS = "23456789ABCDEFGHJKMNPQRSTUVWXYZ"
 _CODE_SECONDS = 600.0
-_CODE_TRIES = 5
+_MOST_WAITING = 100
+"""Codes of one address that may wait to be compared."""
 _MOST_TOKENS = 32
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 _OPEN_PATHS = (
@@ -60,7 +64,8 @@ _HEADERS = (
 class Pairing:
     """The pairing code, and the tokens created with it.
 
-    A code creates one token and is valid for ten minutes and five attempts; then a new one is announced.
+    A code creates one token and is valid for ten minutes; then a new one is announced. A wrong code changes
+    nothing, or a stranger could keep others out; `Guesses` limits how many are compared.
 
     Args:
         announce: shows a new code at the computer.
@@ -71,13 +76,13 @@ class Pairing:
         self._announce = announce
         self._clock = clock
         self._tokens: list[bytes] = []
-        self._code, self._tries, self._until = "", 0, 0.0
+        self._code, self._until = "", 0.0
 
     def begin(self) -> None:
         """Announce a new code."""
         letters = [secrets.choice(_CODE_LETTERS) for _ in range(8)]
         self._code = "".join(letters[:4]) + "-" + "".join(letters[4:])
-        self._tries, self._until = 0, self._clock() + _CODE_SECONDS
+        self._until = self._clock() + _CODE_SECONDS
         self._announce(self._code)
 
     def pair(self, code: str) -> str | None:
@@ -85,20 +90,54 @@ class Pairing:
         late = self._clock() > self._until
         given = code.strip().upper().encode()
         right = hmac.compare_digest(given, self._code.encode()) and not late
-        self._tries += 1
         if not right:
-            if late or self._tries >= _CODE_TRIES:
+            if late:
                 self.begin()
             return None
+        token = self._grant()
+        self.begin()
+        return token
+
+    def _grant(self) -> str:
         token = secrets.token_urlsafe(32)
         self._tokens = [*self._tokens, _digest(token)][-_MOST_TOKENS:]
-        self.begin()
         return token
 
     def knows(self, token: str) -> bool:
         """Whether a token is valid."""
         digest = _digest(token)
         return any(hmac.compare_digest(digest, one) for one in self._tokens)
+
+
+@dataclass
+class _Queue:
+    """Codes of one address: the lock of the next one, and how many wait."""
+
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    waiting: int = 0
+
+
+class Guesses:
+    """Has pairing codes compared one after the other, each address in its turn, whatever their number."""
+
+    def __init__(self) -> None:
+        self._turn = asyncio.Lock()
+        self._queues: dict[str, _Queue] = {}
+
+    @asynccontextmanager
+    async def turn(self, address: str) -> AsyncIterator[None]:
+        """The time to compare a code; the next one waits for its end. Raises GuessesError."""
+        queue = self._queues.setdefault(address, _Queue())
+        if queue.waiting >= _MOST_WAITING:
+            raise GuessesError("too many pairing codes wait", "Wait a few seconds.")
+        queue.waiting += 1
+        try:
+            async with queue.turn, self._turn:
+                yield
+        finally:
+            queue.waiting -= 1
+            if not queue.waiting:
+                del self._queues[address]
 
 
 def _digest(token: str) -> bytes:
@@ -118,6 +157,11 @@ class Refusal:
     code: str
     message: str
     remedy: str
+
+    @property
+    def entry(self) -> dict[str, str]:
+        """The error as in every answer of the API."""
+        return {"code": self.code, "message": self.message, "remedy": self.remedy}
 
 
 class Guard:
@@ -145,12 +189,12 @@ class Guard:
             return
         refusal = self._refusal(scope)
         if refusal is None:
+            scope["state"]["paired"] = self._pairing is not None and scope["path"] not in _OPEN_PATHS
             await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008, "reason": refusal.code})
         else:
-            error = {"code": refusal.code, "message": refusal.message, "remedy": refusal.remedy}
-            body = json.dumps({"error": error}).encode()
+            body = json.dumps({"error": refusal.entry}).encode()
             headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
             # The rest of the body is not read: the connection ends with the response.
             start = {

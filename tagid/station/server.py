@@ -3,27 +3,40 @@
 from __future__ import annotations
 
 import asyncio
+import math
+import select
 import socket
 import threading
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
+from wsproto.events import CloseConnection
 
-from tagid.errors import PortInUseError, UsageError
+from tagid.errors import PortInUseError, TagidError, UsageError
+from tagid.station.errors import begin
 from tagid.station.memory import return_large_blocks
 from tagid.station.security import MOST_BODY_BYTES, Pairing
 from tagid.station.station import Station
 from tagid.station.web import build
+from tagid.workers import Worker
 
 MAX_SOCKETS = 256
-"""Open connections, WebSockets included; for one more, that which has asked for nothing longest is closed."""
+"""Open connections, WebSockets included; for one more, one that waits for its client is closed."""
+KEPT_S = 2.0
+"""Time that a connection with an answered request counts as younger than one without, s."""
 HEADER_S = 10.0
 """Time after which a connection without a complete request is closed, s."""
 PING_S = 4.0
 """Interval of WebSocket pings, and the time limit for the reply, s."""
+MOST_FRAMES = 20
+"""WebSocket frames of a client in a second, pings included; for more it is disconnected."""
+_PIECE_BYTES = 512
+CLOSE_S = 1.0
+"""Time for a client to read why it is disconnected, s."""
 _UNSENT_BYTES = 1 << 20
 """Bytes that a WebSocket client may leave unread before it is disconnected."""
 STALL_S = 20.0
@@ -47,23 +60,41 @@ class StationHttp(H11Protocol):
         self.loop.call_later(HEADER_S, self._expire, None)
 
     def _make_room(self) -> bool:
-        """Close the connection that has waited longest for a request; False if none waits.
+        """Close a connection that waits for its client; False if none does.
 
-        Connections that ask for nothing, in whatever number, would otherwise keep others out for `HEADER_S`.
+        Those of paired clients are the last, those of the address with most of them the first; among equals
+        it is the one that has waited longest.
         """
-        idle = [one for one in self.connections if isinstance(one, StationHttp) and one._idle]
-        if not idle:
+        waiting = [one for one in self.connections if isinstance(one, StationHttp) and one._waits]
+        if not waiting:
             return False
-        # Those without any request first: a browser keeps its connection for the next one.
-        oldest = min(idle, key=lambda one: (one.cycle is not None, one._waits_since))
-        oldest._aborted = True
-        oldest.transport.abort()
+        crowd = Counter(one._address for one in waiting)
+        victim = min(
+            waiting,
+            key=lambda one: (one._state.get("paired", False), -crowd[one._address], one._waits_since),
+        )
+        victim._aborted = True
+        victim.transport.abort()
         return True
 
     @property
-    def _idle(self) -> bool:
-        """Whether it waits for a request."""
-        return not self._aborted and (self.cycle is None or self.cycle.response_complete)
+    def _address(self) -> str:
+        return self.client[0] if self.client else ""
+
+    @property
+    def _state(self) -> dict[str, Any]:
+        """State of the newest request, see `Guard` and the handlers."""
+        return {} if self.scope is None else self.scope["state"]
+
+    @property
+    def _waits(self) -> bool:
+        """Whether it waits for a request, the rest of one, the reading of an answer, or its turn."""
+        if self._aborted:
+            return False
+        cycle = self.cycle
+        if cycle is None or cycle.response_complete or cycle.more_body or self.flow.write_paused:
+            return True
+        return bool(self._state.get("queued"))
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End the connection; one that was refused was never counted."""
@@ -74,6 +105,7 @@ class StationHttp(H11Protocol):
     def pause_writing(self) -> None:
         """Wait for a client that does not read, but not for ever: its file and its place are needed."""
         super().pause_writing()
+        self._waits_since = self.loop.time()
         self._stalled = self.loop.call_later(STALL_S, self.transport.abort)
 
     def resume_writing(self) -> None:
@@ -87,9 +119,11 @@ class StationHttp(H11Protocol):
             self._stalled = None
 
     def on_response_complete(self) -> None:
-        """Wait for the next request as long as for the first."""
+        """Wait for the next request as long as for the first; those sent before this answer are dropped."""
+        if self.conn.trailing_data[0]:
+            self.transport.close()
         super().on_response_complete()
-        self._waits_since = self.loop.time()
+        self._waits_since = self.loop.time() + KEPT_S
         self.loop.call_later(HEADER_S, self._expire, self.cycle)
 
     def _expire(self, cycle: Any) -> None:
@@ -100,7 +134,61 @@ class StationHttp(H11Protocol):
 
 
 class StationSocket(WSProtocol):
-    """WebSockets without compression; clients that do not read or reply are disconnected."""
+    """WebSockets without compression; clients that do not read or reply, or flood, are disconnected."""
+
+    _flooding = False
+    _frames = 0
+    _second = 0.0
+
+    def connection_made(self, transport: Any) -> None:
+        """Begin; the system itself detects a client that is gone, in the time of an unanswered ping."""
+        super().connection_made(transport)
+        self.close_timeout = CLOSE_S
+        self._line = Line(transport.get_extra_info("socket"))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End; the socket is closed after this."""
+        self._line.end()
+        super().connection_lost(exc)
+
+    def handle_connect(self, event: Any) -> None:
+        """Begin the application, which learns how to ask whether the client is still connected."""
+        super().handle_connect(event)
+        self.scope["state"]["connected"] = self._line.connected
+
+    def data_received(self, data: bytes) -> None:
+        """Take frames, in pieces: what follows the one that is too many is not parsed."""
+        for start in range(0, len(data), _PIECE_BYTES):
+            if not self._flooding and not self.transport.is_closing():
+                super().data_received(data[start : start + _PIECE_BYTES])
+
+    def _allowed(self) -> bool:
+        """Count a frame; the client is disconnected for one too many."""
+        if self._flooding:
+            return False
+        now = self.loop.time()
+        if now - self._second > 1.0:
+            self._second, self._frames = now, 0
+        self._frames += 1
+        if self._frames > MOST_FRAMES:
+            self._flooding = self.close_sent = True
+            self.queue.put_nowait({"type": "websocket.disconnect", "code": 1008})
+            self.transport.write(self.conn.send(CloseConnection(code=1008)))
+            # Closing at once, with data unread, would reset the connection before the client has the reason.
+            self.read_paused = False
+            self.transport.pause_reading()
+            self.close_timer = self.loop.call_later(CLOSE_S, self.transport.abort)
+        return not self._flooding
+
+    def handle_message(self, event: Any) -> None:
+        """Pass a message on, or a part of one."""
+        if self._allowed():
+            super().handle_message(event)
+
+    def handle_pong(self, event: Any) -> None:
+        """Note a reply to a ping."""
+        if self._allowed():
+            super().handle_pong(event)
 
     def keepalive_timeout(self) -> None:
         """Abort without reply to a ping: a regular close would wait for the client to read."""
@@ -110,8 +198,36 @@ class StationSocket(WSProtocol):
         """Reply, unless the client does not read the replies."""
         if self.transport.get_write_buffer_size() > _UNSENT_BYTES:
             self.transport.abort()
-        else:
+        elif self._allowed():
             super().handle_ping(event)
+
+
+class Line:
+    """Whether the system still has a connection; asked on any thread, also while the event loop is busy.
+
+    Args:
+        line: the socket; it stays open until `end`.
+    """
+
+    def __init__(self, line: socket.socket) -> None:
+        self._lock = threading.Lock()
+        self._open = True
+        self._poll = select.poll()
+        self._poll.register(line.fileno(), select.POLLRDHUP)  # errors and hang-ups are always reported
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, math.ceil(PING_S))
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, math.ceil(PING_S))
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(2e3 * PING_S))
+
+    def connected(self) -> bool:
+        """Whether it is open at both ends."""
+        with self._lock:
+            return self._open and not self._poll.poll(0)
+
+    def end(self) -> None:
+        """Forget the socket, before it is closed."""
+        with self._lock:
+            self._open = False
 
 
 class Server:
@@ -157,11 +273,19 @@ class Server:
             lifespan="on",
         )
         self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(target=self._serve, name="station-web", daemon=True)
+        self._closing = False
+        self._web = Worker(
+            self._serve, "station-web", lambda error: self._station.fail("the web server", error)
+        )
 
     def __enter__(self) -> Server:
         return_large_blocks()
-        self._thread.start()
+        try:
+            self._station.begin()
+            begin(self._web)
+        except BaseException:
+            self.close()
+            raise
         if self._pairing is not None:
             self._pairing.begin()
         return self
@@ -171,19 +295,26 @@ class Server:
 
     @property
     def running(self) -> bool:
-        """Whether it serves."""
-        return self._thread.is_alive()
+        """Whether it serves, and all parts of the station live."""
+        return self._web.alive and self.failure is None
+
+    @property
+    def failure(self) -> TagidError | None:
+        """Why it ended on its own; None if it did not."""
+        return self._station.failure
 
     def close(self) -> None:
         """Stop scans, close all connections, and end the thread."""
+        self._closing = True
         self._station.close()
         self._server.should_exit = True
-        if self._thread.ident is not None:
-            self._thread.join(10.0)
+        self._web.join(10.0)
         self._socket.close()
 
     def _serve(self) -> None:
         asyncio.run(self._server.serve([self._socket]))
+        if not self._closing:
+            raise RuntimeError("it ended on its own")
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -1,11 +1,11 @@
 """The station without its web page: sequential scans, the operator's lock, health, history.
 
-All methods are called from the web server's thread; scans and health checks run in separate threads.
+All methods are called from the web server's threads; scans, health checks and the interlock, which stops the
+motion when the operator is lost, run in threads of their own.
 """
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable
@@ -14,10 +14,18 @@ from pathlib import Path
 
 from tagid.config import data_folder
 from tagid.doctor import Finding, examine
-from tagid.errors import StorageError, TagidError
+from tagid.errors import StorageError, TagidError, UsageError
 from tagid.files import read_bytes
 from tagid.station.enrolling import Enrolling, Subject
-from tagid.station.errors import BusyError, NoSuchItemError, NotOperatorError
+from tagid.station.errors import (
+    BusyError,
+    InterlockError,
+    NoSuchItemError,
+    NoThreadError,
+    NotOperatorError,
+    begin,
+    reported,
+)
 from tagid.station.operators import Operators
 from tagid.station.reports import ReportRun, Reports
 from tagid.station.scans import COMMAND, ScanRun, Then, picture_of
@@ -26,12 +34,15 @@ from tagid.station.wiring import Wiring, wiring
 from tagid.storage.history import FILE_NAME, Entry, Filter, History
 from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout
+from tagid.workers import Worker
 
 HEALTH_EVERY_S = 20.0
 """Time between two health checks while a browser is connected, s."""
 MISSING_EVERY_S = 4.0
 """The same while the radar is missing: the page shows soon that it is back."""
 HISTORY_LIMIT = 200
+INTERLOCK_S = 0.1
+"""Time between two looks of the interlock, s."""
 MAX_CONNECTIONS = 32
 """Maximum number of WebSocket connections."""
 _PICTURE_BYTES = 4 << 20
@@ -79,10 +90,16 @@ class Station:
         self._scan: ScanRun | None = None
         self._count = 0
         self._health = Health()
-        self._health_thread: threading.Thread | None = None
+        self._checker: Worker | None = None
         self._health_due = 0.0
         self._failed_seen = 0
-        self._closed = False
+        self._over = threading.Event()
+        self._failure: TagidError | None = None
+        self._interlock = Worker(
+            self._watch_operator,
+            "station-interlock",
+            lambda error: self.fail("the operator interlock", error),
+        )
 
     @property
     def scan(self) -> ScanRun | None:
@@ -93,6 +110,24 @@ class Station:
     def health(self) -> Health:
         """The newest health check."""
         return self._health
+
+    @property
+    def failure(self) -> TagidError | None:
+        """Why the station ended on its own; None if it did not."""
+        return self._failure
+
+    def begin(self) -> None:
+        """Start the interlock. Raises NoThreadError."""
+        begin(self._interlock)
+
+    def fail(self, part: str, error: BaseException) -> None:
+        """End the station because a part of it died: the motion stops, and nothing is started any more."""
+        if self._failure is None:
+            self._failure = TagidError(
+                f"{part} died: {type(error).__name__}: {error}", "Start the station again."
+            )
+        self._over.set()
+        self.stop()
 
     @property
     def full(self) -> bool:
@@ -109,6 +144,8 @@ class Station:
         Raises:
             BusyError: a scan is running.
             NotOperatorError: another browser operates, or the scan moves a device and the key has no lock.
+            InterlockError: the scan would move a device, and nothing would stop it.
+            NoThreadError: the system allows no further thread.
             ConfigError, UsageError, StorageError: see `Source.setup`.
         """
         with self._starting:
@@ -134,9 +171,12 @@ class Station:
                 "the scan would move the table or robot, and no browser operates the station",
                 "Start it on the page, or send the key of an open WebSocket connection.",
             )
-        self._count = run.number
+        if self._over.is_set() or (run.motion.moves and not self._interlock.alive):
+            raise InterlockError("the station is ending", "Start it again.")
         run.start()
-        self._scan = run
+        self._count, self._scan = run.number, run
+        if self._over.is_set():  # since it was asked above
+            run.stop()
         return run.number
 
     def operate(self, key: str | None) -> None:
@@ -187,20 +227,34 @@ class Station:
         self.operators.release(key)
 
     def tick(self) -> None:
-        """Periodic work: called a few times per second."""
-        run = self._scan if self._scan is not None and self._scan.running else None
-        if self.operators.expire() and run is not None and run.motion.moves:
-            run.stop()
+        """Begin a health check when one is due; called a few times per second."""
         now = time.monotonic()
-        idle = run is None
-        waiting = self._health_thread is None or not self._health_thread.is_alive()
+        idle = self._scan is None or not self._scan.running
+        waiting = self._checker is None or not self._checker.alive
         if idle and self._scan is not None and self._scan.device_failed and self._failed_seen != self._count:
             self._failed_seen, self._health_due = self._count, now
-        due = self.operators.connected and idle and waiting and not self._closed
+        due = self.operators.connected and idle and waiting and not self._over.is_set()
         if due and now >= self._health_due:
             self._health_due = now + (MISSING_EVERY_S if self._health.wiring else HEALTH_EVERY_S)
-            self._health_thread = threading.Thread(target=self._examine, name="station-health", daemon=True)
-            self._health_thread.start()
+            self._checker = Worker(self._examine, "station-health", self._unchecked)
+            try:
+                begin(self._checker)
+            except NoThreadError as error:
+                self._unchecked(error)
+
+    def _unchecked(self, error: BaseException) -> None:
+        """Show why there is no health check; the next one is due as usual."""
+        found = reported(error)
+        text = f"the health check failed: {found.message}"
+        self._health = Health((Finding("health check", "problem", text, found.remedy),), time.monotonic())
+
+    def _watch_operator(self) -> None:
+        """The interlock: stop a motion without an operator. Its thread does nothing else."""
+        while not self._over.wait(INTERLOCK_S):
+            self.operators.expire()
+            run = self._scan
+            if run is not None and run.running and run.motion.moves and not self.operators.taken:
+                run.stop()
 
     def _examine(self) -> None:
         url: str | None = None
@@ -211,17 +265,17 @@ class Station:
                 findings = tuple(self._check(config))
             except TagidError as error:
                 findings = (Finding("configuration", "problem", error.message, error.remedy),)
-            except Exception:
-                logging.getLogger("tagid").debug("health check", exc_info=True)
-                return
         missing = any(one.topic == "radar" and one.level != "ok" for one in findings)
         self._health = Health(findings, time.monotonic(), wiring(url) if missing else None)
         if missing:
             self._health_due = min(self._health_due, time.monotonic() + MISSING_EVERY_S)
 
     def history(self, wanted: Filter) -> list[Entry]:
-        """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError."""
-        return list(History(data_folder() / FILE_NAME).find(wanted))
+        """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError, UsageError."""
+        try:
+            return list(History(data_folder() / FILE_NAME).find(wanted))
+        except OverflowError as error:
+            raise UsageError("since or until is out of range", "Give a year from 1 to 9999.") from error
 
     def picture(self, number: int) -> bytes:
         """The picture of an entry of the history, PNG. Raises NoSuchItemError."""
@@ -261,13 +315,14 @@ class Station:
 
     def close(self) -> None:
         """Stop a running scan and a running report, and wait for their ends; no health check follows."""
-        self._closed = True
+        self._over.set()
         self.stop()
+        self._interlock.join(_STOP_S)
         self.reports.close(_STOP_S)
         if self._scan is not None:
             self._scan.join(_STOP_S)
-        if self._health_thread is not None:
-            self._health_thread.join(_STOP_S)
+        if self._checker is not None:
+            self._checker.join(_STOP_S)
 
 
 def _own_file(entry: Entry, folder: Path) -> Path | None:

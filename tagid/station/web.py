@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from importlib import resources
 from typing import Any
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 
@@ -19,14 +19,15 @@ from tagid.station import wire
 from tagid.station.errors import NoSuchItemError
 from tagid.station.live_socket import Hub, LiveSocket
 from tagid.station.openapi import document
-from tagid.station.requests import as_json, body, key_of, on_error, on_missing, refused, text_of
-from tagid.station.security import COOKIE, Guard, Pairing
+from tagid.station.requests import as_json, body, key_of, on_error, on_gone, on_missing, refused, text_of
+from tagid.station.security import COOKIE, Guard, Guesses, Pairing
 from tagid.station.station import Station
 from tagid.station.web_enrolment import EnrolmentHandlers
 from tagid.station.web_history import HistoryHandlers
 
-PAIR_PAUSE_S = 1.0
-"""Delay after a wrong pairing code, s."""
+GUESS_S = 0.1
+"""Time from a wrong pairing code to the next comparison, of whatever client, s. Ten codes a second for a year
+guess one of 31^8 with a probability of 4e-4."""
 _PAGE_FILES = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/station.css": ("station.css", "text/css; charset=utf-8"),
@@ -49,13 +50,17 @@ def build(station: Station, host: str, port: int, pairing: Pairing | None) -> Gu
     hub = Hub(station)
     handlers = _Handlers(station, pairing)
 
+    def ended(task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            station.fail("the thread that shows scans", error)
+
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         task = asyncio.create_task(hub.run())
+        task.add_done_callback(ended)
         yield
         task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
+        await asyncio.wait([task])
 
     routes: list[BaseRoute] = [
         *(Route(path, handlers.page, methods=["GET"]) for path in _PAGE_FILES),
@@ -69,7 +74,13 @@ def build(station: Station, host: str, port: int, pairing: Pairing | None) -> Gu
         *EnrolmentHandlers(station).routes(),
         WebSocketRoute("/api/v1/live", LiveSocket(station, hub).serve),
     ]
-    errors: dict[Any, Any] = {TagidError: on_error, 404: on_missing, 405: on_missing, Exception: on_error}
+    errors: dict[Any, Any] = {
+        TagidError: on_error,
+        ClientDisconnect: on_gone,
+        404: on_missing,
+        405: on_missing,
+        Exception: on_error,
+    }
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=errors)
     return Guard(app, host, port, pairing)
 
@@ -78,7 +89,8 @@ class _Handlers:
     """The page, pairing and scans."""
 
     def __init__(self, station: Station, pairing: Pairing | None) -> None:
-        self._station, self._pairing = station, pairing
+        self._station, self._pairing, self._guesses = station, pairing, Guesses()
+        self._document = wire.to_text(document())
         folder = resources.files("tagid.station") / "page_files"
         self._pages = {
             path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _PAGE_FILES.items()
@@ -89,15 +101,21 @@ class _Handlers:
         return Response(content, media_type=kind)
 
     async def openapi(self, request: Request) -> Response:
-        return JSONResponse(document())
+        return Response(self._document, media_type="application/json")
 
     async def pair(self, request: Request) -> Response:
         code = (await body(request)).get("code")
         if self._pairing is None:
             raise UsageError("no pairing is needed on this address")
-        token = self._pairing.pair(code) if isinstance(code, str) and len(code) <= 40 else None
+        request.state.queued = True
+        async with self._guesses.turn(request.client.host if request.client else ""):
+            request.state.queued = False
+            if await request.is_disconnected():
+                raise ClientDisconnect
+            token = self._pairing.pair(code) if isinstance(code, str) and len(code) <= 40 else None
+            if token is None:
+                await asyncio.sleep(GUESS_S)
         if token is None:
-            await asyncio.sleep(PAIR_PAUSE_S)
             return refused(403, "wrong_code", "this is not the pairing code", "Enter the most recent code.")
         response = JSONResponse({"token": token})
         response.set_cookie(COOKIE, token, httponly=True, samesite="strict", path="/")

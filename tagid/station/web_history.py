@@ -50,14 +50,14 @@ class HistoryHandlers:
 
     def routes(self) -> list[BaseRoute]:
         """The routes of the handlers."""
-        report = "/api/v1/reports/{number:int}"
+        report = "/api/v1/reports/{number:number}"
         return [
             Route("/api/v1/history", self.history, methods=["GET"]),
             Route("/api/v1/history.csv", self.history_csv, methods=["GET"]),
             Route("/api/v1/history.json", self.history_json, methods=["GET"]),
             Route("/api/v1/history/captures.zip", self.captures, methods=["GET"]),
-            Route("/api/v1/history/{number:int}/picture", self.picture, methods=["GET"]),
-            Route("/api/v1/history/{number:int}/capture", self.capture, methods=["GET"]),
+            Route("/api/v1/history/{number:number}/picture", self.picture, methods=["GET"]),
+            Route("/api/v1/history/{number:number}/capture", self.capture, methods=["GET"]),
             Route("/api/v1/reports", self.start, methods=["POST"]),
             Route("/api/v1/reports/stop", self.stop, methods=["POST"]),
             Route(report, self.state, methods=["GET"]),

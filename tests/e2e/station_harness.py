@@ -153,7 +153,7 @@ def stations(place: Path, patch: pytest.MonkeyPatch) -> Iterator[Callable[..., S
     """For a fixture: a function that starts stations; afterwards none of their threads may be left."""
     patch.setenv("TAGID_DATA", str(place / "data"))
     patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
-    patch.setattr(web, "PAIR_PAUSE_S", 0.0)
+    patch.setattr(web, "GUESS_S", 0.0)
     patch.setattr(server, "PING_S", 120.0)  # clients here answer a ping when they next read
     (place / "out").mkdir()
     open_ones: list[Server] = []

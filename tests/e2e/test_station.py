@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import json
 import resource
@@ -10,6 +11,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,19 +19,24 @@ from typing import Any
 import pytest
 
 pytest.importorskip("starlette")
-from station_harness import ENDLESS, OWN, Asks, Raw, alone, ended, joined, wait
+from station_harness import ENDLESS, OWN, WAIT_S, Asks, Raw, alone, ended, joined, source, wait
 
 from tagid.capture import Capture
+from tagid.config import load_config
 from tagid.imaging.types import Image
 from tagid.live.engine import LiveView
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
 from tagid.pipeline.answer import Identification
-from tagid.station import operators, scans, server
+from tagid.station import operators, scans, server, web, wire
+from tagid.station.errors import InterlockError
 from tagid.station.openapi import document
+from tagid.station.requests import refusal_of
 from tagid.station.scans import ScanRun
-from tagid.station.security import COOKIE
+from tagid.station.security import COOKIE, Guesses
 from tagid.station.server import Server
+from tagid.station.setup import Source
+from tagid.station.station import Station
 from tagid.storage.importers import read_any
 
 pytestmark = pytest.mark.usefixtures("closed_clients")
@@ -184,9 +191,9 @@ def test_a_websocket_of_another_page_is_refused(station_alone: Server, headers: 
         lambda c: c.frame(b"{}", masked=False),
         lambda c: c.frame(b"\xc3\x28"),
         lambda c: c.socket.sendall(b"\xff" * 200),
-        lambda c: [c.say(type="stop") for _ in range(60)],
+        lambda c: c.say(type="scan", note="\ud800"),
     ],
-    ids=["binary", "text", "list", "deep", "unknown", "note", "large", "unmasked", "utf-8", "noise", "flood"],
+    ids=["binary", "text", "list", "deep", "unknown", "note", "large", "unmasked", "utf-8", "noise", "half"],
 )  # fmt: skip
 def test_a_bad_frame_closes_its_connection_and_no_other(
     station_alone: Server, attack: Callable[[Raw], Any]
@@ -201,6 +208,22 @@ def test_a_bad_frame_closes_its_connection_and_no_other(
     assert asks(station_alone).get("/api/v1/status").json()["scan"] is None
 
 
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [(1, b'{"type": "stop"}'), (9, b"a" * 120), (10, b"")],
+    ids=["messages", "pings", "pongs"],
+)
+def test_a_flood_ends_with_1008_and_is_not_read_on(station_alone: Server, kind: int, body: bytes) -> None:
+    bad, _ = joined(station_alone.port)
+    bad.socket.settimeout(20.0)
+    for _ in range(server.MOST_FRAMES + 1):
+        bad.frame(body, kind)
+    assert bad.closed() == 1008
+    with pytest.raises(OSError):  # it is not read any more, and then the connection ends
+        while True:
+            bad.socket.sendall(bytes(1 << 16))
+
+
 def test_a_device_needs_a_token_on_every_request_and_gets_it_with_the_code(serve) -> None:
     codes: list[str] = []
     one = serve(announce=codes.append)
@@ -211,22 +234,110 @@ def test_a_device_needs_a_token_on_every_request_and_gets_it_with_the_code(serve
             assert getattr(client, method)(path).status == 401, path
     assert Raw(one.port).status == 403
     assert Raw(one.port, {"Cookie": f"{COOKIE}=guess"}).status == 403
-    # Five wrong tries make the code worthless.
-    assert len(codes) == 1
-    for _ in range(5):
+    # Wrong codes of a stranger do not make the code worthless that somebody types meanwhile.
+    for _ in range(20):
         assert client.post("/api/v1/pair", code="AAAA-AAAA").status == 403
-    assert len(codes) == 2 and codes[0] != codes[1]
-    assert client.post("/api/v1/pair", code=codes[0]).status == 403
-    paired = client.post("/api/v1/pair", code=codes[1].lower())
+    assert len(codes) == 1
+    paired = client.post("/api/v1/pair", code=codes[0].lower())
     cookie = paired.headers["set-cookie"].lower()
     assert "httponly" in cookie and "samesite=strict" in cookie
     token = paired.json()["token"]
-    assert len(codes) == 3, "a code makes one token"
+    assert len(codes) == 2 and codes[0] != codes[1]
+    assert client.post("/api/v1/pair", code=codes[0]).status == 403, "a code makes one token"
     fresh = asks(one, **OWN, authorization=f"Bearer {token}")
     assert fresh.get("/api/v1/status").status == 200
     assert asks(one, authorization=f"Bearer {token[:-1]}").get("/api/v1/status").status == 401
     raw, _ = joined(one.port, Cookie=f"{COOKIE}={token}")
     raw.close()
+
+
+def test_all_guesses_have_one_limit_and_a_right_code_its_turn(serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    codes: list[str] = []
+    one = serve(announce=codes.append)
+    monkeypatch.setattr(web, "GUESS_S", 0.1)
+    client, stop, wrong = asks(one, **OWN), threading.Event(), [0] * 10
+    began = time.monotonic()
+
+    def guess(number: int) -> None:
+        while not stop.is_set():
+            wrong[number] += client.post("/api/v1/pair", code="BBBB-BBBB").status == 403
+
+    threads = [threading.Thread(target=guess, args=(number,)) for number in range(10)]
+    for thread in threads:
+        thread.start()
+    wait(lambda: sum(wrong) > 3)
+    before = sum(wrong)
+    assert client.post("/api/v1/pair", code=codes[0]).status == 200
+    assert sum(wrong) - before <= 12, "in its turn"
+    stop.set()
+    for thread in threads:
+        thread.join()
+    assert sum(wrong) <= (time.monotonic() - began) / 0.1 + 1, "of all of them together"
+    assert len(codes) == 2
+
+
+def test_a_guesser_does_not_take_the_turn_of_another_address() -> None:
+    async def order() -> list[str]:
+        guesses, done = Guesses(), []
+
+        async def guess(address: str) -> None:
+            async with guesses.turn(address):
+                done.append(address)
+                await asyncio.sleep(0)
+
+        async with asyncio.TaskGroup() as group:
+            for address in (*["many"] * 50, "single"):
+                group.create_task(guess(address))
+        assert not guesses._queues
+        return done
+
+    assert "single" in asyncio.run(order())[:3]
+
+
+def dates() -> list[str]:
+    """Histories of times that have no UTC."""
+    late, early = "9999-12-31T23:59:59-23:59", "0001-01-01T00:00%2B14:00"
+    paths = ("history", "history.csv", "history.json", "history/captures.zip")
+    return [
+        f"{path}?{side}={date}" for path in paths for side in ("since", "until") for date in (late, early)
+    ]
+
+
+def test_no_request_is_answered_with_500(
+    serve, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = serve(announce=lambda code: None)
+    token = one._pairing._grant()
+    client = asks(one, **OWN, authorization=f"Bearer {token}")
+    assert [client.get(f"/api/v1/{path}").status for path in dates()] == [400] * 16
+    long = "9" * 5000
+    for path in (f"history/{long}/picture", f"reports/{long}", f"reports/{'0' * 5000}1/items.csv"):
+        assert client.get(f"/api/v1/{path}").status == 404
+    for path in ("pair", "scan", "enrolment"):
+        refused = client.post(f"/api/v1/{path}", code="\ud800", name="\udfff", note="\ud800")
+        assert refused.status == 400 and "surrogate" in refused.json()["error"]["message"], path
+    (tmp_path / "c.toml").write_text("[radar\n")
+    for answer in (client.post("/api/v1/enrolment", name="x"), client.get("/api/v1/history/1/capture")):
+        assert answer.status in (200, 404, 503)
+    monkeypatch.setattr(one._station, "source", Source(load_config, load_config, lambda note: load_config()))
+    broken = client.post("/api/v1/scan")
+    assert (broken.status, broken.json()["error"]["code"]) == (503, "config")
+    with socket.create_connection(("127.0.0.1", one.port)) as gone:
+        head = f"POST /api/v1/scan/stop HTTP/1.1\r\nhost: 127.0.0.1:{one.port}\r\n"
+        more = f"authorization: Bearer {token}\r\ntagid-station: 1\r\ncontent-length: 100\r\n"
+        head += more + "content-type: application/json\r\n\r\n{"
+        gone.sendall(head.encode())
+        wait(lambda: len(one._server.server_state.tasks) == 1)
+    wait(lambda: not one._server.server_state.tasks)
+    assert not caplog.records
+
+
+def test_a_fault_of_the_program_is_500_and_its_line_in_the_log_is_short(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    assert refusal_of(ValueError("x"), "/" + "9" * 5000).status == 500
+    assert len(caplog.records[0].getMessage()) < 300
+    assert refusal_of(RuntimeError("can't start new thread"), "/").status == 503
 
 
 class Table(FreeTurntable):
@@ -300,6 +411,73 @@ def test_only_the_operator_moves_the_table_and_losing_the_operator_stops_it(
     second.say(type="take")
     second.until("operator", lambda m: m["you"])
     second.close()
+
+
+def test_the_interlock_needs_neither_the_loop_nor_the_page(
+    serve, table: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(operators, "GRACE_S", 0.3)
+    one = serve(ENDLESS)
+    operator, _ = joined(one.port)
+    operator.say(type="scan")
+    assert table.turning.wait(WAIT_S)
+    busy, free = threading.Event(), threading.Event()
+    monkeypatch.setattr(one._station, "tick", lambda: (busy.set(), free.wait(WAIT_S)))
+    assert busy.wait(WAIT_S)
+    try:
+        operator.close()  # nobody reads it: the loop is busy
+        assert table.stopped.wait(WAIT_S)
+    finally:
+        free.set()
+
+
+def test_a_client_that_vanishes_is_detected_by_the_system(serve) -> None:
+    one = serve()
+    joined(one.port)
+    (line,) = [s for s in one._server.server_state.connections if isinstance(s, server.StationSocket)]
+    found = line.transport.get_extra_info("socket")
+    assert found.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+    assert found.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == server.PING_S
+    assert found.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 2000 * server.PING_S
+
+
+def test_a_dead_page_stops_the_motion_and_ends_the_station(
+    serve, table: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = serve(ENDLESS)
+    operator, key = joined(one.port)
+    operator.say(type="scan")
+    assert table.turning.wait(WAIT_S)
+    assert one.running
+
+    def broken(run: object) -> None:
+        raise KeyError("a fault")
+
+    monkeypatch.setattr(wire, "frame", broken)
+    assert table.stopped.wait(WAIT_S)
+    wait(lambda: not one._station.scan.running)
+    assert not one.running and "KeyError" in str(one.failure)
+    refused = asks(one, **OWN).post("/api/v1/scan", key=key)
+    assert (refused.status, refused.json()["error"]["code"]) == (503, "interlock")
+
+
+def test_a_dead_interlock_stops_the_motion_and_ends_the_station(serve, table: Table) -> None:
+    one = serve(ENDLESS)
+    operator, _ = joined(one.port)
+    operator.say(type="scan")
+    assert table.turning.wait(WAIT_S)
+    one._station.operators.expire = None
+    assert table.stopped.wait(WAIT_S)
+    wait(lambda: not one._station.scan.running)
+    assert not one.running and "interlock" in str(one.failure)
+
+
+def test_without_the_interlock_nothing_moves(table: Table, tmp_path: Path) -> None:
+    station = Station(source(tmp_path), lambda config: [])
+    key = station.operators.join()
+    with pytest.raises(InterlockError):
+        station.start(key)
+    assert not table.starts
 
 
 def test_of_two_that_press_at_once_one_scans(serve) -> None:
@@ -459,6 +637,35 @@ def test_the_command_serves_until_it_is_stopped(home: dict[str, str], tmp_path: 
     assert [path.name for path in (tmp_path / "out").iterdir()] == [capture.name]
 
 
+def test_a_web_server_that_ends_is_not_running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def ends(self: Server) -> None:
+        raise SystemExit(3)  # as uvicorn does
+
+    monkeypatch.setattr(Server, "_serve", ends)
+    with Server(Station(source(tmp_path), lambda config: []), "127.0.0.1", 0) as one:
+        wait(lambda: one.failure)
+        assert not one.running and "the web server died: SystemExit" in str(one.failure)
+
+
+DIES = """
+import tagid.station.live_socket
+from tagid.cli.app import main
+
+async def run(self):
+    raise KeyError("x")
+
+tagid.station.live_socket.Hub.run = run
+main()
+"""
+
+
+def test_the_command_fails_if_a_part_of_the_station_dies(home: dict[str, str]) -> None:
+    words = [sys.executable, "-c", DIES, "station", "--bind", "127.0.0.1:0", "--output", "json"]
+    done = subprocess.run(words, capture_output=True, text=True, env=home, timeout=WAIT_S)
+    (error,) = json.loads(done.stdout.partition("\n")[2])["errors"]
+    assert done.returncode == 1 and " died: " in error["message"], done.stdout
+
+
 def test_nothing_is_left_of_a_scan_when_the_next_ones_are_over(serve) -> None:
     """A short form of tests/benchmarks/bench_station.py: objects, threads and files instead of megabytes."""
     one = serve("emulator://helmet-120?rpm=60&seed=2", rpm=60.0)
@@ -483,6 +690,6 @@ def test_nothing_is_left_of_a_scan_when_the_next_ones_are_over(serve) -> None:
         seen.append((alive, work, len(list(Path("/proc/self/fd").iterdir()))))
     assert seen[1][0]["ScanRun"] == 1 and seen[1][0]["LiveView"] == 1, seen[1]
     for alive, work, files in seen[2:]:
-        assert alive == seen[1][0] and work == {"station-web"}, alive
+        assert alive == seen[1][0] and work == {"station-interlock", "station-web"}, alive
         assert abs(files - seen[1][2]) <= 2, "sockets of requests under way"
     page.close()

@@ -21,6 +21,7 @@ from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import SerialEmulator, ServeOptions, UdpEmulator
 from tagid.radar.settings import RadarConfig
 from tagid.recording.sources import emulated_scene
+from tagid.station import server
 from tagid.station.station import MAX_CONNECTIONS
 from tagid.station.wiring import wiring
 from tagid.storage.importers import read_any
@@ -182,16 +183,52 @@ def test_a_station_that_is_closed_checks_nothing_more(serve) -> None:
     page.close()
 
 
-@pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: "], ids=["nothing", "half a request"])
-def test_connections_that_ask_for_nothing_keep_nobody_out(serve, sent: bytes) -> None:
-    """Three hundred of them; each request that follows is answered at once, not after they have expired."""
+def test_a_health_check_that_cannot_start_is_shown_and_tried_again(
+    serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
     one = serve()
+    page, _ = joined(one.port)
+    page.until("status", lambda m: m["health"]["checked"])
+
+    def no_thread(self: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", no_thread)
+        one._station._health_due = 0.0
+        found = page.until("status", lambda m: m["health"]["findings"][0]["topic"] == "health check")
+    assert "can't start new thread" in found["health"]["findings"][0]["text"]
+    assert one.running and one._station._interlock.alive
+    one._station._health_due = 0.0
+    page.until("status", lambda m: m["health"]["findings"][0]["topic"] == "radar")
+    page.close()
+
+
+BODY = b"POST /api/v1/pair HTTP/1.1\r\nhost: 127.0.0.1:PORT\r\ncontent-type: application/json\r\n"
+SENT = {
+    "nothing": b"",
+    "half a request": b"GET / HTTP/1.1\r\nHost: ",
+    "half a body": BODY + b"tagid-station: 1\r\ncontent-length: 100\r\n\r\n{",
+    "requests without reading": b"GET /api/v1/openapi.json HTTP/1.1\r\nhost: 127.0.0.1:PORT\r\n\r\n" * 40,
+}
+
+
+@pytest.mark.parametrize("sent", SENT.values(), ids=SENT.keys())
+def test_connections_that_ask_for_nothing_keep_nobody_out(
+    serve, sent: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three hundred of them; each request that follows is answered at once, not after they have expired."""
+    monkeypatch.setattr(server, "KEPT_S", 600.0)  # longer than three hundred connections may take to open
+    one = serve()
+    sent = sent.replace(b"PORT", str(one.port).encode())
     page, _ = joined(one.port)
     kept = HTTPConnection("127.0.0.1", one.port, timeout=WAIT_S)
     kept.request("GET", "/api/v1/status", headers=OWN)
     assert kept.getresponse().read()
-    silent = [socket.create_connection(("127.0.0.1", one.port), WAIT_S) for _ in range(300)]
+    silent = [socket.socket() for _ in range(300)]
     for client in silent:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        client.connect(("127.0.0.1", one.port))
         with suppress(OSError):
             client.sendall(sent)
     ask = Asks(one.url, OWN)
@@ -203,3 +240,18 @@ def test_connections_that_ask_for_nothing_keep_nobody_out(serve, sent: bytes) ->
     assert kept.getresponse().status == 200, "a connection with requests goes after those without any"
     for client in (*silent, kept, page, late):
         client.close()
+
+
+def test_connections_of_paired_clients_are_the_last_to_go(serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "KEPT_S", 0.0)
+    monkeypatch.setattr(server, "MAX_SOCKETS", 4)
+    one = serve(announce=lambda code: None)
+    kept = HTTPConnection("127.0.0.1", one.port, timeout=WAIT_S)
+    own = OWN | {"authorization": f"Bearer {one._pairing._grant()}"}
+    for _ in range(3):
+        kept.request("GET", "/api/v1/status", headers=own)
+        answer = kept.getresponse()
+        assert answer.read() and answer.status == 200, "the same connection"
+        for _ in range(8):
+            socket.create_connection(("127.0.0.1", one.port), WAIT_S).close()
+    kept.close()
