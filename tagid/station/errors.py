@@ -5,6 +5,9 @@ from __future__ import annotations
 from tagid.errors import DeviceError, TagidError, UsageError
 from tagid.workers import Worker
 
+_NO_THREAD = "can't start new thread"
+"""Text of the RuntimeError of `threading`."""
+
 
 class BusyError(UsageError):
     """A scan or a report is running."""
@@ -42,25 +45,31 @@ class InterlockError(DeviceError):
     code = "interlock"
 
 
-class NoThreadError(TagidError):
-    """The system allows no further thread."""
+class OverloadedError(TagidError):
+    """The system allows no further thread, or no memory."""
 
-    code = "no_thread"
+    code = "overloaded"
+
+
+class UnexpectedError(TagidError):
+    """A fault of the program."""
 
 
 def begin(worker: Worker) -> None:
-    """Start a thread. Raises NoThreadError."""
+    """Start a thread. Raises OverloadedError."""
     try:
         worker.start()
     except RuntimeError as error:
-        raise NoThreadError(
-            f"the thread {worker.name} cannot start: {error}",
-            "End other programs, or raise the limits on processes and memory.",
-        ) from error
+        raise reported(error) from error
 
 
 def reported(error: BaseException) -> TagidError:
     """Any exception as an error that can be shown."""
     if isinstance(error, TagidError):
         return error
-    return TagidError(f"unexpected {type(error).__name__}: {error}", "This is a bug in tagid.")
+    if isinstance(error, MemoryError) or str(error) == _NO_THREAD:
+        return OverloadedError(
+            "the computer has no memory or thread left",
+            "End other programs, or raise the limits on processes and memory.",
+        )
+    return UnexpectedError(f"unexpected {type(error).__name__}: {error}", "This is a bug in tagid.")

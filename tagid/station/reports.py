@@ -56,7 +56,7 @@ class ReportRun:
         self._thread = Worker(self._work, f"station-report-{number}", self._fail)
 
     def start(self) -> None:
-        """Begin. Raises NoThreadError."""
+        """Begin. Raises OverloadedError."""
         begin(self._thread)
 
     def stop(self) -> None:

@@ -12,15 +12,21 @@ from starlette.responses import JSONResponse, Response
 
 from tagid.errors import DataError, FileFormatError, RegistryError, StorageError, TagidError, UsageError
 from tagid.station import wire
-from tagid.station.errors import BusyError, EnrolmentError, GuessesError, NoSuchItemError, NotOperatorError
+from tagid.station.errors import (
+    BusyError,
+    EnrolmentError,
+    GuessesError,
+    NoSuchItemError,
+    NotOperatorError,
+    UnexpectedError,
+    reported,
+)
 from tagid.station.security import MOST_BODY_BYTES, Refusal
 from tagid.station.station import HISTORY_LIMIT
 from tagid.storage.history import Filter
 
 _MOST_DIGITS = 18
 """Digits of a number in a request: it fits into a 64-bit integer."""
-_NO_THREAD = "can't start new thread"
-"""What `threading` says of the RuntimeError that it raises."""
 _LOGGED = 200
 """Characters of a path in the log."""
 STATUSES: tuple[tuple[type[TagidError], int], ...] = (
@@ -163,19 +169,18 @@ def refusal_of(error: Exception, place: str) -> Refusal:
         error: what a handler raised; a fault of the program is logged.
         place: path of the request, for the log.
     """
-    if isinstance(error, MemoryError) or str(error) == _NO_THREAD:
-        return Refusal(503, "overloaded", "the computer has no memory or thread left", "End other programs.")
-    if not isinstance(error, TagidError):
+    shown = reported(error)
+    if isinstance(shown, UnexpectedError):
         logging.getLogger("tagid").error("%.*s: %s: %s", _LOGGED, place, type(error).__name__, error)
         return Refusal(500, "failed", "the station failed to answer", "See its log for the reason.")
-    status = next(code for kind, code in STATUSES if isinstance(error, kind))
-    return Refusal(status, error.code, error.message, error.remedy)
+    status = next(code for kind, code in STATUSES if isinstance(shown, kind))
+    return Refusal(status, shown.code, shown.message, shown.remedy)
 
 
 async def on_error(request: Request, error: Exception) -> Response:
     """The response for an exception of a handler."""
-    found = refusal_of(error, request.url.path)
-    return JSONResponse({"error": found.entry}, status_code=found.status)
+    refusal = refusal_of(error, request.url.path)
+    return JSONResponse({"error": refusal.entry}, status_code=refusal.status)
 
 
 async def on_gone(request: Request, error: Exception) -> Response:

@@ -81,7 +81,7 @@ class ScanRun:
         self._thread = Worker(self._run, f"station-scan-{number}", self._fail)
 
     def start(self) -> None:
-        """Begin. Raises NoThreadError."""
+        """Begin. Raises OverloadedError."""
         begin(self._thread)
 
     def stop(self) -> None:

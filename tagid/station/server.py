@@ -65,13 +65,13 @@ class StationHttp(H11Protocol):
         Those of paired clients are the last, those of the address with most of them the first; among equals
         it is the one that has waited longest.
         """
-        waiting = [one for one in self.connections if isinstance(one, StationHttp) and one._waits]
+        waiting = [item for item in self.connections if isinstance(item, StationHttp) and item._waits]
         if not waiting:
             return False
-        crowd = Counter(one._address for one in waiting)
+        crowd = Counter(item._address for item in waiting)
         victim = min(
             waiting,
-            key=lambda one: (one._state.get("paired", False), -crowd[one._address], one._waits_since),
+            key=lambda item: (item._state.get("paired", False), -crowd[item._address], item._waits_since),
         )
         victim._aborted = True
         victim.transport.abort()
@@ -144,17 +144,17 @@ class StationSocket(WSProtocol):
         """Begin; the system itself detects a client that is gone, in the time of an unanswered ping."""
         super().connection_made(transport)
         self.close_timeout = CLOSE_S
-        self._line = Line(transport.get_extra_info("socket"))
+        self._socket_state = SocketState(transport.get_extra_info("socket"))
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End; the socket is closed after this."""
-        self._line.end()
+        self._socket_state.end()
         super().connection_lost(exc)
 
     def handle_connect(self, event: Any) -> None:
         """Begin the application, which learns how to ask whether the client is still connected."""
         super().handle_connect(event)
-        self.scope["state"]["connected"] = self._line.connected
+        self.scope["state"]["connected"] = self._socket_state.connected
 
     def data_received(self, data: bytes) -> None:
         """Take frames, in pieces: what follows the one that is too many is not parsed."""
@@ -202,22 +202,22 @@ class StationSocket(WSProtocol):
             super().handle_ping(event)
 
 
-class Line:
+class SocketState:
     """Whether the system still has a connection; asked on any thread, also while the event loop is busy.
 
     Args:
-        line: the socket; it stays open until `end`.
+        connection: the socket; it stays open until `end`.
     """
 
-    def __init__(self, line: socket.socket) -> None:
+    def __init__(self, connection: socket.socket) -> None:
         self._lock = threading.Lock()
         self._open = True
         self._poll = select.poll()
-        self._poll.register(line.fileno(), select.POLLRDHUP)  # errors and hang-ups are always reported
-        line.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, math.ceil(PING_S))
-        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, math.ceil(PING_S))
-        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(2e3 * PING_S))
+        self._poll.register(connection.fileno(), select.POLLRDHUP)  # errors and hang-ups are always reported
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, math.ceil(PING_S))
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, math.ceil(PING_S))
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(2e3 * PING_S))
 
     def connected(self) -> bool:
         """Whether it is open at both ends."""

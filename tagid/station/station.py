@@ -21,8 +21,8 @@ from tagid.station.errors import (
     BusyError,
     InterlockError,
     NoSuchItemError,
-    NoThreadError,
     NotOperatorError,
+    OverloadedError,
     begin,
     reported,
 )
@@ -117,7 +117,7 @@ class Station:
         return self._failure
 
     def begin(self) -> None:
-        """Start the interlock. Raises NoThreadError."""
+        """Start the interlock. Raises OverloadedError."""
         begin(self._interlock)
 
     def fail(self, part: str, error: BaseException) -> None:
@@ -145,7 +145,7 @@ class Station:
             BusyError: a scan is running.
             NotOperatorError: another browser operates, or the scan moves a device and the key has no lock.
             InterlockError: the scan would move a device, and nothing would stop it.
-            NoThreadError: the system allows no further thread.
+            OverloadedError: the system allows no further thread.
             ConfigError, UsageError, StorageError: see `Source.setup`.
         """
         with self._starting:
@@ -239,7 +239,7 @@ class Station:
             self._checker = Worker(self._examine, "station-health", self._unchecked)
             try:
                 begin(self._checker)
-            except NoThreadError as error:
+            except OverloadedError as error:
                 self._unchecked(error)
 
     def _unchecked(self, error: BaseException) -> None:
@@ -251,9 +251,9 @@ class Station:
     def _watch_operator(self) -> None:
         """The interlock: stop a motion without an operator. Its thread does nothing else."""
         while not self._over.wait(INTERLOCK_S):
-            self.operators.expire()
+            lost = self.operators.expire() or not self.operators.taken
             run = self._scan
-            if run is not None and run.running and run.motion.moves and not self.operators.taken:
+            if lost and run is not None and run.running and run.motion.moves:
                 run.stop()
 
     def _examine(self) -> None:

@@ -197,7 +197,7 @@ def test_a_health_check_that_cannot_start_is_shown_and_tried_again(
         patch.setattr(threading.Thread, "start", no_thread)
         one._station._health_due = 0.0
         found = page.until("status", lambda m: m["health"]["findings"][0]["topic"] == "health check")
-    assert "can't start new thread" in found["health"]["findings"][0]["text"]
+    assert "no memory or thread left" in found["health"]["findings"][0]["text"]
     assert one.running and one._station._interlock.alive
     one._station._health_due = 0.0
     page.until("status", lambda m: m["health"]["findings"][0]["topic"] == "radar")
