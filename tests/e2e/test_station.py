@@ -422,7 +422,7 @@ def test_the_interlock_needs_neither_the_loop_nor_the_page(
     operator.say(type="scan")
     assert table.turning.wait(WAIT_S)
     busy, free = threading.Event(), threading.Event()
-    monkeypatch.setattr(one._station, "tick", lambda: (busy.set(), free.wait(WAIT_S)))
+    monkeypatch.setattr(one._station, "tick", lambda: (busy.set(), free.wait(2 * WAIT_S)))
     assert busy.wait(WAIT_S)
     try:
         operator.close()  # nobody reads it: the loop is busy
