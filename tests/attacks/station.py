@@ -310,7 +310,7 @@ def flooded(folder: Path) -> Outcome:
             words = [sys.executable, "-S", "-c", FLOOD, str(table.port)]
             floods = [subprocess.Popen(words) for _ in range(count)]
             try:
-                end = time.monotonic() + 4
+                end = time.monotonic() + 2
                 while time.monotonic() < end:
                     operator.read()
                 stopped = not table.moving  # its guardian: this program did not get the processor
