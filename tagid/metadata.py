@@ -193,6 +193,7 @@ class RadarInfo(JsonValue):
         gap_count, gaps: times without scans; at most the first hundred are listed.
         journal_bytes_dropped, bytes_left_over: bytes that belong to no intact record.
         packets_ignored: messages or lines that are not scans of this radar.
+        ignored: what of a file is not used, one phrase each, e.g. "254 filtered scans of the same radar".
         config_stale: whether the file's configuration does not match its scans.
         window_requested_ps, window_actual_ps: window of the configuration and of the scans in that case, ps.
         detection_lists: the vendor's detections, one text per scan.
@@ -221,6 +222,7 @@ class RadarInfo(JsonValue):
     journal_bytes_dropped: int | None = None
     bytes_left_over: int | None = None
     packets_ignored: int | None = None
+    ignored: tuple[str, ...] = ()
     config_stale: bool | None = None
     window_requested_ps: tuple[int, ...] | None = None
     window_actual_ps: tuple[int, ...] | None = None

@@ -9,7 +9,9 @@ from pathlib import Path
 
 from tagid import files
 from tagid.capture import Capture
+from tagid.counting import counted
 from tagid.errors import FileFormatError
+from tagid.metadata import RadarSettings
 from tagid.storage import hdf5
 
 _KNOWN = (
@@ -47,10 +49,12 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
         return _of_node(path, mat.read_mat(path), node)
     if head.startswith(npz.MAGIC):
         return _of_node(path, npz.read_npz(path), node)
-    if recordings.is_recording(head):
-        return recordings.read_recording(path, cable_delay_ps, node)
     if mrm_ret.is_mrm_ret(head):
         return mrm_ret.read_mrm_ret(path, cable_delay_ps, node)
+    with files.open_regular(path) as (stream, size):
+        messages = size <= files.MAX_FILE_BYTES and recordings.is_recording(stream)
+    if messages:
+        return recordings.read_recording(path, cable_delay_ps, node)
     raise FileFormatError(f"{path}: unknown file format", _KNOWN)
 
 
@@ -75,8 +79,14 @@ def remarks(capture: Capture) -> tuple[str, ...]:
         )
     if lost := radar.scans_lost:
         found.append(f"{lost} scan{' is' if lost == 1 else 's are'} missing or incomplete")
-    if radar.packets_ignored:
-        found.append(f"{radar.packets_ignored} messages or lines are not scans of this radar; ignored")
+    if radar.ignored:
+        found.append(f"ignored: {', '.join(radar.ignored)}")
+    elif radar.packets_ignored:
+        found.append(f"ignored: {counted(radar.packets_ignored, 'message')} or lines that are no scan")
+    if radar.source in ("recording", "mrm-ret") and radar.config == RadarSettings():
+        found.append(
+            "the file holds no configuration: integration and gain are unknown, clipping is not seen"
+        )
     if radar.config_stale:
         asked, actual = (list(window or ()) for window in (radar.window_requested_ps, radar.window_actual_ps))
         found.append(f"the Config line is stale: it requests {asked} ps, the scans hold {actual} ps")

@@ -19,7 +19,7 @@ from tagid.capture import Capture
 from tagid.errors import FileFormatError
 from tagid.metadata import RadarSettings
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, SAMPLES_PER_MESSAGE
-from tagid.storage.p440 import MAX_NODES, P440Scans, choose_node, p440_capture
+from tagid.storage.p440 import GRID_PS, MAX_NODES, P440Scans, choose_node, p440_capture
 
 SCAN = b"MrmFullScanInfo"
 CONFIG = b"Config"
@@ -39,8 +39,6 @@ CONFIG_FIELDS = (
 _FIRST_SAMPLE = 16
 _RAW = 1
 _WINDOW = ("scan_start_ps", "scan_stop_ps")
-_GRID_PS = 2
-"""A requested window end this close to the actual one is considered equal: the radar's grid is 1.9 ps."""
 _LONGEST_LINE = 1 << 17
 """Maximum line length, bytes; a scan of 8400 samples of 12 characters and a space each fits."""
 _MOST_CONFIGS = 64
@@ -349,7 +347,7 @@ def _fitting_config(survey: _Survey, node: int, reading: _Reading) -> tuple[dict
     before = [c for seen, c in configs if seen == 0] or [c for _, c in configs[:1]]
     if not before:
         return {}, _Window()
-    fitting = [c for c in before if all(abs(c[name] - actual[name]) <= _GRID_PS for name in _WINDOW)]
+    fitting = [c for c in before if all(abs(c[name] - actual[name]) <= GRID_PS for name in _WINDOW)]
     chosen = (fitting or before)[-1]
     window = _Window(tuple(chosen[name] for name in _WINDOW), tuple(actual.values()), not fitting)
     return {**chosen, **actual}, window

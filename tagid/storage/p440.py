@@ -21,6 +21,9 @@ from tagid.storage.assembly import build_capture, unwrap
 MAX_NODES = 64
 """Maximum number of radars distinguished in one file."""
 
+GRID_PS = 2
+"""A requested window end this close to the actual one is considered equal: the radar's grid is 1.9 ps."""
+
 _RESTART = -64
 """A decrease of the scan number below this is a new run in the same file; smaller ones are reordering."""
 

@@ -1,12 +1,14 @@
-"""Reads the `.prd`/`.out` recordings of other P440 tools into captures and writes them back byte for byte.
+"""Reads the recordings of other P440 tools into captures and writes `.prd`/`.out` files back byte for byte.
 
 Such a file is the 32-byte CONFIG block followed by the 1452-byte SCAN_INFO messages as received;
-it may end in the middle of a message (P440 MRM API; public recordings).
+it may end in the middle of a message (P440 MRM API; public recordings). Other tools store the same messages
+after a whole confirm, in frames, with prefixes or among other messages: the messages are searched.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,17 +18,20 @@ from numpy.typing import NDArray
 from tagid import files
 from tagid.capture import Capture
 from tagid.constants import BINS_PER_SAMPLE, SPEED_OF_LIGHT
+from tagid.counting import counted
 from tagid.errors import DataError, FileFormatError, UsageError
 from tagid.metadata import RadarSettings
 from tagid.radar.messages import (
     CONFIG_DTYPE,
+    HEADER_DTYPE,
     MAX_MESSAGES_PER_SCAN,
     MAX_SAMPLES_PER_SCAN,
+    MESSAGES,
     SAMPLES_PER_MESSAGE,
     SCAN_INFO_DTYPE,
     MessageType,
 )
-from tagid.storage.p440 import MAX_NODES, P440Scans, choose_node, p440_capture
+from tagid.storage.p440 import GRID_PS, MAX_NODES, P440Scans, choose_node, p440_capture
 
 _PER_SCAN = (
     "node_id",
@@ -43,24 +48,37 @@ _GRID = ("scan_start_ps", "step_bins", "total_samples")
 _CONFIG_NAMES = CONFIG_DTYPE.names or ()
 _HEAD_NAMES = tuple(name for name in SCAN_INFO_DTYPE.names or () if name != "samples")
 _HEAD_DTYPE = np.dtype([(name, SCAN_INFO_DTYPE[name]) for name in _HEAD_NAMES])
-_SHORTEST = CONFIG_DTYPE.itemsize + SCAN_INFO_DTYPE.itemsize
-_PACKETS_AT_ONCE = 64
-"""Messages read at a time: 93 kB."""
+HEAD_BYTES = _HEAD_DTYPE.itemsize
+_RAW = 1
+_ORDERS = (">", "<")
+"""Byte orders: that of the wire, and that of a program that stored the fields as its own numbers."""
+_INTEGRATION = range(6, 16)
+"""Base integration indexes of a P440 (MRM API)."""
+_BLOCK_BYTES = 1 << 18
+_MOST_MESSAGES = files.MAX_FILE_BYTES // SCAN_INFO_DTYPE.itemsize
+_RESYNC_BYTES = 64
+"""Bytes searched for the next message of another type: more noise holds types by chance."""
+_MOST_GAP_BYTES = 1 << 20
+"""Bytes between the messages that are looked at; more are only counted."""
 
 
-def is_recording(data: bytes) -> bool:
-    """Whether the bytes look like a recording: a SCAN_INFO message follows the configuration."""
-    return data[CONFIG_DTYPE.itemsize : CONFIG_DTYPE.itemsize + 2] == int(MessageType.SCAN_INFO).to_bytes(
-        2, "big"
-    )
+def is_recording(stream: BinaryIO) -> bool:
+    """Whether a file holds the consistent header of a SCAN_INFO message, wherever it is."""
+    for order in _ORDERS:
+        stream.seek(0)
+        if any(len(offsets) for offsets, _ in _search(stream, order)):
+            return True
+    return False
 
 
 def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
-    """Read a `.prd`/`.out` recording, in parts: it needs little more memory than the samples.
+    """Read the scans of a file that holds SCAN_INFO messages, whatever lies before, between and after them.
 
-    Fragments are regrouped by (id, timestamp), so a lost one costs only its scan; `radar` contains
-    `config` and `scan_info` (the fields needed to write the file again), `scans_lost`, `packets_ignored`
-    (not a fragment of a scan on the recording's grid) and `bytes_left_over` (a truncated last message).
+    The file is read in parts, which needs little more memory than the samples. Fragments are regrouped by
+    (id, timestamp), so a lost or cut one costs only its scan. Where raw and filtered scans are recorded, the
+    raw ones are used. `radar` contains `config` (empty where the file holds none) and `scan_info` (the fields
+    needed to write the file again), `scans_lost`, `packets_ignored` and `ignored` (messages that are no scan
+    of this radar, and other bytes) and `bytes_left_over` (a truncated last message).
 
     Args:
         path: the file.
@@ -69,36 +87,39 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
 
     Raises:
         StorageError: the file cannot be read.
-        FileFormatError: not a recording, or without one complete scan.
+        FileFormatError: no SCAN_INFO message, or no complete scan.
         UsageError: several radars and no `node`, or no scan of that one.
     """
     with files.open_regular(path) as (stream, size):
-        count, left_over = divmod(size - CONFIG_DTYPE.itemsize, SCAN_INFO_DTYPE.itemsize)
-        if count < 1 or size > files.MAX_FILE_BYTES:
-            limits = f"expected {_SHORTEST} to {files.MAX_FILE_BYTES}"
+        if size > files.MAX_FILE_BYTES:
             raise FileFormatError(
-                f"{path}: has {size} bytes, {limits} for a P440 recording",
-                f"One has {CONFIG_DTYPE.itemsize} bytes, then {SCAN_INFO_DTYPE.itemsize} per message.",
+                f"{path}: has {size} bytes, more than the {files.MAX_FILE_BYTES} of a P440 recording",
+                "Record in parts.",
             )
-        config = _plain(np.frombuffer(stream.read(CONFIG_DTYPE.itemsize), CONFIG_DTYPE, 1)[0], _CONFIG_NAMES)
-        heads = _read_heads(stream, count)
-        valid = _valid(heads)
-        if not valid.any():
-            raise FileFormatError(f"{path}: holds no SCAN_INFO message where a P440 recording has them")
+        messages = _Messages.of(path, stream, size)
+        heads, valid = messages.heads, messages.whole.copy()
+        ignored = _Ignored(messages)
         numbers, packets_of = np.unique(heads["node_id"][valid], return_counts=True)
         held = dict(zip(numbers[:MAX_NODES].tolist(), packets_of[:MAX_NODES].tolist(), strict=True))
-        valid &= heads["node_id"] == choose_node(path, held, node)
+        if not held:
+            raise FileFormatError(f"{path}: every SCAN_INFO message is cut", "Record again.")
+        valid = ignored.keep(
+            valid, heads["node_id"] == choose_node(path, held, node), "message", "of other radars"
+        )
+        raw = valid & (heads["filter"] == _RAW)
+        kept_filter = _RAW if raw.any() else heads["filter"][valid.argmax()]
+        valid = ignored.keep(valid, heads["filter"] == kept_filter, "filtered message", "of the same radar")
         first = heads[int(valid.argmax())]
-        for name in _GRID:
-            valid &= heads[name] == first[name]
+        same_grid = np.logical_and.reduce([heads[name] == first[name] for name in _GRID])
+        valid = ignored.keep(valid, same_grid, "message", "of scans with another window")
         complete, partial = _regroup(heads, np.flatnonzero(valid))
         if not complete:
             raise FileFormatError(
                 f"{path}: holds no complete scan", "The recording is truncated or mostly lost."
             )
         rows = np.array(complete)
-        stream.seek(CONFIG_DTYPE.itemsize)
-        samples = _read_samples(stream, heads, rows)
+        samples = _read_samples(stream, messages, rows)
+        config = _read_gaps(stream, messages, heads[rows[0, 0]], ignored)
     scans = P440Scans(
         samples=samples,
         message_id=heads["id"][rows[:, 0]].astype(np.int64),
@@ -109,42 +130,235 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
         config=RadarSettings.from_json(config),
     )
     capture = p440_capture(path, scans, "recording", cable_delay_ps)
-    ignored = int(count - np.count_nonzero(valid))
-    radar = replace(capture.radar, packets_ignored=ignored, bytes_left_over=int(left_over))
+    radar = replace(
+        capture.radar,
+        packets_ignored=ignored.count,
+        ignored=ignored.notes(),
+        bytes_left_over=messages.left_over,
+    )
     return replace(capture, radar=radar)
 
 
-def _read_heads(stream: BinaryIO, count: int) -> NDArray[np.void]:
-    """(count,) headers of the following messages; data missing from a shrinking file is zero."""
-    heads = np.zeros(count, dtype=_HEAD_DTYPE)
-    for first in range(0, count, _PACKETS_AT_ONCE):
-        packets = _read_packets(stream, min(_PACKETS_AT_ONCE, count - first))
-        heads[first : first + len(packets)] = packets[list(_HEAD_NAMES)]
-    return heads
+@dataclass(frozen=True, eq=False)
+class _Messages:
+    """The SCAN_INFO messages of a file, in its order.
+
+    Attributes:
+        order: byte order of the fields: ">" as on the wire, "<" where a program stored them as its own.
+        offset: (n,) int64 position in the file, bytes.
+        end: (n,) int64 position after the message or, where it is cut, after what there is of it.
+        heads: (n,) their headers.
+        whole: (n,) bool, whether all samples are there.
+        size: of the file, bytes.
+        left_over: bytes of a truncated last message.
+    """
+
+    order: str
+    offset: NDArray[np.int64]
+    end: NDArray[np.int64]
+    heads: NDArray[np.void]
+    whole: NDArray[np.bool_]
+    size: int
+    left_over: int
+
+    @classmethod
+    def of(cls, path: Path, stream: BinaryIO, size: int) -> _Messages:
+        """Search a file. Raises FileFormatError if it holds none."""
+        for order in _ORDERS:
+            stream.seek(0)
+            blocks = list(_search(stream, order))
+            offset = np.concatenate([np.zeros(0, np.int64), *(offsets for offsets, _ in blocks)])
+            if len(offset):
+                heads = np.concatenate([found for _, found in blocks])
+                break
+        else:
+            raise FileFormatError(
+                f"{path}: holds no SCAN_INFO message of a P440",
+                "Expected messages as received from the radar.",
+            )
+        # A P440 pads the last message of a scan to the length of the others; some programs do not store that.
+        room = np.diff(np.append(offset, size))
+        needed = HEAD_BYTES + 4 * heads["message_samples"].astype(np.int64)
+        whole = room >= needed
+        if not (whole & (room < SCAN_INFO_DTYPE.itemsize))[:-1].any():
+            whole[-1] = room[-1] >= SCAN_INFO_DTYPE.itemsize
+        end = offset + np.minimum(room, SCAN_INFO_DTYPE.itemsize)
+        left_over = 0 if whole[-1] else size - int(offset[-1])
+        if whole[-1] and 0 < size - end[-1] < SCAN_INFO_DTYPE.itemsize:
+            stream.seek(int(end[-1]))
+            tail = stream.read(2)
+            if _type_bytes(order).startswith(tail):
+                left_over = size - int(end[-1])
+        return cls(order, offset, end, heads, whole, size, left_over)
+
+    def gaps(self) -> Iterator[tuple[int, int]]:
+        """(start, end) of the bytes of the file that are no SCAN_INFO message."""
+        starts = np.concatenate([[0], self.end])
+        ends = np.append(self.offset, max(self.size - self.left_over, int(self.end[-1])))
+        for i in np.flatnonzero(ends > starts):
+            yield int(starts[i]), int(ends[i])
 
 
-def _read_packets(stream: BinaryIO, count: int) -> NDArray[np.void]:
-    data = stream.read(count * SCAN_INFO_DTYPE.itemsize)
-    return np.frombuffer(data, SCAN_INFO_DTYPE, len(data) // SCAN_INFO_DTYPE.itemsize)
+def _type_bytes(order: str) -> bytes:
+    return np.array(int(MessageType.SCAN_INFO), f"{order}u2").tobytes()
 
 
-def _read_samples(stream: BinaryIO, heads: NDArray[np.void], rows: NDArray[np.int64]) -> NDArray[np.int32]:
-    """(views, bins) counts of the scans whose messages are at `rows` (views, messages)."""
-    total = int(heads["total_samples"][rows[0, 0]])
+def _search(stream: BinaryIO, order: str) -> Iterator[tuple[NDArray[np.int64], NDArray[np.void]]]:
+    """Positions and headers of the SCAN_INFO messages in a byte stream, block by block.
+
+    Noise does not pass: type, counts and lengths of a header agree by chance once in 2^90 bytes. Cut messages
+    are among them; a message begins inside another one only where that is cut.
+    """
+    dtype = _HEAD_DTYPE.newbyteorder(order)  # type: ignore[arg-type]
+    first, second = _type_bytes(order)
+    total_at = SCAN_INFO_DTYPE.fields["total_samples"][1]  # type: ignore[index]
+    high = total_at + np.array([0, 1] if order == ">" else [2, 3])
+    base, tail, count = 0, b"", 0
+    while block := stream.read(_BLOCK_BYTES):
+        data = np.frombuffer(tail + block, np.uint8)
+        searched = max(0, len(data) - HEAD_BYTES + 1)
+        at = np.flatnonzero((data[:searched] == first) & (data[1 : searched + 1] == second))
+        at = at[(data[at[:, None] + high] == 0).all(axis=1)]
+        candidates = data[at[:, None] + np.arange(HEAD_BYTES)].view(dtype).reshape(-1)
+        valid = _valid(candidates)
+        count += int(valid.sum())
+        if count > _MOST_MESSAGES:
+            raise FileFormatError(f"more than {_MOST_MESSAGES} SCAN_INFO messages, which is not plausible")
+        yield base + at[valid], candidates[valid]
+        tail = data[searched:].tobytes()
+        base += searched
+
+
+def _read_samples(stream: BinaryIO, messages: _Messages, rows: NDArray[np.int64]) -> NDArray[np.int32]:
+    """(views, bins) counts of the scans whose messages are at `rows`; 0 where the file has shrunk."""
+    total = int(messages.heads["total_samples"][rows[0, 0]])
     samples: NDArray[np.int32] = np.zeros((len(rows), total), dtype=np.int32)
-    scan_of = np.full(len(heads), -1, dtype=np.int64)
-    scan_of[rows] = np.arange(len(rows))[:, None]
-    part_of = heads["message_index"]
-    for first in range(0, len(heads), _PACKETS_AT_ONCE):
-        packets = _read_packets(stream, min(_PACKETS_AT_ONCE, len(heads) - first))
-        scans = scan_of[first : first + len(packets)]
-        parts = part_of[first : first + len(packets)]
-        for part in np.unique(parts[scans >= 0]).tolist():
-            here = np.flatnonzero((parts == part) & (scans >= 0))
+    for scan, parts in enumerate(messages.offset[rows].tolist()):
+        for part, offset in enumerate(parts):
             start = part * SAMPLES_PER_MESSAGE
             width = min(SAMPLES_PER_MESSAGE, total - start)
-            samples[scans[here], start : start + width] = packets["samples"][here, :width]
+            stream.seek(offset + HEAD_BYTES)
+            data = stream.read(4 * width)
+            values = np.frombuffer(data, f"{messages.order}i4", len(data) // 4)
+            samples[scan, start : start + len(values)] = values
     return samples
+
+
+class _Ignored:
+    """What of a file is no scan of the recording."""
+
+    def __init__(self, messages: _Messages) -> None:
+        self._counts: dict[str, int] = {}
+        self._bytes = 0
+        self._first = 0
+        last = messages.left_over and not messages.whole[-1]
+        if cut := int(np.count_nonzero(~messages.whole)) - bool(last):
+            self._counts["cut message"] = cut
+
+    @property
+    def count(self) -> int:
+        """Number of messages."""
+        return sum(self._counts.values())
+
+    def keep(
+        self, valid: NDArray[np.bool_], kept: NDArray[np.bool_], what: str, whose: str
+    ) -> NDArray[np.bool_]:
+        """Those of `valid` that are `kept`; the others are counted as `what`."""
+        if others := int(np.count_nonzero(valid & ~kept)):
+            self._counts[f"{what}|{whose}"] = others
+        both: NDArray[np.bool_] = valid & kept
+        return both
+
+    def add_gap(self, data: bytes, start: int, order: str) -> None:
+        """Count the messages of other types in the bytes at `start`, and the bytes of none."""
+        at = unknown = 0
+        while at < len(data) and unknown < _RESYNC_BYTES:
+            number = int.from_bytes(data[at : at + 2], "big" if order == ">" else "little")
+            sizes = MESSAGES[number].sizes if number in MESSAGES else ()
+            # A type and an id alone are found in any noise.
+            fitting = [size for size in sizes if HEADER_DTYPE.itemsize < size <= len(data) - at]
+            size = max(fitting, default=0)
+            if size:
+                name = "damaged SCAN_INFO" if number == MessageType.SCAN_INFO else MESSAGES[number].name
+                self._counts[f"{name} message"] = self._counts.get(f"{name} message", 0) + 1
+                at, unknown = at + size, 0
+            else:
+                self.add_bytes(1, start + at)
+                at, unknown = at + 1, unknown + 1
+        if at < len(data):
+            self.add_bytes(len(data) - at, start + at)
+
+    def add_bytes(self, count: int, start: int) -> None:
+        """Count bytes at `start` that are of no message."""
+        self._first = self._first if self._bytes else start
+        self._bytes += count
+
+    def notes(self) -> tuple[str, ...]:
+        """What is ignored, a phrase each."""
+        phrases = []
+        for what, number in self._counts.items():
+            noun, _, whose = what.partition("|")
+            phrases.append(f"{counted(number, noun)} {whose}".rstrip())
+        if self._bytes:
+            phrases.append(f"{counted(self._bytes, 'byte')} of no message, the first at byte {self._first}")
+        return tuple(phrases)
+
+
+def _read_gaps(stream: BinaryIO, messages: _Messages, head: np.void, ignored: _Ignored) -> dict[str, Any]:
+    """The configuration in the bytes between the messages ({} if none); the rest of them is counted.
+
+    A recording usually begins with the bare block, which is believed even if it is stale. Elsewhere it is in
+    a request or confirm, or in what another program wrote: it has the node and the window of the scans.
+    """
+    config: dict[str, Any] = {}
+    budget = _MOST_GAP_BYTES
+    for start, end in messages.gaps():
+        stream.seek(start)
+        data = stream.read(min(end - start, budget))
+        budget -= len(data)
+        if end - start > len(data):
+            ignored.add_bytes(end - start - len(data), start + len(data))
+        if start == 0 and end == CONFIG_DTYPE.itemsize:
+            at = 0
+        else:
+            at = -1 if config else _find_config(data, messages.order, head)
+        if at < 0:
+            ignored.add_gap(data, start, messages.order)
+            continue
+        block = data[at : at + CONFIG_DTYPE.itemsize]
+        dtype = CONFIG_DTYPE.newbyteorder(messages.order)  # type: ignore[arg-type]
+        config = _plain(np.frombuffer(block, dtype, 1)[0], _CONFIG_NAMES)
+        before, after = _around_config(data, at, messages.order)
+        ignored.add_gap(data[:before], start, messages.order)
+        ignored.add_gap(data[after:], start + after, messages.order)
+    return config
+
+
+def _find_config(data: bytes, order: str, head: np.void) -> int:
+    """Position of the configuration of these scans in the bytes; -1 if there is none."""
+    size = CONFIG_DTYPE.itemsize
+    if len(data) < size:
+        return -1
+    windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), size)
+    # The fields at the head of the block first: a copy of all windows would take 32 times the bytes.
+    wanted = np.array([head["node_id"]], f"{order}u4").view(np.uint8)
+    at = np.flatnonzero((windows[:, : len(wanted)] == wanted).all(axis=1))
+    blocks = np.ascontiguousarray(windows[at]).view(CONFIG_DTYPE.newbyteorder(order)).reshape(-1)  # type: ignore[arg-type]
+    fits = np.isin(blocks["base_integration_index"], _INTEGRATION)
+    for name in ("scan_start_ps", "scan_stop_ps"):
+        fits &= np.abs(blocks[name].astype(np.int64) - int(head[name])) <= GRID_PS
+    return int(at[fits][-1]) if fits.any() else -1
+
+
+def _around_config(data: bytes, at: int, order: str) -> tuple[int, int]:
+    """Start and end of the message that holds the configuration at `at`, or of the bare block."""
+    end = at + CONFIG_DTYPE.itemsize
+    head = HEADER_DTYPE.itemsize
+    number = int.from_bytes(data[max(at - head, 0) : at][:2], "big" if order == ">" else "little")
+    if at >= head and number in (MessageType.GET_CONFIG_CONFIRM, MessageType.SET_CONFIG_REQUEST):
+        size = MESSAGES[number].dtype.itemsize
+        return at - head, min(at - head + size, len(data))
+    return at, end
 
 
 def write_recording(path: Path, capture: Capture) -> None:

@@ -12,10 +12,11 @@ from tagid.capture import Capture, ViewFlag
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError, UsageError
 from tagid.metadata import RadarInfo, RadarSettings
-from tagid.radar.messages import CONFIG_DTYPE, SCAN_INFO_DTYPE
+from tagid.radar.framing import Framing, frame
+from tagid.radar.messages import CONFIG_DTYPE, SCAN_INFO_DTYPE, MessageType, encode
 from tagid.storage.assembly import unwrap
 from tagid.storage.exporters import export
-from tagid.storage.importers import read_any
+from tagid.storage.importers import read_any, remarks
 from tagid.storage.mrm_ret import read_mrm_ret
 from tagid.storage.recordings import encode_recording, read_recording, write_recording
 
@@ -115,7 +116,9 @@ def test_order_repeats_and_foreign_packets_do_not_matter(tmp_path: Path) -> None
     shuffled = data[:32] + b"".join([*kept[:5], kept[2], foreign, wrong, *kept[5:]])
     capture = read_recording(save(tmp_path / "a.out", shuffled))
     np.testing.assert_array_equal(capture.samples, samples)
-    assert capture.radar.scans_lost == 0 and capture.radar.packets_ignored == 2
+    assert capture.radar.scans_lost == 0 and capture.radar.packets_ignored == 1
+    note = "1 CONTROL_CONFIRM message, 2896 bytes of no message, the first at byte 8752"
+    assert note in remarks(capture)[0]
 
 
 def test_two_runs_in_one_file_lose_nothing(tmp_path: Path) -> None:
@@ -170,6 +173,91 @@ def test_what_the_format_cannot_hold(tmp_path: Path) -> None:
         with pytest.raises(DataError, match="transmit_gain"):
             export(Capture(np.ones((2, 96), np.int32), 0.0, 0.01, radar=radar, **times), tmp_path / "a.out")
     assert list(tmp_path.iterdir()) == []
+
+
+def confirm(block: bytes, status: int = 0) -> bytes:
+    fields = {"config": np.frombuffer(block, CONFIG_DTYPE)[0], "timestamp_ms": 900, "status": status}
+    return encode(MessageType.GET_CONFIG_CONFIRM, 77, **fields)
+
+
+def swapped(data: bytes) -> bytes:
+    """The same fields as a program stores them that converted them to its own byte order."""
+    dtypes = (CONFIG_DTYPE, SCAN_INFO_DTYPE)
+    parts = (np.frombuffer(data[:32], CONFIG_DTYPE), np.frombuffer(data[32:], SCAN_INFO_DTYPE))
+    pairs = zip(parts, dtypes, strict=True)
+    return b"".join(part.astype(dtype.newbyteorder("<")).tobytes() for part, dtype in pairs)
+
+
+NOISE = np.random.default_rng(9)
+DETECTIONS = encode(MessageType.DETECTION_LIST_INFO, 3)
+CONTROL = encode(MessageType.CONTROL_CONFIRM, 4)
+WRAPPED = {
+    "confirm": lambda block, parts: confirm(block) + b"".join(parts),
+    "request": lambda block, parts: encode(MessageType.SET_CONFIG_REQUEST, 1)[:4] + block + b"".join(parts),
+    "usb": lambda block, parts: b"".join(frame(p, Framing.USB) for p in [confirm(block), *parts]),
+    "uart": lambda block, parts: b"".join(frame(p, Framing.UART) for p in [confirm(block), *parts]),
+    "big-endian lengths": lambda block, parts: b"".join(
+        len(p).to_bytes(4, "big") + p for p in [confirm(block), *parts]
+    ),
+    "little-endian lengths": lambda block, parts: b"".join(
+        len(p).to_bytes(2, "little") + p for p in [confirm(block), *parts]
+    ),
+    "captured packets": lambda block, parts: b"".join(NOISE.bytes(58) + p for p in [confirm(block), *parts]),
+    "times and newlines": lambda block, parts: block + b"".join(b"\n1700000000.123 " + p for p in parts),
+    "detections": lambda block, parts: block + b"".join(p + DETECTIONS for p in parts),
+    "confirms": lambda block, parts: CONTROL + confirm(block) + CONTROL + b"".join(parts) + CONTROL,
+    "noise": lambda block, parts: NOISE.bytes(70_000) + confirm(block) + NOISE.bytes(9).join(parts),
+    "filtered": lambda block, parts: block + b"".join(p[:38] + b"\4" + p[39:] + p for p in parts),
+    "unpadded": lambda block, parts: block + b"".join(p[: 52 + 4 * int.from_bytes(p[42:44])] for p in parts),
+    "other byte order": lambda block, parts: swapped(block + b"".join(parts)),
+}
+
+
+@pytest.mark.parametrize("kind", WRAPPED)
+def test_messages_are_read_whatever_lies_between_them(tmp_path: Path, kind: str) -> None:
+    samples, data = recording()
+    expected = read_any(save(tmp_path / "a.out", data))
+    path = save(tmp_path / "b.bin", WRAPPED[kind](data[:32], packets(data)))
+    capture = read_any(path)
+    np.testing.assert_array_equal(capture.samples, samples)
+    assert capture.radar.config == expected.radar.config
+    assert (capture.radar.scan_info or {})["filter"] == 1 and capture.radar.bytes_left_over == 0
+    notes = "; ".join(remarks(capture))
+    expected_note = {
+        "detections": "ignored: 36 DETECTION_LIST_INFO messages",
+        "filtered": "ignored: 36 filtered messages of the same radar",
+        "confirms": "ignored: 3 CONTROL_CONFIRM messages",
+        "usb": "ignored: 148 bytes of no message, the first at byte 0",
+    }.get(kind, "")
+    assert expected_note in notes
+    assert notes or kind in ("confirm", "request", "unpadded", "other byte order")
+    export(capture, tmp_path / "c.out")
+    np.testing.assert_array_equal(read_any(tmp_path / "c.out").samples, samples)
+
+
+def test_a_cut_message_costs_its_scan_and_is_reported(tmp_path: Path) -> None:
+    samples, data = recording()
+    parts = packets(data)
+    parts[7] = parts[7][:700]  # of scan 2
+    capture = read_any(save(tmp_path / "a.out", data[:32] + b"".join(parts)))
+    np.testing.assert_array_equal(capture.samples, np.delete(samples, 2, axis=0))
+    assert capture.radar.scans_lost == 1 and "ignored: 1 cut message" in remarks(capture)
+
+
+def test_a_recording_without_configuration_says_what_is_unknown(tmp_path: Path) -> None:
+    samples, data = recording()
+    capture = read_any(save(tmp_path / "a.out", b"".join(packets(data))))
+    np.testing.assert_array_equal(capture.samples, samples)
+    assert capture.radar.config == RadarSettings() and any("no configuration" in r for r in remarks(capture))
+
+
+def test_noise_and_lone_marks_are_no_scans(tmp_path: Path) -> None:
+    data = bytearray(np.random.default_rng(2).bytes(1 << 21))
+    for at in range(0, len(data) - 52, 64):
+        data[at : at + 4] = b"\xf2\1\0\1"
+        data[at + 44 : at + 46] = b"\0\0"
+    with pytest.raises(FileFormatError, match="unknown file format"):
+        read_any(save(tmp_path / "a.out", bytes(data)))
 
 
 @pytest.mark.parametrize("size", [0, 10, 32, 100, 1483])
