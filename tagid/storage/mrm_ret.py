@@ -1,14 +1,17 @@
 """Reads the log of the vendor's MRM-RET program (CSV) into captures, line by line.
 
 Its Config lines can be stale, so the grid is taken from the scan lines, which are correct (P440 MRM API, log
-format).
+format). Logs that a spreadsheet, a data-frame library or another client saved again are read as well: other
+delimiters, decimal commas, quotes, encodings, an index in front, empty cells behind, wrapped lines.
 """
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,14 +19,17 @@ import numpy as np
 
 from tagid import files
 from tagid.capture import Capture
-from tagid.errors import FileFormatError
+from tagid.counting import counted
+from tagid.errors import FileFormatError, displayable
 from tagid.metadata import RadarSettings
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, SAMPLES_PER_MESSAGE
 from tagid.storage.p440 import GRID_PS, MAX_NODES, P440Scans, choose_node, p440_capture
 
-SCAN = b"MrmFullScanInfo"
-CONFIG = b"Config"
-DETECTIONS = b"MrmDetectionListInfo"
+SCAN = "MrmFullScanInfo"
+CONFIG = "Config"
+DETECTIONS = "MrmDetectionListInfo"
+_CONTROLS = ("MrmControlRequest", "MrmControlConfirm")
+_KINDS = (SCAN, CONFIG, DETECTIONS, *_CONTROLS)
 CONFIG_FIELDS = (
     "node_id",
     "scan_start_ps",
@@ -36,23 +42,93 @@ CONFIG_FIELDS = (
     "transmit_gain",
     "code_channel",
 )
-_FIRST_SAMPLE = 16
+_HEAD_COLUMNS = 14
+"""Columns between the name of a scan line and its samples."""
+_BRIEF_COLUMNS = 9
+"""The same in the vendor's C example, which logs neither the reserved columns nor the mode."""
 _RAW = 1
 _WINDOW = ("scan_start_ps", "scan_stop_ps")
 _LONGEST_LINE = 1 << 17
-"""Maximum line length, bytes; a scan of 8400 samples of 12 characters and a space each fits."""
+"""Maximum line length; a scan of 8400 samples of 12 characters and a space each fits."""
 _MOST_CONFIGS = 64
-_NUMBERS = re.compile(rb"-?\d{1,10}+(?:[ \t]*+,[ \t]*+-?\d{1,10}+)*+")
+_MOST_WRAPS = 256
+_NUMBERS = re.compile(r"-?[0-9]{1,10}+(?:[ \t]*+,[ \t]*+-?[0-9]{1,10}+)*+")
 """Integers and commas; possessive, because a scan of 8400 samples would overflow the backtracking stack."""
+_DECIMAL = r"[+-]?[0-9]{1,12}+(?:\.[0-9]*+)?+(?:[eE][+-]?[0-9]{1,2}+)?+"
+_DECIMALS = re.compile(rf"{_DECIMAL}(?:[ \t]*+,[ \t]*+{_DECIMAL})*+")
+"""The same numbers as another program writes them: 123.0, 1.23E+02."""
+_MARK = re.compile(
+    r"""(?:(?:^|[\s,;|"'])(?:MrmFullScanInfo|MrmControl(?:Request|Confirm)|MrmDetectionListInfo)"""
+    r"""|[,;\t|]\ *+["']?Config)["']?\ *+(?P<delimiter>[,;\t|]|(?<=\ )|(?<=\ "))""",
+    re.MULTILINE,
+)
+"""The name of a line and the delimiter behind it; empty where spaces separate the columns."""
+_QUOTED = re.compile(r"""(["'])(.*?)\1""")
+_THOUSANDS = re.compile(r"-?[0-9]{1,3}(?:,[0-9]{3})+")
+_MISSING = ("", "nan", "null", "none", "na", "#n/a", "<na>")
+"""What other programs write into cells without a value, in lower case."""
+_EARLIEST_S, _LATEST_S = 946_684_800, 4_102_444_800
+"""A time of the host lies between the years 2000 and 2100, s since 1970."""
+_SECOND = (1, 10**3, 10**6, 10**9)
+"""A second in the units of such a time."""
 
 
 def is_mrm_ret(data: bytes) -> bool:
     """Whether the bytes look like an MRM-RET log: text with its headings, configuration or scan lines."""
-    head = data[: 1 << 16]
-    return b"\0" not in head and any(
-        mark in head
-        for mark in (b", MrmFullScanInfo,", b", Config,", b"MrmControl", b"MrmDetectionListInfo,")
-    )
+    return _Form.of(data) is not None
+
+
+@dataclass(frozen=True)
+class _Form:
+    """How the text of a log is stored.
+
+    Attributes:
+        encoding: of the text.
+        delimiter: between the columns; "" where spaces separate them.
+    """
+
+    encoding: str
+    delimiter: str
+
+    @classmethod
+    def of(cls, data: bytes) -> _Form | None:
+        """The form of a log that begins with these bytes; None if they are no such log."""
+        data = data[: 1 << 16]
+        if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+            encoding = "utf-16"
+        elif data.startswith(b"\xef\xbb\xbf"):
+            encoding = "utf-8-sig"
+        elif len(data) > 1 and 0 in data[:2]:
+            encoding = "utf-16-le" if data[1] == 0 else "utf-16-be"
+        else:
+            encoding = "latin-1"
+        text = data.decode(encoding, "replace")
+        found = None if "\0" in text else _MARK.search(text)
+        return None if found is None else cls(encoding, found["delimiter"])
+
+    def cells(self, line: str) -> str:
+        """The line with commas between the cells, decimal points, no quotes and no empty cells behind."""
+        if '"' in line or "'" in line:
+            line = _QUOTED.sub(self._unquoted, line)
+        if not self.delimiter:
+            line = ",".join(line.replace(",", ".").split())
+        elif self.delimiter != ",":
+            line = line.replace(",", ".").replace(self.delimiter, ",")
+        line = line.strip(" \t\r\n").rstrip(", \t")
+        if line[-4:].rpartition(",")[2].strip().lower() in _MISSING:
+            cells = line.split(",")
+            while cells and cells[-1].strip().lower() in _MISSING:
+                cells.pop()
+            line = ",".join(cells)
+        return line
+
+    def _unquoted(self, quoted: re.Match[str]) -> str:
+        content = quoted[2]
+        if self.delimiter != ",":
+            return content
+        return (
+            content.replace(",", "") if _THOUSANDS.fullmatch(content.strip()) else content.replace(",", ".")
+        )
 
 
 def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
@@ -75,36 +151,41 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
         UsageError: several radars and no `node`, or no scan of that one.
     """
     with files.open_regular(path) as (stream, size):
-        if size > files.MAX_FILE_BYTES or not is_mrm_ret(stream.read(1 << 16)):
+        form = _Form.of(stream.read(1 << 16))
+        if size > files.MAX_FILE_BYTES or form is None:
             raise FileFormatError(
                 f"{path}: is not an MRM-RET log (no Config or MrmFullScanInfo lines)", "Check the file."
             )
-        survey = _Survey.of(stream)
+        survey = _Survey.of(stream, form)
         if not survey.scans_of:
-            raise FileFormatError(
-                f"{path}: the log holds no complete MrmFullScanInfo line", "Log full scans in MRM-RET."
-            )
+            raise _no_scan(path, survey)
         chosen = choose_node(path, survey.scans_of, node)
-        reading = _Reading.of(stream, chosen, survey.has_raw)
+        reading = _Reading.of(stream, form, chosen, survey.has_raw)
     if not reading.message_id:
-        raise FileFormatError(
-            f"{path}: the log holds no complete MrmFullScanInfo line", "Log full scans in MRM-RET."
-        )
+        raise _no_scan(path, survey)
     config, window = _fitting_config(survey, chosen, reading)
     scans = P440Scans(
         samples=np.frombuffer(reading.samples, np.int32).reshape(len(reading.message_id), -1),
         message_id=np.array(reading.message_id, dtype=np.int64),
         timestamp_ms=np.array(reading.timestamp_ms, dtype=np.int64),
-        host_time_ns=np.array(reading.host_time_ns, dtype=np.int64),
+        host_time_ns=None if None in reading.host_time_ns else np.array(reading.host_time_ns, dtype=np.int64),
         lost_id=np.array(reading.lost_id, dtype=np.int64),
         info=reading.info,
         config=RadarSettings.from_json(config),
     )
     capture = p440_capture(path, scans, "mrm-ret", cable_delay_ps)
-    ignored = survey.unreadable + reading.other_grid
+    counts = {
+        "unreadable scan line": (survey.unreadable, ""),
+        "filtered scan": (reading.filtered, " of the same radar"),
+        "scan": (reading.other_grid, " with another window"),
+    }
+    ignored = [f"{counted(count, what)}{whose}" for what, (count, whose) in counts.items() if count]
+    if scans.host_time_ns is None:
+        ignored.append("the host's times, which are not in seconds since 1970")
     radar = replace(
         capture.radar,
-        packets_ignored=ignored,
+        packets_ignored=sum(count for count, _ in counts.values()),
+        ignored=tuple(ignored),
         bytes_left_over=survey.left_over,
         detection_lists=tuple(reading.detection_lists),
         config_stale=window.stale,
@@ -114,19 +195,87 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
     return replace(capture, radar=radar)
 
 
-def _lines(stream: BinaryIO) -> Iterator[tuple[bytes, bytes, int]]:
-    """(kind, line, bytes in the file) of every line except headings; an overlong line is truncated."""
+def _no_scan(path: Path, survey: _Survey) -> FileFormatError:
+    if survey.unreadable:
+        return FileFormatError(
+            f"{path}: none of the log's {survey.unreadable} MrmFullScanInfo lines can be read; the first "
+            f"begins {displayable(survey.example)!r}",
+            "Expected the vendor's columns: time, MrmFullScanInfo, message id, source id, ..., samples.",
+        )
+    return FileFormatError(
+        f"{path}: the log holds no complete MrmFullScanInfo line", "Log full scans in MRM-RET."
+    )
+
+
+@dataclass
+class _Line:
+    """A line of the log, except headings.
+
+    Attributes:
+        kind: its name, e.g. MrmFullScanInfo; "" if it has none.
+        time: the cell before the name.
+        body: the cells behind the name.
+        length: bytes in the file.
+        wraps: number of further lines that were joined to it.
+    """
+
+    kind: str
+    time: str
+    body: str
+    length: int
+    wraps: int = 0
+
+    @classmethod
+    def of(cls, cells: str, length: int) -> _Line:
+        # Data-frame libraries write an index in front, and dates and times take two columns.
+        columns = cells.split(",", 5)
+        for at, column in enumerate(columns[:5]):
+            if column.strip() in _KINDS:
+                return cls(
+                    column.strip(), columns[at - 1].strip() if at else "", ",".join(columns[at + 1 :]), length
+                )
+        return cls("", "", cells, length)
+
+
+def _lines(stream: BinaryIO, form: _Form) -> Iterator[_Line]:
+    """Every line except headings; an overlong line is truncated, a wrapped scan line is joined."""
     stream.seek(0)
-    while raw := stream.readline(_LONGEST_LINE):
-        length = len(raw)
-        while not raw.endswith(b"\n") and (more := stream.readline(_LONGEST_LINE)):
-            length += len(more)
-            if more.endswith(b"\n"):
-                break
-        columns = raw.split(b",", 2)
-        kind = columns[1].strip() if len(columns) == 3 else b""
-        if columns[0].strip() not in (b"Timestamp", b""):
-            yield kind, raw.rstrip(b"\r\n"), length
+    text = io.TextIOWrapper(stream, form.encoding, "replace", newline="")
+    wide = 2 if form.encoding.startswith("utf-16") else 1
+    last: _Line | None = None
+    try:
+        while raw := text.readline(_LONGEST_LINE):
+            length = len(raw)
+            while not raw.endswith(("\n", "\r")) and (more := text.readline(_LONGEST_LINE)):
+                length += len(more)
+                if more.endswith(("\n", "\r")):
+                    break
+            line = _Line.of(form.cells(raw), length * wide)
+            heading = line.kind and line.body.lstrip()[:1].isalpha()
+            if heading or line.time == "Timestamp" or not line.kind + line.body:
+                continue
+            if last is not None and not line.kind and _continues(last, line):
+                joined = last.body.rstrip(", ") + "," + line.body.lstrip(", ")
+                length = last.length + line.length
+                last = _Line(last.kind, last.time, joined[:_LONGEST_LINE], length, last.wraps + 1)
+                continue
+            if last is not None:
+                yield last
+            last = line
+        if last is not None:
+            yield last
+    finally:
+        text.detach()
+
+
+def _continues(last: _Line, line: _Line) -> bool:
+    """Whether a line holds further columns of an incomplete scan or configuration."""
+    if last.wraps >= _MOST_WRAPS or _DECIMALS.fullmatch(line.body.strip(", \t")) is None:
+        return False
+    if last.kind == CONFIG:
+        return last.body.count(",") + 1 < len(CONFIG_FIELDS)
+    head = _Head.parse(last)
+    return last.kind == SCAN and (head is None or not head.is_whole)
 
 
 @dataclass
@@ -138,6 +287,7 @@ class _Survey:
         has_raw: radars that have an unfiltered scan.
         configs: (number of scan lines before it, settings) of the Config lines.
         unreadable: scan lines with an invalid header.
+        example: beginning of the first of them.
         left_over: bytes of an incomplete last line.
     """
 
@@ -145,31 +295,33 @@ class _Survey:
     has_raw: set[int] = field(default_factory=set)
     configs: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
     unreadable: int = 0
+    example: str = ""
     left_over: int = 0
 
     @classmethod
-    def of(cls, stream: BinaryIO) -> _Survey:
+    def of(cls, stream: BinaryIO, form: _Form) -> _Survey:
         survey = cls()
         seen = 0
-        for kind, line, length in _lines(stream):
+        for line in _lines(stream, form):
             survey.left_over = 0
-            if kind == CONFIG and len(survey.configs) < _MOST_CONFIGS:
-                config = _config(line)
+            if line.kind == CONFIG and len(survey.configs) < _MOST_CONFIGS:
+                config = _config(line.body)
                 survey.configs += [(seen, config)] if config else []
-            elif kind == SCAN:
+            elif line.kind == SCAN:
                 head = _Head.parse(line)
                 if head is None:
+                    survey.example = survey.example or line.body[:60]
                     survey.unreadable += 1
-                    survey.left_over = length
-                elif not head.is_whole(line):
-                    survey.left_over = length
+                    survey.left_over = line.length
+                elif not head.is_whole:
+                    survey.left_over = line.length
                 elif head.node in survey.scans_of or len(survey.scans_of) < MAX_NODES:
                     seen += 1
                     survey.scans_of[head.node] = survey.scans_of.get(head.node, 0) + 1
                     if head.filter == _RAW:
                         survey.has_raw.add(head.node)
-            elif kind not in (b"MrmControlRequest", b"MrmControlConfirm", DETECTIONS, CONFIG):
-                survey.left_over = length
+            elif not line.kind:
+                survey.left_over = line.length
         return survey
 
 
@@ -180,28 +332,31 @@ class _Reading:
     samples: bytearray = field(default_factory=bytearray)
     message_id: list[int] = field(default_factory=list)
     timestamp_ms: list[int] = field(default_factory=list)
-    host_time_ns: list[int] = field(default_factory=list)
+    host_time_ns: list[int | None] = field(default_factory=list)
     lost_id: list[int] = field(default_factory=list)
     detection_lists: list[str] = field(default_factory=list)
     info: dict[str, Any] = field(default_factory=dict)
+    filtered: int = 0
     other_grid: int = 0
 
     @classmethod
-    def of(cls, stream: BinaryIO, node: int, has_raw: set[int]) -> _Reading:
+    def of(cls, stream: BinaryIO, form: _Form, node: int, has_raw: set[int]) -> _Reading:
         reading = cls()
         grid: tuple[int, ...] | None = None
-        for kind, line, _ in _lines(stream):
-            if kind == DETECTIONS and (text := _detections(line)):
+        wanted = _RAW if node in has_raw else None
+        for line in _lines(stream, form):
+            if line.kind == DETECTIONS and (text := _detections(line.body)):
                 reading.detection_lists.append(text)
-            head = _Head.parse(line) if kind == SCAN else None
+            head = _Head.parse(line) if line.kind == SCAN else None
             if head is None or head.node != node:
                 continue
-            samples = head.samples(line)
+            samples = head.samples()
             if samples is None:
                 reading.lost_id.append(head.message_id)
                 continue
-            if node in has_raw and head.filter != _RAW:
-                reading.other_grid += 1
+            wanted = head.filter if wanted is None else wanted
+            if head.filter != wanted:
+                reading.filtered += 1
                 continue
             grid = grid or head.grid
             if head.grid != grid:
@@ -211,19 +366,23 @@ class _Reading:
             reading.samples += samples.tobytes()
             reading.message_id.append(head.message_id)
             reading.timestamp_ms.append(head.timestamp_ms)
-            reading.host_time_ns.append(head.host_time_ns)
+            reading.host_time_ns.append(_nanoseconds(line.time))
         return reading
 
 
 class _Head:
-    """The columns of a scan line before its samples."""
+    """The columns of a scan line before its samples.
 
-    def __init__(self, values: list[int], host_time_ns: int, first_sample: int) -> None:
-        self.host_time_ns = host_time_ns
-        self._first_sample = first_sample
+    Attributes:
+        is_whole: whether the number of samples matches the header.
+    """
+
+    def __init__(self, values: list[int], body: str, columns: int) -> None:
+        self._body, self._columns = body, columns
         self.node, self.filter = values[1], values[10]
         self.message_id, self.timestamp_ms = values[0] & 0xFFFF, values[2] & 0xFFFFFFFF
         self.total = values[13]
+        self.is_whole = body.count(",") + 1 == columns + self.total
         self.grid = (values[7], values[9], values[13])
         self.info: dict[str, Any] = {
             "node_id": values[1],
@@ -237,26 +396,22 @@ class _Head:
         }
 
     @classmethod
-    def parse(cls, line: bytes) -> _Head | None:
-        """The header of a scan line, or None if it cannot be read.
-
-        The vendor's C example logs neither the reserved columns nor the mode: 11 columns before the samples.
-        """
-        columns = line.split(b",", _FIRST_SAMPLE)
+    def parse(cls, line: _Line) -> _Head | None:
+        """The header of a scan line, or None if it cannot be read."""
+        columns = line.body.split(",", _HEAD_COLUMNS)
         try:
-            host_time_ns = _nanoseconds(columns[0])
-            short = [_integer(c) for c in columns[2:11]]
-            values = [_integer(c) for c in columns[11:_FIRST_SAMPLE]]
+            short = [_integer(c) for c in columns[:_BRIEF_COLUMNS]]
+            values = [_integer(c) for c in columns[_BRIEF_COLUMNS:_HEAD_COLUMNS]]
         except (ValueError, OverflowError):
             return None
         full = brief = None
-        if len(short) + len(values) == _FIRST_SAMPLE - 2:
-            full = cls(short + values, host_time_ns, _FIRST_SAMPLE)
-        if full and full.is_plausible() and full.is_whole(line):
+        if len(short) + len(values) == _HEAD_COLUMNS:
+            full = cls(short + values, line.body, _HEAD_COLUMNS)
+        if full and full.is_plausible() and full.is_whole:
             return full
-        if len(short) == 9 and short[5] > 0:
-            brief = cls([*short[:3], 0, 0, 0, 0, *short[3:8], 3, short[8]], host_time_ns, 11)
-        if brief and brief.is_plausible() and brief.is_whole(line):
+        if len(short) == _BRIEF_COLUMNS and short[5] > 0:
+            brief = cls([*short[:3], 0, 0, 0, 0, *short[3:8], 3, short[8]], line.body, _BRIEF_COLUMNS)
+        if brief and brief.is_plausible() and brief.is_whole:
             return brief
         return full if full and full.is_plausible() else None
 
@@ -272,46 +427,59 @@ class _Head:
             and all(0 <= value <= 0xFFFFFFFF for value in self.info["reserved"])
         )
 
-    def is_whole(self, line: bytes) -> bool:
-        """Whether the number of samples matches the header."""
-        return line.count(b",") - line.endswith((b",", b", ")) >= self._first_sample - 1 + self.total
-
-    def samples(self, line: bytes) -> np.ndarray[Any, np.dtype[np.int32]] | None:
-        """(total,) int32 counts; None if the line is incomplete or contains other text."""
-        columns = line.split(b",", self._first_sample)
-        if len(columns) <= self._first_sample:
+    def samples(self) -> np.ndarray[Any, np.dtype[np.int32]] | None:
+        """(total,) int32 counts; None if the line is incomplete or contains anything but whole numbers."""
+        columns = self._body.split(",", self._columns)
+        if not self.is_whole or len(columns) <= self._columns:
             return None
-        body = columns[-1].strip(b" \t,")
+        body = columns[-1].strip(" \t,")
         # Checked first: numpy's conversion of text that is not a number depends on its version.
-        if not _NUMBERS.fullmatch(body):
+        if _NUMBERS.fullmatch(body):
+            values = np.fromstring(body, np.int64, sep=",")
+        elif _DECIMALS.fullmatch(body):
+            values = np.fromstring(body, np.float64, sep=",")
+        else:
             return None
-        values = np.fromstring(body, np.int64, sep=",")[: self.total]
         limits = np.iinfo(np.int32)
         if len(values) != self.total or values.min() < limits.min or values.max() > limits.max:
             return None
-        return values.astype(np.int32)
+        counts = values.astype(np.int32)
+        return counts if np.array_equal(counts, values) else None
 
 
-def _integer(column: bytes) -> int:
-    """A decimal number of at most 12 characters; int() would also accept `1_000`. Raises ValueError."""
-    text = column.strip()
-    if len(text) > 12 or not text.removeprefix(b"-").isdigit():
-        raise ValueError(column[:20])
-    return int(text)
+def _integer(cell: str) -> int:
+    """A whole number of at most 12 characters, also written 123.0; int() would accept `1_000`, too.
+
+    Raises ValueError.
+    """
+    text = cell.strip()
+    if len(text) > 12 or not _DECIMALS.fullmatch(text) or "," in text:
+        raise ValueError(cell[:20])
+    number = float(text)
+    if not number.is_integer():
+        raise ValueError(cell[:20])
+    return int(number)
 
 
-def _nanoseconds(column: bytes) -> int:
-    """Epoch seconds with three decimals as ns; exact, unlike a float. Raises ValueError."""
-    seconds = float(column[:64])
-    if not abs(seconds) < 9e9:
-        raise ValueError(column[:20])
-    return round(seconds * 1000) * 1_000_000
+def _nanoseconds(cell: str) -> int | None:
+    """A time of the host as ns since 1970, from s, ms, us or ns; None if it is in another form.
 
-
-def _config(line: bytes) -> dict[str, Any] | None:
-    columns = line.split(b",", 2 + len(CONFIG_FIELDS))
+    The vendor's program writes seconds with three decimals.
+    """
     try:
-        values = [_integer(c) for c in columns[2 : 2 + len(CONFIG_FIELDS)]]
+        value = Decimal(cell) if len(cell) < 64 else Decimal("nan")
+    except InvalidOperation:
+        return None
+    for unit in _SECOND:
+        if value.is_finite() and _EARLIEST_S <= value / unit <= _LATEST_S:
+            return int(value * (10**9 // unit))
+    return None
+
+
+def _config(body: str) -> dict[str, Any] | None:
+    columns = body.split(",", len(CONFIG_FIELDS))
+    try:
+        values = [_integer(c) for c in columns[: len(CONFIG_FIELDS)]]
     except ValueError:
         return None
     if len(values) != len(CONFIG_FIELDS):
@@ -353,9 +521,9 @@ def _fitting_config(survey: _Survey, node: int, reading: _Reading) -> tuple[dict
     return {**chosen, **actual}, window
 
 
-def _detections(line: bytes) -> str | None:
+def _detections(body: str) -> str | None:
     """A detection list as "message id: index magnitude, ..."; None if the line is not one."""
-    columns = line.split(b",", 4 + 2 * SAMPLES_PER_MESSAGE)[2:]
+    columns = body.split(",", 2 + 2 * SAMPLES_PER_MESSAGE)
     try:
         message_id, count = _integer(columns[0]), _integer(columns[1])
         values = [_integer(c) for c in columns[2 : 2 + 2 * max(count, 0)]]

@@ -65,9 +65,9 @@ def mrm_ret_lines(capture: Capture) -> Iterator[bytes]:
             yield _line(int(epoch_ms[view]), DETECTIONS, [message_id, len(values) // 2, *values])
 
 
-def _line(epoch_ms: int, kind: bytes, values: list[int]) -> bytes:
+def _line(epoch_ms: int, kind: str, values: list[int]) -> bytes:
     seconds = f"{epoch_ms // 1000}.{epoch_ms % 1000:03d}"
-    return f"{seconds}, {kind.decode()}, {', '.join(map(str, values))}\r\n".encode()
+    return f"{seconds}, {kind}, {', '.join(map(str, values))}\r\n".encode()
 
 
 def _config_columns(capture: Capture, config: dict[str, Any]) -> list[int]:

@@ -173,9 +173,102 @@ def test_what_a_log_cannot_hold_leaves_no_file(tmp_path: Path, samples) -> None:
 
 def test_numbers_that_are_none_cost_their_line_only(tmp_path: Path, samples) -> None:
     lines = [config(7), *(scan(i, samples[i]) for i in range(4))]
-    for bad in ("1_0", "0x10", "1e3", "", "99999999999", "nan", "1 2"):
+    for bad in ("1_0", "0x10", "1e-3", "1.5", "", "99999999999", "nan", "1 2"):
         spoiled = lines[2].rsplit(",", 1)[0] + f", {bad}"
         path = log(tmp_path / "a.csv", *lines[:2], spoiled, *lines[3:])
         np.testing.assert_array_equal(read_any(path).samples, samples[[0, 2, 3]], err_msg=bad)
     with pytest.raises(FileFormatError):
         read_any(log(tmp_path / "a.csv", config(7), "x" * 500_000))
+
+
+def resaved(lines: list[str], kind: str) -> bytes:
+    """The log as other programs save it."""
+    cells = [line.split(", ") for line in lines]
+    floats = [
+        [c + ".0" if at > 1 and c.lstrip("-").isdigit() else c for at, c in enumerate(row)] for row in cells
+    ]
+    plain = "\r\n".join(lines)
+    width = max(map(len, cells))
+    padded = [row + [""] * (width - len(row)) for row in cells]
+    index = [str(n) for n in range(width)]
+
+    def joined(delimiter: str, rows: list[list[str]] = cells) -> str:
+        return "\n".join(delimiter.join(row) for row in rows)
+
+    text = {
+        "no spaces": joined(","),
+        "semicolons": joined(";").replace(".", ","),
+        "tabs": joined("\t"),
+        "bars": joined(" | "),
+        "spaces": joined(" "),
+        "quotes": joined(",", [[f'"{c}"' for c in row] for row in cells]),
+        "quoted thousands": joined(",", [[f'"{int(c):,}"' if c.lstrip("-").isdigit() and at > 1 else c
+                                          for at, c in enumerate(row)] for row in cells]),
+        "carriage returns": plain.replace("\r\n", "\r"),
+        "blank lines": plain.replace("\r\n", "\r\n\r\n,,,\r\n"),
+        "empty cells": joined(",", padded),
+        "floats": joined(",", floats),
+        "scientific": joined(",", [[f"{int(c):.6e}" if at > 15 and c.lstrip("-").isdigit() else c
+                                    for at, c in enumerate(row)] for row in cells]),
+        "frame": joined(",", [["", *index], *([str(n), *row] for n, row in enumerate(
+            [row + ["nan"] * (width - len(row)) for row in floats]))]),
+        "wrapped": joined(",\n", [[", ".join(row[at : at + 16]) for at in range(0, len(row), 16)]
+                                  for row in cells]),
+        "bytes": plain, "utf-8-sig": plain, "utf-16": plain, "utf-16-le": plain, "utf-16-be": plain,
+    }[kind]  # fmt: skip
+    return text.encode(kind if kind.startswith("utf") else "ascii")
+
+
+RESAVED = (
+    "no spaces", "semicolons", "tabs", "bars", "spaces", "quotes", "quoted thousands", "carriage returns",
+    "blank lines", "empty cells", "floats", "scientific", "frame", "wrapped", "utf-8-sig", "utf-16",
+    "utf-16-le", "utf-16-be",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", RESAVED)
+@pytest.mark.parametrize("headings", [True, False])
+def test_a_log_that_another_program_saved_again(tmp_path: Path, samples, kind: str, headings: bool) -> None:
+    lines = [config(7), *(scan(i, samples[i]) for i in range(4)), scan(4, samples[4], filtering=4)]
+    if headings:
+        lines = ["Timestamp, Config, NodeId", lines[0], "Timestamp, MrmFullScanInfo, MessageId", *lines[1:]]
+    (tmp_path / "a.csv").write_bytes(resaved(lines, kind))
+    capture = read_any(tmp_path / "a.csv")
+    np.testing.assert_array_equal(capture.samples, samples[:4])
+    assert capture.host_time_ns is not None and capture.host_time_ns[2] == 1_700_000_002_123_000_000
+    assert capture.radar.config.transmit_gain == 63
+    assert remarks(capture) == ("ignored: 1 filtered scan of the same radar",)
+
+
+@pytest.mark.parametrize(
+    ("first", "known"),
+    [
+        ("17000000{}123", True),  # ms, us and ns since 1970
+        ("17000000{}123000", True),
+        ("17000000{}123000000", True),
+        ("6393130578{}2080000", False),  # ticks, in an unknown time zone
+        ("26.11.2026 22:13:{}", False),
+        ("2026-11-26, 22:13:{}", False),
+        ("22:13:{}.208", False),
+        ("46352.92{}", False),  # days, of a spreadsheet
+        ("inf", False),
+        ("", False),
+    ],
+)
+def test_the_hosts_time_may_be_unknown(tmp_path: Path, samples, first: str, known: bool) -> None:
+    lines = [f"{first.format(10 + i)}, {scan(i, samples[i]).split(', ', 1)[1]}" for i in range(4)]
+    capture = read_any(log(tmp_path / "a.csv", *lines))
+    np.testing.assert_array_equal(capture.samples, samples[:4])
+    if known:
+        assert capture.host_time_ns is not None
+        assert (capture.host_time_ns // 10**6).tolist() == [1_700_000_010_123 + 1000 * i for i in range(4)]
+    else:
+        assert capture.host_time_ns is None and any("host's times" in text for text in remarks(capture))
+
+
+def test_a_log_whose_lines_cannot_be_read_shows_one(tmp_path: Path, samples) -> None:
+    line = scan(0, samples[0]).replace(", 10000,", ", 10,000,")
+    with pytest.raises(FileFormatError, match="none of the log's 1 MrmFullScanInfo lines can be read"):
+        read_any(log(tmp_path / "a.csv", line.replace(", 7,", ", seven,")))
+    with pytest.raises(FileFormatError, match="no complete"):
+        read_any(log(tmp_path / "a.csv", line))
