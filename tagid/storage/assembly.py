@@ -19,6 +19,11 @@ from numpy.typing import NDArray
 from tagid.capture import Capture
 from tagid.errors import DataError, FileFormatError, displayable
 
+AS_NPZ = (
+    "numpy.savez('scans.npz', samples=SCANS, range_start_m=METRES, range_step_m=METRES, angles_rad=ANGLES, "
+    "axis_distance_m=METRES), where SCANS is (views, bins), one scan a row (docs/formats.md)"
+)
+"""The way on for scans in a file that is not read."""
 MAX_JSON_BYTES = 64 << 20
 """Longest settings text accepted, characters."""
 

@@ -34,6 +34,7 @@ from tagid.capture import Capture, Pulse
 from tagid.constants import CAPTURE_SUFFIX, SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError, StorageError, UsageError
 from tagid.storage.assembly import (
+    AS_NPZ,
     MAX_JSON_BYTES,
     build_capture,
     decode_settings,
@@ -297,7 +298,7 @@ def _version(file: Any, path: Path) -> int:
     if name is None or text(name, f"{path} (format)") != FORMAT:
         raise FileFormatError(
             f"{path}: is an HDF5 file, but not a tagid capture (format is not {FORMAT!r})",
-            "Import other data as NPZ: see `tagid import --help`.",
+            "Read its arrays with h5py, and store them as NPZ: " + AS_NPZ,
         )
     version = number(_attribute(file, "format_version"), f"{path} (format_version)")
     if version != int(version):

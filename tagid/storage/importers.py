@@ -13,16 +13,18 @@ from tagid.counting import counted
 from tagid.errors import FileFormatError
 from tagid.metadata import RadarSettings
 from tagid.storage import hdf5
+from tagid.storage.assembly import AS_NPZ
 
 _KNOWN = (
-    "Expected a capture (.tagid.h5), a journal, a generic NPZ file, a MATLAB file that tagid wrote, a P440 "
-    "recording (.prd, .out) or an MRM-RET log (.csv)."
+    "Expected a capture (.tagid.h5), a journal, a generic NPZ file, a MATLAB file of tagid or of the "
+    "vendor's log reader, a P440 recording (.prd, .out) or an MRM-RET log (.csv). Store other scans as NPZ: "
+    + AS_NPZ
 )
 _HEAD = 1 << 16
 
 
 def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
-    """Read a capture, a journal, a generic NPZ or our MATLAB file, a P440 recording or an MRM-RET log.
+    """Read a capture, a journal, a generic NPZ or a MATLAB file, a P440 recording or an MRM-RET log.
 
     Args:
         path: the file.
@@ -41,13 +43,14 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
     if head.startswith(hdf5.MAGIC):
         return _of_node(path, hdf5.read_capture(path), node)
     # The other formats are imported where one of them is read.
-    from tagid.storage import journal, journal_capture, mat, mrm_ret, npz, recordings
+    from tagid.storage import foreign, journal, journal_capture, mat, mrm_ret, npz, recordings
 
     if head.startswith(journal.MAGIC):
         return _of_node(path, journal_capture.read_journal_capture(path), node)
     if head.startswith(mat.MAGIC):
-        return _of_node(path, mat.read_mat(path), node)
+        return _of_node(path, mat.read_mat(path, cable_delay_ps, node), node)
     if head.startswith(npz.MAGIC):
+        foreign.check_zip(path)
         return _of_node(path, npz.read_npz(path), node)
     if mrm_ret.is_mrm_ret(head):
         return mrm_ret.read_mrm_ret(path, cable_delay_ps, node)
@@ -55,6 +58,7 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
         messages = size <= files.MAX_FILE_BYTES and recordings.is_recording(stream)
     if messages:
         return recordings.read_recording(path, cable_delay_ps, node)
+    foreign.check_foreign(path, head)
     raise FileFormatError(f"{path}: unknown file format", _KNOWN)
 
 

@@ -1,6 +1,7 @@
 """MATLAB 5 files: exports captures to MATLAB and Octave, and reads them back.
 
-Only files from `encode_mat` are read; import others as NPZ, in which the variables can be named.
+Of other files, the structs of the vendor's log reader are read; import others as NPZ, in which the variables
+can be named.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import io
 import warnings
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, cast
@@ -17,10 +19,11 @@ from numpy.typing import NDArray
 
 from tagid import files
 from tagid.capture import Capture, Pulse
-from tagid.errors import DataError, FileFormatError, MissingExtraError
+from tagid.errors import DataError, FileFormatError, MissingExtraError, displayable
 from tagid.metadata import METADATA_VERSION
-from tagid.storage import hdf5
+from tagid.storage import hdf5, mat_scans
 from tagid.storage.assembly import (
+    AS_NPZ,
     OPTIONAL_NUMBERS,
     build_capture,
     decode_settings,
@@ -107,19 +110,23 @@ def _scipy_io() -> Any:
     return scipy.io
 
 
-def read_mat(path: Path) -> Capture:
-    """Read a MATLAB 5 file that `encode_mat` wrote.
+def read_mat(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
+    """Read a MATLAB 5 file that `encode_mat` wrote, or that holds the structs of the vendor's log reader.
+
+    Args:
+        path: the file.
+        cable_delay_ps: two-way delay to subtract from the ranges of the vendor's scans, ps.
+        node: number of the radar to read, if those are of several.
 
     Raises:
         StorageError: the file cannot be read.
         FileFormatError: damaged, written by another program, or not plausible.
+        UsageError: several radars and no `node`, or no scan of that one.
     """
-    found = _load(path, files.read_bytes(path))
+    data = files.read_bytes(path)
+    found = _load(path, data)
     if "format" not in found or _text(found, "format", path) != hdf5.FORMAT or "samples" not in found:
-        raise FileFormatError(
-            f"{path}: is a MATLAB file, but not one that tagid wrote",
-            "Import other data as NPZ: see `tagid import --help`.",
-        )
+        return _read_other(path, data, cable_delay_ps, node)
     samples = found["samples"]
     if samples.dtype.name not in _SAMPLE_TYPES:
         raise FileFormatError(f"{path}: samples have dtype {samples.dtype}, expected {_SAMPLE_TYPES}")
@@ -159,31 +166,67 @@ def read_mat(path: Path) -> Capture:
     return build_capture(path, **fields)
 
 
+def _read_other(path: Path, data: bytes, cable_delay_ps: float, node: int | None) -> Capture:
+    """The scans of the vendor's structs. Raises FileFormatError with a way on if there are none."""
+    names: list[str] = []
+
+    def read(io_: Any) -> dict[str, Any]:
+        mat_scans.check_sizes(data, max(_SMALL_BYTES, _MAX_EXPANSION * len(data)))
+        kinds = {name: kind for name, _, kind in io_.whosmat(cast(Any, io.BytesIO(data)))}
+        names.extend(kinds)
+        structs = sorted(name for name, kind in kinds.items() if kind == "struct")
+        loaded = io_.loadmat(cast(Any, io.BytesIO(data)), variable_names=structs) if structs else {}
+        return {name: loaded[name] for name in structs if name in loaded}
+
+    capture = mat_scans.read_scans(path, _guarded(path, read), cable_delay_ps, node)
+    if capture is None:
+        shown = ", ".join(displayable(name) for name in names[:8]) or "no variable"
+        raise FileFormatError(
+            f"{path}: is a MATLAB file with {shown}, but without tagid's variables or the structs cfg and "
+            "scn of the vendor's log reader",
+            "Load it with scipy.io.loadmat, and store its scans as NPZ: " + AS_NPZ,
+        )
+    return capture
+
+
 def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
     """The variables used by tagid; declared sizes are checked before memory is allocated."""
-    io_ = _scipy_io()
     limit = max(_SMALL_BYTES, _MAX_EXPANSION * len(data))
+
+    def read(io_: Any) -> dict[str, Any]:
+        claimed = 0
+        names = []
+        for name, shape, kind in io_.whosmat(cast(Any, io.BytesIO(data))):
+            if name not in _NAMES or kind in ("cell", "struct", "object", "function", "opaque", "sparse"):
+                continue
+            size = _ITEM_BYTES
+            for length in shape:
+                size *= int(length)
+            claimed += size
+            names.append(name)
+        if not 0 <= claimed <= limit:
+            raise FileFormatError(f"{path}: the variables claim {claimed} bytes, which is not plausible")
+        return cast(dict[str, Any], io_.loadmat(cast(Any, io.BytesIO(data)), variable_names=sorted(names)))
+
+    found = _guarded(path, read)
+    return {name: value for name, value in found.items() if name in _NAMES and isinstance(value, np.ndarray)}
+
+
+def _guarded(path: Path, read: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+    """What `read` returns; its argument is `scipy.io`, whose errors become FileFormatError."""
+    io_ = _scipy_io()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # scipy warns about variables that it reads only partly
-            claimed = 0
-            for name, shape, kind in io_.whosmat(cast(Any, io.BytesIO(data))):
-                size = _ITEM_BYTES
-                for length in shape:
-                    size *= int(length)
-                claimed += size if name in _NAMES else 0
-                if name in _NAMES and kind in ("cell", "struct", "object", "function", "opaque", "sparse"):
-                    raise FileFormatError(f"{path}: {name} is a {kind}, expected numbers or text")
-            if not 0 <= claimed <= limit:
-                raise FileFormatError(f"{path}: the variables claim {claimed} bytes, which is not plausible")
-            found = io_.loadmat(cast(Any, io.BytesIO(data)), variable_names=sorted(_NAMES))
+            return read(io_)
     # scipy raises any of these on damaged files, depending on the location of the damage.
     except (
         io_.matlab.MatReadError, OSError, EOFError, ValueError, TypeError, LookupError, MemoryError,
         OverflowError, NotImplementedError, AttributeError, RuntimeError, zlib.error,
     ) as error:  # fmt: skip
-        raise FileFormatError(f"{path}: the MATLAB file is damaged ({str(error)[:120]})") from error
-    return {name: value for name, value in found.items() if name in _NAMES and isinstance(value, np.ndarray)}
+        raise FileFormatError(
+            f"{path}: the MATLAB file is damaged ({str(error)[:120]})", "Save it again with `save -v7`."
+        ) from error
 
 
 def _vector(path: Path, name: str, values: NDArray[Any], dtype: str) -> NDArray[Any]:

@@ -33,6 +33,7 @@ from tagid.capture import Capture, Pulse
 from tagid.errors import DataError, FileFormatError, displayable
 from tagid.metadata import METADATA_VERSION
 from tagid.storage.assembly import (
+    AS_NPZ,
     OPTIONAL_NUMBERS,
     build_capture,
     decode_settings,
@@ -98,9 +99,7 @@ def read_npz(path: Path) -> Capture:
     if missing:
         raise FileFormatError(
             f"{path}: the NPZ file lacks {', '.join(missing)}",
-            "It needs samples (views, bins), range_start_m, range_step_m and one of "
-            + ", ".join(_WHERE)
-            + ".",
+            f"It needs these and one of {', '.join(_WHERE)}: {AS_NPZ}",
         )
     ours = (
         decode_settings(_string(arrays["tagid"], f"{path} (tagid)"), f"{path} (tagid)")

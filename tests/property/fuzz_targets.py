@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy.io import savemat
 
 from tagid.capture import Capture, Pulse
 from tagid.constants import RANGE_STEP_M
@@ -234,6 +235,38 @@ def _stored_npz() -> bytes:
     return buffer.getvalue()
 
 
+def _matlab() -> list[bytes]:
+    """The structs of the vendor's log reader, and tagid's own variables, not compressed."""
+    scan = {"msgID": 1, "srcID": 7, "Tstmp": 9, "Tstrt": 100, "Tstp": 500, "Nbin": 32, "Nfilt": 1, "antID": 2}
+    scans = np.empty((1, 3), [(name, object) for name in (*scan, "scn")])
+    for name, value in scan.items():
+        scans[name][:] = value
+    for at in range(3):
+        scans["scn"][0, at] = np.arange(12, dtype=np.int32)[:, None]
+    buffers = [io.BytesIO(), io.BytesIO()]
+    savemat(buffers[0], {"cfg": {"nodeID": 7, "BII": 11}, "scn": scans})
+    savemat(buffers[1], {"scn": scans}, do_compression=True)
+    return [buffer.getvalue() for buffer in buffers]
+
+
+def _wrapped() -> list[bytes]:
+    """A recording in frames, after a confirm, and among other messages."""
+    data = encoded(".prd")
+    block, parts = data[:32], [data[at : at + 1452] for at in range(32, len(data), 1452)]
+    confirm = encode(MessageType.GET_CONFIG_CONFIRM, 1)[:4] + block + bytes(8)
+    other = encode(MessageType.CONTROL_CONFIRM, 2)
+    framed = b"".join(frame(part, Framing.UART) for part in [confirm, *parts])
+    return [framed, confirm + b"".join(parts), other.join(parts), b"\n".join(parts)]
+
+
+def _resaved() -> list[bytes]:
+    """The log with other delimiters, encodings and forms of numbers."""
+    text = encoded(".csv").decode()
+    semicolons = text.replace(", ", ";").replace(".", ",")
+    quoted = text.replace(", ", '","').replace("\r\n", '"\r\n"')
+    return [semicolons.encode(), quoted.encode(), text.encode("utf-16"), text.replace(", ", "\t").encode()]
+
+
 def _layouts(suffix: str) -> Callable[[bytes], None]:
     def run(data: bytes) -> None:
         path = _folder() / f"layouts{suffix}"
@@ -270,15 +303,18 @@ def _seeds_of(*suffixes: str) -> Callable[[], list[bytes]]:
 
 
 TARGETS = (
-    Target("message", _message, _messages, 0.867, 1600),
+    Target("message", _message, _messages, 0.859, 1600),
     Target("framing-usb", _framing(Framing.USB), _frames(Framing.USB), 0.03, 3200),
     Target("framing-uart", _framing(Framing.UART), _frames(Framing.UART), 0.03, 3200),
     Target("regrouping", _scans, _scan_headers, 0.005, 260),
     Target("requests", _requests, _request_seeds, 0.02, 240),
     Target("recording", _importer, _seeds_of(".prd"), 0.008, 14_000),
+    Target("wrapped", _importer, _wrapped, 0.003, 14_000),
     Target("mrm-ret", _importer, _seeds_of(".csv"), 0.006, 8000),
+    Target("resaved", _importer, _resaved, 0.002, 8000),
     Target("journal", _importer, _seeds_of(".tagid.journal"), 0.01, 8000),
     Target("npz", _importer, lambda: [*_seeds_of(".npz")(), _stored_npz()], 0.008, 8000),
+    Target("matlab", _importer, _matlab, 0.003, 8000),
     Target("response", _response, _response_seeds, 0.003, 6000),
     Target("hdf5", _importer, _seeds_of(".tagid.h5"), 0.003, 30_000),
     Target("layouts", _layouts(".toml"), _layout_seeds, 0.005, 2000),

@@ -1,0 +1,225 @@
+"""Scans in MATLAB files as the vendor's log reader returns them: the structs `cfg` and `scn`.
+
+`scn` has one element per scan with the fields msgID, srcID, Tstmp (ms), Tstrt, Tstp (ps), Nbin (step, bins),
+Nfilt, antID, Nscn and scn (samples); or one element whose fields hold all scans.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture
+from tagid.constants import BINS_PER_SAMPLE
+from tagid.counting import counted
+from tagid.errors import FileFormatError
+from tagid.metadata import RadarSettings
+from tagid.radar.messages import MAX_SAMPLES_PER_SCAN
+from tagid.storage.p440 import MAX_NODES, P440Scans, choose_node, p440_capture
+
+_RAW: Final = 1
+_NEEDED: Final = ("scn", "tstrt", "tstmp")
+_FIELDS: Final = {
+    "msgid": 0xFFFF, "srcid": 0xFFFFFFFF, "tstmp": 0xFFFFFFFF, "tstrt": 2**31 - 1, "tstp": 2**31 - 1,
+    "nbin": 0xFFFF, "nfilt": 0xFF, "antid": 0xFF,
+}  # fmt: skip
+"""Field of a scan, in lower case -> its largest value."""
+_DEFAULTS: Final = {"nbin": BINS_PER_SAMPLE, "nfilt": _RAW, "antid": 2, "srcid": 0, "tstp": 0}
+_CONFIG: Final = {
+    "nodeid": "node_id", "tstrt": "scan_start_ps", "tstp": "scan_stop_ps", "nbin": "resolution_bins",
+    "bii": "base_integration_index", "iant": "antenna_mode", "gtmt": "transmit_gain", "ichan": "code_channel",
+}  # fmt: skip
+_MATRIX, _COMPRESSED = 14, 15
+_CELL, _STRUCT, _SPARSE = 1, 2, 5
+_LARGEST_CLASS: Final = 15
+_DEEPEST: Final = 8
+
+
+def check_sizes(data: bytes, limit: int) -> None:
+    """Check the sizes that a MATLAB 5 file claims, structs and cells included, before it is read.
+
+    Args:
+        data: the file.
+        limit: most bytes that its compressed variables may hold.
+
+    Raises ValueError: more than `limit`, truncated, or an array larger than its bytes.
+    """
+    order = "<" if data[126:128] == b"IM" else ">"
+    for kind, payload in _elements(memoryview(data)[128:], order):
+        if kind == _COMPRESSED:
+            content = zlib.decompressobj().decompress(payload, limit + 1)
+            limit -= len(content)
+            if limit < 0:
+                raise ValueError("its variables claim a size that is not plausible")
+            for inner, part in _elements(memoryview(content), order):
+                _check(inner, part, order, 0)
+        else:
+            _check(kind, payload, order, 0)
+
+
+def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    at = 0
+    while at + 8 <= len(data):
+        word, size = (int(value) for value in np.frombuffer(data[at : at + 8], f"{order}u4"))
+        start = at + 8
+        if word >> 16:
+            word, size, start = word & 0xFFFF, word >> 16, at + 4
+        payload = data[start : start + size]
+        if len(payload) != size:
+            raise ValueError("a variable is truncated")
+        yield word, payload
+        end = start + size
+        at = end if word == _COMPRESSED else end + -end % 8
+
+
+def _check(kind: int, payload: memoryview, order: str, depth: int) -> None:
+    if kind != _MATRIX or not len(payload):
+        return
+    parts = list(_elements(payload, order))
+    if depth > _DEEPEST or len(parts) < 3 or len(parts[0][1]) < 4 or len(parts[1][1]) % 4:
+        raise ValueError("a variable is damaged")
+    of_class = int(np.frombuffer(parts[0][1][:4], f"{order}u4")[0]) & 0xFF
+    dims = np.frombuffer(parts[1][1], f"{order}i4").tolist()
+    count = math.prod(dims)
+    if of_class == _SPARSE or of_class > _LARGEST_CLASS:
+        return
+    inner = [part for number, part in parts[3:] if number == _MATRIX]
+    if of_class == _STRUCT:
+        width = int(np.frombuffer(parts[3][1][:4], f"{order}i4")[0]) if len(parts) > 4 else 0
+        fields = len(parts[4][1]) // width if width > 0 else 0
+        room = len(inner) // fields if fields else len(payload)
+    else:
+        room = len(inner) if of_class == _CELL else len(payload)
+    if min(dims, default=0) < 0 or count > room:
+        raise ValueError(f"a variable claims {dims} elements in {len(payload)} bytes")
+    for part in inner:
+        _check(_MATRIX, part, order, depth + 1)
+
+
+def read_scans(
+    path: Path, variables: dict[str, Any], cable_delay_ps: float, node: int | None
+) -> Capture | None:
+    """The capture of the vendor's structs among the variables of a file; None where there are none.
+
+    Raises:
+        FileFormatError: values that are not those of a P440.
+        UsageError: several radars and no `node`, or no scan of that one.
+    """
+    scans = [scan for value in variables.values() for scan in _scans(path, value, 0)]
+    if not scans:
+        return None
+    nodes: dict[int, int] = {}
+    for scan in scans:
+        if scan["srcid"] in nodes or len(nodes) < MAX_NODES:
+            nodes[scan["srcid"]] = nodes.get(scan["srcid"], 0) + 1
+    chosen = choose_node(path, nodes, node)
+    scans = [scan for scan in scans if scan["srcid"] == chosen]
+    wanted = _RAW if any(scan["nfilt"] == _RAW for scan in scans) else scans[0]["nfilt"]
+    kept = [scan for scan in scans if scan["nfilt"] == wanted]
+    first = kept[0]
+
+    def grid(scan: dict[str, Any]) -> tuple[int, int, int]:
+        return scan["tstrt"], scan["nbin"], len(scan["scn"])
+
+    same = [scan for scan in kept if grid(scan) == grid(first)]
+    ignored = []
+    if filtered := len(scans) - len(kept):
+        ignored.append(f"{counted(filtered, 'filtered scan')} of the same radar")
+    if others := len(kept) - len(same):
+        ignored.append(f"{counted(others, 'scan')} with another window")
+    configs = [config for value in variables.values() for config in _configs(value)]
+    config = next(
+        (one for one in reversed(configs) if one.get("node_id") == chosen), configs[0] if configs else {}
+    )
+    window = {"scan_start_ps": first["tstrt"], "scan_stop_ps": first["tstp"]}
+    numbers = {name: np.array([scan[name] for scan in same], np.int64) for name in ("msgid", "tstmp")}
+    info = {"node_id": chosen, "step_bins": first["nbin"], "filter": wanted, "antenna_id": first["antid"]}
+    p440 = P440Scans(
+        samples=np.array([scan["scn"] for scan in same], np.int32),
+        message_id=numbers["msgid"],
+        timestamp_ms=numbers["tstmp"],
+        host_time_ns=None,
+        lost_id=np.zeros(0, np.int64),
+        info={**info, **window},
+        config=RadarSettings.from_json({**config, **window} if config else {}),
+    )
+    capture = p440_capture(path, p440, "mrm-ret", cable_delay_ps)
+    radar = replace(capture.radar, packets_ignored=filtered + others, ignored=tuple(ignored))
+    return replace(capture, radar=radar)
+
+
+def _structs(value: Any, depth: int) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """(names of the fields, element) of all structs in a variable."""
+    names = getattr(value, "dtype", np.dtype(int)).names
+    if names is None or depth > _DEEPEST:
+        return
+    for element in value.reshape(-1):
+        yield names, element
+        for name in names:
+            yield from _structs(element[name], depth + 1)
+
+
+def _scans(path: Path, value: Any, depth: int) -> Iterator[dict[str, Any]]:
+    """The scans in a variable: its fields, in lower case, as whole numbers, and the samples."""
+    number = 0
+    for names, element in _structs(value, depth):
+        fields = {name.lower(): np.asarray(element[name]) for name in names}
+        if not all(name in fields for name in _NEEDED) or not fields["scn"].size:
+            continue
+        count = fields["tstmp"].size
+        samples = fields["scn"]
+        if samples.dtype.kind not in "iuf" or samples.ndim != 2 or samples.size % max(count, 1):
+            raise FileFormatError(f"{path}: scn.scn has shape {samples.shape} and dtype {samples.dtype}")
+        rows = samples.reshape(1, -1) if count == 1 else samples if len(samples) == count else samples.T
+        if len(rows) != count or rows.shape[1] > MAX_SAMPLES_PER_SCAN:
+            raise FileFormatError(
+                f"{path}: scn.scn has shape {samples.shape} for {counted(count, 'time stamp')}"
+            )
+        whole = rows.astype(np.int32) if np.isfinite(rows).all() and np.abs(rows).max() < 2**31 else None
+        if whole is None or not np.array_equal(whole, rows):
+            raise FileFormatError(f"{path}: scn.scn holds samples that are not whole numbers of a P440")
+        columns = {
+            name: _column(
+                path, name, fields[name] if name in fields else _default(name, number, count), count
+            )
+            for name in _FIELDS
+        }
+        for at in range(count):
+            yield {name: int(column[at]) for name, column in columns.items()} | {"scn": whole[at]}
+        number += count
+
+
+def _default(name: str, number: int, count: int) -> NDArray[Any]:
+    return (
+        np.array([_DEFAULTS.get(name, 0)]) if name != "msgid" else np.arange(number, number + count) & 0xFFFF
+    )
+
+
+def _column(path: Path, name: str, values: NDArray[Any], count: int) -> NDArray[np.int64]:
+    flat = values.reshape(-1)
+    least = -_FIELDS[name] if name in ("tstrt", "tstp") else 0
+    if flat.size not in (1, count) or flat.dtype.kind not in "iuf" or not np.isfinite(flat).all():
+        raise FileFormatError(f"{path}: scn.{name} is not one number per scan")
+    if flat.min() < least or flat.max() > _FIELDS[name] or not np.array_equal(flat, np.rint(flat)):
+        raise FileFormatError(f"{path}: scn.{name} reaches {flat.max():g}, which no P440 sends")
+    return np.broadcast_to(flat.astype(np.int64), count) if flat.size == 1 else flat.astype(np.int64)
+
+
+def _configs(value: Any) -> Iterator[dict[str, int]]:
+    for names, element in _structs(value, 0):
+        fields = {name.lower(): np.asarray(element[name]) for name in names}
+        if "bii" not in fields:
+            continue
+        numbers = {ours: fields[theirs] for theirs, ours in _CONFIG.items() if theirs in fields}
+        yield {
+            name: int(number.item())
+            for name, number in numbers.items()
+            if number.size == 1 and number.dtype.kind in "iuf" and abs(number.item()) < 2**32
+        }
