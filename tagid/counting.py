@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 def counted(count: int, thing: str) -> str:
     """A number with its noun, which takes an s unless there is one.
@@ -10,3 +12,19 @@ def counted(count: int, thing: str) -> str:
     ('1 view', '0 views', '2 recordings')
     """
     return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
+
+
+def runs(numbers: Iterable[int]) -> str:
+    """Ascending numbers in words, of many the first ten runs.
+
+    >>> runs([20, 21, 22, 40])
+    '20 to 22, 40'
+    """
+    ends: list[list[int]] = []
+    for number in numbers:
+        if ends and number == ends[-1][1] + 1:
+            ends[-1][1] = int(number)
+        else:
+            ends.append([int(number), int(number)])
+    words = [str(first) if first == last else f"{first} to {last}" for first, last in ends[:10]]
+    return ", ".join(words) + ", ..." * (len(ends) > 10)

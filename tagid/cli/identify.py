@@ -92,7 +92,7 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
     from tagid.cli.common import imaging
     from tagid.pipeline.diagnosis import recording_remarks, with_causes
     from tagid.pipeline.identify import identify
-    from tagid.pipeline.load import LoadSettings, load_capture
+    from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
     from tagid.pipeline.prepared import PreparedCapture
 
     check_drawing("--png", view.png, (".png",), files)
@@ -115,7 +115,8 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
             )
             answer = with_causes(answer, prepared, known.layouts)
             prefix = f"{displayable(path.name)}: " if len(files) > 1 else ""
-            remarks += [prefix + remark for remark in recording_remarks(prepared.given)]
+            given = prepared.given
+            remarks += [prefix + remark for remark in (*intake_remarks(given), *recording_remarks(given))]
             if view.preview or view.png:
                 result = imaging.image_with_progress(terminal, prepared)
                 if view.png:

@@ -124,7 +124,7 @@ def register(app: typer.Typer) -> None:
         from tagid.cli.common import imaging
         from tagid.imaging.ats.options import parse_calibrate, parse_settings
         from tagid.pipeline.identify import identify, without_body
-        from tagid.pipeline.load import LoadSettings, load_capture
+        from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
         from tagid.pipeline.prepared import PreparedCapture
         from tagid.storage.image import write_image
 
@@ -225,5 +225,9 @@ def register(app: typer.Typer) -> None:
             "seconds": result.seconds,
         }
         unseen = not (out or png or preview)
-        remarks = ("the image was not stored: give --out, --png or --preview",) if unseen else ()
+        # The image itself says what is wrong with its samples.
+        shown = result.image.settings.get("warnings", ())
+        remarks = tuple(note for note in intake_remarks(prepared.given) if note not in shown)
+        if unseen:
+            remarks += ("the image was not stored: give --out, --png or --preview",)
         return Result("reconstruct", data, Group(*lines), messages=remarks)

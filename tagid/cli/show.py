@@ -55,11 +55,10 @@ def register(app: typer.Typer) -> None:
         from rich.table import Table
         from rich.text import Text
 
-        from tagid.pipeline.load import LoadSettings, load_capture
+        from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
         from tagid.recording.inspection import inspect, thinned
         from tagid.recording.intake import ending_words
         from tagid.report.charts import draw_recording
-        from tagid.storage.importers import remarks
 
         # NAME.png next to the capture is the image of `scan` and must be kept.
         target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".show.png")
@@ -118,7 +117,7 @@ def register(app: typer.Typer) -> None:
                 "cause": compared.cause,
             },
         }
-        messages = remarks(capture)
+        messages = intake_remarks(capture)
         if summary.every > 1:
             messages += (f"SNR, period and picture are from every {summary.every}th scan",)
         return Result("show", data, Group(table, Text(f"picture {target}")), messages=messages)

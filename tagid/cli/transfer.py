@@ -37,13 +37,18 @@ def register(app: typer.Typer) -> None:
     ) -> Result:
         """Convert another tool's recording to a capture file.
 
+        Read are P440 recordings, MRM-RET logs, MATLAB structs of the vendor's log reader, journals, and NPZ
+        files with the keys samples (views, bins), range_start_m, range_step_m and one of angles_rad (with
+        axis_distance_m), timestamps_s or antenna_positions_m (views, 3):
+        numpy.savez("mine.npz", samples=..., range_start_m=..., range_step_m=..., angles_rad=...,
+        axis_distance_m=...). Units are m, s and rad.
+
         Example: tagid import scan08.out --out scan08.tagid.h5
         """
         from rich.text import Text
 
-        from tagid.pipeline.load import LoadSettings, load_capture
+        from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
         from tagid.storage.hdf5 import write_capture
-        from tagid.storage.importers import remarks
 
         config = load_config(
             {
@@ -71,7 +76,7 @@ def register(app: typer.Typer) -> None:
             "bytes_left_over": capture.radar.bytes_left_over or 0,
             "scans_lost": capture.radar.scans_lost or 0,
         }
-        return Result("import", data, line, messages=remarks(capture))
+        return Result("import", data, line, messages=intake_remarks(capture))
 
     @command(app, "export")
     def export(

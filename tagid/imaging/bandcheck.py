@@ -1,10 +1,13 @@
-"""Whether the scans' energy lies in the band that imaging assumes.
+"""Whether the scans are what imaging assumes: a waveform with its energy in the assumed band.
 
 A wrong centre frequency or wave speed gives an image of the right size with everything in it out of focus,
-and no error anywhere; the spectrum of the scans tells.
+and no error anywhere; magnitudes, and samples in baseband or with the opposite sign of phase, show no echo at
+all. The spectrum of the scans tells.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,26 +23,49 @@ SHARE = 0.9
 
 _WIDER = 0.2
 _BASEBAND = (
-    "it is about zero, as of baseband scans: multiply the samples at range R by "
-    "exp(4j pi center_frequency_hz R / wave_speed_m_s)"
+    "it is about zero, as of baseband scans",
+    "multiply the samples at range R by exp(4j pi center_frequency_hz R / wave_speed_m_s)",
 )
-_CONJUGATE = "it is at negative frequencies: store the complex conjugate of the samples"
+_CONJUGATE = ("it is at negative frequencies", "store the complex conjugate of the samples")
+_MAGNITUDE = (
+    "it is about zero and no sample {}, as of magnitudes, envelopes, power or decibels",
+    "store the waveform itself, real or complex",
+)
+_BAND = ("", "check center_frequency_hz, bandwidth_hz and wave_speed_m_s")
 _MOST_VIEWS = 64
+_CLEAR, _CLEAR_ONE = 0.25, 5.0
+"""Energy over the noise floor, in units of the floor's, from which on the spectrum is that of echoes: of many
+views, and times the views less one. White noise of 1, 2, 4, 8, 36 views has up to 2.9, 1.8, 0.5, 0.3, 0.1."""
 
 
-def band_warning(capture: Capture) -> str | None:
-    """A warning that names the band of 90 % of the energy, where it is not the assumed one; else None.
+@dataclass(frozen=True)
+class SampleFault:
+    """What is wrong with the samples of a capture.
+
+    Attributes:
+        text: what the scans show.
+        remedy: what to do.
+        certain: whether no band explains it, so that nothing can be read in them.
+    """
+
+    text: str
+    remedy: str
+    certain: bool
+
+
+def sample_fault(capture: Capture) -> SampleFault | None:
+    """The fault of the samples whose energy is outside the assumed band; None where it is inside, or noise.
 
     The power spectrum is the mean over the views after their mean is subtracted, less its noise floor (the
     lower quartile over frequency, since a pulse of a P440 takes a fifth of the recorded band).
     """
-    frequency, power = _spectrum(capture)
+    frequency, power, clear = _spectrum(capture)
     total = float(power.sum())
-    if total <= 0:
+    if not clear or total <= 0:
         return None
     low, high = band_of(normalised(assumed_pulse(capture)))
     edge = _WIDER * (high - low)
-    advice = "check center_frequency_hz, bandwidth_hz and wave_speed_m_s"
+    cause = _BAND
     if np.iscomplexobj(capture.samples):
         # An analytic signal sampled below its carrier is known up to multiples of the sampling rate.
         rate = capture.wave_speed_m_s / (2 * capture.range_step_m)
@@ -47,23 +73,38 @@ def band_warning(capture: Capture) -> str | None:
         for centre, words in ((0.0, _BASEBAND), (-middle, _CONJUGATE)):
             away = np.abs((frequency - centre + rate / 2) % rate - rate / 2)
             if power[away <= reach].sum() >= SHARE * total:
-                advice = words
+                cause = words
         frequency = middle + (frequency - middle + rate / 2) % rate - rate / 2
         order = np.argsort(frequency)
         frequency, power = frequency[order], power[order]
+    elif (sign := _one_sign(capture)) and power[frequency <= high - low].sum() >= LEAST_INSIDE * total:
+        cause = (_MAGNITUDE[0].format(sign), _MAGNITUDE[1])
     inside = (frequency >= low - edge) & (frequency <= high + edge)
     if power[inside].sum() >= LEAST_INSIDE * total:
         return None
     first, last = _holding(power)
-    return (
+    text = (
         f"the scans' energy lies outside the assumed band of {hertz(low)} to {hertz(high)}: "
-        f"90 % of it is between {hertz(frequency[first])} and {hertz(frequency[last])}; "
-        f"{advice}"
+        f"90 % of it is between {hertz(frequency[first])} and {hertz(frequency[last])}"
     )
+    return SampleFault(f"{text}; {cause[0]}" if cause[0] else text, cause[1], cause is not _BAND)
 
 
-def _spectrum(capture: Capture) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Frequencies (n,) Hz and mean power over the noise floor (n,)."""
+def band_warning(capture: Capture) -> str | None:
+    """The fault of `sample_fault` and its remedy as one sentence; None where there is none."""
+    fault = sample_fault(capture)
+    return None if fault is None else f"{fault.text}: {fault.remedy}"
+
+
+def _one_sign(capture: Capture) -> str:
+    """The sign that no sample has, "" if both occur."""
+    if not np.any(capture.samples < 0):
+        return "is negative"
+    return "" if np.any(capture.samples > 0) else "is positive"
+
+
+def _spectrum(capture: Capture) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Frequencies (n,) Hz, mean power over the noise floor (n,), and whether that is more than noise has."""
     rows = capture.samples[:: max(1, capture.views // _MOST_VIEWS)].astype(np.complex128)
     if len(rows) > 1:
         rows = rows - rows.mean(axis=0)
@@ -76,8 +117,10 @@ def _spectrum(capture: Capture) -> tuple[NDArray[np.float64], NDArray[np.float64
     else:
         frequency, power = np.arange(n // 2) * rate / n, power[: n // 2]
     # The least that counts is a tenth of the strongest, so that a floor of coloured noise names no band.
-    power = np.maximum(power - np.quantile(power, 0.25), 0)
-    return frequency, np.where(power >= 0.03 * power.max(initial=0.0), power, 0.0)
+    floor = float(np.quantile(power, 0.25))
+    power = np.maximum(power - floor, 0)
+    clear = float(power.sum()) > max(_CLEAR, _CLEAR_ONE / max(1, len(rows) - 1)) * floor * n
+    return frequency, np.where(power >= 0.03 * power.max(initial=0.0), power, 0.0), clear
 
 
 def _holding(power: NDArray[np.float64]) -> tuple[int, int]:

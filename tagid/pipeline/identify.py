@@ -11,6 +11,7 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.counting import counted
 from tagid.errors import DataError
+from tagid.imaging.bandcheck import sample_fault
 from tagid.imaging.preprocess import PreprocessSettings
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.coverage import of_the_part
@@ -57,7 +58,8 @@ def identify(
             this reading has the rest.
 
     Raises:
-        DataError: too few views or bins, or the object lies outside the range window.
+        DataError: too few views or bins, the object lies outside the range window, or the samples are no
+            waveform in the assumed band.
         RegistryError: no layout is enrolled.
     """
     from tagid.tags.matching.matcher import read_tag
@@ -203,6 +205,9 @@ def _check_views(prepared: PreparedCapture) -> None:
             "Record at least 12 views per turn.",
         )
     check_moved(prepared.given)
+    fault = sample_fault(prepared.given)
+    if fault is not None and fault.certain:
+        raise DataError(fault.text, f"{fault.remedy[0].upper()}{fault.remedy[1:]}.")
 
 
 def _looked_at_again(prepared: PreparedCapture, reading: Reading) -> tuple[Reading, SecondLook | None]:

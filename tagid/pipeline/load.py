@@ -6,17 +6,21 @@ read -> missing geometry -> reference background -> angles -> one turn. All comm
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from tagid.capture import Capture
 from tagid.config import Config
-from tagid.errors import ConfigError, UsageError
+from tagid.errors import ConfigError, DataError, UsageError
+from tagid.imaging.bandcheck import band_warning
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.settings import ImagingSettings
-from tagid.storage.importers import read_any
+from tagid.storage.importers import read_any, remarks
 
+_FLAT = 10.0
+"""A path is in the x-z plane if its spread in x and z is this many times that in y."""
 BACKGROUNDS = ("mean", "median", "reference", "none")
 
 
@@ -161,6 +165,27 @@ def load_capture(source: Path | Capture, settings: LoadSettings | None = None, t
 
         capture = without_background(capture, settings.reference)
     return prepare(capture, settings.motion_for(capture), settings.extent_m) if turn else capture
+
+
+def intake_remarks(capture: Capture) -> tuple[str, ...]:
+    """What a command says of a recording, one sentence each: how it was read, its samples and positions."""
+    fault, up = None, _another_axis_up(capture)
+    with suppress(DataError):  # a band that is none of a pulse, which imaging refuses
+        fault = band_warning(capture)
+    return (*remarks(capture), *filter(None, (fault, up)))
+
+
+def _another_axis_up(capture: Capture) -> str | None:
+    """A remark on antenna positions in the x-z plane, as trackers with y up export them."""
+    if capture.antenna_positions_m is None or capture.views < 3:
+        return None
+    spread = capture.antenna_positions_m.std(axis=0)
+    if spread[1] * _FLAT > min(spread[0], spread[2]):
+        return None
+    return (
+        "the antenna moves in x and z only, and z is up: if y is up in the tracker's axes, store "
+        "(x, -z, y) as antenna_positions_m"
+    )
 
 
 def _reference(config: Config) -> Capture:

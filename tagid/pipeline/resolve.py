@@ -68,6 +68,11 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
                 f"the measured angles were not assigned to the scans: {capture.motion.not_resolved}",
                 "Use the period from the scans: --motion free.",
             )
+        if device.nominal_s is not None and clock.period_s > device.nominal_s / 2:
+            raise DataError(
+                f"the scans are {clock.period_s:.3g} s apart, and a turn takes {device.nominal_s:.3g} s",
+                "Check the speed, and the unit of the times: timestamps_s is in seconds.",
+            )
         angles = device.resolve(capture.samples, clock.times_s, clock.sigma_s)
     found = replace(angles.info, scan_period_s=clock.period_s, clock_residual_ms=clock.residual_ms)
     return replace(
@@ -157,6 +162,11 @@ def one_turn(capture: Capture, max_views: int) -> Capture:
         every = -(-capture.views // max_views)
         return capture if every == 1 else capture.select(slice(None, None, every))
     inside = select_views(capture.angles_rad)
+    if not len(inside):
+        raise DataError(
+            "no views lie within one turn",
+            "Check the angles, or the unit of the times: timestamps_s is in seconds.",
+        )
     if len(inside) > max_views:
         return average_into_views(capture, max_views)
     return capture if len(inside) == capture.views else capture.select(inside)

@@ -140,7 +140,10 @@ def _check_plausible(path: Path, fields: dict[str, Any]) -> None:
     for name, most in arrays.items():
         values = fields.get(name)
         if values is not None and len(values) and not float(np.abs(values).max()) <= most:
-            raise FileFormatError(f"{path}: {name} reaches {np.abs(values).max():g}, which is not plausible")
+            raise FileFormatError(
+                f"{path}: {name} reaches {np.abs(values).max():g}, which is not plausible",
+                f"Expected up to {most:g}: check the file's units.",
+            )
     pulse = fields.get("pulse")
     if pulse is not None and not 1e-15 <= pulse.step <= 1.0:
         raise FileFormatError(f"{path}: pulse_step_s is {pulse.step:g}, which is not plausible")

@@ -19,7 +19,7 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
@@ -30,8 +30,9 @@ from numpy.typing import NDArray
 
 from tagid import files
 from tagid.capture import Capture, Pulse
+from tagid.counting import runs
 from tagid.errors import DataError, FileFormatError, displayable
-from tagid.metadata import METADATA_VERSION
+from tagid.metadata import METADATA_VERSION, RadarInfo
 from tagid.storage.assembly import (
     AS_NPZ,
     OPTIONAL_NUMBERS,
@@ -42,7 +43,7 @@ from tagid.storage.assembly import (
     text,
 )
 from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata, stored_version
-from tagid.storage.units import check_units
+from tagid.storage.units import check_times, check_units
 
 MAGIC = b"PK"
 
@@ -134,11 +135,15 @@ def read_npz(path: Path) -> Capture:
             fields[key] = _vector(path, key, arrays[key], dtype, len(samples))
     if "timestamps_s" in arrays and "radar_time_ms" not in arrays:
         seconds = _vector(path, "timestamps_s", arrays["timestamps_s"], np.float64, len(samples))
+        if not ours:
+            check_times(path, seconds[np.isfinite(seconds)])
         with np.errstate(over="ignore"):  # infinite values are rejected by the capture
             fields["radar_time_ms"] = seconds * 1000.0
     if "pulse" in arrays:
         fields["pulse"] = _pulse(path, arrays)
     fields |= _provenance(path, arrays, ours)
+    if not ours:
+        samples, fields = _in_order(path, samples, fields)
     capture = build_capture(path, samples=samples, **fields)
     if not ours:
         check_units(path, capture)
@@ -309,6 +314,46 @@ def _vector(path: Path, key: str, values: NDArray[Any], dtype: Any, views: int) 
     if kinds == "iu" and not np.array_equal(converted, values):
         raise FileFormatError(f"{path}: {key} holds values that do not fit {np.dtype(dtype).name}")
     return converted
+
+
+def _in_order(
+    path: Path, samples: NDArray[Any], fields: dict[str, Any]
+) -> tuple[NDArray[Any], dict[str, Any]]:
+    """The views with a known place, in the order of their times, and what was left out.
+
+    A tracker that loses sight writes NaN: these views are dropped, as no position can be guessed.
+
+    Raises FileFormatError if that is more than half of the views.
+    """
+    views = np.arange(len(samples))
+    notes = []
+    for key in ("antenna_positions_m", "receive_positions_m", "angles_rad", "radar_time_ms"):
+        values = fields.get(key)
+        if values is None:
+            continue
+        kept = views[np.isfinite(values[views]).reshape(len(views), -1).all(axis=1)]
+        if len(kept) == len(views):
+            continue
+        name = "timestamps_s" if key == "radar_time_ms" else key
+        gone = runs(np.setdiff1d(views, kept))
+        lost = (
+            f"{len(views) - len(kept)} of {len(samples)} views, whose {name} is not finite ({gone}, from 0)"
+        )
+        if 2 * len(kept) < len(samples):
+            raise FileFormatError(
+                f"{path}: {lost} are more than half", "Interpolate the values, or record again."
+            )
+        notes.append(f"{lost}; to keep them, interpolate {name} before the import")
+        views = kept
+    times = fields.get("radar_time_ms")
+    if times is not None and len(views) > 1 and (np.diff(times[views]) < 0).any():
+        views = views[np.argsort(times[views], kind="stable")]
+        notes.append("the order of the scans, which are sorted by timestamps_s")
+    if not notes:
+        return samples, fields
+    fields |= {key: fields[key][views] for key in _VECTORS if key in fields}
+    radar = fields.get("radar", RadarInfo())
+    return samples[views], {**fields, "radar": replace(radar, ignored=tuple(notes))}
 
 
 def _pulse(path: Path, arrays: dict[str, NDArray[Any]]) -> Pulse:

@@ -20,6 +20,7 @@ from tagid.capture import Capture, Pulse
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import TagidError
 from tagid.metadata import RadarInfo, RadarSettings
+from tagid.pipeline.load import intake_remarks
 from tagid.radar.assembler import MAX_PENDING, MAX_READY, ScanAssembler
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.framing import Framing, StreamDecoder, frame
@@ -162,7 +163,9 @@ def read_bytes_as_file(data: bytes) -> Capture | None:
 
 
 def _importer(data: bytes) -> None:
-    read_bytes_as_file(data)
+    capture = read_bytes_as_file(data)
+    if capture is not None:
+        assert all(intake_remarks(capture))
 
 
 def example(bins: int = 96, views: int = 4) -> Capture:
