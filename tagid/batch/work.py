@@ -22,7 +22,7 @@ from tagid.batch.job import MAX_CAPTURE_BYTES, Answered, Job, Known, Outcome
 from tagid.errors import FileFormatError, StorageError, TagidError, displayable
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import identify
-from tagid.pipeline.load import load_capture
+from tagid.pipeline.load import intake_remarks, load_capture
 from tagid.pipeline.prepared import PreparedCapture, prepare
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import Stopwatch
@@ -63,6 +63,9 @@ def work(source: Source, job: Job) -> Outcome:
         answer = identify(
             prepared, job.layouts, registry_version=job.registry_version, signatures=job.signatures
         )
+        if answer.reading is not None and (remarks := intake_remarks(capture)):
+            note = "; ".join(filter(None, (answer.reading.note, *remarks)))
+            answer = replace(answer, reading=replace(answer.reading, note=note))
         for name, seconds in answer.seconds.items():
             watch.seconds[name] = watch.seconds.get(name, 0.0) + seconds
         if job.pictures:

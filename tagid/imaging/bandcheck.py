@@ -93,7 +93,7 @@ def sample_fault(capture: Capture) -> SampleFault | None:
 def band_warning(capture: Capture) -> str | None:
     """The fault of `sample_fault` and its remedy as one sentence; None where there is none."""
     fault = sample_fault(capture)
-    return None if fault is None else f"{fault.text}: {fault.remedy}"
+    return None if fault is None else f"{fault.text}; {fault.remedy}"
 
 
 def _one_sign(capture: Capture) -> str:

@@ -64,8 +64,10 @@ def check_times(path: Path, seconds: NDArray[np.float64]) -> None:
     dated = [
         (name, unit) for name, unit, year_1970 in _TIMES if _DATES[0] < largest / unit - year_1970 < _DATES[1]
     ]
-    likely = [(name, unit) for name, unit, _ in _TIMES if step / unit <= _USUAL_STEP_S]
-    name, unit = (*dated, *likely, _TIMES[-1][:2])[0]
+    likely = [(name, unit) for name, unit, _ in _TIMES if _LONGEST_STEP_S < step <= _USUAL_STEP_S * unit]
+    if not dated + likely:
+        return
+    name, unit = (*dated, *likely)[0]
     raise FileFormatError(
         f"{path}: timestamps_s reaches {largest:g} in steps of about {step:g}: these are {name}",
         f"Divide timestamps_s by {unit:g}; if they are seconds, store angles_rad instead.",

@@ -188,7 +188,7 @@ BAD: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "transmitters alone": (("angles_rad",), {"transmit_positions_m": np.ones((4, 3))}, "receive_positions_m"),
     "antennas a negative distance apart": ((), {"antenna_separation_m": -0.1}, "antenna_separation_m"),
     "angles and positions": ((), {"antenna_positions_m": np.ones((4, 3))}, "not both"),
-    "times infinite": ((), {"timestamps_s": np.full(4, 1e308)}, "radar_time_ms"),
+    "times infinite": ((), {"timestamps_s": np.full(4, 1e308)}, "timestamps_s"),
     "range step of zero": ((), {"range_step_m": 0.0}, "range_step_m"),
     "range step of nothing": ((), {"range_step_m": 5e-324}, "not plausible"),
     "range start beyond all": ((), {"range_start_m": 1e300}, "not plausible"),
