@@ -117,7 +117,7 @@ def _spectrum(capture: Capture) -> tuple[NDArray[np.float64], NDArray[np.float64
     else:
         frequency, power = np.arange(n // 2) * rate / n, power[: n // 2]
     # The least that counts is a tenth of the strongest, so that a floor of coloured noise names no band.
-    floor = float(np.quantile(power, 0.25))
+    floor = float(np.sort(power)[len(power) // 4])
     power = np.maximum(power - floor, 0)
     clear = float(power.sum()) > max(_CLEAR, _CLEAR_ONE / max(1, len(rows) - 1)) * floor * n
     return frequency, np.where(power >= 0.03 * power.max(initial=0.0), power, 0.0), clear
