@@ -7,9 +7,7 @@ can be named.
 from __future__ import annotations
 
 import io
-import warnings
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, cast
@@ -31,6 +29,7 @@ from tagid.storage.assembly import (
     number,
     text,
 )
+from tagid.storage.mat_reader import Variable, read_variables
 from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata
 
 MAGIC: Final = b"MATLAB 5.0 MAT-file"
@@ -52,18 +51,9 @@ _VECTORS: Final = MappingProxyType(
 """Field of Capture -> (variable, dtype)."""
 OLD_ANGLES: Final = "angle_rad"
 """Name of the angles in files of tagid 0.1 and 0.2."""
-_NAMES: Final = frozenset(
-    (
-        *("format", "complete", "samples", "pulse", "pulse_step_s"),
-        *(*_SCALARS, *_TEXTS, *PARTS, VERSION_KEY),
-        *(name for name, _ in _VECTORS.values()),
-        OLD_ANGLES,
-    )
-)
 _SAMPLE_TYPES: Final = ("int32", "float32", "complex64")
 _MAX_EXPANSION: Final = 20
 _SMALL_BYTES: Final = 16 << 20
-_ITEM_BYTES: Final = 16
 
 
 def encode_mat(capture: Capture) -> bytes:
@@ -123,10 +113,10 @@ def read_mat(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
         FileFormatError: damaged, written by another program, or not plausible.
         UsageError: several radars and no `node`, or no scan of that one.
     """
-    data = files.read_bytes(path)
-    found = _load(path, data)
+    variables = _load(path)
+    found = {name: value for name, value in variables.items() if isinstance(value, np.ndarray)}
     if "format" not in found or _text(found, "format", path) != hdf5.FORMAT or "samples" not in found:
-        return _read_other(path, data, cable_delay_ps, node)
+        return _of_the_vendor(path, variables, cable_delay_ps, node)
     samples = found["samples"]
     if samples.dtype.name not in _SAMPLE_TYPES:
         raise FileFormatError(f"{path}: samples have dtype {samples.dtype}, expected {_SAMPLE_TYPES}")
@@ -166,21 +156,13 @@ def read_mat(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
     return build_capture(path, **fields)
 
 
-def _read_other(path: Path, data: bytes, cable_delay_ps: float, node: int | None) -> Capture:
+def _of_the_vendor(
+    path: Path, variables: dict[str, Variable], cable_delay_ps: float, node: int | None
+) -> Capture:
     """The scans of the vendor's structs. Raises FileFormatError with a way on if there are none."""
-    names: list[str] = []
-
-    def read(io_: Any) -> dict[str, Any]:
-        mat_scans.check_sizes(data, max(_SMALL_BYTES, _MAX_EXPANSION * len(data)))
-        kinds = {name: kind for name, _, kind in io_.whosmat(cast(Any, io.BytesIO(data)))}
-        names.extend(kinds)
-        structs = sorted(name for name, kind in kinds.items() if kind == "struct")
-        loaded = io_.loadmat(cast(Any, io.BytesIO(data)), variable_names=structs) if structs else {}
-        return {name: loaded[name] for name in structs if name in loaded}
-
-    capture = mat_scans.read_scans(path, _guarded(path, read), cable_delay_ps, node)
+    capture = mat_scans.read_scans(path, variables, cable_delay_ps, node)
     if capture is None:
-        shown = ", ".join(displayable(name) for name in names[:8]) or "no variable"
+        shown = ", ".join(displayable(name) for name in list(variables)[:8]) or "no variable"
         raise FileFormatError(
             f"{path}: is a MATLAB file with {shown}, but without tagid's variables or the structs cfg and "
             "scn of the vendor's log reader",
@@ -189,41 +171,11 @@ def _read_other(path: Path, data: bytes, cable_delay_ps: float, node: int | None
     return capture
 
 
-def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
-    """The variables used by tagid; declared sizes are checked before memory is allocated."""
-    limit = max(_SMALL_BYTES, _MAX_EXPANSION * len(data))
-
-    def read(io_: Any) -> dict[str, Any]:
-        claimed = 0
-        names = []
-        for name, shape, kind in io_.whosmat(cast(Any, io.BytesIO(data))):
-            if name not in _NAMES or kind in ("cell", "struct", "object", "function", "opaque", "sparse"):
-                continue
-            size = _ITEM_BYTES
-            for length in shape:
-                size *= int(length)
-            claimed += size
-            names.append(name)
-        if not 0 <= claimed <= limit:
-            raise FileFormatError(f"{path}: the variables claim {claimed} bytes, which is not plausible")
-        return cast(dict[str, Any], io_.loadmat(cast(Any, io.BytesIO(data)), variable_names=sorted(names)))
-
-    found = _guarded(path, read)
-    return {name: value for name, value in found.items() if name in _NAMES and isinstance(value, np.ndarray)}
-
-
-def _guarded(path: Path, read: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-    """What `read` returns; its argument is `scipy.io`, whose errors become FileFormatError."""
-    io_ = _scipy_io()
+def _load(path: Path) -> dict[str, Variable]:
+    data = files.read_bytes(path)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # scipy warns about variables that it reads only partly
-            return read(io_)
-    # scipy raises any of these on damaged files, depending on the location of the damage.
-    except (
-        io_.matlab.MatReadError, OSError, EOFError, ValueError, TypeError, LookupError, MemoryError,
-        OverflowError, NotImplementedError, AttributeError, RuntimeError, zlib.error,
-    ) as error:  # fmt: skip
+        return read_variables(data, max(_SMALL_BYTES, _MAX_EXPANSION * len(data)))
+    except (ValueError, LookupError, OverflowError, MemoryError, zlib.error) as error:
         raise FileFormatError(
             f"{path}: the MATLAB file is damaged ({str(error)[:120]})", "Save it again with `save -v7`."
         ) from error

@@ -6,8 +6,6 @@ Nfilt, antID, Nscn and scn (samples); or one element whose fields hold all scans
 
 from __future__ import annotations
 
-import math
-import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -36,71 +34,6 @@ _CONFIG: Final = {
     "nodeid": "node_id", "tstrt": "scan_start_ps", "tstp": "scan_stop_ps", "nbin": "resolution_bins",
     "bii": "base_integration_index", "iant": "antenna_mode", "gtmt": "transmit_gain", "ichan": "code_channel",
 }  # fmt: skip
-_MATRIX, _COMPRESSED = 14, 15
-_CELL, _STRUCT, _SPARSE = 1, 2, 5
-_LARGEST_CLASS: Final = 15
-_DEEPEST: Final = 8
-
-
-def check_sizes(data: bytes, limit: int) -> None:
-    """Check the sizes that a MATLAB 5 file claims, structs and cells included, before it is read.
-
-    Args:
-        data: the file.
-        limit: most bytes that its compressed variables may hold.
-
-    Raises ValueError: more than `limit`, truncated, or an array larger than its bytes.
-    """
-    order = "<" if data[126:128] == b"IM" else ">"
-    for kind, payload in _elements(memoryview(data)[128:], order):
-        if kind == _COMPRESSED:
-            content = zlib.decompressobj().decompress(payload, limit + 1)
-            limit -= len(content)
-            if limit < 0:
-                raise ValueError("its variables claim a size that is not plausible")
-            for inner, part in _elements(memoryview(content), order):
-                _check(inner, part, order, 0)
-        else:
-            _check(kind, payload, order, 0)
-
-
-def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    at = 0
-    while at + 8 <= len(data):
-        word, size = (int(value) for value in np.frombuffer(data[at : at + 8], f"{order}u4"))
-        start = at + 8
-        if word >> 16:
-            word, size, start = word & 0xFFFF, word >> 16, at + 4
-        payload = data[start : start + size]
-        if len(payload) != size:
-            raise ValueError("a variable is truncated")
-        yield word, payload
-        end = start + size
-        at = end if word == _COMPRESSED else end + -end % 8
-
-
-def _check(kind: int, payload: memoryview, order: str, depth: int) -> None:
-    if kind != _MATRIX or not len(payload):
-        return
-    parts = list(_elements(payload, order))
-    if depth > _DEEPEST or len(parts) < 3 or len(parts[0][1]) < 4 or len(parts[1][1]) % 4:
-        raise ValueError("a variable is damaged")
-    of_class = int(np.frombuffer(parts[0][1][:4], f"{order}u4")[0]) & 0xFF
-    dims = np.frombuffer(parts[1][1], f"{order}i4").tolist()
-    count = math.prod(dims)
-    if of_class == _SPARSE or of_class > _LARGEST_CLASS:
-        return
-    inner = [part for number, part in parts[3:] if number == _MATRIX]
-    if of_class == _STRUCT:
-        width = int(np.frombuffer(parts[3][1][:4], f"{order}i4")[0]) if len(parts) > 4 else 0
-        fields = len(parts[4][1]) // width if width > 0 else 0
-        room = len(inner) // fields if fields else len(payload)
-    else:
-        room = len(inner) if of_class == _CELL else len(payload)
-    if min(dims, default=0) < 0 or count > room:
-        raise ValueError(f"a variable claims {dims} elements in {len(payload)} bytes")
-    for part in inner:
-        _check(_MATRIX, part, order, depth + 1)
 
 
 def read_scans(
@@ -112,7 +45,7 @@ def read_scans(
         FileFormatError: values that are not those of a P440.
         UsageError: several radars and no `node`, or no scan of that one.
     """
-    scans = [scan for value in variables.values() for scan in _scans(path, value, 0)]
+    scans = [scan for value in variables.values() for scan in _scans(path, value)]
     if not scans:
         return None
     nodes: dict[int, int] = {}
@@ -155,22 +88,19 @@ def read_scans(
     return replace(capture, radar=radar)
 
 
-def _structs(value: Any, depth: int) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """(names of the fields, element) of all structs in a variable."""
-    names = getattr(value, "dtype", np.dtype(int)).names
-    if names is None or depth > _DEEPEST:
-        return
-    for element in value.reshape(-1):
-        yield names, element
-        for name in names:
-            yield from _structs(element[name], depth + 1)
+def _structs(value: Any) -> Iterator[dict[str, Any]]:
+    """All structs in a variable, with the names of their fields in lower case."""
+    for element in value if isinstance(value, list) else ():
+        yield {name.lower(): field for name, field in element.items()}
+        for field in element.values():
+            yield from _structs(field)
 
 
-def _scans(path: Path, value: Any, depth: int) -> Iterator[dict[str, Any]]:
+def _scans(path: Path, value: Any) -> Iterator[dict[str, Any]]:
     """The scans in a variable: its fields, in lower case, as whole numbers, and the samples."""
     number = 0
-    for names, element in _structs(value, depth):
-        fields = {name.lower(): np.asarray(element[name]) for name in names}
+    for element in _structs(value):
+        fields = {name: field for name, field in element.items() if isinstance(field, np.ndarray)}
         if not all(name in fields for name in _NEEDED) or not fields["scn"].size:
             continue
         count = fields["tstmp"].size
@@ -182,7 +112,8 @@ def _scans(path: Path, value: Any, depth: int) -> Iterator[dict[str, Any]]:
             raise FileFormatError(
                 f"{path}: scn.scn has shape {samples.shape} for {counted(count, 'time stamp')}"
             )
-        whole = rows.astype(np.int32) if np.isfinite(rows).all() and np.abs(rows).max() < 2**31 else None
+        plausible = np.isfinite(rows).all() and rows.min() >= -(2**31) and rows.max() < 2**31
+        whole = rows.astype(np.int32) if plausible else None
         if whole is None or not np.array_equal(whole, rows):
             raise FileFormatError(f"{path}: scn.scn holds samples that are not whole numbers of a P440")
         columns = {
@@ -213,11 +144,10 @@ def _column(path: Path, name: str, values: NDArray[Any], count: int) -> NDArray[
 
 
 def _configs(value: Any) -> Iterator[dict[str, int]]:
-    for names, element in _structs(value, 0):
-        fields = {name.lower(): np.asarray(element[name]) for name in names}
+    for fields in _structs(value):
         if "bii" not in fields:
             continue
-        numbers = {ours: fields[theirs] for theirs, ours in _CONFIG.items() if theirs in fields}
+        numbers = {ours: np.asarray(fields[theirs]) for theirs, ours in _CONFIG.items() if theirs in fields}
         yield {
             name: int(number.item())
             for name, number in numbers.items()
