@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.imaging.preprocess import assumed_pulse
+from tagid.imaging.preprocess import MIN_BINS, assumed_pulse
 from tagid.imaging.rangefilter import band_of, hertz, normalised
 
 LEAST_INSIDE = 0.5
@@ -54,11 +54,13 @@ class SampleFault:
 
 
 def sample_fault(capture: Capture) -> SampleFault | None:
-    """The fault of the samples whose energy is outside the assumed band; None where it is inside, or noise.
+    """The fault of the samples whose energy is outside the assumed band; None where it is inside, or noise, or too few bins.
 
     The power spectrum is the mean over the views after their mean is subtracted, less its noise floor (the
     lower quartile over frequency, since a pulse of a P440 takes a fifth of the recorded band).
     """
+    if capture.bins < MIN_BINS:
+        return None
     frequency, power, clear = _spectrum(capture)
     total = float(power.sum())
     if not clear or total <= 0:

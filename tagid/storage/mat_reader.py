@@ -96,7 +96,12 @@ def _matrix(data: memoryview, order: str, depth: int) -> tuple[str, Variable]:
     numbers = [np.frombuffer(part, f"{order}{_STORED[kind]}").astype(dtype) for kind, part in parts]
     if not numbers or any(len(values) != math.prod(shape) for values in numbers):
         raise ValueError(f"a variable claims {shape} numbers, and holds others")
-    values = numbers[0] + 1j * numbers[1] if word & _COMPLEX else numbers[0]
+    values = numbers[0]
+    if word & _COMPLEX:
+        if len(numbers) < 2 or dtype.kind != "f":
+            raise ValueError("a complex variable is damaged")
+        values = np.empty(len(values), np.result_type(dtype, np.complex64))
+        values.real, values.imag = numbers[:2]
     return text, values.reshape(shape, order="F")
 
 

@@ -174,6 +174,11 @@ def test_valid_samples_have_no_fault(turn: Capture, kind: str) -> None:
     assert sample_fault(capture.select(slice(0, 1)) if kind == "one view" else capture) is None
 
 
+@pytest.mark.parametrize("bins", [1, 2, 7])
+def test_too_few_bins_have_no_fault(bins: int) -> None:
+    assert intake_remarks(Capture(np.ones((4, bins), np.float32), 0.1, RANGE_STEP_M)) == ()
+
+
 @pytest.mark.parametrize("views", [1, 2, 3, 4, 8, 36, 200])
 @pytest.mark.parametrize("dtype", [np.float32, np.complex64])
 def test_noise_has_no_fault(views: int, dtype: Any) -> None:
