@@ -54,7 +54,7 @@ class SampleFault:
 
 
 def sample_fault(capture: Capture) -> SampleFault | None:
-    """The fault of the samples whose energy is outside the assumed band; None where it is inside, or noise, or too few bins.
+    """The fault of the samples whose energy is outside the assumed band; None where there is none.
 
     The power spectrum is the mean over the views after their mean is subtracted, less its noise floor (the
     lower quartile over frequency, since a pulse of a P440 takes a fifth of the recorded band).
