@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 from tagid.capture import Capture, ViewFlag
 from tagid.errors import DataError
 from tagid.metadata import MotionInfo, RadarInfo, ResolvedMotion
+from tagid.pipeline import diagnosis
 from tagid.pipeline.circling import circling
 from tagid.pipeline.diagnosis import recording_remarks, with_causes
+from tagid.pipeline.elsewhere import Elsewhere
 from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
 from tagid.pipeline.prepared import PreparedCapture
@@ -139,3 +142,22 @@ def test_a_handle_circles_but_is_no_body_off_the_axis() -> None:
     prepared = can_off_the_axis(0.002, "can:35mm,handle")
     answer = with_causes(identify(prepared, layouts), prepared, layouts)
     assert answer.status == "unknown" and not answer.causes
+
+
+@pytest.mark.parametrize(("error_m", "causes"), [(0.020, 1), (0.003, 0), (-0.003, 0)])
+def test_a_search_that_returns_to_the_given_axis_distance_states_no_cause(
+    monkeypatch: pytest.MonkeyPatch, error_m: float, causes: int
+) -> None:
+    class AllTried(Elsewhere):
+        def clearer(self, tries: Sequence[Capture]) -> list[int]:
+            return list(range(len(tries)))
+
+    # The image is brightest 20 mm farther, from where the reader itself finds the distance to 4 mm.
+    monkeypatch.setattr(diagnosis, "bright_offsets", lambda *_: [-0.020])
+    capture, _ = simulate_capture(
+        scene_from_name("container-90", 3), Acquisition(views=36, snr_db=20.0), seed=3
+    )
+    true_m = capture.axis_distance_m or 0.0
+    prepared = PreparedCapture(load_capture(replace(capture, axis_distance_m=true_m + error_m)))
+    found = diagnosis._of_the_axis(AllTried(prepared, list(builtin_layouts().values())))
+    assert [cause.code for cause in found] == ["axis_distance"] * causes

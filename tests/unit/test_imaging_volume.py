@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,7 +14,7 @@ import pytest
 from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid, VolumeGrid
-from tagid.imaging import kernel, volume
+from tagid.imaging import kernel, memory, volume
 from tagid.imaging.ats.volume import Field, Interpolation, VolumeFitSettings, fit_volume
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
@@ -313,3 +314,40 @@ def test_from_the_command_line(tagid, tmp_path: Path) -> None:
     wrong = tagid("reconstruct", "all.npz", "--levels", 5)
     assert wrong.code == 2
     assert "--volume" in wrong.err
+
+
+def test_a_joined_capture_is_complete_if_all_its_parts_are() -> None:
+    parts = captures()
+    assert join(parts).complete
+    assert not join([*parts[:2], replace(parts[2], complete=False)]).complete
+
+
+def test_captures_through_different_media_are_not_joined() -> None:
+    parts = captures()
+    with pytest.raises(DataError, match="in the wave speed"):
+        join([parts[0], replace(parts[1], wave_speed_m_s=2.0e8)])
+
+
+def test_levels_sample_the_vertical_resolution_three_times_and_are_no_thinner_than_a_pixel() -> None:
+    joined = join(captures())
+    fine = reconstruct_volume(joined, VolumeSettings("bp", 0.24, 48, (-0.12, 0.12), held_out=False)).volume
+    # lambda R / (2 H) at 1 m of antennas that reach over 0.4 m.
+    resolution_m = 299_792_458 / 3.95e9 / (2 * 0.4)
+    assert resolution_m / 4 < fine.grid.rise < resolution_m / 2.5
+    coarse = reconstruct_volume(joined, VolumeSettings("bp", 0.24, 4, (-0.12, 0.12), held_out=False)).volume
+    assert coarse.grid.rise >= coarse.grid.square.step
+
+
+def test_a_sparse_volume_is_refused_where_less_memory_is_free_than_it_takes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    joined, settings = join(captures()), VolumeSettings("sparse", 0.24, 64, (-0.12, 0.12), 32, held_out=False)
+    tracemalloc.start()
+    reconstruct_volume(joined, settings)
+    taken = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    monkeypatch.setattr(memory, "free_memory", lambda: taken)
+    with pytest.raises(UsageError, match="131,072 voxels of a fit need"):
+        reconstruct_volume(joined, settings)
+    monkeypatch.setattr(memory, "free_memory", lambda: 2 * taken)
+    assert reconstruct_volume(joined, settings).volume.grid.voxels == 131_072

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
+from tagid.imaging.lengths import views_needed
 from tagid.planning.plan import GAP_DB, Setup, changing_db, gap, invert, moved_distance_m, plan
 from tagid.planning.rates import expected
 from tagid.radar.settings import RadarConfig
@@ -121,9 +122,11 @@ def test_rates_are_those_of_the_tables_and_between_them() -> None:
     assert at_18[0] < at_18[1] < at_18[2]
     assert at_18[1] == pytest.approx((at_18[0] + at_18[2]) / 2)
     assert expected("none", 12, 0).named.value < expected("none", 15, 0).named.value < at_18[0]
-    assert expected("none", 72, -3.0103).named.value == pytest.approx(
-        expected("none", 36, 0).named.value, abs=1e-3
+    # Twice the views count as 3 dB more, also between two rows of the table.
+    assert expected("none", 72, 0).named.value == pytest.approx(
+        expected("none", 36, 3.0103).named.value, abs=1e-3
     )
+    assert expected("none", 72, 0).named.value > expected("none", 36, 0).named.value
     assert expected("none", 36, -20).note and not expected("none", 36, 10).note
     low = expected("none", 36, 0)
     assert low.named.value + low.refused.value + low.wrong.value == pytest.approx(1)
@@ -159,7 +162,8 @@ def test_what_is_wanted_is_reached_by_the_least_effort() -> None:
 
 
 def test_a_rate_below_the_measured_table_is_not_offered() -> None:
-    wanted = invert(setup(0.015, distance_m=15.0), 0.9)
+    # Less is wanted than the share that the table's last row has: only its SNR speaks against an offer.
+    wanted = invert(setup(0.015, distance_m=15.0), expected("none", 36, -20).named.value - 0.02)
     assert wanted.plan is not None and wanted.plan.setup.reflector.size_m > 0.015
     assert not wanted.plan.rates.note and wanted.integration is None
 
@@ -192,3 +196,14 @@ def test_the_command(tagid: Callable[..., object], tmp_path: Path) -> None:
     assert len(data["budget"]) == 9 and all(term["source"] for term in data["budget"])
     refused = tagid("plan", "--layout", "nobody")
     assert refused.code == 2 and "container-90" in refused.err
+
+
+def test_views_are_as_many_as_the_image_needs_and_share_the_energy_of_the_turn() -> None:
+    slow = plan(setup())
+    needed = views_needed(slow.setup.extent_m, 299_792_458 / 3.95e9)
+    fast = plan(replace(setup(), rpm=60.0, extent_m=1.0))
+    assert slow.views == pytest.approx(needed, rel=0.05) and slow.views < slow.scans_per_turn
+    assert fast.views == fast.scans_per_turn
+    for each in (slow, fast):
+        gain_db = 10 * np.log10(each.scans_per_turn / each.views)
+        assert each.snr_view_db == pytest.approx(each.snr_sample_db + gain_db)
