@@ -27,7 +27,7 @@ def test_each_capture_is_rotated_to_the_first(begin: float) -> None:
     done, found = aligned(parts)
     for number, (one, turn_found) in enumerate(zip(done, found, strict=True)):
         error = np.angle(np.exp(1j * (turn_found.rotation_rad - number * begin)))
-        assert np.rad2deg(abs(error)) < 0.5
+        assert np.rad2deg(abs(error)) < 0.15, "a third of the step between the angles of an image"
         difference = np.exp(1j * (one.angles_rad - turn(36).angles))
         assert abs(np.angle(difference)).max() < np.deg2rad(0.5)
 

@@ -161,3 +161,14 @@ def test_a_search_that_returns_to_the_given_axis_distance_states_no_cause(
     prepared = PreparedCapture(load_capture(replace(capture, axis_distance_m=true_m + error_m)))
     found = diagnosis._of_the_axis(AllTried(prepared, list(builtin_layouts().values())))
     assert [cause.code for cause in found] == ["axis_distance"] * causes
+
+
+def test_the_place_of_an_object_off_the_axis_is_told_to_a_millimetre() -> None:
+    layouts, placed = list(builtin_layouts().values()), Placement((0.050, 0.030), 0.4)
+    acquisition = Acquisition(views=36, snr_db=20.0, placement=placed)
+    capture, _ = simulate_capture(scene_from_name("container-180", 3), acquisition, seed=3)
+    prepared = PreparedCapture(load_capture(capture))
+    (cause,) = with_causes(identify(prepared, layouts), prepared, layouts).causes
+    x_mm, y_mm = map(int, re.findall(r"-?\d+", cause.text.rpartition("at ")[2]))
+    assert cause.code == "off_centre" and "container-180" in cause.text
+    assert (x_mm, y_mm) == (pytest.approx(50, abs=1), pytest.approx(30, abs=1))

@@ -6,6 +6,7 @@ import csv
 import sqlite3
 import subprocess
 import sys
+import time
 from datetime import datetime
 from pathlib import Path
 
@@ -172,3 +173,18 @@ def test_parquet_without_its_library(
     with pytest.raises(MissingExtraError, match="pyarrow"):
         export(history, Filter(), tmp_path / "h.parquet")
     assert not (tmp_path / "h.parquet").exists()
+
+
+def test_a_time_without_a_zone_is_utc_wherever_the_computer_stands(
+    history: History, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    history.add(history.begin("report", {}), [record(time_utc="2026-11-03T08:00:00.000+00:00")])
+    monkeypatch.setenv("TZ", "America/New_York")
+    time.tzset()
+    try:
+        assert history.count(Filter(since="2026-11-03T08:00")) == 1
+        assert history.count(Filter(until="2026-11-03T08:00")) == 0, "before, and not at, that time"
+        assert history.count(Filter(since="2026-11-03T08:01", until="2026-11-03T12:00")) == 0
+    finally:
+        monkeypatch.undo()
+        time.tzset()

@@ -128,8 +128,10 @@ def test_rates_are_those_of_the_tables_and_between_them() -> None:
     )
     assert expected("none", 72, 0).named.value > expected("none", 36, 0).named.value
     assert expected("none", 36, -20).note and not expected("none", 36, 10).note
-    low = expected("none", 36, 0)
-    assert low.named.value + low.refused.value + low.wrong.value == pytest.approx(1)
+    few, more, still_more, most = (expected("none", views, 0).named.value for views in (18, 24, 27, 36))
+    assert more - few == pytest.approx(most - still_more), "by a third more views, each time"
+    for low in (expected("none", 18, 0), expected("none", 36, 0)):
+        assert low.named.value + low.refused.value + low.wrong.value == pytest.approx(1)
     assert low.named.low < low.named.value < low.named.high and "identification" in low.source
     assert expected("can", 36, 10).source != low.source
     with pytest.raises(UsageError, match="no rates"):

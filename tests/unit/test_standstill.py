@@ -161,8 +161,9 @@ def test_a_turn_that_is_too_short_without_a_speed_is_no_stop() -> None:
     assert caught.value.code == "bad_data"
 
 
-def test_a_device_that_turns_without_the_object_is_found_out() -> None:
-    true = path(0.5)
+@pytest.mark.parametrize("pause", [math.inf, 0.3])
+def test_a_device_that_turns_without_the_object_is_found_out(pause: float) -> None:
+    true = path(0.5, pause)
     capture = recording("helmet-120", true, 15, 9)
     arrivals = 10**18 + (capture.radar_time_ms * 1e6).astype(np.int64)
     track = Track(arrivals, 2 * np.pi * path(9), np.full(len(true), 1e-3), {"scale_sigma": 0.02})
@@ -171,14 +172,18 @@ def test_a_device_that_turns_without_the_object_is_found_out() -> None:
         host_time_ns=arrivals,
         motion=replace(capture.motion, url="roomba+serial:///dev/robot", track=track),
     )
-    resolved = resolve_turn(driven, "roomba+serial:///dev/robot").motion.resolved
-    assert resolved.standstill is not None
-    assert resolved.standstill.turned_deg == pytest.approx(180, abs=9)
+    found = resolve_turn(driven, "roomba+serial:///dev/robot")
+    standstill = found.motion.resolved.standstill
+    assert standstill is not None and standstill.goes_on == (pause < math.inf)
+    assert standstill.turned_deg == pytest.approx(180, abs=9)
+    assert np.abs(found.angles_rad / (2 * np.pi) - true).max() < 0.03
 
 
-def test_live_angles_are_held() -> None:
-    capture = recording("helmet-120", path(0.5), 20, 5)
-    angles = LiveAngles(open_motion("free?rpm=2"))
+@pytest.mark.parametrize(("direction", "pause"), [("ccw", math.inf), ("cw", 0.3)])
+def test_live_angles_are_held(direction: str, pause: float) -> None:
+    true = path(0.5, pause)
+    capture = recording("helmet-120", true, 20, 5)
+    angles = LiveAngles(open_motion(f"free?rpm=2&direction={direction}"))
     scans = [
         Scan(number, int(capture.radar_time_ms[number]), 0, samples, 0, 0, 0)
         for number, samples in enumerate(capture.samples)
@@ -188,4 +193,5 @@ def test_live_angles_are_held() -> None:
     angles._next_look_s = 0.0
     late = angles.of(scans)
     assert angles.stopped.startswith("the turn stopped at about 18")
-    assert np.degrees(np.abs(late).max()) == pytest.approx(180, abs=9)
+    sign = 1 if direction == "ccw" else -1
+    assert np.abs(sign * late / (2 * np.pi) - true).max() < 0.05

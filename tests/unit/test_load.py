@@ -1,0 +1,66 @@
+"""Which geometry a loaded capture has, and how many views of it the image needs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture
+from tagid.imaging.lengths import views_needed
+from tagid.pipeline.load import LoadDefault, LoadSettings, load_capture
+from tagid.pipeline.prepared import prepare
+from tagid.pipeline.resolve import clock_of, one_turn
+from tests.unit.imaging_scenes import record, turn
+
+
+def capture(views: int = 36, **changes: object) -> Capture:
+    return replace(record([(0.05, 0.0)], [1.0], turn(views)), **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("own", "configured", "given", "used"),
+    [(1.0, 1.5, False, 1.0), (1.0, 1.5, True, 1.5), (1.0, None, False, 1.0), (None, 1.5, False, 1.5)],
+)
+def test_the_axis_distance_of_the_recording_yields_only_to_the_command_line(
+    own: float | None, configured: float | None, given: bool, used: float
+) -> None:
+    settings = LoadSettings(axis_distance_m=LoadDefault(configured, given))
+    assert load_capture(capture(axis_distance_m=own), settings, turn=False).axis_distance_m == used
+
+
+@pytest.mark.parametrize(("given", "used"), [(False, 0.2), (True, 0.7)])
+def test_so_do_the_height_and_the_separation_of_the_antennas(given: bool, used: float) -> None:
+    configured = LoadDefault(0.7, given)
+    settings = LoadSettings(antenna_height_m=configured, antenna_separation_m=configured)
+    loaded = load_capture(
+        capture(antenna_height_m=0.2, antenna_separation_m=0.2), settings, turn=False
+    )
+    assert (loaded.antenna_height_m, loaded.antenna_separation_m) == (used, used)
+
+
+def test_dense_scans_become_the_views_that_the_image_needs_and_lose_noise() -> None:
+    dense = capture(1500)
+    noise = np.random.default_rng(1).standard_normal(dense.samples.shape).astype(np.float32)
+    needed = views_needed(0.2, dense.wavelength_m)
+    assert needed < 500
+    alone = prepare(replace(dense, samples=noise), extent_m=0.2)
+    assert alone.views == needed
+    assert np.std(alone.samples) == pytest.approx(np.sqrt(needed / 1500), rel=0.02)
+
+
+@pytest.mark.parametrize("most", [36, 35, 20, 12, 7])
+def test_free_positions_are_thinned_to_the_most_views_over_the_whole_path(most: int) -> None:
+    turned = capture()
+    free = replace(turned, angles_rad=None, antenna_positions_m=turned.aperture().positions)
+    some = one_turn(free, most)
+    assert most / 2 < some.views <= most
+    whole, kept = (np.ptp(each.aperture().positions, axis=0)[:2] for each in (free, some))
+    np.testing.assert_allclose(kept, whole, atol=0.5)
+
+
+def test_arrival_times_are_seconds_where_the_radar_gives_none() -> None:
+    times_s = 0.02 * np.arange(50)
+    clock = clock_of(capture(50, angles_rad=None, host_time_ns=10**18 + (times_s * 1e9).astype(np.int64)))
+    np.testing.assert_allclose(clock.times_s, times_s, atol=1e-4)

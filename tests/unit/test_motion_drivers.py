@@ -1,0 +1,112 @@
+"""Drivers of the robot and of the tables on emulators in memory: no thread, no port."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tagid.motion.emulation.comxim import ComximCore
+from tagid.motion.emulation.roomba import RoombaCore, World
+from tagid.motion.roomba import messages as oi
+from tagid.motion.roomba.client import OpenInterface
+from tagid.motion.roomba.messages import Mode, Packet
+from tagid.motion.roomba.odometry import SpinOdometry
+from tagid.motion.tables.polled import PolledTable
+from tagid.motion.urls import open_motion
+
+
+class MemoryLink:
+    """A link to an emulated device, whose clock advances by `step_s` with every command."""
+
+    def __init__(self, core: RoombaCore | ComximCore, step_s: float = 0.0) -> None:
+        self.core, self.step_s, self.now_s = core, step_s, 0.0
+        self.answers = b""
+
+    def write(self, data: bytes) -> None:
+        self.now_s += self.step_s
+        self.answers += self.core.handle(data, self.now_s)
+
+    def read(self, timeout: float) -> bytes:
+        answers, self.answers = self.answers, b""
+        return answers
+
+    def arm(self, timeout_s: float) -> None:
+        """Nothing watches a device in memory."""
+
+    def beat(self) -> None:
+        """As `arm`."""
+
+    disarm = wake = close = beat
+
+
+@pytest.mark.parametrize("mode_offset", [-1, 0, 1])
+def test_safe_mode_is_recognised_whatever_the_firmware_adds(mode_offset: int) -> None:
+    core = RoombaCore(world=World(mode_offset=mode_offset))
+    robot = OpenInterface(MemoryLink(core))
+    assert robot.wake().mode_offset == mode_offset
+    robot.safe()
+    assert core.mode is Mode.SAFE
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_positive_direction_is_counter_clockwise_and_the_odometry_agrees(direction: int) -> None:
+    core = RoombaCore()
+    link = MemoryLink(core)
+    robot = OpenInterface(link)
+    robot.wake()
+    robot.safe()
+    odometry = SpinOdometry(direction)
+    for moment_s in (0.0, 4.0):
+        link.now_s = moment_s
+        values = robot.query([Packet.LEFT_ENCODER, Packet.RIGHT_ENCODER])
+        odometry.add(values[Packet.LEFT_ENCODER], values[Packet.RIGHT_ENCODER])
+        robot.spin(direction, 57)
+    turned = core.body.heading_rad
+    assert math.copysign(1, turned) == direction and abs(turned) > 1
+    assert odometry.angle_rad == pytest.approx(turned, rel=0.1)
+
+
+@pytest.mark.parametrize(("contacts", "charging"), [(1, 0), (2, 0), (0, 2)])
+def test_a_full_robot_on_its_base_is_on_the_charger(contacts: int, charging: int) -> None:
+    """Bit 0: internal charger, bit 1: home base; a full battery is not being charged."""
+
+    class Answers(MemoryLink):
+        def write(self, data: bytes) -> None:
+            if data.startswith(bytes([oi.Op.QUERY_LIST])):
+                values = {
+                    Packet.MODE: Mode.PASSIVE,
+                    Packet.VOLTAGE: 16_000,
+                    Packet.CHARGER: contacts,
+                    Packet.CHARGING_STATE: charging,
+                }
+                self.answers = b"".join(oi.pack_packet(packet, values) for packet in data[2:])
+
+    assert OpenInterface(Answers(RoombaCore())).status().on_charger
+
+
+def test_wheels_that_disagree_widen_the_angle_by_half_of_their_difference() -> None:
+    odometry, difference = SpinOdometry(1), SpinOdometry(1)
+    for each, left, right in ((odometry, -900, 1000), (difference, 0, 100)):
+        each.add(0, 0)
+        each.add(left, right)
+    assert odometry.sigma_rad == pytest.approx(difference.angle_rad / 2, rel=0.01)
+
+
+@pytest.mark.parametrize("direction", ["ccw", "cw"])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_tables_angle_goes_on_beyond_a_turn(direction: str, backwards: bool) -> None:
+    core = ComximCore(backwards=backwards)
+    table = open_motion(f"comxim+serial:///dev/x?direction={direction}&turns=2&reversed={int(backwards)}")
+    assert isinstance(table, PolledTable)
+    table._link = link = MemoryLink(core)
+    table._begin()
+    link.step_s = 3.0  # 54 degrees between two answers
+    first = core.table.angle_deg
+    readings = [reading for _ in range(10) for reading in table._poll()]
+    turned = math.radians(core.table.angle_deg - first)
+    assert abs(turned) > 2 * math.pi
+    assert math.copysign(1, turned) == table.direction
+    apart = np.diff([angle for _, angle, _ in readings])
+    np.testing.assert_allclose(apart, turned / 10, rtol=0.01)
