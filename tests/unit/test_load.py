@@ -34,9 +34,7 @@ def test_the_axis_distance_of_the_recording_yields_only_to_the_command_line(
 def test_so_do_the_height_and_the_separation_of_the_antennas(given: bool, used: float) -> None:
     configured = LoadDefault(0.7, given)
     settings = LoadSettings(antenna_height_m=configured, antenna_separation_m=configured)
-    loaded = load_capture(
-        capture(antenna_height_m=0.2, antenna_separation_m=0.2), settings, turn=False
-    )
+    loaded = load_capture(capture(antenna_height_m=0.2, antenna_separation_m=0.2), settings, turn=False)
     assert (loaded.antenna_height_m, loaded.antenna_separation_m) == (used, used)
 
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.imaging.lengths import views_needed
-from tagid.planning.plan import GAP_DB, Setup, changing_db, gap, invert, moved_distance_m, plan
+from tagid.metadata import RadarInfo, RadarSettings
+from tagid.planning.plan import DISTANCES_M, GAP_DB, Setup, changing_db, gap, invert, moved_distance_m, plan
 from tagid.planning.rates import expected
 from tagid.radar.settings import RadarConfig
 from tagid.recording.inspection import noise_power_of, signal_to_noise_db
@@ -187,6 +188,8 @@ def test_a_gap_between_plan_and_recording_has_a_cause() -> None:
     assert gap(capture, noise, planned + 0.9 * GAP_DB, one).cause == ""
     assert "weaker" in gap(capture, noise, planned - 20, one).cause
     assert "noise is 12 dB above" in gap(capture, 4 * noise, planned - 32, one).cause
+    turned_down = replace(capture, radar=RadarInfo(config=RadarSettings(transmit_gain=40)))
+    assert "gain was 40 of 63" in gap(turned_down, noise, planned - 20, one).cause
     assert "more rotates" in gap(capture, noise, planned + 20, one).cause
     assert gap(capture, noise, planned, one).planned_db == planned
 
@@ -209,3 +212,23 @@ def test_views_are_as_many_as_the_image_needs_and_share_the_energy_of_the_turn()
     for each in (slow, fast):
         gain_db = 10 * np.log10(each.scans_per_turn / each.views)
         assert each.snr_view_db == pytest.approx(each.snr_sample_db + gain_db)
+
+
+def test_a_setup_that_clips_is_not_offered() -> None:
+    near = setup(0.04, "can:35mm", distance_m=0.26, index=15)
+    assert plan(near).margin_db < 0 and plan(near).rates.named.value > 0.9
+    wanted = invert(near, 0.9)
+    assert wanted.plan is None, "the can's echo saturates the radar whatever the reflectors"
+    farther = [plan(replace(near, distance_m=distance)) for distance in DISTANCES_M]
+    good = [each for each in farther if each.rates.named.value >= 0.9 and not each.rates.note]
+    assert wanted.distance is not None
+    assert wanted.distance.setup.distance_m == max(each.setup.distance_m for each in good)
+
+
+def test_an_integration_that_leaves_too_few_views_for_a_helmet_is_not_offered() -> None:
+    """The alias-free step of a helmet is 9 degrees; 72 views are half of it."""
+    far = replace(setup(0.02, distance_m=8.0), rpm=30.0)
+    plans = [plan(replace(far, budget=replace(far.budget, integration=index))) for index in (13, 14)]
+    enough, few = (each.rates.named.value for each in plans)
+    assert plans[0].views > 72 > plans[1].views and few > enough
+    assert invert(far, (enough + few) / 2).integration is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import resource
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from tagid.simulate import (
     scene_on_body,
     simulate_capture,
 )
-from tagid.station.enrolling import Enrolling, EnrolmentState, Subject
+from tagid.station.enrolling import MOST, Enrolling, EnrolmentState, Subject, Taken
 from tagid.station.errors import EnrolmentError
 from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout, builtin_layouts
@@ -195,3 +196,14 @@ def test_a_taken_name_is_refused_before_anything_is_recorded(enrolling: Enrollin
     with pytest.raises(TagidError, match="already enrolled"):
         enrolling.describe(Subject("helmet-120"))
     assert enrolling.state.subject is None
+
+
+def test_an_enrolment_has_a_most_of_captures(enrolling: Enrolling) -> None:
+    """Each keeps its scans in memory."""
+    enrolling.describe(Subject("gate-4"))
+    taken = Taken(1, Path("a.tagid.h5"), Identification("unknown", None, None, None), None)
+    enrolling._state = replace(enrolling.state, captures=(taken,) * (MOST - 1))
+    assert enrolling.expect()
+    enrolling._state = replace(enrolling.state, captures=(taken,) * MOST)
+    with pytest.raises(EnrolmentError, match=f"{MOST} captures"):
+        enrolling.expect()
