@@ -7,6 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from tagid.angles.period import MIN_TURNS
+from tagid.metadata import ResolvedMotion
+from tagid.motion.calibration import wheel_base_from
 from tagid.motion.emulation.comxim import ComximCore
 from tagid.motion.emulation.roomba import RoombaCore, World
 from tagid.motion.roomba import messages as oi
@@ -110,3 +113,21 @@ def test_a_tables_angle_goes_on_beyond_a_turn(direction: str, backwards: bool) -
     assert math.copysign(1, turned) == table.direction
     apart = np.diff([angle for _, angle, _ in readings])
     np.testing.assert_allclose(apart, turned / 10, rtol=0.01)
+
+
+def test_a_turn_is_recorded_even_if_the_device_overestimates_its_angle_by_three_sigma() -> None:
+    robot = open_motion("roomba+serial:///dev/x")
+    assert robot.scale_sigma > 0.03
+    assert robot.turns / (1 + 3 * robot.scale_sigma) > MIN_TURNS
+
+
+def test_a_wheel_base_is_as_uncertain_as_the_turn_it_was_measured_on() -> None:
+    turn_rad = 2 * math.pi * 1.03
+    resolved = ResolvedMotion(
+        checked_by_radar=True, radar_turn_in_own_rad=turn_rad, radar_turn_sigma_rad=0.01 * turn_rad,
+        wheel_base_mm=235.0, robot="robot", turns=2.0,
+    )  # fmt: skip
+    name, calibration = wheel_base_from(resolved)
+    assert (name, calibration.turns) == ("robot", 2.0)
+    assert calibration.wheel_base_mm == pytest.approx(1.03 * 235.0)
+    assert calibration.sigma == pytest.approx(0.01)
