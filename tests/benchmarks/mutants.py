@@ -24,6 +24,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
@@ -37,6 +38,8 @@ FILE = Path(__file__).with_suffix(".toml")
 PROCESSES = 2
 _stamps = itertools.count(1)
 """Times of changed files, s: each change has its own, by which Python tells cached byte code from newer."""
+_stopped = threading.Event()
+"""Set where one module failed or the program is to end: the tests of the others end, too."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ def main() -> int:
     parser.add_argument("words", nargs="*", help="only modules whose path contains one of these")
     parser.add_argument("--page", type=Path, help="folder of the page mutants.md")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     modules = [m for m in load() if not options.words or any(word in m.file for word in options.words)]
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="tagid-mutants-", ignore_cleanup_errors=True) as folder:
@@ -103,7 +107,12 @@ def main() -> int:
                 copies.put(copy)
 
         with ThreadPoolExecutor(PROCESSES) as pool:
-            results = [result for each in pool.map(tried, modules) for result in each]
+            try:
+                results = [result for each in pool.map(tried, modules) for result in each]
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                _stopped.set()
+                raise
     publish(report(modules, results, time.monotonic() - began), options.page, "mutants.md")
     return int(any(not result.killed and not result.mutant.reason for result in results))
 
@@ -161,23 +170,28 @@ def write(path: Path, source: str) -> None:
 
 
 def run_tests(copy: Path, tests: tuple[str, ...], limit_s: float) -> tuple[bool, str]:
-    """Whether all tests pass, and what pytest printed; "" where the time was over."""
+    """Whether all tests pass in this time, and what pytest printed."""
     words = [sys.executable, "-m", "pytest", "-x", "-n", "0", "-p", "no:cacheprovider"]
-    process = subprocess.Popen(
-        [*words, f"--basetemp={copy}/temporary", *tests], cwd=copy, env=environment(copy), text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
-    )  # fmt: skip
+    words += [f"--basetemp={copy}/temporary", *tests]
+    printed = copy / "printed.txt"
+    with printed.open("wb") as file:
+        process = subprocess.Popen(
+            words, cwd=copy, env=environment(copy), stdout=file, stderr=file, start_new_session=True
+        )
+    end = time.monotonic() + limit_s
     try:
-        output, _ = process.communicate(timeout=limit_s)
-    except subprocess.TimeoutExpired:
-        output = ""
+        while process.poll() is None and time.monotonic() < end and not _stopped.is_set():
+            time.sleep(0.1)
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-    if process.returncode in (4, 5):
+        status = process.wait()
+    output = printed.read_text(encoding="utf-8", errors="replace")
+    if _stopped.is_set():
+        raise SystemExit("stopped")
+    if status in (4, 5):
         raise SystemExit(f"{tests}: no such tests\n{output[-3000:]}")
-    return process.returncode == 0, output
+    return status == 0, output
 
 
 def report(modules: list[Module], results: list[Result], seconds: float) -> list[str]:
@@ -186,9 +200,9 @@ def report(modules: list[Module], results: list[Result], seconds: float) -> list
     lines = page("Mutation tests", "none", __doc__)
     lines += [f"{killed} of {len(results)} killed; {seconds / 60:.0f} minutes.", ""]
     lines += ["| package | faults | killed |", "|---|---|---|"]
-    for package, group in itertools.groupby(results, key=lambda result: Path(result.module.file).parent):
+    for package, group in itertools.groupby(results, key=lambda result: result.module.file.split("/")[1]):
         found = [result.killed for result in group]
-        lines.append(f"| `{package}` | {len(found)} | {sum(found)} |")
+        lines.append(f"| {package} | {len(found)} | {sum(found)} |")
     for title, column, survived in (
         ("Survivors", "reason", True),
         ("Killed", "first test that fails", False),

@@ -161,3 +161,10 @@ def test_a_radar_that_is_not_there_is_one_clear_error(tagid, tmp_path: Path) -> 
                  TAGID_RADAR_TIMEOUT_S="0.05")  # fmt: skip
     assert done.code == 4
     assert done.json["errors"][0]["code"] == "device_timeout"
+
+
+def test_lost_scans_do_not_lower_the_rate_of_the_radar() -> None:
+    view = Monitor(CONFIG, clock=lambda: 0.0)
+    for number in range(0, 200, 4):
+        view.add(scan(number, np.zeros(CONFIG.samples)), Statistics())
+    assert view.snapshot().scan_rate_hz == pytest.approx(100)

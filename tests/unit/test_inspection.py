@@ -92,6 +92,8 @@ def test_lost_scans_and_rate() -> None:
     unnumbered = replace(capture, scan_id=None, radar=RadarInfo(scans_lost=3))
     assert inspect(unnumbered).lost_scans == 3
     assert inspect(replace(unnumbered, radar=RadarInfo())).lost_scans is None
+    for reported, lost in ((1, 4), (9, 9)):
+        assert inspect(replace(capture, radar=RadarInfo(scans_lost=reported))).lost_scans == lost
     no_clock = inspect(replace(capture, radar_time_ms=None))
     assert (no_clock.scan_rate_hz, no_clock.duration_s) == (None, None)
 

@@ -46,6 +46,9 @@ def test_dense_scans_become_the_views_that_the_image_needs_and_lose_noise() -> N
     alone = prepare(replace(dense, samples=noise), extent_m=0.2)
     assert alone.views == needed
     assert np.std(alone.samples) == pytest.approx(np.sqrt(needed / 1500), rel=0.02)
+    # Errors of the angles are common to neighbouring scans.
+    unsure = prepare(replace(dense, angle_sigma_rad=np.full(1500, 0.01)), extent_m=0.2)
+    np.testing.assert_allclose(unsure.angle_sigma_rad, 0.01)
 
 
 @pytest.mark.parametrize("most", [36, 35, 20, 12, 7])

@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from tagid.angles.clock import fit_clock
+from tagid.angles.measured import measured_angles
 from tagid.angles.period import MIN_TURNS
-from tagid.metadata import ResolvedMotion
+from tagid.metadata import ResolvedMotion, Track
 from tagid.motion.calibration import wheel_base_from
 from tagid.motion.emulation.comxim import ComximCore
 from tagid.motion.emulation.roomba import RoombaCore, World
@@ -131,3 +133,14 @@ def test_a_wheel_base_is_as_uncertain_as_the_turn_it_was_measured_on() -> None:
     assert (name, calibration.turns) == ("robot", 2.0)
     assert calibration.wheel_base_mm == pytest.approx(1.03 * 235.0)
     assert calibration.sigma == pytest.approx(0.01)
+
+
+def test_an_angle_whose_scale_the_radar_did_not_measure_grows_uncertain_with_it() -> None:
+    times_s = 0.02 * np.arange(500)
+    arrivals = 10**18 + (times_s * 1e9).astype(np.int64)
+    track = Track(arrivals, 0.7 * times_s, np.full(500, 1e-3), {"scale_sigma": 0.06})
+    noise = np.random.default_rng(1).standard_normal((500, 32))
+    found = measured_angles(noise, fit_clock(1e3 * times_s), arrivals, track)
+    assert not found.info.checked_by_radar and found.info.scale == 1.0
+    assert found.sigma_rad[0] < 0.01
+    assert found.sigma_rad[-1] == pytest.approx(0.06 * 0.7 * times_s[-1], rel=0.01)

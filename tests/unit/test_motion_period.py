@@ -40,11 +40,16 @@ def recording(
     [(10, 1.3, 0.12), (10, 2.3, 0.06), (10, 3.2, 0.03), (0, 3.2, 0.12)],
 )
 def test_error_of_the_period(snr_db: float, turns: float, percent: float) -> None:
+    ratios = []
     for seed in range(5):
         samples, times, truth = recording(scene_from_name("points-4", seed), snr_db, turns, seed)
         found = find_period(samples, times)
         assert abs(found.period_s / truth - 1) * 100 < percent
         assert found.turns == pytest.approx(turns, rel=0.02)
+        ratios.append((found.period_s - truth) / found.sigma_s)
+    if snr_db == 0:
+        # Measured over two turns, which halves the error and its sigma.
+        assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 2.0
 
 
 def test_sigma_covers_the_error() -> None:

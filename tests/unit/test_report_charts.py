@@ -126,3 +126,9 @@ def test_what_rests_disappears_from_the_changing_part() -> None:
     assert abs(int(curves.changing_envelope.argmax()) - 300) < 12
     assert curves.envelope[:, :200].max() < 1
     assert curves.envelope[:, 200:].max() > 100
+
+
+def test_the_spectrum_of_a_longer_recording_is_no_larger() -> None:
+    samples = burst(480, 200, 4e9)[None].astype(np.float32)
+    short, long = (RecordingCurves.of(capture_of(np.tile(samples, (n, 1)))).spectrum for n in (3, 300))
+    np.testing.assert_allclose(long, short, rtol=1e-5, atol=1e-5 * short.max())
