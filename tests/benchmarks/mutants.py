@@ -93,7 +93,7 @@ def main() -> int:
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     modules = [m for m in load() if not options.words or any(word in m.file for word in options.words)]
-    began = time.monotonic()
+    began, lines = time.monotonic(), page("Mutation tests", "none", __doc__)  # of the tree as it is copied
     with tempfile.TemporaryDirectory(prefix="tagid-mutants-", ignore_cleanup_errors=True) as folder:
         copies = SimpleQueue[Path]()
         for number in range(PROCESSES):
@@ -113,7 +113,7 @@ def main() -> int:
                 pool.shutdown(wait=False, cancel_futures=True)
                 _stopped.set()
                 raise
-    publish(report(modules, results, time.monotonic() - began), options.page, "mutants.md")
+    publish([*lines, *report(results, time.monotonic() - began)], options.page, "mutants.md")
     return int(any(not result.killed and not result.mutant.reason for result in results))
 
 
@@ -194,11 +194,10 @@ def run_tests(copy: Path, tests: tuple[str, ...], limit_s: float) -> tuple[bool,
     return status == 0, output
 
 
-def report(modules: list[Module], results: list[Result], seconds: float) -> list[str]:
-    """The page."""
+def report(results: list[Result], seconds: float) -> list[str]:
+    """The tables of the page."""
     killed = sum(result.killed for result in results)
-    lines = page("Mutation tests", "none", __doc__)
-    lines += [f"{killed} of {len(results)} killed; {seconds / 60:.0f} minutes.", ""]
+    lines = [f"{killed} of {len(results)} killed; {seconds / 60:.0f} minutes.", ""]
     lines += ["| package | faults | killed |", "|---|---|---|"]
     for package, group in itertools.groupby(results, key=lambda result: result.module.file.split("/")[1]):
         found = [result.killed for result in group]

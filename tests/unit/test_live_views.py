@@ -11,6 +11,7 @@ import pytest
 
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
+from tagid.imaging.preprocess import preprocess
 from tagid.live.angles import _measured
 from tagid.live.evidence import GrowingEvidence
 from tagid.live.speed import GrowingSpeed
@@ -22,7 +23,10 @@ from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.session import Session
 from tagid.recording.sources import emulated_scene
-from tagid.tags.layouts.layout import Layout
+from tagid.simulate.acquisition import Acquisition
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.presets import scene_from_name
+from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tests.unit.imaging_scenes import record, turn
 
 GRID = ImageGrid(0.4, 32)
@@ -93,3 +97,17 @@ def test_a_layout_that_repeats_within_a_turn_has_fewer_places_to_fit_by_chance()
     assert (half.symmetry, whole.symmetry) == (2, 1)
     one, both = GrowingEvidence([half]), GrowingEvidence([whole])
     assert 2 * one._places == pytest.approx(both._places, rel=0.01)
+
+
+def test_noise_does_not_lower_the_share_of_the_echo_that_a_layout_explains() -> None:
+    shares = []
+    for snr_db in (20.0, 0.0):
+        capture, _ = simulate_capture(
+            scene_from_name("helmet-120", 3), Acquisition(views=40, snr_db=snr_db), seed=3
+        )
+        evidence = GrowingEvidence([builtin_layouts()["helmet-120"]])
+        plain = IMAGING.preprocessing(matched_filter=False)
+        evidence.add(preprocess(capture, settings=replace(plain, background="none")))
+        (judged,) = evidence.judged(preprocess(capture, settings=plain))
+        shares.append(judged.share)
+    assert shares[0] > 0.8 and shares[1] == pytest.approx(shares[0], abs=0.1)

@@ -232,3 +232,12 @@ def test_an_integration_that_leaves_too_few_views_for_a_helmet_is_not_offered() 
     enough, few = (each.rates.named.value for each in plans)
     assert plans[0].views > 72 > plans[1].views and few > enough
     assert invert(far, (enough + few) / 2).integration is None
+
+
+@pytest.mark.parametrize("delay_ps", [0.0, 12_000.0])
+def test_the_window_covers_the_corners_of_the_image_and_a_pulse_whatever_the_cables(delay_ps: float) -> None:
+    config = plan_window(1.5, 0.5, delay_ps, RadarConfig(base_integration_index=11))
+    start_m = config.range_start_m(delay_ps)
+    stop_m = start_m + (config.samples - 1) * config.range_step_m
+    corner_m = 0.5 / np.sqrt(2) + 0.3
+    assert 0.3 < start_m <= 1.5 - corner_m and 1.5 + corner_m <= stop_m < 2.7
