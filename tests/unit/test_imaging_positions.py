@@ -102,13 +102,13 @@ def test_noise_alone_gives_no_delay() -> None:
         focus_delay(scans, 5.0)
 
 
-@pytest.mark.parametrize("method", ["bp", "bp-raw", "polar", "omp"])
+@pytest.mark.parametrize("method", ["bp", "polar", "omp"])
 def test_methods_image_a_rail_without_being_told_where_to_look(method: str) -> None:
     settings = ImagingSettings(method=method, free_extent=True, free_pixels=True)
-    result = reconstruct(prepare(rail(0.42, views=300)), settings)
+    result = reconstruct(prepare(rail(0.42, views=150)), settings)
     assert result.region is not None
     assert result.region.mirrored
-    assert result.views == 300
+    assert result.views == 150
     # A plane wave instead of a sphere moves points off the middle: half a wave at 2.9 m is 0.3 m aside.
     radius = 0.2 if method == "polar" else 0.03
     peaks = pick_peaks(result.image, 2, 0.25) + np.array(result.image.centre_m)
