@@ -5,7 +5,7 @@ factor, unit or order, a bound that is off by one, a condition or a reset that i
 test notices survives; the file says why it may. A fault whose text is not found exactly once is reported
 as well, so that a module that changes takes its faults along. The tree is copied first, and the tests import
 tagid from the copy; two modules are tried at a time. A test that runs for over 20 s and three times its usual
-time has noticed the fault, too.
+time has noticed the fault, too. The page is of the last run of each module, kept in build/mutants.json.
 
     python tests/benchmarks/mutants.py                   # all, 10 to 20 minutes
     python tests/benchmarks/mutants.py pipeline live     # paths that contain one of these words
@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import itertools
+import json
 import os
 import re
 import shutil
@@ -32,9 +33,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 
-from provenance import ROOT, page, publish
+from provenance import ROOT, commit, page, publish
 
 FILE = Path(__file__).with_suffix(".toml")
+KEPT = ROOT / "build" / "mutants.json"
 PROCESSES = 2
 _stamps = itertools.count(1)
 """Times of changed files, s: each change has its own, by which Python tells cached byte code from newer."""
@@ -68,12 +70,14 @@ class Result:
         module, mutant: which one.
         killed: whether a test noticed it.
         remark: the test that did, or why there is none.
+        tree: commit of the run.
     """
 
     module: Module
     mutant: Mutant
     killed: bool
     remark: str
+    tree: str = ""
 
 
 def load() -> list[Module]:
@@ -93,7 +97,7 @@ def main() -> int:
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     modules = [m for m in load() if not options.words or any(word in m.file for word in options.words)]
-    began, lines = time.monotonic(), page("Mutation tests", "none", __doc__)  # of the tree as it is copied
+    tree = commit()
     with tempfile.TemporaryDirectory(prefix="tagid-mutants-", ignore_cleanup_errors=True) as folder:
         copies = SimpleQueue[Path]()
         for number in range(PROCESSES):
@@ -113,8 +117,30 @@ def main() -> int:
                 pool.shutdown(wait=False, cancel_futures=True)
                 _stopped.set()
                 raise
-    publish([*lines, *report(results, time.monotonic() - began)], options.page, "mutants.md")
+    keep(results, tree)
+    publish(report(kept()), options.page, "mutants.md")
     return int(any(not result.killed and not result.mutant.reason for result in results))
+
+
+def keep(results: list[Result], tree: str) -> None:
+    """Store results, in place of those of the same modules."""
+    stored = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.is_file() else {}
+    for file, group in itertools.groupby(results, key=lambda result: result.module.file):
+        stored[file] = [[r.mutant.was, r.mutant.now, r.killed, r.remark, tree] for r in group]
+    KEPT.parent.mkdir(exist_ok=True)
+    KEPT.write_text(json.dumps(stored, indent=1), encoding="utf-8")
+
+
+def kept() -> list[Result]:
+    """The results stored for the faults that `FILE` has now."""
+    stored = json.loads(KEPT.read_text(encoding="utf-8"))
+    return [
+        Result(module, mutant, killed, remark if killed else mutant.reason or remark, tree)
+        for module in load()
+        for mutant in module.mutants
+        for was, now, killed, remark, tree in stored.get(module.file, [])
+        if (was, now) == (mutant.was, mutant.now)
+    ]
 
 
 def copy_tree(copy: Path) -> Path:
@@ -194,14 +220,15 @@ def run_tests(copy: Path, tests: tuple[str, ...], limit_s: float) -> tuple[bool,
     return status == 0, output
 
 
-def report(results: list[Result], seconds: float) -> list[str]:
-    """The tables of the page."""
-    killed = sum(result.killed for result in results)
-    lines = [f"{killed} of {len(results)} killed; {seconds / 60:.0f} minutes.", ""]
-    lines += ["| package | faults | killed |", "|---|---|---|"]
+def report(results: list[Result]) -> list[str]:
+    """The page."""
+    lines = page("Mutation tests", "none", __doc__)
+    lines += [f"{sum(result.killed for result in results)} of {len(results)} killed.", ""]
+    lines += ["| package | faults | killed | commit |", "|---|---|---|---|"]
     for package, group in itertools.groupby(results, key=lambda result: result.module.file.split("/")[1]):
-        found = [result.killed for result in group]
-        lines.append(f"| {package} | {len(found)} | {sum(found)} |")
+        found = list(group)
+        trees = ", ".join(sorted({result.tree for result in found}))
+        lines.append(f"| {package} | {len(found)} | {sum(result.killed for result in found)} | {trees} |")
     for title, column, survived in (
         ("Survivors", "reason", True),
         ("Killed", "first test that fails", False),

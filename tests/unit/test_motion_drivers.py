@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from tagid.motion.roomba.messages import Mode, Packet
 from tagid.motion.roomba.odometry import SpinOdometry
 from tagid.motion.tables.polled import PolledTable
 from tagid.motion.urls import open_motion
+from tests.unit.test_motion_driven import Scripted
 
 
 class MemoryLink:
@@ -144,3 +146,14 @@ def test_an_angle_whose_scale_the_radar_did_not_measure_grows_uncertain_with_it(
     assert not found.info.checked_by_radar and found.info.scale == 1.0
     assert found.sigma_rad[0] < 0.01
     assert found.sigma_rad[-1] == pytest.approx(0.06 * 0.7 * times_s[-1], rel=0.01)
+
+
+def test_a_device_that_is_started_again_begins_a_new_track() -> None:
+    motion = Scripted()
+    for _ in range(2):
+        started_ns = time.time_ns()
+        motion.start()
+        while not motion.turned_rad:
+            time.sleep(1e-3)
+        motion.stop()
+        assert motion.track().host_time_ns[0] >= started_ns
