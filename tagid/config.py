@@ -6,20 +6,23 @@ The command line overrides the environment, which overrides the file, which over
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
-from tagid.errors import ConfigError, StorageError
+from tagid.errors import ConfigError, FileFormatError, displayable
+from tagid.secret import MotionUrl, Secret
 
 Source = Literal["command line", "environment", "file", "default"]
 
 
 KIT_ADDRESSES = "192.168.1.100,192.168.1.101,192.168.1.102,192.168.1.103"
 """Addresses of the units of a P440 kit at delivery (P440 MRM documents)."""
+
+MAX_BYTES = 1 << 20
+"""Largest configuration file, bytes; all settings together take some kilobytes."""
 
 METHODS = ("auto", "bp", "bp-raw", "range-doppler", "polar", "sparse", "omp", "ats")
 """Names in `tagid.pipeline.methods`, repeated here so that help does not import numpy."""
@@ -35,8 +38,8 @@ class Setting:
     """One setting's definition: dotted name, type, default, bounds and help line."""
 
     name: str
-    kind: type[str] | type[float] | type[int]
-    default: str | float | int | None
+    kind: type[str] | type[float] | type[int] | type[Secret]
+    default: str | float | int | Secret | None
     help: str
     low: float | None = None
     high: float | None = None
@@ -68,8 +71,8 @@ SETTINGS: tuple[Setting, ...] = (
         "radar.timeout_s", float, 2.0, "time without data after which the radar counts as lost, s", 0.05, 60
     ),
     Setting("radar.resume_s", float, 20.0, "longest time to wait for a lost radar, s", 0, 3600),
-    Setting("motion.url", str, "free", "device that rotates the object, e.g. free?rpm=2"),
-    Setting("motion.passkey", str, None, "six-digit pass-key of the Bluetooth bridge"),
+    Setting("motion.url", MotionUrl, MotionUrl("free"), "device that rotates the object, e.g. free?rpm=2"),
+    Setting("motion.passkey", Secret, None, "six-digit pass-key of the Bluetooth bridge"),
     Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 1e-3, IMPLAUSIBLE_AXIS_M),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
     Setting(
@@ -189,15 +192,15 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
     setting = _BY_NAME.get(name)
     if setting is None:
         raise ConfigError(f"{where}: unknown setting {name!r}", "`tagid config` lists all settings.")
-    if setting.kind is str and isinstance(raw, list):
+    if setting.kind not in (int, float) and isinstance(raw, list):
         raw = ",".join(map(str, raw))  # a TOML list, for which the command line has commas
     try:
         value: Any = setting.kind(raw)
         if setting.kind is int and float(raw) != value:
             raise ValueError
-    except (TypeError, ValueError):
-        kind = {int: "a whole number", float: "a number", str: "text"}[setting.kind]
-        raise ConfigError(f"{where}: {name} is {raw!r}, expected {kind}", _another(setting)) from None
+    except (TypeError, ValueError, OverflowError):
+        kind = "a whole number" if setting.kind is int else "a number"
+        raise ConfigError(f"{where}: {name} is {raw!r:.60}, expected {kind}", _another(setting)) from None
     if name == "motion.axis_distance_m" and IMPLAUSIBLE_AXIS_M <= value < inf:
         raise ConfigError(
             f"{where}: {name} is {value:g}. {value:g} m? Give metres",
@@ -221,18 +224,12 @@ def _another(setting: Setting) -> str:
 
 def read_file(path: Path) -> dict[str, Any]:
     """Settings of the file by dotted name; empty if there is no file. Raises ConfigError, StorageError."""
+    from tagid import files
+
     try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        return {}
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path} is not text in UTF-8", "Repair or delete it.") from None
-    except OSError as error:
-        raise StorageError(f"cannot read {path}: {error.strerror}", "Check the file's permissions.") from None
-    try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}", "Repair or delete it.") from None
+        tables = files.read_toml(path, MAX_BYTES, missing={})
+    except FileFormatError as error:
+        raise ConfigError(error.message, "Repair or delete it.") from None
     found: dict[str, Any] = {}
     for section, table in tables.items():
         if not isinstance(table, dict):
@@ -300,12 +297,15 @@ def _write(path: Path, found: Mapping[str, Any]) -> None:
     from tagid import files
 
     tables: dict[str, dict[str, Any]] = {}
+    for name, value in found.items():
+        if isinstance(value, str) and displayable(value) != value:
+            raise ConfigError(f"{name} is {value!r}, not text in UTF-8", "Choose another name.")
     for name, value in sorted(found.items()):
         section, key = name.split(".", 1)
-        tables.setdefault(section, {})[key] = value
+        tables.setdefault(section, {})[key] = value.reveal() if isinstance(value, Secret) else value
     try:
         files.make_folder(path.parent)
     except OSError as error:
         raise files.storage_error(error, path, "making its folder") from error
-    # It may contain a bridge's pass-key, which only its owner may read.
-    files.write_bytes(path, tomli_w.dumps(tables).encode(), private=True)
+    # It may contain a bridge's pass-key, which only its owner may read. The user may keep it behind a link.
+    files.write_bytes(files.resolved(path), tomli_w.dumps(tables).encode(), private=True)

@@ -27,6 +27,8 @@ _TEMPORARY = ".tagid.tmp"
 MAX_FILE_BYTES = 2 << 30
 """Largest file read at once and largest array in a file, bytes: hours of a P440 at full rate."""
 
+_LOCK_ATTEMPTS = 8
+
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -63,6 +65,46 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
     if len(data) > limit:
         raise FileFormatError(f"{path}: exceeds the limit of {limit} bytes", "Record or export in parts.")
     return data
+
+
+def read_toml(path: Path, limit: int, missing: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The tables of a TOML file; `missing`, if given, where there is no file.
+
+    Raises StorageError as `read_bytes` does, and FileFormatError: too large, or as `parse_toml` does.
+    """
+    try:
+        raw = read_bytes(path, limit)
+    except StorageError as error:
+        if missing is not None and isinstance(error.__cause__, FileNotFoundError):
+            return missing
+        raise
+    return parse_toml(raw, str(path))
+
+
+def parse_toml(raw: bytes, where: str) -> dict[str, Any]:
+    """The tables of a text in TOML.
+
+    Raises FileFormatError: not UTF-8, not TOML, nested too deeply, or an integer exceeds 64 bits, as TOML
+    allows no other.
+    """
+    import tomllib
+
+    try:
+        tables = tomllib.loads(raw.decode("utf-8"))
+        _check_integers(tables)
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{where} is not text in UTF-8", "Save it as UTF-8.") from None
+    except (ValueError, OverflowError, RecursionError) as error:
+        raise FileFormatError(f"{where} is not valid TOML: {str(error)[:200]}", "Correct it.") from None
+    return tables
+
+
+def _check_integers(value: Any) -> None:
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ValueError("an integer exceeds 64 bits")
+    if isinstance(value, (dict, list)):
+        for item in value.values() if isinstance(value, dict) else value:
+            _check_integers(item)
 
 
 def read_head(path: Path, count: int) -> bytes:
@@ -171,11 +213,30 @@ class PatientFile(io.RawIOBase):
         return None
 
 
+def resolved(path: Path) -> Path:
+    """The file that a name means which the user typed: the target of a symbolic link, else the name itself."""
+    linked = os.path.islink(path) and not path.is_dir()  # noqa: PTH114 - False for names that are too long
+    return Path(os.path.realpath(path)) if linked else path
+
+
+def without_link(path: Path) -> Path:
+    """A name that this program chooses, for a file opened in place: a symbolic link of that name is removed.
+
+    Raises OSError.
+    """
+    if path.is_symlink():
+        path.unlink()
+    return path
+
+
 @contextmanager
 def replacing(
     path: Path, verify: Callable[[Path], None] | None = None, private: bool = False
 ) -> Iterator[PatientFile]:
     """A file to write, whose final name holds all of it or its previous content, even after a power cut.
+
+    A symbolic link of that name is replaced, not followed: others may have planted it where this program
+    chooses the name. A name that the user typed passes `resolved` where it comes in.
 
     The bytes go to a temporary file in the same folder, are synced, and the file is renamed over the final
     name. If anything is raised, the temporary file is removed and the final name is unchanged. Stop signals
@@ -190,13 +251,12 @@ def replacing(
         DiskFullError: no space left.
         StorageError: the folder is missing or not writable, or the name is not a regular file.
     """
-    target = Path(os.path.realpath(path))
     # As root, renaming over a device node would replace it: only regular files are overwritten.
-    if target.exists() and not target.is_file():
+    if path.exists() and not path.is_file():
         raise StorageError(f"{path}: exists and is not a regular file", "Give the path of a file.")
     with interrupts.deferred():
-        clear_abandoned(target.parent)
-        temporary, stream = _open_temporary(target, path)
+        clear_abandoned(path.parent)
+        temporary, stream = _open_temporary(path)
         try:
             # The file is renamed before it is closed: closing it releases its lock.
             with stream:
@@ -211,8 +271,8 @@ def replacing(
                 os.fsync(stream.fileno())
                 if verify is not None:
                     verify(temporary)
-                temporary.replace(target)
-            sync_folder(target.parent)
+                temporary.replace(path)
+            sync_folder(path.parent)
         except BaseException as error:
             temporary.unlink(missing_ok=True)
             if isinstance(error, OSError):
@@ -220,19 +280,22 @@ def replacing(
             raise
 
 
-def _open_temporary(target: Path, path: Path) -> tuple[Path, PatientFile]:
-    """A new locked file next to `target`: its lock, held until the process ends, marks it as in use."""
-    while True:
-        temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(6)}{_TEMPORARY}")
+def _open_temporary(path: Path) -> tuple[Path, PatientFile]:
+    """A new locked file next to `path`: its lock, held until the process ends, marks it as in use."""
+    for attempt in range(_LOCK_ATTEMPTS):
+        temporary = path.with_name(f".{path.name[:80]}.{secrets.token_hex(6)}{_TEMPORARY}")
         try:
             stream = PatientFile(temporary)
         except OSError as error:
             raise storage_error(error, path, "writing") from error
-        # Another process may have removed it as abandoned before it was locked.
-        if _lock(stream.fileno()) is not False and temporary.exists():
+        # Another process may have removed it as abandoned before it was locked. Where every lock is refused,
+        # no process can do that.
+        last = attempt == _LOCK_ATTEMPTS - 1
+        if (_lock(stream.fileno()) is not False or last) and temporary.exists():
             return temporary, stream
         stream.close()
         temporary.unlink(missing_ok=True)
+    raise StorageError(f"{path}: its temporary file is removed again and again while writing", "Try again.")
 
 
 def clear_abandoned(folder: Path) -> None:
@@ -281,7 +344,10 @@ def write_all(file: int | FileIO, data: bytes | memoryview) -> None:
     rest = memoryview(data)
     descriptor = file if isinstance(file, int) else file.fileno()
     while rest:
-        rest = rest[os.write(descriptor, rest) :]
+        written = os.write(descriptor, rest)
+        if not written:
+            raise OSError(errno.EIO, "the device takes no more")
+        rest = rest[written:]
 
 
 def forget_cached(path: Path) -> None:

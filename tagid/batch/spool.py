@@ -11,7 +11,7 @@ import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
-from tagid import interrupts
+from tagid import files, interrupts
 from tagid.batch.job import Known, Outcome
 from tagid.errors import DiskFullError, StorageError, TagidError
 from tagid.report.records import Drawing, ItemRecord, StoredItem, Thumbnails, drawing_json
@@ -40,7 +40,7 @@ class Spool:
     def __init__(self, path: Path, fresh: bool) -> None:
         self.path = path
         with interrupts.deferred(), self._told():
-            self._db = sqlite3.connect(path, timeout=0.2, isolation_level=None)
+            self._db = sqlite3.connect(files.without_link(path), timeout=0.2, isolation_level=None)
             try:
                 self._open(fresh)
             except BaseException:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tagid.cli.common.frame import Terminal, command
-from tagid.config import SETTINGS, change_file, load_config
+from tagid.config import SETTINGS, change_file, load_config, parse_value
 from tagid.errors import UsageError
 from tagid.result import Result
+from tagid.secret import Secret
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
@@ -47,8 +48,10 @@ def register(app: typer.Typer) -> None:
             if value is not None:
                 _check_url(name, value)
             path = change_file(name, value)
-            text = f"{name} = {value}" if value is not None else f"{name} reset to its default"
-            return Result("config", {"path": str(path), name: value}, Text(f"{text} ({path})"))
+            parsed = None if value is None else parse_value(name, value, "command line")
+            shown = str(parsed) if isinstance(parsed, Secret) else value
+            text = f"{name} = {shown}" if value is not None else f"{name} reset to its default"
+            return Result("config", {"path": str(path), name: shown}, Text(f"{text} ({path})"))
         loaded = load_config()
         if action == "path":
             return Result("config", {"path": str(loaded.path)}, Text(str(loaded.path)))

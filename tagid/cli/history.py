@@ -81,10 +81,12 @@ def register(app: typer.Typer) -> None:
 def _export(store: History, file: Path | None, wanted: Filter) -> Result:
     from rich.text import Text
 
+    from tagid.files import resolved
     from tagid.storage.history_export import export, is_export
 
     if file is None:
         raise UsageError("export needs a file", "Give e.g. `tagid history export answers.parquet`.")
+    file = resolved(file)
     check_own(file, is_export, "an export of the history")
     rows = export(store, wanted, file)
     return Result("history", {"path": str(file), "rows": rows}, Text(f"{rows} identifications in {file}"))

@@ -14,6 +14,7 @@ from tagid.cli.common.outputs import check_drawing
 from tagid.config import Config, load_config
 from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, UsageError, displayable
 from tagid.result import Result, Status
+from tagid.secret import MotionUrl
 
 if TYPE_CHECKING:
     from tagid.pipeline.answer import Identification
@@ -168,7 +169,11 @@ def vote_on(files: list[Path], config: Config, background: str, command_name: st
 
 
 def _given(overrides: dict[str, object]) -> dict[str, object]:
-    return {name: value for name, value in overrides.items() if value is not None}
+    return {
+        name: value.public if isinstance(value, MotionUrl) else value
+        for name, value in overrides.items()
+        if value is not None
+    }
 
 
 def _named(path: Path, message: str) -> str:

@@ -277,7 +277,7 @@ def _scan(
         **({} if turn.live is None else {"live": turn.live}),
     }
     items = [{"file": str(path), **answer.to_dict()}]
-    kept = imaging.remember("scan", items, {"radar": url, "motion": config["motion.url"]})
+    kept = imaging.remember("scan", items, {"radar": url, "motion": config["motion.url"].public})
     messages = (*notes(capture.radar), *turn.remarks, *kept)
     data = {"items": items, **facts}
     status = "error" if result_errors else "success"

@@ -210,7 +210,9 @@ def _joined(
         drawn.append(Text(f"{row['height_m']:.3f} m  {row['views']} scans, {turned}  {row['file']}"))
     drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
     items = [{"file": str(path), **answer.to_dict()}]
-    kept = imaging.remember("scan", items, {"radar": config["radar.url"], "motion": config["motion.url"]})
+    kept = imaging.remember(
+        "scan", items, {"radar": config["radar.url"], "motion": config["motion.url"].public}
+    )
     messages = tuple(dict.fromkeys(note for capture in captures for note in notes(capture.radar)))
     errors = () if answer.error is None else (answer.error,)
     return Result(

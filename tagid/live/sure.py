@@ -25,6 +25,7 @@ from tagid.motion.device import Motion
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import enrolled_hypotheses
 from tagid.recording.recorder import Watch
+from tagid.secret import MotionUrl
 from tagid.tags.bodies.calibration import Bound
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.sequential.calibration import EndingCalibration
@@ -46,7 +47,7 @@ _PAUSE_S = 0.1
 _JOIN_S = 30.0
 
 
-def check_angle_known(motion: Motion, motion_url: str) -> None:
+def check_angle_known(motion: Motion, motion_url: str | MotionUrl) -> None:
     """Raise ConfigError if the angle would only be known after the turn, from the scans."""
     if motion.measures or motion.nominal_s is not None:
         return

@@ -29,6 +29,7 @@ from tagid.motion.bridge.find import Backends, bluetooth_errors, find, scanning,
 from tagid.motion.guardian import Guarded, Watch
 from tagid.motion.links import WAKE_S, require
 from tagid.motion.virtual import virtual_bluetooth
+from tagid.secret import Secret
 from tagid.workers import Worker
 
 T = TypeVar("T")
@@ -53,9 +54,14 @@ class BleAddress:
     """
 
     target: str
-    passkey: str | None = None
+    passkey: Secret | None = None
     hci: str | None = None
     seconds: float = 5.0
+
+    @property
+    def digits(self) -> str | None:
+        """The pass-key, to be entered."""
+        return None if self.passkey is None else self.passkey.reveal()
 
 
 @asynccontextmanager
@@ -68,7 +74,7 @@ async def backends_of(address: BleAddress) -> AsyncIterator[Backends]:
     open_backend = virtual_bluetooth("backend")
     async with AsyncExitStack() as stack:
         try:
-            pair = await stack.enter_async_context(open_backend(address.hci, address.passkey))
+            pair = await stack.enter_async_context(open_backend(address.hci, address.digits))
         except (OSError, ValueError, TimeoutError) as error:
             raise DeviceError(
                 f"no Bluetooth controller at {address.hci}: {error}", "Check hci=, or omit it."
@@ -211,7 +217,7 @@ class BridgeLink:
                 on_bytes=self._inbox.put,
                 on_event=self._event,
                 on_lost=self._lost,
-                passkey=self._address.passkey,
+                passkey=self._address.digits,
                 backends=backends,
             )
         )

@@ -13,6 +13,7 @@ from tagid.config import load_config
 from tagid.errors import ConfigError
 from tagid.motion.ble import BleAddress
 from tagid.motion.urls import Options
+from tagid.secret import MotionUrl, Secret
 
 
 def _refuse_a_readable_file(path: Path) -> None:
@@ -29,10 +30,16 @@ def ble_address(options: Options, default: str = "") -> BleAddress:
     if not target:
         raise options.wrong("has no device name")
     config = load_config()
-    passkey = options.text("passkey") or config["motion.passkey"]
-    if passkey is not None and config.values["motion.passkey"].source == "file":
+    passkey = options.secret() or config["motion.passkey"]
+    stored = [config.values[name] for name in ("motion.url", "motion.passkey")]
+    if passkey is not None and any(one.source == "file" and _holds_key(one.value) for one in stored):
         _refuse_a_readable_file(config.path)
-    if passkey is not None and not (len(passkey) == 6 and passkey.isdecimal()):
+    digits = "" if passkey is None else passkey.reveal()
+    if passkey is not None and not (len(digits) == 6 and digits.isascii() and digits.isdecimal()):
         raise options.wrong("the pass-key is not six digits")
     seconds = options.number("wait", 5.0, 0.5, 60)
     return BleAddress(target, passkey, options.text("hci"), seconds or 5.0)
+
+
+def _holds_key(value: Secret) -> bool:
+    return value.holds_key if isinstance(value, MotionUrl) else True

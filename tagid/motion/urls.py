@@ -16,6 +16,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from tagid.errors import UsageError
 from tagid.motion.device import Motion
 from tagid.motion.turntable import FreeTurntable
+from tagid.secret import MotionUrl, Secret
 
 ENTRY_POINTS: Final = "tagid.motion"
 """Group of entry points: URL scheme = "module:function" of a function (Options) -> Motion."""
@@ -38,16 +39,18 @@ class Options:
     """A parsed device URL; each option is taken once, and `done` rejects those left over.
 
     Attributes:
-        url: as given.
+        url: as given, without its pass-key.
         scheme: before "://".
         target: device file, name or address; "" if none is given.
         given: options not yet taken.
+        passkey: not yet taken.
     """
 
     url: str
     scheme: str
     target: str
     given: dict[str, str]
+    passkey: Secret | None = None
 
     def wrong(self, why: str) -> UsageError:
         """The error for this URL."""
@@ -70,6 +73,11 @@ class Options:
         """A text."""
         return self.given.pop(name, default)
 
+    def secret(self) -> Secret | None:
+        """The pass-key."""
+        passkey, self.passkey = self.passkey, None
+        return passkey
+
     def direction(self) -> int:
         """The option `direction`: +1 for ccw (the default), -1 for cw."""
         text = self.given.pop("direction", "ccw")
@@ -89,35 +97,40 @@ class Options:
 
     def done(self) -> None:
         """Raise UsageError for an option that was not taken."""
-        if self.given:
-            raise self.wrong(f"option {min(self.given)[:50]!r} is unknown")
+        unknown = min(self.given, default="passkey" if self.passkey else "")
+        if unknown:
+            raise self.wrong(f"option {unknown[:50]!r} is unknown")
 
 
-def bad_url(url: str, why: str) -> UsageError:
+def bad_url(url: str | MotionUrl, why: str) -> UsageError:
     """The error for a motion URL, with the valid forms."""
-    return UsageError(f"motion {url[:200]!r}: {why}", f"Use one of {', '.join(EXAMPLES)}.")
+    return UsageError(f"motion {str(MotionUrl(url))[:200]!r}: {why}", f"Use one of {', '.join(EXAMPLES)}.")
 
 
-def parse_motion_url(url: str) -> Options:
+def parse_motion_url(url: str | MotionUrl) -> Options:
     """Parse a motion URL. Raises UsageError.
 
     >>> parse_motion_url("roomba+serial:///dev/ttyUSB1?step=2").target
     '/dev/ttyUSB1'
     """
+    url = MotionUrl(url)
     try:
-        parts = urlsplit(url)
+        parts = urlsplit(url.reveal())
         pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
     except ValueError:
         raise bad_url(url, "is malformed") from None
     names = [name for name, _ in pairs]
     if len(set(names)) != len(names):
         raise bad_url(url, "gives an option twice")
+    given = dict(pairs)
+    digits = given.pop("passkey", "")
+    passkey = Secret(digits) if digits else None
     if not parts.scheme:
         if parts.netloc or not parts.path:
             raise bad_url(url, "is unknown")
-        return Options(url, unquote(parts.path), "", dict(pairs))
+        return Options(url.public, unquote(parts.path), "", given, passkey)
     # The case of the part before the path is preserved: it may be a Bluetooth name.
-    return Options(url, parts.scheme, unquote(parts.netloc + parts.path), dict(pairs))
+    return Options(url.public, parts.scheme, unquote(parts.netloc + parts.path), given, passkey)
 
 
 def schemes() -> dict[str, metadata.EntryPoint]:
@@ -125,7 +138,7 @@ def schemes() -> dict[str, metadata.EntryPoint]:
     return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINTS)}
 
 
-def open_motion(url: str) -> Motion:
+def open_motion(url: str | MotionUrl) -> Motion:
     """The motion device of a URL; nothing is connected.
 
     `free` takes rpm (turns per minute), direction (ccw, the default, or cw), max_seconds (how long to wait
@@ -144,7 +157,7 @@ def open_motion(url: str) -> Motion:
         if not options.target:
             raise options.wrong("has no scene")
         known = ("rpm", "direction", "max_seconds", "marker")
-        return _free(Options(url, "free", "", {k: v for k, v in options.given.items() if k in known}))
+        return _free(Options(options.url, "free", "", {k: v for k, v in options.given.items() if k in known}))
     if options.scheme == "free" and not options.target:
         return _free(options)
     entry = schemes().get(options.scheme)
@@ -165,12 +178,10 @@ def _free(options: Options) -> FreeTurntable:
     return table
 
 
-def public_url(url: str) -> str:
+def public_url(url: str | MotionUrl) -> str:
     """The URL without its pass-key, as stored with a capture.
 
     >>> public_url("roomba+ble://R2?passkey=123456&step=3")
     'roomba+ble://R2?step=3'
     """
-    head, mark, query = url.partition("?")
-    kept = "&".join(part for part in query.split("&") if not part.startswith("passkey="))
-    return f"{head}?{kept}" if mark and kept else head
+    return MotionUrl(url).public

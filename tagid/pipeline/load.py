@@ -17,6 +17,7 @@ from tagid.errors import ConfigError, DataError, UsageError
 from tagid.imaging.bandcheck import band_warning
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.settings import ImagingSettings
+from tagid.secret import MotionUrl
 from tagid.storage.importers import read_any, remarks
 
 _FLAT = 10.0
@@ -82,7 +83,8 @@ class LoadSettings:
 
         def default(name: str) -> LoadDefault:
             given = config.values[name]
-            return LoadDefault(given.value, given.value is not None and given.source == "command line")
+            value = given.value.public if isinstance(given.value, MotionUrl) else given.value
+            return LoadDefault(value, given.value is not None and given.source == "command line")
 
         return cls(
             config["radar.cable_delay_ps"],

@@ -46,6 +46,7 @@ class GrowingLines:
 
     def _open(self, how: int) -> None:
         try:
-            self._descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | how, 0o666)
+            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | how
+            self._descriptor = os.open(files.without_link(self.path), flags, 0o666)
         except OSError as error:
             raise files.storage_error(error, self.path, "writing") from error

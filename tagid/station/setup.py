@@ -10,6 +10,7 @@ from tagid.config import Config
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.recording.plan import RecordingPlan
+from tagid.secret import MotionUrl
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class ScanSetup:
 
     radar_url: str
     radar_timeout_s: float
-    motion_url: str
+    motion_url: str | MotionUrl
     plan: RecordingPlan
     reading: ReadingSetup
 

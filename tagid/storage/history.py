@@ -104,6 +104,16 @@ TYPES = {"id": int, "command": str} | {
 }
 """Type of each column; any but `id` may also be None."""
 
+
+def _hide_key(table: str, column: str) -> str:
+    """SQL that replaces the pass-key in a URL."""
+    at = f"instr({column}, 'passkey=')"
+    return (
+        f"UPDATE {table} SET {column} = substr({column}, 1, {at} + 7) || '***' || substr({column}, {at} + 14)"
+        f" WHERE {column} GLOB '*passkey={'[0-9]' * 6}*'"
+    )
+
+
 _SCHEMA = Schema(
     what="history",
     application_id=0x74616768,  # "tagh"
@@ -124,6 +134,12 @@ _SCHEMA = Schema(
             "CREATE INDEX identification_time ON identification (time_utc)",
             "CREATE INDEX identification_capture ON identification (capture_uuid)",
             "CREATE INDEX identification_layout ON identification (layout, status)",
+        ),
+        # 2: no pass-keys, which runs before stored with the URL of the motion device.
+        (
+            "PRAGMA secure_delete = ON",
+            _hide_key("run", "settings"),
+            _hide_key("identification", "error_message"),
         ),
     ),
     restore="Restore a backup, or move the file away to begin a new history.",

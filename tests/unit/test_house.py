@@ -30,6 +30,7 @@ LAYERS = (
     | {
         "models_store",
         "interrupts",
+        "secret",
         "hostclock",
         "onnx_files",
         "proportion",

@@ -11,6 +11,7 @@ import typer
 
 from tagid.cli.common.prompts import can_ask, confirm
 from tagid.errors import CaptureInterrupted, UsageError
+from tagid.secret import MotionUrl
 
 Yes = Annotated[
     bool,
@@ -47,7 +48,7 @@ def agree(what: str, yes: bool, warning: str = "") -> None:
         raise CaptureInterrupted("declined: nothing was moved")
 
 
-def agree_to(motion_url: str, yes: bool) -> None:
+def agree_to(motion_url: MotionUrl, yes: bool) -> None:
     """Ask for confirmation before moving a commanded device. Raises as `agree`, and UsageError."""
     from tagid.motion.urls import open_motion
 

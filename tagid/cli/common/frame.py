@@ -17,9 +17,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, Final
 
 import typer
+from typer.models import OptionInfo
 
 from tagid import interrupts
 from tagid.errors import (
@@ -141,6 +143,7 @@ def _with_common_options(
         for parameter in inspect.signature(function).parameters.values()
         if parameter.name != "terminal"
     ]
+    names = {parameter.name: _typed_name(parameter) for parameter in own}
     output = Annotated[formats, typer.Option("--output", help=_OUTPUT_HELP)]  # type: ignore[valid-type]
     common = [
         inspect.Parameter(
@@ -154,12 +157,47 @@ def _with_common_options(
     @functools.wraps(function)
     def run(**options: Any) -> None:
         terminal = Terminal(options.pop("output"), options.pop("quiet"), options.pop("verbose"))
-        result = execute(name, terminal, lambda: function(terminal, **options))
+
+        def work() -> Result:
+            return function(terminal, **{key: accepted(names[key], value) for key, value in options.items()})
+
+        result = execute(name, terminal, work)
         raise typer.Exit(result.exit_code)
 
     run.__signature__ = inspect.Signature(own + common)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in own + common}
     return run
+
+
+def _typed_name(parameter: inspect.Parameter) -> str:
+    """The name of an option or argument, as a user types it."""
+    for info in getattr(parameter.annotation, "__metadata__", ()):
+        if isinstance(info, OptionInfo) and info.param_decls:
+            return str(info.param_decls[0])
+    return parameter.name.upper()
+
+
+LARGEST: Final = 1e12
+"""Largest magnitude of a number on the command line; its inverse is the smallest: no quantity of a radar, in
+any unit of an option, is beyond them, and squares and ratios of such numbers are finite."""
+
+
+def accepted(name: str, value: Any) -> Any:
+    """The value of an option or argument as a command gets it: bounded numbers, and the target of a link that
+    the user names as an output. Raises UsageError."""
+    if isinstance(value, list):
+        return [accepted(name, item) for item in value]
+    if isinstance(value, float) and not (value == 0 or 1 / LARGEST <= abs(value) <= LARGEST):
+        raise UsageError(
+            f"{name} is {value:g}, which is not possible", f"`tagid COMMAND --help` describes {name}."
+        )
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise UsageError(f"{name} is a number of more than 64 bits", "Give a smaller number.")
+    if isinstance(value, Path) and name.startswith("-") and name != "--link":
+        from tagid.files import resolved
+
+        return resolved(value)
+    return value
 
 
 def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from tagid import secret
+
 Captures = Annotated[
     list[Path], typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.", show_default=False)
 ]
@@ -18,8 +20,14 @@ RadarUrl = Annotated[
     typer.Option("--radar", help="The radar: udp://HOST, serial:///dev/ttyACM0, replay://FILE."),
 ]
 MotionUrl = Annotated[
-    str | None,
-    typer.Option("--motion", help="Device that rotates the object, e.g. free?rpm=2.", show_default=False),
+    secret.MotionUrl | None,
+    typer.Option(
+        "--motion",
+        help="Device that rotates the object, e.g. free?rpm=2.",
+        show_default=False,
+        parser=secret.MotionUrl,
+        metavar="TEXT",
+    ),
 ]
 AxisDistance = Annotated[
     float | None, typer.Option("--axis-distance", help="Radar to rotation axis, metres.", show_default=False)

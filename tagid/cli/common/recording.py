@@ -53,7 +53,6 @@ def capture_folder(config: Config) -> Path:
 
 def plan_of(config: Config, url: str, limits: Limits, about: ObjectInfo) -> RecordingPlan:
     """The recording plan. Raises ConfigError."""
-    from tagid.motion.urls import public_url
     from tagid.recording.plan import RecordingPlan
 
     if limits.scans is not None and not 1 <= limits.scans <= 65534:
@@ -68,7 +67,7 @@ def plan_of(config: Config, url: str, limits: Limits, about: ObjectInfo) -> Reco
         config["radar.cable_delay_ps"],
         limits.scans,
         limits.max_seconds,
-        public_url(config["motion.url"]),
+        config["motion.url"].public,
         about,
         config["radar.resume_s"],
     )

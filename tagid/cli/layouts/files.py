@@ -39,9 +39,11 @@ def register(app: typer.Typer) -> None:
         from rich.text import Text
 
         from tagid.cli.common.imaging import open_registry
+        from tagid.files import resolved
         from tagid.tags.enrolling.layout_file import write_layouts
 
         check_new(file, force)
+        file = resolved(file)
         registry = open_registry()
         contents = registry.contents()
         signatures = [one for one in contents.signatures if not names or one.name in names]

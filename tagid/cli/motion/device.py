@@ -8,6 +8,7 @@ import typer
 
 from tagid.config import Config, load_config
 from tagid.errors import UsageError
+from tagid.secret import MotionUrl
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -15,12 +16,16 @@ if TYPE_CHECKING:
     from tagid.motion.driven import DrivenMotion
 
 Url = Annotated[
-    str | None,
-    typer.Argument(help="roomba+serial:///dev/ttyUSB1, roomba+ble://NAME, ...; default: motion.url."),
+    MotionUrl | None,
+    typer.Argument(
+        help="roomba+serial:///dev/ttyUSB1, roomba+ble://NAME, ...; default: motion.url.",
+        parser=MotionUrl,
+        metavar="[URL]",
+    ),
 ]
 
 
-def driven(url: str | None) -> tuple[DrivenMotion, Config]:
+def driven(url: MotionUrl | None) -> tuple[DrivenMotion, Config]:
     """The device of a URL or of the configuration. Raises UsageError if it is not a commanded device."""
     from tagid.motion.driven import DrivenMotion
     from tagid.motion.urls import EXAMPLES, open_motion
