@@ -13,12 +13,14 @@ from typing import Literal
 
 from tagid import __version__
 from tagid.config import Config, data_folder
-from tagid.errors import TagidError
+from tagid.errors import FileFormatError, StorageError, TagidError
+from tagid.files import read_bytes
 
 Level = Literal["ok", "warning", "problem"]
 _LOW_DISK_BYTES = 500 * 2**20
 _PACKAGES = ("numpy", "h5py", "typer", "rich", "pillow", "pyserial")
 _EXTRA = "scipy"
+_MAX_RULE = 1 << 16
 """Of the extra `science`: MATLAB files, and the cross-section of a reflector."""
 
 
@@ -120,6 +122,13 @@ def _ports() -> Finding:
     return Finding("serial ports", "ok", ", ".join(ports))
 
 
+def _same(installed: Path, shipped: Path) -> bool:
+    try:
+        return read_bytes(installed, _MAX_RULE) == read_bytes(shipped, _MAX_RULE)
+    except (StorageError, FileFormatError):
+        return False
+
+
 def _system() -> list[Finding]:
     """The udev rule and the systemd unit of the package, and how to install them; Linux only."""
     if platform.system() != "Linux":
@@ -128,7 +137,7 @@ def _system() -> list[Finding]:
     rule, unit = folder / "70-tagid.rules", folder / "tagid-station.service"
     places = [Path(root) / "udev" / "rules.d" / rule.name for root in ("/etc", "/run", "/usr/lib", "/lib")]
     found = next((place for place in places if place.exists()), None)
-    if found is not None and found.read_bytes() == rule.read_bytes():
+    if found is not None and _same(found, rule):
         access = Finding("device access", "ok", f"udev rule {found}")
     elif found is not None:
         access = Finding("device access", "warning", f"{found} is of another version", _install_rule(rule))

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO, TextIO, TypeVar
+from typing import Any, BinaryIO, TextIO, TypeVar, cast
 
 from tagid import interrupts
 from tagid.errors import DiskFullError, FileFormatError, StorageError
@@ -84,19 +84,29 @@ def read_toml(path: Path, limit: int, missing: dict[str, Any] | None = None) -> 
 def parse_toml(raw: bytes, where: str) -> dict[str, Any]:
     """The tables of a text in TOML.
 
-    Raises FileFormatError: not UTF-8, not TOML, nested too deeply, or an integer exceeds 64 bits, as TOML
-    allows no other.
+    Raises FileFormatError: not UTF-8, not TOML, nested too deeply, or an integer exceeds 64 bits.
     """
     import tomllib
 
+    return cast(dict[str, Any], _parsed(tomllib.loads, raw, where, "TOML"))
+
+
+def parse_json(raw: bytes, where: str) -> Any:
+    """The value of a text in JSON. Raises FileFormatError as `parse_toml` does."""
+    import json
+
+    return _parsed(json.loads, raw, where, "JSON")
+
+
+def _parsed(loads: Callable[[str], Any], raw: bytes, where: str, kind: str) -> Any:
     try:
-        tables = tomllib.loads(raw.decode("utf-8"))
-        _check_integers(tables)
+        value = loads(raw.decode("utf-8"))
+        _check_integers(value)
     except UnicodeDecodeError:
         raise FileFormatError(f"{where} is not text in UTF-8", "Save it as UTF-8.") from None
     except (ValueError, OverflowError, RecursionError) as error:
-        raise FileFormatError(f"{where} is not valid TOML: {str(error)[:200]}", "Correct it.") from None
-    return tables
+        raise FileFormatError(f"{where} is not valid {kind}: {str(error)[:200]}", "Correct it.") from None
+    return value
 
 
 def _check_integers(value: Any) -> None:
@@ -214,7 +224,7 @@ class PatientFile(io.RawIOBase):
 
 
 def resolved(path: Path) -> Path:
-    """The file that a name means which the user typed: the target of a symbolic link, else the name itself."""
+    """The file that a name typed by the user means: the target of a symbolic link, else the name itself."""
     linked = os.path.islink(path) and not path.is_dir()  # noqa: PTH114 - False for names that are too long
     return Path(os.path.realpath(path)) if linked else path
 

@@ -118,18 +118,11 @@ def content_of(path: Path) -> Content:
     """What a file holds, read in blocks. Raises StorageError, or FileFormatError if too large."""
     digest = hashlib.sha256()
     size = 0
-    try:
-        if path.is_dir():
-            raise StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
-        if path.exists() and not path.is_file():
-            raise StorageError(f"{path}: is not a regular file", "Give the path of a file.")
-        with path.open("rb") as file:
-            while piece := file.read(_CHUNK):
-                digest.update(piece)
-                size += len(piece)
-                _check_size(size, str(path))
-    except OSError as error:
-        raise files.storage_error(error, path, "reading") from error
+    with files.open_regular(path) as (file, _):
+        while piece := file.read(_CHUNK):
+            digest.update(piece)
+            size += len(piece)
+            _check_size(size, str(path))
     return Content(digest.hexdigest(), size)
 
 

@@ -6,18 +6,19 @@ The effective wheel base depends on tyres and floor by a few per cent, so it is 
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
 from tagid.config import data_folder
-from tagid.errors import ConfigError, DataError, StorageError
+from tagid.errors import ConfigError, DataError, FileFormatError
+from tagid.files import make_folder, read_toml, write_bytes
 from tagid.metadata import ResolvedMotion
 
 _FILE: Final = "robots.toml"
 _DIRECTIONS: Final = "directions.toml"
+_MAX_BYTES: Final = 1 << 20
 _LEAST_SIGMA: Final = 2e-3
 """Day-to-day variation of tyres and floor, which one recording does not show."""
 
@@ -74,43 +75,39 @@ def calibrations_path() -> Path:
 def _load() -> dict[str, Calibration]:
     path = calibrations_path()
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = read_toml(path, _MAX_BYTES, missing={})
         return {name: Calibration(**table) for name, table in tables.items()}
-    except FileNotFoundError:
-        return {}
-    except OSError as error:
-        raise StorageError(f"cannot read {path}: {error.strerror}", "Check its permissions.") from None
-    except (ValueError, TypeError, AttributeError):
+    except (FileFormatError, TypeError):
         raise ConfigError(f"{path} is damaged", "Delete it and calibrate again.") from None
 
 
-def recall_reversed(device: str) -> bool:
-    """Whether calibration found that a device turns opposite to its documents. Raises ConfigError."""
-    path = data_folder() / _DIRECTIONS
+def _directions(path: Path) -> dict[str, bool]:
+    """Whether each calibrated device turns opposite to its documents. Raises StorageError, ConfigError."""
     try:
-        found = tomllib.loads(path.read_text(encoding="utf-8")).get(device, False)
-    except FileNotFoundError:
-        return False
-    except OSError as error:
-        raise StorageError(f"cannot read {path}: {error.strerror}", "Check its permissions.") from None
-    except (ValueError, AttributeError):
-        found = None
-    if not isinstance(found, bool):
+        reversals = read_toml(path, _MAX_BYTES, missing={})
+    except FileFormatError:
+        reversals = {"": None}
+    if not all(isinstance(value, bool) for value in reversals.values()):
         raise ConfigError(f"{path} is damaged", "Delete it and calibrate the direction again.")
-    return found
+    return reversals
+
+
+def recall_reversed(device: str) -> bool:
+    """Whether calibration found that a device turns opposite to its documents.
+
+    Raises StorageError, ConfigError.
+    """
+    return _directions(data_folder() / _DIRECTIONS).get(device, False)
 
 
 def remember_reversed(device: str, is_reversed: bool) -> Path:
     """Store the direction of a device; return the file. Raises StorageError, ConfigError."""
     import tomli_w
 
-    from tagid.files import make_folder, write_bytes
-
-    recall_reversed(device)  # a damaged file is reported, not overwritten
     path = data_folder() / _DIRECTIONS
-    known = tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    reversals = _directions(path)  # a damaged file is reported, not overwritten
     make_folder(path.parent)
-    write_bytes(path, tomli_w.dumps({**known, device: is_reversed}).encode())
+    write_bytes(path, tomli_w.dumps({**reversals, device: is_reversed}).encode())
     return path
 
 
@@ -122,8 +119,6 @@ def recall(robot: str) -> Calibration | None:
 def remember(robot: str, calibration: Calibration) -> Path:
     """Store a robot's calibration; return the file. Raises StorageError."""
     import tomli_w
-
-    from tagid.files import make_folder, write_bytes
 
     known = _load()
     stamp = datetime.now(UTC).isoformat(timespec="seconds")

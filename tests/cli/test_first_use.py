@@ -382,13 +382,16 @@ def test_the_list_of_commands_is_what_the_commands_say(group: str) -> None:
         assert entry.help == text, name
 
 
-def test_layouts_are_listed_as_the_registry_holds_them(here: Callable[..., Ran], tmp_path: Path) -> None:
-    from tagid.tags.enrolling import listing, registry
+ENDLESS_VIEW = """
+DROP TABLE layout;
+CREATE VIEW layout AS WITH RECURSIVE x(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM x)
+SELECT n name, n definition, n version FROM x;
+"""
 
-    assert (
-        registry.APPLICATION_ID,
-        len(registry._MIGRATIONS),
-    ) == (listing._APPLICATION_ID, listing._SCHEMA_VERSION)
+
+def test_layouts_are_listed_as_the_registry_holds_them(here: Callable[..., Ran], tmp_path: Path) -> None:
+    from tagid.tags.enrolling import registry
+
     assert here("enroll", "mine", *POINTS).code == 0
     listed = here("layouts", "--output", "json").json["data"]
     kept = registry.Registry(tmp_path / "home" / "registry.sqlite")
@@ -401,6 +404,11 @@ def test_layouts_are_listed_as_the_registry_holds_them(here: Callable[..., Ran],
     connection.close()
     damaged = here("layouts")
     assert damaged.code == 1 and "damaged definition of 'mine'" in damaged.err
+    with sqlite3.connect(kept.path) as connection:
+        connection.executescript(ENDLESS_VIEW)
+    connection.close()
+    endless = here("layouts")
+    assert endless.code == 1 and "holds a view or trigger, 'layout'" in endless.err
 
 
 def test_a_terminal_without_umlauts_costs_no_answer(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import json
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 import time
 from datetime import datetime
 from pathlib import Path
@@ -117,7 +119,7 @@ def test_all_or_none_and_only_with_a_run(history: History) -> None:
     assert history.count() == 0
     with sqlite3.connect(history.path) as connection:
         assert connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
-        assert connection.execute("PRAGMA user_version").fetchone()[0] == 1
+        assert connection.execute("PRAGMA user_version").fetchone()[0] == 2
     connection.close()
 
 
@@ -188,3 +190,15 @@ def test_a_time_without_a_zone_is_utc_wherever_the_computer_stands(
     finally:
         monkeypatch.undo()
         time.tzset()
+
+
+def test_pass_keys_of_earlier_runs_are_hidden(tmp_path: Path) -> None:
+    path = tmp_path / "history.sqlite"
+    History(path).begin("identify", {"motion.url": "roomba+ble://R2?passkey=918273&wait=1"})
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("PRAGMA user_version = 1")
+    History(path)
+    with closing(sqlite3.connect(path)) as connection:
+        (settings,) = connection.execute("SELECT settings FROM run").fetchone()
+    assert json.loads(settings) == {"motion.url": "roomba+ble://R2?passkey=***&wait=1"}
+    assert b"918273" not in b"".join(file.read_bytes() for file in tmp_path.iterdir())

@@ -10,6 +10,7 @@ import functools
 import inspect
 import io
 import logging
+import math
 import os
 import sys
 import typing
@@ -18,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 from typer.models import OptionInfo
@@ -143,7 +144,7 @@ def _with_common_options(
         for parameter in inspect.signature(function).parameters.values()
         if parameter.name != "terminal"
     ]
-    names = {parameter.name: _typed_name(parameter) for parameter in own}
+    declared = {parameter.name: _declared(parameter) for parameter in own}
     output = Annotated[formats, typer.Option("--output", help=_OUTPUT_HELP)]  # type: ignore[valid-type]
     common = [
         inspect.Parameter(
@@ -159,7 +160,9 @@ def _with_common_options(
         terminal = Terminal(options.pop("output"), options.pop("quiet"), options.pop("verbose"))
 
         def work() -> Result:
-            return function(terminal, **{key: accepted(names[key], value) for key, value in options.items()})
+            return function(
+                terminal, **{key: _accepted(key, declared[key], value) for key, value in options.items()}
+            )
 
         result = execute(name, terminal, work)
         raise typer.Exit(result.exit_code)
@@ -169,31 +172,24 @@ def _with_common_options(
     return run
 
 
-def _typed_name(parameter: inspect.Parameter) -> str:
-    """The name of an option or argument, as a user types it."""
-    for info in getattr(parameter.annotation, "__metadata__", ()):
-        if isinstance(info, OptionInfo) and info.param_decls:
-            return str(info.param_decls[0])
-    return parameter.name.upper()
+def _declared(parameter: inspect.Parameter) -> OptionInfo | None:
+    """The declaration of an option; None of an argument."""
+    infos = getattr(parameter.annotation, "__metadata__", ())
+    return next((info for info in infos if isinstance(info, OptionInfo)), None)
 
 
-LARGEST: Final = 1e12
-"""Largest magnitude of a number on the command line; its inverse is the smallest: no quantity of a radar, in
-any unit of an option, is beyond them, and squares and ratios of such numbers are finite."""
+def _accepted(name: str, option: OptionInfo | None, value: Any) -> Any:
+    """The value of an option as a command gets it: a name of a file that is a link means its target.
 
-
-def accepted(name: str, value: Any) -> Any:
-    """The value of an option or argument as a command gets it: bounded numbers, and the target of a link that
-    the user names as an output. Raises UsageError."""
+    Raises UsageError: not a number where the option is declared with bounds, which its comparisons pass.
+    """
+    if option is None or value is None:
+        return value
     if isinstance(value, list):
-        return [accepted(name, item) for item in value]
-    if isinstance(value, float) and not (value == 0 or 1 / LARGEST <= abs(value) <= LARGEST):
-        raise UsageError(
-            f"{name} is {value:g}, which is not possible", f"`tagid COMMAND --help` describes {name}."
-        )
-    if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise UsageError(f"{name} is a number of more than 64 bits", "Give a smaller number.")
-    if isinstance(value, Path) and name.startswith("-") and name != "--link":
+        return [_accepted(name, option, item) for item in value]
+    if isinstance(value, float) and math.isnan(value) and (option.min, option.max) != (None, None):
+        raise UsageError(f"--{name.replace('_', '-')} is not a number", "Give a number.")
+    if isinstance(value, Path) and name != "link":
         from tagid.files import resolved
 
         return resolved(value)

@@ -11,7 +11,6 @@ import typer
 
 from tagid.cli.common.frame import Terminal, group_command
 from tagid.cli.common.lazy import Entry, lazy_group
-from tagid.errors import RegistryError
 from tagid.result import Result
 
 COMMANDS = {
@@ -109,34 +108,23 @@ def _history() -> Result:
 def _list() -> Result:
     from rich.table import Table
 
-    from tagid.config import data_folder
-    from tagid.tags.enrolling.listing import list_layouts
+    from tagid.cli.common.imaging import open_registry
 
-    path = data_folder() / "registry.sqlite"
-    found = list_layouts(path)
-    if found is None:
-        from tagid.cli.common.imaging import open_registry
-
-        # Opening creates a missing registry and reports a damaged one.
-        open_registry().layouts()
-        found = list_layouts(path)
-        if found is None:
-            raise RegistryError(f"{path} cannot be listed", "`tagid doctor` shows details.")
-    version, layouts = found
+    registry = open_registry()
+    version, layouts = registry.snapshot()
     table = Table("layout", "kind", "reflectors", "radius mm", "symmetry", "label", box=None)
-    for one in layouts:
-        own = one.definition
+    for layout in layouts:
         table.add_row(
-            own["name"],
-            own["kind"],
-            str(one.reflectors),
-            f"{one.radius_m * 1e3:.0f}",
-            str(own["symmetry"]),
-            own["label"],
+            layout.name,
+            layout.kind,
+            str(layout.size),
+            f"{layout.radius_m * 1e3:.0f}",
+            str(layout.symmetry),
+            layout.label,
         )
     data = {
-        "registry": str(path),
+        "registry": str(registry.path),
         "registry_version": version,
-        "layouts": [one.definition for one in layouts],
+        "layouts": [layout.to_dict() for layout in layouts],
     }
     return Result("layouts", data, table)

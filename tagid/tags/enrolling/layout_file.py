@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import base64
 import binascii
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tagid.errors import FileFormatError, TagidError
-from tagid.files import read_bytes, write_bytes
+from tagid.files import read_toml, write_bytes
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.bodies.signature_file import MAX_BYTES as MAX_SIGNATURE_BYTES
 from tagid.tags.bodies.signature_file import from_bytes, to_bytes
@@ -77,13 +76,10 @@ def read_entries(path: Path) -> Entries:
     """
     if path.suffix.lower() == ".json":
         return Entries((read_layout(path),))
-    raw = read_bytes(path, MAX_BYTES)
     try:
-        data = tomllib.loads(raw.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(
-            f"{path} is not TOML: {str(error)[:200]}", "Export layouts with `tagid layouts export`."
-        ) from None
+        data = read_toml(path, MAX_BYTES)
+    except FileFormatError as error:
+        raise FileFormatError(error.message, "Export layouts with `tagid layouts export`.") from None
     if not data:
         raise FileFormatError(f"{path} is empty", "Export layouts with `tagid layouts export`.")
     if "format" not in data and "layout" not in data:

@@ -6,9 +6,7 @@ matcher and registry can rely on every field.
 
 from __future__ import annotations
 
-import json
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -19,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.errors import FileFormatError, StorageError, TagidError, UsageError
+from tagid.errors import FileFormatError, TagidError, UsageError
+from tagid.files import parse_json, parse_toml, read_bytes
 
 KINDS = ("helmet", "container", "other")
 MAX_REFLECTORS = 16
@@ -310,24 +309,12 @@ def read_layout(path: Path) -> Layout:
         StorageError: the file cannot be read.
         FileFormatError: it is too large, not TOML/JSON, or a field is wrong; the message names both.
     """
+    raw = read_bytes(path, MAX_FILE_BYTES)
     try:
-        with path.open("rb") as file:
-            raw = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise StorageError(f"cannot read {path}: {error.strerror}", "Check the path.") from error
-    if len(raw) > MAX_FILE_BYTES:
-        raise FileFormatError(
-            f"{path} is larger than {MAX_FILE_BYTES // 1024} KiB, too large for a layout",
-            "Give a smaller file with one layout.",
-        )
-    try:
-        text = raw.decode("utf-8")
-        data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(
-            f"{path} is not a layout in TOML or JSON: {str(error)[:200]}",
-            "Give name and positions_m = [[x, y], ...] in metres.",
-        ) from None
+        parse = parse_json if path.suffix.lower() == ".json" else parse_toml
+        data = parse(raw, str(path))
+    except FileFormatError as error:
+        raise FileFormatError(error.message, "Give name and positions_m = [[x, y], ...] in metres.") from None
     try:
         return layout_from_dict(data)
     except TagidError as error:
@@ -338,7 +325,7 @@ def read_layout(path: Path) -> Layout:
 def _builtin() -> tuple[Layout, ...]:
     folder = resources.files("tagid.tags.layouts") / "data" / "layouts"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
-    return tuple(layout_from_dict(tomllib.loads(f.read_text("utf-8"))) for f in files)
+    return tuple(layout_from_dict(parse_toml(f.read_bytes(), f.name)) for f in files)
 
 
 def builtin_layouts() -> dict[str, Layout]:

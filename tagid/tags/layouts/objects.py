@@ -5,7 +5,6 @@ A family of layouts is designed for an object, and other objects are defined by 
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -13,6 +12,7 @@ from importlib import resources
 import numpy as np
 
 from tagid.errors import UsageError
+from tagid.files import parse_toml
 from tagid.tags.layouts.layout import KINDS, MAX_RADIUS_M
 
 MAX_ROWS = 4
@@ -82,7 +82,7 @@ def builtin_objects() -> dict[str, TaggedObject]:
     found = {}
     for file in (resources.files("tagid.tags.layouts") / "data" / "objects").iterdir():
         if file.name.endswith(".toml"):
-            data = tomllib.loads(file.read_text("utf-8"))
+            data = parse_toml(file.read_bytes(), file.name)
             rows = tuple(Row(row["radius_m"], row["height_m"]) for row in data["rows"])
             found[data["name"]] = TaggedObject(data["name"], data["kind"], rows, data["label"])
     return dict(sorted(found.items()))
