@@ -9,7 +9,7 @@ import enum
 import uuid as uuid_module
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,20 @@ class Pulse:
             raise DataError("pulse is zero or not finite")
         if not (np.isfinite(self.step) and self.step > 0):
             raise DataError(f"pulse step is {self.step} s, expected a positive number")
+
+
+_BOUNDS: Final = {
+    "range_step_m": (1e-9, 1e6),
+    "range_start_m": (-1e7, 1e7),
+    "axis_distance_m": (1e-6, 1e7),
+    "antenna_height_m": (-1e7, 1e7),
+    "antenna_separation_m": (0, 1e7),
+    "center_frequency_hz": (1, 1e15),
+    "bandwidth_hz": (1, 1e15),
+    "wave_speed_m_s": (1, 3.1e8),
+}
+"""Least and greatest value of each attribute, from sound in a tank to light in vacuum: what is beyond is of
+another unit, or overflows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +143,10 @@ class Capture:
                 raise DataError(f"{name} is {value}, expected a positive number")
         if not np.isfinite(self.antenna_height_m):
             raise DataError(f"antenna_height_m is {self.antenna_height_m}, expected a number")
+        for name, (low, high) in _BOUNDS.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise DataError(f"{name} is {value:g}, expected {low:g} to {high:g}")
         for name in ("angles_rad", "angle_sigma_rad", "host_time_ns", "radar_time_ms", "scan_id", "flags"):
             value = getattr(self, name)
             if value is None:

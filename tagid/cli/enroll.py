@@ -367,10 +367,8 @@ def _from_points(name: str, points: list[str], sigma: float | None) -> Layout:
     places = np.array([parse_point("--point", text) for text in points])
     covariance = None
     if sigma is not None:
-        if not sigma > 0:
-            raise UsageError(
-                f"--sigma is {sigma:g} m", "Give a positive number of metres, e.g. --sigma 0.001"
-            )
+        if not 0 < sigma <= 0.1:
+            raise UsageError(f"--sigma is {sigma:g} m", "Give metres, up to 0.1, e.g. --sigma 0.001")
         covariance = np.tile(sigma**2 * np.eye(2), (len(places), 1, 1))
     return Layout(name, places, covariance=covariance)
 

@@ -151,11 +151,11 @@ def focus_axis_distance(
         search_m: half width of the search, m; None: `search_range_m`.
 
     Raises:
-        UsageError: search_m is not between 0 and `MOST_WAVELENGTHS`.
+        UsageError: search_m is not between a thousandth of a wavelength and `MOST_WAVELENGTHS`.
     """
     lam = scans.wavelength_m
     search_m = search_range_m(lam) if search_m is None else search_m
-    if not 0 < search_m <= MOST_WAVELENGTHS * lam:
+    if not lam / 1000 <= search_m <= MOST_WAVELENGTHS * lam:
         raise UsageError(
             f"the axis search is +-{search_m} m",
             f"Give a half width of up to {MOST_WAVELENGTHS:g} wavelengths ({MOST_WAVELENGTHS * lam:.3g} m).",

@@ -305,7 +305,7 @@ def strongest_return(signal: NDArray[np.complex64], capture: Capture) -> StrongR
     if not envelope[peak] > 0:
         return None
     low, high = max(0, peak - _GATE_BINS), min(bins, peak + _GATE_BINS + 1)
-    gate = signal[:, low:high]
+    gate = signal[:, low:high].astype(np.complex128)  # the squares of faint samples vanish in float32
     template = gate.mean(axis=0)
     mean_power = float((np.abs(gate) ** 2).mean(axis=0, dtype=np.float64).sum())
     coherence = min(1.0, float((np.abs(template) ** 2).sum()) / mean_power)

@@ -199,9 +199,9 @@ class Acquisition:
             raise UsageError(
                 f"direction is {self.direction}", "Use +1 (counter-clockwise) or -1 (clockwise)."
             )
-        if self.beam_width_rad is not None and not 0 < self.beam_width_rad <= 2 * np.pi:
+        if self.beam_width_rad is not None and not 1e-3 <= self.beam_width_rad <= 2 * np.pi:
             degrees = float(np.rad2deg(self.beam_width_rad))
-            raise UsageError(f"the beam width is {degrees:g} degrees", "Give more than 0 and up to 360.")
+            raise UsageError(f"the beam width is {degrees:g} degrees", "Give 0.1 to 360.")
         if self.snr_reference not in REFERENCES:
             raise UsageError(f"the SNR refers to {self.snr_reference!r}", f"Use {' or '.join(REFERENCES)}.")
         if self.noise_std is not None and not 0 <= self.noise_std <= MAX_NOISE_STD:

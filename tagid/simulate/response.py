@@ -20,6 +20,10 @@ Floats = NDArray[np.float64]
 MAX_VALUES = 16_000_000
 """Maximum number of complex values of one response: 128 MB."""
 
+MAX_FREQUENCY_HZ = 1e12
+DEPTHS_M = (0.1, 20.0)
+"""Depths of objects whose responses are read: c / 2 over the step between two frequencies."""
+
 POLARISATIONS = ("V", "H")
 """Co-polar: both antennas upright, or both horizontal across the line of sight."""
 
@@ -93,10 +97,19 @@ class Response:
         f, b = self.frequency_hz, self.scattering_length_m
         if f.ndim != 1 or len(f) < 2 or not np.isfinite(f).all() or f[0] <= 0:
             raise DataError(f"frequencies have shape {f.shape}, expected (f,) with f > 1, positive, finite")
+        if f.max() > MAX_FREQUENCY_HZ:
+            raise DataError(f"frequencies reach {f.max():g} Hz", "Give hertz.")
         step = np.diff(f)
         if not (step > 0).all() or np.ptp(step) > 1e-3 * step.mean():
             raise DataError(
                 "frequencies are not evenly spaced and ascending", "Resample the response to an even spacing."
+            )
+        shallow, deep = DEPTHS_M
+        if not shallow <= self.unambiguous_m <= deep:
+            raise DataError(
+                f"frequencies {step.mean():g} Hz apart describe an object of {self.unambiguous_m:g} m depth, "
+                f"expected {shallow:g} to {deep:g} m",
+                "Sample the response of an object of 1 m every 120 MHz, in hertz.",
             )
         if b.ndim != 3 or b.shape[:2] != (len(f), len(self.rings)) or b.shape[2] < 4:
             raise DataError(

@@ -14,6 +14,7 @@ import numpy as np
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError, UsageError
 from tagid.geometry import Aperture
+from tagid.imaging.memory import require_memory
 from tagid.simulate.acquisition import Acquisition, Placement, RangeWindow
 from tagid.simulate.render import PulseTable, render_bodies
 from tagid.simulate.response import Floats, Response
@@ -69,6 +70,11 @@ class ResponseBody:
         r = self.response
         depth = r.unambiguous_m
         count = int(np.floor(depth / _TAP_M))
+        require_memory(
+            len(antennas) * count * 2 * (8 * 3 + 16),
+            f"{len(antennas)} views of an object {depth:.3g} m deep",
+            "Simulate fewer views.",
+        )
         offset = -_BEFORE * depth + depth / count * np.arange(count)
         step_hz = r.frequency_hz[1] - r.frequency_hz[0]
         kernel = np.exp(2j * np.outer(r.wavenumber, offset)) * (step_hz * 2 * depth / count / SPEED_OF_LIGHT)

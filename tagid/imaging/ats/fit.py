@@ -489,7 +489,8 @@ def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> No
     points = grid.pixels**2
     views = 2 * max(map(len, view_subsets(scans.aperture, settings.views_per_step)))
     per_pair = 8 + 4 * 6
-    per_point = 4 * (6 * settings.width + 4 * settings.levels * settings.features)
+    channels = 2 * settings.aspect_harmonics + 1
+    per_point = 4 * (6 * settings.width + 4 * settings.levels * settings.features) + 8 * 6 * channels
     shadows = 8 * scans.aperture.views * points if _weighted(settings) else 0
     require_memory(
         points * (views * per_pair + per_point + 8 * scans.aperture.views) + shadows,

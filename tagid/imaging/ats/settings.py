@@ -40,6 +40,16 @@ PRESETS = ("field",)
 ENGINES = ("auto", "native", "onnx", "torch")
 CALIBRATIONS = ("axis", "wobble", "gain", "static")
 
+_BOUNDS = {
+    "steps": (0, 10**6), "views_per_step": (1, 10**6), "patience": (0, 10**6), "seed": (0, 2**32 - 1),
+    "threads": (1, 1024), "adapt": (0, 10**6), "width": (1, 1024), "hidden": (0, 64), "levels": (1, 64),
+    "features": (1, 64), "coarsest": (1, 1024), "wobble_harmonics": (0, 64), "aspect_harmonics": (0, 64),
+    "learning_rate": (1e-9, 1e3), "network_rate": (1e-9, 1e3), "decay": (1e-9, 1e3), "l1": (0, 1e3),
+    "noise_factor": (0, 1e6), "smoothness": (0, 1e6), "robust": (0, 1e6), "occlusion": (0, 1e3),
+    "spreading": (0, 16), "beam_width_deg": (0, 360), "finest_m": (0, 1e4),
+}  # fmt: skip
+"""Least and greatest value of each setting: what no fit has a use for beyond, or cannot compute."""
+
 
 @dataclass(frozen=True)
 class AtsSettings:
@@ -126,27 +136,9 @@ class AtsSettings:
                 raise UsageError(f"ATS cannot learn {what!r}", f"Use {', '.join(CALIBRATIONS)}.")
         if self.device != "cpu" and self.engine == "onnx":
             raise UsageError(f"--engine onnx does not run on {self.device}", "Use --engine torch.")
-        whole = {"steps": 0, "views_per_step": 1, "width": 1, "hidden": 0, "levels": 1, "features": 1}
-        whole |= {"coarsest": 1, "patience": 0, "seed": 0, "threads": 1}
-        whole |= {"wobble_harmonics": 0, "aspect_harmonics": 0, "adapt": 0}
-        for name, low in whole.items():
-            if not low <= getattr(self, name) <= 10**6:
-                raise UsageError(f"ATS setting {name} is {getattr(self, name)}", f"Give {low} to 1000000.")
-        for name in ("learning_rate", "network_rate", "decay"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give a positive number.")
-        for name in (
-            "l1",
-            "noise_factor",
-            "smoothness",
-            "robust",
-            "occlusion",
-            "spreading",
-            "beam_width_deg",
-            "finest_m",
-        ):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give zero or more.")
+        for name, (low, high) in _BOUNDS.items():
+            if not low <= getattr(self, name) <= high:
+                raise UsageError(f"ATS setting {name} is {getattr(self, name)}", f"Give {low:g} to {high:g}.")
         if not 0 <= self.held_out <= 0.5:
             raise UsageError(f"held-out share is {self.held_out}", "Give 0 to 0.5.")
 
