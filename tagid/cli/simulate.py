@@ -78,7 +78,9 @@ def register(app: typer.Typer) -> None:
         ] = 0.0,
         height: Annotated[float, typer.Option("--antenna-height", help="Metres.")] = 0.0,
         antenna_separation: options.AntennaSeparation = None,
-        rotation: Annotated[float, typer.Option("--rotation", help="Rotation of the object, degrees.")] = 0.0,
+        rotation: Annotated[
+            float, typer.Option("--rotation", min=-1e06, max=1e06, help="Rotation of the object, degrees.")
+        ] = 0.0,
         centre: options.ObjectCentre = "0,0",
         wobble: Annotated[float, typer.Option("--wobble", help="Variation of the speed; 0.01 is 1 %.")] = 0.0,
         beam_deg: Annotated[float | None, typer.Option("--beam", help="-3 dB beam width, degrees.")] = None,

@@ -50,7 +50,13 @@ CableDelay = Annotated[
 ]
 Node = Annotated[
     int | None,
-    typer.Option("--node", help="Node id of the radar to read from a log of several.", show_default=False),
+    typer.Option(
+        "--node",
+        min=0,
+        max=4294967295,
+        help="Node id of the radar to read from a log of several.",
+        show_default=False,
+    ),
 ]
 Method = Annotated[
     str | None,
@@ -108,6 +114,8 @@ WaveSpeed = Annotated[
     float | None,
     typer.Option(
         "--wave-speed",
+        min=1,
+        max=3.1e08,
         help="Speed of the wave in the medium (m/s): 345 for sound in air, 1.06e8 at a permittivity of 8. "
         "Default: value in the file, or vacuum.",
         show_default=False,

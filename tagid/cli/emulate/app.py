@@ -49,7 +49,9 @@ def register(app: typer.Typer) -> None:
         framing: Annotated[
             str, typer.Option("--framing", help="Framing on the serial port: usb or uart.")
         ] = "usb",
-        baud: Annotated[int, typer.Option("--baud", help="Baud rate of the uart; 0: unlimited.")] = 115200,
+        baud: Annotated[
+            int, typer.Option("--baud", min=0, max=10000000, help="Baud rate of the uart; 0: unlimited.")
+        ] = 115200,
         link: Annotated[Path | None, typer.Option("--link", help="Symbolic link to create for the port.")] = (
             None
         ),
@@ -65,20 +67,29 @@ def register(app: typer.Typer) -> None:
         snr_reference: response_options.SnrReference = None,
         snr_reference_body: response_options.SnrReferenceBody = None,
         rotation: Annotated[
-            float, typer.Option("--rotation", help="Rotation of the object at the start, degrees.")
+            float,
+            typer.Option(
+                "--rotation", min=-1e06, max=1e06, help="Rotation of the object at the start, degrees."
+            ),
         ] = 0.0,
-        wobble: Annotated[float, typer.Option("--wobble", help="Variation of the speed; 0.01 is 1 %.")] = 0.0,
+        wobble: Annotated[
+            float, typer.Option("--wobble", min=-1, max=1, help="Variation of the speed; 0.01 is 1 %.")
+        ] = 0.0,
         truth: Annotated[
             Path | None,
             typer.Option("--truth", help="File for the true pose, to be read by scan --truth."),
         ] = None,
         replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
-        rpm: Annotated[float, typer.Option("--rpm", help="Speed of the emulated table, rpm.")] = 2.0,
+        rpm: Annotated[
+            float, typer.Option("--rpm", min=-10000, max=10000, help="Speed of the emulated table, rpm.")
+        ] = 2.0,
         turned_by: Annotated[
             str | None,
             typer.Option("--turned-by", help="HOST:PORT of an emulated robot that rotates the object."),
         ] = None,
-        axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0,
+        axis_distance: Annotated[
+            float, typer.Option("--axis-distance", min=-1e06, max=1e06, help="Radar to axis, metres.")
+        ] = 1.0,
         antenna_height_file: Annotated[
             Path | None,
             typer.Option(
@@ -98,26 +109,42 @@ def register(app: typer.Typer) -> None:
         snr: Annotated[
             float,
             typer.Option(
-                "--snr", help="Ratio of the strongest reflector's peak to the noise of one sample, dB."
+                "--snr",
+                min=-10000,
+                max=10000,
+                help="Ratio of the strongest reflector's peak to the noise of one sample, dB.",
             ),
         ] = 20.0,
         cable_delay: Annotated[
-            float, typer.Option("--cable-delay", help="Delay of the emulated cables, ps.")
+            float,
+            typer.Option("--cable-delay", min=-1e07, max=1e07, help="Delay of the emulated cables, ps."),
         ] = 0.0,
-        rate: Annotated[float, typer.Option("--rate", help="Time factor; 0: as fast as possible.")] = 1.0,
+        rate: Annotated[
+            float, typer.Option("--rate", min=0, max=1e06, help="Time factor; 0: as fast as possible.")
+        ] = 1.0,
         loop: Annotated[bool, typer.Option("--loop", help="Repeat the recording endlessly.")] = False,
-        lose: Annotated[float, typer.Option("--lose", help="Share of packets lost.")] = 0.0,
-        duplicate: Annotated[float, typer.Option("--duplicate", help="Share of packets sent twice.")] = 0.0,
-        reorder: Annotated[float, typer.Option("--reorder", help="Share of packets reordered.")] = 0.0,
-        delay: Annotated[float, typer.Option("--delay", help="Share of packets delayed.")] = 0.0,
+        lose: Annotated[float, typer.Option("--lose", min=0, max=1, help="Share of packets lost.")] = 0.0,
+        duplicate: Annotated[
+            float, typer.Option("--duplicate", min=0, max=1, help="Share of packets sent twice.")
+        ] = 0.0,
+        reorder: Annotated[
+            float, typer.Option("--reorder", min=0, max=1, help="Share of packets reordered.")
+        ] = 0.0,
+        delay: Annotated[
+            float, typer.Option("--delay", min=0, max=1, help="Share of packets delayed.")
+        ] = 0.0,
         delay_ms: Annotated[
-            float, typer.Option("--delay-ms", help="Delay of those packets, milliseconds.")
+            float, typer.Option("--delay-ms", min=0, max=60000, help="Delay of those packets, milliseconds.")
         ] = 20.0,
         status_bytes: Annotated[
-            int, typer.Option("--status-bytes", help="Status size: 64, or 32 as in old firmware.")
+            int,
+            typer.Option(
+                "--status-bytes", min=0, max=1000, help="Status size: 64, or 32 as in old firmware."
+            ),
         ] = 64,
         sleep_bytes: Annotated[
-            int, typer.Option("--sleep-bytes", help="Size of the sleep confirmation: 12 or 8.")
+            int,
+            typer.Option("--sleep-bytes", min=0, max=1000, help="Size of the sleep confirmation: 12 or 8."),
         ] = 12,
         server: Annotated[
             bool, typer.Option("--server", help="Also act as the vendor's server program.")

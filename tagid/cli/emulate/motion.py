@@ -46,19 +46,37 @@ def register(group: typer.Typer) -> None:
         passkey: Annotated[
             str | None, typer.Option("--passkey", help="Pass-key, six digits; omit for an open bridge.")
         ] = None,
-        baud: Annotated[int, typer.Option("--baud", help="Baud rate of the port.")] = 115200,
-        wheel_base: Annotated[float, typer.Option("--wheel-base", help="True wheel base, mm.")] = 243.0,
+        baud: Annotated[
+            int, typer.Option("--baud", min=0, max=10000000, help="Baud rate of the port.")
+        ] = 115200,
+        wheel_base: Annotated[
+            float, typer.Option("--wheel-base", min=1, max=100000, help="True wheel base, mm.")
+        ] = 243.0,
         slip: Annotated[
             float,
-            typer.Option("--slip", help="Slip: share of the wheel travel that does not rotate the robot."),
+            typer.Option(
+                "--slip",
+                min=-1,
+                max=1,
+                help="Slip: share of the wheel travel that does not rotate the robot.",
+            ),
         ] = 0.01,
         slip_noise: Annotated[
-            float, typer.Option("--slip-noise", help="Standard deviation of the slip's variation.")
+            float,
+            typer.Option("--slip-noise", min=0, max=1, help="Standard deviation of the slip's variation."),
         ] = 0.002,
-        encoder_noise: Annotated[float, typer.Option("--encoder-noise", help="Counts.")] = 0.5,
-        first_count: Annotated[int, typer.Option("--first-count", help="Initial encoder count.")] = 32_000,
-        mode_offset: Annotated[int, typer.Option("--mode-offset", help="Value added to packet 35.")] = 0,
-        charge: Annotated[int, typer.Option("--charge", help="Battery charge, per cent.")] = 90,
+        encoder_noise: Annotated[
+            float, typer.Option("--encoder-noise", min=0, max=10000, help="Counts.")
+        ] = 0.5,
+        first_count: Annotated[
+            int, typer.Option("--first-count", min=-2147483648, max=2147483648, help="Initial encoder count.")
+        ] = 32_000,
+        mode_offset: Annotated[
+            int, typer.Option("--mode-offset", min=-255, max=255, help="Value added to packet 35.")
+        ] = 0,
+        charge: Annotated[
+            int, typer.Option("--charge", min=-100, max=1000, help="Battery charge, per cent.")
+        ] = 90,
         on_charger: Annotated[
             bool, typer.Option("--on-charger", help="The robot is on its charging base.")
         ] = False,
@@ -114,10 +132,15 @@ def register(group: typer.Typer) -> None:
         rate_error: Annotated[
             float,
             typer.Option(
-                "--rate-error", help="Relative difference by which it rotates slower than it reports."
+                "--rate-error",
+                min=-0.9,
+                max=0.9,
+                help="Relative difference by which it rotates slower than it reports.",
             ),
         ] = 0.03,
-        fail: Annotated[int | None, typer.Option("--fail", help="Error code returned by CT+RUN.")] = None,
+        fail: Annotated[
+            int | None, typer.Option("--fail", min=0, max=2147483648, help="Error code returned by CT+RUN.")
+        ] = None,
         truth: _Truth = 0,
     ) -> Result:
         """Emulate a Comxim turntable on a pseudo-terminal until stopped.
@@ -140,7 +163,10 @@ def register(group: typer.Typer) -> None:
         rate_error: Annotated[
             float,
             typer.Option(
-                "--rate-error", help="Relative difference by which it rotates slower than it reports."
+                "--rate-error",
+                min=-0.9,
+                max=0.9,
+                help="Relative difference by which it rotates slower than it reports.",
             ),
         ] = 0.02,
         truth: _Truth = 0,

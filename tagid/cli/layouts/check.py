@@ -22,7 +22,9 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         sigma: Annotated[
             float | None,
-            typer.Option("--sigma", help="Error of one coordinate, metres; default: as measured."),
+            typer.Option(
+                "--sigma", min=0, max=1, help="Error of one coordinate, metres; default: as measured."
+            ),
         ] = None,
     ) -> Result:
         """Check the registry: distance and confusion rate of every pair.

@@ -42,7 +42,12 @@ Mirror = Annotated[
         show_default=False,
     ),
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Random seed of the search for the best set.")]
+Seed = Annotated[
+    int,
+    typer.Option(
+        "--seed", min=0, max=9223372036854775807, help="Random seed of the search for the best set."
+    ),
+]
 AntennaHeights = Annotated[
     str | None,
     typer.Option(
@@ -63,7 +68,7 @@ def register(app: typer.Typer) -> None:
         target: ObjectName = "helmet",
         reflectors: Annotated[int, typer.Option("--reflectors", help="Reflectors per layout.")] = 3,
         slots: Slots = 12,
-        count: Annotated[int, typer.Option("--count", help="Number of layouts.")] = 10,
+        count: Annotated[int, typer.Option("--count", min=1, max=10000, help="Number of layouts.")] = 10,
         rows: Rows = None,
         radius: Radius = None,
         height: Height = None,
@@ -127,7 +132,7 @@ def register(app: typer.Typer) -> None:
         ] = 0.001,
         sigma: Annotated[
             float | None,
-            typer.Option("--sigma", help="Measured error of one coordinate, metres."),
+            typer.Option("--sigma", min=0, max=1, help="Measured error of one coordinate, metres."),
         ] = None,
     ) -> Result:
         """Compute how many identities an object can carry at a given error rate.

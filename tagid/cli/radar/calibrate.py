@@ -38,13 +38,16 @@ def register(group: typer.Typer) -> None:
             typer.Option("--distance", help="Measured distance from the antennas to the target, metres."),
         ] = None,
         tape_error: Annotated[
-            float, typer.Option("--tape-error", help="Standard deviation of this distance, metres.")
+            float,
+            typer.Option("--tape-error", min=0, max=10, help="Standard deviation of this distance, metres."),
         ] = 0.005,
         step: Annotated[
             str | None,
             typer.Option("--step", help="empty, target, or both with a pause to place the target."),
         ] = None,
-        scans: Annotated[int, typer.Option("--scans", help="Scans per step.")] = 200,
+        scans: Annotated[
+            int, typer.Option("--scans", min=-2147483648, max=2147483648, help="Scans per step.")
+        ] = 200,
         longest_delay: Annotated[
             float, typer.Option("--longest-delay", help="Upper limit of the delay search, ns.")
         ] = 25.0,

@@ -30,25 +30,52 @@ def register(group: typer.Typer) -> None:
         terminal: Terminal,
         radar: options.RadarUrl = None,
         start: Annotated[
-            float | None, typer.Option("--start", help="Start of the window, metres from the antennas.")
+            float | None,
+            typer.Option(
+                "--start", min=-10000, max=10000, help="Start of the window, metres from the antennas."
+            ),
         ] = None,
         stop: Annotated[
-            float | None, typer.Option("--stop", help="End of the window, metres from the antennas.")
+            float | None,
+            typer.Option(
+                "--stop", min=-10000, max=10000, help="End of the window, metres from the antennas."
+            ),
         ] = None,
         start_ps: Annotated[
-            int | None, typer.Option("--start-ps", help="The same in two-way picoseconds, including cables.")
+            int | None,
+            typer.Option(
+                "--start-ps",
+                min=-2147483648,
+                max=2147483647,
+                help="The same in two-way picoseconds, including cables.",
+            ),
         ] = None,
-        stop_ps: Annotated[int | None, typer.Option("--stop-ps", help="The same.")] = None,
+        stop_ps: Annotated[
+            int | None, typer.Option("--stop-ps", min=-2147483648, max=2147483647, help="The same.")
+        ] = None,
         integration: Annotated[
             int | None,
-            typer.Option("--integration", "--pii", help="Integration index, 6 to 15: 2^n pulses per sample."),
+            typer.Option(
+                "--integration",
+                "--pii",
+                min=-1000,
+                max=1000,
+                help="Integration index, 6 to 15: 2^n pulses per sample.",
+            ),
         ] = None,
-        gain: Annotated[int | None, typer.Option("--gain", help="Transmit gain, 0 to 63.")] = None,
+        gain: Annotated[
+            int | None, typer.Option("--gain", min=-1000, max=1000, help="Transmit gain, 0 to 63.")
+        ] = None,
         antenna_mode: Annotated[
-            int | None, typer.Option("--antenna-mode", help="0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA.")
+            int | None,
+            typer.Option("--antenna-mode", min=-1000, max=1000, help="0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA."),
         ] = None,
-        code_channel: Annotated[int | None, typer.Option("--code-channel", help="0 to 10.")] = None,
-        node_id: Annotated[int | None, typer.Option("--node-id", help="Node id of the radar.")] = None,
+        code_channel: Annotated[
+            int | None, typer.Option("--code-channel", min=-1000, max=1000, help="0 to 10.")
+        ] = None,
+        node_id: Annotated[
+            int | None, typer.Option("--node-id", min=0, max=4294967295, help="Node id of the radar.")
+        ] = None,
         save: Annotated[
             bool, typer.Option("--save", help="Store the settings in the radar's flash.")
         ] = False,

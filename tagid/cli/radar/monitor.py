@@ -39,7 +39,13 @@ def register(group: typer.Typer) -> None:
             float | None, typer.Option("--seconds", help="Stop after this time, seconds.")
         ] = None,
         interval_us: Annotated[
-            int, typer.Option("--interval-us", help="Time between scans (us); 0 for the shortest possible.")
+            int,
+            typer.Option(
+                "--interval-us",
+                min=0,
+                max=4294967295,
+                help="Time between scans (us); 0 for the shortest possible.",
+            ),
         ] = 0,
         cable_delay: options.CableDelay = None,
     ) -> Result:

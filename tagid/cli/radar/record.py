@@ -33,12 +33,21 @@ def register(group: typer.Typer) -> None:
             Path | None, typer.Option("--out", "-o", help="Capture to write.", show_default=False)
         ] = None,
         save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the capture.")] = None,
-        scans: Annotated[int | None, typer.Option("--scans", help="Stop after this number of scans.")] = None,
+        scans: Annotated[
+            int | None,
+            typer.Option("--scans", min=-2147483648, max=2147483648, help="Stop after this number of scans."),
+        ] = None,
         seconds: Annotated[
             float | None, typer.Option("--seconds", help="Stop after this time, seconds.")
         ] = None,
         interval_us: Annotated[
-            int, typer.Option("--interval-us", help="Microseconds between scans; 0: as fast as possible.")
+            int,
+            typer.Option(
+                "--interval-us",
+                min=0,
+                max=4294967295,
+                help="Microseconds between scans; 0: as fast as possible.",
+            ),
         ] = 0,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
