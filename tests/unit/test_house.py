@@ -314,3 +314,51 @@ def test_the_configuration_knows_every_imaging_method() -> None:
     from tagid.pipeline import methods
 
     assert set(config.METHODS) == {"auto", *methods.METHODS}
+
+
+READERS = {
+    "files.py": "the bounded reader",
+    "imaging/memory.py": "pseudo files of the kernel",
+    "radar/emulation/pacing.py": "a pseudo file of the kernel",
+    "cli/report.py": "its own list of items, line by line",
+    "station/web_history.py": "captures in parts, for an archive",
+}
+"""Modules that open files themselves, and which."""
+
+
+def unbounded_reads(path: Path) -> list[str]:
+    """Calls that read files without a limit; a module that reads files of the package names `resources`."""
+    text = path.read_text()
+    if not any(word in text for word in ("read_text", "read_bytes", "open(", "tomllib")):
+        return []
+    tree = ast.parse(text)
+    packaged = any(isinstance(node, ast.Name) and node.id == "resources" for node in ast.walk(tree))
+    found = []
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+        owner = getattr(getattr(node.func, "value", None), "id", "")
+        whole = name in ("read_text", "read_bytes") and isinstance(node.func, ast.Attribute)
+        opened = name == "open" and isinstance(node.func, (ast.Name, ast.Attribute)) and owner != "os"
+        by_name = opened and not any(
+            isinstance(each, ast.Constant) and str(each.value).strip("b+") in ("w", "x", "a")
+            for each in node.args
+        )
+        if (
+            owner == "tomllib"
+            or (whole and owner != "files" and not packaged)
+            or (by_name and owner in LOCAL)
+        ):
+            found.append(f"{path.relative_to(PACKAGE)}:{node.lineno}: {name}")
+    return found
+
+
+LOCAL = ("", "path", "file", "place", "target")
+"""Owners of `open` that are names of files, not archives or file systems."""
+
+
+def test_files_are_read_with_a_limit() -> None:
+    reads = [line for path in FILES for line in unbounded_reads(path)]
+    assert [line for line in reads if line.split(":")[0] not in READERS] == []
+    assert {line.split(":")[0] for line in reads} == set(READERS)
