@@ -97,13 +97,13 @@ class Response:
         f, b = self.frequency_hz, self.scattering_length_m
         if f.ndim != 1 or len(f) < 2 or not np.isfinite(f).all() or f[0] <= 0:
             raise DataError(f"frequencies have shape {f.shape}, expected (f,) with f > 1, positive, finite")
-        if f.max() > MAX_FREQUENCY_HZ:
-            raise DataError(f"frequencies reach {f.max():g} Hz", "Give hertz.")
         step = np.diff(f)
         if not (step > 0).all() or np.ptp(step) > 1e-3 * step.mean():
             raise DataError(
                 "frequencies are not evenly spaced and ascending", "Resample the response to an even spacing."
             )
+        if f.max() > MAX_FREQUENCY_HZ:
+            raise DataError(f"frequencies reach {f.max():g} Hz", "Give hertz.")
         shallow, deep = DEPTHS_M
         if not shallow <= self.unambiguous_m <= deep:
             raise DataError(

@@ -88,7 +88,7 @@ def register(group: typer.Typer) -> None:
             config["motion.antenna_height_m"],
             config["motion.antenna_separation_m"],
             config["radar.cable_delay_ps"],
-            motion=config["motion.url"],
+            motion=config["motion.url"].public,
             object=ObjectInfo(note=note or None),
             resume_s=config["radar.resume_s"],
             renumber=out is None,
