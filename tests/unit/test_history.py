@@ -7,8 +7,8 @@ import json
 import sqlite3
 import subprocess
 import sys
-from contextlib import closing
 import time
+from contextlib import closing
 from datetime import datetime
 from pathlib import Path
 

@@ -319,6 +319,8 @@ def test_the_configuration_knows_every_imaging_method() -> None:
 READERS = {
     "files.py": "the bounded reader",
     "imaging/memory.py": "pseudo files of the kernel",
+    "motion/guardian.py": "a pseudo file of the kernel",
+    "ports.py": "pseudo files of the kernel",
     "radar/emulation/pacing.py": "a pseudo file of the kernel",
     "cli/report.py": "its own list of items, line by line",
     "station/web_history.py": "captures in parts, for an archive",
