@@ -6,10 +6,11 @@ numbers are identical to those of a local run.
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import logging
-import queue
-import time
-from typing import Any
+from collections.abc import AsyncIterator, Awaitable, Coroutine, Generator
+from typing import Any, TypeVar
 
 from tagid import __version__
 from tagid.batch.inputs import Source
@@ -19,14 +20,16 @@ from tagid.batch.work import failed_record, unexpected, work
 from tagid.errors import ClusterError, MissingExtraError, TagidError
 
 CONNECT_S = 10.0
-WORKERS_S = 30.0
-"""Timeout for the scheduler and for the first worker, s."""
+"""Timeout for the connection and the handshake with the scheduler, s."""
+WORKERS_S = 90.0
+"""Longest time without a worker, and longest silence of the scheduler, s: workers restart within a minute."""
 WORKERS_EVERY_S = 2.0
+CLOSE_S = 2.0
+"""Longest time for the farewell to the scheduler, s."""
 AHEAD = 6
 """Items in flight per thread: enough to hide network latency, few enough to bound memory."""
-RETRIES = 3
-"""Number of workers that may die while working on an item before it counts as failed; the scheduler's
-default."""
+
+_T = TypeVar("_T")
 
 
 def run_cluster(tasks: Tasks, job: Job, address: str, verbose: bool = False) -> Results:
@@ -54,116 +57,220 @@ def run_cluster(tasks: Tasks, job: Job, address: str, verbose: bool = False) -> 
     if not verbose:
         for name in ("distributed", "distributed.core", "distributed.client", "tornado.application"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
-    client = _connect(distributed, address)
+    # The event loop runs in this thread, for `TICK_S` at a time: the caller can stop whatever it waits for.
+    loop = asyncio.new_event_loop()
+    cluster = _Cluster(distributed, address)
     try:
-        yield from _Remote(distributed, client, address).run(tasks, job)
+        yield from _ticks(loop, cluster.connect())
+        yield from _process(loop, cluster, tasks, job)
     finally:
-        client.close(timeout=5)
+        loop.run_until_complete(cluster.close())
+        loop.close()
 
 
-def _connect(distributed: Any, address: str) -> Any:
-    try:
-        client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False, name="tagid-report")
-    except (OSError, ValueError, TimeoutError) as error:
-        raise ClusterError(
-            f"no Dask scheduler answers at {address}: {str(error)[:200]}",
-            "Start one with `dask scheduler` and give the address that it prints, e.g. tcp://10.0.0.1:8786.",
-        ) from None
-    try:
-        client.wait_for_workers(1, timeout=WORKERS_S)
-        versions = client.run(_version)
-    except TimeoutError:
-        client.close(timeout=5)
-        raise ClusterError(
-            f"the cluster at {address} has no workers",
-            f"Start some with `dask worker {address} --nthreads 1`.",
-        ) from None
-    except Exception as error:  # a worker without tagid raises exceptions of many kinds
-        client.close(timeout=5)
-        raise ClusterError(
-            f"the workers at {address} cannot run tagid: {type(error).__name__}: {str(error)[:200]}",
-            f"Install tagid {__version__} with the extra `cluster` on each of them.",
-        ) from None
-    others = {worker: version for worker, version in versions.items() if version != __version__}
-    if others:
-        client.close(timeout=5)
-        worker, version = next(iter(others.items()))
-        raise ClusterError(
-            f"worker {worker} has tagid {version}, here is {__version__}", "Install the same on all of them."
-        )
-    return client
+def _ticks(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, _T]) -> Generator[None, None, _T]:
+    """The result of a coroutine; yields about every `TICK_S` until it is there."""
+    task = loop.create_task(work)
+    while not loop.run_until_complete(asyncio.wait([task], timeout=TICK_S))[0]:
+        yield None
+    return task.result()
 
 
-class _Remote:
-    def __init__(self, distributed: Any, client: Any, address: str) -> None:
-        self._distributed, self._client, self._address = distributed, client, address
-        self._finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._under_way: dict[Any, tuple[Task, Any]] = {}
-        self._count, self._count_until = 1, 0.0
+def _process(loop: asyncio.AbstractEventLoop, cluster: _Cluster, tasks: Tasks, job: Job) -> Results:
+    cluster.share(job)
+    observer = loop.create_task(cluster.observe())
+    under_way: dict[asyncio.Task[Outcome], Task] = {}
+    more = True
+    while more or under_way:
+        idle = False
+        while more and not idle and len(under_way) < AHEAD * cluster.threads:
+            task = next(tasks, _END)
+            more = task is not _END
+            idle = task is None
+            if isinstance(task, Task):
+                under_way[loop.create_task(cluster.item(task.source))] = task
+        waited = asyncio.wait([observer, *under_way], timeout=TICK_S, return_when=asyncio.FIRST_COMPLETED)
+        loop.run_until_complete(waited)
+        if observer.done():
+            observer.result()
+        done = [item for item in under_way if item.done()]
+        if not done:
+            yield None
+        for item in done:
+            yield Done(under_way.pop(item), item.result())
 
-    def run(self, tasks: Tasks, job: Job) -> Results:
-        # A task, not scattered data: if the worker that holds it dies, the scheduler computes it again.
-        shared = self._client.submit(_same, job, pure=False)
-        more = True
-        while more or self._under_way:
-            idle = False
-            room = AHEAD * self._threads()
-            while more and not idle and len(self._under_way) < room:
-                task = next(tasks, _END)
-                more = task is not _END
-                idle = task is None
-                if isinstance(task, Task):
-                    self._submit(task, shared)
-            if not more and not self._under_way:
-                return
-            try:
-                key = self._finished.get(timeout=TICK_S)
-            except queue.Empty:
-                self._check()
-                yield None
-                continue
-            task, future = self._under_way.pop(key)
-            yield Done(task, self._outcome(task.source, future))
 
-    def _threads(self) -> int:
-        """Number of threads of all workers, refreshed every few seconds because workers join and leave."""
-        if time.monotonic() > self._count_until:
-            workers = self._client.scheduler_info(n_workers=-1)["workers"]
-            self._count = max(1, sum(int(worker["nthreads"]) for worker in workers.values()))
-            self._count_until = time.monotonic() + WORKERS_EVERY_S
-        return self._count
+class _Cluster:
+    """Dask's client; every wait for the scheduler has a limit, or `observe` ends it.
 
-    def _submit(self, task: Task, shared: Any) -> None:
-        future = self._client.submit(_work, task.source, shared, pure=False)
-        self._under_way[future.key] = (task, future)
-        future.add_done_callback(lambda done: self._finished.put(done.key))
+    Attributes:
+        threads: number of threads of all workers that were there last.
+    """
 
-    def _outcome(self, source: Source, future: Any) -> Outcome:
+    def __init__(self, distributed: Any, address: str) -> None:
+        self.threads = 1
+        self._distributed, self._address = distributed, address
+        self._killed: type[BaseException] = distributed.scheduler.KilledWorker
+        self._client: Any = None
+        self._shared: Any = None
+        self._job: Job
+        self._changed = asyncio.Condition()
+        self._running = self._suspects = 0
+
+    async def connect(self) -> None:
+        """Raises ClusterError without a scheduler or a worker, or if a worker has another tagid."""
         try:
-            return future.result(timeout=CONNECT_S)  # type: ignore[no-any-return]
-        except self._distributed.scheduler.KilledWorker:
+            async with asyncio.timeout(CONNECT_S + 1):
+                self._client = self._distributed.Client(
+                    self._address or "no address",
+                    timeout=CONNECT_S,
+                    set_as_default=False,
+                    name="tagid-report",
+                    asynchronous=True,
+                )
+                await self._client
+        except Exception as error:  # of many kinds, for addresses of many kinds
+            raise ClusterError(
+                f"no Dask scheduler answers at {self._address}: {str(error)[:200] or 'no answer'}",
+                "Start one with `dask scheduler` and give the address that it prints, "
+                "e.g. tcp://10.0.0.1:8786.",
+            ) from None
+        try:
+            await self._client.wait_for_workers(1, timeout=WORKERS_S)
+            async with asyncio.timeout(WORKERS_S):
+                versions = await self._client.run(_version, on_error="return")
+        except TimeoutError:
+            raise self._no_workers() from None
+        except OSError as error:
+            raise self._gone() from error
+        for worker, version in versions.items():
+            # A worker that dies meanwhile raises OSError; its successor is as the others.
+            if isinstance(version, Exception) and not isinstance(version, OSError):
+                raise ClusterError(
+                    f"the workers at {self._address} cannot run tagid: {type(version).__name__}: "
+                    f"{str(version)[:200]}",
+                    f"Install tagid {__version__} with the extra `cluster` on each of them.",
+                )
+            if isinstance(version, str) and version != __version__:
+                raise ClusterError(
+                    f"worker {worker} has tagid {version}, here is {__version__}",
+                    "Install the same on all of them.",
+                )
+
+    def share(self, job: Job) -> None:
+        """Send the settings once to each worker that needs them."""
+        # A task, not scattered data: if the worker that holds it dies, the scheduler computes it again.
+        self._job = job
+        self._shared = self._client.submit(_same, job, pure=False)
+
+    async def observe(self) -> None:
+        """Count the workers until it is cancelled. Raises ClusterError: no workers, or no scheduler.
+
+        Time is counted in rounds, because the event loop stands still while its caller works.
+        """
+        absent = 0
+        while True:
+            request = asyncio.ensure_future(self._client.nthreads())
+            for _ in range(round(WORKERS_S / WORKERS_EVERY_S)):
+                if (await asyncio.wait([request], timeout=WORKERS_EVERY_S))[0]:
+                    break
+            else:
+                request.cancel()
+                raise self._gone(f" (no answer for {WORKERS_S:g} s)")
+            try:
+                self.threads = sum(request.result().values()) or self.threads
+                absent = 0 if request.result() else absent + 1
+            except OSError as error:
+                raise self._gone() from error
+            if absent > WORKERS_S / WORKERS_EVERY_S:
+                raise self._no_workers()
+            await asyncio.sleep(WORKERS_EVERY_S)
+
+    async def item(self, source: Source) -> Outcome:
+        """The outcome of one item. Raises ClusterError if the scheduler is lost.
+
+        If the workers that had it die, it and the others that they had are tried again alone, one at a time.
+        """
+        try:
+            return await self._result(source)
+        except self._killed:
+            self._suspects += 1
+        try:
+            return await self._result(source, alone=True)
+        except self._killed as killed:
+            died = killed.args[2] + 1
             error = TagidError(
-                f"{RETRIES + 1} workers died with this file (out of memory, or a fault in a library)",
+                f"{died} workers died with this file alone (out of memory, or a fault in a library)",
                 "Inspect the file with `tagid show`; other files are not affected.",
             )
             return Answered(failed_record(source, error))
-        except (self._distributed.client.FutureCancelledError, TimeoutError, OSError) as fault:
-            raise self._gone() from fault
-        except Exception as error:
-            return Answered(failed_record(source, unexpected(source, error)))
 
-    def _check(self) -> None:
-        if self._client.status not in ("running", "connecting"):
-            raise self._gone()
+    @contextlib.asynccontextmanager
+    async def _place(self, alone: bool) -> AsyncIterator[None]:
+        """The right to run an item, with others while none is suspected, or while nothing else runs."""
+        async with self._changed:
+            await self._changed.wait_for(lambda: not (self._running if alone else self._suspects))
+            self._running += 1
+        try:
+            yield
+        finally:
+            async with self._changed:
+                self._running -= 1
+                self._suspects -= alone
+                self._changed.notify_all()
 
-    def _gone(self) -> ClusterError:
+    async def _result(self, source: Source, alone: bool = False) -> Outcome:
+        """The outcome of an item. Raises KilledWorker, and ClusterError if the scheduler is lost."""
+        async with self._place(alone):
+            shared = self._shared
+            future = self._client.submit(_work, source, shared, pure=False)
+            try:
+                return await future  # type: ignore[no-any-return]
+            except self._killed as killed:
+                if killed.args[0] == shared.key and alone:
+                    raise ClusterError(
+                        f"the workers at {self._address} die before they work on a file",
+                        "Their log tells why. Finished items are kept: add --resume.",
+                    ) from killed
+                if killed.args[0] == shared.key and self._shared is shared:
+                    self.share(self._job)
+                raise
+            except Exception as error:
+                # What the task raised is kept in its future; anything else concerns the connection.
+                if future.status != "error":
+                    raise self._gone() from error
+                return Answered(failed_record(source, unexpected(source, error)))
+
+    async def close(self) -> None:
+        """Say goodbye to the scheduler, if it listens, and end everything that is still waiting."""
+        if self._client is not None:
+            await _limited(self._client.close(timeout=CLOSE_S))
+        rest = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in rest:
+            task.cancel()
+        if rest:
+            await asyncio.wait(rest, timeout=CLOSE_S)
+
+    def _no_workers(self) -> ClusterError:
         return ClusterError(
-            f"the connection to the Dask scheduler at {self._address} was lost",
+            f"the cluster at {self._address} has no workers",
+            f"Start some with `dask worker {self._address} --nthreads 1`; finished items are kept, "
+            "add --resume.",
+        )
+
+    def _gone(self, how: str = "") -> ClusterError:
+        return ClusterError(
+            f"the connection to the Dask scheduler at {self._address} was lost{how}",
             "Finished items are kept: start the cluster again and add --resume.",
         )
 
 
 _END = object()
+
+
+async def _limited(farewell: Awaitable[Any]) -> None:
+    with contextlib.suppress(Exception):  # of a connection that is lost already
+        await asyncio.wait_for(farewell, CLOSE_S)
 
 
 def _same(job: Job) -> Job:

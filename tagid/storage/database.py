@@ -6,7 +6,12 @@ The registry of layouts and the history of identifications add only their own ta
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import functools
+import os
 import sqlite3
+import struct
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,14 +23,28 @@ from tagid.errors import DiskFullError, RegistryError, TagidError
 BUSY_SECONDS = 10.0
 """Longest wait for another process's transaction, s."""
 
+_MOVE = "set the environment variable TAGID_DATA to another folder"
+_WRITE = f"Get write permission for the file and its folder, or {_MOVE}."
+_BUSY = "Another process is changing it; try again later."
+_DEVICE = f"The file itself may be intact: check its disk and try again, or {_MOVE}."
 _REMEDIES = {
-    sqlite3.SQLITE_READONLY: "Get write permission for the file and its folder, or give another path.",
-    sqlite3.SQLITE_PERM: "Get write permission for the file and its folder, or give another path.",
-    sqlite3.SQLITE_CANTOPEN: "Get read permission for the file and its folder, or give another path.",
-    sqlite3.SQLITE_BUSY: "Another process is changing it; try again later.",
-    sqlite3.SQLITE_LOCKED: "Another process is changing it; try again later.",
+    sqlite3.SQLITE_READONLY: _WRITE,
+    sqlite3.SQLITE_PERM: _WRITE,
+    sqlite3.SQLITE_CANTOPEN: f"Get read permission for the file and its folder, or {_MOVE}.",
+    sqlite3.SQLITE_BUSY: _BUSY,
+    sqlite3.SQLITE_LOCKED: _BUSY,
+    sqlite3.SQLITE_PROTOCOL: _BUSY,
+    sqlite3.SQLITE_IOERR: _DEVICE,
+    sqlite3.SQLITE_NOMEM: "Close other programs and try again.",
 }
 """Remedies for errors of an intact file, by sqlite error code."""
+
+_UNLOCKED = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_PERM, sqlite3.SQLITE_IOERR)
+"""Errors of a file system without locks."""
+_NO_SHARED_MEMORY = (
+    sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_FULL
+)  # fmt: skip
+"""Errors where the shared memory of a write-ahead log cannot be created: full disk, read-only folder."""
 
 Migration = tuple[str, ...]
 """The statements that migrate one schema version to the next."""
@@ -66,6 +85,7 @@ class Database:
         path: the file; it and its folder are created if they do not exist.
         schema: its expected schema.
         fill: called with the connection in the transaction that creates a new file.
+        wait_s: longest wait for another process's transaction, s.
 
     Raises:
         the schema's error: another program's file, damaged, from a newer tagid, locked or not writable.
@@ -73,43 +93,107 @@ class Database:
     """
 
     def __init__(
-        self, path: Path, schema: Schema, fill: Callable[[sqlite3.Connection], None] | None = None
+        self,
+        path: Path,
+        schema: Schema,
+        fill: Callable[[sqlite3.Connection], None] | None = None,
+        wait_s: float = BUSY_SECONDS,
     ) -> None:
         self.path = Path(path)
         self.schema = schema
+        self._wait_s = wait_s
         try:
             files.make_folder(self.path.parent)
         except OSError as error:
             raise schema.error(
                 f"cannot create the folder of the {schema.what} {self.path}: {error.strerror}",
-                f"Give a {schema.what} path in a folder that you can write to.",
+                f"Make it writable, or {_MOVE}.",
             ) from error
         if not self._ready():
             with self.transaction() as connection:
                 self._prepare(connection, fill)
-        if schema.write_ahead:
-            with self.connection() as connection:
-                _write_ahead(connection)
+            if schema.write_ahead:
+                with self._clear_errors(), contextlib.closing(self._open()) as connection:
+                    _write_ahead(connection, wait_s)
 
     @contextlib.contextmanager
     def connection(self) -> Iterator[sqlite3.Connection]:
-        """A connection that raises clear errors; sqlite opens lazily, so they occur at the first use."""
+        """A connection to read with; its errors are clear ones.
+
+        Where the file system has no locks, or a write-ahead log cannot be used (full disk, read-only folder),
+        the file is read without locks. Raises the schema's error if another process changes it meanwhile.
+        """
+        before = None
+        with self._clear_errors():
+            try:
+                opened = self._open()
+            except sqlite3.Error as error:
+                if not self._readable_unlocked(error):
+                    raise
+                before = self._state()
+                opened = self._open_unlocked()
+            try:
+                with contextlib.closing(opened) as connection:
+                    yield connection
+            finally:
+                if before is not None and before != self._state():
+                    raise self.schema.error(f"the {self.schema.what} {self.path} is being changed", _BUSY)
+
+    def _open(self) -> sqlite3.Connection:
+        """A connection that has held a lock, and from now on waits for other processes."""
+        connection = sqlite3.connect(self.path, timeout=0, isolation_level=None)
         try:
-            with contextlib.closing(
-                sqlite3.connect(self.path, timeout=BUSY_SECONDS, isolation_level=None)
-            ) as connection:
-                connection.execute("PRAGMA foreign_keys = ON")
-                # FULL, the default, leaves the removal of the rollback journal unsynced: a power cut could
-                # undo a committed transaction.
-                connection.execute("PRAGMA synchronous = EXTRA")
-                yield connection
-        except sqlite3.Error as error:
-            raise self._told(error) from error
+            try:
+                connection.execute(_FIRST)
+            except sqlite3.OperationalError as error:
+                # A file system without locks looks as if the file were locked for ever.
+                if _code(error) not in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED) or not _lockable(self.path):
+                    raise
+            connection.execute(f"PRAGMA busy_timeout = {round(self._wait_s * 1000)}")
+            connection.execute("PRAGMA foreign_keys = ON")
+            # FULL, the default, leaves the removal of the rollback journal unsynced: a power cut could
+            # undo a committed transaction.
+            connection.execute("PRAGMA synchronous = EXTRA")
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    def _open_unlocked(self) -> sqlite3.Connection:
+        """A connection that only reads and takes no lock."""
+        name = f"{self.path.absolute().as_uri()}?mode=ro&vfs=unix-none"
+        connection = sqlite3.connect(name, uri=True, isolation_level=None)
+        try:
+            connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # the log needs no shared memory then
+            connection.execute(_FIRST)
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    def _readable_unlocked(self, error: sqlite3.Error) -> bool:
+        """Whether the file may be read without locks after this error."""
+        if not self._state()[0]:
+            return False
+        if self.schema.write_ahead and _code(error) in _NO_SHARED_MEMORY:
+            return True
+        return _code(error) in _UNLOCKED and not _lockable(self.path)
+
+    def _state(self) -> list[tuple[int, int] | None]:
+        """Size and time of the file, its log and its journal; None for what is missing or empty."""
+        found = []
+        for suffix in ("", "-wal", "-journal"):
+            try:
+                status = os.stat(f"{self.path}{suffix}")
+                found.append((status.st_size, status.st_mtime_ns) if status.st_size else None)
+            except OSError:
+                found.append(None)
+        return found
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """One immediate transaction, undone on any exception; stop signals are delayed until its end."""
-        with self.connection() as connection:
+        with self._clear_errors(), contextlib.closing(self._open()) as connection:
             connection.execute("BEGIN IMMEDIATE")
             with interrupts.deferred():
                 try:
@@ -125,15 +209,17 @@ class Database:
         """Whether the file exists with the current schema: opening it then writes nothing, so that it may be
         read-only."""
         try:
-            if self.schema.write_ahead or not self.path.is_file() or not self.path.stat().st_size:
+            if not self.path.is_file() or not self.path.stat().st_size:
                 return False
         except OSError:
             return False
         with self.connection() as connection:
             version = int(connection.execute("PRAGMA user_version").fetchone()[0])
             owner = int(connection.execute("PRAGMA application_id").fetchone()[0])
+            mode = connection.execute("PRAGMA journal_mode").fetchone()[0]
             self._check_objects(connection)
-        return version == self.schema.version and owner == self.schema.application_id
+        current = (version, owner) == (self.schema.version, self.schema.application_id)
+        return current and (mode == "wal" or not self.schema.write_ahead)
 
     def _check_objects(self, connection: sqlite3.Connection) -> None:
         """Rejects views and triggers, which tagid never creates: reading a view may never end."""
@@ -171,29 +257,79 @@ class Database:
         if version == 0 and fill is not None:
             fill(connection)
 
-    def _told(self, error: sqlite3.Error) -> TagidError:
-        if getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_FULL:
-            return DiskFullError(f"no space left to change {self.path}", "Free some space.")
-        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+    @contextlib.contextmanager
+    def _clear_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise self._clear(error) from error
+
+    def _clear(self, error: sqlite3.Error) -> TagidError:
+        code, what = _code(error), self.schema.what
+        if code in _UNLOCKED and not _lockable(self.path):
+            return self.schema.error(
+                f"the file system of {self.path.parent} has no locks, the {what} there can only be read",
+                f"To change it, {_MOVE}, on a local disk; copy the files of the old folder there.",
+            )
+        if code == sqlite3.SQLITE_FULL or (code in _NO_SHARED_MEMORY and _is_full(self.path.parent)):
+            return DiskFullError(f"no space left to change {self.path}", f"Free some space, or {_MOVE}.")
         remedy = _REMEDIES.get(code, self.schema.restore)
-        return self.schema.error(f"cannot use the {self.schema.what} {self.path}: {error}", remedy)
+        return self.schema.error(f"cannot use the {what} {self.path}: {error}", remedy)
 
 
-def _write_ahead(connection: sqlite3.Connection) -> None:
+_FIRST = "SELECT 1 FROM sqlite_master LIMIT 1"
+"""Takes a lock for the first time: sqlite opens lazily."""
+
+
+def _code(error: sqlite3.Error) -> int:
+    """Primary sqlite error code; 0 for errors of Python's module."""
+    return int(getattr(error, "sqlite_errorcode", 0)) & 0xFF
+
+
+@functools.cache
+def _kept_open(path: Path) -> int:
+    """A descriptor of a file that is never closed: closing any of them ends the locks of this process."""
+    return os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+
+
+def _lockable(path: Path) -> bool:
+    """Whether the file system of a file has locks; True if that cannot be found out."""
+    try:
+        descriptor = _kept_open(path)
+    except OSError:
+        return True
+    try:
+        # Asking for a lock takes none and waits for nobody, so that it fails only without locks.
+        fcntl.fcntl(descriptor, fcntl.F_GETLK, struct.pack("hhqqi", fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
+    except OSError:
+        return False
+    return True
+
+
+def _is_full(folder: Path) -> bool:
+    """Whether a folder has no room for a small file: space, names or quota are used up."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(1 << 16))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        return isinstance(files.storage_error(error, folder, "writing"), DiskFullError)
+    return False
+
+
+def _write_ahead(connection: sqlite3.Connection, wait_s: float) -> None:
     """Turn the write-ahead log on; the setting is stored in the file.
 
     sqlite ignores its timeout here, so this function waits for other processes.
     """
-    end = time.monotonic() + BUSY_SECONDS
+    end = time.monotonic() + wait_s
     while True:
         try:
             connection.execute("PRAGMA journal_mode = WAL")
             return
         except sqlite3.OperationalError as error:
-            busy = getattr(error, "sqlite_errorcode", 0) & 0xFF in (
-                sqlite3.SQLITE_BUSY,
-                sqlite3.SQLITE_LOCKED,
-            )
+            busy = _code(error) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
             if not busy or time.monotonic() > end:
                 raise
             time.sleep(0.01)
