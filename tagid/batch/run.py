@@ -17,18 +17,17 @@ from tagid.batch.expected import Comparison, Expectations
 from tagid.batch.inputs import Collected, Source
 from tagid.batch.job import Job, Known
 from tagid.batch.local import Runner, Task, Tasks
+from tagid.batch.remembering import Remembering
 from tagid.batch.spool import FILE_NAME, Spool
 from tagid.batch.tally import SUMMARY_VERSION, Tally
 from tagid.batch.watch import FolderWatch
-from tagid.errors import TagidError
 from tagid.report.lines import GrowingLines
 from tagid.report.page import PageSettings, write_page
 from tagid.report.records import ItemRecord, StoredItem
 from tagid.report.tables import write_csv, write_json, write_jsonl, write_junit
-from tagid.storage.history import History, utc_text
+from tagid.storage.history import utc_text
 
 FILES = ("report.html", "items.csv", "items.jsonl", "junit.xml", "summary.json")
-_MOST_TO_REMEMBER = 100
 _PAGE_SHARE = 10
 """While a folder is watched, writing reports takes at most 1/this of the time."""
 
@@ -63,12 +62,12 @@ class Hooks:
     Attributes:
         progress: called with (finished, total, items per second of this run, seconds left or None).
         stopped: polled often; True ends the run with a report of the finished items.
-        history: where new answers are recorded, and the number of the run there.
+        history: file of the history where answers are stored; None stores none.
     """
 
     progress: Callable[[int, int, float, float | None], None] = lambda done, total, rate, left: None
     stopped: Callable[[], bool] = lambda: False
-    history: tuple[History, int] | None = None
+    history: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -80,12 +79,14 @@ class Finished:
         exit_code: exit code of the command, also for an interrupted run.
         interrupted: whether the user stopped it.
         reused: number of answers reused from an earlier run.
+        remarks: what is not stored in the history, and why.
     """
 
     summary: dict[str, Any]
     exit_code: int
     interrupted: bool
     reused: int
+    remarks: tuple[str, ...] = ()
 
 
 def run_batch(plan: Plan, job: Job, runner: Runner, hooks: Hooks | None = None) -> Finished:
@@ -111,12 +112,14 @@ class _Run:
     def __init__(self, plan: Plan, job: Job, spool: Spool, hooks: Hooks) -> None:
         self._plan, self._spool, self._hooks = plan, spool, hooks
         self._fingerprint = job.fingerprint()
+        self._history = Remembering(hooks.history, job)
+        if plan.resume:
+            self._history.reconcile(spool.answers())
         self._job = replace(job, known=spool.take_over(self._fingerprint))
         self._sources: list[Source] = list(plan.inputs.sources)
         self._started = utc_text()
         self._clock = time.monotonic()
         self._reused = 0
-        self._to_remember: list[ItemRecord] = []
         self._written = (0.0, 0.0)
         self._count_written = 0
 
@@ -134,7 +137,7 @@ class _Run:
                         if isinstance(outcome, Known):
                             self._reused += 1
                         else:
-                            self._keep(record)
+                            self._history.add(record)
                         done += 1
                     self._tell(done)
                     if self._plan.fail_fast and record.status == "failed":
@@ -147,6 +150,8 @@ class _Run:
                 if self._hooks.stopped():
                     interrupted = True
                     break
+        if not self._history.complete:
+            self._history.reconcile(self._spool.answers())
         with interrupts.deferred():
             return self._write(done, interrupted)
 
@@ -165,21 +170,6 @@ class _Run:
             if position == len(self._sources):
                 self._sources.append(source)
             yield Task(position, source)
-
-    def _keep(self, record: ItemRecord) -> None:
-        """Record a new answer in the history, with those that could not be recorded before."""
-        if self._hooks.history is None:
-            return
-        history, run = self._hooks.history
-        self._to_remember.append(record)
-        try:
-            history.add(run, [one.document for one in self._to_remember])
-        except TagidError:
-            # Another process has locked it, or the disk is full: the answers stay in the spool.
-            if len(self._to_remember) > _MOST_TO_REMEMBER:
-                raise
-        else:
-            self._to_remember.clear()
 
     def _tell(self, done: int) -> None:
         fresh = done - self._reused
@@ -222,7 +212,8 @@ class _Run:
         write_json(out / "summary.json", summary)
         self._written = (time.monotonic(), time.monotonic() - began)
         self._count_written = done
-        return Finished(summary, tally.exit_code(), interrupted, self._reused)
+        remarks = tuple(self._history.remarks())
+        return Finished(summary, tally.exit_code(), interrupted, self._reused, remarks)
 
     def _summary(self, tally: Tally, seconds: list[float], done: int, interrupted: bool) -> dict[str, Any]:
         wall = time.monotonic() - self._clock

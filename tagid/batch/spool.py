@@ -105,6 +105,13 @@ class Spool:
             rows = self._db.execute("SELECT content, status, record FROM kept").fetchall()
         return frozenset(content for content, status, record in rows if _final(status, record))
 
+    def answers(self) -> Iterator[tuple[str, ItemRecord]]:
+        """Fingerprint and record of every answer, also of earlier runs, sorted by fingerprint."""
+        with self._told():
+            query = "SELECT job, record FROM item UNION ALL SELECT job, record FROM kept ORDER BY 1"
+            for job, record in self._db.execute(query):
+                yield job, ItemRecord.from_json(record)
+
     def put(self, position: int, name: str, job: str, outcome: Outcome) -> ItemRecord:
         """Store a result; return its record, which for a known answer is the earlier one under this name."""
         with interrupts.deferred(), self._told():

@@ -161,17 +161,18 @@ def _expecting(plan: Plan, manifest: Path, job: Job) -> Plan:
 
 def _run(terminal: Terminal, plan: Plan, job: Job, runner: Runner) -> Result:
     from tagid.batch.run import Hooks, run_batch
-    from tagid.cli.common.imaging import begin_history
+    from tagid.config import data_folder
+    from tagid.storage.history import FILE_NAME
 
     total = None if plan.watch else float(len(plan.inputs.sources))
-    history, notes = begin_history("report", job.described())
     with interrupts.asked_to_stop() as stopped, terminal.progress("identify", total) as advance:
 
         def progress(done: int, of: int, rate: float, left: float | None) -> None:
             advance(float(done), _remark(done, of, rate, None if plan.watch else left))
 
-        finished = run_batch(plan, job, runner, Hooks(progress, stopped, history))
-    return _result(terminal, plan, finished, notes)
+        hooks = Hooks(progress, stopped, data_folder() / FILE_NAME)
+        finished = run_batch(plan, job, runner, hooks)
+    return _result(terminal, plan, finished)
 
 
 def _remark(done: int, of: int, rate: float, left: float | None) -> str:
@@ -187,7 +188,7 @@ def _remark(done: int, of: int, rate: float, left: float | None) -> str:
     )
 
 
-def _result(terminal: Terminal, plan: Plan, finished: Finished, notes: tuple[str, ...]) -> Result:
+def _result(terminal: Terminal, plan: Plan, finished: Finished) -> Result:
     import json
 
     from rich.text import Text
@@ -209,7 +210,7 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished, notes: tuple[str
                 if terminal.output is Output.json:
                     items.append(record)
         data["items"] = items
-    messages = [*notes, *_remarks(plan, finished)]
+    messages = [*finished.remarks, *_remarks(plan, finished)]
     if failed > len(errors):
         messages.append(f"{failed - len(errors)} more items failed; the report lists them")
     code = finished.exit_code

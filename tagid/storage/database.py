@@ -39,6 +39,8 @@ _REMEDIES = {
 }
 """Remedies for errors of an intact file, by sqlite error code."""
 
+_HELD = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
+"""Errors of a lock that another connection holds."""
 _UNLOCKED = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_PERM, sqlite3.SQLITE_IOERR)
 """Errors of a file system without locks."""
 _NO_SHARED_MEMORY = (
@@ -114,7 +116,7 @@ class Database:
                 self._prepare(connection, fill)
             if schema.write_ahead:
                 with self._clear_errors(), contextlib.closing(self._open()) as connection:
-                    _write_ahead(connection, wait_s)
+                    self._wait(connection, "PRAGMA journal_mode = WAL")
 
     @contextlib.contextmanager
     def connection(self) -> Iterator[sqlite3.Connection]:
@@ -147,8 +149,9 @@ class Database:
                 connection.execute(_FIRST)
             except sqlite3.OperationalError as error:
                 # A file system without locks looks as if the file were locked for ever.
-                if _code(error) not in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED) or not _lockable(self.path):
+                if _code(error) not in _HELD or not _lockable(self.path):
                     raise
+                self._wait(connection, _FIRST)
             connection.execute(f"PRAGMA busy_timeout = {round(self._wait_s * 1000)}")
             connection.execute("PRAGMA foreign_keys = ON")
             # FULL, the default, leaves the removal of the rollback journal unsynced: a power cut could
@@ -159,11 +162,31 @@ class Database:
             raise
         return connection
 
+    def _wait(self, connection: sqlite3.Connection, statement: str) -> None:
+        """Execute a statement that may have to wait for other processes; stop signals end the wait.
+
+        sqlite's own wait is deaf to signals, and it does not wait for a change of the journal mode.
+        """
+        end = time.monotonic() + self._wait_s
+        connection.execute("PRAGMA busy_timeout = 0")
+        while True:
+            try:
+                connection.execute(statement)
+                break
+            except sqlite3.OperationalError as error:
+                if _code(error) not in _HELD or time.monotonic() >= end:
+                    raise
+                time.sleep(0.01)
+        connection.execute(f"PRAGMA busy_timeout = {round(self._wait_s * 1000)}")
+
     def _open_unlocked(self) -> sqlite3.Connection:
         """A connection that only reads and takes no lock."""
-        name = f"{self.path.absolute().as_uri()}?mode=ro&vfs=unix-none"
+        # Without a log and a journal, everything is in the file itself, and a log need not be created.
+        whole = "&immutable=1" if self._state()[1:] == [None, None] else ""
+        name = f"{self.path.absolute().as_uri()}?mode=ro&vfs=unix-none{whole}"
         connection = sqlite3.connect(name, uri=True, isolation_level=None)
         try:
+            connection.execute("PRAGMA query_only = ON")
             connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # the log needs no shared memory then
             connection.execute(_FIRST)
         except BaseException:
@@ -184,7 +207,7 @@ class Database:
         found = []
         for suffix in ("", "-wal", "-journal"):
             try:
-                status = os.stat(f"{self.path}{suffix}")
+                status = Path(f"{self.path}{suffix}").stat()
                 found.append((status.st_size, status.st_mtime_ns) if status.st_size else None)
             except OSError:
                 found.append(None)
@@ -194,7 +217,7 @@ class Database:
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """One immediate transaction, undone on any exception; stop signals are delayed until its end."""
         with self._clear_errors(), contextlib.closing(self._open()) as connection:
-            connection.execute("BEGIN IMMEDIATE")
+            self._wait(connection, "BEGIN IMMEDIATE")
             with interrupts.deferred():
                 try:
                     yield connection
@@ -217,9 +240,10 @@ class Database:
             version = int(connection.execute("PRAGMA user_version").fetchone()[0])
             owner = int(connection.execute("PRAGMA application_id").fetchone()[0])
             mode = connection.execute("PRAGMA journal_mode").fetchone()[0]
+            unlocked = bool(connection.execute("PRAGMA query_only").fetchone()[0])
             self._check_objects(connection)
         current = (version, owner) == (self.schema.version, self.schema.application_id)
-        return current and (mode == "wal" or not self.schema.write_ahead)
+        return current and (unlocked or mode == "wal" or not self.schema.write_ahead)
 
     def _check_objects(self, connection: sqlite3.Connection) -> None:
         """Rejects views and triggers, which tagid never creates: reading a view may never end."""
@@ -316,20 +340,3 @@ def _is_full(folder: Path) -> bool:
     except OSError as error:
         return isinstance(files.storage_error(error, folder, "writing"), DiskFullError)
     return False
-
-
-def _write_ahead(connection: sqlite3.Connection, wait_s: float) -> None:
-    """Turn the write-ahead log on; the setting is stored in the file.
-
-    sqlite ignores its timeout here, so this function waits for other processes.
-    """
-    end = time.monotonic() + wait_s
-    while True:
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            return
-        except sqlite3.OperationalError as error:
-            busy = _code(error) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
-            if not busy or time.monotonic() > end:
-                raise
-            time.sleep(0.01)

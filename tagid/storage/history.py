@@ -6,6 +6,7 @@ Each one is stored with its settings, the registry version and the tool version.
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import platform
@@ -18,7 +19,7 @@ from typing import Any, TextIO
 
 from tagid import __version__
 from tagid.errors import StorageError, UsageError
-from tagid.storage.database import Database, Schema
+from tagid.storage.database import BUSY_SECONDS, Database, Schema
 from tagid.storage.spreadsheet import cell
 
 FILE_NAME = "history.sqlite"
@@ -187,13 +188,17 @@ def utc_text(moment: datetime | None = None) -> str:
 class History:
     """The identifications in a sqlite file, created if it does not exist; safe with several processes.
 
+    Args:
+        path: the file.
+        wait_s: longest wait for another process's transaction, s.
+
     Raises:
         StorageError: another program's file, damaged, from a newer tagid, locked or not writable.
         DiskFullError: no space left.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._database = Database(path, _SCHEMA)
+    def __init__(self, path: Path, wait_s: float = BUSY_SECONDS) -> None:
+        self._database = Database(path, _SCHEMA, wait_s=wait_s)
         self.path = self._database.path
 
     def begin(self, command: str, settings: Mapping[str, Any]) -> int:
@@ -209,17 +214,31 @@ class History:
                 or 0
             )
 
-    def add(self, run: int, records: Iterable[Mapping[str, Any]]) -> list[int]:
+    def run_with(self, command: str, settings_sha256: str) -> int | None:
+        """The newest run of a command with these settings, by the sha256 of their JSON text; None if none."""
+        query = "SELECT id, settings FROM run WHERE command = ? ORDER BY id DESC"
+        with self._database.connection() as connection:
+            for number, settings in connection.execute(query, (command,)):
+                if hashlib.sha256(str(settings).encode()).hexdigest() == settings_sha256:
+                    return int(number)
+        return None
+
+    def add(self, run: int, records: Iterable[Mapping[str, Any]], *, once: bool = False) -> list[int]:
         """Store identifications of a run, all or none; returns their numbers.
 
-        A record has the fields of the contract's Identification, with `file` and, if known, `time_utc`
-        and `content_sha256`.
+        Args:
+            run: number of the run.
+            records: have the fields of the contract's Identification, with `file` and, if known, `time_utc`
+                and `content_sha256`.
+            once: leave out those that are stored, with the same time, content (file if unknown) and duration.
         """
         names = ("run_id", *_COLUMNS)
         insert = f"INSERT INTO identification ({', '.join(names)}) VALUES ({', '.join('?' for _ in names)})"
         numbers = []
         with self._database.transaction() as connection:
             for record in records:
+                if once and connection.execute(_STORED, _identity(record)).fetchone():
+                    continue
                 number = int(connection.execute(insert, (run, *_row(record))).lastrowid or 0)
                 connection.executemany(
                     "INSERT INTO reflector VALUES (?, ?, ?, ?, ?, ?)", _reflectors(number, record)
@@ -290,6 +309,17 @@ def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
         "error_message": error.get("message"),
     }
     return tuple(own[name] if name in own else record.get(name) for name in _COLUMNS)
+
+
+_STORED = (
+    "SELECT 1 FROM identification WHERE time_utc = ? AND COALESCE(content_sha256, file) = ? AND total_s = ?"
+)
+
+
+def _identity(record: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What tells an identification from any other, for `_STORED`: a reused one may have another file name."""
+    row = dict(zip(_COLUMNS, _row(record), strict=True))
+    return row["time_utc"], row["content_sha256"] or row["file"], row["total_s"]
 
 
 def _reflectors(number: int, record: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:

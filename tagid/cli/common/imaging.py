@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from tagid.pipeline.prepared import PreparedCapture
     from tagid.pipeline.reconstruct import Reconstruction
     from tagid.pipeline.settings import ImagingSettings
-    from tagid.storage.history import History
     from tagid.tags.bodies.calibration import Bound
     from tagid.tags.enrolling.registry import Registry
     from tagid.tags.matching.reading import Reading
@@ -37,29 +36,15 @@ def open_registry() -> Registry:
     return Registry(data_folder() / "registry.sqlite")
 
 
-def begin_history(
-    command: str, settings: dict[str, Any]
-) -> tuple[tuple[History, int] | None, tuple[str, ...]]:
-    """The history of identifications next to the registry, with a new run; None and a remark if it
-    cannot be written, which must not suppress the answer."""
+def remember(command: str, items: list[dict[str, Any]], settings: dict[str, Any]) -> tuple[str, ...]:
+    """Store answers in the history; a remark if it cannot be written, which must not suppress them."""
     from tagid.storage.history import FILE_NAME, History
 
     try:
         history = History(data_folder() / FILE_NAME)
-        return (history, history.begin(command, settings)), ()
+        history.add(history.begin(command, settings), items)
     except TagidError as error:
-        return None, (f"not stored in the history: {error.message}",)
-
-
-def remember(command: str, items: list[dict[str, Any]], settings: dict[str, Any]) -> tuple[str, ...]:
-    """Store answers in the history; returns remarks on failure."""
-    history, remarks = begin_history(command, settings)
-    if history is None:
-        return remarks
-    try:
-        history[0].add(history[1], items)
-    except TagidError as error:
-        return (f"not stored in the history: {error.message}",)
+        return (f"not stored in the history: {error.message}. {error.remedy}",)
     return ()
 
 
