@@ -17,6 +17,7 @@ from tagid.batch.inputs import Source
 from tagid.batch.job import Answered, Job, Outcome
 from tagid.batch.local import TICK_S, Done, Results, Task, Tasks
 from tagid.batch.work import failed_record, unexpected, work
+from tagid.counting import counted
 from tagid.errors import ClusterError, MissingExtraError, TagidError
 
 CONNECT_S = 10.0
@@ -198,9 +199,9 @@ class _Cluster:
         try:
             return await self._result(source, alone=True)
         except self._killed as killed:
-            died = killed.args[2] + 1
+            died = counted(killed.args[2] + 1, "worker")
             error = TagidError(
-                f"{died} workers died with this file alone (out of memory, or a fault in a library)",
+                f"{died} died with this file alone (out of memory, or a fault in a library)",
                 "Inspect the file with `tagid show`; other files are not affected.",
             )
             return Answered(failed_record(source, error))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tagid.tags.bodies.likeness import Likeness
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.enrolling.enrolment import Outlook
-    from tagid.tags.enrolling.registry import Registry, RegistryContents
+    from tagid.tags.enrolling.registry import Key, Registry, RegistryContents
     from tagid.tags.layouts.layout import Layout
 
 
@@ -115,13 +115,27 @@ class SignatureProposal:
         )
 
     def store(self, registry: Registry, source: str, force: bool = False) -> int:
-        """Enrol it, replacing an entry of the same name if `force`; returns the new registry version.
+        """Enrol it, after comparing it with the registry as it is now; returns the new registry version.
 
-        Raises RegistryError.
+        Args:
+            registry: where to store it.
+            source: origin of the signature, for the history.
+            force: store it despite a conflict, and replace an entry of the same name.
+
+        Raises LayoutConflictError, RegistryError.
         """
-        version = registry.add_all([], source, replace=force, signatures=[self.signature])
-        assert version is not None
-        return version
+        from tagid.tags.enrolling.enrolment import undisturbed
+
+        def compared() -> int | None:
+            current = registry.version == self.version
+            now = self if current else propose_signature(registry.contents(), self.signature)
+            error = now.taken or now.conflict
+            if error is not None and not force:
+                raise error
+            one = [self.signature]
+            return registry.add_all([], source, replace=force, since=now.version, signatures=one)
+
+        return undisturbed(compared)
 
 
 def propose_layout(
@@ -143,6 +157,7 @@ def propose_layout(
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
     from tagid.tags.enrolling.enrolment import outlook
+    from tagid.tags.enrolling.registry import taken
 
     found = outlook(
         layout,
@@ -151,33 +166,26 @@ def propose_layout(
         height_weight=height_weight,
         version=contents.version,
     )
-    taken = None
-    if any(other.name == layout.name for other in contents.layouts):
-        taken = RegistryError(
-            f"a layout named {layout.name} is already enrolled",
-            "Choose another name, remove it with `tagid layouts --remove`, or replace it with --force.",
-        )
+    error = taken(("layout", layout.name), _keys(contents))
     own = None
     if measured is not None and measured.joint is not None:
         own = replace(measured.joint.signature, name=layout.name, label=layout.label[:200])
-    return LayoutProposal(layout, own, found, taken, direction_known, height_weight)
+    return LayoutProposal(layout, own, found, error, direction_known, height_weight)
 
 
 def propose_signature(contents: RegistryContents, signature: Signature) -> SignatureProposal:
     """A signature compared with those enrolled of the same kind."""
     from tagid.tags.bodies.likeness import compare
+    from tagid.tags.enrolling.registry import taken
 
     one = signature
-    names = {other.name for other in contents.signatures if other.kind == one.kind}
-    if one.kind == "object":
-        names |= {layout.name for layout in contents.layouts}
-    taken = None
-    if one.name in names:
-        taken = RegistryError(
-            f"{'an object' if one.kind == 'object' else 'a body'} named {one.name} is already enrolled",
-            "Choose another name, remove it with `tagid "
-            f"{'layouts' if one.kind == 'object' else 'bodies'} --remove`, or replace it with --force.",
-        )
     others = [other for other in contents.signatures if other.kind == one.kind and other.name != one.name]
     pairs = sorted((compare(one, other) for other in others), key=lambda pair: pair.left)
-    return SignatureProposal(one, tuple(pairs), contents.version, taken)
+    error = taken((one.kind, one.name), _keys(contents))
+    return SignatureProposal(one, tuple(pairs), contents.version, error)
+
+
+def _keys(contents: RegistryContents) -> set[Key]:
+    return {("layout", one.name) for one in contents.layouts} | {
+        (one.kind, one.name) for one in contents.signatures
+    }

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tagid import files, interrupts
-from tagid.errors import DiskFullError, RegistryError, TagidError
+from tagid.errors import DiskFullError, RegistryError, TagidError, UsageError
 
 BUSY_SECONDS = 10.0
 """Longest wait for another process's transaction, s."""
@@ -287,6 +287,11 @@ class Database:
             yield
         except sqlite3.Error as error:
             raise self._clear(error) from error
+        except (UnicodeEncodeError, OverflowError) as error:  # of a value that was to be sent to sqlite
+            raise UsageError(
+                f"the {self.schema.what} {self.path} cannot hold this value: {error}",
+                "Give text in UTF-8, or a smaller number.",
+            ) from error
 
     def _clear(self, error: sqlite3.Error) -> TagidError:
         code, what = _code(error), self.schema.what

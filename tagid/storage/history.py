@@ -9,6 +9,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 import platform
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
@@ -23,6 +24,8 @@ from tagid.storage.database import BUSY_SECONDS, Database, Schema
 from tagid.storage.spreadsheet import cell
 
 FILE_NAME = "history.sqlite"
+_MOST = 10**9
+"""Largest limit of a query."""
 STATUSES = ("identified", "unknown", "ambiguous", "no_tag", "failed")
 
 _COLUMNS: dict[str, str] = {
@@ -176,8 +179,8 @@ class Filter:
     def __post_init__(self) -> None:
         if self.status and self.status not in STATUSES:
             raise UsageError(f"unknown status {self.status!r}", f"Use one of {', '.join(STATUSES)}.")
-        if self.limit is not None and self.limit < 1:
-            raise UsageError(f"the limit is {self.limit}", "Give 1 or more.")
+        if self.limit is not None and not 1 <= self.limit <= _MOST:
+            raise UsageError(f"the limit is {self.limit}", f"Give 1 to {_MOST}.")
 
 
 def utc_text(moment: datetime | None = None) -> str:
@@ -259,7 +262,27 @@ class History:
             query = f"SELECT * FROM ({query}) ORDER BY id"
         with self._database.connection() as connection:
             for row in connection.execute(query, values):
+                self._check(row)
                 yield Entry(*row)
+
+    def _check(self, row: tuple[Any, ...]) -> None:
+        """Raises StorageError for a value that tagid cannot have written; sqlite stores any in any column."""
+        for name, value in zip(FIELDS, row, strict=True):
+            optional = name in _COLUMNS and "NOT NULL" not in _COLUMNS[name]
+            right = (optional and value is None) or isinstance(value, TYPES[name])
+            if isinstance(value, float):
+                right &= math.isfinite(value)
+            if name == "time_utc" and right:
+                try:
+                    datetime.fromisoformat(value)
+                except ValueError:
+                    right = False
+            if not right:
+                raise StorageError(
+                    f"the history {self.path} holds a damaged entry, number {row[0]}: {name} is "
+                    f"{str(value)[:80]!r}",
+                    "Restore a backup, or leave the entry out with other filters (--since, --file, --limit).",
+                )
 
     def count(self, wanted: Filter | None = None) -> int:
         """Number of matching rows, without the limit."""
@@ -276,6 +299,10 @@ class History:
         )
         with self._database.connection() as connection:
             rows: list[sqlite3.Row] = connection.execute(query, (number,)).fetchall()
+        if not all(isinstance(value, int | float) for row in rows for value in row if value is not None):
+            raise StorageError(
+                f"the history {self.path} holds damaged reflectors of entry {number}", _SCHEMA.restore
+            )
         return [{"x_m": x, "y_m": y, "amplitude_db": db, "matched": bool(m)} for x, y, db, m in rows]
 
 
@@ -358,8 +385,8 @@ def _conditions(wanted: Filter) -> tuple[str, list[Any]]:
 def _moment(name: str, text: str) -> str:
     try:
         moment = datetime.fromisoformat(text)
-    except ValueError:
+        return utc_text(moment if moment.tzinfo else moment.replace(tzinfo=UTC))
+    except (ValueError, OverflowError):  # in UTC, the first and the last day lie outside the calendar
         raise UsageError(
             f"--{name} {text!r} is not a date or a time", f"Give e.g. --{name} 2026-11-21T08:00 (UTC)."
         ) from None
-    return utc_text(moment if moment.tzinfo else moment.replace(tzinfo=UTC))

@@ -22,26 +22,7 @@ from tests.attacks import Outcome, attack
 TAGID = Path(sys.executable).parent / "tagid"
 THREE = ("--point=0.1,0", "--point=-0.02,0.06", "--point=-0.05,-0.04")
 OTHER = ("--point=0.12,0", "--point=-0.03,0.05", "--point=0.02,-0.1")
-NO_LOCKS = r"""
-#define _GNU_SOURCE
-#include <errno.h>
-#include <fcntl.h>
-#include <dlfcn.h>
-#include <stdarg.h>
-#include <stdlib.h>
-static int refuse(void) { const char *e = getenv("LOCKERR"); errno = e ? atoi(e) : 37; return -1; }
-int flock(int fd, int op) { return refuse(); }
-int lockf(int fd, int c, off_t l) { return refuse(); }
-static int all(const char *name, int fd, int cmd, void *arg) {
-  if ((cmd >= F_GETLK && cmd <= F_SETLKW) || cmd == F_OFD_SETLK || cmd == F_OFD_SETLKW) return refuse();
-  return ((int (*)(int, int, ...))dlsym(RTLD_NEXT, name))(fd, cmd, arg);
-}
-#define WRAP(NAME) int NAME(int fd, int cmd, ...) \
-  { va_list a; va_start(a, cmd); void *p = va_arg(a, void *); va_end(a); return all(#NAME, fd, cmd, p); }
-WRAP(fcntl)
-WRAP(fcntl64)
-"""
-"""A library to preload: a file system whose locks all fail with $LOCKERR (ENOLCK)."""
+NO_LOCKS = Path(__file__).parents[1] / "data" / "nolock.c"
 
 
 def tagid(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -308,9 +289,8 @@ def _(folder: Path) -> Outcome:
     test="tests/unit/test_database.py::test_without_locks_it_is_read_and_not_written",
 )
 def _(folder: Path) -> Outcome:
-    (folder / "nolock.c").write_text(NO_LOCKS)
     library = folder / "nolock.so"
-    subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, folder / "nolock.c", "-ldl"], check=True)
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, NO_LOCKS, "-ldl"], check=True)
     capture = captures(folder / "caps", 1) / "0.tagid.h5"
     tagid("identify", capture, "-q")
     longest, wrong = 0.0, []

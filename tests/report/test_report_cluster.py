@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import shutil
 import socket
@@ -13,6 +14,7 @@ import threading
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from report_batches import HOSTILE, add_hostile_files, check_hostile
@@ -72,8 +74,12 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[Process]]]:
         yield address, workers
 
 
+def timed(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "items.jsonl").read_text().splitlines()]
+
+
 def timeless(folder: Path) -> list[str]:
-    records = [json.loads(line) for line in (folder / "items.jsonl").read_text().splitlines()]
+    records = timed(folder)
     for record in records:
         del record["seconds"], record["time_utc"]
     return [json.dumps(record) for record in records]
@@ -109,6 +115,56 @@ def test_a_cluster_gives_the_local_answers_though_a_worker_dies_and_files_are_ho
     make_report(captures, out=tmp_path / "local", runner=partial(run_local, workers=2))
     assert timeless(tmp_path / "dask") == timeless(tmp_path / "local")
     assert pictures(tmp_path / "dask") == pictures(tmp_path / "local") != []
+
+
+def test_a_capture_that_kills_workers_fails_alone(
+    make_report, captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tagid.batch.cluster import run_cluster
+
+    # A capture whose reading ends the process, and a nanny that starts the worker again.
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text(
+        "import os, sys\nsys.addaudithook(lambda event, words: os._exit(9)"
+        " if event == 'open' and str(words[0]).endswith('bad.tagid.h5') else None)\n"
+    )
+    monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES", "0")
+    where = ("--host", "127.0.0.1", "--no-dashboard")
+    with contextlib.ExitStack() as stack:
+        scheduler = Process("dask_scheduler", *where, "--port", "0", ready=r"Scheduler at:\s+(tcp://\S+)")
+        stack.callback(scheduler.end)
+        address = scheduler.said[1]
+        with monkeypatch.context() as patched:
+            patched.setenv("PYTHONPATH", str(tmp_path / "site"), prepend=os.pathsep)
+            options = ("--nthreads", "1", "--local-directory", str(tmp_path / "worker"))
+            nanny = Process("dask_worker", address, *where, *options, ready=r"Registered to:\s")
+        stack.callback(nanny.end)
+        finished = make_report(captures, runner=partial(run_cluster, address=address))
+        assert finished.summary["by_status"]["failed"] == 1
+        (failed,) = [record for record in timed(tmp_path / "report") if record["error"]]
+        assert failed["file"].endswith("bad.tagid.h5")
+        assert "1 worker died with this file alone" in failed["error"]["message"]
+
+        (captures / "bad.tagid.h5").unlink()
+        hooks = Hooks(progress=lambda done, of, rate, left: scheduler.process.kill())
+        with pytest.raises(ClusterError, match="the connection to the Dask scheduler"):
+            make_report(captures, runner=partial(run_cluster, address=address), hooks=hooks)
+
+
+def test_a_silent_scheduler_is_told_and_a_stop_ends_the_wait(
+    make_report, captures: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tagid.batch import cluster
+
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        asked = iter((False, True))
+        runner = partial(cluster.run_cluster, address=address)
+        stopped = make_report(captures, runner=runner, hooks=Hooks(stopped=lambda: next(asked)))
+        assert stopped.interrupted and stopped.summary["items"] == 0
+        monkeypatch.setattr(cluster, "CONNECT_S", 0.2)
+        with pytest.raises(ClusterError, match="no Dask scheduler answers"):
+            make_report(captures, runner=runner)
 
 
 def test_what_is_no_cluster_is_told(make_report, captures: Path, monkeypatch: pytest.MonkeyPatch) -> None:

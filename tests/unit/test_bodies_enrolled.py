@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from tagid.cli.common.imaging import HYPOTHESES, describe, hypothesis_words
-from tagid.errors import FileFormatError, RegistryError
+from tagid.errors import FileFormatError, LayoutConflictError, RegistryError
 from tagid.pipeline.answer import Identification
+from tagid.pipeline.enrolment import propose_layout, propose_signature
 from tagid.pipeline.identify import _looked_at_again, aspect_spectra, identify, without_body
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.settings import ImagingSettings
@@ -345,6 +346,25 @@ def test_bodies_and_objects_are_kept_undone_and_removed(
     assert registry.get("mug-7").size == 2
     last = registry.history("mug")[-1]
     assert last.kind == "body" and isinstance(last.entry, Signature)
+
+
+def test_alike_objects_enrolled_at_once_are_seen(tmp_path: Path, tagged: Signature) -> None:
+    registry = Registry(tmp_path / "r.db")
+    before = registry.contents()
+    one, two = (replace(tagged, name=name) for name in ("one", "two"))
+    first, second = propose_signature(before, one), propose_signature(before, two)
+    assert first.conflict is None and second.conflict is None
+    late = propose_layout(before, Layout("one", np.array([[0.08, 0], [0, 0.05]])), None, True)
+    first.store(registry, "process 1")
+    with pytest.raises(LayoutConflictError, match="two could be confused with one"):
+        second.store(registry, "process 2")
+    with pytest.raises(RegistryError, match="an object named one is already enrolled"):
+        late.store(registry, "process 3")
+    with pytest.raises(RegistryError, match="an object named one is already enrolled"):
+        propose_signature(before, one).store(registry, "process 4")
+    assert second.store(registry, "process 2", force=True) == registry.version == 6
+    with pytest.raises(RegistryError, match="a layout named helmet-120 is already enrolled"):
+        propose_signature(before, replace(tagged, name="helmet-120")).store(registry, "process 5")
 
 
 def test_a_damaged_signature_is_seen_and_can_be_removed(tmp_path: Path, mug: Signature) -> None:

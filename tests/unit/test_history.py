@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import sqlite3
 import subprocess
@@ -103,11 +104,12 @@ def test_filters(history: History) -> None:
     assert found(file="/1.tagid") == ["uuid-1"]
     assert found(capture_uuid="uuid-12") == ["uuid-12"]
     assert history.count(Filter(command="scan", limit=1)) == 3
-    for wrong in ({"status": "fine"}, {"limit": 0}):
+    for wrong in ({"status": "fine"}, {"limit": 0}, {"limit": 1 << 70}):
         with pytest.raises(UsageError):
             Filter(**wrong)  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="not a date"):
-        found(since="soon")
+    for text in ("soon", "9999-12-31T23:59:59-23:59", "0001-01-01T00:00+14:00"):
+        with pytest.raises(UsageError, match="not a date"):
+            found(since=text)
 
 
 def test_all_or_none_and_only_with_a_run(history: History) -> None:
@@ -202,3 +204,41 @@ def test_pass_keys_of_earlier_runs_are_hidden(tmp_path: Path) -> None:
         (settings,) = connection.execute("SELECT settings FROM run").fetchone()
     assert json.loads(settings) == {"motion.url": "roomba+ble://R2?passkey=***&wait=1"}
     assert b"918273" not in b"".join(file.read_bytes() for file in tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("score", "much"),
+        ("margin", float("inf")),
+        ("missing", "few"),
+        ("file", b"\xff"),
+        ("time_utc", b"\xff"),
+        ("time_utc", "soon"),
+        ("label", b"\xff"),
+    ],
+)
+def test_damaged_entries_are_told(history: History, tmp_path: Path, column: str, value: object) -> None:
+    history.add(history.begin("scan", {}), [record(0), record(1)])
+    connection = sqlite3.connect(history.path, isolation_level=None)
+    connection.execute(f"UPDATE identification SET {column} = ? WHERE id = 2", (value,))
+    connection.close()
+    with pytest.raises(StorageError, match=f"number 2: {column}"):
+        list(history.find())
+    for name in ("h.csv", "h.parquet"):
+        with pytest.raises((StorageError, MissingExtraError)):
+            export(history, Filter(), tmp_path / name)
+        assert not (tmp_path / name).exists()
+    assert [entry.id for entry in history.find(Filter(number=1))] == [1]
+
+
+def test_what_is_stored_is_not_stored_again(history: History) -> None:
+    run = history.begin("report", {"a": 1})
+    history.begin("scan", {"a": 1})
+    history.add(run, [record(0), record(0, file="a copy", seconds={"read": 0.3})])
+    again = [record(0, file="renamed"), record(1), record(2, content_sha256=None)]
+    assert len(history.add(run, again, once=True)) == 2
+    assert history.add(run, again, once=True) == []
+    assert history.count() == 4
+    settings = hashlib.sha256(b'{"a": 1}').hexdigest()
+    assert (history.run_with("report", settings), history.run_with("report", "other")) == (run, None)

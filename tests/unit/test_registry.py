@@ -8,12 +8,14 @@ import sqlite3
 import tempfile
 import threading
 from dataclasses import replace
+from datetime import datetime, tzinfo
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tagid.errors import FileFormatError, LayoutConflictError, RegistryError, UsageError
+from tagid.tags.enrolling import registry as registry_module
 from tagid.tags.enrolling.enrolment import enrol, merge, neighbour, outlook
 from tagid.tags.enrolling.layout_file import read_layouts, write_layouts
 from tagid.tags.enrolling.registry import Registry
@@ -318,6 +320,41 @@ def test_undo_goes_back_command_by_command_and_redo_forward(tmp_path: Path) -> N
         registry.undo()
     assert registry.redo().added == ("one",) and registry.redo().added == ("four",)
     assert names() == ["four", "one"]
+
+
+def test_two_commands_of_one_moment_are_two_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Stopped(datetime):
+        """A clock that stands still."""
+
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> datetime:
+            return datetime(2026, 11, 26, tzinfo=tz)
+
+    monkeypatch.setattr(registry_module, "datetime", Stopped)
+    registry = Registry(tmp_path / "r.sqlite")
+    registry.add(Layout("one", SCALENE), "command line")
+    registry.add(Layout("two", SCALENE * 0.8), "command line")
+    registry.add_all([Layout("three", SCALENE * 0.7), Layout("four", SCALENE * 0.6)], "command line")
+    assert [change.command for change in registry.history()] == [4, 4, 4, 4, 5, 6, 8, 8]
+    assert [change.command for change in registry.history("three")] == [8]
+    assert set(registry.undo().removed) == {"three", "four"}
+    assert registry.undo().removed == ("two",)
+    # In files of older versions, times are whole seconds.
+    connection = sqlite3.connect(registry.path, isolation_level=None)
+    connection.execute("UPDATE change SET time_utc = '2026-11-26T00:00:00+00:00', source = 'x'")
+    connection.close()
+    assert {change.command for change in registry.history()} == {registry.version}
+
+
+def test_a_source_with_an_endless_number_is_no_undo(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "r.sqlite")
+    registry.add(Layout("one", SCALENE), "back to version " + "9" * 5000)
+    assert registry.undo().removed == ("one",)
+    connection = sqlite3.connect(registry.path, isolation_level=None)
+    connection.execute("UPDATE change SET name = x'ff' WHERE version = 5")
+    connection.close()
+    with pytest.raises(RegistryError, match="damaged change, version 5"):
+        registry.history()
 
 
 def test_a_file_of_layouts_comes_back_unchanged(tmp_path: Path) -> None:

@@ -83,7 +83,7 @@ def _history() -> Result:
 
     registry = open_registry()
     table = Table(box=None)
-    for heading in ("version", "time (UTC)", "change", "kind"):
+    for heading in ("version", "command", "time (UTC)", "change", "kind"):
         table.add_column(heading, no_wrap=True)
     # Long names and sources continue on the next line, nothing is cut.
     table.add_column("name", overflow="fold")
@@ -91,10 +91,11 @@ def _history() -> Result:
     rows: list[dict[str, Any]] = []
     for one in registry.history():
         time = one.time_utc[:19].replace("T", " ")
-        table.add_row(str(one.version), time, one.action, one.kind, one.name, one.source)
+        table.add_row(str(one.version), str(one.command), time, one.action, one.kind, one.name, one.source)
         rows.append(
             {
                 "version": one.version,
+                "command": one.command,
                 "time_utc": one.time_utc,
                 "action": one.action,
                 "kind": one.kind,

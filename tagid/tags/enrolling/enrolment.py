@@ -6,9 +6,9 @@ here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ MAX_CONFUSION = 1e-3
 """Rate of wrong names caused by one neighbour above which a layout is refused: the reader's false-accept
 rate."""
 _TRIES = 20
+_T = TypeVar("_T")
 
 
 class LayoutStore(Protocol):
@@ -252,7 +253,8 @@ def enrol(
         LayoutConflictError: it is too close to an enrolled layout.
         RegistryError: the name is taken.
     """
-    for _ in range(_TRIES):
+
+    def compared() -> Enrolment | None:
         version, known = store.snapshot()
         found = outlook(
             layout, known, direction_known=direction_known, height_weight=height_weight, version=version
@@ -261,9 +263,9 @@ def enrol(
         if conflict and not force:
             raise conflict
         done = store.add_all([layout], source, replace=force, since=version, signatures=signatures)
-        if done is not None:
-            return Enrolment(found, done)
-    raise _busy()
+        return None if done is None else Enrolment(found, done)
+
+    return undisturbed(compared)
 
 
 def family_outlooks(
@@ -325,17 +327,32 @@ def merge(
     Raises:
         LayoutConflictError: a name is taken by a different layout, or two layouts could be confused.
     """
-    for _ in range(_TRIES):
+
+    def compared() -> int | None:
         version, enrolled = store.snapshot()
         if not force and version != checked:
             found = family_outlooks(
                 layouts, enrolled, direction_known=direction_known, height_weight=height_weight
             )
             check_merge(found, enrolled)
-        done = store.add_all(layouts, source, since=version, signatures=signatures)
+        return store.add_all(layouts, source, since=version, signatures=signatures)
+
+    return undisturbed(compared)
+
+
+def undisturbed(compared: Callable[[], _T | None]) -> _T:
+    """Repeat a comparison with the registry and the change that depends on it until nothing comes between.
+
+    Args:
+        compared: reads, compares, and stores with `since`; None if the registry has changed meanwhile.
+
+    Raises RegistryError if other processes keep changing the registry.
+    """
+    for _ in range(_TRIES):
+        done = compared()
         if done is not None:
             return done
-    raise _busy()
+    raise RegistryError("other processes keep changing the registry", "Try again when they have finished.")
 
 
 def check_merge(outlooks: Sequence[Outlook], enrolled: Sequence[Layout]) -> None:
@@ -352,7 +369,3 @@ def check_merge(outlooks: Sequence[Outlook], enrolled: Sequence[Layout]) -> None
         conflict = one.conflict()
         if one.layout.name not in known and conflict:
             raise conflict
-
-
-def _busy() -> RegistryError:
-    return RegistryError("other processes keep changing the registry", "Try again when they have finished.")

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from tagid.errors import RegistryError, TagidError, UsageError
@@ -49,7 +50,7 @@ _SCHEMA = Schema(
     "registry",
     APPLICATION_ID,
     _MIGRATIONS,
-    "Restore a backup, remove the file to start with the built-in layouts, or give another path.",
+    "Restore a backup, or move the file away to start with the built-in layouts.",
 )
 
 
@@ -59,6 +60,13 @@ _FORWARD = "forward to version "
 
 Key = tuple[str, str]
 """Kind of an entry ("layout", "body" or "object") and its name."""
+_Command = tuple[str, str]
+"""Time (ISO 8601) and source of a command, the same for all of its changes.
+
+Its time has microseconds and differs from that of the command before it. Of commands by tagid up to 0.2.0,
+whose times are whole seconds, those of the same second and source are one.
+"""
+_MOST_DIGITS = 18
 
 
 @dataclass(frozen=True)
@@ -72,10 +80,12 @@ class RegistryChange:
         name: of the layout, body or object.
         source: origin of the entry ("built-in", a file, "captures", ...).
         kind: "layout", "body" or "object".
+        command: version after all changes of the command that made it, as `undo --to` takes it.
         entry: the entry as added or as removed; None if it is damaged.
     """
 
     version: int
+    command: int
     time_utc: str
     action: str
     name: str
@@ -137,7 +147,7 @@ class _Steps:
         for version, source in deeds:
             for start, taken, kept in ((_BACK, undo, redo), (_FORWARD, redo, undo)):
                 number = source.removeprefix(start)
-                if source.startswith(start) and number.isdecimal():
+                if source.startswith(start) and number.isdecimal() and len(number) <= _MOST_DIGITS:
                     kept.append(state)
                     state = int(number)
                     if state in taken:
@@ -266,14 +276,13 @@ class Registry:
             if since is not None and self._version(connection) != since:
                 return None
             now = self._entries(connection)
+            command = self._command(connection, source)
             for key, value in new.items():
-                if key in now and not replace:
-                    raise RegistryError(
-                        f"{_article(key[0])} named {key[1]} is already enrolled",
-                        "Choose another name, remove the old one first, or replace it with --force.",
-                    )
+                error = taken(key, now)
+                if error is not None and not replace:
+                    raise error
                 if now.get(key) != value:
-                    self._put(connection, key, value, source)
+                    self._put(connection, key, value, command)
             return self._version(connection)
 
     def undo(self, to: int | None = None) -> Restored:
@@ -336,10 +345,11 @@ class Registry:
         now = self._entries(connection)
         gone = sorted(now.keys() - then.keys())
         put = [key for key, value in sorted(then.items(), key=lambda item: item[0]) if now.get(key) != value]
+        command = self._command(connection, source)
         for key in gone:
-            self._take_out(connection, key, now[key], source)
+            self._take_out(connection, key, now[key], command)
         for key in put:
-            self._put(connection, key, then[key], source)
+            self._put(connection, key, then[key], command)
         return Restored(
             self._version(connection),
             undone,
@@ -356,6 +366,15 @@ class Registry:
         ends = [i for i, (_, deed) in enumerate(found) if i + 1 == len(found) or found[i + 1][1] != deed]
         return [(found[i][0], found[i][1][1]) for i in ends]
 
+    @staticmethod
+    def _command(connection: sqlite3.Connection, source: str) -> _Command:
+        """The identity of a new command."""
+        last = connection.execute("SELECT time_utc FROM change ORDER BY version DESC LIMIT 1").fetchone()
+        now = datetime.now(UTC)
+        if last == (now.isoformat(timespec="microseconds"),):
+            now += timedelta(microseconds=1)
+        return now.isoformat(timespec="microseconds"), source
+
     def _entries(self, connection: sqlite3.Connection) -> dict[Key, str | bytes]:
         found: dict[Key, str | bytes] = {
             ("layout", name): text for name, text in connection.execute("SELECT name, definition FROM layout")
@@ -367,11 +386,11 @@ class Registry:
     def _version(connection: sqlite3.Connection) -> int:
         return int(connection.execute("SELECT COALESCE(MAX(version), 0) FROM change").fetchone()[0])
 
-    def _put(self, connection: sqlite3.Connection, key: Key, value: str | bytes, source: str) -> None:
+    def _put(self, connection: sqlite3.Connection, key: Key, value: str | bytes, command: _Command) -> None:
         kind, name = key
         where = "layout WHERE name = ?2" if kind == "layout" else "signature WHERE kind = ?1 AND name = ?2"
-        taken = connection.execute(f"SELECT ?1 FROM {where}", (kind, name)).fetchone()
-        version = self._log(connection, "replace" if taken else "add", key, source, value)
+        enrolled = connection.execute(f"SELECT ?1 FROM {where}", (kind, name)).fetchone()
+        version = self._log(connection, "replace" if enrolled else "add", key, command, value)
         if kind == "layout":
             connection.execute("INSERT OR REPLACE INTO layout VALUES (?, ?, ?)", (name, value, version))
         else:
@@ -379,13 +398,15 @@ class Registry:
                 "INSERT OR REPLACE INTO signature VALUES (?, ?, ?, ?)", (kind, name, value, version)
             )
 
-    def _take_out(self, connection: sqlite3.Connection, key: Key, value: str | bytes, source: str) -> int:
+    def _take_out(
+        self, connection: sqlite3.Connection, key: Key, value: str | bytes, command: _Command
+    ) -> int:
         kind, name = key
         if kind == "layout":
             connection.execute("DELETE FROM layout WHERE name = ?", (name,))
         else:
             connection.execute("DELETE FROM signature WHERE kind = ? AND name = ?", key)
-        return self._log(connection, "remove", key, source, value)
+        return self._log(connection, "remove", key, command, value)
 
     def remove(self, name: str, source: str = "") -> int:
         """Remove an identity (layout and object signature) and return the new version; its history stays."""
@@ -399,9 +420,10 @@ class Registry:
         version = None
         with self._database.transaction() as connection:
             now = self._entries(connection)
+            command = self._command(connection, source)
             for key in keys:
                 if key in now:
-                    version = self._take_out(connection, key, now[key], source)
+                    version = self._take_out(connection, key, now[key], command)
         if version is None:
             raise self._missing(keys[0][1], keys[0][0])
         return version
@@ -414,31 +436,38 @@ class Registry:
                 rows = connection.execute(f"{query} ORDER BY version").fetchall()
             else:
                 rows = connection.execute(f"{query} WHERE name = ? ORDER BY version", (name,)).fetchall()
+            ends = [version for version, _ in self._deeds(connection)]
         changes = []
         for number, time_utc, action, named, source, kind, definition, data in rows:
+            if not all(isinstance(text, str) for text in (time_utc, action, named, source, kind)):
+                raise RegistryError(f"{self.path} holds a damaged change, version {number}", _SCHEMA.restore)
+            command = ends[bisect_left(ends, number)]
             entry: Layout | Signature | None
             try:
                 entry = self._entry((kind, named), definition if kind == "layout" else data)
             except RegistryError:
                 entry = None
-            changes.append(RegistryChange(number, time_utc, action, named, source, kind, entry))
+            changes.append(RegistryChange(number, command, time_utc, action, named, source, kind, entry))
         return changes
 
     def _fill(self, connection: sqlite3.Connection) -> None:
         """Start a new file with the built-in layouts."""
+        command = self._command(connection, "built-in")
         for layout in builtin_layouts().values():
             text = json.dumps(layout.to_dict(), sort_keys=True)
-            self._put(connection, ("layout", layout.name), text, "built-in")
+            self._put(connection, ("layout", layout.name), text, command)
 
     @staticmethod
-    def _log(connection: sqlite3.Connection, action: str, key: Key, source: str, value: str | bytes) -> int:
-        now = datetime.now(UTC).isoformat(timespec="seconds")
+    def _log(
+        connection: sqlite3.Connection, action: str, key: Key, command: _Command, value: str | bytes
+    ) -> int:
+        time, source = command
         kind, name = key
         text, data = (value, None) if kind == "layout" else ("", value)
         cursor = connection.execute(
             "INSERT INTO change (time_utc, action, name, source, definition, kind, data)"
             " VALUES (?, ?, ?, ?, ?, ?, ?)",
-            (now, action, name, source, text, kind, data),
+            (time, action, name, source, text, kind, data),
         )
         return int(cursor.lastrowid or 0)
 
@@ -491,6 +520,23 @@ class Registry:
             )
         names = ", ".join(sorted(str(key[1])[:80] for key in entries if key[0] == kind))
         return RegistryError(f"no {kind} is named {shown!r}", f"Enrolled: {names or 'none'}.")
+
+
+def taken(key: Key, entries: Collection[Key]) -> RegistryError | None:
+    """The error if the name of a new entry is taken among the enrolled ones.
+
+    A layout and an object of one name are the same identity, so that each takes the other's name.
+    """
+    kind, name = key
+    kinds = ("body",) if kind == "body" else ("layout", "object")
+    holder = next((other for other in kinds if (other, name) in entries), None)
+    if holder is None:
+        return None
+    return RegistryError(
+        f"{_article(holder)} named {name} is already enrolled",
+        f"Choose another name, remove it with `{_COMMANDS[holder][1].format(name)}`, "
+        "or replace it with --force.",
+    )
 
 
 def _article(kind: str) -> str:

@@ -1,0 +1,115 @@
+"""sqlite files where locks, room or permissions are missing: read all the same, and never given up."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_history import record
+
+from tagid.errors import DiskFullError, StorageError, UsageError
+from tagid.storage.history import Filter, History
+
+NO_LOCKS = Path(__file__).parents[1] / "data" / "nolock.c"
+READ = """
+import sys
+from pathlib import Path
+from tagid.errors import TagidError
+from tagid.storage.history import History
+from tagid.tags.enrolling.registry import Registry
+folder = Path(sys.argv[1])
+history = History(folder / "history.sqlite")
+print([entry.capture_uuid for entry in history.find()])
+registry = Registry(folder / "registry.sqlite")
+print(len(registry.layouts()), len(registry.history()))
+for change in (lambda: registry.remove("helmet-120"), lambda: history.begin("scan", {})):
+    try:
+        change()
+    except TagidError as error:
+        print(f"{error.message} {error.remedy}")
+"""
+
+
+@pytest.fixture
+def history(tmp_path: Path) -> History:
+    """A history whose newest entry is in its write-ahead log only, with a registry beside it."""
+    from tagid.tags.enrolling.registry import Registry
+
+    Registry(tmp_path / "registry.sqlite")
+    made = History(tmp_path / "made" / "history.sqlite")
+    reader = sqlite3.connect(made.path)
+    made.add(made.begin("scan", {}), [record(0)])
+    reader.execute("SELECT * FROM run").fetchall()  # an open connection keeps the log
+    made.add(made.begin("scan", {}), [record(1)])
+    for suffix in ("", "-wal"):
+        shutil.copy(f"{made.path}{suffix}", tmp_path / f"history.sqlite{suffix}")
+    reader.close()
+    assert (tmp_path / "history.sqlite-wal").stat().st_size
+    return made
+
+
+def read(folder: Path, **how: object) -> list[str]:
+    words = [sys.executable, "-c", READ, str(folder)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, **how)  # type: ignore[call-overload]
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
+@pytest.mark.parametrize("code", [37, 95, 5])
+def test_without_locks_it_is_read_and_not_written(history: History, tmp_path: Path, code: int) -> None:
+    library = tmp_path / "nolock.so"
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", library, NO_LOCKS, "-ldl"], check=True)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    found = read(tmp_path, env={**os.environ, "LD_PRELOAD": str(library), "LOCKERR": str(code)})
+    assert found[:2] == ["['uuid-1', 'uuid-0']", "4 4"]
+    assert len(found) == 4
+    for line in found[2:]:
+        assert "has no locks" in line and "TAGID_DATA" in line
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
+
+
+def test_without_room_for_the_log_it_is_read(history: History, tmp_path: Path) -> None:
+    def no_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+
+    found = read(tmp_path, preexec_fn=no_room)
+    assert found[:2] == ["['uuid-1', 'uuid-0']", "4 4"]
+    for line in found[2:]:
+        assert line.startswith("no space left") and "Free some space" in line
+
+
+def test_of_a_lock_that_is_held_nothing_is_lost(history: History) -> None:
+    holder = sqlite3.connect(history.path, isolation_level=None)
+    holder.execute("BEGIN IMMEDIATE")
+    hasty = History(history.path, wait_s=0)
+    assert hasty.count() == 2
+    with pytest.raises(StorageError, match="locked") as caught:
+        hasty.begin("scan", {})
+    assert "try again later" in caught.value.remedy
+    holder.close()
+    hasty.begin("scan", {})
+
+
+def test_only_a_damaged_file_is_to_be_moved_away(tmp_path: Path) -> None:
+    (tmp_path / "noise").write_bytes(b"noise" * 1000)
+    with pytest.raises(StorageError) as caught:
+        History(tmp_path / "noise")
+    assert "move the file away" in caught.value.remedy
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError) as caught:
+        History(tmp_path / "file" / "history.sqlite")
+    assert "TAGID_DATA" in caught.value.remedy
+
+
+def test_a_value_that_sqlite_cannot_hold_is_an_error_of_use(history: History) -> None:
+    for wanted in (Filter(file="\udcff"), Filter(number=1 << 70)):
+        with pytest.raises(UsageError):
+            list(history.find(wanted))
+    assert DiskFullError.code == "disk_full"
