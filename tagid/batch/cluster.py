@@ -60,6 +60,8 @@ def run_cluster(tasks: Tasks, job: Job, address: str, verbose: bool = False) -> 
             logging.getLogger(name).setLevel(logging.CRITICAL)
     # The event loop runs in this thread, for `TICK_S` at a time: the caller can stop whatever it waits for.
     loop = asyncio.new_event_loop()
+    # Of several items that fail with the connection, the first one ends the run.
+    loop.set_exception_handler(lambda _, fault: logging.getLogger("tagid").debug("%s", fault))
     cluster = _Cluster(distributed, address)
     try:
         yield from _ticks(loop, cluster.connect())

@@ -114,7 +114,8 @@ class _Run:
         self._fingerprint = job.fingerprint()
         self._history = Remembering(hooks.history, job)
         if plan.resume:
-            self._history.reconcile(spool.answers())
+            with closing(spool.answers()) as answers:
+                self._history.reconcile(answers)
         self._job = replace(job, known=spool.take_over(self._fingerprint))
         self._sources: list[Source] = list(plan.inputs.sources)
         self._started = utc_text()
@@ -151,7 +152,8 @@ class _Run:
                     interrupted = True
                     break
         if not self._history.complete:
-            self._history.reconcile(self._spool.answers())
+            with closing(self._spool.answers()) as answers:
+                self._history.reconcile(answers)
         with interrupts.deferred():
             return self._write(done, interrupted)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 from tagid import files, interrupts
@@ -105,7 +105,7 @@ class Spool:
             rows = self._db.execute("SELECT content, status, record FROM kept").fetchall()
         return frozenset(content for content, status, record in rows if _final(status, record))
 
-    def answers(self) -> Iterator[tuple[str, ItemRecord]]:
+    def answers(self) -> Generator[tuple[str, ItemRecord], None, None]:
         """Fingerprint and record of every answer, also of earlier runs, sorted by fingerprint."""
         with self._told():
             query = "SELECT job, record FROM item UNION ALL SELECT job, record FROM kept ORDER BY 1"

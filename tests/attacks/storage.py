@@ -165,7 +165,7 @@ def poisoned(folder: Path, back_s: float) -> Outcome:
     "F6a",
     "a capture that kills its worker: good captures are blamed (workers come back at once)",
     before="a good capture blamed in 3 of 4 runs",
-    test="tests/report/test_report_cluster.py::test_a_capture_that_kills_workers_fails_alone",
+    test="tests/report/test_report_cluster.py::test_a_cluster_gives_the_local_answers_though_workers_die_and_files_are_hostile",
 )
 def _(folder: Path) -> Outcome:
     return poisoned(folder, 0.0)
@@ -175,7 +175,7 @@ def _(folder: Path) -> Outcome:
     "F6b",
     "a capture that kills its worker: the scheduler is taken for lost (workers come back after 4 s)",
     before="exit 1 in 7 of 11 runs, a good capture blamed in 2",
-    test="tests/report/test_report_cluster.py::test_a_capture_that_kills_workers_fails_alone",
+    test="tests/report/test_report_cluster.py::test_a_cluster_gives_the_local_answers_though_workers_die_and_files_are_hostile",
 )
 def _(folder: Path) -> Outcome:
     return poisoned(folder, 4.0)

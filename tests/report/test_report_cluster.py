@@ -58,71 +58,11 @@ class Process:
 
 
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[tuple[str, list[Process]]]:
-    """Address of a scheduler with two workers of one thread, and the workers."""
-    where = ("--host", "127.0.0.1", "--no-dashboard")
-    with contextlib.ExitStack() as stack:
-        scheduler = Process("dask_scheduler", *where, "--port", "0", ready=r"Scheduler at:\s+(tcp://\S+)")
-        stack.callback(scheduler.end)
-        address = scheduler.said[1]
-        workers = []
-        for number in range(2):
-            folder = tmp_path / f"worker-{number}"
-            options = ("--nthreads", "1", "--no-nanny", "--local-directory", str(folder))
-            workers.append(Process("dask_worker", address, *where, *options, ready=r"Registered to:\s"))
-            stack.callback(workers[-1].end)
-        yield address, workers
+def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, list[Process]]]:
+    """Address of a scheduler, and its process and two workers of one thread, which nannies start again.
 
-
-def timed(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (folder / "items.jsonl").read_text().splitlines()]
-
-
-def timeless(folder: Path) -> list[str]:
-    records = timed(folder)
-    for record in records:
-        del record["seconds"], record["time_utc"]
-    return [json.dumps(record) for record in records]
-
-
-def pictures(folder: Path) -> list[str]:
-    return re.findall(r'<script type="text/plain".*', (folder / "report.html").read_text())
-
-
-def test_a_cluster_gives_the_local_answers_though_a_worker_dies_and_files_are_hostile(
-    make_report, captures: Path, tmp_path: Path, cluster
-) -> None:
-    from tagid.batch.cluster import run_cluster
-
-    for number in range(2):
-        for name in ("helmet-120", "container-90", "empty"):
-            shutil.copy(captures / f"{name}.tagid.h5", captures / f"{name}-{number}.tagid.h5")
-    add_hostile_files(captures)
-    address, workers = cluster
-    finished = []
-
-    def kill_one(done: int, of: int, rate: float, left: float | None) -> None:
-        finished.append(done)
-        if done == 3:
-            workers[0].process.kill()
-
-    make_report(
-        captures, out=tmp_path / "dask", runner=partial(run_cluster, address=address), hooks=Hooks(kill_one)
-    )
-    assert workers[0].process.poll() is not None
-    assert finished == list(range(1, 12 + len(HOSTILE)))
-    check_hostile(tmp_path / "dask")
-    make_report(captures, out=tmp_path / "local", runner=partial(run_local, workers=2))
-    assert timeless(tmp_path / "dask") == timeless(tmp_path / "local")
-    assert pictures(tmp_path / "dask") == pictures(tmp_path / "local") != []
-
-
-def test_a_capture_that_kills_workers_fails_alone(
-    make_report, captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from tagid.batch.cluster import run_cluster
-
-    # A capture whose reading ends the process, and a nanny that starts the worker again.
+    A worker that reads bad.tagid.h5 dies, and the scheduler gives an item up with the first one that dies.
+    """
     (tmp_path / "site").mkdir()
     (tmp_path / "site" / "sitecustomize.py").write_text(
         "import os, sys\nsys.addaudithook(lambda event, words: os._exit(9)"
@@ -134,21 +74,68 @@ def test_a_capture_that_kills_workers_fails_alone(
         scheduler = Process("dask_scheduler", *where, "--port", "0", ready=r"Scheduler at:\s+(tcp://\S+)")
         stack.callback(scheduler.end)
         address = scheduler.said[1]
+        processes = [scheduler]
         with monkeypatch.context() as patched:
             patched.setenv("PYTHONPATH", str(tmp_path / "site"), prepend=os.pathsep)
-            options = ("--nthreads", "1", "--local-directory", str(tmp_path / "worker"))
-            nanny = Process("dask_worker", address, *where, *options, ready=r"Registered to:\s")
-        stack.callback(nanny.end)
-        finished = make_report(captures, runner=partial(run_cluster, address=address))
-        assert finished.summary["by_status"]["failed"] == 1
-        (failed,) = [record for record in timed(tmp_path / "report") if record["error"]]
-        assert failed["file"].endswith("bad.tagid.h5")
-        assert "1 worker died with this file alone" in failed["error"]["message"]
+            for number in range(2):
+                folder = tmp_path / f"worker-{number}"
+                options = ("--nthreads", "1", "--local-directory", str(folder))
+                processes.append(Process("dask_worker", address, *where, *options, ready=r"Registered to:\s"))
+                stack.callback(processes[-1].end)
+        yield address, processes
 
-        (captures / "bad.tagid.h5").unlink()
-        hooks = Hooks(progress=lambda done, of, rate, left: scheduler.process.kill())
-        with pytest.raises(ClusterError, match="the connection to the Dask scheduler"):
-            make_report(captures, runner=partial(run_cluster, address=address), hooks=hooks)
+
+def timed(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "items.jsonl").read_text().splitlines()]
+
+
+def timeless(folder: Path) -> list[str]:
+    records = [record for record in timed(folder) if not record["file"].endswith("bad.tagid.h5")]
+    for record in records:
+        del record["seconds"], record["time_utc"]
+    return [json.dumps(record) for record in records]
+
+
+def pictures(folder: Path) -> list[str]:
+    return re.findall(r'<script type="text/plain".*', (folder / "report.html").read_text())
+
+
+def test_a_cluster_gives_the_local_answers_though_workers_die_and_files_are_hostile(
+    make_report, captures: Path, tmp_path: Path, cluster, caplog: pytest.LogCaptureFixture
+) -> None:
+    from tagid.batch.cluster import run_cluster
+
+    for number in range(2):
+        for name in ("helmet-120", "container-90", "empty"):
+            shutil.copy(captures / f"{name}.tagid.h5", captures / f"{name}-{number}.tagid.h5")
+    add_hostile_files(captures)
+    address, (scheduler, *workers) = cluster
+    finished = []
+
+    def kill_one(done: int, of: int, rate: float, left: float | None) -> None:
+        finished.append(done)
+        if done == 3:
+            workers[0].process.kill()
+
+    runner = partial(run_cluster, address=address)
+    make_report(captures, out=tmp_path / "dask", runner=runner, hooks=Hooks(kill_one))
+    assert workers[0].process.poll() is not None
+    assert finished == list(range(1, 12 + len(HOSTILE)))
+    check_hostile(tmp_path / "dask")
+    # The capture that kills workers fails alone.
+    dead = [one for one in timed(tmp_path / "dask") if one["error"] and "died" in one["error"]["message"]]
+    assert [Path(one["file"]).name for one in dead] == ["bad.tagid.h5"]
+    assert "1 worker died with this file alone" in dead[0]["error"]["message"]
+    make_report(captures, out=tmp_path / "local", runner=partial(run_local, workers=2))
+    assert timeless(tmp_path / "dask") == timeless(tmp_path / "local")
+    assert pictures(tmp_path / "dask") == pictures(tmp_path / "local") != []
+
+    (captures / "bad.tagid.h5").unlink()
+    caplog.clear()
+    hooks = Hooks(lambda done, of, rate, left: scheduler.process.kill())
+    with pytest.raises(ClusterError, match="the connection to the Dask scheduler"):
+        make_report(captures, runner=runner, hooks=hooks)
+    assert not caplog.records
 
 
 def test_a_silent_scheduler_is_told_and_a_stop_ends_the_wait(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from report_batches import a_job
 
 from tagid.batch import remembering
 from tagid.batch.run import Hooks
@@ -19,20 +21,27 @@ def names(history: Path) -> list[str]:
 def test_what_a_killed_run_left_is_stored_by_the_next(make_report, captures: Path, tmp_path: Path) -> None:
     path = tmp_path / "history.sqlite"
     hooks = Hooks(history=path)
-    assert make_report(captures, hooks=hooks).remarks == ()
+    plain = replace(a_job(), pictures=False)
+    assert make_report(captures, hooks=hooks, job=plain).remarks == ()
     assert len(names(path)) == 5
     with sqlite3.connect(path) as connection:  # as if killed before the last ones were stored
         connection.execute("DELETE FROM identification WHERE id > 2")
     connection.close()
     (captures / "empty.tagid.h5").rename(captures / "renamed.tagid.h5")
-    # Another run with other settings finds what the first one left, and keeps it under that one.
-    assert make_report(captures / "renamed.tagid.h5", hooks=hooks, resume=True).remarks == ()
+    assert make_report(captures / "renamed.tagid.h5", hooks=hooks, job=plain, resume=True).reused == 1
     assert len(names(path)) == 5 and "renamed.tagid.h5" not in names(path)
-    assert make_report(captures, hooks=hooks, resume=True).remarks == ()
-    # Failures that may pass are tried again; here, all answers were reused.
-    assert len(names(path)) == 5
     with sqlite3.connect(path) as connection:
-        assert connection.execute("SELECT COUNT(DISTINCT run_id) FROM identification").fetchone() == (1,)
+        connection.execute("DELETE FROM identification WHERE id > 2")
+    connection.close()
+    # Also a run with other settings finds them, and stores them under the run that made them.
+    other = replace(plain, registry_version=plain.registry_version + 1)
+    assert make_report(captures / "bad.tagid.h5", hooks=hooks, job=other, resume=True).remarks == ()
+    assert len(names(path)) == 6
+    with sqlite3.connect(path) as connection:
+        assert connection.execute("SELECT run_id, COUNT(*) FROM identification GROUP BY 1").fetchall() == [
+            (1, 5),
+            (2, 1),
+        ]
     connection.close()
 
 

@@ -80,18 +80,18 @@ class RegistryChange:
         name: of the layout, body or object.
         source: origin of the entry ("built-in", a file, "captures", ...).
         kind: "layout", "body" or "object".
-        command: version after all changes of the command that made it, as `undo --to` takes it.
         entry: the entry as added or as removed; None if it is damaged.
+        command: version after all changes of the command that made it, as `undo --to` takes it.
     """
 
     version: int
-    command: int
     time_utc: str
     action: str
     name: str
     source: str
     kind: str
     entry: Layout | Signature | None
+    command: int
 
     @property
     def layout(self) -> Layout | None:
@@ -447,7 +447,7 @@ class Registry:
                 entry = self._entry((kind, named), definition if kind == "layout" else data)
             except RegistryError:
                 entry = None
-            changes.append(RegistryChange(number, command, time_utc, action, named, source, kind, entry))
+            changes.append(RegistryChange(number, time_utc, action, named, source, kind, entry, command))
         return changes
 
     def _fill(self, connection: sqlite3.Connection) -> None:
