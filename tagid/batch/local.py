@@ -20,7 +20,6 @@ from tagid.batch.job import Answered, Job, Outcome
 from tagid.batch.work import failed_record, unexpected, work
 from tagid.constants import BLAS_THREADS
 from tagid.errors import TagidError
-from tagid.workers import Worker
 
 AHEAD = 2
 """Items in flight per worker: one in progress and one waiting, so that no worker is idle and memory is
