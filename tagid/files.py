@@ -225,8 +225,11 @@ class PatientFile(io.RawIOBase):
 
 def resolved(path: Path) -> Path:
     """The file that a name typed by the user means: the target of a symbolic link, else the name itself."""
-    linked = os.path.islink(path) and not path.is_dir()  # noqa: PTH114 - False for names that are too long
-    return Path(os.path.realpath(path)) if linked else path
+    if not os.path.islink(path) or path.is_dir():  # noqa: PTH114 - False for names that are too long
+        return path
+    target = Path(os.path.realpath(path))
+    # /dev/fd/N opens a file that may have no name any more.
+    return path if path.exists() and not target.exists() else target
 
 
 def without_link(path: Path) -> Path:

@@ -112,7 +112,7 @@ class _Process(SpawnProcess):
     def run(self) -> None:
         parent = multiprocessing.parent_process()
         if parent is not None:
-            Worker(lambda: _end_with(parent.sentinel), "parent").start()
+            Worker(lambda: _end_with(parent.sentinel), "parent", lambda error: os._exit(1)).start()
         super().run()
 
 
