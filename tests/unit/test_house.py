@@ -364,3 +364,18 @@ def test_files_are_read_with_a_limit() -> None:
     reads = [line for path in FILES for line in unbounded_reads(path)]
     assert [line for line in reads if line.split(":")[0] not in READERS] == []
     assert {line.split(":")[0] for line in reads} == set(READERS)
+
+
+def test_every_endless_loop_is_said_to_end() -> None:
+    """Each has a row in the table of waits of docs/architecture.md."""
+    rows = (ROOT / "docs" / "architecture.md").read_text()
+    endless = {
+        path.relative_to(PACKAGE).with_suffix("")
+        for path in FILES
+        if any(
+            isinstance(node, ast.While) and isinstance(node.test, ast.Constant)
+            for node in ast.walk(ast.parse(path.read_text()))
+        )
+    }
+    assert endless
+    assert [name for name in endless if f"`{name}`" not in rows and f"`{name.parent}/*`" not in rows] == []
