@@ -67,6 +67,14 @@ class TagidError(Exception):
         self.remedy = displayable(remedy)
         super().__init__(self.message)
 
+    @classmethod
+    def unexpected(cls, error: BaseException) -> TagidError:
+        """The error to show for an exception that no part of the program foresees."""
+        return cls(
+            f"unexpected {type(error).__name__}: {error}",
+            "This is a bug in tagid. Run again with -vv and report the output.",
+        )
+
 
 class UsageError(TagidError):
     """An option or argument is invalid."""

@@ -110,6 +110,7 @@ class Intake:
         gaps_before = self.gap_count
 
         def ends() -> bool:
+            self._queue.check()
             self._check_journal()
             return until()
 

@@ -5,6 +5,7 @@ If a recording ends early, the received scans stay on disk and the error says wh
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -56,7 +57,7 @@ class Recorded:
 
     Attributes:
         journal: its path. path: path of its capture file.
-        scans: number of scans.
+        scans: number of scans accepted for it.
         counters: counters of the recording.
         ended_by: error that ended the recording early; None if it is complete.
     """
@@ -178,12 +179,16 @@ def _fill(
                 raise
             except TagidError as error:
                 ended_by = error
+            except Exception as error:
+                # A fault in what watches a recording must not cost its scans.
+                logging.getLogger("tagid").debug("recording", exc_info=True)
+                ended_by = TagidError.unexpected(error)
     except StorageError as error:
         raise with_recovery(error, journal.path) from error
     counters = intake.counted()
     if ended_by is None and complete:
         journal.close({"radar": counters.to_json()})
-    return Recorded(journal.path, capture_beside(journal.path), journal.scans, counters, ended_by)
+    return Recorded(journal.path, capture_beside(journal.path), intake.scans_taken, counters, ended_by)
 
 
 def _keep(recorded: Recorded, write: Callable[[Recorded], Written[_Result]]) -> _Result:
@@ -269,11 +274,11 @@ def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) ->
     )
 
 
-def check_all_read(journal: Path, read: int, written: int) -> None:
-    """Raises StorageError if fewer scans were read from a journal than written; it must then be kept."""
-    if read < written:
+def check_all_read(journal: Path, read: int, accepted: int) -> None:
+    """Raises StorageError if fewer scans were read from a journal than accepted; it must then be kept."""
+    if read < accepted:
         raise StorageError(
-            f"{journal}: only {read} of the {written} recorded scans could be read back",
+            f"{journal}: only {read} of the {accepted} recorded scans could be read back",
             "The disk may be faulty; the capture file holds those that could be read.",
         )
 

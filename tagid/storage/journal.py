@@ -216,6 +216,10 @@ class JournalWriter:
             finally:
                 self._release()
 
+    def abandon(self) -> None:
+        """Give up a file whose disk does not answer: closing it would wait for that disk."""
+        self._descriptor = -1
+
     def __enter__(self) -> Self:
         return self
 

@@ -12,8 +12,10 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from tagid import interrupts
-from tagid.errors import TagidError
+from tagid.counting import counted
+from tagid.errors import StorageError, TagidError
 from tagid.storage.journal import JournalScan, JournalWriter
+from tagid.workers import Worker
 
 QUEUE_BYTES: Final = 64 << 20
 """Limit for waiting samples, bytes: 40 s at the radar's highest data rate of 1.5 MB/s."""
@@ -21,32 +23,50 @@ QUEUE_BYTES: Final = 64 << 20
 _PER_SCAN: Final = 512
 """Approximate memory of a waiting scan besides its samples, bytes."""
 _BATCH: Final = 256
+_STALL_S: Final = 60.0
+"""Longest wait at the end for a disk that writes nothing, s; hard disks wake within 30 s."""
 
 
 class JournalQueue:
     """Writes scans to a journal on its own thread; a context manager whose exit waits for all of them.
 
+    Whatever ends that thread is an error of the recording: from then on every method raises it, with the
+    number of accepted scans that were not written.
+
     Args:
         writer: the journal; the caller closes it afterwards.
         limit_bytes: memory limit for waiting scans.
+        stall_s: longest wait at the end for a disk that writes nothing, s.
 
     Attributes:
+        accepted: number of scans in the journal or waiting for it.
         dropped: number of scans dropped because the queue was full.
+
+    Raises StorageError if the thread cannot be started.
     """
 
-    def __init__(self, writer: JournalWriter, limit_bytes: int = QUEUE_BYTES) -> None:
+    def __init__(
+        self, writer: JournalWriter, limit_bytes: int = QUEUE_BYTES, stall_s: float = _STALL_S
+    ) -> None:
+        self.accepted = writer.scans
         self.dropped = 0
         self._writer = writer
         self._limit = limit_bytes
+        self._stall_s = stall_s
         self._waiting: deque[JournalScan] = deque()
         self._readings: deque[dict[str, Any]] = deque()
         self._bytes = 0
         self._changed = threading.Condition()
         self._ending = False
         self._busy = False
-        self._error: TagidError | None = None
-        self._thread = threading.Thread(target=self._work, name="journal", daemon=True)
-        self._thread.start()
+        self._worker = Worker(self._work, "journal")
+        try:
+            self._worker.start()
+        except RuntimeError as error:
+            raise StorageError(
+                f"{writer.path}: the journal cannot be written: {error}",
+                "Free memory, or raise the limit of processes and threads, then record again.",
+            ) from error
 
     def put(self, scan: JournalScan) -> bool:
         """Add a scan; False if it was dropped because the disk is too slow.
@@ -55,11 +75,12 @@ class JournalQueue:
         """
         size = scan.samples.nbytes + _PER_SCAN
         with self._changed:
-            self._raise_failure()
+            self.check()
             if self._bytes + size > self._limit:
                 self.dropped += 1
                 return False
             self._waiting.append(scan)
+            self.accepted += 1
             self._bytes += size
             if not self._busy:
                 self._changed.notify_all()
@@ -68,7 +89,7 @@ class JournalQueue:
     def put_motion(self, readings: dict[str, Any]) -> None:
         """Add motion readings, see `JournalWriter.append_motion`; never dropped. Raises as `put`."""
         with self._changed:
-            self._raise_failure()
+            self.check()
             self._readings.append(readings)
             if not self._busy:
                 self._changed.notify_all()
@@ -83,19 +104,43 @@ class JournalQueue:
             with self._changed:
                 self._ending = True
                 self._changed.notify_all()
-            self._thread.join()
+            self._wait_for_the_disk()
         if error is None:
-            self._raise_failure()
+            self.check()
 
-    def _raise_failure(self) -> None:
-        if self._error is not None:
-            raise self._error
+    def check(self) -> None:
+        """Raise DiskFullError, StorageError or DataError if the scans are no longer written."""
+        failure = self._worker.failure
+        if failure is None:
+            return
+        missing = self.accepted - self._writer.scans
+        lost = f"; {counted(missing, 'scan')} that had arrived could not be written" if missing else ""
+        if isinstance(failure, TagidError):
+            raise type(failure)(f"{failure.message}{lost}", failure.remedy) from failure
+        why = f"{type(failure).__name__}: {failure}".removesuffix(": ")
+        raise StorageError(
+            f"{self._writer.path}: writing the journal failed ({why}){lost}",
+            "Check the memory of this computer, then record again.",
+        ) from failure
+
+    def _wait_for_the_disk(self) -> None:
+        """Wait until everything is written. Raises StorageError if nothing is for too long."""
+        size = -1
+        while not self._worker.join(self._stall_s):
+            if self._writer.size == size:
+                self._writer.abandon()
+                missing = counted(self.accepted - self._writer.scans, "scan")
+                raise StorageError(
+                    f"{self._writer.path}: the disk has written nothing for {self._stall_s:g} s; "
+                    f"{missing} that had arrived may be lost",
+                    "Check the disk and its connection.",
+                )
+            size = self._writer.size
 
     def _work(self) -> None:
         while True:
             with self._changed:
                 self._busy = False
-                self._changed.notify_all()
                 idle = False
                 while not (self._waiting or self._readings or self._ending or idle):
                     # If scans arrive slowly or stop, sync without waiting for the next one.
@@ -106,21 +151,12 @@ class JournalQueue:
                 self._readings.clear()
                 batch = [self._waiting.popleft() for _ in range(min(len(self._waiting), _BATCH))]
                 self._busy = True
-            try:
-                if batch:
-                    self._writer.append_all(batch)
-                for reading in readings:
-                    self._writer.append_motion(reading)
-                if not batch and not readings:
-                    self._writer.sync()
-            except TagidError as error:
-                with self._changed:
-                    self._error = error
-                    self.dropped += len(self._waiting)
-                    self._waiting.clear()
-                    self._busy = False
-                    self._changed.notify_all()
-                return
+            if batch:
+                self._writer.append_all(batch)
+            for reading in readings:
+                self._writer.append_motion(reading)
+            if not batch and not readings:
+                self._writer.sync()
             with self._changed:
                 self._bytes -= sum(scan.samples.nbytes + _PER_SCAN for scan in batch)
 

@@ -8,6 +8,7 @@ import resource
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 from radar_ends import core, numbered, pty, udp
 
 from tagid.capture import ViewFlag
-from tagid.errors import DiskFullError
+from tagid.errors import DiskFullError, StorageError, TagidError
 from tagid.motion.urls import open_motion
 from tagid.radar.assembler import Scan
 from tagid.radar.settings import RadarConfig
@@ -186,3 +187,103 @@ def test_a_full_disk_in_the_middle_of_a_scan_is_one_clear_error_and_nothing_is_l
     assert recovered.returncode == 0, recovered.stdout
     (capture,) = tmp_path.glob("*.h5")
     assert read_any(capture).views > 50
+
+
+class _FailingJournal(JournalWriter):
+    """A journal whose second write ends with an exception that no part of the program foresees."""
+
+    writes = 0
+
+    def append_all(self, scans: Sequence[JournalScan]) -> None:
+        self.writes += 1
+        if self.writes == 2:
+            raise MemoryError
+        super().append_all(scans)
+
+
+def test_a_journal_thread_that_dies_accepts_nothing_more_and_counts_what_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / "x.tagid.journal"
+    with _FailingJournal(path, HEADER) as journal:
+        queue = JournalQueue(journal)
+        queue.put(scan_of(0))
+        while journal.scans < 1:
+            queue.check()
+        accepted = 1
+        with pytest.raises(StorageError, match="MemoryError") as refused:  # noqa: PT012
+            for index in range(1, 1_000_000):
+                queue.put(scan_of(index))
+                accepted += 1
+        missing = "1 scan" if accepted == 2 else f"{accepted - 1} scans"
+        assert f"{missing} that had arrived could not be written" in refused.value.message
+        with pytest.raises(StorageError, match="MemoryError"):
+            queue.put_motion({})
+        with pytest.raises(StorageError, match="MemoryError"), queue:
+            pass
+    assert queue.accepted == accepted
+    assert [scan.scan_id for scan in read_journal(path).scans] == [0]
+
+
+def test_a_recording_whose_journal_dies_ends_with_an_error_and_keeps_the_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tagid.recording.session.JournalWriter", _FailingJournal)
+    path = tmp_path / "x.tagid.h5"
+    plan = RecordingPlan(FAST, 1.0, scans=60_000)
+    with udp() as device, pytest.raises(StorageError, match="could not be written") as told:
+        record(open_radar(device.url), open_motion("free?rpm=6"), plan, path)
+    journal = tmp_path / "x.tagid.journal"
+    assert f"tagid recover {journal}" in told.value.remedy
+    assert not path.exists()
+    assert len(read_journal(journal).scans) >= 1
+
+
+def test_scans_that_were_accepted_and_never_written_are_an_error_whoever_lost_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The files are compared with what was accepted, not with what was written."""
+    real = JournalWriter.append_all
+    monkeypatch.setattr(JournalWriter, "append_all", lambda self, scans: real(self, scans[1:]))
+    plan = RecordingPlan(FAST, 1.0, scans=100)
+    with udp() as device, pytest.raises(StorageError, match="of the 100 recorded scans"):
+        record(open_radar(device.url), open_motion("free?rpm=6"), plan, tmp_path / "x.tagid.h5")
+    assert (tmp_path / "x.tagid.journal").exists()
+
+
+def test_a_fault_of_the_program_during_a_recording_costs_no_scan(tmp_path: Path) -> None:
+    def progress(count: int, seconds: float) -> None:
+        raise ZeroDivisionError("division by zero")
+
+    path = tmp_path / "x.tagid.h5"
+    plan = RecordingPlan(FAST, 1.0, scans=60_000)
+    with udp() as device, pytest.raises(TagidError, match="ZeroDivisionError") as told:
+        record(open_radar(device.url), open_motion("free?rpm=6"), plan, path, Watch(progress))
+    assert str(path) in told.value.remedy
+    assert read_any(path).views > 0
+
+
+def test_a_disk_that_stands_still_at_the_end_is_waited_for_only_so_long(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    with JournalWriter(pipe, HEADER) as journal:
+        descriptor = journal._descriptor
+        queue = JournalQueue(journal, stall_s=0.05)
+        for index in range(100):
+            queue.put(scan_of(index))
+        with pytest.raises(StorageError, match="100 scans that had arrived may be lost"), queue:
+            pass
+    os.close(reader)
+    assert queue._worker.join(10)
+    os.close(descriptor)
+
+
+def test_a_journal_without_a_thread_is_one_clear_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with JournalWriter(tmp_path / "x.tagid.journal", HEADER) as journal:
+        monkeypatch.setattr(threading.Thread, "start", refused)
+        with pytest.raises(StorageError, match="can't start new thread"):
+            JournalQueue(journal)

@@ -211,13 +211,10 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
         return Result(name, status="error", exit_code=EXIT_FAILED)
     except Exception as error:
         logging.getLogger("tagid").debug("unexpected error", exc_info=True)
-        fault = TagidError(
-            f"unexpected {type(error).__name__}: {error}",
-            "This is a bug in tagid. Run again with -vv and report the output.",
-        )
         # A library may raise any exception if its import is interrupted.
         stopped = interrupts.delivered()
-        result = Result.from_error(name, CaptureInterrupted("stopped by the user") if stopped else fault)
+        fault = CaptureInterrupted("stopped by the user") if stopped else TagidError.unexpected(error)
+        result = Result.from_error(name, fault)
     if result.exit_code == EXIT_INTERRUPTED:
         logging.getLogger("tagid").info("interrupted")
     return _write(result, terminal.output.value, terminal.quiet)
