@@ -6,11 +6,10 @@ is included in the next one.
 
 from __future__ import annotations
 
-import contextlib
-import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -31,6 +30,7 @@ from tagid.motion.device import Motion
 from tagid.pipeline.settings import ImagingSettings
 from tagid.recording.inspection import noise_power_of, signal_to_noise_db
 from tagid.signal import analytic
+from tagid.workers import Worker
 
 if TYPE_CHECKING:
     from tagid.pipeline.answer import Identification
@@ -102,13 +102,13 @@ class LiveView:
         self._views = GrowingViews(self._grid, settings.layouts, settings.imaging)
         self._ats = GrowingAts(self._grid, settings.imaging) if settings.imaging.method == "ats" else None
         self._ats_image: Image | None = None
-        self._fitter: threading.Thread | None = None
-        self._reader: threading.Thread | None = None
+        self._fitter: Worker | None = None
+        self._reader: Worker | None = None
         self._read_turn: float | None = None
-        self._worker = threading.Thread(target=self._work, name="live-view", daemon=True)
+        self._worker = self._worker_for(self._work, "live-view", "the live view stopped")
 
     def __enter__(self) -> LiveView:
-        self._worker.start()
+        self._start(self._worker)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -173,11 +173,8 @@ class LiveView:
         """End the threads; the state is kept. After `settle` the last frame is still computed."""
         self._closing = True
         self._wake.set()
-        threads = [one for one in (self._worker, self._fitter, self._reader) if one is not None]
-        for thread in threads:
-            if thread.is_alive() and thread is not threading.current_thread():
-                thread.join(_JOIN_S)
-        if not any(thread.is_alive() for thread in threads):
+        workers = [one for one in (self._worker, self._fitter, self._reader) if one is not None]
+        if all(worker.join(_JOIN_S) for worker in workers):
             self._forget()
 
     def _forget(self) -> None:
@@ -225,27 +222,35 @@ class LiveView:
             )
         self._tell(state)
 
+    def _worker_for(self, work: Callable[[], None], name: str, stopped: str) -> Worker:
+        """A worker whose failure is a remark in the state: the recording must not depend on its view."""
+        return Worker(work, name, lambda error: self._remark(stopped, error))
+
+    def _start(self, worker: Worker) -> None:
+        try:
+            worker.start()
+        except RuntimeError as error:
+            self._remark(f"no {worker.name}", error)
+
+    def _remark(self, stopped: str, error: BaseException) -> None:
+        why = error.message if isinstance(error, TagidError) else f"unexpected {type(error).__name__}"
+        # What is told may be what failed; the state keeps the remark.
+        with suppress(Exception):
+            self._publish(note=f"{stopped} ({why}); the recording continues")
+
     def _work(self) -> None:
         """The worker thread: until closed, process new scans and publish."""
-        try:
-            while not self._closing:
-                self._wake.wait(FRAME_S)
-                self._wake.clear()
-                if self._stored is not None:
-                    break
-                began = time.monotonic()
-                if self._take():
-                    time.sleep(max(0.0, FRAME_S - (time.monotonic() - began)))
+        while not self._closing:
+            self._wake.wait(FRAME_S)
+            self._wake.clear()
             if self._stored is not None:
-                self._count_the_rest()
-                self._last_frame(self._stored)
-        except TagidError as error:
-            self._publish(note=f"no live image: {error.message}")
-        except Exception:
-            # The recording must not depend on its view.
-            logging.getLogger("tagid").debug("live view", exc_info=True)
-            with contextlib.suppress(Exception):
-                self._publish(note="the live view stopped; the recording continues")
+                break
+            began = time.monotonic()
+            if self._take():
+                time.sleep(max(0.0, FRAME_S - (time.monotonic() - began)))
+        if self._stored is not None:
+            self._count_the_rest()
+            self._last_frame(self._stored)
 
     def _take(self) -> bool:
         """Add the new scans to the views, and publish; False if there are none."""
@@ -324,25 +329,21 @@ class LiveView:
     def _fit_ahead(self) -> None:
         """Continue the fit of the method ats with the new views, in its own thread."""
         capture, ats = self._views.capture, self._ats
-        busy = self._fitter is not None and self._fitter.is_alive()
+        busy = self._fitter is not None and self._fitter.alive
         if ats is None or capture is None or busy or self._over or not ats.due(capture.views):
             return
-        self._fitter = threading.Thread(
-            target=self._fit, args=(ats, capture), name="live-fitter", daemon=True
-        )
-        self._fitter.start()
 
-    def _fit(self, ats: GrowingAts, capture: Capture) -> None:
-        try:
+        def fit() -> None:
             self._ats_image = ats.go_on(capture)
-        except TagidError as error:
-            logging.getLogger("tagid").debug("fitting ahead: %s", error.message)
+
+        self._fitter = self._worker_for(fit, "live-fitter", "the fit ahead stopped")
+        self._start(self._fitter)
 
     def _read_ahead(self, session: Session, angles: NDArray[np.float64]) -> None:
         """Read the tag when a turn is complete, while the overlap is still being recorded."""
         turned = float(np.abs(angles).max())
         per_scan = turned / max(len(angles) - 1, 1)
-        busy = self._reader is not None and self._reader.is_alive()
+        busy = self._reader is not None and self._reader.alive
         # After the last scan the stored capture is about to be read.
         if busy or self._over or not self._settings.layouts or turned < 2 * np.pi - 0.5 * per_scan:
             return
@@ -350,25 +351,21 @@ class LiveView:
             return
         self._read_turn = per_scan
         capture = replace(capture_so_far(session, self._scans), angles_rad=angles.copy())
-        self._reader = threading.Thread(target=self._read, args=(capture,), name="live-reader", daemon=True)
-        self._reader.start()
+        self._reader = self._worker_for(lambda: self._read(capture), "live-reader", "no answer ahead")
+        self._start(self._reader)
 
     def _read(self, capture: Capture) -> None:
         from tagid.pipeline.identify import identify
         from tagid.pipeline.prepared import prepare
 
         settings = self._settings
-        try:
-            answer = identify(
-                prepare(capture, extent_m=settings.imaging.extent_m),
-                settings.layouts,
-                settings.imaging,
-                settings.registry_version,
-                settings.signatures,
-            )
-        except TagidError as error:
-            logging.getLogger("tagid").debug("reading ahead: %s", error.message)
-            return
+        answer = identify(
+            prepare(capture, extent_m=settings.imaging.extent_m),
+            settings.layouts,
+            settings.imaging,
+            settings.registry_version,
+            settings.signatures,
+        )
         self._answered_ahead(answer)
 
     def _last_frame(self, capture: Capture) -> None:
@@ -381,8 +378,8 @@ class LiveView:
         if self._ats is None:
             image = whole_image(capture, self._grid, self._settings.imaging)
         else:
-            if self._fitter is not None:
-                self._fitter.join()
+            if self._fitter is not None and not self._fitter.join(_JOIN_S):
+                return
             image = self._ats.go_on(capture, last=True)
         self._publish(image=image, views=capture.views)
         self._publish(evidence=whole_evidence(capture, self._settings.layouts, self._settings.imaging))

@@ -31,6 +31,7 @@ from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.sequential.calibration import EndingCalibration
 from tagid.tags.sequential.looks import LEAST_REFLECTORS, LOOKS, SPENT, Look, agreed, look, part_of_turn
 from tagid.tags.verdicts.verdict import Code
+from tagid.workers import Worker
 
 if TYPE_CHECKING:
     from tagid.radar.assembler import Scan
@@ -83,16 +84,19 @@ class EarlyEnding:
         self._looks: list[Look] = []
         self._ending: Ending | None = None
         self._closing = False
-        self._thread = threading.Thread(target=self._work, name="live-ending", daemon=True)
+        self._worker = Worker(self._work, "live-ending", self._failed)
 
     def __enter__(self) -> EarlyEnding:
-        self._thread.start()
+        try:
+            self._worker.start()
+        except RuntimeError as error:
+            self._failed(error)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._closing = True
         self._wake.set()
-        self._thread.join(_JOIN_S)
+        self._worker.join(_JOIN_S)
 
     @property
     def remark(self) -> str:
@@ -146,7 +150,15 @@ class EarlyEnding:
     def settle(self, timeout_s: float) -> None:
         """Wait until every scan so far has been considered."""
         with self._idle:
-            self._idle.wait_for(lambda: not self._busy and not self._queue, timeout_s)
+            self._idle.wait_for(
+                lambda: self._worker.failure or (not self._busy and not self._queue), timeout_s
+            )
+
+    def _failed(self, error: BaseException) -> None:
+        """Without a decision the whole turn is recorded."""
+        self._remark = f"{_WHOLE}: reading ahead stopped (unexpected {type(error).__name__})"
+        with self._idle:
+            self._idle.notify_all()
 
     def _work(self) -> None:
         while not self._closing:
@@ -159,10 +171,8 @@ class EarlyEnding:
                 if new and self._ending is None:
                     self._consider(new)
             except TagidError as error:
-                # Without a decision the whole turn is recorded.
+                # More scans may allow what these did not.
                 logging.getLogger("tagid").debug("early ending: %s", error.message)
-            except Exception:
-                logging.getLogger("tagid").debug("early ending", exc_info=True)
             with self._idle:
                 self._busy = False
                 self._idle.notify_all()

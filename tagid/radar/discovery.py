@@ -5,10 +5,11 @@ All candidates are queried in parallel, so the search ends within three seconds 
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, Final
 
 from tagid.errors import ConfigError, TagidError
@@ -16,6 +17,7 @@ from tagid.radar.links import DEFAULT_PORT
 from tagid.radar.p440 import P440
 from tagid.radar.status import RadarStatus
 from tagid.radar.urls import open_link
+from tagid.workers import Worker
 
 USB_VENDOR: Final = 0x1027
 USB_PRODUCTS: Final = {0x0005: "P440", 0x0003: "P410"}
@@ -125,18 +127,20 @@ def discover(
         candidates.setdefault(url, "network" if url.startswith("udp:") else "serial")
     answers: dict[str, FoundRadar] = {}
     openers = {url: open_link(url) for url in candidates}
-    threads = [
-        threading.Thread(target=_ask, args=(url, kind, openers[url], answers), daemon=True)
+    workers = {
+        url: Worker(partial(_ask, url, kind, openers[url], answers), "radar-find")
         for url, kind in candidates.items()
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(max(started + _ASKING_S - time.monotonic(), 0.0))
+    }
+    for worker in workers.values():
+        with suppress(RuntimeError):
+            worker.start()
+    for worker in workers.values():
+        worker.join(max(started + _ASKING_S - time.monotonic(), 0.0))
     found = []
     for url, kind in candidates.items():
-        late = FoundRadar(url, kind, None, "did not answer in time", WHERE_TO_LOOK)
-        radar = answers.get(url, late)
+        failure = workers[url].failure
+        problem = "did not answer in time" if failure is None else f"could not be asked: {failure!r}"
+        radar = answers.get(url, FoundRadar(url, kind, None, problem, WHERE_TO_LOOK))
         if radar.status is not None or kind != "network" or url in urls:
             found.append(radar)
     return Search(tuple(found), tuple(candidates), time.monotonic() - started)

@@ -11,9 +11,11 @@ from radar_ends import THREE_FRAGMENTS, check, core, pty
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, PortInUseError
 from tagid.radar.discovery import discover
+from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.firmware import Firmware, Identity
 from tagid.radar.framing import Framing
 from tagid.radar.p440 import P440
+from tagid.radar.status import RadarStatus
 from tagid.radar.urls import open_link
 from tagid.recording.radars import open_radar
 
@@ -128,3 +130,31 @@ def test_find_ends_within_three_seconds_however_many_are_silent() -> None:
     assert search.radars == ()
     assert len(search.asked) == 8
     assert search.seconds < 3.0
+
+
+def test_a_question_that_fails_unforeseen_is_that_candidates_problem(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def dies(radar: P440) -> RadarStatus:
+        raise MemoryError
+
+    monkeypatch.setattr(P440, "status", dies)
+    with pty() as device:
+        (radar,) = discover((), (device.url,), list).radars
+    assert radar.problem == "could not be asked: MemoryError()"
+    assert capfd.readouterr().err == ""
+
+
+def test_an_emulated_radar_that_dies_is_an_error_of_whoever_runs_it(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def dies(core: EmulatorCore, packet: bytes) -> list[bytes]:
+        raise MemoryError
+
+    monkeypatch.setattr(EmulatorCore, "handle", dies)
+    with pytest.raises(DeviceError, match="the emulated radar ended: MemoryError"), pty() as device:
+        radar = P440(open_link(device.url)(), timeout=0.05)
+        with pytest.raises(DeviceError), radar:
+            pass
+        device.power_cycle()
+    assert capfd.readouterr().err == ""

@@ -209,7 +209,7 @@ def test_a_journal_thread_that_dies_accepts_nothing_more_and_counts_what_is_miss
         while journal.scans < 1:
             queue.check()
         accepted = 1
-        with pytest.raises(StorageError, match="MemoryError") as refused:  # noqa: PT012
+        with pytest.raises(StorageError, match="MemoryError") as refused:
             for index in range(1, 1_000_000):
                 queue.put(scan_of(index))
                 accepted += 1

@@ -142,6 +142,40 @@ def test_the_product_imports_neither_its_tools_nor_its_training() -> None:
             assert not {name.split(".")[0] for name in names} & {"firmware_tools", "train"}, path
 
 
+BARE_THREADS = {
+    "tagid/batch/local.py",
+    "tagid/cli/emulate/virtual_bridge.py",
+    "tagid/motion/ble.py",
+    "tagid/motion/driven.py",
+    "tagid/motion/emulation/gatt.py",
+    "tagid/motion/emulation/pty.py",
+    "tagid/motion/emulation/truth.py",
+    "tagid/station/reports.py",
+    "tagid/station/scans.py",
+    "tagid/station/server.py",
+    "tagid/station/station.py",
+    "firmware_tools/virtual/__main__.py",
+    "firmware_tools/virtual/board.py",
+    "firmware_tools/virtual/process.py",
+}
+"""Files that still start threads without `tagid.workers.Worker`; a line goes with the last such thread."""
+
+
+def test_every_thread_has_an_owner_who_learns_of_its_end() -> None:
+    paths = [*FILES, *(ROOT / "firmware_tools").rglob("*.py")]
+    texts = {str(path.relative_to(ROOT)): path.read_text() for path in paths}
+    bare = {name for name, text in texts.items() if "hread" in text and starts_a_thread(ast.parse(text))}
+    assert bare - {"tagid/workers.py"} - BARE_THREADS == set(), "use tagid.workers.Worker"
+    assert starts_a_thread(ast.parse("import threading as t; t.Thread(target=print)"))
+
+
+def starts_a_thread(tree: ast.AST) -> bool:
+    """Whether code calls `Thread`, or the function below it."""
+    calls = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    names = {call.attr if isinstance(call, ast.Attribute) else getattr(call, "id", "") for call in calls}
+    return bool(names & {"Thread", "start_new_thread"})
+
+
 def imported_parts(tree: ast.AST) -> set[str]:
     """Rooms that a file imports from."""
     found = set()

@@ -33,6 +33,7 @@ from tagid.live.speed import GrowingSpeed
 from tagid.live.state import LiveState, Phase
 from tagid.live.views import GrowingViews, capture_so_far
 from tagid.motion.urls import open_motion
+from tagid.pipeline import identify as identify_module
 from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
 from tagid.pipeline.prepared import PreparedCapture
@@ -395,6 +396,57 @@ def test_a_view_that_fails_or_hangs_costs_no_scan(tmp_path: Path) -> None:
     (tmp_path / "x.tagid.h5").unlink()
     with LiveView(LiveSettings(motion), fail) as view:
         assert recorded(tmp_path, view).complete
+    assert "the live view stopped (unexpected RuntimeError); the recording continues" in view.state.note
+
+
+@pytest.mark.parametrize("thread", ["live-view", "live-reader", "live-fitter"])
+@pytest.mark.parametrize("starts", [True, False])
+def test_a_worker_of_the_view_that_dies_is_a_remark_and_costs_no_scan(
+    tmp_path: Path,
+    layouts: list[Layout],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    thread: str,
+    starts: bool,
+) -> None:
+    """Whatever the exception, nothing is written to the terminal, and the recording goes on."""
+
+    def dies(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    real = threading.Thread.start
+
+    def start(self: threading.Thread) -> None:
+        if self.name == thread:
+            raise RuntimeError("can't start new thread")
+        real(self)
+
+    if not starts:
+        monkeypatch.setattr(threading.Thread, "start", start)
+    elif thread == "live-reader":
+        monkeypatch.setattr(identify_module, "identify", dies)
+    elif thread == "live-view":
+        monkeypatch.setattr(LiveView, "_take", dies)
+    else:
+        monkeypatch.setattr(GrowingAts, "go_on", dies)
+    method = "ats" if thread == "live-fitter" else "bp"
+    imaging = ImagingSettings(method=method)
+    known = LiveSettings(open_motion("free?rpm=20"), layouts, imaging=imaging)
+    words = "MemoryError" if starts else f"no {thread}"
+    remarked = threading.Event()
+
+    def tell(state: LiveState) -> None:
+        if words in state.note and "the recording continues" in state.note:
+            remarked.set()
+
+    with LiveView(known, tell) as view:
+
+        def ended() -> None:
+            assert remarked.wait(60)
+            view.ended()
+
+        assert recorded(tmp_path, view, ended=ended).complete
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_stop_ends_a_recording_and_keeps_its_scans(tmp_path: Path) -> None:

@@ -140,6 +140,31 @@ def test_without_a_bound_the_whole_turn_is_recorded(tmp_path: Path, why: str) ->
     assert capture.motion.resolved is not None and capture.motion.resolved.turns > 1.2
 
 
+@pytest.mark.parametrize("starts", [True, False])
+def test_an_ending_whose_thread_dies_records_the_whole_turn_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], starts: bool
+) -> None:
+    real = threading.Thread.start
+
+    def dies(*_: object) -> None:
+        raise MemoryError
+
+    def start(thread: threading.Thread) -> None:
+        if thread.name == "live-ending":
+            raise RuntimeError("can't start new thread")
+        real(thread)
+
+    if starts:
+        monkeypatch.setattr(EarlyEnding, "_look", dies)
+    else:
+        monkeypatch.setattr(threading.Thread, "start", start)
+    with EarlyEnding(settings(), CALIBRATION) as ending:
+        capture = recorded(tmp_path / "x.tagid.h5", ending)
+    assert capture.radar.ended == Ending("turn") and capture.complete
+    assert "--until-sure recorded the whole revolution: reading ahead stopped" in ending.remark
+    assert "Traceback" not in capfd.readouterr().err
+
+
 @pytest.mark.parametrize("error", [MotionStoppedError("it fell"), DeviceTimeoutError("no scan arrived")])
 def test_a_scan_that_fails_leaves_no_thread_and_no_ending(tmp_path: Path, error: DeviceError) -> None:
     motion = FreeTurntable(20.0)

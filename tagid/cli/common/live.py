@@ -5,11 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from tagid.cli.common.frame import Terminal
+from tagid.workers import Worker
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -96,15 +97,16 @@ class _Screen:
     def __init__(self, view: LiveView, live: Live) -> None:
         self._view, self._live = view, live
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="live-screen", daemon=True)
+        self._worker = Worker(self._work, "live-screen", lambda error: view.note("the live screen stopped"))
 
     def __enter__(self) -> _Screen:
-        self._thread.start()
+        with suppress(RuntimeError):
+            self._worker.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
-        self._thread.join(_JOIN_S)
+        self._worker.join(_JOIN_S)
 
     def _work(self) -> None:
         drawn = -1

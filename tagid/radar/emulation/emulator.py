@@ -14,14 +14,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Protocol, Self
 
-from tagid.errors import UsageError
+from tagid.errors import DeviceError, UsageError
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.faults import Faults, FaultyPath
 from tagid.radar.emulation.wires import PtyWire, UdpWire, Wire
 from tagid.radar.framing import Framing
 from tagid.radar.links import DEFAULT_PORT, bind_udp
+from tagid.workers import Worker
 
 _IDLE_S: Final = 0.05
+_ORDER_S: Final = 10.0
 
 
 class StopEvent(Protocol):
@@ -147,13 +149,16 @@ class Server:
 
 
 class _Emulator:
-    """The emulator on a thread, for tests and demos in one process; a context manager."""
+    """The emulator on a thread, for tests and demos in one process; a context manager.
+
+    If the thread has failed, `order` and the exit raise DeviceError.
+    """
 
     def __init__(self, core: EmulatorCore, options: ServeOptions) -> None:
         self.core = core
         self._options = options
         self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._worker: Worker | None = None
         self._server: Server | None = None
 
     def _start(self, wire: Wire) -> None:
@@ -165,8 +170,8 @@ class _Emulator:
             finally:
                 wire.close()
 
-        self._thread = threading.Thread(target=work, name="p440-emulator", daemon=True)
-        self._thread.start()
+        self._worker = Worker(work, "p440-emulator")
+        self._worker.start()
 
     def order(self, what: Callable[[], Any]) -> None:
         """Run an action on the emulator's thread and wait until it is done."""
@@ -178,7 +183,16 @@ class _Emulator:
             done.set()
 
         self._server.order(work)
-        done.wait(10)
+        deadline = time.monotonic() + _ORDER_S
+        while not done.wait(_IDLE_S):
+            self._check()
+            if time.monotonic() > deadline:
+                raise DeviceError(f"the emulated radar has not acted for {_ORDER_S:g} s")
+
+    def _check(self) -> None:
+        failure = self._worker.failure if self._worker else None
+        if failure is not None:
+            raise DeviceError(f"the emulated radar ended: {failure!r}") from failure
 
     def power_cycle(self) -> None:
         """Interrupt the power briefly: the radar boots, loses its run and sends READY_INFO."""
@@ -188,8 +202,10 @@ class _Emulator:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop.set()
-        if self._thread:
-            self._thread.join(timeout=5)
+        if self._worker:
+            self._worker.join(5)
+        if error is None:
+            self._check()
 
 
 class UdpEmulator(_Emulator):
