@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,14 +15,15 @@ from tagid.tags.verdicts.verdict import Code
 
 WHOLE_TURN = 0.97
 """Smallest share of a revolution that counts as complete: a gap of 10 degrees does not impair reading."""
-LEAST_NAMED_TURNS = 0.58
-"""Smallest part of a turn that names an object: a reflector on an opaque object is seen up to 75 degrees
-aside, so before that some side has not been seen, and what is there may be more than the layout has."""
+LEAST_NAMED = 0.58
+"""Smallest share of a revolution that names an object: a reflector on an opaque object is seen up to 75 degrees
+aside, so with a gap of more than 150 degrees some side was not seen, and what is there may be more than the
+layout has."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """The widest gap between the views of a turn.
+    """The widest gap between the directions from which an object was seen.
 
     Attributes:
         share: share of a turn that is covered. The uncovered part is the gap minus the usual step.
@@ -33,10 +35,18 @@ class Gap:
 
 
 def widest_gap(capture: Capture) -> Gap | None:
-    """The widest gap; None for free antenna positions or a single view."""
-    if capture.angles_rad is None or capture.views < 2:
+    """The widest gap; None for a single view.
+
+    Antenna positions on any path cover the directions in which they lie from the origin.
+    """
+    if capture.views < 2:
         return None
-    wrapped = np.mod(capture.angles_rad, 2 * np.pi)
+    directions = capture.angles_rad
+    if directions is None:
+        ends = [capture.antenna_positions_m, capture.receive_positions_m]
+        x, y = np.mean([end[:, :2] for end in ends if end is not None], axis=0).T
+        directions = np.arctan2(y, x)
+    wrapped = np.mod(directions, 2 * np.pi)
     order = np.argsort(wrapped)
     gaps = np.diff(np.append(wrapped[order], wrapped[order[0]] + 2 * np.pi))
     widest = int(np.argmax(gaps))
@@ -44,10 +54,10 @@ def widest_gap(capture: Capture) -> Gap | None:
     return Gap(share, (int(order[widest]), int(order[(widest + 1) % len(order)])))
 
 
-def turn_share(capture: Capture) -> float | None:
-    """Share of a turn that the views of a capture cover, up to 1; None for free antenna positions."""
+def turn_share(capture: Capture) -> float:
+    """Share of a turn that the views of a capture cover, 0..1."""
     gap = widest_gap(capture)
-    return None if gap is None else gap.share
+    return 0.0 if gap is None else gap.share
 
 
 def ended_early(capture: Capture) -> bool:
@@ -56,22 +66,31 @@ def ended_early(capture: Capture) -> bool:
     return ended is not None and ended.reason == "sure"
 
 
-def of_the_part(reading: Reading, capture: Capture) -> Reading:
-    """The reading as far as the part of a turn that was seen carries it.
+def of_the_part(reading: Reading, captures: Sequence[Capture]) -> Reading:
+    """The reading as far as the parts of a turn that were seen carry it.
 
-    A name is withheld where the turn stopped before every side of the object was seen, and the bound on false
-    accept from any part: its calibration is of whole turns. In a small part the far side, and a tag there,
-    were not seen: that no tag shows says nothing.
+    A name, and that no tag shows, is withheld unless one of the captures shows every side of the object: in
+    several, the object may lie in other directions. The bound on false accept is withheld where a capture is
+    not of a whole turn, for which it is calibrated, unless the recording ended early with its own bound.
+
+    Args:
+        reading: of one capture, or of several jointly.
+        captures: those that were read.
     """
-    info = capture.motion.resolved
-    unseen = info is not None and info.turns is not None and info.turns < LEAST_NAMED_TURNS
-    if info is not None and info.standstill is not None and unseen and reading.status == "identified":
-        until = f"{stopped_words(info.standstill)}, and until then the scans show {reading.layout}"
-        return replace(reading.refused(Code.STOPPED, f"{until}, but not every side"), bound=None)
-    gap = None if ended_early(capture) else widest_gap(capture)
-    if gap is None or gap.share >= WHOLE_TURN:
+    shares = [turn_share(capture) for capture in captures]
+    unseen = max(shares) < LEAST_NAMED
+    if unseen or any(
+        share < WHOLE_TURN and not ended_early(capture)
+        for share, capture in zip(shares, captures, strict=True)
+    ):
+        reading = replace(reading, bound=None)
+    if not unseen or reading.status not in ("identified", "no_tag"):
         return reading
-    if reading.status == "no_tag" and gap.share < LEAST_NAMED_TURNS:
-        covered = f"the views cover {gap.share * 360:.0f} of 360 degrees, and in these no tag shows"
-        return reading.refused(Code.PARTIAL, covered)
-    return replace(reading, bound=None)
+    covered = f"the views cover {max(shares) * 360:.0f} of 360 degrees"
+    if reading.status == "no_tag":
+        return reading.refused(Code.PARTIAL, f"{covered}, and in these no tag shows")
+    shows = f"the scans show {reading.layout}, but not every side"
+    resolved = captures[int(np.argmax(shares))].motion.resolved
+    if resolved is None or resolved.standstill is None:
+        return reading.refused(Code.PARTIAL, f"{covered}, and in these {shows}")
+    return reading.refused(Code.STOPPED, f"{stopped_words(resolved.standstill)}, and until then {shows}")

@@ -71,11 +71,10 @@ def _uncovered(capture: Capture) -> Cause | None:
     lost = (radar.scans_lost or 0) + (radar.scans_dropped or 0)
     flagged = flags is not None and bool(np.any(flags & _LOSS))
     if not inside or not (lost or radar.gap_count or flagged):
-        return Cause(
-            "partial_turn",
-            covered,
-            "Record slightly more than one full turn; `tagid scan` does so if the speed is right.",
-        )
+        remedy = "Record slightly more than one full turn; `tagid scan` does so if the speed is right."
+        if capture.angles_rad is None:
+            remedy = "Record from positions on all sides of the object."
+        return Cause("partial_turn", covered, remedy)
     scans = "scans were" if not lost else "1 scan was" if lost == 1 else f"{lost} scans were"
     recorded = "" if turns is None else f", although {turns:.2f} turns were recorded"
     return Cause(

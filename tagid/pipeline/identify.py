@@ -71,7 +71,7 @@ def identify(
     with watch.stage("read"):
         enrolled = enrolled_hypotheses(prepared.given, signatures, prepared.settings)
         reading = read_tag(scans, layouts, reader_settings(prepared.settings, spent), enrolled)
-        reading = of_the_part(reading, prepared.given)
+        reading = of_the_part(reading, [prepared.given])
     with watch.stage("look again"):
         reading, second = _looked_at_again(prepared, reading)
     labels = {one.name: one.label for one in signatures if one.kind == "object"}
@@ -122,6 +122,8 @@ def identify_together(
     recordings = [one.scans(settings.preprocessing(matched_filter=False)) for one in prepared]
     with watch.stage("read"):
         joint, alone = read_together(recordings, layouts, reader_settings(settings))
+        alone = [of_the_part(own, [one.given]) for own, one in zip(alone, prepared, strict=True)]
+        joint = of_the_part(joint, captures)
     labels = {layout.name: layout.label for layout in layouts}
     with watch.stage("look again"):
         looked = [_looked_at_again(one, reading) for reading, one in zip(alone, prepared, strict=True)]

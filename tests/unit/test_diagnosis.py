@@ -11,12 +11,13 @@ import pytest
 
 from tagid.capture import Capture, ViewFlag
 from tagid.errors import DataError
-from tagid.metadata import MotionInfo, RadarInfo, ResolvedMotion
+from tagid.metadata import Ending, MotionInfo, RadarInfo, ResolvedMotion
 from tagid.pipeline import diagnosis
 from tagid.pipeline.circling import circling
+from tagid.pipeline.coverage import turn_share
 from tagid.pipeline.diagnosis import recording_remarks, with_causes
 from tagid.pipeline.elsewhere import Elsewhere
-from tagid.pipeline.identify import identify
+from tagid.pipeline.identify import identify, identify_together
 from tagid.pipeline.load import load_capture
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.simulate import Placement, parse_body, parse_reflector
@@ -97,6 +98,64 @@ def test_a_part_of_a_turn_shows_no_absence() -> None:
     answer = identify(part_of_a_turn("empty", 0.4), layouts)
     assert answer.status == "unknown" and answer.reading is not None
     assert answer.reading.code == "partial_turn" and "144 of 360 degrees" in answer.reading.reason
+
+
+@pytest.mark.parametrize("ended", [None, Ending("limit"), Ending("turn"), Ending("sure", 0.6, "helmet-120")])
+@pytest.mark.parametrize(("share", "named"), [(0.3, False), (0.56, False), (0.6, True)])
+def test_a_name_needs_most_of_a_turn_however_the_recording_ended(
+    ended: Ending | None, share: float, named: bool
+) -> None:
+    layouts = list(builtin_layouts().values())
+    given = part_of_a_turn("helmet-120", share).given
+    short = replace(given, radar=replace(given.radar, ended=ended))
+    answer = identify(short, layouts)
+    assert answer.reading is not None
+    assert (answer.status, answer.reading.layout) == (
+        ("identified", "helmet-120") if named else ("unknown", None)
+    )
+    if not named:
+        assert answer.reading.code == "partial_turn" and answer.reading.bound is None
+        assert answer.reading.reason == (
+            f"the views cover {360 * share:.0f} of 360 degrees, and in these the scans show helmet-120, "
+            "but not every side"
+        )
+
+
+def as_positions(capture: Capture) -> Capture:
+    """The same scans with the places of the antenna instead of angles."""
+    places = capture.aperture().antennas[0]
+    return replace(capture, angles_rad=None, angle_sigma_rad=None, axis_distance_m=None, antenna_height_m=0.0,
+                   antenna_positions_m=places)  # fmt: skip
+
+
+def test_positions_cover_the_directions_in_which_they_lie() -> None:
+    """Also two scans from opposite sides, a gap inside a whole turn, and positions in any order."""
+    whole = part_of_a_turn("helmet-120", 1.0).given
+    angles = whole.angles_rad
+    assert angles is not None
+    inside = [angles < np.deg2rad(100), (angles < np.deg2rad(60)) | (angles > np.deg2rad(220))]
+    layouts = list(builtin_layouts().values())
+    for mask, share in zip(inside, (100 / 360, 200 / 360), strict=True):
+        part = whole.select(np.random.default_rng(2).permutation(np.flatnonzero(mask)))
+        for capture in (part, as_positions(part)):
+            assert turn_share(capture) == pytest.approx(share, abs=0.01)
+            reading = identify(capture, layouts).reading
+            assert reading is not None and reading.layout is None and reading.code == "partial_turn"
+    free = as_positions(whole)
+    both = replace(free, receive_positions_m=free.antenna_positions_m)
+    assert turn_share(both) == turn_share(free) == pytest.approx(1.0)
+    (remark,) = recording_remarks(as_positions(whole.select(inside[0])))
+    assert "the views cover 100 of 360 degrees" in remark
+
+
+def test_a_joint_name_needs_one_recording_that_shows_every_side() -> None:
+    layouts = list(builtin_layouts().values())
+    short, longer = (part_of_a_turn("helmet-120", share).given for share in (0.4, 0.7))
+    joint, alone = identify_together([short, short], layouts)
+    assert [one.status for one in (joint, *alone)] == ["unknown"] * 3
+    assert joint.reading is not None and joint.reading.code == "partial_turn" and joint.label == ""
+    joint, alone = identify_together([short, longer], layouts)
+    assert [one.status for one in (joint, *alone)] == ["identified", "unknown", "identified"]
 
 
 def test_the_bound_is_of_whole_turns() -> None:

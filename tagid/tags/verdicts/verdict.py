@@ -56,7 +56,7 @@ ADVICE = {
     Code.UNCALIBRATED: "Record 12 views or more, or accept a larger tags.false_accept.",
     Code.DISAGREE: "Check that all recordings are of one object, and record it again.",
     Code.STOPPED: "Check what holds the table, and its supply, then record a full turn again.",
-    Code.PARTIAL: "Record slightly more than one full turn.",
+    Code.PARTIAL: "Record the object from all sides: slightly more than one full turn.",
 }
 """One sentence for each code: what to do next."""
 
