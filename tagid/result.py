@@ -99,8 +99,12 @@ def render(result: Result, output: str, quiet: bool = False) -> None:
         sys.stdout.write(result.csv)
         sys.stdout.flush()
     elif result.human is not None:
-        # What may not be wrapped, such as a URL to be copied, is not cropped either.
-        Console(highlight=False).print(Harmless(result.human), crop=False)
+        console = Console(highlight=False)
+        # rich itself ends the program where stdout is a closed pipe.
+        with console.capture() as drawn:
+            # What may not be wrapped, such as a URL to be copied, is not cropped either.
+            console.print(Harmless(result.human), crop=False)
+        sys.stdout.write(drawn.get())
         sys.stdout.flush()
     if not quiet:
         for message in result.messages:

@@ -16,9 +16,9 @@ from tagid.tags.verdicts.verdict import Code
 WHOLE_TURN = 0.97
 """Smallest share of a revolution that counts as complete: a gap of 10 degrees does not impair reading."""
 LEAST_NAMED = 0.58
-"""Smallest share of a revolution that names an object: a reflector on an opaque object is seen up to 75 degrees
-aside, so with a gap of more than 150 degrees some side was not seen, and what is there may be more than the
-layout has."""
+"""Smallest share of a revolution that names an object: a reflector on an opaque object is seen up to 75
+degrees aside, so with a gap of more than 150 degrees some side was not seen, and what is there may be more
+than the layout has."""
 
 
 @dataclass(frozen=True)

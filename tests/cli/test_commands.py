@@ -209,3 +209,43 @@ def test_show_leaves_the_image_of_a_scan_alone(tagid, tmp_path: Path) -> None:
     shown = tagid("show", "c.tagid.h5", "--output", "json")
     assert shown.json["data"]["png"] == "c.show.png" and (tmp_path / "c.show.png").stat().st_size > 1000
     assert (tmp_path / "c.png").read_bytes() == b"the image of the scan"
+
+
+@pytest.mark.parametrize(
+    ("words", "streams", "code"),
+    [
+        ("config", ">&-", 0),
+        ("config --output json", ">&- 2>&- <&-", 0),
+        ("config", "| sleep 0", 0),
+        ("no-command", "2>&1 | sleep 0", 2),
+        ("no-command", "2>/dev/full", 2),
+        ("config", ">/dev/full", 1),
+    ],
+)
+def test_the_exit_code_is_that_of_the_answer_whatever_the_streams(
+    tmp_path: Path, words: str, streams: str, code: int
+) -> None:
+    """Streams that are closed when the process starts, that end meanwhile, or that take nothing."""
+    line = f"({sys.executable} -m tagid {words}; echo $? > code) {streams}"
+    if "|" not in streams:
+        line = f"{sys.executable} -m tagid {words} {streams}; echo $? > code"
+    environment = {**os.environ, "TAGID_CONFIG": "c.toml", "TAGID_DATA": "data"}
+    done = subprocess.run(line, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert (tmp_path / "code").read_text() == f"{code}\n"
+    assert "Traceback" not in done.stderr and "Exception ignored" not in done.stderr
+
+
+def test_no_file_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
+    """What is printed would go into it."""
+    code = (
+        "import os, sys\n"
+        "from tagid.cli.common import frame\n"
+        "frame._secure_streams()\n"
+        "file = os.open('data', os.O_WRONLY | os.O_CREAT)\n"
+        "os.write(1, b'printed'); os.write(2, b'printed'); print('printed'); sys.stderr.write('printed')\n"
+        "assert sys.stdin.read() == ''\n"
+        "sys.exit(file <= 2)"
+    )
+    line = f'{sys.executable} -c "{code}" <&- >&- 2>&-'
+    assert subprocess.run(line, shell=True, cwd=tmp_path).returncode == 0
+    assert (tmp_path / "data").read_bytes() == b""

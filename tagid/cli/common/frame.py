@@ -224,22 +224,21 @@ def _write(result: Result, output: str, quiet: bool = False) -> Result:
     """Render a result; returns it, or one that reports that its output could not be written."""
     try:
         render(result, output, quiet)
-        return result
-    except BrokenPipeError:
-        problem = ""
+    except BrokenPipeError:  # its reader has read enough
+        _drop_if_broken(sys.stdout)
     except OSError as error:
-        problem = f"error: the output cannot be written: {error.strerror or error}\n"
-    # Flushing the remaining buffer would fail again when the interpreter exits.
-    for stream in (sys.stdout, sys.stderr):
-        _drop_if_broken(stream)
-    with contextlib.suppress(OSError, ValueError):
-        sys.stderr.write(problem)
+        _drop_if_broken(sys.stdout)
+        sys.stderr.write(f"error: the output cannot be written: {error.strerror or error}\n")
         sys.stderr.flush()
-    return replace(result, status="error", exit_code=result.exit_code or EXIT_FAILED)
+        return replace(result, status="error", exit_code=result.exit_code or EXIT_FAILED)
+    return result
 
 
 def _drop_if_broken(stream: typing.TextIO) -> None:
-    """Redirect a stream that cannot be written to the null device."""
+    """Redirect a stream that cannot be written to the null device.
+
+    Flushing its buffer would fail again when the interpreter exits.
+    """
     try:
         stream.flush()
     except OSError:
@@ -249,8 +248,39 @@ def _drop_if_broken(stream: typing.TextIO) -> None:
             os.close(null)
 
 
+class _Remarks(io.TextIOWrapper):
+    """Standard error that may fail: remarks and progress are then dropped, and the work goes on."""
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError):
+            return super().write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError):
+            super().flush()
+
+
+def _secure_streams() -> None:
+    """Make the standard streams safe to use, however the process was started.
+
+    One that is closed is connected to the null device: the next file opened would otherwise get its number,
+    and with it whatever is written there.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, "r" if number == 0 else "w", encoding="utf-8")
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
+            setattr(sys, f"__{name}__", stream)
+    if isinstance(sys.stderr, io.TextIOWrapper):
+        stderr = sys.stderr
+        sys.stderr = _Remarks(stderr.buffer, stderr.encoding, stderr.errors, line_buffering=True)
+
+
 def run_program(app: typer.Typer) -> typing.NoReturn:
     """Run the command line of a program and end the process with its exit code (`serve`)."""
+    _secure_streams()
     try:
         with interrupts.handled(to_the_end=True):
             code = serve(app)
