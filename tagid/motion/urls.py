@@ -6,7 +6,6 @@ devices without a link are here.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
@@ -16,6 +15,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from tagid.errors import UsageError
 from tagid.motion.device import Motion
 from tagid.motion.turntable import FreeTurntable
+from tagid.query import Query
 from tagid.secret import MotionUrl, Secret
 
 ENTRY_POINTS: Final = "tagid.motion"
@@ -35,8 +35,8 @@ _DIRECTIONS: Final = {"ccw": 1, "cw": -1}
 
 
 @dataclass
-class Options:
-    """A parsed device URL; each option is taken once, and `done` rejects those left over.
+class Options(Query):
+    """A parsed device URL.
 
     Attributes:
         url: as given, without its pass-key.
@@ -55,23 +55,6 @@ class Options:
     def wrong(self, why: str) -> UsageError:
         """The error for this URL."""
         return bad_url(self.url, why)
-
-    def number(self, name: str, default: float | None, low: float, high: float) -> float | None:
-        """A number within bounds; the default if it is not given."""
-        text = self.given.pop(name, None)
-        if text is None:
-            return default
-        try:
-            value = float(text)
-        except ValueError:
-            raise self.wrong(f"{name} is {text[:50]!r}, not a number") from None
-        if not (math.isfinite(value) and low <= value <= high):
-            raise self.wrong(f"{name} is {text[:50]}, expected {low:g} to {high:g}")
-        return value
-
-    def text(self, name: str, default: str | None = None) -> str | None:
-        """A text."""
-        return self.given.pop(name, default)
 
     def secret(self) -> Secret | None:
         """The pass-key."""
@@ -97,9 +80,9 @@ class Options:
 
     def done(self) -> None:
         """Raise UsageError for an option that was not taken."""
-        unknown = min(self.given, default="passkey" if self.passkey else "")
-        if unknown:
-            raise self.wrong(f"option {unknown[:50]!r} is unknown")
+        if self.passkey:
+            raise self.wrong("option 'passkey' is unknown")
+        super().done()
 
 
 def bad_url(url: str | MotionUrl, why: str) -> UsageError:

@@ -8,6 +8,7 @@ from typing import Final
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from tagid.errors import UsageError
+from tagid.query import Query
 from tagid.radar.framing import Framing
 from tagid.radar.links import DEFAULT_PORT, Link, UdpLink
 
@@ -70,6 +71,25 @@ def parse_radar_url(url: str) -> RadarUrl:
     return RadarUrl(scheme, host, port or DEFAULT_PORT, {})
 
 
+@dataclass
+class RadarOptions(Query):
+    """Options of a radar URL, or of an emulated radar.
+
+    Attributes:
+        source: what they belong to, as given.
+        given: options not yet taken.
+        remedy: of the errors.
+    """
+
+    source: str
+    given: dict[str, str]
+    remedy: str = WHAT_WORKS
+
+    def wrong(self, why: str) -> UsageError:
+        """The error for this radar."""
+        return UsageError(f"{self.source[:200]}: {why}", self.remedy)
+
+
 _TARGET_NAMES: Final = {"udp": "host", "serial": "port", "replay": "file", "emulator": "scene"}
 
 
@@ -84,29 +104,17 @@ def open_link(url: str) -> Callable[[], Link]:
         return lambda: UdpLink(parsed.target, parsed.port)
     if parsed.scheme != "serial":
         raise UsageError(f"radar {url!r} is not a udp:// or serial:// URL", WHAT_WORKS)
-    options = dict(parsed.options)
-    framing_name, baud_text = options.pop("framing", "usb"), options.pop("baud", None)
-    if options:
-        raise UsageError(f"radar {url!r}: option {next(iter(options))!r} is unknown", WHAT_WORKS)
+    from tagid.radar.serial_link import BAUD_RATES, DEFAULT_BAUD, SerialLink, SerialPort
+
+    options = RadarOptions(f"radar {url!r}", dict(parsed.options))
+    framing_name = options.text("framing", "usb")
+    baud = options.whole("baud", DEFAULT_BAUD, min(BAUD_RATES), max(BAUD_RATES))
+    options.done()
     if not parsed.target.startswith("/"):
         raise UsageError(f"radar {url!r} names no device file", WHAT_WORKS)
     if framing_name not in ("usb", "uart"):
         raise UsageError(f"radar {url!r}: framing is {framing_name!r}", "Give framing=usb or framing=uart.")
-    from tagid.radar.serial_link import BAUD_RATES, DEFAULT_BAUD, SerialLink, SerialPort
-
-    baud = DEFAULT_BAUD if baud_text is None else int(number_option(url, "baud", baud_text))
     if baud not in BAUD_RATES:
         raise UsageError(f"radar {url!r}: baud is {baud}", "Give 9600 to 921600 (factory: 115200).")
     port = SerialPort(parsed.target, Framing(framing_name), baud)
     return lambda: SerialLink(port)
-
-
-def number_option(url: str, name: str, text: str) -> float:
-    """A finite number from a URL option. Raises UsageError."""
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise UsageError(f"radar {url!r}: {name} is {text!r}", f"Give a number for {name}.") from error
-    if value != value or abs(value) == float("inf"):
-        raise UsageError(f"radar {url!r}: {name} is {text!r}", f"Give a finite number for {name}.")
-    return value

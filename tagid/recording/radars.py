@@ -9,17 +9,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from tagid.errors import UsageError
 from tagid.metadata import ObjectInfo
+from tagid.query import MAX_SEED
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.faults import Faults
 from tagid.radar.emulation.memory import MemoryLink
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
-from tagid.radar.urls import number_option, open_link, parse_radar_url
+from tagid.radar.urls import RadarOptions, open_link, parse_radar_url
 from tagid.recording.sources import emulated_recording, emulated_scene
 
-_FAULT_OPTIONS: Final = ("lose", "lose_requests", "duplicate", "reorder", "delay", "delay_s")
+_PROBABILITIES: Final = ("lose", "lose_requests", "duplicate", "reorder", "delay")
 
 
 def open_radar(url: str, timeout: float = 1.0) -> P440:
@@ -36,22 +36,20 @@ def open_radar(url: str, timeout: float = 1.0) -> P440:
     parsed = parse_radar_url(url)
     if parsed.scheme in ("udp", "serial"):
         return P440(open_link(url)(), timeout)
-    options = dict(parsed.options)
-    rate = number_option(url, "rate", options.pop("rate", "0"))
-    if not 0 <= rate <= 1e6:
-        raise UsageError(f"radar {url!r}: rate is {rate}", "Give 1 for real time, 0 for no waiting.")
-    levels = {name: number_option(url, name, options.pop(name)) for name in _FAULT_OPTIONS if name in options}
-    seed = int(number_option(url, "seed", options.get("seed", "0")))
-    faults = Faults(**levels, seed=seed)
+    query = RadarOptions(f"radar {url!r}", dict(parsed.options))
+    rate = query.number("rate", 0.0, 0.0, 1e6)
+    levels: dict[str, float] = {
+        name: query.number(name, 0.0, 0.0, 1.0) for name in _PROBABILITIES if name in query.given
+    }
+    if "delay_s" in query.given:
+        levels["delay_s"] = query.number("delay_s", 0.0, 0.0, 1e6)
+    scene = dict(query.given)
+    faults = Faults(**levels, seed=query.whole("seed", 0, 0, MAX_SEED))
     if parsed.scheme == "emulator":
-        core = EmulatorCore(emulated_scene(parsed.target, options), RadarConfig())
+        core = EmulatorCore(emulated_scene(parsed.target, scene), RadarConfig())
         return P440(MemoryLink(core, rate, faults, url), timeout)
-    loop = options.pop("loop", "0") not in ("0", "")
-    options.pop("seed", None)
-    if options:
-        raise UsageError(
-            f"radar {url!r}: option {next(iter(options))!r} is unknown", "replay:// takes rate and loop."
-        )
+    loop = query.text("loop", "0") not in ("0", "")
+    query.done()
     recording = emulated_recording(Path(parsed.target), loop)
     return P440(MemoryLink(EmulatorCore(recording), rate, faults, url), timeout)
 
@@ -61,5 +59,5 @@ def emulated_object(url: str) -> ObjectInfo | None:
     parsed = parse_radar_url(url)
     if parsed.scheme != "emulator":
         return None
-    own = ("rate", *_FAULT_OPTIONS)
+    own = ("rate", "delay_s", *_PROBABILITIES)
     return emulated_scene(parsed.target, {k: v for k, v in parsed.options.items() if k not in own}).about()

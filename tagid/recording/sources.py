@@ -5,18 +5,32 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from tagid.config import data_folder
 from tagid.errors import StorageError, UsageError
 from tagid.files import read_head
+from tagid.query import MAX_SEED
 from tagid.radar.emulation.sources import RecordingSource
 from tagid.radar.settings import RadarConfig
+from tagid.radar.urls import RadarOptions
 
 if TYPE_CHECKING:
     from tagid.simulate import TurningScene
 
 MAX_ANTENNA_HEIGHT_M = 10.0
+_NUMBERS: Final = {
+    "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0, "cable_delay": 0.0, "stop": math.inf, "stop_s": math.inf,
+    "rotation": 0.0, "wobble": 0.0, "antenna_height": 0.0, "antenna_separation": 0.0, "budget": 0.0,
+}  # fmt: skip
+"""Numeric options of a scene, and their values if they are not given."""
+_TEXTS: Final = {
+    "turned_by": "", "centre": "0,0", "elevation": "0m", "body": "", "reflector": "", "file": "",
+    "antenna_height_file": "",
+}  # fmt: skip
+_NEAREST_M: Final = 1e-3
+_MOST: Final = 1e6
+"""Largest number of an option; what uses it has narrower limits."""
 
 
 def emulated_recording(path: Path, loop: bool) -> RecordingSource:
@@ -67,25 +81,22 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     from tagid.simulate.source import Stop, TurningScene
     from tagid.tags.enrolling.lookup import named_layouts
 
-    values = {"seed": 0.0, "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0, "cable_delay": 0.0}
-    values |= {"stop": math.inf, "stop_s": math.inf}
-    values |= dict.fromkeys(("rotation", "wobble", "antenna_height", "antenna_separation", "budget"), 0.0)
-    texts = {"turned_by": "", "centre": "0,0", "elevation": "0m", "body": "", "reflector": "", "file": ""}
-    texts["antenna_height_file"] = ""
-    for key, text in options.items():
-        if key in texts:
-            texts[key] = text
-        elif key in values:
-            values[key] = _number(name, key, text)
-        else:
-            known = ", ".join((*values, *texts))
-            raise UsageError(f"scene {name}: there is no option {key!r}", f"Use {known}.")
+    query = RadarOptions(f"scene {name}", dict(options), "Give a number.")
+    seed = query.whole("seed", 0, 0, MAX_SEED)
+    values = {
+        key: query.number(key, default, _NEAREST_M if key == "axis_distance" else -_MOST, _MOST)
+        for key, default in _NUMBERS.items()
+    }
+    texts = {key: query.given.pop(key, default) for key, default in _TEXTS.items()}
+    query.remedy = f"Use {', '.join(('seed', *_NUMBERS, *_TEXTS))}."
+    query.done()
+    query.remedy = "Give X,Y in metres."
     turner = TrueAngle(texts["turned_by"]).at if texts["turned_by"] else None
-    seed = int(values["seed"])
-    if not abs(values["cable_delay"]) <= 1e6:
-        raise UsageError(f"scene {name}: cable_delay is {values['cable_delay']}", "Give picoseconds.")
     x, comma, y = texts["centre"].partition(",")
-    centre = (_number(name, "centre", x), _number(name, "centre", y if comma else "none"))
+    centre = (
+        query.checked("centre", x, -_MOST, _MOST),
+        query.checked("centre", y if comma else "none", -_MOST, _MOST),
+    )
     acquisition = Acquisition(
         axis_distance_m=values["axis_distance"],
         antenna_height_m=values["antenna_height"],
@@ -159,12 +170,3 @@ def _budget_noise(reflector: str, axis_distance_m: float) -> float:
 
     unit_m = unit_of(Octahedron(parse_reflector(reflector).size_m))
     return noise_std_for(LinkBudget().snr_db(unit_m, axis_distance_m), 1.0)
-
-
-def _number(scene: str, key: str, text: str) -> float:
-    """A number from the text of an option. Raises UsageError."""
-    try:
-        return float(text)
-    except ValueError:
-        remedy = "Give X,Y in metres." if key == "centre" else "Give a number."
-        raise UsageError(f"scene {scene}: {key} is {text!r}", remedy) from None

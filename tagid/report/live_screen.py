@@ -20,12 +20,19 @@ from tagid.report.blocks import LEVELS, raster
 from tagid.report.colours import to_decibels
 from tagid.report.preview import resample
 
+MOST_COLUMNS, MOST_LINES = 640, 200
+"""Largest part of a terminal that is drawn, in characters: a 4K screen in a small font has 640 by 135."""
 IMAGE_DB: Final = 25.0
 SINOGRAM_DB: Final = 30.0
 _BAR: Final = 24
 _HEAD: Final = 3
 _GAP: Final = 2
 _MOST_BARS: Final = 8
+
+
+def bounded(size: tuple[int, int]) -> tuple[int, int]:
+    """The part of a terminal that is drawn, columns and lines: a terminal may state any size."""
+    return min(size[0], MOST_COLUMNS), min(size[1], MOST_LINES)
 
 
 def draw(state: LiveState, title: str, size: tuple[int, int], colour: bool) -> RenderableType:
@@ -37,7 +44,8 @@ def draw(state: LiveState, title: str, size: tuple[int, int], colour: bool) -> R
         size: columns and lines of the terminal.
         colour: coloured half blocks, or characters.
     """
-    columns, lines = max(size[0] - 1, 30), max(size[1], 10)
+    columns, lines = bounded(size)
+    columns, lines = max(columns - 1, 30), max(lines, 10)
     head = Text(no_wrap=True, overflow="crop")
     head.append(visible(title)[:columns] + "\n", style="bold")
     head.append_text(_figures(state)).append("\n").append_text(_answer(state))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from tests.attacks import Outcome, attack
@@ -109,3 +111,51 @@ def _streams(folder: Path) -> Outcome:
         said.append(((place / "code").read_text().strip(), kept, clean))
     good = sum(one == ("0", 2, True) for one in said)
     return Outcome(f"{good} of {len(said)} scans with exit 0, capture and image", good == len(said))
+
+
+@attack(
+    "F17g",
+    "a terminal of 65535 x 65535 cells during scan --demo --live",
+    before="236 s, 2.1 GB written to the terminal",
+    test="tests/unit/test_live.py::test_the_screen_fits_any_terminal_and_hides_no_control_character",
+)
+def _terminal(folder: Path) -> Outcome:
+    from tests.cli.on_a_terminal import run
+
+    began = time.monotonic()
+    words = ["scan", "--demo", "--live", "--save-dir", str(folder), "--output", "json"]
+    drawn = run(dict(os.environ), words, (65535, 65535), seconds=170.0)
+    took, sent = time.monotonic() - began, len(drawn.sent) / 1e6
+    return Outcome(
+        f"exit {drawn.code}, {took:.0f} s, {sent:.0f} MB written",
+        drawn.code == 0 and took < 60 and sent < 100,
+    )
+
+
+@attack(
+    "F17h",
+    "scene options out of bounds, and a capture of denormal samples in `show`",
+    before="unexpected ValueError (seed -1), ZeroDivisionError: this is a bug in tagid",
+    test="tests/protocol/test_radar_udp.py::test_numbers_of_a_scene_are_bounded_where_they_come_in",
+)
+def _numbers(folder: Path) -> Outcome:
+    from dataclasses import replace
+
+    import numpy as np
+
+    from tagid.simulate.capture import simulate_capture
+    from tagid.simulate.presets import scene_from_name
+    from tagid.storage.hdf5 import write_capture
+
+    capture = simulate_capture(scene_from_name("helmet-120", 3))[0]
+    faint = capture.samples / np.abs(capture.samples).max() * 1e-38
+    write_capture(folder / "faint.tagid.h5", replace(capture, samples=faint.astype(np.float32)))
+    queries = ("seed=-1", "seed=1e300", "snr=1e300", "centre=1e400,0", "budget=1&axis_distance=1e-300")
+    commands = [
+        ["scan", "--radar", f"emulator://helmet-120?{query}", "--motion", "free?rpm=6"] for query in queries
+    ]
+    said = []
+    for words, code in [*((one, 2) for one in commands), (["show", "faint.tagid.h5"], 0)]:
+        done = subprocess.run([*_TAGID, *words], cwd=folder, capture_output=True, text=True)
+        said.append(done.returncode == code and "bug" not in done.stderr and "Warning" not in done.stderr)
+    return Outcome(f"{sum(said)} of {len(said)} with the right exit code and no fault", all(said))

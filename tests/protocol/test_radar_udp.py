@@ -21,7 +21,7 @@ from tagid.radar.links import UdpLink
 from tagid.radar.messages import CONFIG_DTYPE, SCAN_INFO_DTYPE, MessageType, decode, encode
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
-from tagid.recording.radars import open_radar
+from tagid.recording.radars import emulated_object, open_radar
 
 T = MessageType
 ROOT = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
@@ -314,6 +314,18 @@ def test_urls_that_cannot_work_say_what_does(url: str) -> None:
         open_radar(url)
     assert isinstance(caught.value, TagidError)
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    "query",
+    ["seed=-1", "seed=1.5", "seed=1e300", "seed=9e99999", "rpm=nan", "snr=1e300", "centre=1e400,0",
+     "cable_delay=inf", "budget=1&axis_distance=1e-300", "antenna_height=-1e9", "stop=-1", "x=1"],
+)  # fmt: skip
+def test_numbers_of_a_scene_are_bounded_where_they_come_in(query: str) -> None:
+    for take in (emulated_object, open_radar):
+        with pytest.raises(UsageError) as caught:
+            take(f"emulator://helmet-120?{query}")
+        assert caught.value.remedy
 
 
 def test_the_server_thread_ends() -> None:

@@ -31,6 +31,7 @@ LAYERS = (
         "models_store",
         "interrupts",
         "secret",
+        "query",
         "hostclock",
         "onnx_files",
         "proportion",

@@ -252,3 +252,11 @@ def test_the_real_light_pole_has_a_summary() -> None:
     assert summary.strongest is not None
     assert summary.strongest.coherence < 0.5  # the radar moved
     assert summary.clipped_fraction == 0
+
+
+@pytest.mark.parametrize("level", [1e-44, 1e-38, 1e-20, 1e18])
+def test_faint_and_loud_samples_have_a_summary(level: float) -> None:
+    """Squares of the faint ones are zero in single precision, those of the loud ones are not finite."""
+    samples = np.asarray(resting(12) * (level / 1000), dtype=np.float32)
+    summary = inspect(capture_of(samples))
+    assert summary.strongest is None or 0 < summary.strongest.coherence <= 1

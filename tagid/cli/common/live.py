@@ -70,12 +70,20 @@ def live_scan(terminal: Terminal, settings: LiveSettings, title: str) -> Iterato
         settings: see there.
         title: first line of the screen.
     """
-    from rich.console import Console
+    from rich.console import Console, ConsoleDimensions
     from rich.live import Live
 
     from tagid.live.engine import LiveView
+    from tagid.report.live_screen import bounded
 
-    console = Console(stderr=True, highlight=False)
+    class BoundedConsole(Console):
+        """A terminal may state any size, and every cell of the screen is drawn in every frame."""
+
+        @property  # type: ignore[misc]
+        def size(self) -> ConsoleDimensions:
+            return ConsoleDimensions(*bounded(super().size))
+
+    console = BoundedConsole(stderr=True, highlight=False)
     with ExitStack() as stack:
         shown = LiveScan(stack.enter_context(LiveView(settings)))
         if console.is_terminal and not terminal.quiet:
