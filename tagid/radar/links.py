@@ -5,18 +5,21 @@ The client uses the same Link protocol for a real radar, an emulator and a repla
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import socket
 import time
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from tagid.errors import DeviceError, PortInUseError
+from tagid.workers import Worker
 
 DEFAULT_PORT: Final = 21210
 """UDP port on which a P440 listens (P440 MRM API)."""
 
 _RECEIVE_BUFFER: Final = 4 * 1024 * 1024
 _LARGEST_DATAGRAM: Final = 65_535
+_RESOLVE_S: Final = 10.0
 
 
 class Link(Protocol):
@@ -82,16 +85,25 @@ def bind_udp(host: str, port: int) -> socket.socket:
 
 
 def resolve(host: str, port: int) -> tuple[str, int]:
-    """IPv4 address and port of a host name. Raises DeviceError for an unknown host or a bad port."""
+    """IPv4 address and port of a host name. Raises DeviceError for an unknown host or a bad port.
+
+    The resolver of the system may take long and hears no signal meanwhile, so it runs on a thread of its own.
+    """
     if not 1 <= port <= 65_535:
         raise DeviceError(f"radar port is {port}", "Give a port from 1 to 65535 (a P440 listens on 21210).")
-    try:
-        found = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
-    except (OSError, UnicodeError) as error:
+    found: list[Any] = []
+    worker = Worker(
+        lambda: found.extend(socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)), "resolver"
+    )
+    with contextlib.suppress(RuntimeError):
+        worker.start()
+    ended = worker.join(_RESOLVE_S)
+    if not found:
+        why = worker.failure if ended else f"no answer within {_RESOLVE_S:g} s"
         raise DeviceError(
-            f"radar host {host!r} is unknown ({error})",
+            f"radar host {host!r} is unknown ({why})",
             "Give the radar's IPv4 address; kit units use 192.168.1.100 to 103.",
-        ) from error
+        ) from worker.failure
     address = found[0][4]
     return str(address[0]), int(address[1])
 
@@ -145,15 +157,15 @@ class UdpLink:
             self._socket.settimeout(max(deadline - time.monotonic(), 1e-4))
             try:
                 packet, sender = self._socket.recvfrom(_LARGEST_DATAGRAM)
+                if sender == self.address:
+                    return packet
+                self.foreign += 1
             except TimeoutError:
                 return None
             except ConnectionError:
-                continue  # an ICMP "port unreachable" for an earlier packet; only the timeout counts
+                pass  # an ICMP "port unreachable" for an earlier packet; only the timeout counts
             except OSError as error:
                 raise DeviceError(f"cannot receive from the radar: {error}", "Check the network.") from error
-            if sender == self.address:
-                return packet
-            self.foreign += 1
             if time.monotonic() >= deadline:
                 return None
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tagid.errors import DeviceError, DeviceTimeoutError, PortInUseError, TagidError, UsageError
+from tagid.radar import links
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator, serve_udp
 from tagid.radar.emulation.faults import Faults
@@ -314,6 +315,15 @@ def test_urls_that_cannot_work_say_what_does(url: str) -> None:
         open_radar(url)
     assert isinstance(caught.value, TagidError)
     assert caught.value.remedy
+
+
+def test_a_silent_resolver_is_waited_for_only_so_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    answered = threading.Event()
+    monkeypatch.setattr(links, "_RESOLVE_S", 0.05)
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_: answered.wait(30) and [])
+    with pytest.raises(DeviceError, match="no answer within 0.05 s"):
+        open_radar("udp://radar.example")
+    answered.set()
 
 
 @pytest.mark.parametrize(
