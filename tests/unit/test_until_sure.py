@@ -7,6 +7,8 @@ import threading
 from dataclasses import replace
 from math import inf
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -35,6 +37,7 @@ from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.storage.hdf5 import read_capture
+from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import MatchedScan, ReaderSettings
 from tagid.tags.sequential.calibration import EndingCalibration
@@ -212,6 +215,27 @@ def test_an_angle_of_uncertain_scale_ends_no_scan(tmp_path: Path) -> None:
         ending.settle(120.0)
     assert capture.radar.ended == Ending("limit") and ending.looks == ()
     assert "not calibrated" in ending.remark
+
+
+@pytest.mark.parametrize(
+    ("kind", "layout", "status", "ends"),
+    [
+        (Kind.BARE, "helmet-120", "identified", True),
+        (Kind.ROUND, "helmet-120", "identified", False),
+        (Kind.BARE, "helmet-linear", "identified", False),
+        (Kind.BARE, None, "ambiguous", False),
+    ],
+)
+def test_bodies_that_take_part_end_no_scan(kind: Kind, layout: str | None, status: str, ends: bool) -> None:
+    """The calibration is of tags without a body: what two looks name has to hold against the bodies as well."""
+    capture, _ = simulate_capture(scene_from_name("helmet-120", 2), Acquisition(views=48, snr_db=20.0), 2)
+    reading = identify(capture, settings().layouts).reading
+    assert reading is not None
+    settled = replace(reading, kind=kind, layout=layout, status=status)
+    scan = cast(MatchedScan, SimpleNamespace(settled=lambda reading: settled))
+    ending = EarlyEnding(settings(), CALIBRATION)
+    ending._looks = [Look(share, 40, "helmet-120", 1e12, reading, scan) for share in LOOKS[:2]]
+    assert (ending._decided() is not None) == ends
 
 
 def test_a_name_that_the_last_scans_contradict_is_withdrawn() -> None:
