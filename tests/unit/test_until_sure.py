@@ -227,7 +227,7 @@ def test_an_angle_of_uncertain_scale_ends_no_scan(tmp_path: Path) -> None:
     ],
 )
 def test_bodies_that_take_part_end_no_scan(kind: Kind, layout: str | None, status: str, ends: bool) -> None:
-    """The calibration is of tags without a body: what two looks name has to hold against the bodies as well."""
+    """The calibration is of tags without a body: what two looks name has to hold against bodies as well."""
     capture, _ = simulate_capture(scene_from_name("helmet-120", 2), Acquisition(views=48, snr_db=20.0), 2)
     reading = identify(capture, settings().layouts).reading
     assert reading is not None
