@@ -223,6 +223,19 @@ def test_a_journal_thread_that_dies_accepts_nothing_more_and_counts_what_is_miss
     assert [scan.scan_id for scan in read_journal(path).scans] == [0]
 
 
+def test_a_dead_journal_ends_a_recording_also_if_no_further_scan_arrives(tmp_path: Path) -> None:
+    with udp(rate=1.0) as device, open_radar(device.url, 0.2) as radar:
+        radar.set_config(FAST)
+        with _FailingJournal(tmp_path / "x.tagid.journal", HEADER) as journal:
+            journal.writes = 1
+            queue = JournalQueue(journal)
+            intake = Intake(radar, queue)
+            with pytest.raises(StorageError, match="1 scan that had arrived"), queue:
+                for _ in intake.scans(2, 300_000):
+                    device._stop.set()
+            assert intake.scans_taken == 1
+
+
 def test_a_recording_whose_journal_dies_ends_with_an_error_and_keeps_the_journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
