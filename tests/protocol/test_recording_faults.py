@@ -8,6 +8,7 @@ import resource
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -300,3 +301,50 @@ def test_a_journal_without_a_thread_is_one_clear_error(
         monkeypatch.setattr(threading.Thread, "start", refused)
         with pytest.raises(StorageError, match="can't start new thread"):
             JournalQueue(journal)
+
+
+class _GatedJournal(JournalWriter):
+    """A journal that writes one scan for each permit, and gives itself one whenever its size is asked."""
+
+    def __init__(self, path: Path) -> None:
+        self.permits, self.entered = threading.Semaphore(0), threading.Semaphore(0)
+        super().__init__(path, HEADER)
+
+    def append_all(self, scans: Sequence[JournalScan]) -> None:
+        self.entered.release()
+        for scan in scans:
+            assert self.permits.acquire(timeout=30)
+            super().append_all([scan])
+
+    @property
+    def size(self) -> int:
+        before = self.scans
+        self.permits.release()
+        for _ in range(3000):
+            if self.scans > before or before == 5:
+                break
+            time.sleep(0.001)
+        return super().size
+
+
+def test_a_disk_that_goes_on_writing_is_waited_for(tmp_path: Path) -> None:
+    with _GatedJournal(tmp_path / "x.tagid.journal") as journal:
+        with JournalQueue(journal, stall_s=0.02) as queue:
+            for index in range(5):
+                queue.put(scan_of(index))
+        assert journal.scans == 5
+
+
+def test_scans_that_are_being_written_count_as_memory_until_they_are(tmp_path: Path) -> None:
+    with _GatedJournal(tmp_path / "x.tagid.journal") as journal:
+        with JournalQueue(journal, limit_bytes=5 * (4000 + 512)) as queue:
+            taken = [queue.put(scan_of(0))]
+            assert journal.entered.acquire(timeout=30)
+            taken += [queue.put(scan_of(index)) for index in range(1, 6)]
+            journal.permits.release()
+            assert journal.entered.acquire(timeout=30)
+            taken += [queue.put(scan_of(index)) for index in range(6, 9)]
+            for _ in range(5):
+                journal.permits.release()
+        assert taken == [True] * 5 + [False, True, False, False]
+        assert (queue.dropped, journal.scans) == (3, 6)

@@ -11,7 +11,7 @@ import pytest
 
 from tagid.capture import Capture, ViewFlag
 from tagid.errors import DataError
-from tagid.metadata import Ending, MotionInfo, RadarInfo, ResolvedMotion
+from tagid.metadata import Ending, MotionInfo, RadarInfo, ResolvedMotion, Standstill
 from tagid.pipeline import diagnosis
 from tagid.pipeline.circling import circling
 from tagid.pipeline.coverage import turn_share
@@ -154,6 +154,11 @@ def test_a_joint_name_needs_one_recording_that_shows_every_side() -> None:
     joint, alone = identify_together([short, short], layouts)
     assert [one.status for one in (joint, *alone)] == ["unknown"] * 3
     assert joint.reading is not None and joint.reading.code == "partial_turn" and joint.label == ""
+    still = Standstill(65, 80, 145, 20.0, 144.0)
+    stopped = part_of_a_turn("helmet-120", 0.45).given
+    stopped = replace(stopped, motion=MotionInfo(resolved=ResolvedMotion(turns=0.45, standstill=still)))
+    joint, _ = identify_together([short, stopped], layouts)
+    assert joint.reading is not None and joint.reading.code == "turn_stopped"
     joint, alone = identify_together([short, longer], layouts)
     assert [one.status for one in (joint, *alone)] == ["identified", "unknown", "identified"]
 
