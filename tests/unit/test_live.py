@@ -34,6 +34,7 @@ from tagid.live.state import LiveState, Phase
 from tagid.live.views import GrowingViews, capture_so_far
 from tagid.motion.urls import open_motion
 from tagid.pipeline import identify as identify_module
+from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
 from tagid.pipeline.prepared import PreparedCapture
@@ -447,6 +448,20 @@ def test_a_worker_of_the_view_that_dies_is_a_remark_and_costs_no_scan(
 
         assert recorded(tmp_path, view, ended=ended).complete
     assert "Traceback" not in capfd.readouterr().err
+
+
+def test_the_final_answer_stays_and_a_new_one_has_its_own_time() -> None:
+    first, other = (Identification(status, None, None, None) for status in ("no_tag", "unknown"))
+    view = LiveView(LiveSettings(open_motion("free?rpm=20")))
+    view._answered_ahead(first)
+    ahead_at = view._answer_at
+    assert ahead_at is not None
+    view._answered(first)
+    assert view._answer_at == ahead_at, "the same answer was there before"
+    view._answered(other)
+    assert view._answer_at is not None and view._answer_at > ahead_at
+    view._answered_ahead(first)
+    assert view.state.final and view.state.answer is other
 
 
 def test_stop_ends_a_recording_and_keeps_its_scans(tmp_path: Path) -> None:
