@@ -405,7 +405,7 @@ def test_every_endless_loop_is_said_to_end() -> None:
     """Each has a row in the table of waits of docs/architecture.md."""
     rows = (ROOT / "docs" / "architecture.md").read_text()
     endless = {
-        path.relative_to(PACKAGE).with_suffix("")
+        path.relative_to(PACKAGE)
         for path in FILES
         if any(
             isinstance(node, ast.While) and isinstance(node.test, ast.Constant)
