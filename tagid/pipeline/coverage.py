@@ -35,7 +35,7 @@ class Gap:
 
 
 def widest_gap(capture: Capture) -> Gap | None:
-    """The widest gap; None for a single view.
+    """The widest gap; None for a single view, or where neither angles nor positions are known yet.
 
     Antenna positions on any path cover the directions in which they lie from the origin.
     """
@@ -43,8 +43,10 @@ def widest_gap(capture: Capture) -> Gap | None:
         return None
     directions = capture.angles_rad
     if directions is None:
-        ends = [capture.antenna_positions_m, capture.receive_positions_m]
-        x, y = np.mean([end[:, :2] for end in ends if end is not None], axis=0).T
+        ends = [end for end in (capture.antenna_positions_m, capture.receive_positions_m) if end is not None]
+        if not ends:
+            return None
+        x, y = np.mean([end[:, :2] for end in ends], axis=0).T
         directions = np.arctan2(y, x)
     wrapped = np.mod(directions, 2 * np.pi)
     order = np.argsort(wrapped)

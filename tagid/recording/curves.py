@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.constants import SPEED_OF_LIGHT
 from tagid.signal import analytic
 
 # Views transformed at once; limits the memory for a long recording.
@@ -58,14 +57,14 @@ class RecordingCurves:
 
     @classmethod
     def of(cls, capture: Capture, *, changing_only: bool = False) -> RecordingCurves:
-        """The curves of a capture; the sampling rate is c / (2 range_step), as range is one way.
+        """The curves of a capture; the sampling rate is c / (2 range_step), c in its medium, as range is one way.
 
         `changing_only` subtracts the mean scan (leakage, room) from `envelope`; only moving echoes remain.
         """
         signal = analytic(capture.samples)
         envelope = np.abs(signal)
         changing = _changing(signal)
-        sampling_hz = SPEED_OF_LIGHT / (2 * capture.range_step_m)
+        sampling_hz = capture.wave_speed_m_s / (2 * capture.range_step_m)
         frequency, spectrum = _spectrum(capture.samples, sampling_hz)
         return cls(
             range_m=capture.ranges_m,

@@ -21,7 +21,7 @@ MAX_VALUES = 16_000_000
 """Maximum number of complex values of one response: 128 MB."""
 
 MAX_FREQUENCY_HZ = 1e12
-DEPTHS_M = (0.1, 20.0)
+DEPTHS_M = (0.01, 20.0)
 """Depths of objects whose responses are read: c / 2 over the step between two frequencies."""
 
 POLARISATIONS = ("V", "H")

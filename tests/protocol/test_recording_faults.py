@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import resource
@@ -255,8 +256,12 @@ def test_scans_that_were_accepted_and_never_written_are_an_error_whoever_lost_th
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The files are compared with what was accepted, not with what was written."""
-    real = JournalWriter.append_all
-    monkeypatch.setattr(JournalWriter, "append_all", lambda self, scans: real(self, scans[1:]))
+    real, number = JournalWriter.append_all, itertools.count()
+    monkeypatch.setattr(
+        JournalWriter,
+        "append_all",
+        lambda self, scans: real(self, [scan for scan in scans if next(number) != 10]),
+    )
     plan = RecordingPlan(FAST, 1.0, scans=100)
     with udp() as device, pytest.raises(StorageError, match="of the 100 recorded scans"):
         record(open_radar(device.url), open_motion("free?rpm=6"), plan, tmp_path / "x.tagid.h5")
@@ -284,7 +289,7 @@ def test_a_disk_that_stands_still_at_the_end_is_waited_for_only_so_long(tmp_path
         queue = JournalQueue(journal, stall_s=0.05)
         for index in range(100):
             queue.put(scan_of(index))
-        with pytest.raises(StorageError, match="100 scans that had arrived may be lost"), queue:
+        with pytest.raises(StorageError, match=r"\d+ scans that had arrived may be lost"), queue:
             pass
     os.close(reader)
     assert queue._worker.join(10)

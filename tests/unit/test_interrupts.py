@@ -156,7 +156,7 @@ def test_signals_during_a_write_ask_but_never_force() -> None:
 
 def test_signals_are_handled_in_one_place() -> None:
     # The guardian is a process of its own, which ignores signals until the robot stands still.
-    allowed = {"interrupts.py", "motion/guardian.py"}
+    allowed = {"interrupts.py", "motion/guard.py"}
     for path in PACKAGE.rglob("*.py"):
         if str(path.relative_to(PACKAGE)) not in allowed:
             assert not re.search(
