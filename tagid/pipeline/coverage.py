@@ -21,17 +21,24 @@ degrees aside, so with a gap of more than 150 degrees some side was not seen, an
 than the layout has."""
 
 
+_VIEW_RAD = np.deg2rad(10)
+"""Width of the sector that one view shows at most, rad: a gap of this width does not impair reading."""
+
+
 @dataclass(frozen=True)
 class Gap:
     """The widest gap between the directions from which an object was seen.
 
     Attributes:
-        share: share of a turn that is covered. The uncovered part is the gap minus the usual step.
+        share: share of a turn that is covered: without this gap and others of more than 10 degrees, each less
+            the usual step. A single view far from the others covers no side.
         sides: indexes of the two views beside the gap.
+        shows_every_side: whether the part that is covered may name an object.
     """
 
     share: float
     sides: tuple[int, int]
+    shows_every_side: bool
 
 
 def widest_gap(capture: Capture) -> Gap | None:
@@ -52,8 +59,14 @@ def widest_gap(capture: Capture) -> Gap | None:
     order = np.argsort(wrapped)
     gaps = np.diff(np.append(wrapped[order], wrapped[order[0]] + 2 * np.pi))
     widest = int(np.argmax(gaps))
-    share = float(np.clip(1 - (gaps[widest] - median(gaps)) / (2 * np.pi), 0, 1))
-    return Gap(share, (int(order[widest]), int(order[(widest + 1) % len(order)])))
+    step = median(gaps)
+    excess = gaps - step
+    uncovered = excess[widest] + excess[(excess > _VIEW_RAD) & (np.arange(len(gaps)) != widest)].sum()
+    share = float(np.clip(1 - uncovered / (2 * np.pi), 0, 1))
+    # A coarse step makes no direction seen: in this gap a view counts for its own width.
+    blind = (gaps[widest] - min(step, _VIEW_RAD)) / (2 * np.pi)
+    every = share >= LEAST_NAMED and blind <= 1 - LEAST_NAMED
+    return Gap(share, (int(order[widest]), int(order[(widest + 1) % len(order)])), bool(every))
 
 
 def turn_share(capture: Capture) -> float:
@@ -79,8 +92,9 @@ def of_the_part(reading: Reading, captures: Sequence[Capture]) -> Reading:
         reading: of one capture, or of several jointly.
         captures: those that were read.
     """
-    shares = [turn_share(capture) for capture in captures]
-    unseen = max(shares) < LEAST_NAMED
+    gaps = [widest_gap(capture) for capture in captures]
+    shares = [0.0 if gap is None else gap.share for gap in gaps]
+    unseen = not any(gap is not None and gap.shows_every_side for gap in gaps)
     if unseen or any(
         share < WHOLE_TURN and not ended_early(capture)
         for share, capture in zip(shares, captures, strict=True)

@@ -57,7 +57,7 @@ class RecordingCurves:
 
     @classmethod
     def of(cls, capture: Capture, *, changing_only: bool = False) -> RecordingCurves:
-        """The curves of a capture; the sampling rate is c / (2 range_step), c in its medium, as range is one way.
+        """The curves of a capture; sampling rate c / (2 range_step), c in its medium, as range is one way.
 
         `changing_only` subtracts the mean scan (leakage, room) from `envelope`; only moving echoes remain.
         """

@@ -148,6 +148,18 @@ def test_positions_cover_the_directions_in_which_they_lie() -> None:
     assert "the views cover 100 of 360 degrees" in remark
 
 
+@pytest.mark.parametrize(
+    "degrees",
+    [[*range(100), 230], [*range(100), 190, 280], range(0, 181, 30), range(0, 193, 24)],
+    ids=["one view apart", "two views apart", "coarse half", "coarse gap of 168 degrees"],
+)
+def test_single_views_and_coarse_steps_show_no_further_side(degrees: Sequence[int]) -> None:
+    whole, _ = simulate_capture(scene_from_name("helmet-120", 1), Acquisition(views=360, snr_db=25.0), seed=1)
+    answer = identify(whole.select(np.array(degrees)), list(builtin_layouts().values()))
+    assert answer.reading is not None
+    assert (answer.status, answer.reading.code) == ("unknown", "partial_turn")
+
+
 def test_a_joint_name_needs_one_recording_that_shows_every_side() -> None:
     layouts = list(builtin_layouts().values())
     short, longer = (part_of_a_turn("helmet-120", share).given for share in (0.4, 0.7))
