@@ -465,7 +465,7 @@ def guessers(folder: Path) -> Outcome:
 
 
 @attack(
-    "F17h",
+    "F17 HTTP",
     "dates, numbers, texts and a configuration that no request may answer with 500",
     before="23 of 30 answered 500, 20 lines of at most 5181 characters logged",
     test="tests/e2e/test_station.py::test_no_request_is_answered_with_500",

@@ -38,6 +38,14 @@ def load() -> list[Attack]:
     for module in pkgutil.iter_modules(attacks.__path__):
         importlib.import_module(f"tests.attacks.{module.name}")
 
+    names = [one.finding for one in ATTACKS]
+    assert len(names) == len(set(names)), "two attacks of one name"
+    for one in ATTACKS:
+        file, _, name = one.test.partition("::")
+        assert f"def {name.partition('[')[0]}(" in (ROOT / file).read_text(), (
+            f"{one.finding}: no test {one.test}"
+        )
+
     def order(one: Attack) -> tuple[str, int, str]:
         kind = one.finding.rstrip("0123456789abcdefghij ")
         digits = "".join(letter for letter in one.finding if letter.isdigit())
