@@ -43,7 +43,11 @@ def storage_error(error: OSError, path: Path, doing: str) -> StorageError:
         return StorageError(f"{path}: no such file or folder while {doing}", "Check the path.")
     if isinstance(error, FileExistsError):
         return StorageError(f"{path}: already exists", "Choose another name or move the file away.")
-    if isinstance(error, PermissionError) or error.errno == errno.EROFS:
+    if error.errno == errno.EROFS:
+        return StorageError(
+            f"{path}: the file system is read-only", "Choose a folder on another disk, or mount it writable."
+        )
+    if isinstance(error, PermissionError):
         return StorageError(
             f"{path}: no permission while {doing}", "Check the permissions of the file and folder."
         )
@@ -232,14 +236,44 @@ def resolved(path: Path) -> Path:
     return path if path.exists() and not target.exists() else target
 
 
-def without_link(path: Path) -> Path:
+def in_place(path: Path) -> Path:
     """A name that this program chooses, for a file opened in place: a symbolic link of that name is removed.
 
-    Raises OSError.
+    Raises StorageError: not a regular file (opening a pipe may wait for ever), or the link cannot be removed.
     """
-    if path.is_symlink():
-        path.unlink()
+    try:
+        if path.is_symlink():
+            path.unlink()
+    except OSError as error:
+        raise storage_error(error, path, "writing") from error
+    check_regular(path)
     return path
+
+
+def open_in_place(path: Path, flags: int) -> int:
+    """Open a file of a name as for `in_place` for writing, with more `flags` of os.open; its descriptor.
+
+    Raises StorageError as `in_place` does, also if the file changes meanwhile, or cannot be opened.
+    """
+    flags |= os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        descriptor = os.open(in_place(path), flags, 0o666)
+    except OSError as error:
+        raise storage_error(error, path, "writing") from error
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise _not_regular(path)
+    return descriptor
+
+
+def check_regular(path: Path) -> None:
+    """Raises StorageError if something exists there that is not a regular file."""
+    if path.exists() and not path.is_file():
+        raise _not_regular(path)
+
+
+def _not_regular(path: Path) -> StorageError:
+    return StorageError(f"{path}: exists and is not a regular file", "Move it away, or choose another path.")
 
 
 @contextmanager
@@ -265,8 +299,7 @@ def replacing(
         StorageError: the folder is missing or not writable, or the name is not a regular file.
     """
     # As root, renaming over a device node would replace it: only regular files are overwritten.
-    if path.exists() and not path.is_file():
-        raise StorageError(f"{path}: exists and is not a regular file", "Give the path of a file.")
+    check_regular(path)
     with interrupts.deferred():
         clear_abandoned(path.parent)
         temporary, stream = _open_temporary(path)

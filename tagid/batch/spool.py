@@ -40,7 +40,7 @@ class Spool:
     def __init__(self, path: Path, fresh: bool) -> None:
         self.path = path
         with interrupts.deferred(), self._told():
-            self._db = sqlite3.connect(files.without_link(path), timeout=0.2, isolation_level=None)
+            self._db = sqlite3.connect(files.in_place(path), timeout=0.2, isolation_level=None)
             try:
                 self._open(fresh)
             except BaseException:

@@ -194,6 +194,7 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished) -> Result:
     from rich.text import Text
 
     from tagid.batch.run import FILES
+    from tagid.files import open_regular
 
     summary = finished.summary
     files = {name: str(plan.out / name) for name in FILES}
@@ -202,7 +203,7 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished) -> Result:
     errors: list[dict[str, str]] = []
     if failed or terminal.output is Output.json:
         items = []
-        with (plan.out / "items.jsonl").open(encoding="utf-8") as lines:
+        with open_regular(plan.out / "items.jsonl") as (lines, _):
             for line in lines:
                 record = json.loads(line)
                 if record["error"] and (terminal.output is Output.json or len(errors) < _SHOWN_ERRORS):

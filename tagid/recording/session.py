@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
-from tagid import interrupts
+from tagid import files, interrupts
 from tagid.constants import CAPTURE_SUFFIX, RANGE_STEP_M
 from tagid.errors import CaptureInterrupted, DataError, StorageError, TagidError
 from tagid.metadata import MotionInfo, RadarInfo, ScanGap
@@ -225,6 +225,7 @@ def start_journal(path: Path, header: JournalHeader, renumber: bool = False) -> 
         if renumber and wanted.exists():
             continue
         journal_path = journal_beside(wanted)
+        files.check_regular(journal_path)  # opening a pipe may wait for ever
         try:
             journal = JournalWriter(journal_path, header.to_json(), sync_every=1, sync_seconds=SYNC_S)
         except StorageError as error:

@@ -45,8 +45,4 @@ class GrowingLines:
             self._descriptor = -1
 
     def _open(self, how: int) -> None:
-        try:
-            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | how
-            self._descriptor = os.open(files.without_link(self.path), flags, 0o666)
-        except OSError as error:
-            raise files.storage_error(error, self.path, "writing") from error
+        self._descriptor = files.open_in_place(self.path, os.O_APPEND | how)

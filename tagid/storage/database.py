@@ -91,6 +91,7 @@ class Database:
 
     Raises:
         the schema's error: another program's file, damaged, from a newer tagid, locked or not writable.
+        StorageError: not a regular file.
         DiskFullError: no space left.
     """
 
@@ -111,6 +112,7 @@ class Database:
                 f"cannot create the folder of the {schema.what} {self.path}: {error.strerror}",
                 f"Make it writable, or {_MOVE}.",
             ) from error
+        files.check_regular(self.path)
         if not self._ready():
             with self.transaction() as connection:
                 self._prepare(connection, fill)
@@ -318,7 +320,7 @@ def _code(error: sqlite3.Error) -> int:
 @functools.cache
 def _kept_open(path: Path) -> int:
     """A descriptor of a file that is never closed: closing any of them ends the locks of this process."""
-    return os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    return os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
 
 
 def _lockable(path: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import shutil
@@ -14,6 +15,7 @@ import pytest
 from test_history import record
 
 from tagid.errors import DiskFullError, StorageError, UsageError
+from tagid.files import storage_error
 from tagid.storage.history import Filter, History
 
 NO_LOCKS = Path(__file__).parents[1] / "data" / "nolock.c"
@@ -33,6 +35,31 @@ for change in (lambda: registry.remove("helmet-120"), lambda: history.begin("sca
         change()
     except TagidError as error:
         print(f"{error.message} {error.remedy}")
+"""
+
+PIPES = """
+import os
+import sys
+from pathlib import Path
+from tagid.batch.spool import Spool
+from tagid.errors import StorageError
+from tagid.recording.session import start_journal
+from tagid.report.lines import GrowingLines
+from tagid.storage.history import History
+from tagid.tags.enrolling.registry import Registry
+for kind, name in (
+    (GrowingLines, "items.jsonl"),
+    (lambda path: Spool(path, fresh=True), ".tagid-report.sqlite"),
+    (History, "history.sqlite"),
+    (Registry, "registry.sqlite"),
+    (lambda path: start_journal(path.with_name("a.tagid.h5"), None), "a.tagid.journal"),
+):
+    path = Path(sys.argv[1]) / name
+    os.mkfifo(path)
+    try:
+        kind(path)
+    except StorageError as error:
+        print(error.message == f"{path}: exists and is not a regular file")
 """
 
 
@@ -73,6 +100,17 @@ def test_without_locks_it_is_read_and_not_written(history: History, tmp_path: Pa
     for line in found[2:]:
         assert "has no locks" in line and "TAGID_DATA" in line
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
+
+
+def test_a_pipe_in_the_place_of_a_file_is_told_and_not_waited_for(tmp_path: Path) -> None:
+    words = [sys.executable, "-c", PIPES, str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=30)
+    assert done.stdout.split() == ["True"] * 5, done.stderr
+
+
+def test_a_read_only_file_system_is_told() -> None:
+    error = storage_error(OSError(errno.EROFS, "Read-only file system"), Path("/media/a"), "writing")
+    assert error.message == "/media/a: the file system is read-only"
 
 
 def test_without_room_for_the_log_it_is_read(history: History, tmp_path: Path) -> None:

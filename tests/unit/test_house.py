@@ -357,7 +357,6 @@ READERS = {
     "motion/guardian.py": "a pseudo file of the kernel",
     "ports.py": "pseudo files of the kernel",
     "radar/emulation/pacing.py": "a pseudo file of the kernel",
-    "cli/report.py": "its own list of items, line by line",
     "station/web_history.py": "captures in parts, for an archive",
 }
 """Modules that open files themselves, and which."""
