@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TextIO, TypeVar, cast
 
 from tagid import interrupts
-from tagid.errors import DiskFullError, FileFormatError, StorageError
+from tagid.errors import DiskFullError, FileFormatError, StorageError, TagidError
 
 _T = TypeVar("_T")
 _TEMPORARY = ".tagid.tmp"
@@ -266,14 +266,14 @@ def open_in_place(path: Path, flags: int) -> int:
     return descriptor
 
 
-def check_regular(path: Path) -> None:
-    """Raises StorageError if something exists there that is not a regular file."""
+def check_regular(path: Path, kind: type[TagidError] = StorageError) -> None:
+    """Raises an error of this kind if something exists there that is not a regular file."""
     if path.exists() and not path.is_file():
-        raise _not_regular(path)
+        raise _not_regular(path, kind)
 
 
-def _not_regular(path: Path) -> StorageError:
-    return StorageError(f"{path}: exists and is not a regular file", "Move it away, or choose another path.")
+def _not_regular(path: Path, kind: type[TagidError] = StorageError) -> TagidError:
+    return kind(f"{path}: exists and is not a regular file", "Move it away, or choose another path.")
 
 
 @contextmanager

@@ -13,12 +13,22 @@ from pathlib import Path
 
 from tagid import files, interrupts
 from tagid.batch.job import Known, Outcome
-from tagid.errors import DiskFullError, StorageError, TagidError
+from tagid.errors import StorageError
 from tagid.report.records import Drawing, ItemRecord, StoredItem, Thumbnails, drawing_json
+from tagid.storage.database import Schema, check_objects, clear_errors
 
 FILE_NAME = ".tagid-report.sqlite"
 _VERSION = 1
-_APPLICATION_ID = 0x74616773  # "tags"
+_SCHEMA = Schema(
+    what="working file",
+    application_id=0x74616773,  # "tags"
+    migrations=(),
+    restore="Remove the file (--resume then finds no results), or choose another --out.",
+    error=StorageError,
+    move="choose another --out",
+    busy="Another tagid report is writing it: wait for it, or choose another --out.",
+    room="and add --resume: the results so far are kept",
+)
 _KEPT_FAILURES = ("bad_file", "bad_data")
 """Failures that the same content always produces; others, such as a lost worker, are retried."""
 
@@ -39,7 +49,7 @@ class Spool:
 
     def __init__(self, path: Path, fresh: bool) -> None:
         self.path = path
-        with interrupts.deferred(), self._told():
+        with interrupts.deferred(), clear_errors(self.path, _SCHEMA):
             self._db = sqlite3.connect(files.in_place(path), timeout=0.2, isolation_level=None)
             try:
                 self._open(fresh)
@@ -62,15 +72,9 @@ class Spool:
         db.execute("BEGIN EXCLUSIVE")
         owner = int(db.execute("PRAGMA application_id").fetchone()[0])
         version = int(db.execute("PRAGMA user_version").fetchone()[0])
-        if owner not in (0, _APPLICATION_ID):
+        if owner not in (0, _SCHEMA.application_id):
             raise StorageError(f"{self.path} belongs to another program", "Choose another --out.")
-        strange = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') LIMIT 1"
-        found = db.execute(strange).fetchone()
-        if found is not None:  # tagid never makes one; reading a view may never end
-            raise StorageError(
-                f"{self.path} holds a view or trigger, {str(found[0])[:80]!r}",
-                "Remove the file, or choose another --out.",
-            )
+        check_objects(db, self.path, _SCHEMA)
         if fresh or version != _VERSION:
             for table in ("item", "kept"):
                 db.execute(f"DROP TABLE IF EXISTS {table}")
@@ -81,7 +85,7 @@ class Spool:
             db.execute(f"CREATE TABLE item (position INTEGER PRIMARY KEY, name TEXT NOT NULL, {columns})")
             db.execute(f"CREATE TABLE kept (number INTEGER PRIMARY KEY, {columns})")
             db.execute("CREATE INDEX kept_content ON kept (content, job)")
-            db.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
+            db.execute(f"PRAGMA application_id = {_SCHEMA.application_id}")
             db.execute(f"PRAGMA user_version = {_VERSION}")
         db.execute("COMMIT")
         # With the write-ahead log each result costs one sync, and a power cut loses none.
@@ -92,7 +96,7 @@ class Spool:
 
         Returns the sha256 of the contents whose answers can be reused.
         """
-        with interrupts.deferred(), self._told():
+        with interrupts.deferred(), clear_errors(self.path, _SCHEMA):
             self._db.execute("BEGIN")
             columns = "content, job, status, record, drawing, image, sinogram"
             self._db.execute(f"INSERT INTO kept ({columns}) SELECT {columns} FROM item ORDER BY position")
@@ -107,14 +111,14 @@ class Spool:
 
     def answers(self) -> Generator[tuple[str, ItemRecord], None, None]:
         """Fingerprint and record of every answer, also of earlier runs, sorted by fingerprint."""
-        with self._told():
+        with clear_errors(self.path, _SCHEMA):
             query = "SELECT job, record FROM item UNION ALL SELECT job, record FROM kept ORDER BY 1"
             for job, record in self._db.execute(query):
                 yield job, ItemRecord.from_json(record)
 
     def put(self, position: int, name: str, job: str, outcome: Outcome) -> ItemRecord:
         """Store a result; return its record, which for a known answer is the earlier one under this name."""
-        with interrupts.deferred(), self._told():
+        with interrupts.deferred(), clear_errors(self.path, _SCHEMA):
             if isinstance(outcome, Known):
                 text, drawing, image, sinogram = self._db.execute(
                     "SELECT record, drawing, image, sinogram FROM kept WHERE content = ? AND job = ?",
@@ -142,7 +146,7 @@ class Spool:
 
     def items(self) -> Iterator[StoredItem]:
         """All items in the order of the inputs, read lazily."""
-        with self._told():
+        with clear_errors(self.path, _SCHEMA):
             query = (
                 "SELECT position, record, drawing, length(image) + length(sinogram)"
                 " FROM item ORDER BY position"
@@ -152,39 +156,15 @@ class Spool:
 
     def pictures(self, position: int) -> Thumbnails:
         """The pictures of one item."""
-        with self._told():
+        with clear_errors(self.path, _SCHEMA):
             query = "SELECT image, sinogram, drawing FROM item WHERE position = ?"
             image, sinogram, drawing = self._db.execute(query, (position,)).fetchone()
             return Thumbnails(image, sinogram, Drawing.from_json(drawing))
 
     def count(self) -> int:
         """Number of finished items."""
-        with self._told():
+        with clear_errors(self.path, _SCHEMA):
             return int(self._db.execute("SELECT COUNT(*) FROM item").fetchone()[0])
-
-    @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
-        try:
-            yield
-        except sqlite3.Error as error:
-            raise _clear(error, self.path) from error
-
-
-def _clear(error: sqlite3.Error, path: Path) -> TagidError:
-    code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-    if code == sqlite3.SQLITE_FULL:
-        return DiskFullError(
-            f"{path}: the disk is full; the results so far are kept", "Free some space and add --resume."
-        )
-    if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-        return StorageError(
-            f"another tagid report is writing to {path.parent}", "Wait for it, or choose another --out."
-        )
-    if code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM):
-        return StorageError(f"{path}: cannot be written: {error}", "Check the permissions of the folder.")
-    return StorageError(
-        f"{path}: {error}", "Remove the file (--resume then finds no results), or choose another --out."
-    )
 
 
 def _final(status: str, record: str) -> bool:

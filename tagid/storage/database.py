@@ -24,21 +24,6 @@ BUSY_SECONDS = 10.0
 """Longest wait for another process's transaction, s."""
 
 _MOVE = "set the environment variable TAGID_DATA to another folder"
-_WRITE = f"Get write permission for the file and its folder, or {_MOVE}."
-_BUSY = "Another process is changing it; try again later."
-_DEVICE = f"The file itself may be intact: check its disk and try again, or {_MOVE}."
-_REMEDIES = {
-    sqlite3.SQLITE_READONLY: _WRITE,
-    sqlite3.SQLITE_PERM: _WRITE,
-    sqlite3.SQLITE_CANTOPEN: f"Get read permission for the file and its folder, or {_MOVE}.",
-    sqlite3.SQLITE_BUSY: _BUSY,
-    sqlite3.SQLITE_LOCKED: _BUSY,
-    sqlite3.SQLITE_PROTOCOL: _BUSY,
-    sqlite3.SQLITE_IOERR: _DEVICE,
-    sqlite3.SQLITE_NOMEM: "Close other programs and try again.",
-}
-"""Remedies for errors of an intact file, by sqlite error code."""
-
 _HELD = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
 """Errors of a lock that another connection holds."""
 _UNLOCKED = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_PERM, sqlite3.SQLITE_IOERR)
@@ -47,6 +32,8 @@ _NO_SHARED_MEMORY = (
     sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_FULL
 )  # fmt: skip
 """Errors where the shared memory of a write-ahead log cannot be created: full disk, read-only folder."""
+_CLOSED = (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM, sqlite3.SQLITE_CANTOPEN)
+"""Errors of missing permission."""
 
 Migration = tuple[str, ...]
 """The statements that migrate one schema version to the next."""
@@ -63,6 +50,9 @@ class Schema:
         restore: remedy if the file is damaged, one sentence.
         error: class of the errors.
         write_ahead: keep a write-ahead log, so that readers and one writer do not wait for each other.
+        move: how to put the file elsewhere, a clause.
+        busy: remedy if another process holds the file.
+        room: what else helps on a full disk, a clause.
     """
 
     what: str
@@ -71,6 +61,9 @@ class Schema:
     restore: str
     error: type[TagidError] = RegistryError
     write_ahead: bool = False
+    move: str = _MOVE
+    busy: str = "Another process is changing it; try again later."
+    room: str = f"or {_MOVE}"
 
     @property
     def version(self) -> int:
@@ -90,8 +83,8 @@ class Database:
         wait_s: longest wait for another process's transaction, s.
 
     Raises:
-        the schema's error: another program's file, damaged, from a newer tagid, locked or not writable.
-        StorageError: not a regular file.
+        the schema's error: another program's file, damaged, from a newer tagid, locked, not writable or not
+            a regular file.
         DiskFullError: no space left.
     """
 
@@ -110,14 +103,14 @@ class Database:
         except OSError as error:
             raise schema.error(
                 f"cannot create the folder of the {schema.what} {self.path}: {error.strerror}",
-                f"Make it writable, or {_MOVE}.",
+                f"Make it writable, or {schema.move}.",
             ) from error
-        files.check_regular(self.path)
+        files.check_regular(self.path, schema.error)
         if not self._ready():
             with self.transaction() as connection:
                 self._prepare(connection, fill)
             if schema.write_ahead:
-                with self._clear_errors(), contextlib.closing(self._open()) as connection:
+                with clear_errors(self.path, self.schema), contextlib.closing(self._open()) as connection:
                     self._wait(connection, "PRAGMA journal_mode = WAL")
 
     @contextlib.contextmanager
@@ -128,7 +121,7 @@ class Database:
         the file is read without locks. Raises the schema's error if another process changes it meanwhile.
         """
         before = None
-        with self._clear_errors():
+        with clear_errors(self.path, self.schema):
             try:
                 opened = self._open()
             except sqlite3.Error as error:
@@ -141,7 +134,8 @@ class Database:
                     yield connection
             finally:
                 if before is not None and before != self._state():
-                    raise self.schema.error(f"the {self.schema.what} {self.path} is being changed", _BUSY)
+                    what = f"the {self.schema.what} {self.path}"
+                    raise self.schema.error(f"{what} is being changed", self.schema.busy)
 
     def _open(self) -> sqlite3.Connection:
         """A connection that has held a lock, and from now on waits for other processes."""
@@ -218,7 +212,7 @@ class Database:
     @contextlib.contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """One immediate transaction, undone on any exception; stop signals are delayed until its end."""
-        with self._clear_errors(), contextlib.closing(self._open()) as connection:
+        with clear_errors(self.path, self.schema), contextlib.closing(self._open()) as connection:
             self._wait(connection, "BEGIN IMMEDIATE")
             with interrupts.deferred():
                 try:
@@ -243,19 +237,9 @@ class Database:
             owner = int(connection.execute("PRAGMA application_id").fetchone()[0])
             mode = connection.execute("PRAGMA journal_mode").fetchone()[0]
             unlocked = bool(connection.execute("PRAGMA query_only").fetchone()[0])
-            self._check_objects(connection)
+            check_objects(connection, self.path, self.schema)
         current = (version, owner) == (self.schema.version, self.schema.application_id)
         return current and (unlocked or mode == "wal" or not self.schema.write_ahead)
-
-    def _check_objects(self, connection: sqlite3.Connection) -> None:
-        """Rejects views and triggers, which tagid never creates: reading a view may never end."""
-        query = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') LIMIT 1"
-        found = connection.execute(query).fetchone()
-        if found is not None:
-            raise self.schema.error(
-                f"the {self.schema.what} {self.path} holds a view or trigger, {str(found[0])[:80]!r}",
-                self.schema.restore,
-            )
 
     def _prepare(
         self, connection: sqlite3.Connection, fill: Callable[[sqlite3.Connection], None] | None
@@ -268,7 +252,7 @@ class Database:
             raise schema.error(
                 f"{self.path} is a database of another program", f"Give another path for the {schema.what}."
             )
-        self._check_objects(connection)
+        check_objects(connection, self.path, self.schema)
         if version > schema.version:
             raise schema.error(
                 f"{self.path} has schema {version}, this tagid supports up to {schema.version}",
@@ -283,29 +267,53 @@ class Database:
         if version == 0 and fill is not None:
             fill(connection)
 
-    @contextlib.contextmanager
-    def _clear_errors(self) -> Iterator[None]:
-        try:
-            yield
-        except sqlite3.Error as error:
-            raise self._clear(error) from error
-        except (UnicodeEncodeError, OverflowError) as error:  # of a value that was to be sent to sqlite
-            raise UsageError(
-                f"the {self.schema.what} {self.path} cannot hold this value: {error}",
-                "Give text in UTF-8, or a smaller number.",
-            ) from error
 
-    def _clear(self, error: sqlite3.Error) -> TagidError:
-        code, what = _code(error), self.schema.what
-        if code in _UNLOCKED and not _lockable(self.path):
-            return self.schema.error(
-                f"the file system of {self.path.parent} has no locks, the {what} there can only be read",
-                f"To change it, {_MOVE}, on a local disk; copy the files of the old folder there.",
-            )
-        if code == sqlite3.SQLITE_FULL or (code in _NO_SHARED_MEMORY and _is_full(self.path.parent)):
-            return DiskFullError(f"no space left to change {self.path}", f"Free some space, or {_MOVE}.")
-        remedy = _REMEDIES.get(code, self.schema.restore)
-        return self.schema.error(f"cannot use the {what} {self.path}: {error}", remedy)
+def check_objects(connection: sqlite3.Connection, path: Path, schema: Schema) -> None:
+    """Rejects views and triggers, which tagid never creates: reading a view may never end."""
+    query = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') LIMIT 1"
+    found = connection.execute(query).fetchone()
+    if found is not None:
+        raise schema.error(
+            f"the {schema.what} {path} holds a view or trigger, {str(found[0])[:80]!r}", schema.restore
+        )
+
+
+@contextlib.contextmanager
+def clear_errors(path: Path, schema: Schema) -> Iterator[None]:
+    """Raise errors of sqlite about this file as clear ones: the schema's, DiskFullError or UsageError."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise _clear(error, path, schema) from error
+    except (UnicodeEncodeError, OverflowError) as error:  # of a value that was to be sent to sqlite
+        raise UsageError(
+            f"the {schema.what} {path} cannot hold this value: {error}",
+            "Give text in UTF-8, or a smaller number.",
+        ) from error
+
+
+def _clear(error: sqlite3.Error, path: Path, schema: Schema) -> TagidError:
+    code, what, move = _code(error), schema.what, schema.move
+    if code in _UNLOCKED and not _lockable(path):
+        return schema.error(
+            f"the file system of {path.parent} has no locks, the {what} there can only be read",
+            f"To change it, {move}, on a local disk; copy the files of the old folder there.",
+        )
+    if code == sqlite3.SQLITE_FULL or (code in _NO_SHARED_MEMORY and _is_full(path.parent)):
+        return DiskFullError(f"no space left to change {path}", f"Free some space, {schema.room}.")
+    remedy = schema.restore
+    if code in (*_HELD, sqlite3.SQLITE_PROTOCOL):
+        remedy = schema.busy
+    elif code in _CLOSED and _is_read_only(path.parent):
+        remedy = f"The file system is read-only: {move}."
+    elif code in _CLOSED:
+        kind = "read" if code == sqlite3.SQLITE_CANTOPEN else "write"
+        remedy = f"Get {kind} permission for the file and its folder, or {move}."
+    elif code == sqlite3.SQLITE_IOERR:
+        remedy = f"The file itself may be intact: check its disk and try again, or {move}."
+    elif code == sqlite3.SQLITE_NOMEM:
+        remedy = "Close other programs and try again."
+    return schema.error(f"cannot use the {what} {path}: {error}", remedy)
 
 
 _FIRST = "SELECT 1 FROM sqlite_master LIMIT 1"
@@ -335,6 +343,13 @@ def _lockable(path: Path) -> bool:
     except OSError:
         return False
     return True
+
+
+def _is_read_only(folder: Path) -> bool:
+    try:
+        return bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+    except OSError:
+        return False
 
 
 def _is_full(folder: Path) -> bool:

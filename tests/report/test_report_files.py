@@ -247,8 +247,9 @@ def test_closed_folders_and_files(make_report, recorded: Path) -> None:
 def test_two_reports_in_one_folder_exclude_each_other(make_report, captures: Path, tmp_path: Path) -> None:
     out = tmp_path / "report"
     out.mkdir()
-    with Spool(out / FILE_NAME, fresh=True), pytest.raises(StorageError, match="another tagid report"):
+    with Spool(out / FILE_NAME, fresh=True), pytest.raises(StorageError, match="locked") as caught:
         make_report(captures)
+    assert "Another tagid report" in caught.value.remedy
 
 
 def test_a_disk_that_fills_up_leaves_the_old_page(make_report, captures: Path, tmp_path: Path) -> None:

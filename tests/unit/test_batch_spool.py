@@ -116,8 +116,9 @@ def test_a_run_goes_on_in_the_file_unless_it_is_to_be_fresh(path: Path) -> None:
     with Spool(path, fresh=True) as spool:
         assert spool.count() == 0 and spool.take_over("job") == frozenset()
         spool.put(0, "a", "job", answered("a", "A"))
-        with pytest.raises(StorageError, match="another tagid report"):
+        with pytest.raises(StorageError, match="locked") as caught:
             Spool(path, fresh=False)
+        assert "Another tagid report" in caught.value.remedy
     with sqlite3.connect(path) as db:
         assert db.execute("PRAGMA application_id").fetchone() == (0x74616773,)
         assert db.execute("PRAGMA user_version").fetchone() == (1,)
@@ -164,10 +165,10 @@ def test_a_record_keeps_the_order_of_its_fields_and_no_number_that_json_lacks(sp
 @pytest.mark.parametrize(
     ("primary", "message", "remedy"),
     [
-        (sqlite3.SQLITE_FULL, "disk is full", "--resume"),
-        (sqlite3.SQLITE_LOCKED, "another tagid report", "Wait"),
-        (sqlite3.SQLITE_READONLY, "cannot be written", "permissions"),
-        (sqlite3.SQLITE_CANTOPEN, "cannot be written", "permissions"),
+        (sqlite3.SQLITE_FULL, "no space left", "--resume"),
+        (sqlite3.SQLITE_LOCKED, "malformed", "wait for it"),
+        (sqlite3.SQLITE_READONLY, "cannot use", "permission"),
+        (sqlite3.SQLITE_CANTOPEN, "cannot use", "permission"),
         (sqlite3.SQLITE_CORRUPT, "malformed", "Remove the file"),
     ],
 )

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from test_history import record
 
+from tagid.batch.spool import Spool
 from tagid.errors import DiskFullError, StorageError, UsageError
 from tagid.files import storage_error
 from tagid.storage.history import Filter, History
@@ -22,6 +23,7 @@ NO_LOCKS = Path(__file__).parents[1] / "data" / "nolock.c"
 READ = """
 import sys
 from pathlib import Path
+from tagid.batch.spool import Spool
 from tagid.errors import TagidError
 from tagid.storage.history import History
 from tagid.tags.enrolling.registry import Registry
@@ -30,7 +32,10 @@ history = History(folder / "history.sqlite")
 print([entry.capture_uuid for entry in history.find()])
 registry = Registry(folder / "registry.sqlite")
 print(len(registry.layouts()), len(registry.history()))
-for change in (lambda: registry.remove("helmet-120"), lambda: history.begin("scan", {})):
+report = folder / ".tagid-report.sqlite"
+for change in (
+    lambda: registry.remove("helmet-120"), lambda: history.begin("scan", {}), lambda: Spool(report, False)
+):
     try:
         change()
     except TagidError as error:
@@ -42,7 +47,7 @@ import os
 import sys
 from pathlib import Path
 from tagid.batch.spool import Spool
-from tagid.errors import StorageError
+from tagid.errors import TagidError
 from tagid.recording.session import start_journal
 from tagid.report.lines import GrowingLines
 from tagid.storage.history import History
@@ -58,7 +63,7 @@ for kind, name in (
     os.mkfifo(path)
     try:
         kind(path)
-    except StorageError as error:
+    except TagidError as error:
         print(error.message == f"{path}: exists and is not a regular file")
 """
 
@@ -69,6 +74,8 @@ def history(tmp_path: Path) -> History:
     from tagid.tags.enrolling.registry import Registry
 
     Registry(tmp_path / "registry.sqlite")
+    with Spool(tmp_path / ".tagid-report.sqlite", fresh=True):
+        pass
     made = History(tmp_path / "made" / "history.sqlite")
     reader = sqlite3.connect(made.path)
     made.add(made.begin("scan", {}), [record(0)])
@@ -96,9 +103,9 @@ def test_without_locks_it_is_read_and_not_written(history: History, tmp_path: Pa
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     found = read(tmp_path, env={**os.environ, "LD_PRELOAD": str(library), "LOCKERR": str(code)})
     assert found[:2] == ["['uuid-1', 'uuid-0']", "4 4"]
-    assert len(found) == 4
-    for line in found[2:]:
-        assert "has no locks" in line and "TAGID_DATA" in line
+    assert len(found) == 5
+    for line, remedy in zip(found[2:], ("TAGID_DATA", "TAGID_DATA", "--out"), strict=True):
+        assert "has no locks" in line and remedy in line
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
 
