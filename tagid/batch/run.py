@@ -151,7 +151,7 @@ class _Run:
                 if self._hooks.stopped():
                     interrupted = True
                     break
-        if not self._history.complete:
+        if self._reused or not self._history.complete:  # an answer is reused for a copy, too
             with closing(self._spool.answers()) as answers:
                 self._history.reconcile(answers)
         with interrupts.deferred():

@@ -29,8 +29,9 @@ _SCHEMA = Schema(
     busy="Another tagid report is writing it: wait for it, or choose another --out.",
     room="and add --resume: the results so far are kept",
 )
-_KEPT_FAILURES = ("bad_file", "bad_data")
-"""Failures that the same content always produces; others, such as a lost worker, are retried."""
+_FINAL = "(status <> 'failed' OR json_extract(record, '$.error.code') IN ('bad_file', 'bad_data'))"
+"""Answers that the same content always produces; other failures, such as a lost worker, are retried."""
+_FILE = "json_extract(record, '$.file')"
 
 
 class Spool:
@@ -84,9 +85,9 @@ class Spool:
             )
             db.execute(f"CREATE TABLE item (position INTEGER PRIMARY KEY, name TEXT NOT NULL, {columns})")
             db.execute(f"CREATE TABLE kept (number INTEGER PRIMARY KEY, {columns})")
-            db.execute("CREATE INDEX kept_content ON kept (content, job)")
             db.execute(f"PRAGMA application_id = {_SCHEMA.application_id}")
             db.execute(f"PRAGMA user_version = {_VERSION}")
+        db.execute(f"CREATE INDEX IF NOT EXISTS kept_file ON kept (content, job, {_FILE})")
         db.execute("COMMIT")
         # With the write-ahead log each result costs one sync, and a power cut loses none.
         db.execute("PRAGMA journal_mode = WAL")
@@ -102,12 +103,13 @@ class Spool:
             self._db.execute(f"INSERT INTO kept ({columns}) SELECT {columns} FROM item ORDER BY position")
             self._db.execute("DELETE FROM kept WHERE job <> ? OR content IS NULL", (job,))
             self._db.execute(
-                "DELETE FROM kept WHERE number NOT IN (SELECT MAX(number) FROM kept GROUP BY content)"
+                "DELETE FROM kept WHERE number NOT IN"
+                f" (SELECT MAX(number) FROM kept GROUP BY content, {_FILE})"
             )
             self._db.execute("DELETE FROM item")
             self._db.execute("COMMIT")
-            rows = self._db.execute("SELECT content, status, record FROM kept").fetchall()
-        return frozenset(content for content, status, record in rows if _final(status, record))
+            rows = self._db.execute(f"SELECT DISTINCT content FROM kept WHERE {_FINAL}").fetchall()
+        return frozenset(content for (content,) in rows)
 
     def answers(self) -> Generator[tuple[str, ItemRecord], None, None]:
         """Fingerprint and record of every answer, also of earlier runs, sorted by fingerprint."""
@@ -117,13 +119,19 @@ class Spool:
                 yield job, ItemRecord.from_json(record)
 
     def put(self, position: int, name: str, job: str, outcome: Outcome) -> ItemRecord:
-        """Store a result; return its record, which for a known answer is the earlier one under this name."""
+        """Store a result; return its record.
+
+        For a known answer that is the earlier one of this file, else that of another file under this name.
+        """
         with interrupts.deferred(), clear_errors(self.path, _SCHEMA):
             if isinstance(outcome, Known):
-                text, drawing, image, sinogram = self._db.execute(
-                    "SELECT record, drawing, image, sinogram FROM kept WHERE content = ? AND job = ?",
-                    (outcome.content_sha256, job),
-                ).fetchone()
+                query = (
+                    "SELECT record, drawing, image, sinogram FROM kept"
+                    f" WHERE content = ? AND job = ? AND {_FINAL}"
+                )
+                values = (outcome.content_sha256, job)
+                same = self._db.execute(f"{query} AND {_FILE} = ?", (*values, name)).fetchone()
+                text, drawing, image, sinogram = same or self._db.execute(query, values).fetchone()
                 record = ItemRecord.from_json(text).renamed(name)
             else:
                 record, pictures = outcome.record, outcome.pictures
@@ -165,7 +173,3 @@ class Spool:
         """Number of finished items."""
         with clear_errors(self.path, _SCHEMA):
             return int(self._db.execute("SELECT COUNT(*) FROM item").fetchone()[0])
-
-
-def _final(status: str, record: str) -> bool:
-    return status != "failed" or ItemRecord.from_json(record).error_code in _KEPT_FAILURES

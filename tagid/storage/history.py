@@ -233,7 +233,7 @@ class History:
             run: number of the run.
             records: have the fields of the contract's Identification, with `file` and, if known, `time_utc`
                 and `content_sha256`.
-            once: leave out those that are stored, with the same time, content (file if unknown) and duration.
+            once: leave out those that are stored, with the same time, file and duration.
         """
         names = ("run_id", *_COLUMNS)
         insert = f"INSERT INTO identification ({', '.join(names)}) VALUES ({', '.join('?' for _ in names)})"
@@ -338,15 +338,13 @@ def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
     return tuple(own[name] if name in own else record.get(name) for name in _COLUMNS)
 
 
-_STORED = (
-    "SELECT 1 FROM identification WHERE time_utc = ? AND COALESCE(content_sha256, file) = ? AND total_s = ?"
-)
+_STORED = "SELECT 1 FROM identification WHERE time_utc = ? AND file = ? AND total_s = ?"
 
 
 def _identity(record: Mapping[str, Any]) -> tuple[Any, ...]:
-    """What tells an identification from any other, for `_STORED`: a reused one may have another file name."""
+    """What tells an identification from any other, for `_STORED`; copies of a file may share an answer."""
     row = dict(zip(_COLUMNS, _row(record), strict=True))
-    return row["time_utc"], row["content_sha256"] or row["file"], row["total_s"]
+    return row["time_utc"], row["file"], row["total_s"]
 
 
 def _reflectors(number: int, record: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:

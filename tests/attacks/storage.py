@@ -75,6 +75,80 @@ def _(folder: Path) -> Outcome:
 
 
 @attack(
+    "F15c",
+    "copies of one file are missing in the history of a killed and resumed report",
+    before="2, 3 and 7 of 8 after three kills",
+    test="tests/report/test_report_history.py::test_a_resumed_run_stores_copies_as_a_fresh_one_does",
+)
+def _(folder: Path) -> Outcome:
+    caps = captures(folder / "caps", 1, *(f"copy-{number}.tagid.h5" for number in range(7)))
+    out = folder / "rep"
+    words = ("report", caps, "--out", out, "--method", "bp", "--no-pictures", "-q", "-j", 2)
+    for _ in range(3):
+        process = subprocess.Popen(
+            [TAGID, *map(str, words), "--resume"], env=settings(), start_new_session=True
+        )
+        while process.poll() is None and not (out / "items.jsonl").exists():
+            time.sleep(0.001)
+        while process.poll() is None and not (out / "items.jsonl").stat().st_size:
+            time.sleep(0.001)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    tagid(*words, "--resume")
+    resumed = stored()
+    tagid(*words)
+    figure = f"{resumed} rows of 8, {stored() - resumed} in a fresh run"
+    return Outcome(figure, resumed == 8 and stored() == 16)
+
+
+@attack(
+    "A8",
+    "a pipe in the place of a file of a report",
+    before="waits for ever and ignores SIGTERM; disk I/O error",
+    test="tests/unit/test_database.py::test_a_pipe_in_the_place_of_a_file_is_told_and_not_waited_for",
+)
+def _(folder: Path) -> Outcome:
+    caps = captures(folder / "caps", 1)
+    wrong = []
+    for name in ("items.jsonl", ".tagid-report.sqlite", "items.csv", "report.html", "summary.json"):
+        out = folder / f"rep-{name}"
+        out.mkdir()
+        os.mkfifo(out / name)
+        words = [TAGID, "report", caps, "--out", out, "--method", "bp", "--no-pictures", "-j", "1"]
+        try:
+            done = subprocess.run(
+                words, capture_output=True, text=True, check=False, env=settings(), timeout=20
+            )
+        except subprocess.TimeoutExpired:
+            wrong.append(f"{name}: hangs")
+            continue
+        if done.returncode != 1 or "not a regular file" not in " ".join(done.stderr.split()):
+            wrong.append(f"{name}: {done.returncode} {done.stderr[-100:]}")
+    return Outcome("; ".join(wrong) or "5 of 5 refused", not wrong)
+
+
+@attack(
+    "A7",
+    "a report in a folder on a file system without locks",
+    before="another report is writing, or disk I/O error: remove the file",
+    test="tests/unit/test_database.py::test_without_locks_it_is_read_and_not_written",
+)
+def _(folder: Path) -> Outcome:
+    library = folder / "nolock.so"
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, NO_LOCKS, "-ldl"], check=True)
+    caps = captures(folder / "caps", 1)
+    wrong = []
+    for code in (37, 95, 38, 5):
+        out = folder / f"rep-{code}"
+        done = tagid("report", caps, "--out", out, "-q", LD_PRELOAD=str(library), LOCKERR=str(code))
+        said = " ".join(done.stderr.split())
+        if done.returncode != 1 or "has no locks" not in said or "--out" not in said:
+            wrong.append(f"{code}: {done.returncode} {said[-100:]}")
+    return Outcome("; ".join(wrong) or "4 of 4 told", not wrong)
+
+
+@attack(
     "F15b",
     "a locked history costs 10 s per item, and nobody is told",
     before="told: False, 45 s; after --resume 0 of 4",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -29,20 +30,38 @@ def test_what_a_killed_run_left_is_stored_by_the_next(make_report, captures: Pat
     connection.close()
     (captures / "empty.tagid.h5").rename(captures / "renamed.tagid.h5")
     assert make_report(captures / "renamed.tagid.h5", hooks=hooks, job=plain, resume=True).reused == 1
-    assert len(names(path)) == 5 and "renamed.tagid.h5" not in names(path)
+    assert len(names(path)) == 6, "every answer once, and one more for the new name"
     with sqlite3.connect(path) as connection:
         connection.execute("DELETE FROM identification WHERE id > 2")
     connection.close()
     # Also a run with other settings finds them, and stores them under the run that made them.
     other = replace(plain, registry_version=plain.registry_version + 1)
     assert make_report(captures / "bad.tagid.h5", hooks=hooks, job=other, resume=True).remarks == ()
-    assert len(names(path)) == 6
+    assert len(names(path)) == 7
     with sqlite3.connect(path) as connection:
         assert connection.execute("SELECT run_id, COUNT(*) FROM identification GROUP BY 1").fetchall() == [
-            (1, 5),
+            (1, 6),
             (2, 1),
         ]
     connection.close()
+
+
+def test_a_resumed_run_stores_copies_as_a_fresh_one_does(make_report, recorded: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "copies"
+    folder.mkdir()
+    copies = [f"{number}.tagid.h5" for number in range(4)]
+    for name in copies:
+        shutil.copy(recorded / "empty.tagid.h5", folder / name)
+    plain = replace(a_job(), pictures=False)
+    for how in ("fresh", "resumed"):
+        hooks = Hooks(history=tmp_path / f"{how}.sqlite")
+        if how == "resumed":
+            make_report(folder / copies[2], hooks=hooks, job=plain)
+        for _ in range(3):
+            make_report(folder, hooks=hooks, job=plain, resume=how == "resumed")
+            if how == "fresh":
+                break
+        assert names(tmp_path / f"{how}.sqlite") == copies
 
 
 def test_a_locked_history_is_told_and_waited_for_once(

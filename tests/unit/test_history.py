@@ -236,7 +236,7 @@ def test_what_is_stored_is_not_stored_again(history: History) -> None:
     run = history.begin("report", {"a": 1})
     history.begin("scan", {"a": 1})
     history.add(run, [record(0), record(0, file="a copy", seconds={"read": 0.3})])
-    again = [record(0, file="renamed"), record(1), record(2, content_sha256=None)]
+    again = [record(0), record(1), record(2, content_sha256=None)]
     assert len(history.add(run, again, once=True)) == 2
     assert history.add(run, again, once=True) == []
     assert history.count() == 4
