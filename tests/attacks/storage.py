@@ -138,6 +138,7 @@ def _(folder: Path) -> Outcome:
     library = folder / "nolock.so"
     subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, NO_LOCKS, "-ldl"], check=True)
     caps = captures(folder / "caps", 1)
+    tagid("identify", caps / "0.tagid.h5", "-q")  # makes the registry and the history
     wrong = []
     for code in (37, 95, 38, 5):
         out = folder / f"rep-{code}"
