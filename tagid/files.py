@@ -268,7 +268,8 @@ def open_in_place(path: Path, flags: int) -> int:
 
 def check_regular(path: Path, kind: type[TagidError] = StorageError) -> None:
     """Raises an error of this kind if something exists there that is not a regular file."""
-    if path.exists() and not path.is_file():
+    # Unlike those of Path, these are False in a folder that may not be searched: opening the file tells.
+    if os.path.exists(path) and not os.path.isfile(path):  # noqa: PTH110, PTH113
         raise _not_regular(path, kind)
 
 
