@@ -58,6 +58,14 @@ def storage_error(error: OSError, path: Path, doing: str) -> StorageError:
     return StorageError(f"{path}: {error.strerror or error} while {doing}", "Check the path and the device.")
 
 
+def is_read_only(folder: Path) -> bool:
+    """Whether a folder is on a read-only file system; False if that cannot be found out."""
+    try:
+        return bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+    except OSError:
+        return False
+
+
 def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
     """The content of a regular file.
 

@@ -304,7 +304,7 @@ def _clear(error: sqlite3.Error, path: Path, schema: Schema) -> TagidError:
     remedy = schema.restore
     if code in (*_HELD, sqlite3.SQLITE_PROTOCOL):
         remedy = schema.busy
-    elif code in _CLOSED and _is_read_only(path.parent):
+    elif code in _CLOSED and files.is_read_only(path.parent):
         remedy = f"The file system is read-only: {move}."
     elif code in _CLOSED:
         kind = "read" if code == sqlite3.SQLITE_CANTOPEN else "write"
@@ -343,13 +343,6 @@ def _lockable(path: Path) -> bool:
     except OSError:
         return False
     return True
-
-
-def _is_read_only(folder: Path) -> bool:
-    try:
-        return bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
-    except OSError:
-        return False
 
 
 def _is_full(folder: Path) -> bool:

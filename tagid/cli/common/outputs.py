@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tagid.errors import StorageError, UsageError
-from tagid.files import storage_error
+from tagid.files import is_read_only, storage_error
 
 
 def check_new(
@@ -110,6 +111,8 @@ def _check_folder(path: Path) -> None:
     if not folder.is_dir():
         raise StorageError(f"{path}: {folder} is not a folder", "Check the path.")
     if not os.access(folder, os.W_OK | os.X_OK):
+        if is_read_only(folder):
+            raise storage_error(OSError(errno.EROFS, "Read-only file system"), path, "writing")
         raise StorageError(
             f"{path}: no permission to write into {folder}",
             "Check the permissions, or choose another.",
