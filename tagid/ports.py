@@ -68,7 +68,7 @@ def holders(path: str) -> list[Holder]:
 
 def _holder(pid: int, locks: bool) -> Holder | None:
     try:
-        name = (_PROC / str(pid) / "comm").read_text().strip()
+        name = (_PROC / str(pid) / "comm").read_text(errors="replace").strip()
         uid = (_PROC / str(pid)).stat().st_uid
     except OSError:  # it has ended
         return None

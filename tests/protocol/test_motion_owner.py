@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import pwd
+import resource
 import signal
 import subprocess
 import sys
@@ -304,3 +305,50 @@ def test_a_guardian_left_without_a_farewell_writes_three_halts(home: dict[str, s
     os.close(write)
     assert os.read(read, 100) == b""
     os.close(read)
+
+
+STRANGERS = """
+import os, resource, socket, sys
+os.setuid(int(sys.argv[1]))
+resource.setrlimit(resource.RLIMIT_NOFILE, (resource.getrlimit(resource.RLIMIT_NOFILE)[1],) * 2)
+names = ["any\\n\\nname", *(f"{sys.argv[2]}-{number}" for number in range(1100))]
+lines = [socket.socket(socket.AF_UNIX) for name in names]
+for line, name in zip(lines, names):
+    line.bind("\\0" + name)
+    line.listen()
+print(flush=True)
+sys.stdin.read()
+"""
+"""A user's process that listens under a name of two lines, and under 1100 names like those of guardians."""
+
+
+@contextmanager
+def strangers(name: str) -> Iterator[None]:
+    other = str(os.getuid() or 65534)
+    process = subprocess.Popen(
+        [sys.executable, "-c", STRANGERS, other, _socket_name(name)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None and process.stdout.readline()
+        yield
+    finally:
+        process.communicate()
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to be another user")
+def test_no_socket_of_another_user_keeps_a_guardian_from_being_asked(guarded: tuple[str, int]) -> None:
+    name, halts = guarded
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with strangers(name):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (256, files[1]))
+        try:
+            assert ask_to_stop(name) is True
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, files)
+    assert os.read(halts, 100) == b"halt" * 3
+
+
+def test_a_search_for_guardians_that_fails_leaves_the_direct_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tagid.motion.guardian._SOCKETS", None)
+    assert ask_to_stop("/dev/ttyTEST") is False
