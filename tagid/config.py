@@ -5,14 +5,16 @@ The command line overrides the environment, which overrides the file, which over
 
 from __future__ import annotations
 
+import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
-from tagid.errors import ConfigError, FileFormatError, displayable
+from tagid.errors import ConfigError, FileFormatError, TagidError, displayable
 from tagid.secret import MotionUrl, Secret
 
 Source = Literal["command line", "environment", "file", "default"]
@@ -222,29 +224,53 @@ def _another(setting: Setting) -> str:
     return f"Give another value: {setting.help}."
 
 
-def read_file(path: Path) -> dict[str, Any]:
+@contextmanager
+def _remarked(tolerant: bool) -> Iterator[None]:
+    """Log the error of a setting that cannot be used, instead of raising it, if `tolerant`."""
+    try:
+        yield
+    except TagidError as error:
+        if not tolerant:
+            raise
+        logging.getLogger("tagid").warning("%s: ignored", error.message)
+
+
+def read_file(path: Path, tolerant: bool = False) -> dict[str, Any]:
     """Settings of the file by dotted name; empty if there is no file. Raises ConfigError, StorageError."""
     from tagid import files
 
-    try:
-        tables = files.read_toml(path, MAX_BYTES, missing={})
-    except FileFormatError as error:
-        raise ConfigError(error.message, "Repair or delete it.") from None
+    tables: dict[str, Any] = {}
+    with _remarked(tolerant):
+        try:
+            tables = files.read_toml(path, MAX_BYTES, missing={})
+        except FileFormatError as error:
+            raise ConfigError(error.message, "Repair or delete it.") from None
     found: dict[str, Any] = {}
     for section, table in tables.items():
         if not isinstance(table, dict):
-            raise ConfigError(
-                f"{path}: {section!r} is outside a section", "`tagid config` lists all settings."
-            )
+            with _remarked(tolerant):
+                raise ConfigError(
+                    f"{path}: {section!r} is outside a section", "`tagid config` lists all settings."
+                )
+            continue
         for key, raw in table.items():
-            found[f"{section}.{key}"] = parse_value(f"{section}.{key}", raw, str(path))
+            with _remarked(tolerant):
+                found[f"{section}.{key}"] = parse_value(f"{section}.{key}", raw, str(path))
     return found
 
 
-def load_config(overrides: Mapping[str, Any] | None = None) -> Config:
-    """Resolve every setting; `overrides` are the command line's, None meaning not given."""
+def load_config(overrides: Mapping[str, Any] | None = None, tolerant: bool = False) -> Config:
+    """Resolve every setting.
+
+    Args:
+        overrides: values of the command line, None meaning not given.
+        tolerant: ignore, with a warning in the log, what cannot be used in the file and the environment: for
+            a stop, which no configuration may prevent.
+
+    Raises ConfigError, StorageError.
+    """
     path = config_path()
-    from_file = read_file(path)
+    from_file = read_file(path, tolerant)
     values: dict[str, ConfigValue] = {}
     for setting in SETTINGS:
         given = (overrides or {}).get(setting.name)
@@ -252,15 +278,15 @@ def load_config(overrides: Mapping[str, Any] | None = None) -> Config:
             values[setting.name] = ConfigValue(
                 parse_value(setting.name, given, "command line"), "command line"
             )
-        elif os.environ.get(setting.variable):
-            raw = os.environ[setting.variable]
-            values[setting.name] = ConfigValue(
-                parse_value(setting.name, raw, setting.variable), "environment"
-            )
-        elif setting.name in from_file:
+            continue
+        values[setting.name] = ConfigValue(setting.default, "default")
+        if setting.name in from_file:
             values[setting.name] = ConfigValue(from_file[setting.name], "file")
-        else:
-            values[setting.name] = ConfigValue(setting.default, "default")
+        if raw := os.environ.get(setting.variable):
+            with _remarked(tolerant):
+                values[setting.name] = ConfigValue(
+                    parse_value(setting.name, raw, setting.variable), "environment"
+                )
     return Config(values, path)
 
 

@@ -29,14 +29,17 @@ def ble_address(options: Options, default: str = "") -> BleAddress:
     target = options.target or default
     if not target:
         raise options.wrong("has no device name")
-    config = load_config()
+    config = load_config(tolerant=options.stopping)
     passkey = options.secret() or config["motion.passkey"]
     stored = [config.values[name] for name in ("motion.url", "motion.passkey")]
-    if passkey is not None and any(one.source == "file" and _holds_key(one.value) for one in stored):
+    in_file = any(one.source == "file" and _holds_key(one.value) for one in stored)
+    if passkey is not None and in_file and not options.stopping:
         _refuse_a_readable_file(config.path)
     digits = "" if passkey is None else passkey.reveal()
     if passkey is not None and not (len(digits) == 6 and digits.isascii() and digits.isdecimal()):
-        raise options.wrong("the pass-key is not six digits")
+        if not options.stopping:
+            raise options.wrong("the pass-key is not six digits")
+        passkey = None
     seconds = options.number("wait", 5.0, 0.5, 60)
     return BleAddress(target, passkey, options.text("hci"), seconds or 5.0)
 

@@ -21,7 +21,7 @@ _PAUSE_S: Final = 2.0
 
 def stop(url: str) -> None:
     """Connect to a device and stop it. Raises DeviceError if it does not confirm after some tries."""
-    device = open_motion(url)
+    device = open_motion(url, stopping=True)
     if not isinstance(device, DrivenMotion):
         return
     for attempt in range(_TRIES):

@@ -44,6 +44,8 @@ class Options(Query):
         target: device file, name or address; "" if none is given.
         given: options not yet taken.
         passkey: not yet taken.
+        stopping: the device is only to be stopped: files that this does not need are not read, and the
+            configuration is ignored where it cannot be used.
     """
 
     url: str
@@ -51,6 +53,7 @@ class Options(Query):
     target: str
     given: dict[str, str]
     passkey: Secret | None = None
+    stopping: bool = False
 
     def wrong(self, why: str) -> UsageError:
         """The error for this URL."""
@@ -76,7 +79,7 @@ class Options(Query):
         from tagid.motion.calibration import recall_reversed
 
         given = self.number("reversed", None, 0, 1)
-        return recall_reversed(device) if given is None else bool(given)
+        return recall_reversed(device) if given is None and not self.stopping else bool(given)
 
     def done(self) -> None:
         """Raise UsageError for an option that was not taken."""
@@ -121,13 +124,14 @@ def schemes() -> dict[str, metadata.EntryPoint]:
     return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINTS)}
 
 
-def open_motion(url: str | MotionUrl) -> Motion:
+def open_motion(url: str | MotionUrl, stopping: bool = False) -> Motion:
     """The motion device of a URL; nothing is connected.
 
     `free` takes rpm (turns per minute), direction (ccw, the default, or cw), max_seconds (how long to wait
     for a period if rpm is not given) and marker=1 (a reflector off the axis breaks the object's symmetry).
     `emulator://SCENE?rpm=...` is the emulated radar's own table, which runs freely; options of the scene are
-    ignored here. docs/motion.md describes all others.
+    ignored here. docs/motion.md describes all others. With `stopping` the device is only to be stopped
+    (`Options`).
 
     >>> open_motion("free?rpm=2&direction=cw").needed_seconds()
     39.0
@@ -136,6 +140,7 @@ def open_motion(url: str | MotionUrl) -> Motion:
         UsageError: malformed or unknown. MissingExtraError: a package that it needs is not installed.
     """
     options = parse_motion_url(url)
+    options.stopping = stopping
     if options.scheme == "emulator":
         if not options.target:
             raise options.wrong("has no scene")

@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tagid.errors import TagidError
 from tagid.metadata import MotionInfo, ResolvedMotion
 from tagid.motion.emulation.truth import TrueAngle
+from tagid.motion.urls import open_motion
 from tagid.simulate import Acquisition, simulate_capture
 from tagid.simulate.presets import scene_from_layout
 from tagid.storage.hdf5 import write_capture
@@ -84,6 +86,43 @@ def test_stop_leaves_a_robot_in_passive(tagid: Callable[..., Any], home: dict[st
     with emulated(home, "roomba") as there:
         assert tagid("motion", "stop", there["url"]).code == 0
         assert TrueAngle(there["truth"]).state()["mode"] == 1
+
+
+@pytest.mark.parametrize(
+    ("changed", "stored", "remark"),
+    [
+        ({"TAGID_CONFIG": "/dev/null/x"}, "", ""),
+        ({}, "not TOML", ""),
+        ({"TAGID_RADAR_TIMEOUT_S": "abc"}, '[motion]\nurl = "{url}"\nspeed = 3', "unknown setting"),
+    ],
+)
+def test_no_file_or_setting_prevents_a_stop(
+    tagid: Callable[..., Any], home: dict[str, str], changed: dict[str, str], stored: str, remark: str
+) -> None:
+    """Even without a URL, if the stored one can be read; then the others are a remark."""
+    data = Path(home["TAGID_DATA"])
+    data.mkdir()
+    for name in ("robots.toml", "directions.toml"):
+        (data / name).write_text("damaged")
+    with emulated(home, "roomba") as there:
+        Path(home["TAGID_CONFIG"]).write_text(stored.format(**there))
+        ran = tagid("motion", "stop", *([] if remark else [there["url"]]), **changed)
+        assert ran.code == 0 and "has stopped" in ran.out and remark in ran.err, ran
+
+
+def test_no_configuration_prevents_the_emergency_command(
+    home: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TAGID_CONFIG", home["TAGID_CONFIG"])
+    monkeypatch.setenv("TAGID_DATA", home["TAGID_DATA"])
+    monkeypatch.setenv("TAGID_MOTION_PASSKEY", "abc")
+    Path(home["TAGID_DATA"]).mkdir()
+    (Path(home["TAGID_DATA"]) / "directions.toml").write_text("damaged")
+    Path(home["TAGID_CONFIG"]).write_text("not TOML")
+    for url in ("revopoint+ble", "roomba+ble://robot-7", "index+ble://robot-7", "comxim+serial:///dev/tty"):
+        with pytest.raises(TagidError):
+            open_motion(url)
+        open_motion(url, stopping=True)
 
 
 @pytest.mark.parametrize("command", ["info", "spin", "stop"])

@@ -126,7 +126,7 @@ def _record(terminal: Terminal, config: Config, turns: float) -> Capture:
     from tagid.recording.plan import capture_path
     from tagid.recording.recorder import Watch, record
 
-    device, _ = driven(config["motion.url"])
+    device = driven(config["motion.url"])
     device.turns = turns
     folder = capture_folder(config)
     limits = Limits(None, 20 + 1.5 * device.needed_seconds())

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tagid.config import Config, load_config
+from tagid.config import load_config
 from tagid.errors import UsageError
 from tagid.secret import MotionUrl
 
@@ -25,19 +25,23 @@ Url = Annotated[
 ]
 
 
-def driven(url: MotionUrl | None) -> tuple[DrivenMotion, Config]:
-    """The device of a URL or of the configuration. Raises UsageError if it is not a commanded device."""
+def driven(url: MotionUrl | None, stopping: bool = False) -> DrivenMotion:
+    """The device of a URL or of the configuration. Raises UsageError if it is not a commanded device.
+
+    With `stopping` it is only to be stopped, which no file of the user may prevent.
+    """
     from tagid.motion.driven import DrivenMotion
     from tagid.motion.urls import EXAMPLES, open_motion
 
-    config = load_config({"motion.url": url})
-    device = open_motion(config["motion.url"])
+    if url is None or not stopping:
+        url = load_config({"motion.url": url}, tolerant=stopping)["motion.url"]
+    device = open_motion(url, stopping)
     if not isinstance(device, DrivenMotion):
         raise UsageError(
-            f"{config['motion.url']} is not a commanded device",
+            f"{url} is not a commanded device",
             f"Give one of {', '.join(name for name in EXAMPLES if '+' in name)}.",
         )
-    return device, config
+    return device
 
 
 def facts_table(facts: dict[str, Any]) -> Table:

@@ -18,6 +18,6 @@ def register(group: typer.Typer) -> None:
 
         Example: tagid motion info roomba+serial:///dev/ttyUSB1
         """
-        device, _ = driven(url)
+        device = driven(url)
         facts = device.describe()
         return Result("motion info", facts, facts_table(facts))

@@ -33,7 +33,7 @@ def register(group: typer.Typer) -> None:
         """
         if not 0.01 <= turns <= 20:
             raise UsageError(f"--turns is {turns}", "Give 0.01 to 20.")
-        device, _ = driven(url)
+        device = driven(url)
         device.turns = turns
         way = "clockwise" if device.direction < 0 else "counter-clockwise"
         agree(

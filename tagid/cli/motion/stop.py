@@ -20,6 +20,6 @@ def register(group: typer.Typer) -> None:
         """
         from rich.text import Text
 
-        device, _ = driven(url)
+        device = driven(url, stopping=True)
         device.halt_now()
         return Result("motion stop", {"stopped": True}, Text(f"{device.name} has stopped"))

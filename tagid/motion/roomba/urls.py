@@ -26,7 +26,7 @@ def _settings(options: Options, robot: str, fast: bool) -> RoombaSettings:
     if step is not None and step != int(step):
         raise options.wrong(f"step is {step:g}, expected 1, 2 or 3")
     base = options.number("base_mm", None, 100, 1000)
-    known = recall(robot) if base is None else None
+    known = recall(robot) if base is None and not options.stopping else None
     if known is not None:
         # The floor may differ today: the wheel base is known, the slip is not.
         base, sigma = known.wheel_base_mm, math.hypot(known.sigma, SLIP_SIGMA)
