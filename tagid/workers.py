@@ -5,6 +5,11 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from typing import Final
+
+
+NO_THREAD: Final = "can't start new thread"
+"""Text of the RuntimeError of `threading`, and of `Worker.start`."""
 
 
 class Worker:
@@ -47,12 +52,15 @@ class Worker:
         return self._thread.is_alive()
 
     def start(self) -> None:
-        """Start the thread. Raises RuntimeError if the system allows no further one; `failure` keeps it."""
+        """Start the thread.
+
+        Raises RuntimeError if the system allows no further one, or has no memory for it; `failure` keeps it.
+        """
         try:
             self._thread.start()
-        except RuntimeError as error:
-            self._failure = error
-            raise
+        except (RuntimeError, MemoryError) as error:
+            self._failure = RuntimeError(NO_THREAD)
+            raise self._failure from error
 
     def join(self, timeout_s: float | None = None) -> bool:
         """Wait for the end of the thread; True if it has ended, or was never started."""

@@ -22,6 +22,7 @@ from tagid.errors import DataError, DeviceError, DeviceRejectedError, TagidError
 from tagid.metadata import Track
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.guardian import ask_to_stop
+from tagid.workers import Worker
 
 _JOIN_S: Final = 5.0
 MEASURED_TURNS: Final = 1.15
@@ -73,7 +74,7 @@ class DrivenMotion(ABC):
         self._readings: list[Reading] = []
         self._error: TagidError | None = None
         self._unconfirmed = False
-        self._thread: threading.Thread | None = None
+        self._worker: Worker | None = None
         self._stopping = threading.Event()
         self._lock = threading.Lock()
 
@@ -130,16 +131,23 @@ class DrivenMotion(ABC):
 
     def start(self) -> None:
         """Start turning. Raises DeviceError and its subclasses; then nothing moves."""
-        if self._thread is not None:
+        if self._worker is not None:
             raise UsageError(f"{self.name} is already turning", "Stop it first.")
         self._readings, self._error, self._unconfirmed = [], None, False
         self._stopping.clear()
         try:
             self._begin()
-            self._thread = threading.Thread(target=self._work, name=f"motion-{self.kind}", daemon=True)
-            self._thread.start()
+            self._worker = Worker(self._work, f"motion-{self.kind}", self._failed)
+            try:
+                self._worker.start()
+            except RuntimeError as error:
+                raise DeviceError(
+                    f"the thread that drives {self.name} does not start ({error})",
+                    "Free memory and processes, then try again.",
+                ) from error
         except BaseException as error:
-            self._thread = None
+            self._worker = None
+            self._stopping.set()
             self._error = error if isinstance(error, TagidError) else None
             self._end()
             if self._unconfirmed and self._error is not None:
@@ -148,26 +156,30 @@ class DrivenMotion(ABC):
 
     def _work(self) -> None:
         until = time.monotonic() + self.max_seconds
+        while not self._stopping.is_set():
+            new = self._poll()
+            with self._lock:
+                self._readings += new
+            if time.monotonic() > until:
+                raise MotionStoppedError(
+                    f"{self.name} has turned for {self.max_seconds:.0f} s and was stopped",
+                    "Request fewer turns, or give a larger max_seconds.",
+                )
+        self._safely_halt()
+
+    def _failed(self, error: BaseException) -> None:
+        """On any error the wheels must stop and the recording must be notified."""
         try:
-            while not self._stopping.is_set():
-                new = self._poll()
-                with self._lock:
-                    self._readings += new
-                if time.monotonic() > until:
-                    raise MotionStoppedError(
-                        f"{self.name} has turned for {self.max_seconds:.0f} s and was stopped",
-                        "Request fewer turns, or give a larger max_seconds.",
-                    )
-        except TagidError as error:
-            self._error = error
+            self._error = self._reported(error)
             if isinstance(error, PausedError):
                 self._lose_angle()
-        except Exception as error:
-            # On any error the wheels must stop and the recording must be notified.
-            logging.getLogger("tagid").debug("motion thread", exc_info=True)
-            self._error = DeviceError(f"{self.name}: {type(error).__name__}: {error}")
         finally:
             self._safely_halt()
+
+    def _reported(self, error: BaseException) -> TagidError:
+        if isinstance(error, TagidError):
+            return error
+        return DeviceError(f"{self.name}: {type(error).__name__}: {error}")
 
     def _lose_angle(self) -> None:
         """The angle since the last reading is unknown: its uncertainty is uniform over a turn."""
@@ -181,8 +193,7 @@ class DrivenMotion(ABC):
         except Exception as error:
             logging.getLogger("tagid").debug("halt", exc_info=True)
             self._unconfirmed = True
-            found = error if isinstance(error, TagidError) else DeviceError(f"{self.name}: {error}")
-            cause = self._error or found
+            cause = self._error or self._reported(error)
             self._error = type(cause)(self._still_turning(cause), cause.remedy)
 
     def _end(self) -> None:
@@ -194,8 +205,12 @@ class DrivenMotion(ABC):
 
     def check(self) -> None:
         """Raise the error that stopped the motion."""
+        worker = self._worker
+        ended = worker is not None and not worker.alive
         if self._error is not None:
             raise self._error
+        if ended and not self._stopping.is_set():
+            raise DeviceError(f"the thread that drives {self.name} has ended", "Record again.")
 
     def stop(self) -> None:
         """Stop turning and close the link; safe to call twice.
@@ -205,9 +220,9 @@ class DrivenMotion(ABC):
         """
         before = self._error
         self._stopping.set()
-        thread, self._thread = self._thread, None
-        if thread is not None:
-            thread.join(_JOIN_S)
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.join(_JOIN_S)
         self._end()
         unconfirmed, self._unconfirmed = self._unconfirmed, False
         if self._error is not None and (before is None or unconfirmed):

@@ -154,7 +154,8 @@ class Guardian:
         except subprocess.TimeoutExpired:
             if self._commands and not farewell:
                 # It waits for the command that stops the device, and tells how that ended.
-                Worker(partial(_reap, process), "guardian").start()
+                with contextlib.suppress(RuntimeError):
+                    Worker(partial(_reap, process), "guardian").start()
                 return
             process.kill()
             process.wait()

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from tagid.errors import DeviceError, TagidError, UsageError
-from tagid.workers import Worker
-
-_NO_THREAD = "can't start new thread"
-"""Text of the RuntimeError of `threading`."""
+from tagid.workers import NO_THREAD, Worker
 
 
 class BusyError(UsageError):
@@ -67,7 +64,7 @@ def reported(error: BaseException) -> TagidError:
     """Any exception as an error that can be shown."""
     if isinstance(error, TagidError):
         return error
-    if isinstance(error, MemoryError) or str(error) == _NO_THREAD:
+    if isinstance(error, MemoryError) or str(error) == NO_THREAD:
         return OverloadedError(
             "the computer has no memory or thread left",
             "End other programs, or raise the limits on processes and memory.",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import select
+import threading
 import time
 import tty
 from typing import Any
@@ -15,6 +16,8 @@ from tagid.errors import DeviceError, DeviceGoneError
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.driven import DrivenMotion, Reading
 from tagid.motion.links import SerialLink
+from tagid.station.errors import OverloadedError, begin
+from tagid.workers import Worker
 
 
 class Scripted(DrivenMotion):
@@ -24,7 +27,7 @@ class Scripted(DrivenMotion):
     stops_by = "hold it"
 
     def __init__(
-        self, begin: BaseException | None = None, poll: Exception | None = None, **options: Any
+        self, begin: BaseException | None = None, poll: BaseException | None = None, **options: Any
     ) -> None:
         super().__init__("the thing", 1, 10.0, **options)
         self._begin_error, self._poll_error = begin, poll
@@ -59,17 +62,17 @@ class Scripted(DrivenMotion):
 
 def run_to_its_end(motion: DrivenMotion) -> None:
     motion.start()
-    thread = motion._thread
-    assert thread is not None
-    thread.join(20)
-    assert not thread.is_alive()
+    worker = motion._worker
+    assert worker is not None
+    assert worker.join(20)
 
 
-def test_an_exception_in_the_thread_halts_and_is_told() -> None:
-    motion = Scripted(poll=ZeroDivisionError("a fault of the program"))
+@pytest.mark.parametrize("fault", [ZeroDivisionError, SystemExit])
+def test_an_exception_in_the_thread_halts_and_is_told(fault: type[BaseException]) -> None:
+    motion = Scripted(poll=fault("a fault of the program"))
     run_to_its_end(motion)
     assert motion.calls == ["begin", "halt"], "halted before anybody asked"
-    with pytest.raises(DeviceError, match="ZeroDivisionError: a fault of the program"):
+    with pytest.raises(DeviceError, match=f"{fault.__name__}: a fault of the program"):
         motion.check()
     motion.stop()
     assert motion.calls[-1] == "close"
@@ -81,6 +84,23 @@ def test_a_start_that_fails_halts_and_lets_go(error: BaseException) -> None:
     with pytest.raises(type(error)):
         motion.start()
     assert motion.calls == ["begin", "halt", "close"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError("can't start new thread"), MemoryError()])
+def test_a_thread_that_does_not_start_halts_with_a_remedy(
+    monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def start(thread: threading.Thread) -> None:
+        raise error
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    motion = Scripted()
+    with pytest.raises(DeviceError, match="thread that drives the thing does not start") as caught:
+        motion.start()
+    assert "Free memory and processes" in caught.value.remedy
+    assert motion.calls == ["begin", "halt", "close"]
+    with pytest.raises(OverloadedError):
+        begin(Worker(lambda: None, "any"))
 
 
 def test_it_turns_no_longer_than_max_seconds() -> None:
