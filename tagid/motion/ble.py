@@ -38,6 +38,8 @@ _WRITE_S: Final = 2.0
 _RELAXED_MS: Final = 5000
 """Dead-man timeout while nothing moves: queries may take long."""
 _WAKE_MS: Final = round(1000 * WAKE_S)
+_PREFIXES: Final = 64
+"""Longest prefix of a name under which a guardian is found; advertised names have up to 29 bytes."""
 _GUARD_S: Final = 2 * _WRITE_S
 """Maximum time between two heartbeats to the helper process: a write may take _WRITE_S."""
 
@@ -211,6 +213,7 @@ class BridgeLink:
     async def _open(self) -> Bridge:
         backends = await self._stack.enter_async_context(backends_of(self._address))
         heard = await find(self._address.target, self._address.seconds, backends)
+        self._aliases = (heard.name, heard.address)
         return await self._stack.enter_async_context(
             Bridge(
                 heard,
@@ -266,7 +269,7 @@ class BridgeLink:
 
         The helper process stops nothing here; it only receives the request of `tagid motion stop`.
         """
-        self._guard.start(Watch(self._address.target, _GUARD_S))
+        self._guard.start(Watch(self._address.target, _GUARD_S, aliases=self._aliases))
         self.request(Op.ARM, round(timeout_s * 1000))
         self._armed = True
 
@@ -335,6 +338,9 @@ class CharacteristicLink:
         def seen(device: Any, advertisement: Any) -> None:
             name = (advertisement.local_name or device.name or "").lower()
             if (device.address.lower() == wanted or name.startswith(wanted)) and not found.done():
+                # All names that the lines above accept.
+                prefixes = (name[:end] for end in range(1, _PREFIXES))
+                self._aliases = (device.address, name, *prefixes)
                 found.set_result(device)
 
         async with scanning(seen, backends, f"looking for {self._address.target}"):
@@ -378,7 +384,8 @@ class CharacteristicLink:
         """Start the helper that stops the table if this process dies; the table itself has no dead-man."""
         stop = processes.python("tagid.motion.emergency")
         limit = max(timeout_s, _GUARD_S)
-        self._guard.start(Watch(self._address.target, limit, command=stop, command_input=f"{self._url}\n"))
+        names, url = self._aliases, f"{self._url}\n"
+        self._guard.start(Watch(self._address.target, limit, command=stop, command_input=url, aliases=names))
 
     def beat(self) -> None:
         """Tell the helper that this process is alive."""

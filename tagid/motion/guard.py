@@ -62,12 +62,13 @@ class Guard:
 
     def __init__(self, watch: dict[str, Any]) -> None:
         self.watch = watch
-        self.server: socket.socket | None = None
-        if watch["socket"]:
-            self.server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            self.server.bind("\0" + watch["socket"])
-            self.server.listen(16)
-            self.server.setblocking(False)
+        self.servers: list[socket.socket] = []
+        for name in watch["sockets"]:
+            server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            server.bind("\0" + name)
+            server.listen(16)
+            server.setblocking(False)
+            self.servers.append(server)
         self.askers: list[socket.socket] = []
         self.command: subprocess.Popen[bytes] | None = None
         self.command_at: float | None = None
@@ -82,9 +83,9 @@ class Guard:
             wait = 3600.0 if tripped else max(0.0, heard + limit - now())
             if self.command is not None or self.command_at is not None:
                 wait = min(wait, LOOK_S)
-            inputs: list[Any] = ([] if ended else [0]) + ([self.server] if self.server else [])
+            inputs: list[Any] = ([] if ended else [0]) + self.servers
             ready = select.select(inputs, [], [], wait)[0]
-            asked = self.server in ready and self.accept()
+            asked = any([self.accept(server) for server in self.servers if server in ready])
             gone = False
             if 0 in ready:
                 data = os.read(0, 4096)
@@ -106,11 +107,10 @@ class Guard:
             self.look_after_command()
         self.end_command()
 
-    def accept(self) -> bool:
+    def accept(self, server: socket.socket) -> bool:
         """Take a request to stop from this user or root; any other is closed unheard."""
-        assert self.server is not None
         try:
-            line = self.server.accept()[0]
+            line = server.accept()[0]
         except OSError:
             return False
         if peer(line)[1] not in (os.getuid(), 0):

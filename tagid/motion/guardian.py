@@ -5,7 +5,7 @@ pipe, and `tagid motion stop` from another process all have the same effect: the
 to the shared port, or starts the command that stops the device. It answers every heartbeat, so that the
 driver in turn notices a dead guardian. Where the system has systemd it runs in a cgroup of its own.
 
-`motion stop` finds the guardian by the name of an abstract socket, which no environment variable changes;
+`motion stop` finds the guardian by the names of its abstract sockets, which no environment variable changes;
 both sides ask the kernel for the other's user. `guard` is the program that runs in the helper process.
 """
 
@@ -57,13 +57,14 @@ class Watch:
     """Parameters of a guardian.
 
     Attributes:
-        name: of the device (port or address), under which `ask_to_stop` finds the guardian.
+        name: of the device (port or address) in messages.
         limit_s: longest time between two heartbeats, s.
         port: file descriptor of the open port, which the guardian shares; -1 for none.
         halt: bytes that stop the device, written three times.
         command: words of a command that stops the device if there is no port to share; () for none.
         command_input: its standard input, which no other user can read.
         remedy: what the user does if the guardian cannot stop the device.
+        aliases: all other names under which `ask_to_stop` finds the guardian.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Watch:
     command: Sequence[str] = ()
     command_input: str = ""
     remedy: str = "It may still be turning: switch it off."
+    aliases: Sequence[str] = ()
 
 
 class Guardian:
@@ -193,13 +195,14 @@ def _start(watch: Watch, scope: bool) -> subprocess.Popen[bytes] | None:
     errors = -1
     with contextlib.suppress(OSError):  # standard error may be closed
         errors = os.dup(2)
+    names = {_socket_name(name) for name in (watch.name, *watch.aliases) if name}
     linux = sys.platform.startswith("linux")
     parameters = {
         **asdict(watch),
         "halt": watch.halt.hex(),
         "pauses_s": PAUSES_S,
         "errors": errors,
-        "socket": f"{_socket_name(watch.name)}-{secrets.token_hex(8)}" if linux else "",
+        "sockets": [f"{name}-{secrets.token_hex(8)}" for name in names] if linux else [],
     }
     try:
         process = processes.start_alone(
@@ -248,52 +251,51 @@ def _socket_name(name: str) -> str:
 def _guardians(name: str) -> Iterator[str]:
     """Names of the sockets of all guardians of a device, and of whoever pretends to be one."""
     mark = f"@{_socket_name(name)}-"
-    with contextlib.suppress(OSError):
-        for line in _SOCKETS.read_text(errors="replace").splitlines():
-            words = line.split()
-            if words[-1].startswith(mark):
-                yield words[-1]
+    # Any user may give a socket any name: with spaces, line ends and bytes that are not text.
+    for line in _SOCKETS.read_text(errors="replace").split("\n"):
+        address = line.rpartition(" ")[2]
+        if address.startswith(mark):
+            yield address
 
 
 def ask_to_stop(name: str) -> bool:
-    """Ask the guardians of other processes to stop a device; False if none confirms.
+    """Ask the guardians of other processes to stop a device; False if none confirms, or whatever fails.
 
     A guardian of this user is believed; root believes those of all users that hold the device's port.
     """
-    confirmed = [_confirms(line) for line in _connected(name)]
-    return any(confirmed)
+    try:
+        confirmed = [_confirms(line) for line in _connected(name)]
+        return any(confirmed)
+    except Exception:
+        # The caller must still come to stop the device directly.
+        logging.getLogger("tagid").debug("asking the guardians of %s", name, exc_info=True)
+        return False
 
 
 def _connected(name: str) -> list[socket.socket]:
     """Connections to all guardians that are to be believed; each connection is a request to stop."""
     lines: list[socket.socket] = []
+    holding: set[int] | None = None
     until, pending = time.monotonic() + _ASK_S, list(_guardians(name))
     while pending:
         address = pending.pop(0)
-        line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        line.setblocking(False)
-        try:
-            line.connect("\0" + address[1:])
-            lines.append(line)
-            continue
-        except BlockingIOError:  # others wait for it as well
-            if time.monotonic() < until:
-                pending.append(address)
-                time.sleep(_AGAIN_S)
-        except OSError:
-            pass
-        line.close()
-    holding: set[int] | None = None
-    trusted = []
-    for line in lines:
-        pid, uid = guard.peer(line)
-        if uid != os.getuid() and os.getuid() == 0 and holding is None:
-            holding = {holder.pid for holder in holders(name)}
-        if uid == os.getuid() or pid in (holding or ()):
-            trusted.append(line)
-        else:
-            line.close()
-    return trusted
+        with contextlib.ExitStack() as unless_trusted, contextlib.suppress(OSError):
+            line = unless_trusted.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+            line.setblocking(False)
+            try:
+                line.connect("\0" + address[1:])
+            except BlockingIOError:  # others wait for it as well
+                if time.monotonic() < until:
+                    pending.append(address)
+                    time.sleep(_AGAIN_S)
+                continue
+            pid, uid = guard.peer(line)
+            if uid != os.getuid() and os.getuid() == 0 and holding is None:
+                holding = {holder.pid for holder in holders(name)}
+            if uid == os.getuid() or pid in (holding or ()):
+                unless_trusted.pop_all()
+                lines.append(line)
+    return lines
 
 
 def _confirms(line: socket.socket) -> bool:

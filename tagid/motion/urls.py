@@ -6,6 +6,7 @@ devices without a link are here.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
@@ -63,6 +64,12 @@ class Options(Query):
         """The pass-key."""
         passkey, self.passkey = self.passkey, None
         return passkey
+
+    def port(self) -> str:
+        """The target as a device file, by the same name from every folder. Raises UsageError without one."""
+        if not self.target:
+            raise self.wrong("has no port")
+        return os.path.abspath(self.target) if os.name == "posix" else self.target
 
     def direction(self) -> int:
         """The option `direction`: +1 for ccw (the default), -1 for cw."""

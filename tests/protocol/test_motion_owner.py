@@ -18,9 +18,11 @@ from typing import Any
 
 import pytest
 
+from tagid.motion.driven import DrivenMotion
 from tagid.motion.emulation.truth import TrueAngle
 from tagid.motion.guardian import Guardian, Watch, _socket_name, ask_to_stop
 from tagid.motion.links import SerialLink
+from tagid.motion.urls import open_motion
 
 pytestmark = pytest.mark.realtime
 
@@ -153,6 +155,19 @@ def test_motion_stop_works_while_another_process_holds_the_port(
         assert "stopped by another process" in ended(process)["message"]
 
 
+def test_motion_stop_finds_a_bluetooth_table_by_all_its_names(home: dict[str, str]) -> None:
+    """Typed here is a prefix of its advertised name; nobody advertises while a program is connected."""
+    pytest.importorskip("bumble", reason="needs bumble: pip install 'tagid[virtual]'")
+    with emulated(home, "revopoint") as (there, _), spinning(home, there) as (process, truth):
+        stop = subprocess.run(
+            [*TAGID, "motion", "stop", there["url"].replace("://", "://revo_dual")],
+            env=home, capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+        assert stop.returncode == 0, stop.stderr
+        stands_after(truth, time.monotonic())
+        assert "stopped by another process" in ended(process)["message"]
+
+
 def test_motion_stop_works_while_the_driver_hangs(home: dict[str, str]) -> None:
     """The guardian alone is asked; it has stopped the robot already, and does it again."""
     with emulated(home, "roomba") as (there, _), spinning(home, there) as (process, truth):
@@ -195,7 +210,7 @@ def guarded() -> Iterator[tuple[str, int]]:
     """A guarded port: its name, and a pipe from which its halt bytes can be read."""
     read, write = os.pipe()
     name = f"/dev/ttyTEST{os.getpid()}"
-    guard = Guardian(Watch(name, 30.0, write, b"halt"))
+    guard = Guardian(Watch(name, 30.0, write, b"halt", aliases=("robot-7", "C0:FF:EE:00:00:01", "")))
     yield name, read
     guard.release()
     assert ask_to_stop(name) is False
@@ -223,6 +238,22 @@ def test_the_guardian_is_found_from_every_environment(guarded: tuple[str, int], 
     other = {"XDG_RUNTIME_DIR": str(tmp_path), "TMPDIR": str(tmp_path), "HOME": str(tmp_path)}
     assert asked_by(os.getuid(), name, **other) == "True"
     assert os.read(halts, 100) == b"halt" * 3
+
+
+def test_the_guardian_is_found_by_every_name(guarded: tuple[str, int]) -> None:
+    for name in ("Robot-7", "c0:ff:ee:00:00:01"):
+        assert ask_to_stop(name) is True
+        assert os.read(guarded[1], 100) == b"halt" * 3
+    assert ask_to_stop("") is False
+
+
+def test_a_port_has_the_same_name_from_every_folder(
+    home: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for scheme in ("roomba", "comxim"):
+        device = open_motion(f"{scheme}+serial://any/port", stopping=True)
+        assert isinstance(device, DrivenMotion) and device.target == f"{tmp_path}/any/port"
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="needs root, to be another user")

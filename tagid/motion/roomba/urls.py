@@ -46,9 +46,7 @@ def _settings(options: Options, robot: str, fast: bool) -> RoombaSettings:
 
 def open_serial(options: Options) -> Roomba:
     """A robot on a cable. Options: baud, step or rpm, direction, base_mm, turns, max_seconds."""
-    port = options.target
-    if not port:
-        raise options.wrong("has no port")
+    port = options.port()
     baud = int(options.number("baud", 115200, 300, 115200) or 115200)
     if baud not in BAUD_CODES:
         raise options.wrong(f"baud is {baud}, expected 115200 or 19200")

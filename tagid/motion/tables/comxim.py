@@ -100,9 +100,7 @@ class Comxim(PolledTable):
 
 def open_serial(options: Options) -> Comxim:
     """Options: speed (1 and higher, higher is slower), period (s per turn), direction, reversed, turns."""
-    port = options.target
-    if not port:
-        raise options.wrong("has no port")
+    port = options.port()
     speed = int(options.number("speed", 1, 1, 1000) or 1)
     period = options.number("period", SECONDS_A_TURN * speed, 1, 3600) or SECONDS_A_TURN
     table = Comxim(
