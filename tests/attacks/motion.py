@@ -326,3 +326,83 @@ def busy_bluetooth(folder: Path) -> Outcome:
     )
     held = bool(tries) and "restart bluetooth" in said["InProgress"] and "power on" in said["NotReady"]
     return Outcome(figure, held and "power-cycle" not in "".join(said.values()))
+
+
+STRANGERS = """
+import os, socket, sys
+from tagid.motion.guardian import _socket_name
+names = ["any\\n\\nname"]
+if os.getuid() == 0:
+    os.setuid(65534)
+    names += [f"{_socket_name(sys.argv[1])}-{number}" for number in range(1100)]
+lines = [socket.socket(socket.AF_UNIX) for name in names]
+for line, name in zip(lines, names):
+    line.bind("\\0" + name)
+    line.listen()
+print(flush=True)
+sys.stdin.read()
+"""
+
+
+@attack(
+    "A1",
+    "`motion stop` among sockets of another user: a name of two lines, 1100 names like those of guardians",
+    before="exit code 1, stopped: False",
+    test="tests/protocol/test_motion_owner.py::"
+    "test_no_socket_of_another_user_keeps_a_guardian_from_being_asked",
+)
+def hostile_sockets(folder: Path) -> Outcome:
+    with emulated("comxim") as (url, truth), spinning(url, truth):
+        port = url.partition("://")[2]
+        words = ["bash", "-c", 'ulimit -n 4096; exec "$@"', "x", sys.executable, "-P", "-c", STRANGERS, port]
+        others = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert others.stdout is not None
+        others.stdout.readline()
+        limited = ["bash", "-c", 'ulimit -n 1024; exec "$@"', "x", TAGID, "motion", "stop", url]
+        code = subprocess.run(limited, capture_output=True).returncode
+        stopped = not truth.state()["moving"]
+        others.communicate()
+    return Outcome(f"exit code {code}, stopped: {stopped}", stopped and code == 0)
+
+
+@attack(
+    "A2",
+    "`motion stop URL` with a configuration that cannot be used",
+    before="0 of 3 stopped",
+    test="tests/cli/test_motion_commands.py::test_no_file_or_setting_prevents_a_stop",
+)
+def damaged_configuration(folder: Path) -> Outcome:
+    damaged = folder / "damaged.toml"
+    damaged.write_text("not TOML")
+    stopped = 0
+    with emulated("roomba") as (url, truth):
+        for changed in (
+            {"TAGID_CONFIG": "/dev/null/x"}, {"TAGID_CONFIG": str(damaged)}, {"TAGID_RADAR_TIMEOUT_S": "abc"},
+        ):  # fmt: skip
+            with spinning(url, truth):
+                stop = subprocess.run(
+                    [TAGID, "motion", "stop", url], env={**os.environ, **changed}, capture_output=True
+                )
+                stopped += stop.returncode == 0 and not truth.state()["moving"]
+    return Outcome(f"{stopped} of 3 stopped", stopped == 3)
+
+
+@attack(
+    "A3",
+    "`motion stop` by another name of a Bluetooth table, and by a relative path of a port",
+    before="0 of 3 stopped",
+    test="tests/protocol/test_motion_owner.py::test_motion_stop_finds_a_bluetooth_table_by_all_its_names",
+)
+def other_names(folder: Path) -> Outcome:
+    stopped = 0
+    with emulated("revopoint") as (url, truth):
+        for name in ("REVO_DUAL", "F0:F1:F2:F3:F4:02"):
+            with spinning(url, truth):
+                words = [TAGID, "motion", "stop", url.replace("://", f"://{name}")]
+                stop = subprocess.run(words, capture_output=True, timeout=60)
+                stopped += stop.returncode == 0 and wait_for(lambda: not truth.state()["moving"], 5)
+    with emulated("comxim") as (url, truth), spinning(url, truth):
+        words = [TAGID, "motion", "stop", url.replace(":///", "://")]
+        stop = subprocess.run(words, capture_output=True, timeout=60, cwd="/")
+        stopped += stop.returncode == 0 and not truth.state()["moving"]
+    return Outcome(f"{stopped} of 3 stopped", stopped == 3)
