@@ -7,7 +7,6 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-
 NO_THREAD: Final = "can't start new thread"
 """Text of the RuntimeError of `threading`, and of `Worker.start`."""
 

@@ -85,7 +85,7 @@ class Guard:
                 wait = min(wait, LOOK_S)
             inputs: list[Any] = ([] if ended else [0]) + self.servers
             ready = select.select(inputs, [], [], wait)[0]
-            asked = any([self.accept(server) for server in self.servers if server in ready])
+            asked = any(self.accept(server) for server in self.servers if server in ready)
             gone = False
             if 0 in ready:
                 data = os.read(0, 4096)

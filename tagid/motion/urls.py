@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
+from pathlib import Path
 from typing import Final, cast
 from urllib.parse import parse_qsl, unquote, urlsplit
 
@@ -69,7 +70,7 @@ class Options(Query):
         """The target as a device file, by the same name from every folder. Raises UsageError without one."""
         if not self.target:
             raise self.wrong("has no port")
-        return os.path.abspath(self.target) if os.name == "posix" else self.target
+        return str(Path(self.target).absolute()) if os.name == "posix" else self.target
 
     def direction(self) -> int:
         """The option `direction`: +1 for ccw (the default), -1 for cw."""
