@@ -51,31 +51,32 @@ class StationHttp(H11Protocol):
     _aborted = False
 
     def connection_made(self, transport: Any) -> None:
-        """Accept the connection, unless there are too many and each of them is served."""
+        """Accept the connection; if it is one too many, close one."""
         self._waits_since = self.loop.time()
-        if len(self.connections) >= MAX_SOCKETS and not self._make_room():
-            transport.abort()
-            return
         super().connection_made(transport)
         self.loop.call_later(HEADER_S, self._expire, None)
+        if len(self.connections) > MAX_SOCKETS:
+            self._make_room()
 
-    def _make_room(self) -> bool:
-        """Close a connection that waits for its client; False if none does.
+    def _make_room(self) -> None:
+        """Close a connection that waits; it may be this one, which is the newest.
 
-        Those of paired clients are the last, those of the address with most of them the first; among equals
-        it is the one that has waited longest.
+        Those of paired clients are the last, those of the address with most connections the first; among
+        equals it is the one that has waited longest, of its address one that does not wait for its turn. So
+        while there are fewer addresses than places, each address has one.
         """
-        waiting = [item for item in self.connections if isinstance(item, StationHttp) and item._waits]
-        if not waiting:
-            return False
-        crowd = Counter(item._address for item in waiting)
-        victim = min(
-            waiting,
+        kept = [item for item in self.connections if isinstance(item, StationHttp) and not item._aborted]
+        crowd = Counter(item._address for item in kept)
+        waiting = sorted(
+            (item for item in kept if item._waits),
             key=lambda item: (item._state.get("paired", False), -crowd[item._address], item._waits_since),
+        )
+        victim = min(
+            (item for item in waiting if item._address == waiting[0]._address),
+            key=lambda item: (item._state.get("paired", False), item._state.get("queued", False)),
         )
         victim._aborted = True
         victim.transport.abort()
-        return True
 
     @property
     def _address(self) -> str:
@@ -89,18 +90,15 @@ class StationHttp(H11Protocol):
     @property
     def _waits(self) -> bool:
         """Whether it waits for a request, the rest of one, the reading of an answer, or its turn."""
-        if self._aborted:
-            return False
         cycle = self.cycle
         if cycle is None or cycle.response_complete or cycle.more_body or self.flow.write_paused:
             return True
         return bool(self._state.get("queued"))
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End the connection; one that was refused was never counted."""
+        """End the connection."""
         self._read_again()
-        if self.transport is not None:
-            super().connection_lost(exc)
+        super().connection_lost(exc)
 
     def pause_writing(self) -> None:
         """Wait for a client that does not read, but not for ever: its file and its place are needed."""

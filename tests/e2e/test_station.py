@@ -13,6 +13,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Any
 
@@ -292,6 +294,37 @@ def test_a_guesser_does_not_take_the_turn_of_another_address() -> None:
         return done
 
     assert "single" in asyncio.run(order())[:3]
+
+
+def test_guessers_of_many_addresses_do_not_end_the_code_of_one_that_has_a_single_connection(
+    serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nine addresses with three guessers each, and as many places as addresses."""
+    monkeypatch.setattr(server, "MAX_SOCKETS", 10)
+    codes: list[str] = []
+    one, stop = serve(announce=codes.append), threading.Event()
+    monkeypatch.setattr(web, "GUESS_S", 0.1)
+
+    def pair(address: str, code: str) -> int:
+        client = HTTPConnection("127.0.0.1", one.port, timeout=WAIT_S, source_address=(address, 0))
+        with closing(client), suppress(OSError, HTTPException):
+            headers = OWN | {"content-type": "application/json"}
+            client.request("POST", "/api/v1/pair", json.dumps({"code": code}), headers)
+            return client.getresponse().status
+        return 0
+
+    def guess(address: str) -> None:
+        while not stop.is_set():
+            pair(address, "BBBB-BBBB")
+
+    threads = [threading.Thread(target=guess, args=(f"127.0.1.{i % 9 + 1}",)) for i in range(27)]
+    for thread in threads:
+        thread.start()
+    statuses = [pair(f"127.0.2.{i + 1}", codes[-1]) for i in range(3)]
+    stop.set()
+    for thread in threads:
+        thread.join()
+    assert statuses == [200] * 3
 
 
 def dates() -> list[str]:
