@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import resource
 import select
 import socket
 import threading
@@ -26,6 +27,14 @@ from tagid.workers import Worker
 
 MAX_SOCKETS = 256
 """Open connections, WebSockets included; for one more, one that waits for its client is closed."""
+LEAST_SOCKETS = 16
+"""Connections without which the station does not start; a page has up to seven."""
+_QUEUED = 128
+"""Connections that the system keeps until they are accepted."""
+_BATCH = 16
+"""Connections that the event loop accepts before it handles them."""
+_OTHER_FILES = 128
+"""Files for all but connections: of the program, a scan and the batches that are not handled yet."""
 KEPT_S = 2.0
 """Time that a connection with an answered request counts as younger than one without, s."""
 HEADER_S = 10.0
@@ -55,7 +64,7 @@ class StationHttp(H11Protocol):
         self._waits_since = self.loop.time()
         super().connection_made(transport)
         self.loop.call_later(HEADER_S, self._expire, None)
-        if len(self.connections) > MAX_SOCKETS:
+        if len(self.connections) > _places():
             self._make_room()
 
     def _make_room(self) -> None:
@@ -228,6 +237,14 @@ class SocketState:
             self._open = False
 
 
+class _WebServer(uvicorn.Server):
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start; the system keeps more connections than are accepted at once."""
+        await super().startup(sockets)
+        for listening in sockets or ():
+            listening.listen(_QUEUED)
+
+
 class Server:
     """The server in a separate thread; use it as a context manager.
 
@@ -240,13 +257,15 @@ class Server:
         url: address of the page.
 
     Raises:
-        PortInUseError: another program listens there. UsageError: the address is not of this computer.
+        PortInUseError: another program listens there. UsageError: the address is not of this computer,
+            or the process may open too few files.
     """
 
     def __init__(
         self, station: Station, host: str, port: int, announce: Callable[[str], None] | None = None
     ) -> None:
         self._station = station
+        _allow_files()
         self._socket = _listen(host, port)
         self.port: int = self._socket.getsockname()[1]
         shown = f"[{host}]" if ":" in host else host
@@ -269,8 +288,9 @@ class Server:
             server_header=False,
             proxy_headers=False,
             lifespan="on",
+            backlog=_BATCH,
         )
-        self._server = uvicorn.Server(config)
+        self._server = _WebServer(config)
         self._closing = False
         self._web = Worker(
             self._serve, "station-web", lambda error: self._station.fail("the web server", error)
@@ -315,13 +335,33 @@ class Server:
             raise RuntimeError("it ended on its own")
 
 
+def _places() -> int:
+    """Connections at the same time: `MAX_SOCKETS`, or what the limit of open files leaves."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return MAX_SOCKETS if limit == resource.RLIM_INFINITY else min(MAX_SOCKETS, limit - _OTHER_FILES)
+
+
+def _allow_files() -> None:
+    """Raise the limit of open files where that is needed. Raises UsageError if it stays too low."""
+    limit, highest = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if _places() < MAX_SOCKETS:
+        needed = MAX_SOCKETS + _OTHER_FILES
+        limit = needed if highest == resource.RLIM_INFINITY else min(needed, highest)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, highest))
+    if _places() < min(LEAST_SOCKETS, MAX_SOCKETS):
+        raise UsageError(
+            f"the station may open {limit} files; it needs {LEAST_SOCKETS + _OTHER_FILES}",
+            "Raise the limit with `ulimit -n 1024`, or in a systemd unit with LimitNOFILE=1024.",
+        )
+
+
 def _listen(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     found = socket.socket(family, socket.SOCK_STREAM)
     found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         found.bind((host, port))
-        found.listen(128)
+        found.listen(_QUEUED)
     except OSError as error:
         found.close()
         if isinstance(error, socket.gaierror):

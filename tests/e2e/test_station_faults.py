@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import subprocess
@@ -202,6 +203,29 @@ def test_a_health_check_that_cannot_start_is_shown_and_tried_again(
     one._station._health_due = 0.0
     page.until("status", lambda m: m["health"]["findings"][0]["topic"] == "radar")
     page.close()
+
+
+@pytest.mark.parametrize(("limit", "answer"), [("250", 200), ("100", None)])
+def test_the_limit_of_open_files_counts(tmp_path: Path, limit: str, answer: int | None) -> None:
+    words = ("station", "--demo", "--bind", "127.0.0.1:0", "--save-dir", str(tmp_path), "--output", "json")
+    command = ["bash", "-c", f'ulimit -n {limit}; exec "$@"', "x", sys.executable, "-m", "tagid", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT) as station:
+        if answer is None:
+            output, _ = station.communicate(timeout=WAIT_S)
+            assert station.returncode == 2 and b"ulimit -n 1024" in output
+            return
+        url = json.loads(station.stdout.readline())["data"]["url"]
+        port = url.rpartition(":")[2]
+        sent = SENT["half a body"].replace(b"PORT", port.encode())
+        silent = [socket.create_connection(("127.0.0.1", int(port)), WAIT_S) for _ in range(300)]
+        for client in silent:
+            with suppress(OSError):
+                client.sendall(sent)
+        assert Asks(url, OWN).get("/api/v1/status").status == answer
+        for client in silent:
+            client.close()
+        station.terminate()
+        assert station.communicate(timeout=WAIT_S)[1] == b""
 
 
 BODY = b"POST /api/v1/pair HTTP/1.1\r\nhost: 127.0.0.1:PORT\r\ncontent-type: application/json\r\n"
