@@ -10,6 +10,18 @@ from typing import Final, NoReturn
 
 HIDDEN: Final = "***"
 _PARTS: Final = re.compile("([?&;#])")
+_KEYS: Final = re.compile(
+    r"(pass[-_]?\w*|key|pin)(=|%3d)[^?&;#,@/ ]+|(?<![\w.%=-])[0-9]{6}(?![\w.%-])", re.IGNORECASE
+)
+
+
+def masked(text: str) -> str:
+    """A text about a device, with `***` for whatever looks like a pass-key: after `passkey=`, or six digits.
+
+    >>> masked("looking for R2,passkey=123456"), masked("R2:123456")
+    ('looking for R2,passkey=***', 'R2:***')
+    """
+    return _KEYS.sub(lambda found: f"{found[1]}{found[2]}{HIDDEN}" if found[1] else HIDDEN, text)
 
 
 class Secret:
@@ -56,14 +68,15 @@ class MotionUrl(Secret):
     def __str__(self) -> str:
         head, *rest = _PARTS.split(self._text)
         marks, options = rest[::2], map(_masked_option, rest[1::2])
-        return _masked(head) + "".join(map("".join, zip(marks, options, strict=True)))
+        return masked(_masked(head)) + "".join(map("".join, zip(marks, options, strict=True)))
 
     @property
     def public(self) -> str:
         """The URL without its pass-key: what is stored, and can be opened again."""
         head, *rest = _PARTS.split(self._text)
         kept = [option for option in rest[1::2] if option and _masked_option(option) == option]
-        return f"{_masked(head)}?{'&'.join(kept)}" if kept else _masked(head)
+        head = masked(_masked(head))
+        return f"{head}?{'&'.join(kept)}" if kept else head
 
     @property
     def holds_key(self) -> bool:
@@ -82,4 +95,5 @@ def _masked(part: str) -> str:
 
     name, _, value = part.partition("=")
     letters = re.sub("[^a-z]", "", unquote(unquote(name)).casefold())
+    part = masked(part)
     return f"{name}={HIDDEN}" if value and re.search("pass|key|pin$", letters) else part

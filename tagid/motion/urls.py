@@ -18,7 +18,7 @@ from tagid.errors import UsageError
 from tagid.motion.device import Motion
 from tagid.motion.turntable import FreeTurntable
 from tagid.query import Query
-from tagid.secret import MotionUrl, Secret
+from tagid.secret import MotionUrl, Secret, masked
 
 ENTRY_POINTS: Final = "tagid.motion"
 """Group of entry points: URL scheme = "module:function" of a function (Options) -> Motion."""
@@ -98,7 +98,9 @@ class Options(Query):
 
 def bad_url(url: str | MotionUrl, why: str) -> UsageError:
     """The error for a motion URL, with the valid forms."""
-    return UsageError(f"motion {str(MotionUrl(url))[:200]!r}: {why}", f"Use one of {', '.join(EXAMPLES)}.")
+    return UsageError(
+        f"motion {str(MotionUrl(url))[:200]!r}: {masked(why)}", f"Use one of {', '.join(EXAMPLES)}."
+    )
 
 
 def parse_motion_url(url: str | MotionUrl) -> Options:

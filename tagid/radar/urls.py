@@ -11,6 +11,7 @@ from tagid.errors import UsageError
 from tagid.query import Query
 from tagid.radar.framing import Framing
 from tagid.radar.links import DEFAULT_PORT, Link, UdpLink
+from tagid.secret import masked
 
 WHAT_WORKS: Final = (
     "Give udp://HOST[:PORT] (a P440 in a network), serial:///dev/ttyACM0 (on USB), "
@@ -46,28 +47,28 @@ def parse_radar_url(url: str) -> RadarUrl:
     """
     scheme, separator, rest = url.partition("://")
     if not separator:
-        raise UsageError(f"radar {url!r} is not a URL", WHAT_WORKS)
+        raise UsageError(f"radar {masked(url)!r} is not a URL", WHAT_WORKS)
     path, _, query = rest.partition("?")
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
     except ValueError as error:
-        raise UsageError(f"radar {url!r}: the options {query!r} cannot be read", WHAT_WORKS) from error
+        raise UsageError(f"radar {masked(url)!r}: the options cannot be read", WHAT_WORKS) from error
     options = dict(pairs)
     if scheme not in _TARGET_NAMES:
-        raise UsageError(f"radar {url!r}: {scheme}:// is unknown", WHAT_WORKS)
+        raise UsageError(f"radar {masked(url)!r}: {masked(scheme)}:// is unknown", WHAT_WORKS)
     if not path.strip("/"):
-        raise UsageError(f"radar {url!r} names no {_TARGET_NAMES[scheme]}", WHAT_WORKS)
+        raise UsageError(f"radar {masked(url)!r} names no {_TARGET_NAMES[scheme]}", WHAT_WORKS)
     if scheme != "udp":
         return RadarUrl(scheme, unquote(path), 0, options)
     try:
         parts = urlsplit(f"udp://{path}")
         host, port = parts.hostname, parts.port
     except ValueError as error:
-        raise UsageError(f"radar {url!r} has a bad address or port", WHAT_WORKS) from error
+        raise UsageError(f"radar {masked(url)!r} has a bad address or port", WHAT_WORKS) from error
     if not host or parts.path.strip("/") or parts.username or port == 0:
-        raise UsageError(f"radar {url!r} has a bad address or port", WHAT_WORKS)
+        raise UsageError(f"radar {masked(url)!r} has a bad address or port", WHAT_WORKS)
     if options:
-        raise UsageError(f"radar {url!r}: udp:// takes no options", WHAT_WORKS)
+        raise UsageError(f"radar {masked(url)!r}: udp:// takes no options", WHAT_WORKS)
     return RadarUrl(scheme, host, port or DEFAULT_PORT, {})
 
 
@@ -87,7 +88,7 @@ class RadarOptions(Query):
 
     def wrong(self, why: str) -> UsageError:
         """The error for this radar."""
-        return UsageError(f"{self.source[:200]}: {why}", self.remedy)
+        return UsageError(masked(f"{self.source[:200]}: {why}"), self.remedy)
 
 
 _TARGET_NAMES: Final = {"udp": "host", "serial": "port", "replay": "file", "emulator": "scene"}
@@ -103,18 +104,20 @@ def open_link(url: str) -> Callable[[], Link]:
     if parsed.scheme == "udp":
         return lambda: UdpLink(parsed.target, parsed.port)
     if parsed.scheme != "serial":
-        raise UsageError(f"radar {url!r} is not a udp:// or serial:// URL", WHAT_WORKS)
+        raise UsageError(f"radar {masked(url)!r} is not a udp:// or serial:// URL", WHAT_WORKS)
     from tagid.radar.serial_link import BAUD_RATES, DEFAULT_BAUD, SerialLink, SerialPort
 
-    options = RadarOptions(f"radar {url!r}", dict(parsed.options))
+    options = RadarOptions(f"radar {masked(url)!r}", dict(parsed.options))
     framing_name = options.text("framing", "usb")
     baud = options.whole("baud", DEFAULT_BAUD, min(BAUD_RATES), max(BAUD_RATES))
     options.done()
     if not parsed.target.startswith("/"):
-        raise UsageError(f"radar {url!r} names no device file", WHAT_WORKS)
+        raise UsageError(f"radar {masked(url)!r} names no device file", WHAT_WORKS)
     if framing_name not in ("usb", "uart"):
-        raise UsageError(f"radar {url!r}: framing is {framing_name!r}", "Give framing=usb or framing=uart.")
+        raise UsageError(
+            f"radar {masked(url)!r}: framing is {framing_name!r}", "Give framing=usb or framing=uart."
+        )
     if baud not in BAUD_RATES:
-        raise UsageError(f"radar {url!r}: baud is {baud}", "Give 9600 to 921600 (factory: 115200).")
+        raise UsageError(f"radar {masked(url)!r}: baud is {baud}", "Give 9600 to 921600 (factory: 115200).")
     port = SerialPort(parsed.target, Framing(framing_name), baud)
     return lambda: SerialLink(port)

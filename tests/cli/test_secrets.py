@@ -16,6 +16,7 @@ import pytest
 
 from tagid.errors import UsageError
 from tagid.motion.urls import open_motion, parse_motion_url, public_url
+from tagid.radar.urls import parse_radar_url
 from tagid.secret import MotionUrl, Secret
 
 KEY = "918273"
@@ -30,7 +31,28 @@ FAULTY = (
     f"roomba+ble://R2?{KEY}",
     f"free?rpm=2&passkey={KEY}",
     f"passkey={KEY}",
+    f"roomba+ble://R2?wait=1,passkey={KEY}",
+    f"roomba+ble://R2?step=2 passkey={KEY}",
 )
+WRONG_PLACES = (
+    f"R2&passkey={KEY}",
+    f"R2;passkey={KEY}",
+    f"passkey={KEY}@R2",
+    f"R2:{KEY}",
+    f"{KEY}@R2",
+    f":passkey={KEY}",
+)
+
+
+@pytest.mark.parametrize("target", WRONG_PLACES)
+def test_a_key_in_the_wrong_place_is_hidden(target: str) -> None:
+    url = f"roomba+ble://{target}"
+    assert KEY not in str(MotionUrl(url)) + public_url(url)
+    with pytest.raises(UsageError) as refused:
+        parse_radar_url(f"roomba+ble://R2?passkey={KEY}")
+    assert KEY not in refused.value.message
+    for plain in ("roomba+ble://AA:BB:CC:11:22:33?hci=hci1", "comxim+serial:///dev/ttyUSB0?baud=115200"):
+        assert str(MotionUrl(plain)) == public_url(plain) == plain
 
 
 def test_a_secret_cannot_be_printed() -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, UsageError
 from tagid.motion.bridge.protocol import NUS
+from tagid.secret import masked
 
 if TYPE_CHECKING:
     from bleak.backends.client import BaseBleakClient
@@ -70,6 +71,7 @@ def bluetooth_errors(doing: str) -> Iterator[None]:
     """
     from bleak.exc import BleakBluetoothNotAvailableError, BleakDeviceNotFoundError, BleakError
 
+    doing = masked(doing)
     try:
         yield
     except BleakBluetoothNotAvailableError as error:
