@@ -29,7 +29,7 @@ from tagid.motion.bridge.find import Backends, bluetooth_errors, find, scanning,
 from tagid.motion.guardian import Guarded, Watch
 from tagid.motion.links import WAKE_S, require
 from tagid.motion.virtual import virtual_bluetooth
-from tagid.secret import Secret
+from tagid.secret import Secret, masked
 from tagid.workers import Worker
 
 T = TypeVar("T")
@@ -347,7 +347,7 @@ class CharacteristicLink:
             await asyncio.wait([found], timeout=self._address.seconds)
         if not found.done():
             raise DeviceGoneError(
-                f"no device called {self._address.target!r} within {self._address.seconds:g} s",
+                f"no device called {masked(self._address.target)!r} within {self._address.seconds:g} s",
                 "Switch it on, and check that no other program or phone is connected to it.",
             )
         device = found.result()

@@ -181,13 +181,13 @@ async def find(wanted: str, seconds: float = 5.0, backends: Backends | None = No
     if len(found) > 1:
         addresses = ", ".join(sorted(item.address for item in found))
         raise UsageError(
-            f"{len(found)} bridges have the name {wanted!r}: {addresses}",
+            f"{len(found)} bridges have the name {masked(wanted)!r}: {addresses}",
             "Give the address instead of the name, or provision one of them with another name.",
         )
     if not found:
         others = ", ".join(sorted(f"{item.name or '?'} ({item.address})" for item in heard.values()))
         raise DeviceGoneError(
-            f"no bridge called {wanted!r} within {seconds:g} s; found: {others or 'none'}",
+            f"no bridge called {masked(wanted)!r} within {seconds:g} s; found: {others or 'none'}",
             "Check the bridge's power and name, and that no other computer is connected to it.",
         )
     return found[0]
