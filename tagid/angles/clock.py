@@ -69,7 +69,10 @@ def fit_clock(
             f"a clock cannot be fitted through {stamps.size} timestamps", "Record at least two scans."
         )
     if scan_id is not None and (len(scan_id) != len(stamps) or (np.diff(scan_id) <= 0).any()):
-        raise DataError("scan numbers do not increase, or their number differs from that of the timestamps")
+        raise DataError(
+            "scan numbers do not increase, or their number differs from that of the timestamps",
+            "If the file holds several recordings, one after the other, store each in a file of its own.",
+        )
     stamps = stamps + WRAP_MS * np.concatenate([[0], np.cumsum(np.diff(stamps) < -WRAP_MS / 2)])
     if scan_id is not None:
         guess = float(np.median(np.diff(stamps) / np.diff(scan_id)))

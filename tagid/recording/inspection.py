@@ -251,7 +251,8 @@ def turning_period(capture: Capture) -> Turning:
     """
     times, label = slow_time(capture)
     if label != TIME_LABEL:
-        return Turning(note="the scans carry no times")
+        timed = capture.radar_time_ms is not None or capture.host_time_ns is not None
+        return Turning(note="the scans' times do not advance" if timed else "the scans carry no times")
     nominal = nominal_period_s(capture, float(times[-1]))
     try:
         if capture.radar_time_ms is not None:

@@ -84,7 +84,11 @@ def read_scans(
         config=RadarSettings.from_json({**config, **window} if config else {}),
     )
     capture = p440_capture(path, p440, "mrm-ret", cable_delay_ps)
-    radar = replace(capture.radar, packets_ignored=filtered + others, ignored=tuple(ignored))
+    radar = replace(
+        capture.radar,
+        packets_ignored=(capture.radar.packets_ignored or 0) + filtered + others,
+        ignored=(*capture.radar.ignored, *ignored),
+    )
     return replace(capture, radar=radar)
 
 

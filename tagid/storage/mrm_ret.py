@@ -179,12 +179,13 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
         "filtered scan": (reading.filtered, " of the same radar"),
         "scan": (reading.other_grid, " with another window"),
     }
-    ignored = [f"{counted(count, what)}{whose}" for what, (count, whose) in counts.items() if count]
+    ignored = [*capture.radar.ignored]
+    ignored += [f"{counted(count, what)}{whose}" for what, (count, whose) in counts.items() if count]
     if scans.host_time_ns is None:
         ignored.append("the host's times, which are not in seconds since 1970")
     radar = replace(
         capture.radar,
-        packets_ignored=sum(count for count, _ in counts.values()),
+        packets_ignored=(capture.radar.packets_ignored or 0) + sum(count for count, _ in counts.values()),
         ignored=tuple(ignored),
         bytes_left_over=survey.left_over,
         detection_lists=tuple(reading.detection_lists),

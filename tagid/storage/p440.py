@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.capture import Capture, ViewFlag
 from tagid.constants import BIN_PS, SPEED_OF_LIGHT
+from tagid.counting import counted
 from tagid.errors import FileFormatError, UsageError
 from tagid.metadata import RadarInfo, RadarSettings
 from tagid.storage.assembly import build_capture, unwrap
@@ -26,6 +27,8 @@ GRID_PS = 2
 
 _RESTART = -64
 """A decrease of the scan number below this is a new run in the same file; smaller ones are reordering."""
+_ALIKE = 8
+"""Scans of the same number and time that are compared, where a program stored a constant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +78,9 @@ def choose_node(path: Path, scans_of: dict[int, int], node: int | None) -> int:
 
 
 def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: float) -> Capture:
-    """The capture of scans: views sorted by scan number within each run, lost scans counted and marked.
+    """The capture of scans: exact repetitions left out, views sorted, lost scans counted and marked.
+
+    Several runs in one file follow one another. `radar.ignored` names the repetitions.
 
     Args:
         path: the file, for messages.
@@ -89,8 +94,11 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
     start_ps, step_bins = scans.info["scan_start_ps"], scans.info["step_bins"]
     if step_bins < 1:
         raise FileFormatError(f"{path}: the scans have a step of {step_bins} bins", "The file is damaged.")
-    scan_id, order, lost = _sort(scans.message_id, scans.lost_id)
-    samples = _reorder(scans.samples, order)
+    kept = _new_scans(scans)
+    repeated = len(scans.samples) - len(kept)
+    number, time_ms = scans.message_id[kept], scans.timestamp_ms[kept]
+    scan_id, order, lost = _sort(number, time_ms, scans.lost_id)
+    samples = _reorder(scans.samples[kept] if repeated else scans.samples, order)
     radar = RadarInfo(
         source=source,
         node_id=scans.info.get("node_id", scans.config.node_id or 0),
@@ -98,6 +106,8 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
         scan_info=scans.info,
         cable_delay_ps=float(cable_delay_ps),
         scans_lost=lost,
+        packets_ignored=repeated,
+        ignored=(f"{counted(repeated, 'scan')} stored again",) if repeated else (),
     )
     host = scans.host_time_ns
     return build_capture(
@@ -105,8 +115,8 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
         samples=samples,
         range_start_m=(start_ps - cable_delay_ps) * 1e-12 * SPEED_OF_LIGHT / 2,
         range_step_m=step_bins * BIN_PS * 1e-12 * SPEED_OF_LIGHT / 2,
-        host_time_ns=None if host is None else host[order],
-        radar_time_ms=unwrap(scans.timestamp_ms[order], 1 << 32).astype(np.float64),
+        host_time_ns=None if host is None else host[kept][order],
+        radar_time_ms=unwrap(time_ms[order], 1 << 32).astype(np.float64),
         scan_id=scan_id,
         flags=_flags(samples, scan_id, scans.config.clip_counts),
         radar=radar,
@@ -131,19 +141,68 @@ def _reorder(samples: NDArray[np.int32], order: NDArray[np.intp]) -> NDArray[np.
     return samples
 
 
+def _new_scans(scans: P440Scans) -> NDArray[np.intp]:
+    """Rows of the scans that do not repeat an earlier one exactly: number, time and samples."""
+    first: dict[tuple[int, int], list[int]] = {}
+    rows = []
+    columns = zip(scans.message_id.tolist(), scans.timestamp_ms.tolist(), strict=True)
+    for row, key in enumerate(columns):
+        others = first.setdefault(key, [])
+        if not any(np.array_equal(scans.samples[row], scans.samples[other]) for other in others[-_ALIKE:]):
+            others.append(row)
+            rows.append(row)
+    return np.array(rows, dtype=np.intp)
+
+
 def _sort(
-    message_id: NDArray[np.int64], lost_id: NDArray[np.int64]
+    message_id: NDArray[np.int64], timestamp_ms: NDArray[np.int64], lost_id: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.intp], int]:
-    """Unwrapped numbers in order, the order, and how many scans are missing."""
+    """Unwrapped numbers in order, the order, and how many scans are missing.
+
+    The order is that of the times, which separates runs and undoes a sorting by text, unless numbers and times
+    agree better in the order of the file: a radar that was restarted has the same times again. Within the
+    runs of a file, scans are sorted by number then.
+    """
     number = unwrap(message_id, 1 << 16)
-    run = np.concatenate([np.zeros(1, np.int64), np.cumsum(np.diff(number) < _RESTART)])
-    order = np.lexsort((number, run))
-    number, run = number[order], run[order]
+    time = unwrap(timestamp_ms, 1 << 32)
+    order = np.lexsort((number, time))
+    by_time = unwrap(message_id[order], 1 << 16)
+    if _disorder(by_time, time[order]) <= _disorder(number, time):
+        number, run = by_time, np.cumsum(np.diff(by_time, prepend=by_time[0]) < 0)
+    else:
+        run = _runs(number)
+        order = np.lexsort((number, run))
+        number, run = number[order], run[order]
     steps = np.diff(number)[np.diff(run) == 0]
     missing = int(np.maximum(steps - 1, 0).sum())
     # Incomplete scans before the first or after the last complete one leave no gap between complete ones.
     inside = (lost_id - number.min()) % (1 << 16) <= number.max() - number.min()
     return number, order, missing + int(len(lost_id) - np.count_nonzero(inside))
+
+
+def _disorder(number: NDArray[np.int64], time: NDArray[np.int64]) -> int:
+    """At how many scans the number does not grow, or the time falls."""
+    return int(np.count_nonzero((np.diff(number) <= 0) | (np.diff(time) < 0)))
+
+
+def _runs(number: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The run of each scan in file order.
+
+    One begins where the number falls by more than reordering explains, or falls and repeats later.
+    """
+    starts = np.zeros(len(number), dtype=np.int64)
+    seen: set[int] = set()
+    fall = 0
+    values = number.tolist()
+    for row, value in enumerate(values):
+        step = value - values[row - 1] if row else 0
+        if step < 0:
+            fall = row
+        if step < _RESTART or (value in seen and fall):
+            starts[fall] = 1
+            seen, fall = set(values[fall:row]), 0
+        seen.add(value)
+    return np.cumsum(starts)
 
 
 def _flags(samples: NDArray[np.int32], scan_id: NDArray[np.int64], clip: int | None) -> NDArray[np.uint8]:

@@ -112,7 +112,8 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
         first = heads[int(valid.argmax())]
         same_grid = np.logical_and.reduce([heads[name] == first[name] for name in _GRID])
         valid = ignored.keep(valid, same_grid, "message", "of scans with another window")
-        complete, partial = _regroup(heads, np.flatnonzero(valid))
+        complete, partial, repeated = _regroup(heads, np.flatnonzero(valid))
+        ignored.add_repeated(repeated)
         if not complete:
             raise FileFormatError(
                 f"{path}: holds no complete scan", "The recording is truncated or mostly lost."
@@ -132,8 +133,8 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
     capture = p440_capture(path, scans, "recording", cable_delay_ps)
     radar = replace(
         capture.radar,
-        packets_ignored=ignored.count,
-        ignored=ignored.notes(),
+        packets_ignored=(capture.radar.packets_ignored or 0) + ignored.count,
+        ignored=(*capture.radar.ignored, *ignored.notes()),
         bytes_left_over=messages.left_over,
     )
     return replace(capture, radar=radar)
@@ -268,6 +269,11 @@ class _Ignored:
             self._counts[f"{what}|{whose}"] = others
         both: NDArray[np.bool_] = valid & kept
         return both
+
+    def add_repeated(self, count: int) -> None:
+        """Count messages of the same number, time and part as an earlier one."""
+        if count:
+            self._counts["message|stored again"] = count
 
     def add_gap(self, data: bytes, start: int, order: str) -> None:
         """Count the messages of other types in the bytes at `start`, and the bytes of none."""
@@ -420,15 +426,26 @@ def _valid(packets: NDArray[np.void]) -> NDArray[np.bool_]:
     return valid
 
 
-def _regroup(heads: NDArray[np.void], rows: NDArray[np.intp]) -> tuple[list[list[int]], list[int]]:
-    """Rows of the fragments of each complete scan, in order of the first one, and the ids of the others."""
-    groups: dict[tuple[int, int], dict[int, int]] = {}
-    columns = (heads[name][rows].tolist() for name in ("id", "timestamp_ms", "message_index"))
-    for row, scan, timestamp, index in zip(rows.tolist(), *columns, strict=True):
-        groups.setdefault((scan, timestamp), {}).setdefault(index, row)
+def _regroup(heads: NDArray[np.void], rows: NDArray[np.intp]) -> tuple[list[list[int]], list[int], int]:
+    """Rows of the fragments of each complete scan, the ids of the others, and the number of repetitions.
+
+    The scans are in the order of their first fragments.
+    """
+    groups: dict[tuple[int, int, int], dict[int, int]] = {}
+    columns = [heads[name][rows] for name in ("id", "timestamp_ms", "message_index")]
     count = int(heads["message_count"][rows[0]])
+    # A program that numbers nothing: the scans follow one another.
+    numbered = len(rows) <= count or bool(np.ptp(columns[0].astype(np.int64)))
+    place = np.zeros(len(rows), np.int64)
+    if not numbered:
+        place = np.cumsum(np.diff(columns[2].astype(np.int64), prepend=0) <= 0)
+    for row, scan, timestamp, index, at in zip(
+        rows.tolist(), *(column.tolist() for column in columns), place.tolist(), strict=True
+    ):
+        groups.setdefault((scan, timestamp, at), {}).setdefault(index, row)
     complete = [[g[i] for i in range(count)] for g in groups.values() if len(g) == count]
-    return complete, [key[0] for key, g in groups.items() if len(g) < count]
+    used = sum(map(len, groups.values()))
+    return complete, [key[0] for key, g in groups.items() if len(g) < count], len(rows) - used
 
 
 def wire_settings(capture: Capture) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -272,3 +272,10 @@ def test_a_log_whose_lines_cannot_be_read_shows_one(tmp_path: Path, samples) -> 
         read_any(log(tmp_path / "a.csv", line.replace(", 7,", ", seven,")))
     with pytest.raises(FileFormatError, match="no complete"):
         read_any(log(tmp_path / "a.csv", line))
+
+
+def test_a_log_stored_twice_is_read_once(tmp_path: Path, samples) -> None:
+    lines = [scan(i, samples[i]) for i in range(6)]
+    capture = read_any(log(tmp_path / "a.csv", config(7), *lines, *lines))
+    np.testing.assert_array_equal(capture.samples, samples)
+    assert "ignored: 6 scans stored again" in remarks(capture)

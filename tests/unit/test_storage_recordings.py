@@ -92,6 +92,41 @@ def test_lost_fragment_costs_its_scan_only(tmp_path: Path) -> None:
     assert np.flatnonzero(capture.flags & ViewFlag.AFTER_LOSS).tolist() == [4]
 
 
+def renumbered(data: bytes, ids: list[int], times_ms: list[int]) -> bytes:
+    """The scans of a recording under other numbers and times, without the configuration."""
+    messages = np.frombuffer(data[32:], SCAN_INFO_DTYPE).reshape(len(ids), -1).copy()
+    messages["id"], messages["timestamp_ms"] = np.array(ids)[:, None], np.array(times_ms)[:, None]
+    return messages.tobytes()
+
+
+@pytest.mark.parametrize("restart_ms", [100_000, 3])
+def test_two_recordings_in_one_file_follow_one_another(tmp_path: Path, restart_ms: int) -> None:
+    samples, data = recording(scans=40)
+    steps = list(range(40))
+    first = renumbered(data, steps, [1000 + 8 * step for step in steps])
+    second = renumbered(data, steps, [1000 + restart_ms + 8 * step for step in steps])
+    capture = read_recording(save(tmp_path / "a.out", data[:32] + first + second))
+    np.testing.assert_array_equal(capture.samples, np.concatenate([samples, samples]))
+    assert capture.scan_id.tolist() == steps + steps and capture.radar.scans_lost == 0
+
+
+def test_scans_in_the_order_of_their_file_names_are_sorted_by_time(tmp_path: Path) -> None:
+    samples, data = recording(scans=200, bins=350)
+    ids = [(65_500 + step) % 65_536 for step in range(200)]
+    plain = renumbered(data, ids, [1000 + 8 * step for step in range(200)])
+    parts = [plain[at : at + 1452] for at in range(0, len(plain), 1452)]
+    content = b"".join(parts[number] for number in sorted(range(200), key=str))
+    capture = read_recording(save(tmp_path / "a.out", content))
+    np.testing.assert_array_equal(capture.samples, samples)
+    assert capture.radar.scans_lost == 0
+
+
+def test_scans_without_numbers_and_times_stay_in_the_order_of_the_file(tmp_path: Path) -> None:
+    samples, data = recording(scans=20)
+    capture = read_recording(save(tmp_path / "a.out", renumbered(data, [0] * 20, [0] * 20)))
+    np.testing.assert_array_equal(capture.samples, samples)
+
+
 def test_whole_scans_lost_are_counted(tmp_path: Path) -> None:
     _, data = recording()
     kept = packets(data)
@@ -116,7 +151,7 @@ def test_order_repeats_and_foreign_packets_do_not_matter(tmp_path: Path) -> None
     shuffled = data[:32] + b"".join([*kept[:5], kept[2], foreign, wrong, *kept[5:]])
     capture = read_recording(save(tmp_path / "a.out", shuffled))
     np.testing.assert_array_equal(capture.samples, samples)
-    assert capture.radar.scans_lost == 0 and capture.radar.packets_ignored == 1
+    assert capture.radar.scans_lost == 0 and capture.radar.packets_ignored == 2
     note = "1 CONTROL_CONFIRM message, 2896 bytes of no message, the first at byte 8752"
     assert note in remarks(capture)[0]
 
