@@ -168,7 +168,8 @@ def _sort(
     order = np.lexsort((number, time))
     by_time = unwrap(message_id[order], 1 << 16)
     if _disorder(by_time, time[order]) <= _disorder(number, time):
-        number, run = by_time, np.cumsum(np.diff(by_time, prepend=by_time[0]) < 0)
+        number = by_time
+        run = np.cumsum(np.diff(by_time, prepend=by_time[0]) < 0, dtype=np.int64)
     else:
         run = _runs(number)
         order = np.lexsort((number, run))
