@@ -194,7 +194,8 @@ def find_period(
     if peak == 0:
         raise DataError(
             f"the scans do not repeat within {duration:.1f} s: no rotation period found",
-            "Record longer (1.3 turns or more), check that the table turns, or give its speed: free?rpm=2.",
+            "Record longer (1.3 turns or more), check that the table turns, or give its speed: free?rpm=2. "
+            "Imported times (timestamps_s) are in seconds.",
         )
     half_width = max(1, _lobe(rho, 0.7 * ac.coherence))
     lag, multiple = float(peak), 1

@@ -64,9 +64,11 @@ def check_moved(capture: Capture) -> None:
     moved = max(float(np.ptp(places, axis=0).max()) for places in antennas)
     if capture.views > 1 and moved < _STILL_WAVELENGTHS * wavelength:
         what = "angles" if capture.angles_rad is not None else "antenna positions"
+        remedy = f"Give each view its own {'angle' if capture.angles_rad is not None else 'position'}."
+        if capture.motion.resolved is not None:
+            remedy = "Check the speed, and the unit of the times: timestamps_s is in seconds."
         raise DataError(
-            f"the {what} of all {capture.views} views are the same: nothing is seen from one place",
-            f"Give each view its own {'angle' if capture.angles_rad is not None else 'position'}.",
+            f"the {what} of all {capture.views} views are the same: nothing is seen from one place", remedy
         )
 
 

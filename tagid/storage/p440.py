@@ -159,9 +159,9 @@ def _sort(
 ) -> tuple[NDArray[np.int64], NDArray[np.intp], int]:
     """Unwrapped numbers in order, the order, and how many scans are missing.
 
-    The order is that of the times, which separates runs and undoes a sorting by text, unless numbers and times
-    agree better in the order of the file: a radar that was restarted has the same times again. Within the
-    runs of a file, scans are sorted by number then.
+    The order is that of the times, which separates runs and undoes a sorting by text. Where numbers and times
+    agree better in the order of the file (a restarted radar has the same times again), the scans of each run
+    in it are sorted by number.
     """
     number = unwrap(message_id, 1 << 16)
     time = unwrap(timestamp_ms, 1 << 32)

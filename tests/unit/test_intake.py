@@ -40,8 +40,9 @@ def test_positions_in_other_units_name_the_unit(
     tmp_path: Path, scale: float, unit: str, conversion: str, offset: float
 ) -> None:
     positions = (RAIL + np.array([offset, 0, 0])) * scale
-    with pytest.raises(FileFormatError, match=unit) as raised:
+    with pytest.raises(FileFormatError, match="not metres|kilometres") as raised:
         read_any(npz(tmp_path / "a.npz", antenna_positions_m=positions))
+    assert unit in f"{raised.value.message} {raised.value.remedy}"
     assert conversion in raised.value.remedy and "axis-distance" not in raised.value.remedy
     assert read_any(npz(tmp_path / "b.npz", antenna_positions_m=RAIL + np.array([offset, 0, 0]))).views == 60
 
@@ -111,9 +112,57 @@ def test_times_in_other_units_name_the_unit(tmp_path: Path, times: Any, unit: st
 def test_times_that_no_turn_explains_name_the_unit(tmp_path: Path) -> None:
     # Milliseconds at 50 scans per second might be seconds of a slow table: only the stated speed tells.
     capture = read_any(npz(tmp_path / "a.npz", timestamps_s=np.arange(60) * 20.0, axis_distance_m=5.2))
-    with pytest.raises(DataError, match="20 s apart, and a turn takes 30 s") as raised:
+    with pytest.raises(DataError, match="20 s apart.* and a turn takes 30 s") as raised:
         with_angles(capture, "free?rpm=2")
     assert "timestamps_s is in seconds" in raised.value.remedy
+
+
+@pytest.mark.parametrize(("times", "unit"), [(np.arange(3750) * 8.0, "milliseconds"),
+                                             (np.arange(36) / 36 * 30 / 86400, "days")])  # fmt: skip
+def test_times_of_a_whole_recording_name_the_unit(tmp_path: Path, times: Any, unit: str) -> None:
+    samples = np.ones((len(times), 8), np.float32)
+    with pytest.raises(FileFormatError, match=unit):
+        read_any(npz(tmp_path / "a.npz", samples=samples, timestamps_s=times, axis_distance_m=1.0))
+
+
+@pytest.mark.parametrize("step", [8.0, 0.008 / 60])
+def test_times_of_too_few_or_too_many_scans_for_the_stated_speed(tmp_path: Path, step: float) -> None:
+    path = npz(
+        tmp_path / "a.npz", timestamps_s=np.arange(60) * step * (1 if step > 1 else 60), axis_distance_m=5.2
+    )
+    with pytest.raises(DataError, match="and a turn takes 30 s"):
+        with_angles(read_any(path), "free?rpm=2")
+
+
+@pytest.mark.parametrize(
+    ("values", "units", "others"),
+    [
+        ({"angles_rad": np.arange(60) * 400 / 60}, "gon (times pi/200)", "degrees"),
+        ({"angles_rad": np.arange(60) * 2000 * np.pi / 60}, "mrad", "degrees"),
+        ({"angles_rad": np.arange(60) * 200.0}, "minutes of arc, steps", ""),
+        ({"angles_rad": np.arange(60) * 6.0}, "degrees (numpy.deg2rad(angles))", "gon"),
+        ({"range_step_m": 100 * RANGE_STEP_M}, "centimetres", "millimetres"),
+        ({"range_step_m": 1000 * RANGE_STEP_M}, "millimetres", "centimetres"),
+        ({"range_step_m": 61.0}, "picoseconds", "millimetres"),
+        ({"center_frequency_hz": 3.95}, "GHz", "MHz"),
+        ({"center_frequency_hz": 3950.0}, "MHz", "GHz"),
+        ({"bandwidth_hz": 1.7}, "GHz", "MHz"),
+    ],
+)
+def test_of_several_units_those_that_fit_are_named(
+    tmp_path: Path, values: dict[str, Any], units: str, others: str
+) -> None:
+    angles = {"angles_rad": np.arange(60) * np.pi / 30, "axis_distance_m": 5.2}
+    with pytest.raises(FileFormatError) as raised:
+        read_any(npz(tmp_path / "a.npz", **{**angles, **values}))
+    assert all(unit in raised.value.remedy for unit in units.split(", "))
+    assert not others or others not in raised.value.remedy
+
+
+def test_positions_in_inches_are_not_called_centimetres_alone(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError) as raised:
+        read_any(npz(tmp_path / "a.npz", antenna_positions_m=RAIL / 0.0254))
+    assert "inches (multiply by 0.0254)" in raised.value.remedy
 
 
 def test_scans_in_another_order_are_sorted_by_their_times(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_a_misspelt_key_is_an_error_not_a_default(tmp_path: Path, wrong: str, me
     assert meant in raised.value.remedy
     # A key of its own, or beside the right one, is nobody's mistake.
     read_any(npz(tmp_path / "b.npz", temperature_c=20.0))
-    read_any(npz(tmp_path / "c.npz", **{wrong: 1e9, meant: 1.0}))
+    read_any(npz(tmp_path / "c.npz", **{wrong: 1e9, meant: 1e6}))
 
 
 def turn(views: int = 36, **changes: Any) -> dict[str, Any]:
@@ -69,7 +69,7 @@ def turn(views: int = 36, **changes: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_angles_in_degrees_are_refused_with_the_conversion(tmp_path: Path, views: int, sign: int) -> None:
     degrees = sign * np.arange(views) * 360 / views
-    with pytest.raises(FileFormatError, match="these are degrees") as raised:
+    with pytest.raises(FileFormatError, match="not radians") as raised:
         read_any(npz(tmp_path / "a.npz", **turn(views, angles_rad=degrees)))
     assert "deg2rad" in raised.value.remedy
     assert read_any(npz(tmp_path / "b.npz", **turn(views, angles_rad=np.deg2rad(degrees)))).views == views
@@ -87,7 +87,7 @@ def test_measured_partial_and_wrapped_degrees_are_refused(tmp_path: Path, case: 
         "lost": np.delete(np.arange(720) / 2, np.arange(100, 110)),
     }[case]
     views = len(degrees)
-    with pytest.raises(FileFormatError, match="these are degrees"):
+    with pytest.raises(FileFormatError, match="not radians"):
         read_any(npz(tmp_path / "a.npz", **turn(views, angles_rad=degrees)))
     assert read_any(npz(tmp_path / "b.npz", **turn(views, angles_rad=np.deg2rad(degrees)))).views == views
 
@@ -100,7 +100,7 @@ def test_few_views_a_turn_and_golden_angles_of_one_turn_are_radians(tmp_path: Pa
 
 def test_ranges_in_millimetres_are_refused_with_the_conversion(tmp_path: Path) -> None:
     changes = {"range_start_m": 300.0, "range_step_m": 9.15, "axis_distance_m": 1000.0}
-    with pytest.raises(FileFormatError, match="these are millimetres") as raised:
+    with pytest.raises(FileFormatError, match="not metres") as raised:
         read_any(npz(tmp_path / "a.npz", **turn(**changes)))
     assert "by 1000" in raised.value.remedy
     metres = {name: value / 1000 for name, value in changes.items()}

@@ -48,7 +48,7 @@ def test_degrees_are_recognised_where_they_start_again_at_zero(tmp_path: Path, t
         tmp_path / "a.npz", samples=np.ones((len(angles), 6)), range_start_m=0.5, range_step_m=0.01,
         angles_rad=angles, axis_distance_m=1.5,
     )  # fmt: skip
-    with pytest.raises(FileFormatError, match="these are degrees"):
+    with pytest.raises(FileFormatError, match="not radians"):
         read_any(tmp_path / "a.npz")
 
 
