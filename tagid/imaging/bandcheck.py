@@ -24,13 +24,20 @@ SHARE = 0.9
 _WIDER = 0.2
 _BASEBAND = (
     "it is about zero, as of baseband scans",
-    "multiply the samples at range R by exp(4j pi center_frequency_hz R / wave_speed_m_s)",
+    "multiply the samples at range R by exp(4j pi center_frequency_hz R / wave_speed_m_s); where their phase "
+    "grows with an echo's range, take the complex conjugate first",
+)
+_PART = (
+    "it is at low frequencies, as of the real or imaginary part of baseband scans, or of decibels",
+    "store the waveform itself, or complex scans with both parts",
 )
 _CONJUGATE = ("it is at negative frequencies", "store the complex conjugate of the samples")
 _MAGNITUDE = (
     "it is about zero and no sample {}, as of magnitudes, envelopes, power or decibels",
     "store the waveform itself, real or complex",
 )
+_LEAST_IN_BAND = 0.05
+"""Share of the energy in the assumed band, widened, below which no echo can be read in it."""
 _BAND = ("", "check center_frequency_hz, bandwidth_hz and wave_speed_m_s")
 _MOST_VIEWS = 64
 _CLEAR, _CLEAR_ONE = 0.25, 5.0
@@ -79,17 +86,20 @@ def sample_fault(capture: Capture) -> SampleFault | None:
         frequency = middle + (frequency - middle + rate / 2) % rate - rate / 2
         order = np.argsort(frequency)
         frequency, power = frequency[order], power[order]
-    elif (sign := _one_sign(capture)) and power[frequency <= high - low].sum() >= LEAST_INSIDE * total:
-        cause = (_MAGNITUDE[0].format(sign), _MAGNITUDE[1])
-    inside = (frequency >= low - edge) & (frequency <= high + edge)
-    if power[inside].sum() >= LEAST_INSIDE * total:
+    elif power[frequency <= high - low].sum() >= LEAST_INSIDE * total:
+        sign = _one_sign(capture)
+        cause = (_MAGNITUDE[0].format(sign), _MAGNITUDE[1]) if sign else _PART
+    inside = float(power[(frequency >= low - edge) & (frequency <= high + edge)].sum()) / total
+    if inside >= LEAST_INSIDE:
         return None
     first, last = _holding(power)
     text = (
         f"the scans' energy lies outside the assumed band of {hertz(low)} to {hertz(high)}: "
         f"90 % of it is between {hertz(frequency[first])} and {hertz(frequency[last])}"
     )
-    return SampleFault(f"{text}; {cause[0]}" if cause[0] else text, cause[1], cause is not _BAND)
+    return SampleFault(
+        f"{text}; {cause[0]}" if cause[0] else text, cause[1], cause is not _BAND or inside < _LEAST_IN_BAND
+    )
 
 
 def band_warning(capture: Capture) -> str | None:

@@ -195,11 +195,29 @@ def kinds(capture: Capture) -> dict[str, tuple[np.ndarray, str, str]]:
         "envelope": (magnitude, "magnitudes", waveform),
         "rectified": (np.abs(capture.samples), "magnitudes", waveform),
         "power": (magnitude**2, "magnitudes", waveform),
+        "signed decibels": (20 * np.log10(magnitude + 1e-9), "low frequencies", waveform),
+        "real part": ((signal * carrier).real, "low frequencies", waveform),
+        "imaginary part": ((signal * carrier).imag, "low frequencies", waveform),
+        "opposite phase": ((signal * carrier).conj(), "baseband", "conjugate first"),
         "decibels": (20 * np.log10(magnitude / magnitude.max() + 1e-9), "no sample is positive", waveform),
     }
 
 
-@pytest.mark.parametrize("kind", ["conjugate", "baseband", "envelope", "rectified", "power", "decibels"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "conjugate",
+        "baseband",
+        "envelope",
+        "rectified",
+        "power",
+        "decibels",
+        "signed decibels",
+        "real part",
+        "imaginary part",
+        "opposite phase",
+    ],
+)
 def test_every_command_says_what_is_wrong_with_the_samples(turn: Capture, kind: str) -> None:
     samples, shown, remedy = kinds(turn)[kind]
     dtype = np.complex64 if np.iscomplexobj(samples) else np.float32
