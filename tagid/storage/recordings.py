@@ -44,6 +44,7 @@ _PER_SCAN = (
     "antenna_id",
     "operation_mode",
 )
+_WINDOW = ("scan_start_ps", "scan_stop_ps")
 _GRID = ("scan_start_ps", "step_bins", "total_samples")
 _CONFIG_NAMES = CONFIG_DTYPE.names or ()
 _HEAD_NAMES = tuple(name for name in SCAN_INFO_DTYPE.names or () if name != "samples")
@@ -54,6 +55,10 @@ _ORDERS = (">", "<")
 """Byte orders: that of the wire, and that of a program that stored the fields as its own numbers."""
 _INTEGRATION = range(6, 16)
 """Base integration indexes of a P440 (MRM API)."""
+_MOST_COUNTS = 1 << 23
+"""Larger than a typical sample of any scan; a small one of the other byte order is larger still."""
+_PROBE, _SURE = 64, 192
+"""Scans that are looked at, and the fewest samples that tell."""
 _BLOCK_BYTES = 1 << 18
 _MOST_MESSAGES = files.MAX_FILE_BYTES // SCAN_INFO_DTYPE.itemsize
 _RESYNC_BYTES = 64
@@ -242,7 +247,15 @@ def _read_samples(stream: BinaryIO, messages: _Messages, rows: NDArray[np.int64]
             data = stream.read(4 * width)
             values = np.frombuffer(data, f"{messages.order}i4", len(data) // 4)
             samples[scan, start : start + len(values)] = values
+    # Some programs convert the header to their own byte order, but not the samples, or the reverse.
+    probe = samples[:_PROBE]
+    if probe.size >= _SURE and _typical(probe) > _MOST_COUNTS >= _typical(probe.byteswap()):
+        samples.byteswap(inplace=True)
     return samples
+
+
+def _typical(samples: NDArray[np.int32]) -> float:
+    return float(np.median(np.abs(samples.astype(np.int64))))
 
 
 class _Ignored:
@@ -324,20 +337,33 @@ def _read_gaps(stream: BinaryIO, messages: _Messages, head: np.void, ignored: _I
         budget -= len(data)
         if end - start > len(data):
             ignored.add_bytes(end - start - len(data), start + len(data))
+        order = messages.order
         if start == 0 and end == CONFIG_DTYPE.itemsize:
-            at = 0
+            order = _order_of_block(data, order, head)
+            at = 0 if order else -1
         else:
-            at = -1 if config else _find_config(data, messages.order, head)
+            at = -1 if config else _find_config(data, order, head)
         if at < 0:
             ignored.add_gap(data, start, messages.order)
             continue
         block = data[at : at + CONFIG_DTYPE.itemsize]
-        dtype = CONFIG_DTYPE.newbyteorder(messages.order)  # type: ignore[arg-type]
+        dtype = CONFIG_DTYPE.newbyteorder(order)  # type: ignore[arg-type]
         config = _plain(np.frombuffer(block, dtype, 1)[0], _CONFIG_NAMES)
         before, after = _around_config(data, at, messages.order)
         ignored.add_gap(data[:before], start, messages.order)
         ignored.add_gap(data[after:], start + after, messages.order)
     return config
+
+
+def _order_of_block(data: bytes, order: str, head: np.void) -> str:
+    """Byte order of a bare configuration block, `order` if that fits; "" if the bytes are none."""
+    for candidate in (order, *_ORDERS):
+        block = np.frombuffer(data, CONFIG_DTYPE.newbyteorder(candidate), 1)[0]  # type: ignore[arg-type]
+        # A program that does not know the integration writes 0, and the window of the scans.
+        known = block["base_integration_index"] in _INTEGRATION
+        if known or all(abs(int(block[name]) - int(head[name])) <= GRID_PS for name in _WINDOW):
+            return candidate
+    return ""
 
 
 def _find_config(data: bytes, order: str, head: np.void) -> int:
@@ -351,7 +377,7 @@ def _find_config(data: bytes, order: str, head: np.void) -> int:
     at = np.flatnonzero((windows[:, : len(wanted)] == wanted).all(axis=1))
     blocks = np.ascontiguousarray(windows[at]).view(CONFIG_DTYPE.newbyteorder(order)).reshape(-1)  # type: ignore[arg-type]
     fits = np.isin(blocks["base_integration_index"], _INTEGRATION)
-    for name in ("scan_start_ps", "scan_stop_ps"):
+    for name in _WINDOW:
         fits &= np.abs(blocks[name].astype(np.int64) - int(head[name])) <= GRID_PS
     return int(at[fits][-1]) if fits.any() else -1
 

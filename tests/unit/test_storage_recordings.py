@@ -127,6 +127,28 @@ def test_scans_without_numbers_and_times_stay_in_the_order_of_the_file(tmp_path:
     np.testing.assert_array_equal(capture.samples, samples)
 
 
+@pytest.mark.parametrize("swapped", ["samples", "configuration", "both"])
+@pytest.mark.parametrize("order", [">", "<"])
+def test_parts_of_another_byte_order(tmp_path: Path, swapped: str, order: str) -> None:
+    samples, data = recording()
+    messages = np.frombuffer(data[32:], SCAN_INFO_DTYPE).astype(SCAN_INFO_DTYPE.newbyteorder(order))
+    config = np.frombuffer(data[:32], CONFIG_DTYPE).astype(CONFIG_DTYPE.newbyteorder(order))
+    if swapped != "configuration":
+        messages["samples"] = messages["samples"].byteswap()
+    if swapped != "samples":
+        config = config.byteswap()
+    capture = read_recording(save(tmp_path / "a.out", config.tobytes() + messages.tobytes()))
+    np.testing.assert_array_equal(capture.samples, samples)
+    assert capture.radar.config.base_integration_index == 11 and capture.radar.config.scan_start_ps == 10_000
+
+
+def test_a_block_of_other_bytes_is_no_configuration(tmp_path: Path) -> None:
+    _, data = recording()
+    capture = read_recording(save(tmp_path / "a.out", b"measured by us on 27 Nov 2026   " + data[32:]))
+    assert capture.radar.config == RadarSettings()
+    assert any("32 bytes of no message" in remark for remark in remarks(capture))
+
+
 def test_whole_scans_lost_are_counted(tmp_path: Path) -> None:
     _, data = recording()
     kept = packets(data)
