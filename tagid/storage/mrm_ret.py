@@ -29,7 +29,7 @@ SCAN = "MrmFullScanInfo"
 CONFIG = "Config"
 DETECTIONS = "MrmDetectionListInfo"
 _CONTROLS = ("MrmControlRequest", "MrmControlConfirm")
-_KINDS = (SCAN, CONFIG, DETECTIONS, *_CONTROLS)
+_KINDS = {kind.lower(): kind for kind in (SCAN, CONFIG, DETECTIONS, *_CONTROLS)}
 CONFIG_FIELDS = (
     "node_id",
     "scan_start_ps",
@@ -58,17 +58,19 @@ _DECIMAL = r"[+-]?[0-9]{1,12}+(?:\.[0-9]*+)?+(?:[eE][+-]?[0-9]{1,2}+)?+"
 _DECIMALS = re.compile(rf"{_DECIMAL}(?:[ \t]*+,[ \t]*+{_DECIMAL})*+")
 """The same numbers as another program writes them: 123.0, 1.23E+02."""
 _MARK = re.compile(
-    r"""(?:(?:^|[\s,;|"'])(?:MrmFullScanInfo|MrmControl(?:Request|Confirm)|MrmDetectionListInfo)"""
+    r"""(?:(?:^|[\s,;|"'])(?i:MrmFullScanInfo|MrmControl(?:Request|Confirm)|MrmDetectionListInfo)"""
     r"""|[,;\t|]\ *+["']?Config)["']?\ *+(?P<delimiter>[,;\t|]|(?<=\ )|(?<=\ "))""",
     re.MULTILINE,
 )
 """The name of a line and the delimiter behind it; empty where spaces separate the columns."""
 _QUOTED = re.compile(r"""(["'])(.*?)\1""")
+_SWISS = re.compile(r"(?<=[0-9])'(?=[0-9]{3}(?![0-9]))")
+"""The apostrophe in 1'977."""
 _THOUSANDS = re.compile(r"-?[0-9]{1,3}(?:,[0-9]{3})+")
 _MISSING = ("", "nan", "null", "none", "na", "#n/a", "<na>")
 """What other programs write into cells without a value, in lower case."""
-_EARLIEST_S, _LATEST_S = 946_684_800, 4_102_444_800
-"""A time of the host lies between the years 2000 and 2100, s since 1970."""
+_EARLIEST_S, _LATEST_S = 946_684_800, 2_524_608_000
+"""A time of the host lies between 2000 and 2050, s since 1970; those since 1900 or 1904 are later."""
 _SECOND = (1, 10**3, 10**6, 10**9)
 """A second in the units of such a time."""
 
@@ -109,6 +111,7 @@ class _Form:
     def cells(self, line: str) -> str:
         """The line with commas between the cells, decimal points, no quotes and no empty cells behind."""
         if '"' in line or "'" in line:
+            line = _SWISS.sub("", line)
             line = _QUOTED.sub(self._unquoted, line)
         if not self.delimiter:
             line = ",".join(line.replace(",", ".").split())
@@ -158,11 +161,11 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
             )
         survey = _Survey.of(stream, form)
         if not survey.scans_of:
-            raise _no_scan(path, survey)
+            raise _no_scan(path, survey.unreadable + survey.incomplete, survey.example)
         chosen = choose_node(path, survey.scans_of, node)
         reading = _Reading.of(stream, form, chosen, survey.has_raw)
     if not reading.message_id:
-        raise _no_scan(path, survey)
+        raise _no_scan(path, len(reading.lost_id), reading.example)
     config, window = _fitting_config(survey, chosen, reading)
     scans = P440Scans(
         samples=np.frombuffer(reading.samples, np.int32).reshape(len(reading.message_id), -1),
@@ -196,16 +199,14 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
     return replace(capture, radar=radar)
 
 
-def _no_scan(path: Path, survey: _Survey) -> FileFormatError:
-    if survey.unreadable:
+def _no_scan(path: Path, count: int, example: str) -> FileFormatError:
+    if count:
         return FileFormatError(
-            f"{path}: none of the log's {survey.unreadable} MrmFullScanInfo lines can be read; the first "
-            f"begins {displayable(survey.example)!r}",
-            "Expected the vendor's columns: time, MrmFullScanInfo, message id, source id, ..., samples.",
+            f"{path}: none of the log's {count} MrmFullScanInfo lines can be read; {example}",
+            "Expected the vendor's columns and no others: time, MrmFullScanInfo, message id, source id, ..., "
+            "samples as whole numbers.",
         )
-    return FileFormatError(
-        f"{path}: the log holds no complete MrmFullScanInfo line", "Log full scans in MRM-RET."
-    )
+    return FileFormatError(f"{path}: the log holds no MrmFullScanInfo line", "Log full scans in MRM-RET.")
 
 
 @dataclass
@@ -218,6 +219,7 @@ class _Line:
         body: the cells behind the name.
         length: bytes in the file.
         wraps: number of further lines that were joined to it.
+        number: of the line in the file, from 1.
     """
 
     kind: str
@@ -225,16 +227,15 @@ class _Line:
     body: str
     length: int
     wraps: int = 0
+    number: int = 0
 
     @classmethod
     def of(cls, cells: str, length: int) -> _Line:
         # Data-frame libraries write an index in front, and dates and times take two columns.
         columns = cells.split(",", 5)
         for at, column in enumerate(columns[:5]):
-            if column.strip() in _KINDS:
-                return cls(
-                    column.strip(), columns[at - 1].strip() if at else "", ",".join(columns[at + 1 :]), length
-                )
+            if kind := _KINDS.get(column.strip().lower()):
+                return cls(kind, columns[at - 1].strip() if at else "", ",".join(columns[at + 1 :]), length)
         return cls("", "", cells, length)
 
 
@@ -244,6 +245,7 @@ def _lines(stream: BinaryIO, form: _Form) -> Iterator[_Line]:
     text = io.TextIOWrapper(stream, form.encoding, "replace", newline="")
     wide = 2 if form.encoding.startswith("utf-16") else 1
     last: _Line | None = None
+    number = 0
     try:
         while raw := text.readline(_LONGEST_LINE):
             length = len(raw)
@@ -252,13 +254,17 @@ def _lines(stream: BinaryIO, form: _Form) -> Iterator[_Line]:
                 if more.endswith(("\n", "\r")):
                     break
             line = _Line.of(form.cells(raw), length * wide)
+            number += 1
+            line.number = number
             heading = line.kind and line.body.lstrip()[:1].isalpha()
             if heading or line.time == "Timestamp" or not line.kind + line.body:
                 continue
             if last is not None and not line.kind and _continues(last, line):
                 joined = last.body.rstrip(", ") + "," + line.body.lstrip(", ")
                 length = last.length + line.length
-                last = _Line(last.kind, last.time, joined[:_LONGEST_LINE], length, last.wraps + 1)
+                last = _Line(
+                    last.kind, last.time, joined[:_LONGEST_LINE], length, last.wraps + 1, last.number
+                )
                 continue
             if last is not None:
                 yield last
@@ -288,7 +294,8 @@ class _Survey:
         has_raw: radars that have an unfiltered scan.
         configs: (number of scan lines before it, settings) of the Config lines.
         unreadable: scan lines with an invalid header.
-        example: beginning of the first of them.
+        incomplete: scan lines with another number of samples than the header says.
+        example: what is wrong with the first line of either.
         left_over: bytes of an incomplete last line.
     """
 
@@ -296,6 +303,7 @@ class _Survey:
     has_raw: set[int] = field(default_factory=set)
     configs: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
     unreadable: int = 0
+    incomplete: int = 0
     example: str = ""
     left_over: int = 0
 
@@ -311,10 +319,18 @@ class _Survey:
             elif line.kind == SCAN:
                 head = _Head.parse(line)
                 if head is None:
-                    survey.example = survey.example or line.body[:60]
+                    survey.example = (
+                        survey.example or f"line {line.number} begins {displayable(line.body[:60])!r}"
+                    )
                     survey.unreadable += 1
                     survey.left_over = line.length
                 elif not head.is_whole:
+                    survey.example = (
+                        survey.example
+                        or f"line {line.number} has {head.columns} columns behind the name, "
+                        f"not the {_HEAD_COLUMNS + head.total} of its {head.total} samples"
+                    )
+                    survey.incomplete += 1
                     survey.left_over = line.length
                 elif head.node in survey.scans_of or len(survey.scans_of) < MAX_NODES:
                     seen += 1
@@ -335,6 +351,7 @@ class _Reading:
     timestamp_ms: list[int] = field(default_factory=list)
     host_time_ns: list[int | None] = field(default_factory=list)
     lost_id: list[int] = field(default_factory=list)
+    example: str = ""
     detection_lists: list[str] = field(default_factory=list)
     info: dict[str, Any] = field(default_factory=dict)
     filtered: int = 0
@@ -353,6 +370,9 @@ class _Reading:
                 continue
             samples = head.samples()
             if samples is None:
+                reading.example = reading.example or (
+                    f"line {line.number} has samples missing, or others than whole numbers"
+                )
                 reading.lost_id.append(head.message_id)
                 continue
             wanted = head.filter if wanted is None else wanted
@@ -375,6 +395,7 @@ class _Head:
     """The columns of a scan line before its samples.
 
     Attributes:
+        columns: number of columns behind the line's name.
         is_whole: whether the number of samples matches the header.
     """
 
@@ -383,7 +404,8 @@ class _Head:
         self.node, self.filter = values[1], values[10]
         self.message_id, self.timestamp_ms = values[0] & 0xFFFF, values[2] & 0xFFFFFFFF
         self.total = values[13]
-        self.is_whole = body.count(",") + 1 == columns + self.total
+        self.columns = body.count(",") + 1
+        self.is_whole = self.columns == columns + self.total
         self.grid = (values[7], values[9], values[13])
         self.info: dict[str, Any] = {
             "node_id": values[1],

@@ -270,7 +270,7 @@ def test_a_log_whose_lines_cannot_be_read_shows_one(tmp_path: Path, samples) -> 
     line = scan(0, samples[0]).replace(", 10000,", ", 10,000,")
     with pytest.raises(FileFormatError, match="none of the log's 1 MrmFullScanInfo lines can be read"):
         read_any(log(tmp_path / "a.csv", line.replace(", 7,", ", seven,")))
-    with pytest.raises(FileFormatError, match="no complete"):
+    with pytest.raises(FileFormatError, match="line 1 has 111 columns"):
         read_any(log(tmp_path / "a.csv", line))
 
 
@@ -279,3 +279,32 @@ def test_a_log_stored_twice_is_read_once(tmp_path: Path, samples) -> None:
     capture = read_any(log(tmp_path / "a.csv", config(7), *lines, *lines))
     np.testing.assert_array_equal(capture.samples, samples)
     assert "ignored: 6 scans stored again" in remarks(capture)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda line: line + ", note", "line 2 has 111 columns"),
+        (lambda line: line.replace(", 96, ", ", 96, 0.5, ").rpartition(",")[0], "line 2 has samples missing"),
+        (lambda line: line.replace(", 7, ", ", '7, ", 1), "line 2 begins"),
+    ],
+)
+def test_a_log_of_which_no_line_is_readable_says_why(tmp_path: Path, samples, change, said: str) -> None:
+    lines = [change(scan(i, samples[i])) for i in range(6)]
+    with pytest.raises(FileFormatError, match="none of the log's 6 MrmFullScanInfo lines") as raised:
+        read_any(log(tmp_path / "a.csv", config(7), *lines))
+    assert said in raised.value.message
+
+
+def test_names_in_lower_case_and_swiss_thousands(tmp_path: Path, samples) -> None:
+    lines = [scan(i, samples[i]).replace("MrmFull", "mrmfull").split(", ") for i in range(6)]
+    swiss = [
+        "; ".join([*line[:16], *(f"{int(cell):,}".replace(",", "'") for cell in line[16:])]) for line in lines
+    ]
+    np.testing.assert_array_equal(read_any(log(tmp_path / "a.csv", *swiss)).samples, samples)
+
+
+def test_times_since_1904_are_unknown(tmp_path: Path, samples) -> None:
+    lines = [scan(i, samples[i]).replace("17000000", "37828448", 1) for i in range(6)]
+    capture = read_any(log(tmp_path / "a.csv", *lines))
+    assert capture.host_time_ns is None and any("the host's times" in remark for remark in remarks(capture))
