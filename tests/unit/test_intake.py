@@ -40,7 +40,7 @@ def test_positions_in_other_units_name_the_unit(
     tmp_path: Path, scale: float, unit: str, conversion: str, offset: float
 ) -> None:
     positions = (RAIL + np.array([offset, 0, 0])) * scale
-    with pytest.raises(FileFormatError, match="not metres|kilometres") as raised:
+    with pytest.raises(FileFormatError, match=r"not metres|kilometres") as raised:
         read_any(npz(tmp_path / "a.npz", antenna_positions_m=positions))
     assert unit in f"{raised.value.message} {raised.value.remedy}"
     assert conversion in raised.value.remedy and "axis-distance" not in raised.value.remedy
@@ -112,7 +112,7 @@ def test_times_in_other_units_name_the_unit(tmp_path: Path, times: Any, unit: st
 def test_times_that_no_turn_explains_name_the_unit(tmp_path: Path) -> None:
     # Milliseconds at 50 scans per second might be seconds of a slow table: only the stated speed tells.
     capture = read_any(npz(tmp_path / "a.npz", timestamps_s=np.arange(60) * 20.0, axis_distance_m=5.2))
-    with pytest.raises(DataError, match="20 s apart.* and a turn takes 30 s") as raised:
+    with pytest.raises(DataError, match=r"20 s apart.* and a turn takes 30 s") as raised:
         with_angles(capture, "free?rpm=2")
     assert "timestamps_s is in seconds" in raised.value.remedy
 
