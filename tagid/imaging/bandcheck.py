@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
+from tagid.geometry import Aperture
 from tagid.imaging.preprocess import MIN_BINS, assumed_pulse
 from tagid.imaging.rangefilter import band_of, hertz, normalised
 
@@ -63,8 +64,8 @@ class SampleFault:
 def sample_fault(capture: Capture) -> SampleFault | None:
     """The fault of the samples whose energy is outside the assumed band; None where there is none.
 
-    The power spectrum is the mean over the views after their mean is subtracted, less its noise floor (the
-    lower quartile over frequency, since a pulse of a P440 takes a fifth of the recorded band).
+    The power spectrum is the mean over the views, from which the mean of their antenna height is subtracted,
+    less its noise floor (the lower quartile over frequency: a P440's pulse takes a fifth of the recorded band).
     """
     if capture.bins < MIN_BINS:
         return None
@@ -97,9 +98,8 @@ def sample_fault(capture: Capture) -> SampleFault | None:
         f"the scans' energy lies outside the assumed band of {hertz(low)} to {hertz(high)}: "
         f"90 % of it is between {hertz(frequency[first])} and {hertz(frequency[last])}"
     )
-    return SampleFault(
-        f"{text}; {cause[0]}" if cause[0] else text, cause[1], cause is not _BAND or inside < _LEAST_IN_BAND
-    )
+    certain = cause is not _BAND or inside < _LEAST_IN_BAND
+    return SampleFault(f"{text}; {cause[0]}" if cause[0] else text, cause[1], certain)
 
 
 def band_warning(capture: Capture) -> str | None:
@@ -117,9 +117,14 @@ def _one_sign(capture: Capture) -> str:
 
 def _spectrum(capture: Capture) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
     """Frequencies (n,) Hz, mean power over the noise floor (n,), and whether that is more than noise has."""
-    rows = capture.samples[:: max(1, capture.views // _MOST_VIEWS)].astype(np.complex128)
+    chosen = slice(None, None, max(1, capture.views // _MOST_VIEWS))
+    rows = capture.samples[chosen].astype(np.complex128)
     if len(rows) > 1:
-        rows = rows - rows.mean(axis=0)
+        # The room differs between antenna heights.
+        positions = capture.antenna_positions_m
+        groups = [np.arange(len(rows))] if positions is None else Aperture(positions[chosen]).height_groups()
+        for group in groups:
+            rows[group] -= rows[group].mean(axis=0)
     rows = rows * np.hanning(rows.shape[1] + 2)[1:-1]
     n = rows.shape[1]
     rate = capture.wave_speed_m_s / (2 * capture.range_step_m)

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 _FEWEST_A_TURN = 6
 """Views a turn of which no image is made."""
-_LEAST_TURN, _MANY = 0.03, 16
-"""Part of a turn that so many scans show at least, or their times are in another unit."""
 
 
 def clock_of(capture: Capture) -> UniformClock:
@@ -75,7 +73,7 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
                 "Use the period from the scans: --motion free.",
             )
         if device.nominal_s is not None:
-            _check_speed(capture, clock.period_s, device.nominal_s)
+            _check_speed(clock.period_s, device.nominal_s)
         angles = device.resolve(capture.samples, clock.times_s, clock.sigma_s)
     found = replace(angles.info, scan_period_s=clock.period_s, clock_residual_ms=clock.residual_ms)
     return replace(
@@ -88,16 +86,12 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
     )
 
 
-def _check_speed(capture: Capture, period_s: float, nominal_s: float) -> None:
-    """Raise DataError if a turn would have no views, or next to nothing of it were recorded."""
-    recorded_s = period_s * (capture.views - 1)
-    if period_s <= nominal_s / _FEWEST_A_TURN and (
-        recorded_s >= _LEAST_TURN * nominal_s or capture.views < _MANY
-    ):
+def _check_speed(period_s: float, nominal_s: float) -> None:
+    """Raise DataError if a turn would have no views."""
+    if period_s <= nominal_s / _FEWEST_A_TURN:
         return
     raise DataError(
-        f"the scans are {period_s:.3g} s apart and last {recorded_s:.3g} s, and a turn takes "
-        f"{nominal_s:.3g} s",
+        f"the scans are {period_s:.3g} s apart, and a turn takes {nominal_s:.3g} s",
         "Check the speed, and the unit of the times: timestamps_s is in seconds.",
     )
 

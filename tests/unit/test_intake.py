@@ -125,11 +125,8 @@ def test_times_of_a_whole_recording_name_the_unit(tmp_path: Path, times: Any, un
         read_any(npz(tmp_path / "a.npz", samples=samples, timestamps_s=times, axis_distance_m=1.0))
 
 
-@pytest.mark.parametrize("step", [8.0, 0.008 / 60])
-def test_times_of_too_few_or_too_many_scans_for_the_stated_speed(tmp_path: Path, step: float) -> None:
-    path = npz(
-        tmp_path / "a.npz", timestamps_s=np.arange(60) * step * (1 if step > 1 else 60), axis_distance_m=5.2
-    )
+def test_times_of_too_few_scans_for_the_stated_speed(tmp_path: Path) -> None:
+    path = npz(tmp_path / "a.npz", timestamps_s=np.arange(60) * 8.0, axis_distance_m=5.2)
     with pytest.raises(DataError, match="and a turn takes 30 s"):
         with_angles(read_any(path), "free?rpm=2")
 
