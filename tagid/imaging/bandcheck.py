@@ -65,7 +65,7 @@ def sample_fault(capture: Capture) -> SampleFault | None:
     """The fault of the samples whose energy is outside the assumed band; None where there is none.
 
     The power spectrum is the mean over the views, from which the mean of their antenna height is subtracted,
-    less its noise floor (the lower quartile over frequency: a P440's pulse takes a fifth of the recorded band).
+    less its noise floor (the lower quartile: a P440's pulse takes a fifth of the recorded band).
     """
     if capture.bins < MIN_BINS:
         return None
