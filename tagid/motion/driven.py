@@ -137,16 +137,16 @@ class DrivenMotion(ABC):
         self._stopping.clear()
         try:
             self._begin()
-            self._worker = Worker(self._work, f"motion-{self.kind}", self._failed)
+            worker = Worker(self._work, f"motion-{self.kind}", self._failed)
             try:
-                self._worker.start()
+                worker.start()
             except RuntimeError as error:
                 raise DeviceError(
                     f"the thread that drives {self.name} does not start ({error})",
                     "Free memory and processes, then try again.",
                 ) from error
+            self._worker = worker  # only now: `check` on another thread reports one that is not alive
         except BaseException as error:
-            self._worker = None
             self._stopping.set()
             self._error = error if isinstance(error, TagidError) else None
             self._end()
