@@ -242,7 +242,7 @@ def read_file(path: Path, tolerant: bool = False) -> dict[str, Any]:
     tables: dict[str, Any] = {}
     with _remarked(tolerant):
         try:
-            tables = files.read_toml(path, MAX_BYTES, missing={})
+            tables = files.read_toml(path, MAX_BYTES, missing_ok=True)
         except FileFormatError as error:
             raise ConfigError(error.message, "Repair or delete it.") from None
     found: dict[str, Any] = {}

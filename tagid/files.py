@@ -79,16 +79,16 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
     return data
 
 
-def read_toml(path: Path, limit: int, missing: dict[str, Any] | None = None) -> dict[str, Any]:
-    """The tables of a TOML file; `missing`, if given, where there is no file.
+def read_toml(path: Path, limit: int, missing_ok: bool = False) -> dict[str, Any]:
+    """The tables of a TOML file; none where there is no file and that is `missing_ok`.
 
     Raises StorageError as `read_bytes` does, and FileFormatError: too large, or as `parse_toml` does.
     """
     try:
         raw = read_bytes(path, limit)
     except StorageError as error:
-        if missing is not None and isinstance(error.__cause__, FileNotFoundError):
-            return missing
+        if missing_ok and isinstance(error.__cause__, FileNotFoundError):
+            return {}
         raise
     return parse_toml(raw, str(path))
 

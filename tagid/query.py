@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from typing import Final, overload
 
 from tagid.errors import UsageError
@@ -11,7 +12,7 @@ MAX_SEED: Final = 2**53
 """Largest seed: beyond it, a number in a URL is not read exactly."""
 
 
-class Query:
+class Query(ABC):
     """Options by name; each is taken once, and `done` rejects those left over.
 
     Attributes:
@@ -20,9 +21,9 @@ class Query:
 
     given: dict[str, str]
 
+    @abstractmethod
     def wrong(self, why: str) -> UsageError:
         """The error that names what was given and says why it is wrong."""
-        raise NotImplementedError
 
     @overload
     def number(self, name: str, default: float, low: float, high: float) -> float: ...

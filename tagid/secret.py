@@ -68,14 +68,14 @@ class MotionUrl(Secret):
     def __str__(self) -> str:
         head, *rest = _PARTS.split(self._text)
         marks, options = rest[::2], map(_masked_option, rest[1::2])
-        return masked(_masked(head)) + "".join(map("".join, zip(marks, options, strict=True)))
+        return _masked(head) + "".join(map("".join, zip(marks, options, strict=True)))
 
     @property
     def public(self) -> str:
         """The URL without its pass-key: what is stored, and can be opened again."""
         head, *rest = _PARTS.split(self._text)
         kept = [option for option in rest[1::2] if option and _masked_option(option) == option]
-        head = masked(_masked(head))
+        head = _masked(head)
         return f"{head}?{'&'.join(kept)}" if kept else head
 
     @property
@@ -95,5 +95,4 @@ def _masked(part: str) -> str:
 
     name, _, value = part.partition("=")
     letters = re.sub("[^a-z]", "", unquote(unquote(name)).casefold())
-    part = masked(part)
-    return f"{name}={HIDDEN}" if value and re.search("pass|key|pin$", letters) else part
+    return masked(f"{name}={HIDDEN}" if value and re.search("pass|key|pin$", letters) else part)

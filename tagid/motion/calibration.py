@@ -75,7 +75,7 @@ def calibrations_path() -> Path:
 def _load() -> dict[str, Calibration]:
     path = calibrations_path()
     try:
-        tables = read_toml(path, _MAX_BYTES, missing={})
+        tables = read_toml(path, _MAX_BYTES, missing_ok=True)
         return {name: Calibration(**table) for name, table in tables.items()}
     except (FileFormatError, TypeError):
         raise ConfigError(f"{path} is damaged", "Delete it and calibrate again.") from None
@@ -84,7 +84,7 @@ def _load() -> dict[str, Calibration]:
 def _directions(path: Path) -> dict[str, bool]:
     """Whether each calibrated device turns opposite to its documents. Raises StorageError, ConfigError."""
     try:
-        reversals = read_toml(path, _MAX_BYTES, missing={})
+        reversals = read_toml(path, _MAX_BYTES, missing_ok=True)
     except FileFormatError:
         reversals = {"": None}
     if not all(isinstance(value, bool) for value in reversals.values()):

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 BOOT_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 """It continues while the computer sleeps."""
@@ -57,13 +57,36 @@ def peer(line: socket.socket) -> tuple[int, int]:
     return pid, uid
 
 
-class Guard:
-    """Watches one driver; `watch` holds the parameters of `tagid.motion.guardian.Watch`."""
+class Parameters(NamedTuple):
+    """What the guardian is told, see `tagid.motion.guardian.Watch`; as JSON on its standard input.
 
-    def __init__(self, watch: dict[str, Any]) -> None:
+    Attributes:
+        name, limit_s, port, command, command_input, remedy: as there.
+        halt: as there, hexadecimal.
+        pauses_s: before each of the stops, s.
+        sockets: names of the abstract sockets on which a stop is requested.
+        errors: file descriptor of the driver's standard error; -1 for none.
+    """
+
+    name: str
+    limit_s: float
+    port: int
+    halt: str
+    command: list[str]
+    command_input: str
+    remedy: str
+    pauses_s: list[float]
+    sockets: list[str]
+    errors: int
+
+
+class Guard:
+    """Watches one driver."""
+
+    def __init__(self, watch: Parameters) -> None:
         self.watch = watch
         self.servers: list[socket.socket] = []
-        for name in watch["sockets"]:
+        for name in watch.sockets:
             server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
             server.bind("\0" + name)
             server.listen(16)
@@ -77,7 +100,7 @@ class Guard:
     def run(self) -> None:
         """Watch until the driver says farewell, or has ended and the device is stopped."""
         tell(b"r")
-        limit = self.watch["limit_s"]
+        limit = self.watch.limit_s
         heard, tripped, ended = now(), False, False
         while not ended or self.command is not None or self.command_at is not None:
             wait = 3600.0 if tripped else max(0.0, heard + limit - now())
@@ -103,7 +126,7 @@ class Guard:
                 self.stop(OWNER_S if asked and not ended else 0.0)
                 tripped = True
                 if gone:
-                    say(f"{self.watch['name']}: its program ended without a stop; its guardian stops it")
+                    say(f"{self.watch.name}: its program ended without a stop; its guardian stops it")
             self.look_after_command()
         self.end_command()
 
@@ -128,18 +151,18 @@ class Guard:
     def stop(self, owner_s: float) -> None:
         """Write the halt bytes three times, or start the command after `owner_s`."""
         failure: OSError | None = None
-        for pause in self.watch["pauses_s"]:
+        for pause in self.watch.pauses_s:
             time.sleep(pause)
-            if self.watch["port"] >= 0:
+            if self.watch.port >= 0:
                 try:
-                    os.write(self.watch["port"], bytes.fromhex(self.watch["halt"]))
+                    os.write(self.watch.port, bytes.fromhex(self.watch.halt))
                     failure = None
                 except OSError as error:
                     failure = error
         if failure is not None:
             self.answer(b"failed")
-            say(f"cannot stop {self.watch['name']} ({failure}). {self.watch['remedy']}")
-        if not self.watch["command"]:
+            say(f"cannot stop {self.watch.name} ({failure}). {self.watch.remedy}")
+        if not self.watch.command:
             self.answer(b"stopped")
         elif self.command is None and self.command_at is None:
             self.command_at = now() + owner_s
@@ -153,15 +176,15 @@ class Guard:
             self.command_at, self.command_until = None, now() + COMMAND_S
             try:
                 self.command = subprocess.Popen(
-                    self.watch["command"], stdin=subprocess.PIPE, stdout=2, start_new_session=True
+                    self.watch.command, stdin=subprocess.PIPE, stdout=2, start_new_session=True
                 )
             except OSError as error:
-                say(f"the command that stops {self.watch['name']} does not start ({error})")
+                say(f"the command that stops {self.watch.name} does not start ({error})")
                 self.report(1)
                 return
             assert self.command.stdin is not None
             with suppress(OSError), self.command.stdin as line:
-                line.write(self.watch["command_input"].encode())
+                line.write(self.watch.command_input.encode())
         if self.command is not None:
             code = self.command.poll()
             if code is not None:
@@ -175,7 +198,7 @@ class Guard:
         self.command = None
         self.answer(b"failed" if code else b"stopped")
         if code:
-            say(f"{self.watch['name']} could not be stopped. {self.watch['remedy']}")
+            say(f"{self.watch.name} could not be stopped. {self.watch.remedy}")
 
     def end_command(self) -> None:
         """The driver has stopped the device: the command must not interfere with what follows."""
@@ -194,10 +217,10 @@ def main() -> None:
         if not data:
             sys.exit(1)
         text += data
-    watch = json.loads(text)
-    if watch["errors"] >= 0:
-        os.dup2(watch["errors"], 2)
-        os.close(watch["errors"])
+    watch = Parameters(**json.loads(text))
+    if watch.errors >= 0:
+        os.dup2(watch.errors, 2)
+        os.close(watch.errors)
     Guard(watch).run()
 
 

@@ -24,7 +24,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -197,13 +197,18 @@ def _start(watch: Watch, scope: bool) -> subprocess.Popen[bytes] | None:
         errors = os.dup(2)
     names = {_socket_name(name) for name in (watch.name, *watch.aliases) if name}
     linux = sys.platform.startswith("linux")
-    parameters = {
-        **asdict(watch),
-        "halt": watch.halt.hex(),
-        "pauses_s": PAUSES_S,
-        "errors": errors,
-        "sockets": [f"{name}-{secrets.token_hex(8)}" for name in names] if linux else [],
-    }
+    parameters = guard.Parameters(
+        name=watch.name,
+        limit_s=watch.limit_s,
+        port=watch.port,
+        halt=watch.halt.hex(),
+        command=list(watch.command),
+        command_input=watch.command_input,
+        remedy=watch.remedy,
+        pauses_s=list(PAUSES_S),
+        sockets=[f"{name}-{secrets.token_hex(8)}" for name in names] if linux else [],
+        errors=errors,
+    )
     try:
         process = processes.start_alone(
             Path(guard.__file__),
@@ -226,7 +231,7 @@ def _start(watch: Watch, scope: bool) -> subprocess.Popen[bytes] | None:
     assert process.stdin is not None and process.stdout is not None and process.stderr is not None
     os.set_blocking(process.stdin.fileno(), False)
     with contextlib.suppress(OSError):
-        os.write(process.stdin.fileno(), json.dumps(parameters).encode() + b"\n")
+        os.write(process.stdin.fileno(), json.dumps(parameters._asdict()).encode() + b"\n")
     ready, _, _ = select.select([process.stdout], [], [], _SCOPE_S if scope else _START_S)
     if ready and os.read(process.stdout.fileno(), 1) == b"r":
         process.stderr.close()  # it writes to this process's own

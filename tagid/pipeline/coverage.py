@@ -69,12 +69,6 @@ def widest_gap(capture: Capture) -> Gap | None:
     return Gap(share, (int(order[widest]), int(order[(widest + 1) % len(order)])), bool(every))
 
 
-def turn_share(capture: Capture) -> float:
-    """Share of a turn that the views of a capture cover, 0..1."""
-    gap = widest_gap(capture)
-    return 0.0 if gap is None else gap.share
-
-
 def ended_early(capture: Capture) -> bool:
     """Whether the recording ended on purpose before the turn did, because the answer was certain."""
     ended = capture.radar.ended

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from tagid.config import data_folder
 from tagid.doctor import Finding, examine
-from tagid.errors import StorageError, TagidError, UsageError
+from tagid.errors import StorageError, TagidError
 from tagid.files import read_bytes
 from tagid.station.enrolling import Enrolling, Subject
 from tagid.station.errors import (
@@ -272,10 +272,7 @@ class Station:
 
     def history(self, wanted: Filter) -> list[Entry]:
         """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError, UsageError."""
-        try:
-            return list(History(data_folder() / FILE_NAME).find(wanted))
-        except OverflowError as error:
-            raise UsageError("since or until is out of range", "Give a year from 1 to 9999.") from error
+        return list(History(data_folder() / FILE_NAME).find(wanted))
 
     def picture(self, number: int) -> bytes:
         """The picture of an entry of the history, PNG. Raises NoSuchItemError."""

@@ -5,7 +5,6 @@ Only magic numbers and the names in a ZIP archive are looked at; nothing is unpa
 
 from __future__ import annotations
 
-import io
 import re
 import zipfile
 from pathlib import Path
@@ -73,7 +72,7 @@ def check_foreign(path: Path, head: bytes) -> None:
 def check_zip(path: Path) -> None:
     """Raise FileFormatError for a ZIP archive that is no NPZ file, but e.g. a workbook."""
     try:
-        with zipfile.ZipFile(io.BytesIO(files.read_bytes(path))) as archive:
+        with files.open_regular(path) as (stream, _), zipfile.ZipFile(stream) as archive:
             names = set(archive.namelist())
     except (zipfile.BadZipFile, OSError, ValueError, RuntimeError, LookupError, OverflowError):
         return

@@ -14,7 +14,7 @@ from tagid.errors import DataError
 from tagid.metadata import Ending, MotionInfo, RadarInfo, ResolvedMotion, Standstill
 from tagid.pipeline import diagnosis
 from tagid.pipeline.circling import circling
-from tagid.pipeline.coverage import turn_share
+from tagid.pipeline.coverage import widest_gap
 from tagid.pipeline.diagnosis import recording_remarks, with_causes
 from tagid.pipeline.elsewhere import Elsewhere
 from tagid.pipeline.identify import identify, identify_together
@@ -126,6 +126,12 @@ def as_positions(capture: Capture) -> Capture:
     places = capture.aperture().antennas[0]
     return replace(capture, angles_rad=None, angle_sigma_rad=None, axis_distance_m=None, antenna_height_m=0.0,
                    antenna_positions_m=places)  # fmt: skip
+
+
+def turn_share(capture: Capture) -> float:
+    gap = widest_gap(capture)
+    assert gap is not None
+    return gap.share
 
 
 def test_positions_cover_the_directions_in_which_they_lie() -> None:

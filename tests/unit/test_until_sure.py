@@ -22,7 +22,7 @@ from tagid.metadata import Ending, Track
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
 from tagid.motion.urls import open_motion
-from tagid.pipeline.coverage import turn_share
+from tagid.pipeline.coverage import widest_gap
 from tagid.pipeline.diagnosis import recording_remarks
 from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
@@ -87,7 +87,9 @@ def test_a_scan_ends_at_the_first_look_that_is_sure_and_the_capture_says_why(tmp
     assert capture.radar.ended == stored.radar.ended == expected
     assert not list(tmp_path.glob("*.journal"))
     prepared = PreparedCapture(load_capture(capture))
-    share = turn_share(prepared.given)
+    gap = widest_gap(prepared.given)
+    assert gap is not None
+    share = gap.share
     assert share is not None and 0.59 < share < 0.65
     assert recording_remarks(prepared.given) == ()
     as_interrupted = replace(prepared.given, radar=replace(prepared.given.radar, ended=None))
