@@ -24,6 +24,30 @@ Status = Literal["success", "partial", "error"]
 
 
 @dataclass(frozen=True)
+class Problem:
+    """An error as documents state it.
+
+    Attributes:
+        code: stable, for programs.
+        message: what went wrong and where.
+        remedy: what to do next; may be empty.
+    """
+
+    code: str
+    message: str
+    remedy: str = ""
+
+    @classmethod
+    def of(cls, error: TagidError) -> Problem:
+        """The item of an error."""
+        return cls(error.code, error.message, error.remedy)
+
+    def to_json(self) -> dict[str, str]:
+        """Plain JSON values: {code, message, remedy}."""
+        return {"code": self.code, "message": self.message, "remedy": self.remedy}
+
+
+@dataclass(frozen=True)
 class Result:
     """Outcome of one command.
 
@@ -50,7 +74,7 @@ class Result:
     @classmethod
     def from_error(cls, command: str, error: TagidError) -> Result:
         """The envelope of a command that ended with an error."""
-        entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
+        entry = Problem.of(error).to_json()
         return cls(command, status="error", exit_code=error.exit_code, errors=(entry,))
 
     def envelope(self) -> dict[str, Any]:
