@@ -44,6 +44,8 @@ class Identification:
         second: the network's result for the image; None for free antenna positions and if status is
             "failed".
         causes: likely causes if nothing is named, most certain first.
+        coverage: share of a turn from which the object was seen, 0 to 1; None if unknown.
+        remarks: on the recording, one sentence each: how its file was read, its samples, speed and losses.
     """
 
     status: str
@@ -55,6 +57,8 @@ class Identification:
     error: dict[str, str] | None = None
     second: SecondLook | None = None
     causes: tuple[Cause, ...] = ()
+    coverage: float | None = None
+    remarks: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON values, with all fields of the contract."""
@@ -82,7 +86,9 @@ class Identification:
             "hypothesis": self._won(),
             "hypotheses": self._hypotheses(),
             "bound": self._bound(),
+            "coverage": None if self.coverage is None else round(self.coverage, 3),
             "note": r.note if r else "",
+            "remarks": list(self.remarks),
             "capture_uuid": self.capture_uuid,
             "tool_version": __version__,
             "model_sha256": second.model_sha256 if second else None,

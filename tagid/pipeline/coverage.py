@@ -69,6 +69,11 @@ def widest_gap(capture: Capture) -> Gap | None:
     return Gap(share, (int(order[widest]), int(order[(widest + 1) % len(order)])), bool(every))
 
 
+def share_seen(captures: Sequence[Capture]) -> float | None:
+    """The share of a turn that the best of several recordings covers; None if it is unknown of all."""
+    return max((gap.share for gap in map(widest_gap, captures) if gap is not None), default=None)
+
+
 def ended_early(capture: Capture) -> bool:
     """Whether the recording ended on purpose before the turn did, because the answer was certain."""
     ended = capture.radar.ended

@@ -14,7 +14,7 @@ from tagid.errors import DataError
 from tagid.imaging.bandcheck import sample_fault
 from tagid.imaging.preprocess import PreprocessSettings
 from tagid.pipeline.answer import Identification
-from tagid.pipeline.coverage import of_the_part
+from tagid.pipeline.coverage import of_the_part, share_seen
 from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved
 from tagid.pipeline.reading import reader_settings
 from tagid.pipeline.settings import ImagingSettings, Stopwatch, TagPriors
@@ -78,8 +78,16 @@ def identify(
     labels |= {layout.name: layout.label for layout in layouts}
     label = labels.get(reading.layout or "", "")
     seconds = {**prepared.watch.seconds, **watch.seconds}
-    uuid = prepared.given.uuid
-    return Identification(reading.status, reading, uuid, registry_version, label, seconds, second=second)
+    return Identification(
+        reading.status,
+        reading,
+        prepared.given.uuid,
+        registry_version,
+        label,
+        seconds,
+        second=second,
+        coverage=share_seen([prepared.given]),
+    )
 
 
 def without_body(prepared: PreparedCapture, answer: Identification) -> PreparedCapture:
@@ -130,13 +138,20 @@ def identify_together(
     for one in prepared:
         watch.add(one.watch)
 
-    def answer(reading: Reading, uuid: str | None, second: SecondLook | None) -> Identification:
-        label, spent = labels.get(reading.layout or "", ""), dict(watch.seconds)
-        return Identification(reading.status, reading, uuid, registry_version, label, spent, second=second)
+    def answer(reading: Reading, of: Sequence[Capture], second: SecondLook | None) -> Identification:
+        return Identification(
+            reading.status,
+            reading,
+            of[0].uuid if len(of) == 1 else None,
+            registry_version,
+            labels.get(reading.layout or "", ""),
+            dict(watch.seconds),
+            second=second,
+            coverage=share_seen(of),
+        )
 
-    each = [answer(r, c.uuid, second) for (r, second), c in zip(looked, captures, strict=True)]
-    only = len(captures) == 1
-    return answer(joint, captures[0].uuid if only else None, looked[0][1] if only else None), each
+    each = [answer(r, [c], second) for (r, second), c in zip(looked, captures, strict=True)]
+    return answer(joint, captures, looked[0][1] if len(captures) == 1 else None), each
 
 
 def enrolled_hypotheses(
