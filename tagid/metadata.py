@@ -165,6 +165,8 @@ class Ending(JsonValue):
         layout: the layout that was named.
         p_value: bound on the probability of such a name for an object without an enrolled tag, and
         turns: number of calibration turns that it rests on.
+        spent: share of the false-accept probability that readings during the recording have used, where
+            they did not end it; the reading of the whole has the rest.
     """
 
     reason: str
@@ -172,6 +174,7 @@ class Ending(JsonValue):
     layout: str | None = None
     p_value: float | None = None
     turns: int | None = None
+    spent: float | None = None
 
 
 @dataclass(frozen=True)

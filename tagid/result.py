@@ -42,6 +42,11 @@ class Problem:
         """The item of an error."""
         return cls(error.code, error.message, error.remedy)
 
+    @classmethod
+    def from_json(cls, item: dict[str, Any]) -> Problem:
+        """The item of a document. Raises KeyError."""
+        return cls(item["code"], item["message"], item["remedy"])
+
     def to_json(self) -> dict[str, str]:
         """Plain JSON values: {code, message, remedy}."""
         return {"code": self.code, "message": self.message, "remedy": self.remedy}
@@ -55,27 +60,47 @@ class Result:
         command: name of the command, e.g. "scan".
         data: plain JSON values, the machine's half.
         human: anything rich can draw, the person's half; nothing is drawn where it is None.
-        status: "success", "partial" (some of it failed) or "error".
         exit_code: exit code of the process.
         messages: remarks that are not errors, one sentence each.
-        errors: [{code, message, remedy}].
+        errors: what failed.
+        completed: parts of the job that were completed in spite of the errors.
         csv: the same as a table, for commands that offer it.
     """
 
     command: str
     data: dict[str, Any] = field(default_factory=dict)
     human: RenderableType | None = None
-    status: Status = "success"
     exit_code: int = EXIT_OK
     messages: tuple[str, ...] = ()
-    errors: tuple[dict[str, str], ...] = ()
+    errors: tuple[Problem, ...] = ()
+    completed: int = 0
     csv: str = ""
 
     @classmethod
-    def from_error(cls, command: str, error: TagidError) -> Result:
-        """The envelope of a command that ended with an error."""
-        entry = Problem.of(error).to_json()
-        return cls(command, status="error", exit_code=error.exit_code, errors=(entry,))
+    def from_error(
+        cls,
+        command: str,
+        error: TagidError,
+        data: dict[str, Any] | None = None,
+        human: RenderableType | None = None,
+        messages: tuple[str, ...] = (),
+    ) -> Result:
+        """The outcome of a command that ended with an error, with what it has to show nevertheless."""
+        return cls(
+            command,
+            data or {},
+            human,
+            exit_code=error.exit_code,
+            messages=messages,
+            errors=(Problem.of(error),),
+        )
+
+    @property
+    def status(self) -> Status:
+        """ "success" without errors, "partial" if something was completed in spite of them, else "error"."""
+        if not self.errors:
+            return "success"
+        return "partial" if self.completed else "error"
 
     def envelope(self) -> dict[str, Any]:
         """The JSON document of the contract, as plain values."""
@@ -86,7 +111,7 @@ class Result:
             "exit_code": self.exit_code,
             "data": _plain(self.data),
             "messages": list(self.messages),
-            "errors": [dict(entry) for entry in self.errors],
+            "errors": [problem.to_json() for problem in self.errors],
         }
 
 
@@ -133,10 +158,10 @@ def render(result: Result, output: str, quiet: bool = False) -> None:
     if not quiet:
         for message in result.messages:
             err.print(Text(f"note: {visible(message)}", style="yellow"))
-    for entry in result.errors:
-        err.print(Text.assemble(("error: ", "bold red"), visible(entry["message"])), soft_wrap=True)
-        if entry["remedy"]:
-            err.print(Text.assemble(("what to do: ", "bold"), visible(entry["remedy"])), soft_wrap=True)
+    for problem in result.errors:
+        err.print(Text.assemble(("error: ", "bold red"), visible(problem.message)), soft_wrap=True)
+        if problem.remedy:
+            err.print(Text.assemble(("what to do: ", "bold"), visible(problem.remedy)), soft_wrap=True)
 
 
 class Harmless:

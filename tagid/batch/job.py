@@ -12,6 +12,7 @@ from typing import Any
 
 from tagid import __version__
 from tagid.models_store import manifest
+from tagid.operate.turn import ReadingSetup
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.report.records import ItemRecord, Thumbnails
@@ -48,24 +49,28 @@ class Job:
     @classmethod
     def of(
         cls,
-        settings: ImagingSettings,
-        contents: RegistryContents,
-        load: LoadSettings,
+        setup: ReadingSetup,
         pictures: bool = True,
     ) -> Job:
-        """The job for the contents of a registry; the method "auto" becomes backprojection.
+        """The job of a setup; the method "auto" becomes backprojection.
 
         One picture by a slower method takes as long as ten identifications: use them only on request.
         """
-        method = "bp" if settings.method == "auto" else settings.method
+        method = "bp" if setup.imaging.method == "auto" else setup.imaging.method
         return cls(
-            replace(settings, method=method),
-            tuple(contents.layouts),
-            contents.version,
-            load,
+            replace(setup.imaging, method=method),
+            tuple(setup.enrolled.layouts),
+            setup.enrolled.version,
+            setup.loading,
             pictures,
-            signatures=tuple(contents.signatures),
+            signatures=tuple(setup.enrolled.signatures),
         )
+
+    @property
+    def setup(self) -> ReadingSetup:
+        """What an answer depends on besides the recording."""
+        enrolled = RegistryContents(self.registry_version, list(self.layouts), list(self.signatures))
+        return ReadingSetup(self.load, self.settings, enrolled)
 
     def described(self) -> dict[str, Any]:
         """Everything that an answer depends on except the capture, as plain JSON values."""

@@ -20,10 +20,9 @@ from tagid import files
 from tagid.batch.inputs import Source, filesystem
 from tagid.batch.job import MAX_CAPTURE_BYTES, Answered, Job, Known, Outcome
 from tagid.errors import FileFormatError, StorageError, TagidError, displayable
+from tagid.operate.turn import Answer, failed, read
 from tagid.pipeline.answer import Identification
-from tagid.pipeline.identify import identify
-from tagid.pipeline.load import intake_remarks, load_capture
-from tagid.pipeline.prepared import PreparedCapture, prepare
+from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import Stopwatch
 from tagid.report.records import ItemRecord, Thumbnails
@@ -51,31 +50,20 @@ def work(source: Source, job: Job) -> Outcome:
     content: Content | None = None
     pictures = Thumbnails()
     try:
-        with watch.stage("load"), local_copy(source) as path:
+        with local_copy(source) as path:
             content = content_of(path)
             if content.sha256 in job.known:
                 return Known(content.sha256, time.process_time() - began)
-            capture = load_capture(path, job.load, turn=False)
-        with watch.stage("prepare"):
-            prepared = PreparedCapture(
-                prepare(capture, job.load.motion_for(capture), job.settings.extent_m), job.settings
-            )
-        answer = identify(
-            prepared, job.layouts, registry_version=job.registry_version, signatures=job.signatures
-        )
-        if answer.reading is not None and (remarks := intake_remarks(capture)):
-            note = "; ".join(filter(None, (answer.reading.note, *remarks)))
-            answer = replace(answer, reading=replace(answer.reading, note=note))
-        for name, seconds in answer.seconds.items():
-            watch.seconds[name] = watch.seconds.get(name, 0.0) + seconds
-        if job.pictures:
+            answer = read(job.setup, path, source.name)
+        if job.pictures and answer.prepared is not None:
             with watch.stage("pictures"):
-                pictures = _pictures(prepared, answer, job)
+                pictures = _pictures(answer.prepared, answer.identification, job)
     except TagidError as error:
         answer = _failed(source, error)
     except Exception as error:
         answer = _failed(source, unexpected(source, error))
-    record = make_record(source, answer, watch.seconds, content)
+    seconds = {**answer.identification.seconds, **watch.seconds}
+    record = make_record(source, answer.identification, seconds, content)
     return Answered(record, pictures, time.process_time() - began)
 
 
@@ -111,7 +99,7 @@ def make_record(
 
 def failed_record(source: Source, error: TagidError) -> ItemRecord:
     """The record of an item that no worker could complete."""
-    return make_record(source, _failed(source, error), {}, None)
+    return make_record(source, _failed(source, error).identification, {}, None)
 
 
 def content_of(path: Path) -> Content:
@@ -164,12 +152,9 @@ def _check_size(size: int, name: str) -> None:
         )
 
 
-def _failed(source: Source, error: TagidError) -> Identification:
-    # The message of a file must not depend on the path it was read from.
-    message = error.message.replace(displayable(source.location), source.name)
-    named = message if source.name in message else f"{source.name}: {message}"
-    entry = {"code": error.code, "message": named, "remedy": error.remedy}
-    return Identification("failed", None, None, None, error=entry)
+def _failed(source: Source, error: TagidError) -> Answer:
+    """The answer of an item that failed; its message does not depend on the path that was read."""
+    return failed(error, source.name, displayable(source.location))
 
 
 def _pictures(prepared: PreparedCapture, answer: Identification, job: Job) -> Thumbnails:

@@ -37,7 +37,7 @@ def register(app: typer.Typer) -> None:
         from rich.table import Table
         from rich.text import Text
 
-        from tagid.cli.common.imaging import open_registry
+        from tagid.operate.workplace import open_registry
 
         registry = open_registry()
         if remove:
@@ -82,8 +82,8 @@ def register(app: typer.Typer) -> None:
         """
         from rich.text import Text
 
-        from tagid.cli.common.imaging import open_registry
         from tagid.files import write_bytes
+        from tagid.operate.workplace import open_registry
 
         check_drawing("--png", png, (".png",))
         one = open_registry().signature("object" if of_object else "body", name)
@@ -114,7 +114,7 @@ def register(app: typer.Typer) -> None:
         from rich.table import Table
         from rich.text import Text
 
-        from tagid.cli.common.imaging import open_registry
+        from tagid.operate.workplace import open_registry
         from tagid.tags.bodies.likeness import compare
 
         contents = open_registry().contents()

@@ -169,29 +169,29 @@ def register(app: typer.Typer) -> None:
 
 
 def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Joint:
-    from tagid.cli.common.imaging import settings_from
-    from tagid.pipeline.load import LoadSettings
+    from tagid.operate.workplace import Workplace
     from tagid.pipeline.measuring import prepare_files, signature
 
-    captures = prepare_files(paths, LoadSettings.of(config))
+    place = Workplace(config)
+    captures = prepare_files(paths, place.loading())
     with terminal.progress("signature", total=len(captures) + 1) as advance:
         done = count(1)
         return signature(
             name,
             "body",
             captures,
-            settings_from(config),
+            place.imaging(),
             lambda what: advance(next(done), Path(what).name),
         )
 
 
 def _measure(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Measured:
-    from tagid.cli.common.imaging import settings_from
-    from tagid.pipeline.load import LoadSettings
+    from tagid.operate.workplace import Workplace
     from tagid.pipeline.measuring import measure, prepare_files, sight
 
-    imaging = settings_from(config)
-    captures = prepare_files(paths, LoadSettings.of(config))
+    place = Workplace(config)
+    imaging = place.imaging()
+    captures = prepare_files(paths, place.loading())
     with terminal.progress("measuring", total=2 * len(captures) + 1) as advance:
         done = count(1)
 
@@ -209,7 +209,7 @@ def _enrol_layout(
     terminal: Terminal, layout: Layout, measured: Measured | None, source: str, wish: enrolling.Wish
 ) -> Result:
     """Show the outcome of enrolling a layout, ask for confirmation, and store it with its signature."""
-    from tagid.cli.common.imaging import open_registry
+    from tagid.operate.workplace import open_registry
     from tagid.pipeline.enrolment import propose_layout
 
     registry = open_registry()
@@ -234,7 +234,7 @@ def _enrol_signature(
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.common.imaging import open_registry
+    from tagid.operate.workplace import open_registry
     from tagid.pipeline.enrolment import propose_signature
     from tagid.pipeline.measuring import joint_data, joint_words
     from tagid.tags.bodies.likeness import least_tag

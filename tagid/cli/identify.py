@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,13 +12,15 @@ import typer
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.outputs import check_drawing
-from tagid.config import Config, load_config
 from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, UsageError, displayable
-from tagid.result import Result, Status
+from tagid.result import Problem, Result
 from tagid.secret import MotionUrl
 
 if TYPE_CHECKING:
-    from tagid.pipeline.answer import Identification
+    from rich.console import RenderableType
+
+    from tagid.operate.turn import Answer
+    from tagid.operate.workplace import Workplace
 
 
 def register(app: typer.Typer) -> None:
@@ -43,139 +46,125 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid identify helmet.tagid.h5
         """
-        if vote:
-            if preview or png:
-                raise UsageError("--vote does not draw an image", "Omit --preview and --png.")
-            overrides = {
-                "motion.url": motion,
-                "motion.axis_distance_m": axis_distance,
-                "motion.antenna_height_m": antenna_height,
-                "motion.antenna_separation_m": antenna_separation,
-            }
-            return vote_on(files, load_config(overrides), background, "identify")
+        from tagid.operate.workplace import Workplace
+
+        if vote and (preview or png):
+            raise UsageError("--vote does not draw an image", "Omit --preview and --png.")
         if len(files) > 1 and (preview or png):
             raise UsageError(
                 f"--preview and --png draw one recording, and {len(files)} are given",
                 "Omit them, or identify the files one by one.",
             )
-        return run(
-            terminal,
-            files,
-            {
-                "motion.url": motion,
-                "motion.axis_distance_m": axis_distance,
-                "motion.antenna_height_m": antenna_height,
-                "motion.antenna_separation_m": antenna_separation,
-            },
-            View(background, preview, png),
-        )
+        check_drawing("--png", png, (".png",), files)
+        overrides = {
+            "motion.url": motion,
+            "motion.axis_distance_m": axis_distance,
+            "motion.antenna_height_m": antenna_height,
+            "motion.antenna_separation_m": antenna_separation,
+        }
+        place = Workplace(overrides, background)
+        if vote:
+            return vote_on(place, files, "identify")
+        return run(terminal, place, files, View(preview, png), _given(overrides))
 
 
 @dataclass(frozen=True)
 class View:
-    """Background subtraction and drawing options.
+    """Drawing options.
 
     Attributes:
-        background: "mean", "median", "reference" or "none".
         preview: whether to draw the image in the terminal.
         png: file for the image; None for none.
     """
 
-    background: str
     preview: bool
     png: Path | None
 
 
-def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], view: View) -> Result:
+def run(
+    terminal: Terminal, place: Workplace, files: list[Path], view: View, given: dict[str, object]
+) -> Result:
     """Identify each file; a file that fails becomes a failed item; the others continue."""
-    from rich.console import Group, RenderableType
+    from rich.console import Group
 
     from tagid.cli.common import imaging
-    from tagid.pipeline.diagnosis import recording_remarks, with_causes
-    from tagid.pipeline.identify import identify
-    from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
-    from tagid.pipeline.prepared import PreparedCapture
+    from tagid.operate.turn import draw, failed, read
 
-    check_drawing("--png", view.png, (".png",), files)
-    config = load_config(overrides)
-    registry = imaging.open_registry()
-    known = registry.contents()
-    answers: list[Identification] = []
-    items: list[dict[str, object]] = []
+    setup = place.setup()
+    answers: list[Answer] = []
     drawn: list[RenderableType] = []
-    errors: list[dict[str, str]] = []
-    remarks: list[str] = []
     written: str | None = None
-    settings = imaging.settings_from(config, view.background)
-    loading = LoadSettings.of(config, view.background)
     for path in files:
-        try:
-            prepared = PreparedCapture(load_capture(path, loading), settings)
-            answer = identify(
-                prepared, known.layouts, registry_version=known.version, signatures=known.signatures
-            )
-            answer = with_causes(answer, prepared, known.layouts)
-            prefix = f"{displayable(path.name)}: " if len(files) > 1 else ""
-            given = prepared.given
-            remarks += [prefix + remark for remark in (*intake_remarks(given), *recording_remarks(given))]
-            if view.preview or view.png:
-                result = imaging.image_with_progress(terminal, prepared)
-                if view.png:
-                    imaging.draw(result, answer, view.png)
-                    written = str(view.png)
+        answer = read(setup, path)
+        if answer.error is None and (view.preview or view.png):
+            try:
+                with terminal.progress("image", total=1.0) as advance:
+                    result = draw(answer, view.png, False, imaging.share_of(advance)).result
+                written = str(view.png) if view.png else None
                 if view.preview:
                     drawn.append(imaging.in_terminal(result))
-        except TagidError as error:
-            answer = imaging.failed(None, error)
-            errors.append(
-                {"code": error.code, "message": _named(path, error.message), "remedy": error.remedy}
-            )
-            exit_code = error.exit_code
+            except TagidError as error:
+                answer = failed(error, answer.file)
         answers.append(answer)
-        items.append({"file": displayable(str(path)), **answer.to_dict()})
-        if answer.status != "failed":
-            drawn.append(imaging.describe(answer, displayable(path.name)))
-    code = imaging.exit_code_of(answers)
+        if answer.error is None:
+            drawn.append(imaging.describe(answer.identification, displayable(path.name)))
+    errors = [answer for answer in answers if answer.error is not None]
+    code = imaging.exit_code_of([answer.identification for answer in answers])
     if code == EXIT_FAILED:
-        code = exit_code
-    status: Status = "success" if not errors else "partial" if len(errors) < len(items) else "error"
-    if status == "error" and len(files) > 1:
+        code = errors[-1].error.exit_code if errors[-1].error else code
+    if len(errors) == len(files) > 1:
         code = EXIT_BATCH
-    notes = imaging.remember("identify", items, {"background": view.background, **_given(overrides)})
-    data = {"items": items, "png": written}
+    items = [answer.to_dict() for answer in answers]
+    remarks = [
+        f"{displayable(path.name)}: {remark}" if len(files) > 1 else remark
+        for path, answer in zip(files, answers, strict=True)
+        for remark in answer.remarks
+    ]
+    notes = place.remember("identify", items, {"background": place.background, **given})
     return Result(
-        "identify", data, Group(*drawn) if drawn else None, status, code, (*remarks, *notes), tuple(errors)
+        "identify",
+        {"items": items, "png": written},
+        Group(*drawn) if drawn else None,
+        exit_code=code,
+        messages=(*remarks, *notes),
+        errors=tuple(Problem.of(a.error) for a in errors if a.error is not None),
     )
 
 
-def vote_on(files: list[Path], config: Config, background: str, command_name: str) -> Result:
+def vote_on(place: Workplace, files: list[Path], command_name: str) -> Result:
     """One joint answer from recordings of one object. Raises the errors of reading them."""
     from tagid.cli.common import imaging
-    from tagid.cli.common.voting import joint_item, joint_text
-    from tagid.pipeline.identify import identify_together
-    from tagid.pipeline.load import LoadSettings, load_capture
+    from tagid.operate.turn import read_jointly
 
-    registry = imaging.open_registry()
-    loading = LoadSettings.of(config, background, as_recorded=command_name == "scan")
-    captures = [load_capture(path, loading) for path in files]
-    settings = imaging.settings_from(config, background)
-    joint, alone = identify_together(captures, registry.layouts(), settings, registry.version)
-    names = [displayable(str(path)) for path in files]
-    items = [joint_item(joint, names, alone)]
-    notes = imaging.remember(command_name, items, {"background": background, "vote": len(files)})
-    code = imaging.exit_code_of([joint])
-    human = joint_text(joint, names, alone)
-    return Result(command_name, {"items": items, "png": None}, human, exit_code=code, messages=notes)
+    answer = read_jointly(place.setup(as_recorded=command_name == "scan"), files)
+    items = [answer.to_dict()]
+    notes = place.remember(command_name, items, {"background": place.background, "vote": len(files)})
+    return Result(
+        command_name,
+        {"items": items, "png": None},
+        _joint_text(answer),
+        exit_code=imaging.exit_code_of([answer.identification]),
+        messages=(*answer.remarks, *notes),
+    )
 
 
-def _given(overrides: dict[str, object]) -> dict[str, object]:
+def _joint_text(answer: Answer) -> RenderableType:
+    """The joint answer as text, with one line per recording."""
+    from rich.console import Group
+    from rich.text import Text
+
+    from tagid.cli.common import imaging
+    from tagid.counting import counted
+    from tagid.operate.words import headline
+
+    lines = [Text(f"  {alone.file}: {headline(alone.identification)}") for alone in answer.alone]
+    source = f"from {counted(len(answer.alone), 'recording')}"
+    return Group(imaging.describe(answer.identification, source), *lines)
+
+
+def _given(overrides: Mapping[str, object]) -> dict[str, object]:
     return {
         name: value.public if isinstance(value, MotionUrl) else value
         for name, value in overrides.items()
         if value is not None
     }
-
-
-def _named(path: Path, message: str) -> str:
-    name = displayable(str(path))
-    return message if name in message else f"{name}: {message}"

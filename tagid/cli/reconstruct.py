@@ -123,9 +123,13 @@ def register(app: typer.Typer) -> None:
 
         from tagid.cli.common import imaging
         from tagid.imaging.ats.options import parse_calibrate, parse_settings
+        from tagid.operate.turn import draw_image_of
+        from tagid.operate.words import SUBTRACTED, learned_words
+        from tagid.operate.workplace import Workplace
         from tagid.pipeline.identify import identify, without_body
         from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
         from tagid.pipeline.prepared import PreparedCapture
+        from tagid.pipeline.reconstruct import reconstruct as reconstruct_image
         from tagid.storage.image import write_image
 
         if not volume and (heights or levels or vti or ply or surface or webp):
@@ -173,7 +177,8 @@ def register(app: typer.Typer) -> None:
             outputs.check(file)
             asked = Asked(background, imaging.parse_place(heights, "--heights"), levels, held_out)
             return make_volume(terminal, load_capture(file, loading), config, asked, outputs)
-        given = imaging.settings_from(config, background, focus)
+        place = Workplace(config, background)
+        given = place.imaging(focus)
         if (calibrate or ats) and given.method not in ("ats", "auto"):
             raise UsageError(f"--calibrate and --ats have no effect with {given.method}", "Use --method ats.")
         words = [*(ats or ()), *([f"calibrate={'+'.join(parse_calibrate(calibrate))}"] if calibrate else ())]
@@ -195,16 +200,17 @@ def register(app: typer.Typer) -> None:
         prepared = PreparedCapture(load_capture(file, loading), settings)
         subtracted = False
         if subtract_body:
-            contents = imaging.open_registry().contents()
+            contents = place.registry.contents()
             read = PreparedCapture(prepared.given, given)
             answer = identify(read, contents.layouts, signatures=contents.signatures)
             plain, prepared = prepared, without_body(prepared, answer)
             subtracted = prepared is not plain
-        result = imaging.image_with_progress(terminal, prepared)
+        with terminal.progress("image", total=1.0) as advance:
+            result = reconstruct_image(prepared, progress=imaging.share_of(advance))
         if out:
             write_image(out, result.image)
         if png:
-            imaging.draw(result, None, png)
+            draw_image_of(result, None, png)
         lines: list[RenderableType] = []
         if preview:
             lines.append(imaging.in_terminal(result))
@@ -212,9 +218,9 @@ def register(app: typer.Typer) -> None:
         distance = result.image.settings["axis_distance_m"]
         where = "" if distance is None else f", axis at {distance:.3f} m"
         lines.append(Text(f"{result.method} image of {counted(result.views, 'view')} in {took:.2f} s{where}"))
-        lines += [Text(line) for line in imaging.learned_words(result)]
+        lines += [Text(line) for line in learned_words(result)]
         if subtract_body:
-            lines.append(Text(imaging.SUBTRACTED[subtracted]))
+            lines.append(Text(SUBTRACTED[subtracted]))
         lines += [Text(f"{name} {path}") for name, path in (("image", out), ("picture", png)) if path]
         data = {
             "method": result.method,

@@ -121,15 +121,9 @@ def _runner(terminal: Terminal, jobs: int, dask: str | None) -> Runner:
 
 def _job(config: Config, background: str, pictures: bool) -> Job:
     from tagid.batch.job import Job
-    from tagid.cli.common import imaging
-    from tagid.pipeline.load import LoadSettings
+    from tagid.operate.workplace import Workplace
 
-    return Job.of(
-        imaging.settings_from(config, background),
-        imaging.open_registry().contents(),
-        LoadSettings.of(config, background),
-        pictures,
-    )
+    return Job.of(Workplace(config, background).setup(), pictures)
 
 
 def _watch(folder: Path | None, out: Path, idle_stop: float | None) -> Any:

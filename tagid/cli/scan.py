@@ -13,19 +13,16 @@ from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.recording import Limits, capture_folder, plan_of, radar_url
+from tagid.cli.common.recording import Limits
 from tagid.cli.common.truth import truth_of, with_truth
-from tagid.config import Config, load_config
-from tagid.constants import CAPTURE_SUFFIX
-from tagid.errors import ConfigError, DataError, TagidError, UsageError
-from tagid.result import Result
+from tagid.config import load_config
+from tagid.errors import ConfigError, TagidError, UsageError
+from tagid.result import Problem, Result
 
 if TYPE_CHECKING:
-    from tagid.capture import Capture
     from tagid.metadata import ObjectInfo
-    from tagid.pipeline.answer import Identification
-    from tagid.pipeline.prepared import PreparedCapture
-    from tagid.pipeline.settings import ImagingSettings
+    from tagid.operate.turn import Answer, Recorded
+    from tagid.operate.workplace import Workplace
     from tagid.recording.plan import RecordingPlan
 
 MAX_REPEAT = 100
@@ -46,28 +43,6 @@ class View:
     subtract_body: bool
     live: bool
     until_sure: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _Turn:
-    """A recorded revolution and its reading.
-
-    Attributes:
-        capture, path: the recording and its file.
-        answer: the identification; status "failed" if `error` is set.
-        prepared: the prepared capture; None if reading failed.
-        error: the error that prevented reading.
-        live: figures of the live view; None without one.
-        remarks: problems of the recording, one sentence each.
-    """
-
-    capture: Capture
-    path: Path
-    answer: Identification
-    prepared: PreparedCapture | None
-    error: TagidError | None
-    live: dict[str, Any] | None
-    remarks: tuple[str, ...]
 
 
 def register(app: typer.Typer) -> None:
@@ -143,6 +118,7 @@ def register(app: typer.Typer) -> None:
             "storage.folder": None if save_dir is None else str(save_dir),
         }
         from tagid.metadata import ObjectInfo
+        from tagid.operate.workplace import Workplace
 
         about = ObjectInfo(note=note or None)
         limits = Limits(scans, max_seconds)
@@ -169,22 +145,23 @@ def register(app: typer.Typer) -> None:
             config = load_config(overrides)
             agree_to(config["motion.url"], yes)
             about = with_truth(about, truth_of(config["radar.url"] or "", truth))
+            place = Workplace(config)
             if levels is not None:
-                return scan_heights(terminal, config, limits, about, levels, Lift.of(config, yes))
-            return _scans(terminal, config, limits, about, shown, repeat)
+                return scan_heights(terminal, place, limits, about, levels, Lift.of(place, yes))
+            return _scans(terminal, place, limits, about, shown, repeat)
         from tagid.cli.common.demo import emulated_radar
 
         with emulated_radar(demo_scene) as there:
-            demo_config = load_config({**overrides, **there.settings})
+            place = Workplace({**overrides, **there.settings})
             about = with_truth(replace(about, demo=True), there.object)
             if levels is not None:
-                return scan_heights(terminal, demo_config, limits, about, levels, Lift(there.place))
-            return _scans(terminal, demo_config, limits, about, shown, repeat)
+                return scan_heights(terminal, place, limits, about, levels, Lift(there.place))
+            return _scans(terminal, place, limits, about, shown, repeat)
 
 
 def _scans(
     terminal: Terminal,
-    config: Config,
+    place: Workplace,
     limits: Limits,
     about: ObjectInfo,
     view: View,
@@ -193,74 +170,62 @@ def _scans(
     """One revolution, or several with a joint answer; captures recorded before a failure are kept."""
     from tagid.cli.identify import vote_on
 
-    turns = [_scan(terminal, config, limits, about, view) for _ in range(repeat)]
+    turns = [_scan(terminal, place, limits, about, view) for _ in range(repeat)]
     if repeat == 1 or any(turn.errors for turn in turns):
         return next((turn for turn in turns if turn.errors), turns[-1])
     files = [Path(turn.data["files"]["capture"]) for turn in turns]
-    joint = vote_on(files, config, "mean", "scan")
+    joint = vote_on(place, files, "scan")
     facts = [{key: value for key, value in turn.data.items() if key != "items"} for turn in turns]
     messages = tuple(dict.fromkeys(m for turn in turns for m in turn.messages)) + joint.messages
     return replace(joint, data={"items": joint.data["items"], "turns": facts}, messages=messages)
 
 
-def _scan(
-    terminal: Terminal,
-    config: Config,
-    limits: Limits,
-    about: ObjectInfo,
-    view: View,
-) -> Result:
+def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInfo, view: View) -> Result:
+    """Record one revolution, name the object, draw it, and store the answer."""
     from rich.console import Group, RenderableType
     from rich.text import Text
 
     from tagid.cli.common import imaging
-    from tagid.pipeline.identify import without_body
-    from tagid.pipeline.resolve import turn_line
-    from tagid.recording.intake import ending_words, notes
+    from tagid.operate.turn import draw, failed, picture_of
+    from tagid.operate.words import SUBTRACTED, ending_words, learned_words, turn_line
     from tagid.storage.image import write_image
 
-    url = radar_url(config)
-    folder = capture_folder(config)
-    plan = replace(plan_of(config, url, limits, about), renumber=True)
-    settings = imaging.settings_from(config)
-    turn = _record_and_read(terminal, config, plan, settings, folder, view)
-    capture, path, answer = turn.capture, turn.path, turn.answer
-    resolved = capture.motion.resolved
-    stem = path.name.removesuffix(CAPTURE_SUFFIX)
-    png = path.with_name(f"{stem}.png")
-    npz = path.with_name(f"{stem}.image.npz")
+    url = place.radar_url()
+    plan = place.plan(limits.scans, limits.max_seconds, about)
+    recorded, answer, live, messages = _record_and_read(terminal, place, plan, view)
+    capture, path = recorded.capture, recorded.path
+    resolved, ended = capture.motion.resolved, capture.radar.ended
+    png = picture_of(path)
+    npz = png.with_suffix(".image.npz")
     drawn: list[RenderableType] = []
     files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
-    result_errors: tuple[dict[str, str], ...] = ()
+    errors: tuple[Problem, ...] = ()
     learned: dict[str, Any] = {}
     try:
-        if turn.prepared is None:
-            raise turn.error or DataError("the capture could not be read")
-        shown = without_body(turn.prepared, answer) if view.subtract_body else turn.prepared
-        result = imaging.image_with_progress(terminal, shown)
-        imaging.draw(result, answer, png)
+        with terminal.progress("image", total=1.0) as advance:
+            picture = draw(answer, png, view.subtract_body, imaging.share_of(advance))
+        result = picture.result
         write_image(npz, result.image)
         files |= {"png": str(png), "image": str(npz)}
         learned = imaging.learned(result)
-        drawn += [Text(line) for line in imaging.learned_words(result)]
-        if shown is not turn.prepared:
-            drawn.append(Text(imaging.SUBTRACTED[True]))
+        drawn += [Text(line) for line in learned_words(result)]
+        if picture.body_subtracted:
+            drawn.append(Text(SUBTRACTED[True]))
         if view.preview:
             drawn.append(imaging.in_terminal(result))
-        code = imaging.exit_code_of([answer])
     except KeyboardInterrupt as stop:
         raise interrupts.stopped_by_user(stop, _kept(path)) from stop
     except TagidError as error:
         # The recording is stored; only the reading failed.
-        answer = imaging.failed(capture.uuid, error)
+        answer = answer if answer.error else failed(error, str(path), uuid=capture.uuid)
         remedy = f"{error.remedy} The capture is stored in {path}; inspect it with `tagid show`.".strip()
-        result_errors = ({"code": error.code, "message": error.message, "remedy": remedy},)
+        errors = (Problem(error.code, error.message, remedy),)
         code = error.exit_code
     else:
-        drawn.append(imaging.describe(answer, ""))
+        code = imaging.exit_code_of([answer.identification])
+        drawn.append(imaging.describe(answer.identification, ""))
     if line := turn_line(resolved):
         drawn.append(Text(f"turn     {line}"))
-    ended = capture.radar.ended
     if view.until_sure and ended is not None:
         drawn.append(Text(f"ended    {ending_words(ended)}"))
     drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
@@ -274,56 +239,52 @@ def _scan(
         "motion": {} if resolved is None else {"nominal_rpm": None, **resolved.to_json()},
         "learned": learned,
         "ended": None if ended is None else ended.to_json(),
-        **({} if turn.live is None else {"live": turn.live}),
+        **({} if live is None else {"live": live}),
     }
-    items = [{"file": str(path), **answer.to_dict()}]
-    kept = imaging.remember("scan", items, {"radar": url, "motion": config["motion.url"].public})
-    messages = (*notes(capture.radar), *turn.remarks, *kept)
-    data = {"items": items, **facts}
-    status = "error" if result_errors else "success"
-    return Result("scan", data, Group(*drawn), status, code, messages, result_errors)  # type: ignore[arg-type]
+    items = [answer.to_dict()]
+    kept = place.remember("scan", items, {"radar": url, "motion": plan.motion})
+    return Result(
+        "scan",
+        {"items": items, **facts},
+        Group(*drawn),
+        exit_code=code,
+        messages=(*answer.remarks, *messages, *kept),
+        errors=errors,
+    )
 
 
 def _record_and_read(
-    terminal: Terminal,
-    config: Config,
-    plan: RecordingPlan,
-    settings: ImagingSettings,
-    folder: Path,
-    view: View,
-) -> _Turn:
-    """Record one revolution and name the object, under a progress line or the live view."""
-    from tagid.cli.common import imaging
+    terminal: Terminal, place: Workplace, plan: RecordingPlan, view: View
+) -> tuple[Recorded, Answer, dict[str, Any] | None, tuple[str, ...]]:
+    """Record one revolution and name the object, under a progress line or the live view.
+
+    Returns the recording, its answer, figures of the live view if there was one, and remarks of the early
+    ending.
+    """
     from tagid.cli.common.live import LiveScan, live_scan
     from tagid.live.engine import LiveSettings
-    from tagid.live.sure import EarlyEnding, check_angle_known, ended_answer
+    from tagid.live.sure import EarlyEnding, check_angle_known
     from tagid.motion.urls import open_motion
-    from tagid.pipeline.coverage import ended_early
-    from tagid.pipeline.diagnosis import recording_remarks, with_causes
-    from tagid.pipeline.identify import identify
-    from tagid.pipeline.load import LoadSettings, load_capture
-    from tagid.pipeline.prepared import PreparedCapture
+    from tagid.operate.turn import read, record_turn
+    from tagid.operate.words import ending_words
     from tagid.pipeline.turn import resolve_turn
-    from tagid.recording.intake import ending_words
-    from tagid.recording.plan import capture_path
-    from tagid.recording.radars import open_radar
-    from tagid.recording.recorder import Watch, record
+    from tagid.recording.recorder import Watch
     from tagid.tags.sequential.looks import SPENT
 
-    url = config["radar.url"]
-    known = imaging.open_registry().contents()
-    motion = open_motion(config["motion.url"])
+    setup = place.setup(as_recorded=True)
+    enrolled = setup.enrolled
+    motion = open_motion(place.config["motion.url"])
     if view.until_sure:
         check_angle_known(motion, plan.motion)
-    paths: list[Path] = []
+        plan = replace(plan, spent=SPENT)
     live: LiveScan | None = None
+    early: EarlyEnding | None = None
     with ExitStack() as showing:
-        watch = Watch(resolve=resolve_turn, named=paths.append)
-        radar = open_radar(url, config["radar.timeout_s"])
-        early: EarlyEnding | None = None
-        needs = LiveSettings(motion, known.layouts, known.signatures, known.version, settings)
+        watch = Watch(resolve=resolve_turn)
+        needs = LiveSettings(motion, enrolled.layouts, enrolled.signatures, enrolled.version, setup.imaging)
         if view.live:
-            live = showing.enter_context(live_scan(terminal, needs, f"tagid scan --live   {url}"))
+            title = f"tagid scan --live   {place.radar_url()}"
+            live = showing.enter_context(live_scan(terminal, needs, title))
             watch = live.watching(watch, resolve_turn)
         else:
             advance = showing.enter_context(terminal.progress("record", motion.needed_seconds()))
@@ -331,39 +292,15 @@ def _record_and_read(
         if view.until_sure:
             early = showing.enter_context(EarlyEnding(needs))
             watch = early.watching(watch)
-        capture = record(radar, motion, plan, capture_path(folder), watch)
-        ended = capture.radar.ended
+        recorded = record_turn(place, plan, motion, watch)
         if live is not None and view.until_sure:
-            live.view.note(f"ended {ending_words(ended)}")
-        prepared, failure = None, None
-        remarks: tuple[str, ...] = ()
+            live.view.note(f"ended {ending_words(recorded.capture.radar.ended)}")
         try:
-            loaded = load_capture(capture, LoadSettings.of(config, as_recorded=True))
-            remarks = recording_remarks(loaded)
-            if early is not None and early.remark:
-                remarks = (*remarks, early.remark)
-            prepared = PreparedCapture(loaded, settings)
-            answer = identify(
-                prepared,
-                known.layouts,
-                registry_version=known.version,
-                signatures=known.signatures,
-                spent=SPENT if view.until_sure and not ended_early(loaded) else 0.0,
-            )
-            answer = ended_answer(answer, ended, settings.false_accept)
-            if live is not None:
-                live.view.settle(loaded, answer)
-            # Looking for causes reads the scans several times more: the answer does not wait for them.
-            answer = with_causes(answer, prepared, known.layouts)
-            if live is not None:
-                live.view.explain(answer)
+            answer = read(setup, recorded.capture, recorded.path, None if live is None else live.view)
         except KeyboardInterrupt as stop:
-            raise interrupts.stopped_by_user(stop, _kept(paths[-1])) from stop
-        except TagidError as error:
-            prepared, failure, answer = None, error, imaging.failed(capture.uuid, error)
-    return _Turn(
-        capture, paths[-1], answer, prepared, failure, None if live is None else live.facts(), remarks
-    )
+            raise interrupts.stopped_by_user(stop, _kept(recorded.path)) from stop
+    messages = () if early is None or not early.remark else (early.remark,)
+    return recorded, answer, None if live is None else live.facts(), messages
 
 
 def _kept(path: Path) -> str:

@@ -15,20 +15,22 @@ from typing import TYPE_CHECKING, Any
 from tagid import interrupts
 from tagid.cli.common.frame import Terminal
 from tagid.cli.common.prompts import can_ask, confirm
-from tagid.cli.common.recording import Limits, capture_folder, plan_of, radar_url
-from tagid.config import Config
+from tagid.cli.common.recording import Limits
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.counting import counted
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
-from tagid.result import Result
+from tagid.operate.words import notes
+from tagid.result import Problem, Result
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from tagid.capture import Capture
     from tagid.metadata import ObjectInfo
+    from tagid.operate.turn import Recorded
+    from tagid.operate.workplace import Workplace
     from tagid.pipeline.alignment import Alignment
-    from tagid.pipeline.answer import Identification
+    from tagid.recording.plan import RecordingPlan
 
 MAX_HEIGHTS = 100
 MAX_HEIGHT_M = 10.0
@@ -76,14 +78,14 @@ class Lift:
     emulated: bool = False
 
     @classmethod
-    def of(cls, config: Config, yes: bool) -> Lift:
+    def of(cls, place: Workplace, yes: bool) -> Lift:
         """The lift of a configured radar.
 
         Raises:
             UsageError: the operator would have to be asked and there is no terminal.
             ConfigError: no radar is configured.
         """
-        if radar_url(config).startswith("emulator://"):
+        if place.radar_url().startswith("emulator://"):
             return cls(emulated=True)
         if not yes and not can_ask():
             raise UsageError(
@@ -107,7 +109,7 @@ class Lift:
 
 def scan_heights(
     terminal: Terminal,
-    config: Config,
+    place: Workplace,
     limits: Limits,
     about: ObjectInfo,
     heights: tuple[float, ...],
@@ -118,158 +120,119 @@ def scan_heights(
     Recordings that are complete stay on disk whatever happens later; the error then names them.
 
     Args:
-        terminal, config, limits: of the command.
+        terminal, place, limits: of the command.
         about: description of the object, stored in every capture.
         heights: of the antenna above the object's plane, m.
         lift: how the antenna is moved.
     """
-    paths: list[Path] = []
+    turns: list[Recorded] = []
     try:
-        captures = [
-            _record(
-                terminal, config, limits, about, height, lift, f"Height {number} of {len(heights)}", paths
-            )
-            for number, height in enumerate(heights, start=1)
-        ]
-        return _joined(terminal, config, captures, paths, heights)
+        plan = place.plan(limits.scans, limits.max_seconds, about)
+        for number, height_m in enumerate(heights, start=1):
+            url = lift.raise_to(height_m, f"Height {number} of {len(heights)}", place.radar_url())
+            turns.append(_record(terminal, place, replace(plan, antenna_height_m=height_m), url))
+        return _joined(terminal, place, turns, heights)
     except KeyboardInterrupt as stop:
-        raise interrupts.stopped_by_user(stop, _kept(paths)) from stop
+        raise interrupts.stopped_by_user(stop, _kept(turns)) from stop
     except TagidError as error:
-        raise type(error)(error.message, f"{error.remedy} {_kept(paths)}".strip()) from error
+        raise type(error)(error.message, f"{error.remedy} {_kept(turns)}".strip()) from error
 
 
-def _record(
-    terminal: Terminal,
-    config: Config,
-    limits: Limits,
-    about: ObjectInfo,
-    height_m: float,
-    lift: Lift,
-    which: str,
-    paths: list[Path],
-) -> Capture:
-    """Record one revolution; its path is appended once the capture is complete."""
+def _record(terminal: Terminal, place: Workplace, plan: RecordingPlan, url: str) -> Recorded:
+    """Record one revolution from one height."""
     from tagid.motion.urls import open_motion
-    from tagid.pipeline.turn import resolve_turn
-    from tagid.recording.plan import capture_path
-    from tagid.recording.radars import open_radar
-    from tagid.recording.recorder import Watch, record
+    from tagid.operate.turn import record_turn
+    from tagid.recording.recorder import Watch
 
-    url = lift.raise_to(height_m, which, radar_url(config))
-    plan = replace(plan_of(config, url, limits, about), antenna_height_m=height_m, renumber=True)
-    motion = open_motion(config["motion.url"])
-    named: list[Path] = []
-    with terminal.progress(f"{height_m:.3f} m", motion.needed_seconds()) as advance:
-        watch = Watch(
-            resolve=resolve_turn,
-            named=named.append,
-            progress=lambda count, s: advance(s, f"{count} scans, {s:.1f} s"),
-        )
-        radar = open_radar(url, config["radar.timeout_s"])
-        capture = record(radar, motion, plan, capture_path(capture_folder(config)), watch)
-    paths.append(named[-1])
-    return capture
+    motion = open_motion(place.config["motion.url"])
+    with terminal.progress(f"{plan.antenna_height_m:.3f} m", motion.needed_seconds()) as advance:
+        watch = Watch(progress=lambda count, s: advance(s, f"{count} scans, {s:.1f} s"))
+        return record_turn(place, plan, motion, watch, url)
 
 
 def _joined(
-    terminal: Terminal,
-    config: Config,
-    captures: list[Capture],
-    paths: list[Path],
-    heights: tuple[float, ...],
+    terminal: Terminal, place: Workplace, turns: list[Recorded], heights: tuple[float, ...]
 ) -> Result:
     """Join the recordings, then read and draw the joined capture."""
     from rich.console import Group
     from rich.text import Text
 
     from tagid.cli.common import imaging
+    from tagid.operate.turn import read
     from tagid.pipeline.alignment import aligned
     from tagid.pipeline.join import join
-    from tagid.pipeline.load import LoadDefault, LoadSettings, load_capture
-    from tagid.recording.intake import notes
+    from tagid.pipeline.load import LoadDefault, load_capture
     from tagid.storage.hdf5 import write_capture
 
-    loading = replace(LoadSettings.of(config, as_recorded=True), antenna_height_m=LoadDefault())
-    turns, found = aligned([load_capture(capture, loading) for capture in captures])
-    joined = replace(join(turns), object=captures[0].object)
-    stem = paths[0].name.removesuffix(CAPTURE_SUFFIX)
-    path = paths[0].with_name(f"{stem}-heights{CAPTURE_SUFFIX}")
-    png = paths[0].with_name(f"{stem}-heights.png")
+    setup = place.setup(as_recorded=True)
+    loading = replace(setup.loading, antenna_height_m=LoadDefault())
+    captures = [turn.capture for turn in turns]
+    level, alignments = aligned([load_capture(capture, loading) for capture in captures])
+    joined = replace(join(level), object=captures[0].object)
+    first = turns[0].path
+    stem = first.name.removesuffix(CAPTURE_SUFFIX)
+    path = first.with_name(f"{stem}-heights{CAPTURE_SUFFIX}")
+    png = first.with_name(f"{stem}-heights.png")
     write_capture(path, joined)
-    answer = _read(config, joined)
+    answer = read(replace(setup, loading=loading), joined, path)
     files: dict[str, str | None] = {"capture": str(path), "png": None}
-    drawn: list[RenderableType] = [imaging.describe(answer, "")]
+    drawn: list[RenderableType] = [imaging.describe(answer.identification, "")]
     try:
-        _draw(terminal, config, joined, png)
+        _draw(terminal, place, joined, png)
         files["png"] = str(png)
     except TagidError as error:
         drawn.append(Text(f"no picture: {error.message}"))
-    rows = [_facts(*each) for each in zip(heights, paths, captures, found, strict=True)]
+    rows = [_facts(*row) for row in zip(heights, turns, alignments, strict=True)]
     for row in rows:
         turned = f"rotated {row['rotation_deg']:+.2f} deg"
         drawn.append(Text(f"{row['height_m']:.3f} m  {row['views']} scans, {turned}  {row['file']}"))
     drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
-    items = [{"file": str(path), **answer.to_dict()}]
-    kept = imaging.remember(
-        "scan", items, {"radar": config["radar.url"], "motion": config["motion.url"].public}
+    items = [answer.to_dict()]
+    kept = place.remember(
+        "scan", items, {"radar": place.radar_url(), "motion": place.config["motion.url"].public}
     )
-    messages = tuple(dict.fromkeys(note for capture in captures for note in notes(capture.radar)))
-    errors = () if answer.error is None else (answer.error,)
+    losses = (note for capture in captures for note in notes(capture.radar))
     return Result(
         "scan",
         {"items": items, "heights": rows, "files": files, "views": joined.views},
         Group(*drawn),
-        "error" if errors else "success",
-        imaging.exit_code_of([answer]),
-        (*messages, *kept),
-        errors,
+        exit_code=imaging.exit_code_of([answer.identification]),
+        messages=(*dict.fromkeys((*losses, *answer.remarks)), *kept),
+        errors=() if answer.error is None else (Problem.of(answer.error),),
     )
 
 
-def _read(config: Config, joined: Capture) -> Identification:
-    from tagid.cli.common import imaging
-    from tagid.pipeline.identify import identify
-    from tagid.pipeline.prepared import PreparedCapture, prepare
-
-    known = imaging.open_registry().contents()
-    try:
-        settings = imaging.settings_from(config)
-        prepared = PreparedCapture(prepare(joined, extent_m=settings.extent_m), settings)
-        return identify(prepared, known.layouts, registry_version=known.version, signatures=known.signatures)
-    except TagidError as error:
-        return imaging.failed(joined.uuid, error)
-
-
-def _draw(terminal: Terminal, config: Config, joined: Capture, png: Path) -> None:
+def _draw(terminal: Terminal, place: Workplace, joined: Capture, png: Path) -> None:
     """Write the three maximum projections of the backprojected volume."""
+    from tagid.cli.common.imaging import share_of
     from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
     from tagid.report.volume_picture import draw_projections
 
-    settings = VolumeSettings("bp", config["imaging.extent_m"], PICTURE_PIXELS, held_out=False)
+    settings = VolumeSettings("bp", place.config["imaging.extent_m"], PICTURE_PIXELS, held_out=False)
     with terminal.progress("volume", total=1.0) as advance:
-        made = reconstruct_volume(joined, settings, lambda done, total, _: advance(done / max(total, 1), ""))
+        made = reconstruct_volume(joined, settings, share_of(advance))
     grid = made.volume.grid
     draw_projections(made.volume.values, grid.square.axis, grid.heights, png, "BP volume")
 
 
-def _facts(height_m: float, path: Path, capture: Capture, found: Alignment) -> dict[str, Any]:
+def _facts(height_m: float, turn: Recorded, alignment: Alignment) -> dict[str, Any]:
     return {
         "height_m": height_m,
-        "file": str(path),
-        "views": capture.views,
-        "rotation_deg": found.rotation_deg,
-        "likeness": found.likeness,
+        "file": str(turn.path),
+        "views": turn.capture.views,
+        "rotation_deg": alignment.rotation_deg,
+        "likeness": alignment.likeness,
     }
 
 
-def _kept(paths: list[Path]) -> str:
+def _kept(turns: list[Recorded]) -> str:
     """What is on disk, and how to go on with it; "" if nothing is."""
-    if not paths:
+    if not turns:
         return ""
-    names = " ".join(str(path) for path in paths)
-    if len(paths) == 1:
+    names = " ".join(str(turn.path) for turn in turns)
+    if len(turns) == 1:
         return f"The capture of the first height is stored in {names}."
     return (
-        f"The captures of {len(paths)} heights are stored; "
+        f"The captures of {len(turns)} heights are stored; "
         f"`tagid join --align {names} --out all{CAPTURE_SUFFIX}` joins them."
     )

@@ -55,9 +55,9 @@ def register(app: typer.Typer) -> None:
         from rich.table import Table
         from rich.text import Text
 
+        from tagid.operate.words import ending_words
         from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
         from tagid.recording.inspection import inspect, thinned
-        from tagid.recording.intake import ending_words
         from tagid.report.charts import draw_recording
 
         # NAME.png next to the capture is the image of `scan` and must be kept.

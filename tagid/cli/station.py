@@ -6,21 +6,16 @@ import json
 import sys
 import threading
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.frame import Output, Terminal, command
-from tagid.config import Config, load_config
-from tagid.errors import ConfigError, MissingExtraError, UsageError
+from tagid.errors import MissingExtraError, UsageError
 from tagid.result import Result
-
-if TYPE_CHECKING:
-    from tagid.station.setup import ReadingSetup, ScanSetup, Source
 
 
 def register(app: typer.Typer) -> None:
@@ -45,8 +40,10 @@ def register(app: typer.Typer) -> None:
         Example: tagid station --demo
         """
         try:
+            from tagid.operate.workplace import Workplace
             from tagid.station.security import is_loopback
             from tagid.station.server import Server
+            from tagid.station.setup import Source
             from tagid.station.station import Station
         except ModuleNotFoundError as error:
             raise MissingExtraError(
@@ -69,8 +66,8 @@ def register(app: typer.Typer) -> None:
                 from tagid.cli.common.demo import emulated_radar
 
                 overrides |= stack.enter_context(emulated_radar(demo_scene)).settings
-            source = _source(overrides, max_seconds, demo)
-            source.config()
+            source = Source(lambda: Workplace(overrides), max_seconds, demo)
+            source.place()
             work = Station(source)
             away = None if is_loopback(host) else announce
             server = stack.enter_context(Server(work, host, port, away))
@@ -82,45 +79,6 @@ def register(app: typer.Typer) -> None:
             if server.failure is not None:
                 raise server.failure
         raise typer.Exit(0)
-
-
-def _source(overrides: dict[str, Any], max_seconds: float, demo: bool) -> Source:
-    from tagid.station.setup import Source
-
-    def config() -> Config:
-        return load_config(overrides)
-
-    return Source(
-        config,
-        lambda: _reading(config()),
-        lambda note: _scan(config(), max_seconds, note, demo),
-        demo,
-    )
-
-
-def _reading(config: Config) -> ReadingSetup:
-    from tagid.cli.common import imaging
-    from tagid.cli.common.recording import capture_folder
-    from tagid.pipeline.load import LoadSettings
-    from tagid.station.setup import ReadingSetup
-
-    return ReadingSetup(
-        capture_folder(config), LoadSettings.of(config, as_recorded=True), imaging.settings_from(config)
-    )
-
-
-def _scan(config: Config, max_seconds: float, note: str, demo: bool) -> ScanSetup:
-    from tagid.cli.common.recording import Limits, plan_of
-    from tagid.metadata import ObjectInfo
-    from tagid.station.setup import ScanSetup
-
-    url = config["radar.url"]
-    if not url:
-        raise ConfigError("no radar is configured", "Store it with `tagid config set radar.url udp://...`.")
-    reading = _reading(config)
-    about = ObjectInfo(note=note or None, demo=True) if demo else ObjectInfo(note=note or None)
-    plan = replace(plan_of(config, url, Limits(None, max_seconds), about), renumber=True)
-    return ScanSetup(url, config["radar.timeout_s"], config["motion.url"], plan, reading)
 
 
 def _address(bind: str) -> tuple[str, int]:

@@ -134,7 +134,7 @@ def make_volume(
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.common import imaging
+    from tagid.operate.words import held_out_words
     from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
 
     files = outputs.files
@@ -165,7 +165,7 @@ def make_volume(
     lines = [
         f"{method} volume of {made.views} views from {made.heights} antenna heights, {size} in {took:.2f} s",
         f"vertical resolution {1e3 * facts['vertical_resolution_m']:.0f} mm",
-        *imaging.held_out_words(facts),
+        *held_out_words(facts),
         *facts.get("warnings", ()),
         *(f"{kind} {path}" for kind, path in files.items()),
     ]

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from tagid import __version__
+from tagid.result import Problem
 
 if TYPE_CHECKING:
     from tagid.tags.matching.reading import Reading
@@ -40,7 +41,7 @@ class Identification:
         status: "identified", "unknown", "ambiguous", "no_tag" or "failed".
         capture_uuid, registry_version, label: provenance and readable name.
         seconds: seconds per stage.
-        error: {code, message, remedy} if status is "failed".
+        error: what failed if status is "failed".
         second: the network's result for the image; None for free antenna positions and if status is
             "failed".
         causes: likely causes if nothing is named, most certain first.
@@ -54,7 +55,7 @@ class Identification:
     registry_version: int | None
     label: str = ""
     seconds: dict[str, float] = field(default_factory=dict)
-    error: dict[str, str] | None = None
+    error: Problem | None = None
     second: SecondLook | None = None
     causes: tuple[Cause, ...] = ()
     coverage: float | None = None
@@ -63,13 +64,14 @@ class Identification:
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON values, with all fields of the contract."""
         r = self.reading
+        error = self.error or Problem("", "")
         second = self.second
         scores = r.scores if r else ()
         return {
             "status": self.status,
-            "reason": r.reason if r else (self.error or {}).get("message", ""),
-            "reason_code": r.code.value if r else (self.error or {}).get("code", ""),
-            "advice": r.advice if r else (self.error or {}).get("remedy", ""),
+            "reason": r.reason if r else error.message,
+            "reason_code": r.code.value if r else error.code,
+            "advice": r.advice if r else error.remedy,
             "causes": [asdict(cause) for cause in self.causes],
             "nearest": {"layout": r.nearest, "share": self._nearest_share()} if r else None,
             "layout": r.layout if r else None,
@@ -94,7 +96,7 @@ class Identification:
             "model_sha256": second.model_sha256 if second else None,
             "registry_version": self.registry_version,
             "seconds": {name: round(value, 4) for name, value in self.seconds.items()},
-            "error": self.error,
+            "error": self.error and self.error.to_json(),
         }
 
     def _nearest_share(self) -> float | None:

@@ -74,9 +74,7 @@ def identify(
         reading = of_the_part(reading, [prepared.given])
     with watch.stage("look again"):
         reading, second = _looked_at_again(prepared, reading)
-    labels = {one.name: one.label for one in signatures if one.kind == "object"}
-    labels |= {layout.name: layout.label for layout in layouts}
-    label = labels.get(reading.layout or "", "")
+    label = _labels(layouts, signatures).get(reading.layout or "", "")
     seconds = {**prepared.watch.seconds, **watch.seconds}
     return Identification(
         reading.status,
@@ -88,6 +86,12 @@ def identify(
         second=second,
         coverage=share_seen([prepared.given]),
     )
+
+
+def _labels(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> dict[str, str]:
+    """Readable names of all that can be named; a layout's precedes that of an object of its name."""
+    objects = {signature.name: signature.label for signature in signatures if signature.kind == "object"}
+    return objects | {layout.name: layout.label for layout in layouts}
 
 
 def without_body(prepared: PreparedCapture, answer: Identification) -> PreparedCapture:
@@ -115,6 +119,7 @@ def identify_together(
     layouts: Sequence[Layout],
     settings: ImagingSettings | None = None,
     registry_version: int | None = None,
+    signatures: Sequence[Signature] = (),
 ) -> tuple[Identification, list[Identification]]:
     """Name the object of several prepared captures jointly, and of each alone (see `tags.matching.vote`).
 
@@ -129,10 +134,11 @@ def identify_together(
         _check_views(one)
     recordings = [one.scans(settings.preprocessing(matched_filter=False)) for one in prepared]
     with watch.stage("read"):
-        joint, alone = read_together(recordings, layouts, reader_settings(settings))
+        enrolled = enrolled_hypotheses(captures[0], signatures, settings)
+        joint, alone = read_together(recordings, layouts, reader_settings(settings), enrolled)
         alone = [of_the_part(own, [one.given]) for own, one in zip(alone, prepared, strict=True)]
         joint = of_the_part(joint, captures)
-    labels = {layout.name: layout.label for layout in layouts}
+    labels = _labels(layouts, signatures)
     with watch.stage("look again"):
         looked = [_looked_at_again(one, reading) for reading, one in zip(alone, prepared, strict=True)]
     for one in prepared:

@@ -111,30 +111,6 @@ def with_measured_angles(capture: Capture) -> Capture:
         return replace(capture, motion=capture.motion.without_track(not_resolved=error.message))
 
 
-def turn_line(resolved: ResolvedMotion | None) -> str:
-    """One line on how the angles were found; "" if unknown.
-
-    >>> turn_line(ResolvedMotion(turns=1.312, period_s=8.63, quality=0.97, kind="free"))
-    '1.31 turns of 8.63 s (free), period quality 0.97'
-    """
-    if resolved is None or not resolved.turns or not resolved.period_s:
-        return ""
-    line = f"{resolved.turns:.2f} turns of {resolved.period_s:.2f} s ({resolved.kind or 'free'})"
-    if resolved.shown_rpms and resolved.nominal_rpm:
-        # Its quality would praise a wrong speed: a symmetric tag repeats at several.
-        shown = one_of([f"{60 / rpm:.2f}" for rpm in resolved.shown_rpms])
-        return f"{line} as stated; the scans show {shown} s"
-    if resolved.quality is not None:
-        line += f", period quality {resolved.quality:.2f}"
-    if resolved.source == "measured":
-        line += f", clocks aligned to {resolved.clock_sigma_ms or 0.0:.1f} ms"
-        if not resolved.checked_by_radar:
-            line += ", not checked by the radar"
-    if resolved.kind == "roomba" and not resolved.calibrated:
-        line += "; `tagid motion calibrate` stores the wheel base"
-    return line
-
-
 def speed_contradiction(resolved: ResolvedMotion | None) -> str:
     """One sentence with both speeds if the scans contradict the stated one; otherwise "".
 

@@ -12,7 +12,6 @@ from dataclasses import asdict, replace
 from typing import Final
 
 from tagid.capture import ViewFlag
-from tagid.counting import counted
 from tagid.errors import StorageError
 from tagid.metadata import Ending, RadarInfo, ScanGap
 from tagid.radar.assembler import Scan
@@ -21,7 +20,7 @@ from tagid.radar.p440 import P440
 from tagid.radar.resume import RESUME_S, steady_scans
 from tagid.radar.settings import RadarConfig
 from tagid.storage.journal import JournalScan, JournalWriter
-from tagid.storage.journal_queue import JournalQueue, drop_note
+from tagid.storage.journal_queue import JournalQueue
 
 _MOST_GAPS: Final = 1000
 """Maximum number of gaps described individually; all are counted."""
@@ -170,45 +169,3 @@ class Intake:
         if len(self.gaps) < _MOST_GAPS:
             self.gaps.append(gap)
         self._on_gap(gap)
-
-
-def notes(radar: RadarInfo) -> list[str]:
-    """Notes on a recording for the user, one sentence each."""
-    found = []
-    if lost := radar.scans_lost:
-        found.append(f"{counted(lost, 'scan')} lost between radar and computer")
-    malformed = int((radar.statistics or {}).get("malformed", 0))
-    if malformed:
-        found.append(f"{counted(malformed, 'packet')} were damaged or not P440 messages")
-    if radar.scans_dropped:
-        found.append(drop_note(radar.scans_dropped))
-    if radar.gap_count:
-        seconds = sum(gap.seconds for gap in radar.gaps)
-        times = "once" if radar.gap_count == 1 else f"{radar.gap_count} times"
-        why = radar.gaps[0].reason if radar.gaps else ""
-        found.append(
-            f"the radar was lost {times}, for {seconds:.1f} s in total; recording then continued ({why})"
-            # A loose cable is lost once or for good.
-            + (": is another program using it?" if radar.gap_count > 1 else "")
-        )
-    return found
-
-
-def ending_words(ended: Ending | None) -> str:
-    """Why a recording ended, in one line; "" if it is not known.
-
-    >>> ending_words(Ending("sure", 0.45, "helmet-120", 5e-4, 1999))
-    'after 45 % of the turn, because helmet-120 was certain (false accept at most 0.0005, from 1999 turns)'
-    """
-    if ended is None:
-        return ""
-    if ended.reason == "sure":
-        bound = "" if ended.p_value is None else f" (false accept at most {ended.p_value:.2g}"
-        turns = f", from {ended.turns} turns)" if bound and ended.turns else ")" if bound else ""
-        share = "" if ended.share is None else f"after {100 * ended.share:.0f} % of the turn, "
-        return f"{share}because {ended.layout} was certain{bound}{turns}"
-    words = {
-        "turn": "the turn was complete",
-        "limit": "the limit of scans or time was reached",
-    }
-    return words.get(ended.reason, ended.reason)

@@ -34,6 +34,7 @@ class RecordingPlan:
         object: metadata of the object.
         resume_s: how long to wait for a radar that was lost, s.
         renumber: use the next free name if the requested one exists.
+        spent: share of the false-accept probability that readings during the recording use.
     """
 
     config: RadarConfig | None
@@ -47,6 +48,7 @@ class RecordingPlan:
     object: ObjectInfo = field(default_factory=ObjectInfo)
     resume_s: float = RESUME_S
     renumber: bool = False
+    spent: float = 0.0
 
 
 def plan_window(

@@ -140,7 +140,7 @@ class _OneTurn:
             if self._watch.stop():
                 raise CaptureInterrupted(f"stopped after {len(self._scans)} scans")
             if not self._is_enough():
-                self._session.intake.ended = Ending("limit")
+                self._session.intake.ended = self._ended("limit")
         finally:
             with interrupts.deferred():
                 try:
@@ -160,11 +160,11 @@ class _OneTurn:
         if self._watch.progress:
             self._watch.progress(len(self._scans), seconds)
         if seconds >= self._plan.max_seconds:
-            return Ending("limit")
+            return self._ended("limit")
         if self._plan.scans is not None or seconds < self._needed_s:
             return None
         if self._motion.measures:
-            return Ending("turn") if self._motion.finished([], []) else None
+            return self._ended("turn") if self._motion.finished([], []) else None
         samples = [each.samples for each in self._scans]
         times = [each.radar_time_ms * 1e-3 for each in self._scans]
         if not (self._needed_s or self._motion.finished(samples, times)):
@@ -173,7 +173,10 @@ class _OneTurn:
         if seconds < self._needed_s:
             return None
         # Where nothing repeats within the longest time, no turn is known to be complete.
-        return Ending("turn" if self._needed_s or not self._watch.resolve else "limit")
+        return self._ended("turn" if self._needed_s or not self._watch.resolve else "limit")
+
+    def _ended(self, reason: str) -> Ending:
+        return Ending(reason, spent=self._plan.spent or None)
 
     def _keep_readings(self) -> None:
         """Write the new motion readings to the journal."""

@@ -13,10 +13,9 @@ from tagid.batch.job import Job
 from tagid.batch.local import run_local
 from tagid.batch.run import FILES, Hooks, Plan, run_batch
 from tagid.errors import TagidError, UsageError
+from tagid.operate.workplace import Workplace
 from tagid.report.page import PageSettings
 from tagid.station.errors import BusyError, begin, reported
-from tagid.station.setup import ReadingSetup
-from tagid.tags.enrolling.registry import RegistryContents
 from tagid.workers import Worker
 
 MOST_CAPTURES = 200
@@ -104,7 +103,7 @@ class Reports:
         """A report by its number; None if there is none, or no longer."""
         return self._runs.get(number)
 
-    def start(self, captures: Sequence[Path], setup: ReadingSetup, contents: RegistryContents) -> ReportRun:
+    def start(self, captures: Sequence[Path], place: Workplace) -> ReportRun:
         """Begin a report over captures.
 
         Raises BusyError if one is running, UsageError if there are no captures or too many.
@@ -118,8 +117,8 @@ class Reports:
             if self.newest is not None and self.newest.running:
                 raise BusyError("a report is being written", "Wait for its end, or stop it.")
             number = self._count + 1
-            job = Job.of(setup.imaging, contents, setup.loading)
-            run = ReportRun(number, _new_folder(setup.folder), captures, job)
+            job = Job.of(place.setup(as_recorded=True))
+            run = ReportRun(number, _new_folder(place.folder()), captures, job)
             run.start()
             self._runs[number] = run
             self._count = number

@@ -10,29 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from tagid.capture import Capture
-from tagid.config import data_folder
-from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import CaptureInterrupted, DeviceError, TagidError
 from tagid.live.engine import LiveSettings, LiveView
 from tagid.live.state import LiveState, Phase
 from tagid.metadata import ScanGap
 from tagid.motion.device import Motion
 from tagid.motion.urls import open_motion
+from tagid.operate.turn import draw, picture_of, read, record_turn
+from tagid.operate.workplace import Workplace
 from tagid.pipeline.answer import Identification
-from tagid.pipeline.diagnosis import recording_remarks, with_causes
-from tagid.pipeline.identify import identify
-from tagid.pipeline.load import load_capture
-from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.turn import resolve_turn
-from tagid.recording.intake import notes
-from tagid.recording.plan import capture_path
-from tagid.recording.radars import open_radar
-from tagid.recording.recorder import Watch, record
-from tagid.report.picture import Marker, draw_image
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.recorder import Watch
 from tagid.station.errors import begin, reported
-from tagid.station.setup import ScanSetup
-from tagid.storage.history import FILE_NAME, History
-from tagid.tags.enrolling.registry import Registry
 from tagid.workers import Worker
 
 Then = Callable[[Path, Capture, Identification], None]
@@ -47,7 +37,8 @@ class ScanRun:
 
     Args:
         number: counts the station's scans.
-        setup: settings of the scan.
+        place: settings, registry, history and folder.
+        plan: of the recording.
         radar: held while the radar is used, so that a health check does not disturb the scan.
         then: called on the scan's thread with the capture's file, the capture with angles, and its answer, if
             neither the recording nor the reading failed.
@@ -58,20 +49,22 @@ class ScanRun:
     """
 
     def __init__(
-        self, number: int, setup: ScanSetup, radar: threading.Lock, then: Then | None = None
+        self,
+        number: int,
+        place: Workplace,
+        plan: RecordingPlan,
+        radar: threading.Lock,
+        then: Then | None = None,
     ) -> None:
         self.number = number
         self._then = then
-        self.motion: Motion = open_motion(setup.motion_url)
-        self._setup = setup
+        self._place, self._plan = place, plan
+        self.motion: Motion = open_motion(place.config["motion.url"])
         self._radar = radar
-        self._known = Registry(data_folder() / "registry.sqlite").contents()
+        self._setup = place.setup(as_recorded=True)
+        enrolled = self._setup.enrolled
         settings = LiveSettings(
-            self.motion,
-            self._known.layouts,
-            self._known.signatures,
-            self._known.version,
-            setup.reading.imaging,
+            self.motion, enrolled.layouts, enrolled.signatures, enrolled.version, self._setup.imaging
         )
         self._view = LiveView(settings)
         self._stop = threading.Event()
@@ -138,40 +131,26 @@ class ScanRun:
             self._radar.release()
 
     def _run(self) -> None:
-        setup, paths = self._setup, [Path()]
         with self._view:
             with self._radar_alone():
-                capture = record(
-                    open_radar(setup.radar_url, setup.radar_timeout_s),
-                    self.motion,
-                    setup.plan,
-                    capture_path(setup.reading.folder),
-                    self._watch(paths.append),
-                )
-            try:
-                loaded = load_capture(capture, setup.reading.loading)
-                prepared = PreparedCapture(loaded, setup.reading.imaging)
-                answer = identify(
-                    prepared,
-                    self._known.layouts,
-                    registry_version=self._known.version,
-                    signatures=self._known.signatures,
-                )
-            except TagidError as error:
+                recorded = record_turn(self._place, self._plan, self.motion, self._watch())
+            answer = read(self._setup, recorded.capture, recorded.path, self._view)
+            remarks = list(answer.remarks)
+            if answer.error is None:
+                try:
+                    draw(answer, picture_of(recorded.path))
+                except TagidError as error:
+                    remarks.append(f"no picture: {error.message}")
+            radar = {"radar": self._place.radar_url(), "motion": self._plan.motion}
+            remarks += self._place.remember(COMMAND, [answer.to_dict()], radar)
+            self._remark = "; ".join(remarks)
+            if answer.error is not None:
                 # The recording is stored; only the reading failed.
-                entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
-                self._remember(Identification("failed", None, capture.uuid, None, error=entry), paths[-1])
-                raise
-            self._view.settle(loaded, answer)
-        answer = with_causes(answer, prepared, self._known.layouts)
-        self._view.explain(answer)
-        self._remark = "; ".join((*notes(capture.radar), *recording_remarks(loaded)))
-        self._draw(answer, paths[-1])
-        self._remember(answer, paths[-1])
-        if self._then is not None:
-            self._then(paths[-1], loaded, answer)
+                raise answer.error
+        if self._then is not None and answer.prepared is not None:
+            self._then(recorded.path, answer.prepared.given, answer.identification)
 
-    def _watch(self, named: Callable[[Path], None]) -> Watch:
+    def _watch(self) -> Watch:
         view = self._view
 
         def gap(gap: ScanGap) -> None:
@@ -182,7 +161,6 @@ class ScanRun:
 
         return Watch(
             gap=gap,
-            named=named,
             resolve=view.resolving(resolve),
             began=view.began,
             scan=self._took,
@@ -193,31 +171,3 @@ class ScanRun:
     def _took(self, scan: Any) -> None:
         self._last_scan_at = time.monotonic()
         self._view.scan(scan)
-
-    def _draw(self, answer: Identification, path: Path) -> None:
-        """Write the picture of the last frame next to the capture."""
-        image = self.state.image
-        if image is None:
-            return
-        reading = answer.reading
-        found = reading.reflectors if reading is not None else ()
-        markers = [Marker(p.x_m, p.y_m, str(i + 1), p.matched) for i, p in enumerate(found)]
-        title = reading.layout if reading is not None and reading.layout else answer.status.replace("_", " ")
-        try:
-            draw_image(image.values, image.grid.extent, picture_of(path), str(title), markers)
-        except TagidError as error:
-            self._remark = f"{self._remark}; no picture: {error.message}".lstrip("; ")
-
-    def _remember(self, answer: Identification, path: Path) -> None:
-        setup = self._setup
-        try:
-            history = History(data_folder() / FILE_NAME)
-            run = history.begin(COMMAND, {"radar": setup.radar_url, "motion": setup.plan.motion})
-            history.add(run, [{"file": str(path), **answer.to_dict()}])
-        except TagidError as error:
-            self._remark = f"{self._remark}; not stored in the history: {error.message}".lstrip("; ")
-
-
-def picture_of(capture: Path) -> Path:
-    """The picture that belongs to a capture file."""
-    return capture.with_name(f"{capture.name.removesuffix(CAPTURE_SUFFIX)}.png")

@@ -16,6 +16,9 @@ from tagid.config import data_folder
 from tagid.doctor import Finding, examine
 from tagid.errors import StorageError, TagidError
 from tagid.files import read_bytes
+from tagid.metadata import ObjectInfo
+from tagid.operate.turn import picture_of
+from tagid.operate.workplace import open_registry
 from tagid.station.enrolling import Enrolling, Subject
 from tagid.station.errors import (
     BusyError,
@@ -28,11 +31,10 @@ from tagid.station.errors import (
 )
 from tagid.station.operators import Operators
 from tagid.station.reports import ReportRun, Reports
-from tagid.station.scans import COMMAND, ScanRun, Then, picture_of
+from tagid.station.scans import COMMAND, ScanRun, Then
 from tagid.station.setup import Source
 from tagid.station.wiring import Wiring, wiring
 from tagid.storage.history import FILE_NAME, Entry, Filter, History
-from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout
 from tagid.workers import Worker
 
@@ -82,7 +84,7 @@ class Station:
     def __init__(self, source: Source, check: Callable[..., list[Finding]] = examine) -> None:
         self.source = source
         self.operators = Operators()
-        self.enrolling = Enrolling(registry, lambda: source.reading().imaging)
+        self.enrolling = Enrolling(open_registry, lambda: source.place().imaging())
         self.reports = Reports()
         self._check = check
         self._radar = threading.Lock()
@@ -164,8 +166,10 @@ class Station:
         if self._scan is not None and self._scan.running:
             raise BusyError("a scan is running", "Wait for its end, or stop it.")
         self.operate(key)
-        setup = self.source.scan(note[:_NOTE_LENGTH])
-        run = ScanRun(self._count + 1, setup, self._radar, then)
+        source, place = self.source, self.source.place()
+        about = ObjectInfo(note=note[:_NOTE_LENGTH] or None, demo=source.demo or None)
+        plan = place.plan(max_seconds=source.max_seconds, about=about)
+        run = ScanRun(self._count + 1, place, plan, self._radar, then)
         if run.motion.moves and not self.operators.holds(key):
             raise NotOperatorError(
                 "the scan would move the table or robot, and no browser operates the station",
@@ -208,7 +212,7 @@ class Station:
         Raises NotOperatorError, BusyError, UsageError, StorageError.
         """
         self.operate(key)
-        return self.reports.start(self.captures(entries), self.source.reading(), registry().contents())
+        return self.reports.start(self.captures(entries), self.source.place())
 
     def stop(self) -> None:
         """Stop the running scan; every connection may. Its capture is kept."""
@@ -260,7 +264,7 @@ class Station:
         url: str | None = None
         with self._radar:
             try:
-                config = self.source.config()
+                config = self.source.place().config
                 url = config["radar.url"]
                 findings = tuple(self._check(config))
             except TagidError as error:
@@ -290,7 +294,7 @@ class Station:
 
     def captures(self, entries: tuple[int, ...]) -> list[Path]:
         """The capture files of entries of the history, each once, without those no longer on the disk."""
-        folder = self.source.reading().folder
+        folder = self.source.place().folder()
         known = {entry.id: entry for entry in self.history(Filter(numbers=entries))}
         found: dict[Path, None] = {}
         for number in entries:
@@ -301,14 +305,14 @@ class Station:
 
     def _capture(self, number: int) -> Path:
         found = self.history(Filter(number=number, limit=1))
-        path = _own_file(found[0], self.source.reading().folder) if found else None
+        path = _own_file(found[0], self.source.place().folder()) if found else None
         if path is None:
             raise NoSuchItemError(f"the station has no capture of entry {number}")
         return path
 
     def layouts(self) -> list[Layout]:
         """The enrolled layouts. Raises RegistryError."""
-        return registry().layouts()
+        return open_registry().layouts()
 
     def close(self) -> None:
         """Stop a running scan and a running report, and wait for their ends; no health check follows."""
@@ -327,8 +331,3 @@ def _own_file(entry: Entry, folder: Path) -> Path | None:
     path = Path(entry.file)
     own = entry.command in (COMMAND, "scan") and path.resolve().parent == folder.resolve()
     return path if own else None
-
-
-def registry() -> Registry:
-    """The registry of this computer."""
-    return Registry(data_folder() / "registry.sqlite")

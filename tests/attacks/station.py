@@ -226,13 +226,12 @@ def _post(port: int, path: str, body: bytes = b"{}", timeout_s: float = 60.0) ->
     test="tests/e2e/test_station_faults.py::test_a_health_check_that_cannot_start_is_shown_and_tried_again",
 )
 def no_thread_for_a_health_check(folder: Path) -> Outcome:
-    from tagid.config import load_config
+    from tagid.operate.workplace import Workplace
     from tagid.station.server import Server
     from tagid.station.setup import Source
     from tagid.station.station import Station
 
-    no_scan: Any = None
-    station = Station(Source(lambda: load_config({}), no_scan, no_scan), lambda config: [])
+    station = Station(Source(lambda: Workplace({})), lambda config: [])
     ticks: list[int] = []
     tick = station.tick
     station.tick = lambda: (ticks.append(0), tick())[1]  # type: ignore[method-assign, assignment]
@@ -426,14 +425,13 @@ def unread_answers(folder: Path) -> Outcome:
     test="tests/e2e/test_station.py::test_all_guesses_have_one_limit_and_a_right_code_its_turn",
 )
 def guessers(folder: Path) -> Outcome:
-    from tagid.config import load_config
+    from tagid.operate.workplace import Workplace
     from tagid.station.server import Server
     from tagid.station.setup import Source
     from tagid.station.station import Station
 
     codes: list[str] = []
-    no_scan: Any = None
-    station = Station(Source(lambda: load_config({}), no_scan, no_scan), lambda config: [])
+    station = Station(Source(lambda: Workplace({})), lambda config: [])
     figures, held = [], True
     with Server(station, "127.0.0.1", 0, codes.append) as server:
         stop = threading.Event()
@@ -471,7 +469,7 @@ def guessers(folder: Path) -> Outcome:
     test="tests/e2e/test_station.py::test_no_request_is_answered_with_500",
 )
 def no_answer_500(folder: Path) -> Outcome:
-    from tagid.config import load_config
+    from tagid.operate.workplace import Workplace
     from tagid.station.server import Server
     from tagid.station.setup import Source
     from tagid.station.station import Station
@@ -497,13 +495,10 @@ def no_answer_500(folder: Path) -> Outcome:
     ]
     texts = [b'{"code": "\\ud800"}', b'{"key": "\\udfff"}', b'{"name": "\\ud800", "note": "\\ud800"}']
 
-    def broken(*_: object) -> Any:
-        return load_config({})
-
     statuses = []
     (folder / "broken.toml").write_text("[radar\n")
     os.environ["TAGID_CONFIG"] = str(folder / "broken.toml")
-    station = Station(Source(broken, broken, broken), lambda config: [])
+    station = Station(Source(lambda: Workplace({})), lambda config: [])
     with Server(station, "127.0.0.1", 0) as server:
         statuses += [_get(server.port, path) for path in (*dates, *numbers)]
         for path in ("pair", "scan", "enrolment"):

@@ -36,7 +36,7 @@ def test_a_scan_says_why_it_ended_and_so_does_show(tagid, tmp_path: Path) -> Non
         assert bound["p_value"] == ended["p_value"] <= 5e-4 and bound["calibration_objects"] == ended["turns"]
         assert not any("degrees" in message for message in done.json["messages"])
     else:
-        assert ended == {"reason": "turn"} and data["motion"]["turns"] > 1
+        assert ended == {"reason": "turn", "spent": 0.3} and data["motion"]["turns"] > 1
     shown = tagid("show", data["files"]["capture"], "--output", "json").json["data"]
     assert shown["ended"] == ended
     text = tagid("show", data["files"]["capture"]).out

@@ -19,16 +19,11 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from tagid.config import load_config
 from tagid.doctor import Finding
-from tagid.metadata import ObjectInfo
-from tagid.pipeline.load import LoadSettings
-from tagid.pipeline.settings import ImagingSettings
-from tagid.radar.settings import RadarConfig
-from tagid.recording.plan import RecordingPlan, plan_window
+from tagid.operate.workplace import Workplace
 from tagid.station import server, web
 from tagid.station.server import Server
-from tagid.station.setup import ReadingSetup, ScanSetup, Source
+from tagid.station.setup import Source
 from tagid.station.station import Station
 
 OWN = {"tagid-station": "1"}
@@ -45,18 +40,30 @@ def source(
     folder: Path, radar: str | Callable[[], str] = FAST, rpm: float | None = None, resume_s: float = 20.0
 ) -> Source:
     """Scans of an emulated helmet into a folder; a function gives each scan its own radar."""
-    config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
-    reading = ReadingSetup(folder, LoadSettings(as_recorded=True), ImagingSettings(method="bp", pixels=64))
     motion = f"free?rpm={rpm or (0.5 if radar == ENDLESS else 20 if isinstance(radar, str) else POSED_RPM):g}"
 
-    def setup(note: str) -> ScanSetup:
-        url = radar if isinstance(radar, str) else radar()
-        about = ObjectInfo(note=note or None)
-        plan = RecordingPlan(config, 1.0, motion=motion, renumber=True, resume_s=resume_s, object=about)
-        return ScanSetup(url, 2.0, motion, plan, reading)
+    settings = {
+        "motion.url": motion,
+        "motion.axis_distance_m": 1.0,
+        "radar.integration": 15,
+        "radar.timeout_s": 2.0,
+        "radar.resume_s": resume_s,
+        "imaging.method": "bp",
+        "imaging.pixels": 64,
+        "storage.folder": str(folder),
+    }
 
-    known = {"radar.url": radar} if isinstance(radar, str) else {}
-    return Source(lambda: load_config(known), lambda: reading, setup)
+    urls: dict[int, str] = {}
+
+    def place() -> Workplace:
+        if isinstance(radar, str):
+            return Workplace({**settings, "radar.url": radar})
+        recorded = len(list(folder.glob("*.tagid.h5")))
+        if recorded not in urls:
+            urls[recorded] = radar()
+        return Workplace({**settings, "radar.url": urls[recorded]})
+
+    return Source(place)
 
 
 def healthy(config: object) -> list[Finding]:

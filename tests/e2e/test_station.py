@@ -24,11 +24,11 @@ pytest.importorskip("starlette")
 from station_harness import ENDLESS, OWN, WAIT_S, Asks, Raw, alone, ended, joined, source, wait
 
 from tagid.capture import Capture
-from tagid.config import load_config
 from tagid.imaging.types import Image
 from tagid.live.engine import LiveView
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
+from tagid.operate.workplace import Workplace
 from tagid.pipeline.answer import Identification
 from tagid.station import operators, scans, server, web, wire
 from tagid.station.errors import InterlockError
@@ -352,7 +352,7 @@ def test_no_request_is_answered_with_500(
     (tmp_path / "c.toml").write_text("[radar\n")
     for answer in (client.post("/api/v1/enrolment", name="x"), client.get("/api/v1/history/1/capture")):
         assert answer.status in (200, 404, 503)
-    monkeypatch.setattr(one._station, "source", Source(load_config, load_config, lambda note: load_config()))
+    monkeypatch.setattr(one._station, "source", Source(lambda: Workplace()))
     broken = client.post("/api/v1/scan")
     assert (broken.status, broken.json()["error"]["code"]) == (503, "config")
     with socket.create_connection(("127.0.0.1", one.port)) as gone:

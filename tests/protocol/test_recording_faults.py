@@ -20,9 +20,10 @@ from radar_ends import core, numbered, pty, udp
 from tagid.capture import ViewFlag
 from tagid.errors import DiskFullError, StorageError, TagidError
 from tagid.motion.urls import open_motion
+from tagid.operate.words import notes
 from tagid.radar.assembler import Scan
 from tagid.radar.settings import RadarConfig
-from tagid.recording.intake import Intake, notes
+from tagid.recording.intake import Intake
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record

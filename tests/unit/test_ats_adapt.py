@@ -7,7 +7,6 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from tagid.cli.common.imaging import prior_words
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats import adapt, start
 from tagid.imaging.ats.adapt import (
@@ -31,6 +30,7 @@ from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
 from tagid.imaging.sparse import column_norm, sparse_recovery
 from tagid.imaging.types import BasebandScans
+from tagid.operate.words import prior_words
 from tests.unit.imaging_scenes import record, turn
 
 GRID = ImageGrid(0.3, 40)

@@ -10,13 +10,14 @@ import pytest
 from any_evidence import ANY, SETTINGS
 
 from tagid.capture import Capture
-from tagid.cli.common.imaging import bound_words, settings_from
 from tagid.config import load_config
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import ModelError, UsageError
 from tagid.geometry import Aperture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
+from tagid.operate.words import bound_words
+from tagid.operate.workplace import Workplace
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.reading import reader_settings
@@ -416,7 +417,7 @@ def test_early_looks_leave_a_name_on_a_body_the_rest_of_the_setting() -> None:
 
 
 def test_the_default_priors_are_those_of_the_calibration() -> None:
-    stored = settings_from(load_config({}))
+    stored = Workplace(load_config({})).imaging()
     assert stored.priors == TagPriors()
     usual, made = ReaderSettings(), reader_settings(stored)
     assert made.search == usual.search
@@ -431,7 +432,7 @@ def test_priors_are_set_by_the_user() -> None:
         "tags.radius_outside_m": 0.005,
         "tags.offset_range_m": 0.05,
     }
-    made = reader_settings(settings_from(load_config(values)))
+    made = reader_settings(Workplace(load_config(values)).imaging())
     assert made.contest.body.priors == Priors(0.02, 0.004, -0.01, 0.005)
     offsets = np.array(made.search.offsets_m)
     # The refinement goes one step beyond the outermost.

@@ -14,8 +14,9 @@ from bodies_synthetic import MUG, TAG, Thing, capture, ring
 from numpy.typing import NDArray
 from rich.console import Console
 
-from tagid.cli.common.imaging import HYPOTHESES, describe, hypothesis_words
+from tagid.cli.common.imaging import describe
 from tagid.errors import FileFormatError, LayoutConflictError, RegistryError
+from tagid.operate.words import HYPOTHESES, hypothesis_words
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.enrolment import propose_layout, propose_signature
 from tagid.pipeline.identify import _looked_at_again, aspect_spectra, identify, without_body

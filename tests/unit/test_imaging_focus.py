@@ -10,13 +10,13 @@ import pytest
 from imaging_scenes import BANDWIDTH, FC, C, record, turn
 
 from tagid.capture import Capture
-from tagid.cli.common.imaging import focus_words
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import MOST_SIGMA_WAVELENGTHS, focus_axis_distance
 from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, band_delays, explain, jackknife_error
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
+from tagid.operate.words import focus_words
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tagid.cli.common.imaging import outside_words
 from tagid.geometry import ImageGrid
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.outside import find_outside
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans, PointResponse
+from tagid.operate.words import outside_words
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tests.unit.imaging_scenes import record, turn

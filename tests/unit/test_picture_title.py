@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tagid.cli.common.imaging import method_shown
 from tagid.geometry import ImageGrid
 from tagid.imaging.types import Image
+from tagid.operate.words import method_shown
 from tagid.pipeline.reconstruct import Reconstruction
 
 

@@ -20,14 +20,12 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.types import Image
 from tagid.live.evidence import LayoutEvidence
 from tagid.live.state import LiveState, Phase, Sinogram
-from tagid.pipeline.load import LoadSettings
-from tagid.pipeline.settings import ImagingSettings
+from tagid.operate.workplace import Workplace
 from tagid.recording.plan import RecordingPlan
 from tagid.station import wire
 from tagid.station.operators import GRACE_S, Operators
 from tagid.station.requests import entries_of, filter_of
 from tagid.station.scans import ScanRun
-from tagid.station.setup import ReadingSetup, ScanSetup
 from tagid.station.station import HISTORY_LIMIT
 
 
@@ -53,9 +51,8 @@ def test_a_scan_is_described_in_degrees_with_the_likeliest_layout_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TAGID_DATA", str(tmp_path))
-    reading = ReadingSetup(tmp_path, LoadSettings(), ImagingSettings(method="bp", pixels=16))
-    setup = ScanSetup("emulator://empty", 2.0, "free?rpm=2", RecordingPlan(None, 1.0), reading)
-    run = ScanRun(3, setup, threading.Lock())
+    place = Workplace({"radar.url": "emulator://empty", "motion.url": "free?rpm=2", "imaging.method": "bp"})
+    run = ScanRun(3, place, RecordingPlan(None, 1.0), threading.Lock())
     shares = {"a": 0.2, "b": 0.7, "c": 0.4}
     evidence = tuple(LayoutEvidence(name, share, 0.5, 9.0, 8.0) for name, share in shares.items())
     run._view._publish(phase=Phase.TURNING, turned_rad=2.5 * np.pi, evidence=evidence)

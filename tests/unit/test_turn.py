@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tagid.operate.words import turn_line
 from tagid.pipeline.diagnosis import _of_the_turn
-from tagid.pipeline.resolve import speed_contradiction, turn_line
+from tagid.pipeline.resolve import speed_contradiction
 from tagid.pipeline.turn import resolve_turn
 from tagid.simulate import (
     Acquisition,

@@ -69,7 +69,7 @@ def register(app: typer.Typer) -> None:
 def _removed(name: str) -> Result:
     from rich.text import Text
 
-    from tagid.cli.common.imaging import open_registry
+    from tagid.operate.workplace import open_registry
 
     version = open_registry().remove(name, "tagid layouts --remove")
     line = Text(f"{name} removed; its history is kept (registry version {version})")
@@ -79,7 +79,7 @@ def _removed(name: str) -> Result:
 def _history() -> Result:
     from rich.table import Table
 
-    from tagid.cli.common.imaging import open_registry
+    from tagid.operate.workplace import open_registry
 
     registry = open_registry()
     table = Table(box=None)
@@ -109,7 +109,7 @@ def _history() -> Result:
 def _list() -> Result:
     from rich.table import Table
 
-    from tagid.cli.common.imaging import open_registry
+    from tagid.operate.workplace import open_registry
 
     registry = open_registry()
     version, layouts = registry.snapshot()

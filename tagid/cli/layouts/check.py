@@ -35,7 +35,7 @@ def register(app: typer.Typer) -> None:
         from rich.text import Text
 
         from tagid.cli.common.enrolling import direction_known, height_weight
-        from tagid.cli.common.imaging import open_registry
+        from tagid.operate.workplace import open_registry
         from tagid.tags.enrolling.enrolment import neighbour
         from tagid.tags.layouts.capacity import reference
         from tagid.tags.layouts.codebook import CONFUSABLE_M

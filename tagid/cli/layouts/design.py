@@ -92,7 +92,7 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid layouts design --object helmet --reflectors 3 --slots 12 --count 10 --out helmets.toml
         """
-        from tagid.cli.common.imaging import open_registry
+        from tagid.operate.workplace import open_registry
         from tagid.tags.layouts.design import design as make
         from tagid.tags.layouts.layout import is_name
 
@@ -236,7 +236,7 @@ def _designed(
     from rich.table import Table
     from rich.text import Text
 
-    from tagid.cli.common.imaging import open_registry
+    from tagid.operate.workplace import open_registry
     from tagid.tags.enrolling.advice import refusal
     from tagid.tags.enrolling.layout_file import write_layouts
     from tagid.tags.layouts.capacity import confusion_rate, reference

@@ -38,8 +38,8 @@ def register(app: typer.Typer) -> None:
         """
         from rich.text import Text
 
-        from tagid.cli.common.imaging import open_registry
         from tagid.files import resolved
+        from tagid.operate.workplace import open_registry
         from tagid.tags.enrolling.layout_file import write_layouts
 
         check_new(file, force)
@@ -81,8 +81,8 @@ def register(app: typer.Typer) -> None:
         """
         from rich.text import Text
 
-        from tagid.cli.common.imaging import open_registry
         from tagid.errors import FileFormatError
+        from tagid.operate.workplace import open_registry
         from tagid.tags.bodies.signature_file import to_bytes
 
         found: dict[str, Layout] = {}
@@ -159,7 +159,7 @@ def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Res
     """The registry after an undo or redo, with what changed."""
     from rich.text import Text
 
-    from tagid.cli.common.imaging import open_registry
+    from tagid.operate.workplace import open_registry
 
     registry = open_registry()
     done = step(registry)

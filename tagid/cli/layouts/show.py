@@ -45,8 +45,8 @@ def register(app: typer.Typer) -> None:
         from rich.console import Group
         from rich.text import Text
 
-        from tagid.cli.common.imaging import open_registry
         from tagid.files import write_bytes
+        from tagid.operate.workplace import open_registry
         from tagid.report import layout_sheet
         from tagid.report.drafting import to_pdf, to_png, to_svg
         from tagid.tags.enrolling.layout_file import read_layouts

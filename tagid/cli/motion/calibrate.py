@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -88,13 +87,13 @@ def _direction(capture: Capture, name: str) -> Result:
     """Whether the capture's table rotated in the stated direction; stored for commanded tables."""
     from rich.text import Text
 
-    from tagid.cli.common import imaging
     from tagid.cli.motion.direction import turned_the_other_way
     from tagid.metadata import ResolvedMotion
     from tagid.motion.calibration import remember_reversed
+    from tagid.operate.workplace import open_registry
     from tagid.pipeline.prepared import prepare
 
-    layouts = {one.name: one for one in imaging.open_registry().layouts()}
+    layouts = {layout.name: layout for layout in open_registry().layouts()}
     if name not in layouts:
         raise UsageError(f"there is no layout named {name!r}", f"Enrolled: {', '.join(sorted(layouts))}.")
     capture = prepare(capture)
@@ -118,20 +117,18 @@ def _direction(capture: Capture, name: str) -> Result:
 
 
 def _record(terminal: Terminal, config: Config, turns: float) -> Capture:
-    from tagid.cli.common.recording import Limits, capture_folder, plan_of
     from tagid.cli.motion.device import driven
-    from tagid.cli.radar.device import open_configured
     from tagid.metadata import ObjectInfo
+    from tagid.operate.turn import record_turn
+    from tagid.operate.workplace import Workplace
     from tagid.pipeline.resolve import with_angles
-    from tagid.recording.plan import capture_path
-    from tagid.recording.recorder import Watch, record
+    from tagid.recording.recorder import Watch
 
     device = driven(config["motion.url"])
     device.turns = turns
-    folder = capture_folder(config)
-    limits = Limits(None, 20 + 1.5 * device.needed_seconds())
-    about = ObjectInfo(note="calibration")
-    plan = replace(plan_of(config, str(config["radar.url"]), limits, about), renumber=True)
+    place = Workplace(config)
+    longest_s = 20 + 1.5 * device.needed_seconds()
+    plan = place.plan(max_seconds=longest_s, about=ObjectInfo(note="calibration"))
     with terminal.progress("record", device.needed_seconds()) as advance:
         watch = Watch(lambda count, seconds: advance(seconds, f"{count} scans"), with_angles)
-        return record(open_configured(config), device, plan, capture_path(folder), watch)
+        return record_turn(place, plan, device, watch).capture

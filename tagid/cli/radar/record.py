@@ -10,7 +10,6 @@ import typer
 from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.recording import capture_folder
 from tagid.cli.radar.device import open_configured, radar_url
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
@@ -62,7 +61,8 @@ def register(group: typer.Typer) -> None:
         from rich.text import Text
 
         from tagid.metadata import ObjectInfo
-        from tagid.recording.intake import notes
+        from tagid.operate.words import notes
+        from tagid.operate.workplace import Workplace
         from tagid.recording.long_recording import RecordingLimits, RecordingWatch, record_long
         from tagid.recording.plan import RecordingPlan, capture_path
 
@@ -79,7 +79,7 @@ def register(group: typer.Typer) -> None:
         )
         radar_url(config)
         _check(scans, seconds, interval_us)
-        path = out or capture_path(capture_folder(config))
+        path = out or capture_path(Workplace(config).folder())
         if not path.name.endswith(CAPTURE_SUFFIX):
             raise UsageError(f"--out is {path}", "Give a name that ends in .tagid.h5.")
         plan = RecordingPlan(

@@ -1,0 +1,370 @@
+"""One revolution from radar to answer: record, read, explain, draw. Every front end calls these functions.
+
+A recording therefore has one answer, whoever asks: the same document from `tagid scan`, `tagid identify`, a
+report, the station and a program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from tagid.capture import Capture
+from tagid.constants import CAPTURE_SUFFIX
+from tagid.errors import DataError, TagidError, displayable
+from tagid.live.sure import ended_answer
+from tagid.operate.words import headline, method_shown, notes
+from tagid.pipeline.answer import Cause, Identification
+from tagid.pipeline.diagnosis import recording_remarks, with_causes
+from tagid.pipeline.identify import identify as read_tag
+from tagid.pipeline.identify import identify_together, without_body
+from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
+from tagid.pipeline.prepared import PreparedCapture, as_prepared
+from tagid.pipeline.settings import ImagingSettings, Stopwatch
+from tagid.pipeline.turn import resolve_turn
+from tagid.recording.plan import RecordingPlan, capture_path
+from tagid.recording.recorder import Watch, record
+from tagid.result import Problem
+
+if TYPE_CHECKING:
+    from tagid.motion.device import Motion
+    from tagid.operate.workplace import Workplace
+    from tagid.pipeline.reconstruct import Reconstruction
+    from tagid.tags.bodies.signature import Signature
+    from tagid.tags.enrolling.registry import RegistryContents
+    from tagid.tags.layouts.layout import Layout
+
+Progress = Callable[[float, float, str], None]
+"""Called with (done, total, remark)."""
+
+
+class Watcher(Protocol):
+    """Who shows an answer before its causes are known, such as a live view."""
+
+    def settle(self, prepared: Capture, answer: Identification) -> None:
+        """The answer, and the prepared capture it was read from."""
+
+    def explain(self, answer: Identification) -> None:
+        """The same answer with its likely causes."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingSetup:
+    """All that an answer depends on besides the recording.
+
+    Attributes:
+        loading: settings of loading a recording.
+        imaging: settings of imaging and reading.
+        enrolled: contents of the registry.
+    """
+
+    loading: LoadSettings
+    imaging: ImagingSettings
+    enrolled: RegistryContents
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A recorded revolution.
+
+    Attributes:
+        capture: the recording.
+        path: its file.
+    """
+
+    capture: Capture
+    path: Path
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The answer of one recording, or of several of one object.
+
+    Attributes:
+        identification: what was read, with likely causes and remarks; status "failed" if `error` is set.
+        file: name of the (first) recording; empty for a capture in memory.
+        prepared: the prepared capture; None if reading failed, and for several recordings.
+        error: the error that prevented reading.
+        alone: of several recordings, the answer of each.
+        notes: on the work besides the recording, e.g. that the history could not be written.
+    """
+
+    identification: Identification
+    file: str = ""
+    prepared: PreparedCapture | None = None
+    error: TagidError | None = None
+    alone: tuple[Answer, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def status(self) -> str:
+        """One of "identified", "unknown", "ambiguous", "no_tag" and "failed"."""
+        return self.identification.status
+
+    @property
+    def name(self) -> str | None:
+        """Name of the layout or object; None unless identified."""
+        reading = self.identification.reading
+        return reading.layout if reading is not None and self.status == "identified" else None
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """Likely causes if nothing is named, most certain first."""
+        return self.identification.causes
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Remarks on the recording, one sentence each."""
+        return self.identification.remarks
+
+    def to_dict(self) -> dict[str, Any]:
+        """The answer document of the contract as plain JSON values (docs/formats.md)."""
+        document = {"file": self.file, **self.identification.to_dict()}
+        return {**document, "votes": [_vote(answer) for answer in self.alone]} if self.alone else document
+
+
+def _vote(answer: Answer) -> dict[str, Any]:
+    reading = answer.identification.reading
+    return {
+        "file": answer.file,
+        "capture_uuid": answer.identification.capture_uuid,
+        "status": answer.status,
+        "layout": reading.layout if reading else None,
+        "score": reading.score if reading else 0.0,
+        "margin": reading.margin if reading else 0.0,
+    }
+
+
+def record_turn(
+    place: Workplace,
+    plan: RecordingPlan,
+    motion: Motion | None = None,
+    watch: Watch | None = None,
+    radar_url: str | None = None,
+) -> Recorded:
+    """Record one revolution into the next free file of the workplace's folder.
+
+    Args:
+        place: settings of radar and motion.
+        plan: of the recording.
+        motion: None: opened from the settings.
+        watch: callbacks; the angles are found in the scans unless it finds them otherwise.
+        radar_url: None: that of the settings.
+
+    Raises:
+        As `tagid.recording.recorder.record`.
+    """
+    from tagid.motion.urls import open_motion
+    from tagid.recording.radars import open_radar
+
+    watch = watch or Watch()
+    paths: list[Path] = []
+
+    def named(path: Path) -> None:
+        paths.append(path)
+        watch.named(path)
+
+    radar = open_radar(radar_url or place.radar_url(), place.config["radar.timeout_s"])
+    motion = motion or open_motion(place.config["motion.url"])
+    watched = replace(watch, named=named, resolve=watch.resolve or resolve_turn)
+    capture = record(radar, motion, plan, capture_path(place.folder()), watched)
+    return Recorded(capture, paths[-1])
+
+
+def identify(
+    capture: Capture | PreparedCapture,
+    layouts: Sequence[Layout],
+    settings: ImagingSettings | None = None,
+    registry_version: int | None = None,
+    signatures: Sequence[Signature] = (),
+    watcher: Watcher | None = None,
+) -> Identification:
+    """Name the object of a prepared capture, with remarks on the recording, and likely causes if unnamed.
+
+    Args:
+        capture: the result of `prepare`, or a `PreparedCapture`, which has its own settings.
+        layouts: the candidates.
+        settings: only with a plain capture.
+        registry_version: stored in the answer.
+        signatures: enrolled bodies and objects.
+        watcher: shown the answer before the search for causes, which reads the scans several times more.
+
+    Raises:
+        DataError: too few views or bins, the object lies outside the range window, or the samples are no
+            waveform in the assumed band.
+        RegistryError: no layout is enrolled.
+    """
+    prepared = as_prepared(capture, settings)
+    given = prepared.given
+    ended = given.radar.ended
+    answer = read_tag(
+        prepared,
+        layouts,
+        registry_version=registry_version,
+        signatures=signatures,
+        spent=0.0 if ended is None or ended.spent is None else ended.spent,
+    )
+    answer = ended_answer(answer, ended, prepared.settings.false_accept)
+    answer = replace(answer, remarks=remarks_on(given))
+    if watcher is not None:
+        watcher.settle(given, answer)
+    answer = with_causes(answer, prepared, layouts)
+    if watcher is not None:
+        watcher.explain(answer)
+    return answer
+
+
+def remarks_on(capture: Capture) -> tuple[str, ...]:
+    """What a user should know of a recording, one sentence each: losses, its file, its samples, its turn."""
+    every = (*notes(capture.radar), *intake_remarks(capture), *recording_remarks(capture))
+    return tuple(dict.fromkeys(every))
+
+
+def read(
+    setup: ReadingSetup,
+    source: Path | Capture,
+    file: Path | str | None = None,
+    watcher: Watcher | None = None,
+    identity: Callable[[], None] = lambda: None,
+) -> Answer:
+    """Load a recording and name its object.
+
+    Args:
+        setup: all that the answer depends on besides the recording.
+        source: the recording's file, or a capture in memory.
+        file: name of the recording in document and errors; None: that of `source`.
+        watcher: see `identify`.
+
+    Returns:
+        The answer; one of status "failed" for a recording that cannot be read.
+    """
+    name = displayable(str(source if file is None and isinstance(source, Path) else file or ""))
+    watch = Stopwatch()
+    uuid = source.uuid if isinstance(source, Capture) else None
+    try:
+        with watch.stage("load"):
+            capture = load_capture(source, setup.loading)
+        uuid = capture.uuid
+        prepared = PreparedCapture(capture, setup.imaging)
+        enrolled = setup.enrolled
+        answer = identify(
+            prepared,
+            enrolled.layouts,
+            registry_version=enrolled.version,
+            signatures=enrolled.signatures,
+            watcher=watcher,
+        )
+    except TagidError as error:
+        return failed(error, name, displayable(str(source)) if isinstance(source, Path) else "", uuid)
+    answer = replace(answer, seconds={**watch.seconds, **answer.seconds})
+    return Answer(answer, name, prepared)
+
+
+def failed(error: TagidError, name: str, path: str = "", uuid: str | None = None) -> Answer:
+    """The answer of a recording that could not be read; its error names the recording.
+
+    Args:
+        error: why.
+        name: of the recording.
+        path: where the error says it was, if that is not its name, e.g. a temporary copy.
+        uuid: of its capture, if it has been read.
+    """
+    message = error.message.replace(path, name) if path else error.message
+    problem = Problem(error.code, message if name in message else f"{name}: {message}", error.remedy)
+    return Answer(Identification("failed", None, uuid, None, error=problem), name, error=error)
+
+
+def read_jointly(
+    setup: ReadingSetup, sources: Sequence[Path | Capture], files: Sequence[Path] | None = None
+) -> Answer:
+    """One joint answer from recordings of one object.
+
+    Where nothing is named, the likely causes are those of the recordings.
+
+    Args:
+        setup: all that the answer depends on besides the recordings.
+        sources: files or captures in memory.
+        files: names of the recordings; None: those of `sources`.
+
+    Raises:
+        DataError, FileFormatError, StorageError: a recording cannot be read.
+    """
+    names = [displayable(str(file)) if isinstance(file, Path) else "" for file in files or sources]
+    if len(sources) == 1:
+        only = read(setup, sources[0], names[0])
+        if only.error is not None:
+            raise only.error
+        return replace(only, alone=(only,))
+    enrolled, imaging = setup.enrolled, setup.imaging
+    captures = [load_capture(source, setup.loading) for source in sources]
+    joint, each = identify_together(
+        captures, enrolled.layouts, imaging, enrolled.version, enrolled.signatures
+    )
+    explained = []
+    for capture, alone, name in zip(captures, each, names, strict=True):
+        prepared = PreparedCapture(capture, imaging)
+        alone = with_causes(replace(alone, remarks=remarks_on(capture)), prepared, enrolled.layouts)
+        explained.append(Answer(alone, name, prepared))
+    remarks = tuple(dict.fromkeys(remark for answer in explained for remark in answer.remarks))
+    causes = {cause.code: cause for answer in reversed(explained) for cause in answer.causes}
+    unnamed = joint.status != "identified"
+    joint = replace(joint, remarks=remarks, causes=tuple(causes.values()) if unnamed else ())
+    return Answer(joint, names[0], alone=tuple(explained))
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """The image of a recording.
+
+    Attributes:
+        result: the image.
+        body_subtracted: whether it lacks the echo of a body that the reader found.
+    """
+
+    result: Reconstruction
+    body_subtracted: bool
+
+
+def draw(
+    answer: Answer, png: Path | None, subtract_body: bool = True, progress: Progress | None = None
+) -> Drawn:
+    """Image a recording and write the picture with its name and reflectors.
+
+    Args:
+        answer: of one recording.
+        png: the picture to write; None writes none.
+        subtract_body: draw it without the echo of the body that the reader found.
+        progress: called as the image is made.
+
+    Raises:
+        The error of an answer that failed. DataError: no image can be made. StorageError: the file.
+    """
+    from tagid.pipeline.reconstruct import reconstruct
+
+    if answer.prepared is None:
+        raise answer.error or DataError("several recordings have no common image", "Draw them one by one.")
+    shown = without_body(answer.prepared, answer.identification) if subtract_body else answer.prepared
+    result = reconstruct(shown, progress=progress)
+    if png is not None:
+        draw_image_of(result, answer.identification, png)
+    return Drawn(result, shown is not answer.prepared)
+
+
+def draw_image_of(result: Reconstruction, answer: Identification | None, png: Path) -> None:
+    """Write the picture of an image, with the reflectors of an answer. Raises StorageError."""
+    from tagid.report.picture import Marker, draw_image
+
+    reading = answer.reading if answer else None
+    reflectors = reading.reflectors if reading else ()
+    markers = [Marker(r.x_m, r.y_m, str(i), r.matched) for i, r in enumerate(reflectors, start=1)]
+    name = method_shown(result)
+    title = name if answer is None else f"{headline(answer)}  ({name})"
+    image = result.image
+    draw_image(image.values, image.grid.extent, png, title=title, reflectors=markers, centre_m=image.centre_m)
+
+
+def picture_of(capture: Path) -> Path:
+    """The picture that belongs to a capture file."""
+    return capture.with_name(f"{capture.name.removesuffix(CAPTURE_SUFFIX)}.png")

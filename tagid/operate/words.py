@@ -1,0 +1,345 @@
+"""Every sentence about a result: image, axis, pulse, turn, ending and bound. No module else words them."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from tagid.counting import counted
+from tagid.metadata import Ending, RadarInfo, ResolvedMotion
+from tagid.pipeline.resolve import one_of
+from tagid.storage.journal_queue import drop_note
+
+if TYPE_CHECKING:
+    from tagid.imaging.autofocus import AxisFocus
+    from tagid.imaging.pulsefit import PulseEstimate
+    from tagid.imaging.region import Region
+    from tagid.pipeline.answer import Identification
+    from tagid.pipeline.reconstruct import Reconstruction
+    from tagid.tags.bodies.calibration import Bound
+    from tagid.tags.matching.reading import Reading
+
+SUBTRACTED = {
+    True: "the echo of the body is subtracted from the image",
+    False: "no body was found: nothing is subtracted from the image",
+}
+HYPOTHESES = {
+    "no_tag": "a round body without a tag",
+    "bare": "a tag without a body",
+    "round": "a tag on a round body",
+    "shell": "a tag on a helmet shell",
+    "box": "a tag in or on a thin box",
+    "body": "a tag on an enrolled body",
+    "object": "an enrolled object",
+}
+"""Kinds of hypotheses in words."""
+
+
+def headline(answer: Identification) -> str:
+    """The answer in a few words, for a title or a first line."""
+    reading = answer.reading
+    if answer.status == "identified" and reading:
+        return f"{reading.layout}, score {reading.score:.2f}"
+    words = {"unknown": "unknown tag", "ambiguous": "ambiguous", "no_tag": "no tag", "failed": "failed"}
+    return words[answer.status]
+
+
+def bound_words(bound: Bound) -> str:
+    """The basis of the false-accept bound, in one line; why there is none where nothing was calibrated."""
+    if bound.objects == 0:
+        return f"no bound on false accept: no calibration objects of {bound.stratum}"
+    words = f"false accept at most {bound.p_value:.2g}"
+    if not bound.reachable:
+        words += f" (too few objects for {bound.false_accept:g})"
+    elif not bound.kept:
+        words += f" ({bound.false_accept:g} is set)"
+    return f"{words}, from {bound.objects} calibration objects ({bound.stratum}): {bound.population}"
+
+
+def hypothesis_words(reading: Reading) -> str:
+    """The hypothesis that won, its body's centre and the share of the moving echo that it leaves unexplained.
+
+    Empty where the scans hold no echo that any hypothesis could explain.
+    """
+    from tagid.tags.bodies.hypothesis import Kind
+
+    kind, won = reading.kind, reading.explained_by
+    if kind is Kind.BARE and reading.status == "no_tag":
+        return ""
+    words = HYPOTHESES[kind]
+    if won is None:
+        return words
+    if kind is Kind.NO_TAG and won.name:
+        words = "an enrolled body without a tag"
+    if won.name and kind is not Kind.OBJECT:
+        words = words.replace("an enrolled body", f"the body {won.name}")
+    x, y = (round(value * 1e3) for value in won.pose.centre_m)
+    # A layout without a body has a centre of its own, which a name states with its rotation.
+    where = "" if kind is Kind.BARE else f", centre ({x}, {y}) mm"
+    percent = 100 * won.left
+    return f"{words}{where}, {percent:.{0 if percent >= 9.95 else 1}f} % unexplained"
+
+
+def nearest_words(answer: Identification) -> str:
+    """The nearest layout, and the share of the echo that it explains, if compared."""
+    nearest = answer.to_dict()["nearest"]
+    share = "" if nearest["share"] is None else f", which explains {nearest['share']:.0%} of the echo"
+    return f"{nearest['layout']}{share}"
+
+
+def degrees(value: float) -> str:
+    """An angle from 0 up to, but not including, 360 degrees, to a tenth.
+
+    >>> degrees(359.98), degrees(-0.01), degrees(120.04)
+    ('0.0', '0.0', '120.0')
+    """
+    return f"{round(value, 1) % 360:.1f}"
+
+
+def turn_line(resolved: ResolvedMotion | None) -> str:
+    """One line on how the angles were found; "" if unknown.
+
+    >>> turn_line(ResolvedMotion(turns=1.312, period_s=8.63, quality=0.97, kind="free"))
+    '1.31 turns of 8.63 s (free), period quality 0.97'
+    """
+    if resolved is None or not resolved.turns or not resolved.period_s:
+        return ""
+    line = f"{resolved.turns:.2f} turns of {resolved.period_s:.2f} s ({resolved.kind or 'free'})"
+    if resolved.shown_rpms and resolved.nominal_rpm:
+        # Its quality would praise a wrong speed: a symmetric tag repeats at several.
+        shown = one_of([f"{60 / rpm:.2f}" for rpm in resolved.shown_rpms])
+        return f"{line} as stated; the scans show {shown} s"
+    if resolved.quality is not None:
+        line += f", period quality {resolved.quality:.2f}"
+    if resolved.source == "measured":
+        line += f", clocks aligned to {resolved.clock_sigma_ms or 0.0:.1f} ms"
+        if not resolved.checked_by_radar:
+            line += ", not checked by the radar"
+    if resolved.kind == "roomba" and not resolved.calibrated:
+        line += "; `tagid motion calibrate` stores the wheel base"
+    return line
+
+
+def notes(radar: RadarInfo) -> list[str]:
+    """Notes on a recording for the user, one sentence each."""
+    found = []
+    if lost := radar.scans_lost:
+        found.append(f"{counted(lost, 'scan')} lost between radar and computer")
+    malformed = int((radar.statistics or {}).get("malformed", 0))
+    if malformed:
+        found.append(f"{counted(malformed, 'packet')} were damaged or not P440 messages")
+    if radar.scans_dropped:
+        found.append(drop_note(radar.scans_dropped))
+    if radar.gap_count:
+        seconds = sum(gap.seconds for gap in radar.gaps)
+        times = "once" if radar.gap_count == 1 else f"{radar.gap_count} times"
+        why = radar.gaps[0].reason if radar.gaps else ""
+        found.append(
+            f"the radar was lost {times}, for {seconds:.1f} s in total; recording then continued ({why})"
+            # A loose cable is lost once or for good.
+            + (": is another program using it?" if radar.gap_count > 1 else "")
+        )
+    return found
+
+
+def ending_words(ended: Ending | None) -> str:
+    """Why a recording ended, in one line; "" if it is not known.
+
+    >>> ending_words(Ending("sure", 0.45, "helmet-120", 5e-4, 1999))
+    'after 45 % of the turn, because helmet-120 was certain (false accept at most 0.0005, from 1999 turns)'
+    """
+    if ended is None:
+        return ""
+    if ended.reason == "sure":
+        bound = "" if ended.p_value is None else f" (false accept at most {ended.p_value:.2g}"
+        turns = f", from {ended.turns} turns)" if bound and ended.turns else ")" if bound else ""
+        share = "" if ended.share is None else f"after {100 * ended.share:.0f} % of the turn, "
+        return f"{share}because {ended.layout} was certain{bound}{turns}"
+    words = {
+        "turn": "the turn was complete",
+        "limit": "the limit of scans or time was reached",
+    }
+    return words.get(ended.reason, ended.reason)
+
+
+def region_words(region: Region | None) -> list[str]:
+    """Findings for free antenna positions, one line each."""
+    if region is None:
+        return []
+    x, y = region.centre_m
+    lines = [f"{region.grid.extent:g} m about ({x:g}, {y:g}) m, {region.grid.pixels} pixels per side"]
+    focus = region.focus
+    if focus is not None and focus.reliable:
+        lines.append(
+            f"path delay {focus.delay_m * 1e3:+.1f} mm one way, subtracted from the ranges "
+            f"(standard error {focus.sigma_m * 1e3:.2g} mm)"
+        )
+    elif focus is not None:
+        lines.append(
+            f"the data do not determine the path delay: {focus.reason}; the ranges are used as given"
+        )
+        if focus.best_m is not None:
+            lines.append(
+                f"best estimate of the path delay {focus.best_m * 1e3:+.1f} mm, "
+                f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed"
+            )
+    if region.mirrored:
+        lines.append(
+            "the path is straight: echoes from each side also appear on the other (--side X,Y selects one)"
+        )
+    return lines
+
+
+def focus_words(focus: AxisFocus | None) -> list[str]:
+    """The result of the axis-distance search, with its evidence if it was not used."""
+    if focus is None or focus.axis_distance_m is None:
+        return []
+    from tagid.imaging.autofocus import BEYOND_SEARCH
+
+    if focus.reliable:
+        return [
+            f"axis distance {focus.axis_distance_m:.4f} m, {focus.offset_m * 1e3:+.1f} mm from the given "
+            f"(standard error {focus.sigma_m * 1e3:.2g} mm, "
+            f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed)"
+        ]
+    lines = [f"the data do not determine the axis distance: {focus.reason}; the given value is used"]
+    if focus.best_m is not None:
+        lines.append(
+            f"best estimate of the axis distance {focus.best_m:.4f} m, evidence {focus.evidence:.1f} of "
+            f"{focus.needed:.1f} needed"
+        )
+    if focus.reason == BEYOND_SEARCH:
+        lines.append("--axis-search METRES searches farther")
+    return lines
+
+
+def held_out_words(settings: dict[str, Any]) -> list[str]:
+    """How well the image predicts held-out views: the main quality figure of every image."""
+    found = settings.get("held_out")
+    if not found:
+        return []
+    noise = "" if found["noise"] is None else f", including noise {100 * found['noise']:.1f} %"
+    same = found["residual"] == found["backprojection"]
+    other = "" if same else f"; backprojection {100 * found['backprojection']:.1f} %"
+    lines = [
+        f"held-out residual {100 * found['residual']:.1f} % of {found['views']} held-out views{noise}{other}"
+    ]
+    if found["worse_than_backprojection"]:
+        lines.append(
+            "backprojection predicts held-out views better: --method bp is more reliable than this image"
+        )
+    return lines
+
+
+def prior_words(settings: dict[str, Any]) -> list[str]:
+    """The prior that ats took instead of its defaults, if it tried any, and what it left out."""
+    words = _prior_words(settings)
+    skipped = settings.get("priors_not_tried")
+    if words and skipped:
+        words[0] += f"; not tried because the image is large: {'; '.join(skipped)}"
+    return words
+
+
+def _prior_words(settings: dict[str, Any]) -> list[str]:
+    from tagid.imaging.ats.adapt import PIXELS, linear_iterations
+
+    prior, tried = settings.get("prior"), settings.get("prior_trials")
+    if not prior or not tried:
+        return []
+    residual = f"leaves {100 * tried[prior]:.1f} % of views that its fit did not see"
+    than = f"the default prior {100 * tried['default']:.1f} %"
+    both = settings.get("prior_against_default")
+    if both and both["residual"] != tried[prior]:
+        than = f"of the first {both['views']} of them {100 * both['residual']:.1f} %, {than}"
+    iterations = linear_iterations(prior)
+    if iterations is not None and iterations <= 1:
+        return [
+            f"no scene model predicts better than backprojection: the image is backprojection ({residual})"
+        ]
+    if iterations is not None:
+        return [f"linear solution after {iterations} iterations: {residual}, {than}"]
+    if prior == PIXELS:
+        return [f"sparse solution without a field: {residual}, {than}"]
+    if prior == "default":
+        others = [tried[name] for name in tried if name != prior]
+        more = sum(left > tried[prior] for left in others)
+        return [f"default prior kept: {residual}, less than {more} of {len(others)} others"]
+    return [f"prior {prior}: {residual}, {than}"]
+
+
+def outside_words(settings: dict[str, Any]) -> list[str]:
+    """Whether echoes from outside the image were found."""
+    found = settings.get("outside")
+    if not found:
+        return []
+    subtracted = " and was subtracted" if found["subtracted"] else ""
+    return [
+        f"{100 * found['share']:.0f} % of the scans' energy comes from outside the image{subtracted}; "
+        "use a larger --extent to show it"
+    ]
+
+
+def pulse_words(pulse: PulseEstimate | None) -> list[str]:
+    """The result of the pulse estimate, if one was requested."""
+    if pulse is None:
+        return []
+    if math.isnan(pulse.residual):
+        return ["too few views to estimate the pulse; the assumed pulse is used"]
+    unseen = f"leaves {100 * pulse.residual:.1f} % of held-out views unexplained"
+    if pulse.taken:
+        return [f"pulse estimated: {unseen}, the assumed one {100 * pulse.assumed_residual:.1f} %"]
+    return [f"assumed pulse kept: an estimate {unseen}, it {100 * pulse.assumed_residual:.1f} %"]
+
+
+def calibration_words(settings: dict[str, Any]) -> list[str]:
+    """Parameters that ats estimated besides the scene, one line each, with standard errors."""
+    found: dict[str, Any] = settings.get("calibration") or {}
+    lines: list[str] = []
+    if "axis" in found:
+        axis = found["axis"]
+        lines.append(
+            f"axis distance {axis['distance_m']:.4f} ± {axis['sigma_m']:.4f} m, "
+            f"{axis['offset_m'] * 1e3:+.1f} mm from the given or focused value"
+        )
+    for w in found.get("wobble", ()):
+        lines.append(
+            f"wobble, harmonic {w['harmonic']}: {w['amplitude_deg']:.2f} ± {w['sigma_deg']:.2f} deg "
+            f"at {w['phase_deg']:+.0f} deg, {w['speed_percent']:.1f} % of the speed"
+        )
+    if "gain" in found:
+        gain = found["gain"]
+        error = sum(gain["sigma"]) / len(gain["sigma"])
+        low, high = min(gain["scans"]), max(gain["scans"])
+        lines.append(f"gain of the scans {low:.3f} to {high:.3f}, each ± {error:.3f}")
+    if "static" in found:
+        lines.append(f"static component of {found['static']['rms']:.3g} rms subtracted")
+    return lines
+
+
+def learned_words(result: Reconstruction) -> list[str]:
+    """The same as text, one line each."""
+    return [
+        *held_out_words(result.image.settings),
+        *prior_words(result.image.settings),
+        *outside_words(result.image.settings),
+        *result.image.settings.get("warnings", ()),
+        *focus_words(result.focus),
+        *region_words(result.region),
+        *pulse_words(result.pulse),
+        *calibration_words(result.image.settings),
+    ]
+
+
+def method_shown(result: Reconstruction) -> str:
+    """The method as a picture's title names it: ATS may show the paper's, or no field."""
+    from tagid.imaging.ats.adapt import PIXELS, linear_iterations
+
+    if result.image.settings.get("preset") == "paper":
+        return "ATS, paper"
+    prior = result.image.settings.get("prior", "")
+    if prior == PIXELS:
+        return "ATS, sparse solution"
+    iterations = linear_iterations(prior)
+    if iterations is None:
+        return result.method.upper()
+    return "ATS, backprojection" if iterations <= 1 else "ATS, linear solution"

@@ -1,0 +1,288 @@
+"""Where a recording is made and read: settings, registry, history and folder of one person's work."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tagid.config import Config, data_folder, load_config
+from tagid.errors import ConfigError, StorageError, TagidError, UsageError
+from tagid.files import make_folder
+from tagid.pipeline.load import BACKGROUNDS, LoadSettings
+
+if TYPE_CHECKING:
+    from tagid.capture import Capture
+    from tagid.metadata import ObjectInfo
+    from tagid.operate.turn import Answer, ReadingSetup
+    from tagid.pipeline.settings import ImagingSettings
+    from tagid.radar.settings import RadarConfig
+    from tagid.recording.plan import RecordingPlan
+    from tagid.recording.recorder import Watch
+    from tagid.tags.enrolling.registry import Registry
+
+LONGEST_S = 86400.0
+MOST_SCANS = 65534
+TURN_S = 180.0
+"""Time within which a table that turns at 0.35 rpm completes a turn, s."""
+
+
+def open_registry() -> Registry:
+    """The registry of layouts, bodies and objects of this computer's user."""
+    from tagid.tags.enrolling.registry import Registry
+
+    return Registry(data_folder() / "registry.sqlite")
+
+
+class Workplace:
+    """The settings of one person's work, with the registry, the history and the folder that they select.
+
+    All that it records, reads or draws goes through the same functions as the commands `tagid scan` and
+    `tagid identify`, with the same answer. As a context manager, all its answers are one run of the history.
+
+    Args:
+        settings: a configuration, or values by name, such as {"motion.axis_distance_m": 1.0}, which precede
+            those of environment and file (docs/configuration.md).
+        background: static background that is removed: "mean", "median", "none" or "reference", the stored
+            recording of the empty scene.
+
+    Attributes:
+        config: the configuration.
+        background: as given.
+
+    Raises:
+        ConfigError: a setting is unknown or out of range. UsageError: unknown background.
+    """
+
+    def __init__(self, settings: Config | Mapping[str, Any] | None = None, background: str = "mean") -> None:
+        if background not in BACKGROUNDS:
+            raise UsageError(f"`background` is {background!r}", f"Use {', '.join(BACKGROUNDS)}.")
+        self.config = settings if isinstance(settings, Config) else load_config(dict(settings or {}))
+        self.background = background
+        self._run: int | None = None
+
+    def __enter__(self) -> Workplace:
+        self._run = None
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._run = None
+
+    @property
+    def registry(self) -> Registry:
+        """The registry of layouts, bodies and objects."""
+        return open_registry()
+
+    def folder(self) -> Path:
+        """The folder of the captures, created durably if it is missing. Raises StorageError."""
+        folder = Path(self.config["storage.folder"] or ".")
+        try:
+            make_folder(folder)
+        except OSError as error:
+            raise StorageError(
+                f"cannot make the folder {folder}: {error.strerror}", "Choose another."
+            ) from None
+        return folder
+
+    def imaging(self, focus: bool = True) -> ImagingSettings:
+        """Settings of imaging and reading.
+
+        Args:
+            focus: whether images search for the axis distance.
+        """
+        from tagid.imaging.ats.options import parse_settings
+        from tagid.imaging.ats.settings import AtsSettings
+        from tagid.pipeline.settings import ImagingSettings, TagPriors
+
+        config = self.config
+        # A reference is subtracted while loading, by `load_capture`.
+        background = "none" if self.background == "reference" else self.background
+        return ImagingSettings(
+            method=config["imaging.method"],
+            extent_m=config["imaging.extent_m"],
+            pixels=config["imaging.pixels"],
+            background=background,  # type: ignore[arg-type]
+            focus_m=None if focus else 0.0,
+            false_accept=config["tags.false_accept"],
+            direction_known=config["tags.direction"] == "known",
+            priors=TagPriors(
+                centre_sigma_m=config["tags.centre_sigma_m"],
+                radius_sigma_m=config["tags.radius_sigma_m"],
+                radius_inside_m=config["tags.radius_inside_m"],
+                radius_outside_m=config["tags.radius_outside_m"],
+                offset_range_m=config["tags.offset_range_m"],
+            ),
+            pulse=config["imaging.pulse"],
+            ats=AtsSettings(**parse_settings([config["imaging.ats"]])),
+        )
+
+    def loading(self, node: int | None = None, as_recorded: bool = False) -> LoadSettings:
+        """Settings of loading a recording.
+
+        Args:
+            node: number of the radar to read, if a log holds several.
+            as_recorded: the capture was recorded with these settings: it keeps its angles.
+
+        Raises:
+            ConfigError: no reference background is stored. StorageError, FileFormatError: it cannot be read.
+        """
+        return LoadSettings.of(self.config, self.background, node, as_recorded)
+
+    def setup(self, as_recorded: bool = False) -> ReadingSetup:
+        """All that an answer depends on besides the recording, read at this moment. Raises as `loading`."""
+        from tagid.operate.turn import ReadingSetup
+
+        return ReadingSetup(self.loading(as_recorded=as_recorded), self.imaging(), self.registry.contents())
+
+    def radar_url(self) -> str:
+        """URL of the configured radar. Raises ConfigError if there is none."""
+        url = self.config["radar.url"]
+        if not url:
+            raise ConfigError(
+                "no radar is configured",
+                "Set `radar.url` to udp://192.168.1.100, or store it with "
+                "`tagid config set radar.url udp://...`; `tagid scan --demo` shows a scan without a radar.",
+            )
+        return str(url)
+
+    def plan(
+        self, scans: int | None = None, max_seconds: float = TURN_S, about: ObjectInfo | None = None
+    ) -> RecordingPlan:
+        """The plan of a recording.
+
+        Args:
+            scans: number of scans; None: until a turn is complete.
+            max_seconds: longest duration, s.
+            about: description of the object.
+
+        Raises:
+            ConfigError: no radar, no axis distance, or a limit out of range.
+        """
+        from tagid.metadata import ObjectInfo
+        from tagid.recording.plan import RecordingPlan
+
+        if scans is not None and not 1 <= scans <= MOST_SCANS:
+            raise ConfigError(f"`scans` is {scans}", f"Give 1 to {MOST_SCANS}.")
+        if not 0 < max_seconds <= LONGEST_S:
+            raise ConfigError(f"`max_seconds` is {max_seconds}", "Give a positive number of seconds.")
+        config = self.config
+        return RecordingPlan(
+            self._window(),
+            config["motion.axis_distance_m"],
+            config["motion.antenna_height_m"],
+            config["motion.antenna_separation_m"],
+            config["radar.cable_delay_ps"],
+            scans,
+            max_seconds,
+            config["motion.url"].public,
+            about or ObjectInfo(),
+            config["radar.resume_s"],
+            renumber=True,
+        )
+
+    def _window(self) -> RadarConfig | None:
+        """The radar settings to request; None keeps those of a replayed recording."""
+        from tagid.radar.settings import RadarConfig
+        from tagid.recording.plan import plan_window
+
+        config = self.config
+        distance = config["motion.axis_distance_m"]
+        if self.radar_url().startswith("replay://"):
+            return None
+        base = RadarConfig(
+            base_integration_index=config["radar.integration"],
+            transmit_gain=config["radar.gain"],
+            antenna_mode=config["radar.antenna_mode"],
+        )
+        if distance is None:
+            raise ConfigError(
+                "the distance from the radar to the rotation axis is unknown",
+                "Measure it to 1 or 2 cm and set `motion.axis_distance_m` to it, or store it with "
+                "`tagid config set motion.axis_distance_m METRES`.",
+            )
+        return plan_window(distance, config["imaging.extent_m"], config["radar.cable_delay_ps"], base)
+
+    def remember(
+        self, command: str, items: Sequence[dict[str, Any]], settings: Mapping[str, Any]
+    ) -> tuple[str, ...]:
+        """Store answers in the history.
+
+        Args:
+            command: that made them.
+            items: their documents.
+            settings: which they were made with.
+
+        Returns:
+            A remark if the history cannot be written, which must not suppress the answers.
+        """
+        from tagid.storage.history import FILE_NAME, History
+
+        try:
+            history = History(data_folder() / FILE_NAME)
+            if self._run is None:
+                self._run = history.begin(command, dict(settings))
+            history.add(self._run, items)
+        except TagidError as error:
+            return (f"not stored in the history: {error.message}. {error.remedy}",)
+        return ()
+
+    def identify(self, source: Path | str | Capture) -> Answer:
+        """Name the object of a recording, as `tagid identify` does, and store the answer in the history.
+
+        Args:
+            source: a file in any supported format, or a capture in memory.
+
+        Returns:
+            The answer; its status is "failed", with the error, where the recording cannot be read.
+        """
+        from tagid.operate.turn import read
+
+        answer = read(self.setup(), Path(source) if isinstance(source, str) else source)
+        return self._remembered("identify", [answer], {"background": self.background})[0]
+
+    def identify_together(self, sources: Iterable[Path | str | Capture]) -> Answer:
+        """One joint answer from recordings of one object, as `tagid identify --vote` does.
+
+        Raises the errors of reading them.
+        """
+        from tagid.operate.turn import read_jointly
+
+        files = [Path(source) if isinstance(source, str) else source for source in sources]
+        answer = read_jointly(self.setup(), files)
+        settings = {"background": self.background, "vote": len(files)}
+        return self._remembered("identify", [answer], settings)[0]
+
+    def scan(self, note: str = "", watch: Watch | None = None) -> Answer:
+        """Record one revolution, name the object and draw it, as `tagid scan` does.
+
+        The answer is stored in the history; capture and picture are written into the folder.
+
+        Args:
+            note: stored in the capture.
+            watch: callbacks of the recording.
+
+        Returns:
+            The answer; its status is "failed", with the error, where the recording cannot be read.
+
+        Raises:
+            ConfigError: no radar or no axis distance. DeviceError and its subclasses: the radar or the motion
+            failed. DiskFullError, StorageError: files. CaptureInterrupted: stopped by the user.
+        """
+        from tagid.metadata import ObjectInfo
+        from tagid.operate.turn import draw, picture_of, read, record_turn
+
+        setup = self.setup(as_recorded=True)
+        plan = self.plan(about=ObjectInfo(note=note or None))
+        recorded = record_turn(self, plan, watch=watch)
+        answer = read(setup, recorded.capture, recorded.path)
+        try:
+            draw(answer, picture_of(recorded.path))
+        except TagidError as error:
+            answer = replace(answer, notes=(*answer.notes, f"no picture: {error.message}"))
+        settings = {"radar": self.radar_url(), "motion": plan.motion}
+        return self._remembered("scan", [answer], settings)[0]
+
+    def _remembered(self, command: str, answers: list[Answer], settings: dict[str, Any]) -> list[Answer]:
+        notes = self.remember(command, [answer.to_dict() for answer in answers], settings)
+        return [replace(answer, notes=(*answer.notes, *notes)) for answer in answers]
