@@ -40,8 +40,8 @@ GROUPS = {
         "EchoPoint", "ImageGrid", "ForwardOperator",
     ),
     "Identification": (
-        "identify", "Identification", "Cause", "Reading", "Code", "Evidence", "LayoutScore", "Reflector", "Kind", "Bound", "Explanation",
-        "BodyReading", "SecondLook", "Opinion", "Detection", "Layout", "builtin_layouts", "Signature", "Registry",
+        "identify", "Identification", "Cause", "Problem", "Reading", "Code", "Evidence", "LayoutScore", "Reflector", "Kind", "Bound",
+        "Explanation", "BodyReading", "SecondLook", "Opinion", "Detection", "Layout", "builtin_layouts", "Signature", "Registry",
         "RegistryChange", "RegistryContents", "Restored",
     ),
     "Simulation": (

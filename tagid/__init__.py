@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from tagid.recording.recorder import Watch as Watch
     from tagid.recording.recorder import record as record
     from tagid.recording.session import Session as Session
+    from tagid.result import Problem as Problem
     from tagid.simulate.acquisition import Acquisition as Acquisition
     from tagid.simulate.acquisition import Placement as Placement
     from tagid.simulate.acquisition import RangeWindow as RangeWindow
@@ -174,6 +175,7 @@ _HOMES = {
     "RadarStatus": "tagid.radar.status",
     "Watch": "tagid.recording.recorder",
     "Session": "tagid.recording.session",
+    "Problem": "tagid.result",
     "Placement": "tagid.simulate.acquisition",
     "RangeWindow": "tagid.simulate.acquisition",
     "Recording": "tagid.simulate.acquisition",

@@ -10,7 +10,7 @@ import typer
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
 from tagid.errors import EXIT_FAILED, EXIT_OK
-from tagid.result import Result
+from tagid.result import Problem, Result
 
 Whole = int | None
 
@@ -85,20 +85,22 @@ def register(app: typer.Typer) -> None:
             notes.append(
                 f"the radar differs from tagid's settings in {', '.join(differs)}; --store writes tagid's"
             )
-        bad = refused or status.built_in_test
+        errors = [
+            Problem(
+                "device_rejected",
+                f"the radar took {getattr(after, key)} for {key}, not {getattr(wanted, key)}",
+                "Choose a value that the radar supports.",
+            )
+            for key in refused
+        ]
+        if status.built_in_test:
+            failed = f"the self test of the radar failed (code {status.built_in_test})"
+            errors.append(Problem("device", failed, "Power-cycle the radar."))
         return Result(
             "p440",
             data,
             info_table(radar_url(config), found),
-            status="error" if bad else "success",
-            exit_code=EXIT_FAILED if bad else EXIT_OK,
+            exit_code=EXIT_FAILED if errors else EXIT_OK,
             messages=tuple(notes),
-            errors=tuple(
-                {
-                    "code": "device_rejected",
-                    "message": f"the radar took {getattr(after, key)} for {key}, not {getattr(wanted, key)}",
-                    "remedy": "Choose a value that the radar supports.",
-                }
-                for key in refused
-            ),
+            errors=tuple(errors),
         )

@@ -9,7 +9,7 @@ import typer
 
 from tagid.cli.common.frame import Terminal, command
 from tagid.errors import EXIT_FAILED, EXIT_OK
-from tagid.result import Result
+from tagid.result import Problem, Result
 
 _STYLES = {"passed": "green", "failed": "bold red", "skipped": "yellow"}
 
@@ -55,10 +55,8 @@ def register(app: typer.Typer) -> None:
             "selftest",
             {"name": name, "steps": [asdict(step) for step in steps]},
             table,
-            status="error" if bad else "success",
             exit_code=EXIT_FAILED if bad else EXIT_OK,
             errors=tuple(
-                {"code": "selftest", "message": f"{step.name}: {step.text}", "remedy": "See docs/bridge.md."}
-                for step in bad
+                Problem("selftest", f"{step.name}: {step.text}", "See docs/bridge.md.") for step in bad
             ),
         )

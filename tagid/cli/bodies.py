@@ -151,8 +151,7 @@ def register(app: typer.Typer) -> None:
             + ", ".join(f"{p.first} and {p.second}" for p in bad),
             "Remove one of each pair with `tagid layouts --remove NAME`, or change its tag.",
         )
-        entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
-        return Result("bodies check", data, human, "error", error.exit_code, notes, (entry,))
+        return Result.from_error("bodies check", error, data, human, notes)
 
 
 def _facts(one: Signature) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
 from tagid.config import load_config
 from tagid.errors import EXIT_FAILED, EXIT_OK
-from tagid.result import Result
+from tagid.result import Problem, Result
 
 
 def register(app: typer.Typer) -> None:
@@ -40,10 +40,9 @@ def register(app: typer.Typer) -> None:
             "doctor",
             {"findings": [asdict(finding) for finding in findings], "problems": problems},
             table,
-            status="error" if problems else "success",
             exit_code=EXIT_FAILED if problems else EXIT_OK,
             errors=tuple(
-                {"code": "doctor", "message": f"{f.topic}: {f.text}", "remedy": f.remedy}
+                Problem("doctor", f"{f.topic}: {f.text}", f.remedy)
                 for f in findings
                 if f.level == "problem" and terminal.output == "json"
             ),

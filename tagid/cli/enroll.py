@@ -15,7 +15,7 @@ from tagid.cli.common.points import parse_point
 from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import RegistryError, UsageError
-from tagid.result import Result, Status
+from tagid.result import Result
 
 if TYPE_CHECKING:
     from rich.console import Group, RenderableType
@@ -219,8 +219,7 @@ def _enrol_layout(
         raise proposal.taken
     conflict = None if wish.force else proposal.conflict
     if conflict is not None or wish.dry_run:
-        error = () if conflict is None else (conflict,)
-        return _result(proposal, measured, None, False, errors=error)
+        return _result(proposal, measured, None, False, conflict)
     question = f"Enrol {layout.name} ({counted(layout.size, 'reflector')})?"
     shown = enrolling.agree(terminal, _shown(proposal, measured), question, wish.yes)
     done = proposal.store(registry, source, wish.force)
@@ -265,8 +264,7 @@ def _enrol_signature(
     }
     error = proposal.conflict
     if error is not None and not given.wish.force:
-        entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
-        return Result("enroll", data, shown, "error", error.exit_code, tuple(notes), (entry,))
+        return Result.from_error("enroll", error, data, shown, tuple(notes))
     if given.wish.dry_run:
         human = Group(shown, Text(f"{one.name} not stored"))
         return Result("enroll", data, human, messages=tuple(notes))
@@ -319,7 +317,7 @@ def _result(
     measured: Measured | None,
     version: int | None,
     shown: bool,
-    errors: tuple[RegistryError, ...] = (),
+    error: RegistryError | None = None,
 ) -> Result:
     from rich.console import Group
     from rich.text import Text
@@ -328,7 +326,6 @@ def _result(
 
     layout, found = proposal.layout, proposal.outlook
     estimate = measured.estimate if measured else None
-    entries = tuple({"code": e.code, "message": e.message, "remedy": e.remedy} for e in errors)
     messages = list(measured.remarks) if measured else []
     if estimate is not None and len(estimate.rotations_deg) < 3:
         messages.append(
@@ -354,9 +351,9 @@ def _result(
     if version is not None:
         line = Text(f"{layout.name} enrolled: {layout.size} reflectors, registry version {version}")
     human = line if shown else Group(_shown(proposal, measured), line)
-    status: Status = "error" if errors else "success"
-    code = errors[0].exit_code if errors else 0
-    return Result("enroll", data, human, status, code, tuple(messages), entries)
+    if error is not None:
+        return Result.from_error("enroll", error, data, human, tuple(messages))
+    return Result("enroll", data, human, messages=tuple(messages))
 
 
 def _from_points(name: str, points: list[str], sigma: float | None) -> Layout:

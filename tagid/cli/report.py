@@ -13,7 +13,7 @@ from tagid.cli.common.frame import Output, Terminal, command
 from tagid.config import Config, load_config
 from tagid.counting import counted
 from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, StorageError, UsageError
-from tagid.result import Result, Status
+from tagid.result import Problem, Result
 
 if TYPE_CHECKING:
     from tagid.batch.job import Job
@@ -194,14 +194,14 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished) -> Result:
     files = {name: str(plan.out / name) for name in FILES}
     data: dict[str, Any] = {"summary": summary, "files": files}
     failed = summary["by_status"]["failed"]
-    errors: list[dict[str, str]] = []
+    errors: list[Problem] = []
     if failed or terminal.output is Output.json:
         items = []
         with open_regular(plan.out / "items.jsonl") as (lines, _):
             for line in lines:
                 record = json.loads(line)
                 if record["error"] and (terminal.output is Output.json or len(errors) < _SHOWN_ERRORS):
-                    errors.append(record["error"])
+                    errors.append(Problem.from_json(record["error"]))
                 if terminal.output is Output.json:
                     items.append(record)
         data["items"] = items
@@ -209,14 +209,13 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished) -> Result:
     if failed > len(errors):
         messages.append(f"{failed - len(errors)} more items failed; the report lists them")
     code = finished.exit_code
-    status: Status = "partial" if failed else "success"
     if finished.interrupted:
         stop = CaptureInterrupted(
             f"stopped by the user after {summary['items']} of {summary['inputs']} items",
             f"The report in {plan.out} contains them; add --resume to continue.",
         )
-        errors.append({"code": stop.code, "message": stop.message, "remedy": stop.remedy})
-        code, status = EXIT_INTERRUPTED, "partial"
+        errors.append(Problem.of(stop))
+        code = EXIT_INTERRUPTED
     counts = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in summary["by_status"].items() if n)
     lines_out = [Text.assemble((f"{summary['items']} objects: ", "bold"), counts or "none")]
     if summary["expected"]:
@@ -224,7 +223,15 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished) -> Result:
         accuracy = "-" if e["accuracy"] is None else f"{e['accuracy']:.1%}"
         lines_out.append(Text(f"as expected: {e['correct']} of {e['items']} ({accuracy})"))
     lines_out.append(Text(f"report       {files['report.html']}"))
-    return Result("report", data, Text("\n").join(lines_out), status, code, tuple(messages), tuple(errors))
+    return Result(
+        "report",
+        data,
+        Text("\n").join(lines_out),
+        exit_code=code,
+        messages=tuple(messages),
+        errors=tuple(errors),
+        completed=1,  # the report itself, whatever its items are
+    )
 
 
 def _remarks(plan: Plan, finished: Finished) -> list[str]:

@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from tagid.errors import DataError, FileFormatError, RegistryError, StorageError, TagidError, UsageError
+from tagid.result import Problem
 from tagid.station import wire
 from tagid.station.errors import (
     BusyError,
@@ -159,7 +160,7 @@ def attached(content: bytes | str, media_type: str, name: str) -> Response:
 
 def refused(status: int, code: str, message: str, remedy: str) -> Response:
     """An error response."""
-    return JSONResponse({"error": {"code": code, "message": message, "remedy": remedy}}, status_code=status)
+    return JSONResponse({"error": Problem(code, message, remedy).to_json()}, status_code=status)
 
 
 def refusal_of(error: Exception, place: str) -> Refusal:

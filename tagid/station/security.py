@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from tagid.errors import UsageError
+from tagid.result import Problem
 from tagid.station.errors import GuessesError
 
 if TYPE_CHECKING:
@@ -161,7 +162,7 @@ class Refusal:
     @property
     def entry(self) -> dict[str, str]:
         """The error as in every answer of the API."""
-        return {"code": self.code, "message": self.message, "remedy": self.remedy}
+        return Problem(self.code, self.message, self.remedy).to_json()
 
 
 class Guard:

@@ -17,6 +17,7 @@ from tagid.pipeline.enrolment import LayoutProposal, SignatureProposal
 from tagid.pipeline.measuring import Measured
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.preview import resample
+from tagid.result import Problem
 from tagid.station.enrolling import NEEDED, EnrolmentState, Taken
 from tagid.station.reports import ReportRun
 from tagid.station.scans import ScanRun
@@ -219,7 +220,7 @@ def report(run: ReportRun) -> Json:
 
 def error_entry(error: TagidError) -> Json:
     """An error: code, message and remedy."""
-    return {"code": error.code, "message": error.message, "remedy": error.remedy}
+    return Problem.of(error).to_json()
 
 
 def palette() -> str:

@@ -27,6 +27,7 @@ from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
 from tagid.radar.settings import RadarConfig
 from tagid.recording.sources import emulated_scene
+from tagid.result import Problem
 from tagid.station import live_socket, station
 from tagid.station.server import Server
 from tagid.storage.history import FILE_NAME, History
@@ -163,7 +164,7 @@ def test_the_answer_is_heard_where_sound_is_on(browser: Any, serve: Callable[...
 
 
 def test_the_history_says_why_nothing_was_named(browser: Any, serve: Callable[..., Server]) -> None:
-    error = {"code": "data", "message": "the scans do not <b>repeat</b>", "remedy": "Record 1.3 turns."}
+    error = Problem("data", "the scans do not <b>repeat</b>", "Record 1.3 turns.")
     record = Identification("failed", None, None, None, error=error).to_dict()
     history = History(data_folder() / FILE_NAME)
     station_url = serve().url

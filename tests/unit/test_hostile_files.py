@@ -22,7 +22,7 @@ from storage_samples import assert_equal, capture
 from tagid.batch.spool import Spool
 from tagid.errors import FileFormatError, ModelError, RegistryError, StorageError, UsageError
 from tagid.models_store import OPSET, open_model
-from tagid.result import Result, render
+from tagid.result import Problem, Result, render
 from tagid.storage.history import FIELDS, FILE_NAME, Filter, History
 from tagid.storage.history_export import export
 from tagid.storage.importers import read_any
@@ -92,7 +92,7 @@ def test_no_control_character_reaches_the_terminal(capsys: pytest.CaptureFixture
     hostile = "\x1b]0;evil\x07\x1b[2J\x9b31m\u202e"
     table = Table(hostile)
     table.add_row(hostile)
-    errors = ({"code": "x", "message": hostile, "remedy": hostile},)
+    errors = (Problem("x", hostile, hostile),)
     render(Result("show", {}, table, messages=(hostile,), errors=errors), "human")
     printed = capsys.readouterr()
     for stream in (printed.out, printed.err):

@@ -14,6 +14,7 @@ from typing import Any
 from tagid import processes
 from tagid.errors import DeviceError, TagidError, UsageError
 from tagid.metadata import ObjectInfo
+from tagid.result import Problem
 
 DEMO_RPM = 6.0
 DEMO_AXIS_DISTANCE_M = 1.0
@@ -98,8 +99,9 @@ def _refusal(scene: str, output: str, errors: str) -> TagidError:
     """The error of an emulator that did not start: UsageError if it refuses the scene, else DeviceError."""
     try:
         (error,) = json.loads(output)["errors"]
-        kind = UsageError if error["code"] == UsageError.code else DeviceError
-        return kind(f"the emulated radar did not start: {error['message']}", str(error["remedy"]))
+        problem = Problem.from_json(error)
+        kind = UsageError if problem.code == UsageError.code else DeviceError
+        return kind(f"the emulated radar did not start: {problem.message}", problem.remedy)
     except (ValueError, KeyError, TypeError):
         reason = (errors.strip().splitlines() or ["no reason given"])[-1]
         return DeviceError(

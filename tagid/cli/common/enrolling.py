@@ -197,8 +197,7 @@ class Stored:
         human = Group(*([] if self.seen is None else [self.seen]), *([] if self.error else lines))
         if self.error is None:
             return Result(name, data, human, messages=tuple(messages))
-        entry = {"code": self.error.code, "message": self.error.message, "remedy": self.error.remedy}
-        return Result(name, data, human, "error", self.error.exit_code, tuple(messages), (entry,))
+        return Result.from_error(name, self.error, data, human, tuple(messages))
 
 
 def store_family(

@@ -208,7 +208,7 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
     except KeyboardInterrupt as stop:
         result = Result.from_error(name, interrupts.stopped_by_user(stop))
     except BrokenPipeError:
-        return Result(name, status="error", exit_code=EXIT_FAILED)
+        return Result(name, exit_code=EXIT_FAILED)
     except Exception as error:
         logging.getLogger("tagid").debug("unexpected error", exc_info=True)
         # A library may raise any exception if its import is interrupted.
@@ -230,7 +230,7 @@ def _write(result: Result, output: str, quiet: bool = False) -> Result:
         _drop_if_broken(sys.stdout)
         sys.stderr.write(f"error: the output cannot be written: {error.strerror or error}\n")
         sys.stderr.flush()
-        return replace(result, status="error", exit_code=result.exit_code or EXIT_FAILED)
+        return replace(result, exit_code=result.exit_code or EXIT_FAILED)
     return result
 
 

@@ -113,5 +113,4 @@ def register(app: typer.Typer) -> None:
             f"{CONFUSABLE_M * 1e3:.0f} mm, or more often than enrolling allows",
             "Remove one of each pair with `tagid layouts --remove NAME`, or move a reflector.",
         )
-        entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
-        return Result("layouts check", data, table, "error", error.exit_code, tuple(remarks), (entry,))
+        return Result.from_error("layouts check", error, data, table, tuple(remarks))

@@ -9,7 +9,7 @@ import typer
 
 from tagid.cli.common.frame import Terminal, command
 from tagid.errors import EXIT_DEVICE, EXIT_OK, TagidError, UsageError
-from tagid.result import Result
+from tagid.result import Problem, Result
 
 
 def register(group: typer.Typer) -> None:
@@ -35,7 +35,7 @@ def register(group: typer.Typer) -> None:
         if not 0.1 <= seconds <= 60:
             raise UsageError(f"--seconds is {seconds}", "Give 0.1 to 60.")
         found = serial_devices()
-        errors: tuple[dict[str, str], ...] = ()
+        errors: tuple[Problem, ...] = ()
         notes: tuple[str, ...] = ()
         if bluetooth:
             try:
@@ -45,22 +45,19 @@ def register(group: typer.Typer) -> None:
                     # Devices were found, so the command succeeded; that Bluetooth was not searched is a note.
                     notes = (f"Bluetooth was not searched: {error.message}. {error.remedy}".strip(),)
                 else:
-                    errors = ({"code": error.code, "message": error.message, "remedy": error.remedy},)
+                    errors = (Problem.of(error),)
         if not found and not errors:
             message = "no robot or table was found"
-            errors = (
-                {
-                    "code": "device",
-                    "message": message,
-                    "remedy": "Connect its cable, or power the bridge; a free-running table does not "
-                    "need to be found: use --motion free.",
-                },
+            remedy = (
+                "Connect its cable, or power the bridge; a free-running table does not need to be found: "
+                "use --motion free."
             )
+            errors = (Problem("device", message, remedy),)
         table = Table("where", "what", "signal", box=None)
         for one in found:
             table.add_row(one.where, one.what, "" if one.signal_dbm is None else f"{one.signal_dbm} dBm")
         urls = to_copy([one.url for one in found if one.url], "tagid motion info {}")
-        status, code = ("success", EXIT_OK) if found else ("error", EXIT_DEVICE)
         data = {"devices": [asdict(one) for one in found]}
         human = Group(table, urls) if found else None
-        return Result("motion find", data, human, status, code, notes, errors)  # type: ignore[arg-type]
+        code = EXIT_OK if found else EXIT_DEVICE
+        return Result("motion find", data, human, exit_code=code, messages=notes, errors=errors)

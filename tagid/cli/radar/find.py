@@ -9,7 +9,7 @@ import typer
 from tagid.cli.common.frame import Terminal, command
 from tagid.config import load_config
 from tagid.errors import EXIT_DEVICE, EXIT_OK
-from tagid.result import Result
+from tagid.result import Problem, Result
 
 
 def register(group: typer.Typer) -> None:
@@ -41,20 +41,16 @@ def register(group: typer.Typer) -> None:
         config = load_config(wanted)
         found = discover(addresses_from(config["radar.addresses"]), tuple(ask or ()))
         data: dict[str, Any] = {"radars": [radar.to_dict() for radar in found.radars], "asked": found.asked}
-        if found.radars:
-            code = EXIT_OK if any(radar.status for radar in found.radars) else EXIT_DEVICE
-        else:
-            code = EXIT_DEVICE
         errors = tuple(
-            {"code": "device", "message": f"{radar.url}: {radar.problem}", "remedy": radar.remedy}
+            Problem("device", f"{radar.url}: {radar.problem}", radar.remedy)
             for radar in found.radars
             if radar.problem
         )
         if not found.radars:
             message = f"no radar replied at {', '.join(found.asked) or 'any address'} or on a USB port"
-            errors = ({"code": "device", "message": message, "remedy": WHERE_TO_LOOK},)
-        status = "success" if not errors else "partial" if code == EXIT_OK else "error"
+            errors = (Problem("device", message, WHERE_TO_LOOK),)
         answering = [radar.url for radar in found.radars if radar.status]
         urls = to_copy(answering, "tagid config set radar.url {}")
         human = Group(found_table(found.radars), urls) if found.radars else None
-        return Result("radar find", data, human, status, code, errors=errors)  # type: ignore[arg-type]
+        code = EXIT_OK if answering else EXIT_DEVICE
+        return Result("radar find", data, human, exit_code=code, errors=errors, completed=len(answering))
