@@ -13,7 +13,7 @@ from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.outputs import check_drawing
 from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, UsageError, displayable
-from tagid.result import Problem, Result
+from tagid.result import Result
 from tagid.secret import MotionUrl
 
 if TYPE_CHECKING:
@@ -127,7 +127,8 @@ def run(
         Group(*drawn) if drawn else None,
         exit_code=code,
         messages=(*remarks, *notes),
-        errors=tuple(Problem.of(a.error) for a in errors if a.error is not None),
+        errors=tuple(problem for answer in errors if (problem := answer.identification.error)),
+        completed=len(files) - len(errors),
     )
 
 
