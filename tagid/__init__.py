@@ -45,7 +45,10 @@ if TYPE_CHECKING:
     from tagid.motion.device import Motion as Motion
     from tagid.pipeline.answer import Cause as Cause
     from tagid.pipeline.answer import Identification as Identification
-    from tagid.pipeline.identify import identify as identify
+    from tagid.operate.turn import Answer as Answer
+    from tagid.operate.turn import ReadingSetup as ReadingSetup
+    from tagid.operate.turn import identify as identify
+    from tagid.operate.workplace import Workplace as Workplace
     from tagid.pipeline.load import LoadDefault as LoadDefault
     from tagid.pipeline.load import LoadSettings as LoadSettings
     from tagid.pipeline.load import load_capture as load_capture
@@ -114,7 +117,10 @@ _HOMES = {
     "ImageGrid": "tagid.geometry",
     "ForwardOperator": "tagid.imaging.operator",
     "Identification": "tagid.pipeline.answer",
-    "identify": "tagid.pipeline.identify",
+    "Answer": "tagid.operate.turn",
+    "ReadingSetup": "tagid.operate.turn",
+    "identify": "tagid.operate.turn",
+    "Workplace": "tagid.operate.workplace",
     "load_capture": "tagid.pipeline.load",
     "PreparedCapture": "tagid.pipeline.prepared",
     "prepare": "tagid.pipeline.prepared",

@@ -125,10 +125,10 @@ class LoadSettings:
         Precedence: command line, angles or positions of the capture, the URL it was recorded with,
         configuration.
         """
-        known = capture.angles_rad is not None
-        if self.motion.overrides and not (known and self.as_recorded):
+        resolved = capture.angles_rad is not None or capture.antenna_positions_m is not None
+        if self.motion.overrides and not (resolved and self.as_recorded):
             return str(self.motion.value)
-        if capture.angles_rad is not None or capture.antenna_positions_m is not None:
+        if resolved:
             return None
         if self.motion_is_default and capture.motion.url is not None:
             return capture.motion.url
