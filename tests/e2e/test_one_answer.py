@@ -1,0 +1,175 @@
+"""One recording has one answer document, whichever way it is asked for."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tagid as api
+from tagid.operate.workplace import Workplace
+from tagid.pipeline.load import load_capture
+from tagid.station.scans import ScanRun
+from tagid.station.setup import Source as StationSource
+from tagid.station.station import Station
+from tagid.storage.hdf5 import read_capture, write_capture
+from tagid.storage.history import Filter
+
+TIMES = ("seconds", "time_utc")
+OF_A_REPORT = ("schema", "schema_version", "content_sha256", "size_bytes", "expected", "correct")
+KINDS = {
+    "named": ("helmet-120", "--views", 24),
+    "on-a-can": ("container-90", "--body", "can:35mm", "--views", 36, "--snr", 20),
+    "axis": ("helmet-120", "--views", 24, "--axis-error", 0.1),
+    "off-centre": ("helmet-120", "--views", 36, "--centre", "0.055,0.01"),
+    "empty": ("empty", "--views", 24),
+    "noisy": ("container-90", "--views", 12, "--snr", -6),
+    "two-views": ("helmet-120", "--views", 2),
+}
+STATUS = {
+    "named": "identified",
+    "on-a-can": "identified",
+    "axis": "unknown",
+    "off-centre": "unknown",
+    "part": "unknown",
+    "lost": "unknown",
+    "empty": "no_tag",
+    "noisy": "no_tag",
+    "two-views": "failed",
+    "damaged": "failed",
+}
+CAUSES = {
+    "axis": ["axis_distance"],
+    "off-centre": ["off_centre"],
+    "part": ["partial_turn"],
+    "lost": ["scans_lost"],
+}
+
+
+def plain(document: dict[str, Any], *leave: str) -> dict[str, Any]:
+    """A document without times and names of fields that only some carry."""
+    return {key: value for key, value in document.items() if key not in (*TIMES, *OF_A_REPORT, *leave)}
+
+
+@pytest.fixture
+def captures(tagid: Callable[..., Any], tmp_path: Path) -> dict[str, str]:
+    """Ten kinds of recordings, by kind."""
+    for seed, (kind, words) in enumerate(KINDS.items(), start=2):
+        made = tagid("simulate", *words, "--seed", seed, "--out", f"{kind}.tagid.h5")
+        assert made.code == 0, made.err
+    whole = read_capture(tmp_path / "named.tagid.h5")
+    assert whole.angles_rad is not None
+    part = whole.select(np.flatnonzero(whole.angles_rad < np.pi))
+    write_capture(tmp_path / "part.tagid.h5", part)
+    write_capture(
+        tmp_path / "lost.tagid.h5",
+        replace(part, radar=replace(part.radar, scans_lost=12), motion=replace(part.motion, resolved=TURNED)),
+    )
+    (tmp_path / "damaged.tagid.h5").write_bytes((tmp_path / "named.tagid.h5").read_bytes()[:2000])
+    return {kind: f"{kind}.tagid.h5" for kind in STATUS}
+
+
+TURNED = api.ResolvedMotion(turns=1.1, period_s=10.0)
+
+
+def test_every_door_gives_the_same_document(
+    tagid: Callable[..., Any], captures: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    files = list(captures.values())
+    items = tagid("identify", *files, "--output", "json").json["data"]["items"]
+    documents = {kind: plain(item) for kind, item in zip(captures, items, strict=True)}
+    for kind, document in documents.items():
+        assert document["status"] == STATUS[kind], document
+        assert [cause["code"] for cause in document["causes"]] == CAUSES.get(kind, []), kind
+    # A report: the same but for what it adds of the file.
+    report = tagid("report", *files, "--out", "rep", "--no-pictures", "--jobs", 1)
+    assert report.code in (0, 3, 5), report.err
+    lines = [json.loads(line) for line in (tmp_path / "rep" / "items.jsonl").read_text().splitlines()]
+    for line, document in zip(lines, documents.values(), strict=True):
+        assert plain(line) == document
+    with (tmp_path / "rep" / "items.csv").open(newline="") as table:
+        assert {row["status"] for row in csv.DictReader(table)} == set(STATUS.values())
+    # A program, by the file and step by step.
+    with Workplace() as place:
+        for kind, file in captures.items():
+            assert plain(place.identify(file).to_dict()) == documents[kind]
+        loading, imaging, enrolled = place.loading(), place.imaging(), place.registry.contents()
+    for kind in ("axis", "on-a-can"):
+        capture = load_capture(Path(captures[kind]), loading)
+        stepwise = api.identify(capture, enrolled.layouts, imaging, enrolled.version, enrolled.signatures)
+        assert plain({"file": captures[kind], **stepwise.to_dict()}) == documents[kind]
+    # The joint answer of one recording is its own.
+    for kind in ("named", "axis", "empty"):
+        (joint,) = tagid("identify", "--vote", captures[kind], "--output", "json").json["data"]["items"]
+        assert plain(joint, "votes") == documents[kind]
+
+
+@pytest.mark.parametrize(("radar", "code"), [("helmet-120?rpm=20&seed=2", 0), ("empty?rpm=20&seed=3", 3)])
+def test_a_scan_a_station_and_a_program_answer_as_identify_does(
+    tagid: Callable[..., Any],
+    tmp_path: Path,
+    home: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    radar: str,
+    code: int,
+) -> None:
+    for name in ("TAGID_DATA", "TAGID_CONFIG"):
+        monkeypatch.setenv(name, home[name])
+    monkeypatch.chdir(tmp_path)
+    assert tagid("config", "set", "radar.integration", 15).code == 0
+
+    def identified(file: str) -> dict[str, Any]:
+        return plain(tagid("identify", file, "--output", "json").json["data"]["items"][0])
+
+    options = ("--radar", f"emulator://{radar}", "--motion", "free?rpm=20", "--axis-distance", 1.0)
+    scanned = tagid("scan", *options, "--method", "bp", "--save-dir", "out", "--output", "json")
+    assert scanned.code == code, scanned.err
+    (item,) = scanned.json["data"]["items"]
+    assert plain(item) == identified(item["file"])
+    settings = {
+        "radar.url": f"emulator://{radar}",
+        "motion.url": "free?rpm=20",
+        "motion.axis_distance_m": 1.0,
+        "imaging.method": "bp",
+        "radar.integration": 15,
+        "storage.folder": str(tmp_path / "out"),
+    }
+    place = Workplace(settings)
+    answer = place.scan()
+    assert plain(answer.to_dict()) == identified(answer.file) and not answer.notes
+    station = Station(StationSource(lambda: Workplace(settings)), lambda config: [])
+    station.start(None, "")
+    run = station._scan
+    assert isinstance(run, ScanRun)
+    run.join(120)
+    newest = station.history(Filter(limit=1))[0]
+    shown = run.state.answer
+    assert shown is not None and newest.status == shown.status
+    assert plain({"file": newest.file, **shown.to_dict()}) == identified(newest.file)
+
+
+def test_turns_and_heights_answer_as_their_files_do(tagid: Callable[..., Any]) -> None:
+    options = (
+        "--radar",
+        "emulator://helmet-120?rpm=10&seed=3&centre=0.005,-0.003",
+        "--motion",
+        "free",
+        "--axis-distance",
+        1.1,
+    )
+    twice = tagid("scan", *options, "--method", "bp", "--repeat", 2, "--output", "json").json["data"]
+    files = [turn["files"]["capture"] for turn in twice["turns"]]
+    given = ("--axis-distance", 1.1, "--output", "json")
+    voted = tagid("identify", "--vote", *files, *given).json["data"]["items"]
+    assert [plain(item) for item in twice["items"]] == [plain(item) for item in voted]
+    assert [cause["code"] for cause in voted[0]["causes"]] == ["axis_distance"]
+    levels = tagid("scan", *options, "--heights", "0,0.1", "--output", "json").json["data"]
+    (item,) = tagid("identify", levels["files"]["capture"], *given).json["data"]["items"]
+    assert [plain(found) for found in levels["items"]] == [plain(item)]
