@@ -169,12 +169,18 @@ class Comparison:
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
     misses: list[Miss] = field(default_factory=list)
     not_expected: int = 0
+    _seen: set[tuple[str, str, str]] = field(default_factory=set)
 
     def add(self, record: ItemRecord) -> None:
-        """Count one judged record."""
+        """Count one judged record; a copy only if another answer is expected of it."""
         if record.expected is None:
-            self.not_expected += 1
+            self.not_expected += record.copy_of is None
             return
+        if record.content_sha256 is not None:
+            content = record.content_sha256, record.expected, record.answer
+            if content in self._seen:
+                return
+            self._seen.add(content)
         self.counts[record.expected, record.answer] += 1
         if not record.correct:
             self.misses.append(Miss(record.file, record.expected, record.answer, record.reason))

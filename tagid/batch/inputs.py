@@ -58,12 +58,14 @@ class Collected:
         passed_over: names of files that are not recordings.
         being_recorded: names of journals that a recording is writing at the moment.
         unreadable: folders that could not be listed, with the reason.
+        dangling: names of recordings that are links to files that do not exist.
     """
 
     sources: tuple[Source, ...]
     passed_over: tuple[str, ...] = ()
     being_recorded: tuple[str, ...] = ()
     unreadable: tuple[str, ...] = ()
+    dangling: tuple[str, ...] = ()
 
 
 def is_url(text: str) -> bool:
@@ -89,6 +91,7 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
     passed_over: list[str] = []
     recording: list[str] = []
     unreadable: list[str] = []
+    dangling: list[str] = []
     for word in words:
         if is_url(word):
             for location in _of_url(word):
@@ -104,7 +107,7 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
         if not folder:
             found.setdefault(str(path), Source.of(str(path)))
             continue
-        for file in files_below(path, unreadable, outside):
+        for file in files_below(path, unreadable, outside, dangling):
             if is_recording(file):
                 found.setdefault(str(file), Source.of(str(file)))
             elif _journal_under_way(file):
@@ -112,15 +115,22 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
             else:
                 passed_over.append(displayable(str(file)))
     if not found:
-        raise _nothing(words, passed_over, recording, unreadable)
-    return Collected(tuple(found.values()), tuple(passed_over), tuple(recording), tuple(unreadable))
+        raise _nothing(words, passed_over, recording, unreadable, dangling)
+    lists = map(tuple, (passed_over, recording, unreadable, dangling))
+    return Collected(tuple(found.values()), *lists)
 
 
-def files_below(folder: Path, unreadable: list[str], outside: Path | None = None) -> Iterable[Path]:
+def files_below(
+    folder: Path,
+    unreadable: list[str],
+    outside: Path | None = None,
+    dangling: list[str] | None = None,
+) -> Iterable[Path]:
     """All regular files of a folder and its subfolders, sorted by name.
 
-    Hidden files and links to folders are omitted. Subfolders that cannot be listed are added to `unreadable`;
-    the folder itself raises StorageError.
+    Hidden files and links to folders are omitted. Subfolders that cannot be listed are added to `unreadable`,
+    links without a target that are named like recordings to `dangling`; the folder itself raises
+    StorageError.
     """
     avoid = None if outside is None else outside.resolve()
 
@@ -140,8 +150,12 @@ def files_below(folder: Path, unreadable: list[str], outside: Path | None = None
         if avoid is not None and here.resolve() == avoid:
             continue
         for name in sorted(names):
-            if not name.startswith(".") and (here / name).is_file():
+            if name.startswith("."):
+                continue
+            if (here / name).is_file():
                 yield here / name
+            elif dangling is not None and name.lower().endswith(SUFFIXES) and not (here / name).exists():
+                dangling.append(displayable(str(here / name)))
 
 
 def is_recording(path: Path) -> bool:
@@ -173,14 +187,19 @@ def _journal_under_way(path: Path) -> bool:
 
 
 def _nothing(
-    words: Sequence[str], passed_over: Sequence[str], recording: Sequence[str], unreadable: Sequence[str]
+    words: Sequence[str],
+    passed_over: Sequence[str],
+    recording: Sequence[str],
+    unreadable: Sequence[str],
+    dangling: Sequence[str],
 ) -> DataError:
     where = ", ".join(displayable(word) for word in words[:3])
     seen = f"; not recordings: {counted(len(passed_over), 'other file')}" if passed_over else ""
     under_way = f"; {recording[0]} is still being recorded" if recording else ""
     closed = f"; could not open {unreadable[0]}" if unreadable else ""
+    links = f"; {dangling[0]}: a link to a file that does not exist" if dangling else ""
     return DataError(
-        f"no captures in {where}{seen}{under_way}{closed}",
+        f"no captures in {where}{seen}{under_way}{closed}{links}",
         f"Captures end in {', '.join(SUFFIXES)}; a file with any other name must be named explicitly.",
     )
 

@@ -63,11 +63,13 @@ class Hooks:
         progress: called with (finished, total, items per second of this run, seconds left or None).
         stopped: polled often; True ends the run with a report of the finished items.
         history: file of the history where answers are stored; None stores none.
+        item: called with every record.
     """
 
     progress: Callable[[int, int, float, float | None], None] = lambda done, total, rate, left: None
     stopped: Callable[[], bool] = lambda: False
     history: Path | None = None
+    item: Callable[[ItemRecord], None] = lambda record: None
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,7 @@ class _Run:
         self._reused = 0
         self._written = (0.0, 0.0)
         self._count_written = 0
+        self._copies: dict[int, str] = {}
 
     def go(self, runner: Runner) -> Finished:
         interrupted = False
@@ -140,6 +143,7 @@ class _Run:
                         else:
                             self._history.add(record)
                         done += 1
+                    self._hooks.item(record)
                     self._tell(done)
                     if self._plan.fail_fast and record.status == "failed":
                         break
@@ -182,9 +186,10 @@ class _Run:
         self._hooks.progress(min(done, len(self._sources)), len(self._sources), rate, left)
 
     def _judged(self, record: ItemRecord, position: int) -> ItemRecord:
-        """The record with its expected answer."""
+        """The record with its expected answer and, once all are written, the item that it copies."""
         expectations = self._plan.expectations
-        return record.judged(None if expectations is None else expectations.of(self._sources[position]))
+        expected = None if expectations is None else expectations.of(self._sources[position])
+        return record.judged(expected, self._copies.get(position))
 
     def _judged_item(self, item: StoredItem) -> ItemRecord:
         return self._judged(item.record, item.position)
@@ -199,6 +204,7 @@ class _Run:
 
     def _write(self, done: int, interrupted: bool) -> Finished:
         began = time.monotonic()
+        self._copies = self._spool.copies()
         tally = Tally(comparison=Comparison() if self._plan.expectations else None)
         longest = []
         for record in self._records():
@@ -242,6 +248,7 @@ class _Run:
             "manifest": self._plan.expectations.path if self._plan.expectations else None,
             "passed_over": {"count": len(inputs.passed_over), "first": list(inputs.passed_over[:50])},
             "unreadable_folders": list(inputs.unreadable),
+            "dangling_links": list(inputs.dangling),
             "settings": self._job.described(),
             "settings_sha256": self._fingerprint,
         }

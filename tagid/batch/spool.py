@@ -173,3 +173,20 @@ class Spool:
         """Number of finished items."""
         with clear_errors(self.path, _SCHEMA):
             return int(self._db.execute("SELECT COUNT(*) FROM item").fetchone()[0])
+
+    def copies(self) -> dict[int, str]:
+        """Position of each item whose content and status an earlier one has -> name of the earliest."""
+        with clear_errors(self.path, _SCHEMA):
+            query = (
+                "SELECT item.position, first.name FROM item JOIN"
+                " (SELECT content, status, name, MIN(position) AS position FROM item"
+                " WHERE content IS NOT NULL GROUP BY content, status HAVING COUNT(*) > 1) AS first"
+                " ON first.content = item.content AND first.status = item.status"
+                " WHERE item.position > first.position"
+            )
+            return dict(self._db.execute(query).fetchall())
+
+    def names(self) -> list[str]:
+        """Names of the items in the order of the inputs."""
+        with clear_errors(self.path, _SCHEMA):
+            return [str(name) for (name,) in self._db.execute("SELECT name FROM item ORDER BY position")]

@@ -11,7 +11,7 @@ from typing import Any
 
 from tagid.batch.expected import Comparison
 from tagid.errors import EXIT_BATCH, EXIT_OK, EXIT_UNCERTAIN
-from tagid.report.records import ItemRecord
+from tagid.report.records import CAVEATS, ItemRecord
 from tagid.storage.history import STATUSES
 
 SUMMARY_VERSION = 1
@@ -31,7 +31,9 @@ class Tally:
 
     Attributes:
         items: number of records.
-        status, layout: number of items per status and per layout.
+        repeated: number of those that are copies of another one; `status`, `layout` and `caveats` count
+            without them.
+        status, layout, caveats: number of captures per status, per layout and per caveat.
         verdicts: number of test cases with a "failure" or an "error".
         items_s: processing time of all items, s.
         comparison: comparison with the manifest; None without one.
@@ -40,7 +42,9 @@ class Tally:
     """
 
     items: int = 0
+    repeated: int = 0
     status: Counter[str] = field(default_factory=Counter)
+    caveats: Counter[str] = field(default_factory=Counter)
     layout: Counter[str] = field(default_factory=Counter)
     verdicts: Counter[str] = field(default_factory=Counter)
     items_s: float = 0.0
@@ -51,9 +55,13 @@ class Tally:
     def add(self, record: ItemRecord) -> None:
         """Count one record."""
         self.items += 1
-        self.status[record.status] += 1
-        if record.status == "identified":
-            self.layout[record.answer] += 1
+        if record.copy_of is None:
+            self.status[record.status] += 1
+            self.caveats.update(record.caveats)
+            if record.status == "identified":
+                self.layout[record.answer] += 1
+        else:
+            self.repeated += 1
         found = record.verdict()
         if found:
             self.verdicts[found.kind] += 1
@@ -83,14 +91,22 @@ class Tally:
         if self.status["failed"]:
             return EXIT_BATCH
         missed = self.comparison is not None and bool(self.comparison.misses)
-        return EXIT_OK if self.status["identified"] == self.items and not missed else EXIT_UNCERTAIN
+        return EXIT_OK if self.status["identified"] == self.captures and not missed else EXIT_UNCERTAIN
+
+    @property
+    def captures(self) -> int:
+        """Number of records without copies."""
+        return self.items - self.repeated
 
     def to_dict(self) -> dict[str, Any]:
         """The totals' part of summary.json."""
         return {
             "items": self.items,
+            "captures": self.captures,
+            "copies": self.repeated,
             "by_status": {status: self.status[status] for status in STATUSES},
             "by_layout": dict(sorted(self.layout.items())),
+            "caveats": {name: self.caveats[name] for name in CAVEATS},
             "expected": None if self.comparison is None else self.comparison.to_dict(),
             "duplicate_uuids": self.duplicates(),
             "model_sha256": sorted(self.models),

@@ -12,13 +12,15 @@ import tempfile
 import time
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from tagid import files
 from tagid.batch.inputs import Source, filesystem
 from tagid.batch.job import MAX_CAPTURE_BYTES, Answered, Job, Known, Outcome
+from tagid.capture import Capture
 from tagid.errors import FileFormatError, StorageError, TagidError, displayable
 from tagid.operate.turn import Answer, failed, read
 from tagid.pipeline.answer import Identification
@@ -37,10 +39,34 @@ _CHUNK = 1 << 20
 
 @dataclass(frozen=True)
 class Content:
-    """What a file holds: hex sha256 and size, bytes."""
+    """What a file holds.
+
+    Attributes:
+        sha256: in hex.
+        size_bytes: its size, bytes.
+        recorded_utc: time of the recording, ISO 8601; None if the file does not tell it.
+        note: the operator's; empty if there is none.
+        read_at: when the file was read.
+    """
 
     sha256: str
     size_bytes: int
+    recorded_utc: str | None = None
+    note: str = ""
+    read_at: datetime = field(default_factory=lambda: datetime.now(UTC))
+
+    def of(self, capture: Capture) -> Content:
+        """The content with time and note of the capture in it.
+
+        A capture from a file without a time has that of its reading, which is none of a recording.
+        """
+        recorded = None
+        with suppress(ValueError, OverflowError):
+            created = datetime.fromisoformat(capture.created_utc)
+            created = created if created.tzinfo else created.replace(tzinfo=UTC)
+            if created < self.read_at.replace(microsecond=0):
+                recorded = utc_text(created)
+        return replace(self, recorded_utc=recorded, note=capture.object.note or "")
 
 
 def work(source: Source, job: Job) -> Outcome:
@@ -55,6 +81,8 @@ def work(source: Source, job: Job) -> Outcome:
             if content.sha256 in job.known:
                 return Known(content.sha256, time.process_time() - began)
             answer = read(job.setup, path, source.name)
+        if answer.prepared is not None:
+            content = content.of(answer.prepared.given)
         if job.pictures and answer.prepared is not None:
             with watch.stage("pictures"):
                 pictures = _pictures(answer.prepared, answer.identification, job)
@@ -90,6 +118,8 @@ def make_record(
         "file": source.name,
         "content_sha256": content.sha256 if content else None,
         "size_bytes": content.size_bytes if content else None,
+        "recorded_utc": content.recorded_utc if content else None,
+        "recording_note": content.note if content else "",
         **answer.to_dict(),
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
         "time_utc": utc_text(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,13 +13,14 @@ from tagid.cli.common import options
 from tagid.cli.common.frame import Output, Terminal, command
 from tagid.config import Config, load_config
 from tagid.counting import counted
-from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, StorageError, UsageError
+from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, StorageError, UsageError, visible
 from tagid.result import Problem, Result
 
 if TYPE_CHECKING:
     from tagid.batch.job import Job
     from tagid.batch.local import Runner
     from tagid.batch.run import Finished, Plan
+    from tagid.report.records import ItemRecord
 
 _SHOWN_ERRORS = 10
 
@@ -42,6 +44,7 @@ def register(app: typer.Typer) -> None:
         resume: Annotated[
             bool, typer.Option("--resume", help="Continue an earlier run and reuse its results.")
         ] = False,
+        force: Annotated[bool, typer.Option("--force", help="Replace an earlier report.")] = False,
         fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failure.")] = False,
         watch: Annotated[
             Path | None, typer.Option("--watch", help="Identify new captures in this folder as they arrive.")
@@ -68,7 +71,8 @@ def register(app: typer.Typer) -> None:
         """Identify many captures: write a page, tables and a test report.
 
         Pictures use backprojection unless --method or the configuration selects another method. Ctrl-C still
-        writes a report of the finished items; --resume continues from there.
+        writes a report of the finished items; --resume continues from there. A report of other captures is
+        replaced only with --force, or after confirmation.
 
         Example: tagid report captures/ --out report --expect manifest.csv
         """
@@ -102,7 +106,8 @@ def register(app: typer.Typer) -> None:
         plan = Plan(found, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
         if expect is not None:
             plan = _expecting(plan, expect, job)
-        return _run(terminal, plan, job, runner)
+        remarks = _check_earlier(plan, force)
+        return _run(terminal, plan, job, runner, remarks)
 
 
 def _runner(terminal: Terminal, jobs: int, dask: str | None) -> Runner:
@@ -153,20 +158,89 @@ def _expecting(plan: Plan, manifest: Path, job: Job) -> Plan:
     return replace(plan, expectations=expectations)
 
 
-def _run(terminal: Terminal, plan: Plan, job: Job, runner: Runner) -> Result:
+def _check_earlier(plan: Plan, force: bool) -> list[str]:
+    """Agree to replace an earlier report in the folder, unless this run continues it.
+
+    Returns remarks on captures of the earlier report that are gone from their places.
+
+    Raises as `consent.agree_to_replace` does, StorageError for a working file that cannot be read.
+    """
+    from tagid.batch.inputs import is_url
+    from tagid.batch.run import FILES
+    from tagid.batch.spool import FILE_NAME, Spool
+    from tagid.cli.common.consent import agree_to_replace
+
+    out = plan.out
+    present = [name for name in (*FILES, FILE_NAME) if _is_plain_file(out / name)]
+    if not present:
+        return []
+    if FILE_NAME not in present:
+        if not force:
+            agree_to_replace(f"{out} holds a report", "Choose another --out, or add --force.")
+        return []
+    with Spool(out / FILE_NAME, fresh=False) as spool:
+        names = spool.names()
+    what = f"{out} holds a report of {counted(len(names), 'capture')}"
+    if not plan.resume:
+        if not force:
+            agree_to_replace(what, "Choose another --out, continue it with --resume, or add --force.")
+        return []
+    missing = _missing(names, plan)
+    elsewhere = [name for name in missing if is_url(name) or Path(name).exists()]
+    if elsewhere and not force:
+        agree_to_replace(
+            f"{what}; not among the inputs: {len(elsewhere)}, e.g. {elsewhere[0]}",
+            "Choose another --out, name the inputs of both, or add --force.",
+        )
+    gone = len(missing) - len(elsewhere)
+    return [f"no longer in its place: {counted(gone, 'capture')} of the earlier report"] if gone else []
+
+
+def _is_plain_file(path: Path) -> bool:
+    return path.is_file() and not path.is_symlink()
+
+
+def _missing(names: list[str], plan: Plan) -> list[str]:
+    """Those of the names that are not among the inputs."""
+    from tagid.batch.inputs import is_url
+
+    locations = {source.location for source in plan.inputs.sources} | {
+        source.name for source in plan.inputs.sources
+    }
+    watched = None if plan.watch is None else plan.watch.folder.absolute()
+    return [
+        name
+        for name in names
+        if name not in locations
+        and str(path := Path(name).absolute()) not in locations
+        and (is_url(name) or watched is None or watched not in path.parents or not path.exists())
+    ]
+
+
+def _run(terminal: Terminal, plan: Plan, job: Job, runner: Runner, remarks: list[str]) -> Result:
     from tagid.batch.run import Hooks, run_batch
     from tagid.config import data_folder
     from tagid.storage.history import FILE_NAME
 
+    lines = plan.watch is not None and not terminal.quiet and not sys.stderr.isatty()
     total = None if plan.watch else float(len(plan.inputs.sources))
     with interrupts.asked_to_stop() as stopped, terminal.progress("identify", total) as advance:
 
         def progress(done: int, of: int, rate: float, left: float | None) -> None:
             advance(float(done), _remark(done, of, rate, None if plan.watch else left))
 
-        hooks = Hooks(progress, stopped, data_folder() / FILE_NAME)
+        hooks = Hooks(progress, stopped, data_folder() / FILE_NAME, _item if lines else lambda record: None)
         finished = run_batch(plan, job, runner, hooks)
-    return _result(terminal, plan, finished)
+    return _result(terminal, plan, finished, remarks)
+
+
+def _item(record: ItemRecord) -> None:
+    """Write an item's line, where no bar shows that the run goes on."""
+    from tagid.report.records import CAVEATS
+
+    marks = "".join(f", {CAVEATS[name]}" for name in record.caveats)
+    line = f"{record.file}: {record.answer.replace('_', ' ')}{marks}, {record.total_s:.2f} s"
+    typer.echo(visible(line), err=True)
 
 
 def _remark(done: int, of: int, rate: float, left: float | None) -> str:
@@ -182,13 +256,14 @@ def _remark(done: int, of: int, rate: float, left: float | None) -> str:
     )
 
 
-def _result(terminal: Terminal, plan: Plan, finished: Finished) -> Result:
+def _result(terminal: Terminal, plan: Plan, finished: Finished, remarks: list[str]) -> Result:
     import json
 
     from rich.text import Text
 
     from tagid.batch.run import FILES
     from tagid.files import open_regular
+    from tagid.report.records import qualified
 
     summary = finished.summary
     files = {name: str(plan.out / name) for name in FILES}
@@ -205,7 +280,7 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished) -> Result:
                 if terminal.output is Output.json:
                     items.append(record)
         data["items"] = items
-    messages = [*finished.remarks, *_remarks(plan, finished)]
+    messages = [*finished.remarks, *remarks, *_remarks(plan, finished)]
     if failed > len(errors):
         messages.append(f"{failed - len(errors)} more items failed; the report lists them")
     code = finished.exit_code
@@ -217,7 +292,10 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished) -> Result:
         errors.append(Problem.of(stop))
         code = EXIT_INTERRUPTED
     counts = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in summary["by_status"].items() if n)
-    lines_out = [Text.assemble((f"{summary['items']} objects: ", "bold"), counts or "none")]
+    captures = counted(summary["captures"], "capture")
+    lines_out = [Text.assemble((f"{captures}: ", "bold"), counts or "none")]
+    if words := qualified(summary):
+        lines_out.append(Text(words, "yellow"))
     if summary["expected"]:
         e = summary["expected"]
         accuracy = "-" if e["accuracy"] is None else f"{e['accuracy']:.1%}"
@@ -237,7 +315,7 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished) -> Result:
 def _remarks(plan: Plan, finished: Finished) -> list[str]:
     remarks = []
     if finished.reused:
-        remarks.append(f"{finished.reused} answers were reused from the earlier run")
+        remarks.append(f"reused from the earlier run: {counted(finished.reused, 'answer')}")
     for twin in finished.summary["duplicate_uuids"][:5]:
         what = "copies of one capture" if twin["same_content"] else "different files with one capture UUID"
         remarks.append(f"{what}, {twin['capture_uuid']}: {', '.join(twin['files'][:4])}")
@@ -250,8 +328,12 @@ def _remarks(plan: Plan, finished: Finished) -> list[str]:
     if under_way:
         others = f" and {len(under_way) - 1} more" if len(under_way) > 1 else ""
         remarks.append(f"{under_way[0]}{others}: still being recorded, left out; add it later with --resume")
+    links = plan.inputs.dangling
+    remarks += [f"{link}: a link to a file that does not exist" for link in links[:5]]
+    if len(links) > 5:
+        remarks.append(f"{len(links) - 5} more links to files that do not exist; summary.json lists them")
     remarks += [f"cannot read folder {folder}" for folder in plan.inputs.unreadable[:5]]
     expected = finished.summary["expected"]
     if expected and expected["not_in_manifest"]:
-        remarks.append(f"{expected['not_in_manifest']} items are not in the manifest")
+        remarks.append(f"not in the manifest: {counted(expected['not_in_manifest'], 'capture')}")
     return remarks

@@ -1,6 +1,6 @@
 """The report as one self-contained HTML file: totals, a table to sort and filter, pictures.
 
-It is written in pieces with a size budget for pictures, so that a page of ten thousand objects still opens.
+It is written in pieces with a size budget for pictures, so that a page of ten thousand captures still opens.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from tagid.counting import counted
 from tagid.errors import UsageError
 from tagid.files import replacing_text
-from tagid.report.records import ItemRecord, StoredItem, Thumbnails
+from tagid.report.records import CAVEATS, ItemRecord, StoredItem, Thumbnails, qualified
 from tagid.report.thumbnails import smaller
 
 if TYPE_CHECKING:
@@ -30,6 +31,12 @@ _FULL_SHARE = 0.75
 """Part of the budget for pictures in full size; the rest is for small ones."""
 _BASE64 = 4 / 3
 _SHOWN_MISSES = 500
+_NOT_SHOWN = (
+    "schema", "schema_version", "hypothesis", "hypotheses", "nearest", "reflector_probability", "error",
+    "reason", "reason_code", "advice", "causes", "note", "remarks", "bound", "coverage",
+    "recorded_utc", "recording_note", "copy_of", "correct",
+)  # fmt: skip
+"""Fields of a record that no details of the page read: what they say is explained in words."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,8 @@ def write_page(
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        environment.filters |= {"number": _number, "percent": _percent}
+        environment.filters |= {"number": _number, "percent": _percent, "counted": counted}
+        environment.filters |= {"name": _name, "words": _words}
         template = environment.get_template("report.html.j2")
         style, script = ((place / name).read_text("utf-8") for name in ("page.css", "page.js"))
     content = _Content(items, judged, settings)
@@ -103,6 +111,8 @@ def write_page(
         style_hash=_hash(style),
         script_hash=_hash(script),
         shown_misses=_SHOWN_MISSES,
+        caveats=CAVEATS,
+        qualified=qualified(summary),
     )
     with replacing_text(path) as file:
         for piece in pieces:
@@ -124,18 +134,24 @@ class _Content:
 
         for item in self._items.items():
             r = self._judged(item)
-            measured = round(r.score, 4), round(r.margin, 4), r.total_s
             who = item.position, r.file, r.status, r.layout or "", r.label
+            bound = r.p_value if r.status == "identified" else None
+            worth = round(r.score, 4), r.coverage, bound, r.caveats, r.copy_of or ""
+            recording = (r.recorded_utc or "")[:16].replace("T", " "), r.recording_note
+            words = r.why.removeprefix(f"{r.file}: "), next(iter(r.what_to_do), "")
             size = self._size.get(item.position, -1)
-            yield htmlsafe_json_dumps([*who, *measured, r.expected, r.correct, size])
+            yield htmlsafe_json_dumps([*who, *worth, *recording, *words, r.expected, r.correct, size])
 
     def details(self) -> Iterator[tuple[int, Markup]]:
-        """The details of each item: its record and drawing data."""
+        """The details of each item: its record, what qualifies it in words, and drawing data."""
         from jinja2.utils import htmlsafe_json_dumps
 
         for item in self._items.items():
             drawing = {} if item.drawing is None else asdict(item.drawing)
-            yield item.position, htmlsafe_json_dumps({**self._judged(item).document, "drawing": drawing})
+            record = self._judged(item)
+            more = {"drawing": drawing, "explained": record.explained()}
+            shown = {name: value for name, value in record.document.items() if name not in _NOT_SHOWN}
+            yield item.position, htmlsafe_json_dumps({**shown, **more})
 
     def pictures(self) -> Iterator[tuple[int, str, str]]:
         """(position, image, sinogram) in base64; without those over budget."""
@@ -199,3 +215,28 @@ def _number(value: float | None, digits: int = 2) -> str:
 
 def _percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.1f}\u202f%"
+
+
+def _name(setting: str) -> str:
+    """A setting's name in words, its unit after a comma."""
+    words, _, unit = setting.rpartition("_")
+    if words and unit in ("m", "hz", "deg", "db", "s"):
+        return f"{words.replace('_', ' ')}, {unit}"
+    return setting.replace("_", " ")
+
+
+def _words(value: object) -> str:
+    """A setting's value as a person reads it.
+
+    >>> _words(None), _words(False), _words({"preset": "field", "extent_m": [0.5, None]})
+    ('not set', 'no', 'preset: field; extent, m: 0.5, not set')
+    """
+    if value is None:
+        return "not set"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        return "; ".join(f"{_name(name)}: {_words(part)}" for name, part in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_words, value)) or "none"
+    return str(value)

@@ -11,6 +11,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from tagid.pipeline.coverage import WHOLE_TURN
+
+CAVEATS = {"part_of_a_turn": "part of a turn", "no_bound": "no bound"}
+"""Marks of an answer that is worth less than its status says, in words."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -94,6 +99,96 @@ class ItemRecord:
         return str(self.document["reason"])
 
     @property
+    def coverage(self) -> float | None:
+        """Share of a turn from which the object was seen, 0 to 1; None if unknown."""
+        value: float | None = self.document.get("coverage")
+        return value
+
+    @property
+    def p_value(self) -> float | None:
+        """The false-accept bound; None if no calibration applies."""
+        bound = self.document.get("bound") or {}
+        value: float | None = bound.get("p_value")
+        return value
+
+    @property
+    def caveats(self) -> list[str]:
+        """Keys of `CAVEATS` that apply."""
+        partial = self.coverage is not None and self.coverage < WHOLE_TURN
+        unbounded = self.status == "identified" and self.p_value is None
+        return [name for name, applies in zip(CAVEATS, (partial, unbounded), strict=True) if applies]
+
+    @property
+    def causes(self) -> list[Mapping[str, str]]:
+        """Likely causes, {code, text, remedy} each, most certain first; empty if something was named."""
+        return list(self.document.get("causes") or ())
+
+    @property
+    def note(self) -> str:
+        """What the reader and the recording add to the answer, in sentences; empty if nothing."""
+        return "; ".join(filter(None, (self.document.get("note"), *self.document.get("remarks", ()))))
+
+    @property
+    def what_to_do(self) -> list[str]:
+        """Remedies, the most likely one first; empty if something was named."""
+        remedies = [cause["remedy"] for cause in self.causes]
+        if all(cause["code"] != self.document.get("reason_code") for cause in self.causes):
+            remedies.append(str(self.document.get("advice", "")))
+        return [remedy for remedy in remedies if remedy]
+
+    @property
+    def recorded_utc(self) -> str | None:
+        """Time of the recording, ISO 8601; None if the file does not tell it."""
+        value: str | None = self.document.get("recorded_utc")
+        return value
+
+    @property
+    def recording_note(self) -> str:
+        """The operator's note of the recording; empty if there is none."""
+        return str(self.document.get("recording_note") or "")
+
+    @property
+    def copy_of(self) -> str | None:
+        """Name of an earlier item with the same content; None if there is none, or before `judged`."""
+        value: str | None = self.document.get("copy_of")
+        return value
+
+    @property
+    def why(self) -> str:
+        """Reason, likely causes and notes in one line; empty if there is nothing to say."""
+        causes = [f"likely cause: {cause['text']}" for cause in self.causes]
+        return "; ".join(filter(None, (self.reason, *causes, self.note)))
+
+    def explained(self) -> list[tuple[str, str]]:
+        """What qualifies the answer, as (name, text) in the order of a person's questions."""
+        causes = [("likely cause", cause["text"]) for cause in self.causes]
+        remedies = [("what to do", remedy) for remedy in self.what_to_do]
+        lines = [("why", self.reason), *causes, *remedies, ("note", self.note)]
+        lines += [("turn", self._turn_words()), ("false accept", self._bound_words())]
+        lines += [("recorded", _utc(self.recorded_utc)), ("note of the recording", self.recording_note)]
+        lines.append(("copy of", self.copy_of or ""))
+        return [(name, text) for name, text in lines if text]
+
+    def _turn_words(self) -> str:
+        if self.coverage is None:
+            return ""
+        share = f"{100 * self.coverage:.0f} % seen"
+        return f"part of a turn: {share}" if "part_of_a_turn" in self.caveats else share
+
+    def _bound_words(self) -> str:
+        bound = self.document.get("bound")
+        if bound is not None:
+            return (
+                f"at most {bound['p_value']:.2g}, from {bound['calibration_objects']} calibration objects "
+                f"({bound['stratum']}): {bound['population']}"
+            )
+        if "no_bound" not in self.caveats:
+            return ""
+        if "part_of_a_turn" in self.caveats:
+            return "no bound: it holds for whole turns"
+        return "no bound: answers of this kind are not calibrated"
+
+    @property
     def score(self) -> float:
         """Score of the answer, as in the contract's Identification."""
         return float(self.document["score"])
@@ -149,10 +244,11 @@ class ItemRecord:
     def _error(self) -> Mapping[str, str]:
         return self.document.get("error") or {}
 
-    def judged(self, expected: str | None) -> ItemRecord:
-        """The record with the manifest's answer, and whether it was given."""
+    def judged(self, expected: str | None, copy_of: str | None = None) -> ItemRecord:
+        """The record with the manifest's answer, whether it was given, and the item of the same content."""
         correct = None if expected is None else self.answer == expected
-        return ItemRecord({**self.document, "expected": expected, "correct": correct})
+        more = {"expected": expected, "correct": correct, "copy_of": copy_of}
+        return ItemRecord({**self.document, **more})
 
     def renamed(self, name: str) -> ItemRecord:
         """The record of the same content in a file of another name, which its error then names, too."""
@@ -176,6 +272,25 @@ class ItemRecord:
             return None
         reason = f" ({self.reason})" if self.reason else ""
         return Verdict("failure", f"expected {self.expected}, found {self.answer}{reason}")
+
+
+def qualified(summary: Mapping[str, Any]) -> str:
+    """What qualifies the totals of summary.json, in words; empty if nothing does.
+
+    >>> qualified({"caveats": {"part_of_a_turn": 2, "no_bound": 1}, "copies": 1})
+    '2 of a part of a turn, 1 named without a bound on false accept, 1 copy not counted'
+    """
+    copies = summary["copies"]
+    parts = (
+        (summary["caveats"]["part_of_a_turn"], "of a part of a turn"),
+        (summary["caveats"]["no_bound"], "named without a bound on false accept"),
+        (copies, "copy not counted" if copies == 1 else "copies not counted"),
+    )
+    return ", ".join(f"{count} {words}" for count, words in parts if count)
+
+
+def _utc(time: str | None) -> str:
+    return f"{time[:19].replace('T', ' ')} UTC" if time else ""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Machine-readable report files: one row, line or test case per object.
+"""Machine-readable report files: one row, line or test case per capture.
 
 Each is written in pieces from a stream of records, in constant memory.
 """
@@ -11,10 +11,10 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TextIO
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape, quoteattr
 
 from tagid.files import replacing_text
-from tagid.report.records import ItemRecord
+from tagid.report.records import CAVEATS, ItemRecord
 from tagid.storage.spreadsheet import cell
 
 STAGES = ("load", "prepare", "preprocess", "read", "pictures")
@@ -23,8 +23,10 @@ CSV_COLUMNS = (
     "reflectors", "missing", "extra", "expected", "correct", "reason", "error_code", "error_remedy",
     "capture_uuid", "content_sha256", "size_bytes", "tool_version", "model_sha256", "registry_version",
     *(f"{stage}_s" for stage in STAGES), "total_s", "time_utc",
+    "coverage", "bound_p_value", "caveats", "note", "cause", "what_to_do", "recorded_utc", "recording_note",
+    "copy_of",
 )  # fmt: skip
-"""Columns of items.csv; names include units."""
+"""Columns of items.csv; names include units, and new ones come last."""
 # Characters not allowed in XML 1.0, even escaped (section 2.2).
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -40,6 +42,11 @@ def _cells(record: ItemRecord) -> list[object]:
         "error_remedy": record.error_remedy,
         "total_s": record.total_s,
         **{f"{stage}_s": record.stage_s(stage) for stage in STAGES},
+        "bound_p_value": record.p_value,
+        "caveats": "; ".join(CAVEATS[name] for name in record.caveats),
+        "note": record.note,
+        "cause": "; ".join(cause["text"] for cause in record.causes),
+        "what_to_do": " ".join(record.what_to_do),
     }
     return [derived[name] if name in derived else record.document.get(name) for name in CSV_COLUMNS]
 
@@ -70,10 +77,10 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 
 
 def write_junit(path: Path, records: Iterable[ItemRecord], summary: Mapping[str, Any]) -> None:
-    """junit.xml: one test case per object, after the JUnit and Jenkins schema.
+    """junit.xml: one test case per capture, after the JUnit and Jenkins schema.
 
-    An object passes if the answer matches the manifest or, without one, if it is identified. An
-    item that failed is an error.
+    A capture passes if the answer matches the manifest or, without one, if it is identified. An
+    item that failed is an error. What qualifies the answer is the output of its test case.
 
     Raises StorageError, DiskFullError.
     """
@@ -93,13 +100,23 @@ def write_junit(path: Path, records: Iterable[ItemRecord], summary: Mapping[str,
 
 def _case(file: TextIO, record: ItemRecord) -> None:
     file.write(f'<testcase classname="tagid" name={_quoted(record.file)} time="{record.total_s:.4f}"')
+    lines = [f"{name}: {text}" for name, text in record.explained()]
     found = record.verdict()
-    if found is None:
+    if found is None and not lines:
         file.write("/>\n")
         return
-    code = record.error_code or record.status
-    file.write(f"><{found.kind} type={_quoted(code)} message={_quoted(found.reason)}/></testcase>\n")
+    file.write(">")
+    if found is not None:
+        code = record.error_code or record.status
+        file.write(f"<{found.kind} type={_quoted(code)} message={_quoted(found.reason)}/>")
+    if lines:
+        file.write(f"<system-out>{escape(_allowed(chr(10).join(lines)))}</system-out>")
+    file.write("</testcase>\n")
 
 
 def _quoted(text: str) -> str:
-    return quoteattr(_NOT_XML.sub("\ufffd", text), {"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
+    return quoteattr(_allowed(text), {"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
+
+
+def _allowed(text: str) -> str:
+    return _NOT_XML.sub("\ufffd", text)

@@ -97,7 +97,7 @@ def _(folder: Path) -> Outcome:
         process.wait()
     tagid(*words, "--resume")
     resumed = stored()
-    tagid(*words)
+    tagid(*words, "--force")
     figure = f"{resumed} rows of 8, {stored() - resumed} in a fresh run"
     return Outcome(figure, resumed == 8 and stored() == 16)
 

@@ -51,7 +51,7 @@ def show(browser: Any) -> Iterator[Callable[..., Any]]:
 
 
 def files(browser: Any) -> list[str]:
-    cells = "return [...document.querySelectorAll('#rows td.file')].map((cell) => cell.innerText)"
+    cells = "return [...document.querySelectorAll('#rows td.file .name')].map((cell) => cell.innerText)"
     return [text.rpartition("/")[2] for text in browser.execute_script(cells)]
 
 
@@ -98,7 +98,7 @@ def test_sort_filter_and_open(show, report: Path) -> None:
 
     Select(page.find_element(By.ID, "f-status")).select_by_value("no_tag")
     wait(page, lambda: sorted(files(page)) == sorted(["empty.tagid.h5", HOSTILE]))
-    assert page.find_element(By.ID, "count").text == "2 of 6 objects"
+    assert page.find_element(By.ID, "count").text == "2 of 6 files"
     clear()
     page.find_element(By.ID, "f-text").send_keys("HELMET")
     wait(page, lambda: sorted(files(page)) == ["helmet-120.tagid.h5", "helmet-linear.tagid.h5"])
@@ -246,7 +246,7 @@ def test_thousands_of_items_stay_responsive(show, tmp_path: Path, report: Path) 
     write_page(out / "report.html", Many(), lambda item: item.record, summary, PageSettings(megabytes=4.0))
     assert (out / "report.html").stat().st_size < 4e6 + count * 3000
     page = show(out)
-    assert page.find_element(By.ID, "count").text == "5000 objects"
+    assert page.find_element(By.ID, "count").text == "5000 files"
     assert len(files(page)) == 50
     milliseconds = page.execute_script(
         "const t = performance.now(); document.querySelector('#heads th[data-key=\"5\"] button').click();"

@@ -76,8 +76,8 @@ def test_the_whole_way(tagid, captures: Path, tmp_path: Path) -> None:
     (captures / "empty.tagid.h5").unlink()
     fine = tagid("report", "captures", "--out", "r", "--resume")
     assert fine.code == 0
-    assert "3 objects: 3 identified" in fine.out
-    assert "3 answers were reused" in fine.err
+    assert "3 captures: 3 identified" in fine.out
+    assert "reused from the earlier run: 3 answers" in fine.err
 
     # Every answer was kept once, and reused answers not again.
     rows = tagid("history", "--output", "json").json["data"]["items"]

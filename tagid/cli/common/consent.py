@@ -1,6 +1,6 @@
-"""Confirmation before a command moves a device.
+"""Confirmation before a command moves a device or replaces what took long to make.
 
-Scripts confirm with --yes; without it and without a terminal nothing moves.
+Scripts confirm with --yes or --force; without it and without a terminal nothing is moved or replaced.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from tagid.cli.common.prompts import can_ask, confirm
-from tagid.errors import CaptureInterrupted, UsageError
+from tagid.errors import CaptureInterrupted, StorageError, UsageError
 from tagid.secret import MotionUrl
 
 Yes = Annotated[
@@ -60,3 +60,19 @@ def agree_to(motion_url: MotionUrl, yes: bool) -> None:
             yes,
             warning_of(motion),
         )
+
+
+def agree_to_replace(what: str, how: str) -> None:
+    """Return if the user, on a terminal, agrees to replace what is there.
+
+    Args:
+        what: states what is there, e.g. "report holds a report".
+        how: remedy without a terminal.
+
+    Raises:
+        StorageError: no terminal to ask on. CaptureInterrupted: the user declined.
+    """
+    if not can_ask():
+        raise StorageError(what, how)
+    if not confirm(f"{what}. Replace it?", default=False):
+        raise CaptureInterrupted("declined: nothing was replaced", how)

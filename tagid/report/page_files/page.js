@@ -14,24 +14,26 @@
     node.append(...children);
     return node;
   };
-  const [POSITION, FILE, STATUS, LAYOUT, LABEL, SCORE, MARGIN, TIME, EXPECTED, CORRECT, PICTURE] = Array(11).keys();
+  const [POSITION, FILE, STATUS, LAYOUT, LABEL, SCORE, TURN, BOUND, CAVEATS, COPY, RECORDED, NOTE, WHY, REMEDY, EXPECTED,
+    CORRECT, PICTURE] = Array(17).keys();
   const rows = JSON.parse(byId("row-data").textContent);
   const withExpected = byId("table").dataset.expected === "yes";
   const order = { failed: 0, no_tag: 1, unknown: 2, ambiguous: 3, identified: 4 };
+  const counted = (count) => `${count} file${count === 1 ? "" : "s"}`;
   const words = (status) => status.replace("_", " ");
   const answer = (row) => (row[STATUS] === "identified" ? row[LAYOUT] : words(row[STATUS]));
   const columns = [
     { name: "image" },
-    { name: "file", key: FILE, css: "file name" },
-    { name: "status", key: STATUS, css: "status" },
-    { name: "layout", key: LAYOUT, css: "" },
-    { name: "score", key: SCORE, css: "n", digits: 2 },
-    { name: "margin", key: MARGIN, css: "n", digits: 2 },
-    { name: "time, s", key: TIME, css: "n", digits: 2 },
+    { name: "answer", key: STATUS, css: "status" },
+    { name: "file", key: FILE, css: "file" },
+    { name: "score", key: SCORE, css: "n" },
+    { name: "turn", key: TURN, css: "n" },
+    { name: "false accept", key: BOUND, css: "n bound" },
+    { name: "why", key: WHY, css: "why" },
   ];
   if (withExpected) columns.push({ name: "expected", key: EXPECTED, css: "" });
 
-  const filters = ["f-text", "f-status", "f-layout", "f-score-low", "f-score-high", "f-time", "f-correct"]
+  const filters = ["f-text", "f-status", "f-layout", "f-score-low", "f-score-high", "f-caveat", "f-correct"]
     .map(byId).filter(Boolean);
   const state = { sort: null, down: false, page: 0, shown: rows, open: -1, opener: null };
   const collator = new Intl.Collator("en", { numeric: true });
@@ -42,21 +44,22 @@
 
   const compare = (a, b) => {
     const key = state.sort;
-    if (key === STATUS) return order[a[key]] - order[b[key]];
+    if (key === STATUS) return order[a[key]] - order[b[key]] || collator.compare(a[LAYOUT], b[LAYOUT]);
+    if (key === TURN || key === BOUND) return (a[key] ?? Infinity) - (b[key] ?? Infinity) || 0;
     if (typeof a[key] === "number") return a[key] - b[key];
     return collator.compare(a[key] ?? "", b[key] ?? "");
   };
   const wanted = () => {
     const value = (id) => (byId(id) ? byId(id).value : "");
     const text = value("f-text").trim().toLowerCase();
-    const [status, layout, correct] = [value("f-status"), value("f-layout"), value("f-correct")];
+    const [status, layout, correct, caveat] = ["f-status", "f-layout", "f-correct", "f-caveat"].map(value);
     const limit = (id, otherwise) => (value(id) === "" ? otherwise : Number(value(id)));
     const [low, high] = [limit("f-score-low", -Infinity), limit("f-score-high", Infinity)];
-    const time = limit("f-time", Infinity);
     return (row) => (!status || row[STATUS] === status) && (!layout || row[LAYOUT] === layout)
-      && row[SCORE] >= low && row[SCORE] <= high && row[TIME] <= time
+      && row[SCORE] >= low && row[SCORE] <= high
+      && (!caveat || (caveat === "none" ? !row[CAVEATS].length : row[CAVEATS].includes(caveat)))
       && (!correct || String(row[CORRECT]) === correct)
-      && (!text || (row[FILE] + " " + row[LABEL] + " " + row[LAYOUT]).toLowerCase().includes(text));
+      && (!text || [FILE, LABEL, LAYOUT, WHY, NOTE].map((key) => row[key]).join(" ").toLowerCase().includes(text));
   };
   const choose = () => {
     state.shown = rows.filter(wanted());
@@ -68,18 +71,35 @@
     show();
   };
 
+  const percent = (share) => Math.round(100 * share) + "\u202f%";
+  const marks = (row) => [...row[CAVEATS].map((name) => name.replaceAll("_", " ")), ...(row[COPY] ? ["copy"] : [])]
+    .map((text) => make("span", { class: "mark" }, text));
   const cell = (column, row) => {
     const cell = make("td", { class: column.css });
-    if (column.name !== "file") cell.dataset.head = column.name;
+    if (column.key !== FILE && column.key !== STATUS && column.key !== WHY) cell.dataset.head = column.name;
     let value = row[column.key];
-    if (column.key === STATUS) { cell.classList.add("s-" + value); value = words(value); }
-    if (column.digits !== undefined) value = row[STATUS] === "failed" && column.key !== TIME ? "-" : value.toFixed(column.digits);
-    if (column.key === LAYOUT && row[LABEL]) value += " (" + row[LABEL] + ")";
-    if (column.key === EXPECTED) {
+    if (column.key === FILE) value = make("span", { class: "name" }, value);
+    const more = [];
+    if (column.key === STATUS) {
+      cell.classList.add("s-" + value);
+      value = answer(row);
+      if (row[LABEL]) more.push(make("div", { class: "small" }, row[LABEL]));
+      if (marks(row).length) more.push(make("div", {}, ...marks(row)));
+    } else if (column.key === SCORE) value = row[STATUS] === "failed" ? "" : value.toFixed(2);
+    else if (column.key === TURN) value = value === null ? "" : percent(value);
+    else if (column.key === BOUND) value = value === null ? "" : String(Number(value.toPrecision(2)));
+    else if (column.key === WHY) {
+      value = value && make("div", { class: "clip" }, value);
+      if (row[REMEDY]) more.push(make("div", { class: "clip small" }, "What to do: " + row[REMEDY]));
+    } else if (column.key === FILE) {
+      const recording = [row[RECORDED] && row[RECORDED] + " UTC", row[NOTE]].filter(Boolean).join(", ");
+      if (recording) more.push(make("div", { class: "clip small" }, recording));
+    } else if (column.key === EXPECTED) {
       if (row[CORRECT] === false) cell.classList.add("miss");
-      value = value === null ? "-" : value + (row[CORRECT] ? " (yes)" : " (no)");
+      value = value && value + (row[CORRECT] ? " (yes)" : " (no)");
     }
-    cell.append(value || "-");
+    if (!value && !more.length) cell.classList.add("none");
+    cell.append(value || "-", ...more);
     return cell;
   };
   const thumbnail = (row) => {
@@ -104,8 +124,8 @@
     const last = Math.max(0, Math.ceil(state.shown.length / size) - 1);
     state.page = Math.min(Math.max(state.page, 0), last);
     fill(state.shown.slice(state.page * size, (state.page + 1) * size));
-    byId("count").textContent = state.shown.length === rows.length ? `${rows.length} objects`
-      : `${state.shown.length} of ${rows.length} objects`;
+    byId("count").textContent = state.shown.length === rows.length ? counted(rows.length)
+      : `${state.shown.length} of ${counted(rows.length)}`;
     byId("p-where").textContent = `page ${state.page + 1} of ${last + 1}`;
     for (const id of ["p-first", "p-back"]) byId(id).disabled = state.page === 0;
     for (const id of ["p-next", "p-last"]) byId(id).disabled = state.page === last;
@@ -197,7 +217,7 @@
 
   const seconds = (item) => Object.entries(item.seconds).map(([name, s]) => `${name} ${s.toFixed(3)}`).join(", ");
   const facts = (item) => [
-    ["status", words(item.status)], ["why", item.reason], ["what to do", item.error ? item.error.remedy : ""],
+    ["status", words(item.status)],
     ["layout", item.layout ? item.layout + (item.label ? ` (${item.label})` : "") : ""], ["expected", item.expected],
     ["score", item.score.toFixed(3)], ["margin", item.margin.toFixed(3)],
     ["rotation", item.rotation_deg === null ? "" : item.rotation_deg.toFixed(1) + " degrees"],
@@ -209,6 +229,9 @@
     ["model, sha256", item.model_sha256 || "none used"], ["registry version", item.registry_version],
     ["identified", item.time_utc],
   ];
+  const list = (id, pairs) => byId(id).replaceChildren(
+    ...pairs.filter(([, value]) => value !== null && value !== undefined && value !== "")
+      .flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, String(value))]));
   const viewer = byId("viewer");
   const open = (row, opener) => {
     const item = JSON.parse(byId("d" + row[POSITION]).textContent);
@@ -218,12 +241,13 @@
     const line = byId("v-answer");
     line.textContent = item.status === "identified" ? `${item.layout}, score ${item.score.toFixed(2)}, margin ${item.margin.toFixed(2)}` : words(item.status);
     line.className = "s-" + item.status;
+    line.append(...marks(row));
+    list("v-explained", item.explained);
     const [big, wave] = [picture("i", row[POSITION]), picture("s", row[POSITION])];
     byId("v-image").replaceChildren(...(big ? image(item, big) : [make("figcaption", {},
       row[PICTURE] === 0 ? "Picture omitted because of the size limit; tagid reconstruct draws it from the file." : "No picture.")]));
     byId("v-sinogram").replaceChildren(...(wave ? sinogram(item, wave) : []));
-    byId("v-facts").replaceChildren(...facts(item).filter(([, value]) => value !== null && value !== undefined && value !== "")
-      .flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, String(value))]));
+    list("v-facts", facts(item));
     byId("v-back").disabled = state.open <= 0;
     byId("v-next").disabled = state.open >= state.shown.length - 1;
     if (!viewer.open) { viewer.showModal(); byId("v-title").focus(); }
@@ -246,7 +270,7 @@
   });
 
   for (const column of columns) {
-    const head = make("th", { scope: "col" });
+    const head = make("th", { scope: "col", class: column.css ?? "" });
     if (column.key === undefined) head.append(column.name);
     else {
       const button = make("button", { type: "button" }, column.name, make("span", { "aria-hidden": "true" }));
