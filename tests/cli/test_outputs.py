@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from on_a_terminal import run
 
 from tagid.cli.common.outputs import check_own
 from tagid.cli.common.truth import is_truth
@@ -113,3 +115,26 @@ def test_an_invalid_prefix_is_not_blamed_on_other_options(tagid) -> None:
     )
     (error,) = done.json["errors"]
     assert done.code == 2 and "--prefix" in error["message"] and "a-z" in error["remedy"]
+
+
+@pytest.mark.parametrize(("key", "code", "files"), [(b"n", 130, ["a.npz"]), (b"y", 5, ["b.npz"])])
+def test_an_earlier_report_is_replaced_if_the_terminal_agrees(
+    tagid, home: dict[str, str], tmp_path: Path, key: bytes, code: int, files: list[str]
+) -> None:
+    for name in ("a.npz", "b.npz"):
+        (tmp_path / name).write_bytes(b"nothing")
+    words = ["report", "--out", str(tmp_path / "r"), "-j", "1"]
+    assert tagid(*words, tmp_path / "a.npz").code == 5
+    answered: list[bytes] = []
+
+    def react(sent: bytes, child: object, keyboard: int) -> None:
+        if not answered and b"[y/N]" in sent:
+            answered.append(sent)
+            os.write(keyboard, key + b"\n")
+
+    done = run(home, [*words, str(tmp_path / "b.npz")], (24, 200), react)
+    assert done.code == code and b"r holds a report of 1 capture. Replace it?" in answered[0]
+    lines = (tmp_path / "r" / "items.jsonl").read_text().splitlines()
+    assert [Path(json.loads(line)["file"]).name for line in lines] == files
+    assert tagid(*words, tmp_path / "a.npz").code == 1
+    assert tagid(*words, tmp_path / "a.npz", "--force").code == 5

@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from tagid.batch.job import Job
 from tagid.batch.local import Done, Results, Tasks
@@ -14,6 +17,7 @@ from tagid.batch.work import work
 from tagid.config import load_config
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
+from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.tags.layouts.layout import builtin_layouts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
@@ -31,6 +35,14 @@ def copy_captures(recorded: Path, folder: Path) -> Path:
     (folder / "bad.tagid.h5").write_bytes(b"not a capture")
     (folder / "notes.txt").write_text("no capture either")
     return folder
+
+
+def part_of_a_turn(whole: Path, part: Path, share: float) -> None:
+    """Write the first part of a recording's views, with a time and a note."""
+    capture = read_capture(whole)
+    some = capture.select(np.arange(round(share * capture.views)))
+    known = replace(capture.object, note="table stopped")
+    write_capture(part, replace(some, object=known, created_utc="2026-11-03T08:15:30+01:00", uuid="part"))
 
 
 def in_this_process(tasks: Tasks, job: Job) -> Results:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from report_batches import part_of_a_turn
 
 from tagid.batch.expected import read_manifest
 from tagid.batch.inputs import Source, collect
@@ -177,6 +178,62 @@ def test_one_uuid_in_two_files_is_told(make_report, captures: Path, recorded: Pa
     assert twins[first.uuid] is False
 
 
+def test_what_qualifies_an_answer_reaches_every_file(make_report, captures: Path, tmp_path: Path) -> None:
+    part_of_a_turn(captures / "helmet-120.tagid.h5", captures / "part.tagid.h5", 0.75)
+    part_of_a_turn(captures / "helmet-120.tagid.h5", captures / "quarter.tagid.h5", 0.4)
+    shutil.copy(captures / "part.tagid.h5", captures / "part-copy.tagid.h5")
+    (captures / "lost.tagid.h5").symlink_to("nowhere.tagid.h5")
+    summary = make_report(captures).summary
+    assert (summary["items"], summary["captures"], summary["copies"]) == (8, 7, 1)
+    assert sum(summary["by_status"].values()) == 7 and summary["by_layout"]["helmet-120"] == 2
+    assert summary["caveats"]["part_of_a_turn"] == 2 and summary["caveats"]["no_bound"] >= 1
+    assert summary["dangling_links"] == [str(captures / "lost.tagid.h5")]
+    out = tmp_path / "report"
+    records = {Path(record["file"]).name: record for record in lines(out)}
+    with (out / "items.csv").open(newline="") as file:
+        rows = {Path(row["file"]).name: row for row in csv.DictReader(file)}
+    cases = {
+        Path(case.get("name", "")).name: "".join(text.text or "" for text in case.iter("system-out"))
+        for case in ET.parse(out / "junit.xml").getroot().iter("testcase")
+    }
+
+    record, row, case = (of["part.tagid.h5"] for of in (records, rows, cases))
+    assert (record["status"], record["bound"]) == ("identified", None) and record["coverage"] < 0.8
+    assert (row["caveats"], row["bound_p_value"]) == ("part of a turn; no bound", "")
+    assert float(row["coverage"]) == record["coverage"]
+    assert row["copy_of"] == record["copy_of"] == str(captures / "part-copy.tagid.h5")
+    assert record["recorded_utc"] == row["recorded_utc"] == "2026-11-03T07:15:30.000+00:00"
+    assert record["recording_note"] == row["recording_note"] == "table stopped"
+    for words in ("part of a turn: ", "no bound: it holds for whole turns", "table stopped", "07:15:30 UTC"):
+        assert words in case
+
+    record, row, case = (of["quarter.tagid.h5"] for of in (records, rows, cases))
+    assert record["status"] == "unknown" and row["caveats"] == "part of a turn"
+    assert row["what_to_do"] == record["advice"] != "" and f"what to do: {record['advice']}" in case
+    assert rows["helmet-120.tagid.h5"]["copy_of"] == "" and records["empty.tagid.h5"]["copy_of"] is None
+    page = (out / "report.html").read_text()
+    assert "2 of a part of a turn, " in page and "1 copy not counted" in page and "lost.tagid.h5" in page
+    # Settings are words: no dict, None or True of Python.
+    facts = page[page.index("provenance-head") :].partition("</section>")[0]
+    assert "extent, m" in facts and not re.search(r"\b(None|True|False)\b|[{}]", facts)
+
+
+def test_a_copy_counts_for_what_is_expected_of_it(make_report, captures: Path, tmp_path: Path) -> None:
+    shutil.copy(captures / "empty.tagid.h5", captures / "twin.tagid.h5")
+    manifest = tmp_path / "m.csv"
+    names = [layout.name for layout in read_layouts()]
+
+    def compared(text: str) -> tuple[int, int]:
+        manifest.write_text(text)
+        wanted = read_manifest(manifest, collect([str(captures)]).sources, names)
+        expected = make_report(captures, expectations=wanted, resume=True).summary["expected"]
+        return expected["items"], expected["correct"]
+
+    assert compared("empty.tagid.h5,no_tag\ntwin.tagid.h5,no_tag\n") == (1, 1)
+    assert compared("empty.tagid.h5,no_tag\ntwin.tagid.h5,helmet-120\n") == (2, 1)
+    assert compared("twin.tagid.h5,helmet-120\n") == (1, 0)
+
+
 def test_names_that_are_no_text_and_hostile_ones(make_report, captures: Path, tmp_path: Path) -> None:
     source = captures / "empty.tagid.h5"
     latin = Path(os.fsdecode(os.fsencode(captures) + b"/caf\xe9.tagid.h5"))
@@ -203,6 +260,9 @@ def test_places_that_hold_nothing_or_cannot_be_read(make_report, tmp_path: Path)
     empty = tmp_path / "empty"
     empty.mkdir()
     with pytest.raises(DataError, match="no captures in"):
+        make_report(empty)
+    (empty / "lost.tagid.h5").symlink_to("nowhere")
+    with pytest.raises(DataError, match=r"lost\.tagid\.h5: a link to a file that does not exist"):
         make_report(empty)
     (empty / "notes.txt").write_text("x")
     with pytest.raises(DataError, match="1 other file"):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from chromium import size, start, theme, wait
 from PIL import Image
-from report_batches import a_job, copy_captures, in_this_process
+from report_batches import a_job, copy_captures, in_this_process, part_of_a_turn
 
 from tagid.batch.expected import read_manifest
 from tagid.batch.inputs import collect
@@ -60,6 +60,7 @@ def report(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("page")
     captures = copy_captures(recorded, place / "captures")
     shutil.copy(captures / "empty.tagid.h5", captures / HOSTILE)
+    part_of_a_turn(captures / "helmet-120.tagid.h5", captures / "part.tagid.h5", 0.75)
     manifest = place / "m.csv"
     manifest.write_text("file,expected_layout\nhelmet-120.tagid.h5,helmet-120\nempty.tagid.h5,container-90\n")
     sources = collect([str(captures)])
@@ -75,7 +76,7 @@ def test_sort_filter_and_open(show, report: Path) -> None:
     assert page.title == "Gate 4 <b>acceptance</b>" == page.find_element(By.TAG_NAME, "h1").text
     assert HOSTILE in files(page), "a hostile name is text"
     assert not page.find_elements(By.CSS_SELECTOR, "img[src=x]")
-    assert len(files(page)) == 6
+    assert len(files(page)) == 7
 
     def scores() -> list[float]:
         cells = "return [...document.querySelectorAll('#rows td[data-head=score]')].map((c) => c.innerText)"
@@ -86,7 +87,7 @@ def test_sort_filter_and_open(show, report: Path) -> None:
     head.find_element(By.TAG_NAME, "button").click()
     assert head.get_attribute("aria-sort") == "ascending"
     rising = scores()
-    assert rising == sorted(rising) and len(rising) == 5
+    assert rising == sorted(rising) and len(rising) == 6
     head.find_element(By.TAG_NAME, "button").click()
     assert scores() == sorted(rising, reverse=True)
     assert head.get_attribute("aria-sort") == "descending"
@@ -94,20 +95,40 @@ def test_sort_filter_and_open(show, report: Path) -> None:
     # Filter by status, text, layout and expectation; it says how many are left.
     def clear() -> None:
         page.find_element(By.ID, "f-reset").click()
-        wait(page, lambda: len(files(page)) == 6)
+        wait(page, lambda: len(files(page)) == 7)
 
     Select(page.find_element(By.ID, "f-status")).select_by_value("no_tag")
     wait(page, lambda: sorted(files(page)) == sorted(["empty.tagid.h5", HOSTILE]))
-    assert page.find_element(By.ID, "count").text == "2 of 6 files"
+    assert page.find_element(By.ID, "count").text == "2 of 7 files"
     clear()
     page.find_element(By.ID, "f-text").send_keys("HELMET")
-    wait(page, lambda: sorted(files(page)) == ["helmet-120.tagid.h5", "helmet-linear.tagid.h5"])
+    wait(
+        page,
+        lambda: sorted(files(page)) == ["helmet-120.tagid.h5", "helmet-linear.tagid.h5", "part.tagid.h5"],
+    )
     Select(page.find_element(By.ID, "f-layout")).select_by_value("helmet-linear")
     wait(page, lambda: files(page) == ["helmet-linear.tagid.h5"])
     clear()
     Select(page.find_element(By.ID, "f-correct")).select_by_value("false")
     wait(page, lambda: files(page) == ["empty.tagid.h5"])
     clear()
+
+    # What qualifies an answer is marked, filtered and explained; the copy is marked, too.
+    Select(page.find_element(By.ID, "f-caveat")).select_by_value("part_of_a_turn")
+    wait(page, lambda: files(page) == ["part.tagid.h5"])
+    row = page.find_element(By.CSS_SELECTOR, "#rows tr")
+    assert [mark.text for mark in row.find_elements(By.CLASS_NAME, "mark")] == ["part of a turn", "no bound"]
+    assert "2026-11-03 07:15 UTC, table stopped" in row.text
+    row.find_element(By.CSS_SELECTOR, "button.thumb").click()
+    viewer = page.find_element(By.ID, "viewer")
+    wait(page, viewer.is_displayed)
+    assert page.find_element(By.ID, "v-answer").text.endswith("part of a turn no bound")
+    explained = page.find_element(By.ID, "v-explained").text
+    assert "no bound: it holds for whole turns" in explained and "table stopped" in explained
+    page.find_element(By.ID, "v-close").click()
+    clear()
+    copies = [r.text for r in page.find_elements(By.CSS_SELECTOR, "#rows tr") if "\ncopy\n" in r.text]
+    assert len(copies) == 1 and "empty.tagid.h5" in copies[0]
 
     # Open an image by keyboard; the rings of the layout lie on the reflectors that were found.
     row = next(r for r in page.find_elements(By.CSS_SELECTOR, "#rows tr") if "helmet-120" in r.text)

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -76,6 +77,7 @@ def test_the_whole_way(tagid, captures: Path, tmp_path: Path) -> None:
     (captures / "empty.tagid.h5").unlink()
     fine = tagid("report", "captures", "--out", "r", "--resume")
     assert fine.code == 0
+    assert "no longer in its place: 1 capture of the earlier report" in fine.err
     assert "3 captures: 3 identified" in fine.out
     assert "reused from the earlier run: 3 answers" in fine.err
 
@@ -85,6 +87,18 @@ def test_the_whole_way(tagid, captures: Path, tmp_path: Path) -> None:
     assert {row["command"] for row in rows} == {"report"}
     table = list(csv.DictReader(io.StringIO(tagid("history", "--output", "csv", "--status", "no_tag").out)))
     assert [Path(row["file"]).name for row in table] == ["empty.tagid.h5"]
+
+    # An earlier report is replaced, and one of other captures continued, only on request.
+    (tmp_path / "other").mkdir()
+    shutil.copy(captures / "helmet-120.tagid.h5", tmp_path / "other")
+    for words in ((), ("--resume",)):
+        refused = tagid("report", "other", "--out", "r", *words)
+        assert (
+            refused.code == 1 and "r holds a report of 3 captures" in refused.err and "--force" in refused.err
+        )
+    assert "not among the inputs: 3, e.g. captures/container-90.tagid.h5" in refused.err
+    assert len(lines(tmp_path / "r")) == 3
+    assert tagid("report", str(captures), "--out", "r", "--resume", "-j", 1).code == 0, "another path"
 
 
 @pytest.mark.parametrize(
@@ -168,6 +182,8 @@ def test_a_watched_folder(home, tagid, captures: Path, recorded: Path, tmp_path:
     os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
+    assert re.search(r"^drop/helmet-120.tagid.h5: helmet-120(, no bound)?, [\d.]+ s$", err, re.MULTILINE)
+    assert re.search(r"^drop/empty.tagid.h5: no tag, [\d.]+ s$", err, re.MULTILINE)
     assert [Path(r["file"]).name for r in lines(out)] == ["helmet-120.tagid.h5", "empty.tagid.h5"]
     assert tagid(*words, "--resume", "--idle-stop", 2).code == 3
 

@@ -73,7 +73,7 @@
 
   const percent = (share) => Math.round(100 * share) + "\u202f%";
   const marks = (row) => [...row[CAVEATS].map((name) => name.replaceAll("_", " ")), ...(row[COPY] ? ["copy"] : [])]
-    .map((text) => make("span", { class: "mark" }, text));
+    .flatMap((text) => [" ", make("span", { class: "mark" }, text)]);
   const cell = (column, row) => {
     const cell = make("td", { class: column.css });
     if (column.key !== FILE && column.key !== STATUS && column.key !== WHY) cell.dataset.head = column.name;
