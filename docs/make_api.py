@@ -45,7 +45,7 @@ GROUPS = {
         "RegistryChange", "RegistryContents", "Restored",
     ),
     "Simulation": (
-        "scene_from_name", "Scene", "Body", "Returns", "Points", "Tag", "StaticReturns", "Acquisition", "RangeWindow",
+        "SceneSpec", "scene_from_name", "Scene", "Body", "Returns", "Points", "Tag", "StaticReturns", "Acquisition", "RangeWindow",
         "Recording", "Placement", "Wobble", "NoiseShape", "Interference", "simulate_capture", "Truth", "EchoLevels", "Snr",
     ),
     "Recording": (

@@ -88,6 +88,7 @@ if TYPE_CHECKING:
     from tagid.simulate.scene import Tag as Tag
     from tagid.simulate.snr import EchoLevels as EchoLevels
     from tagid.simulate.snr import Snr as Snr
+    from tagid.simulate.spec import SceneSpec as SceneSpec
     from tagid.storage.exporters import export as export
     from tagid.storage.importers import read_any as read_any
     from tagid.tags.bodies.body_reading import BodyReading as BodyReading
@@ -134,6 +135,7 @@ _HOMES = {
     "Acquisition": "tagid.simulate.acquisition",
     "simulate_capture": "tagid.simulate.capture",
     "scene_from_name": "tagid.simulate.presets",
+    "SceneSpec": "tagid.simulate.spec",
     "export": "tagid.storage.exporters",
     "read_any": "tagid.storage.importers",
     "Layout": "tagid.tags.layouts.layout",

@@ -298,6 +298,17 @@ def change_file(name: str, raw: Any | None) -> Path:
     return change_settings({name: raw})
 
 
+def radar_url(config: Config) -> str:
+    """URL of the configured radar. Raises ConfigError if there is none."""
+    if not config["radar.url"]:
+        raise ConfigError(
+            "no radar is configured",
+            "Set `radar.url` to udp://192.168.1.100 or serial:///dev/ttyACM0 (--radar), or store it with "
+            "`tagid config set radar.url URL`. `tagid radar find` looks for radars, `tagid scan --demo` needs none.",
+        )
+    return str(config["radar.url"])
+
+
 def change_settings(changes: Mapping[str, Any | None]) -> Path:
     """Set several settings in the file at once, removing those that are None; returns the file's path.
 

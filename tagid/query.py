@@ -61,3 +61,20 @@ class Query(ABC):
         """Raise UsageError for an option that was not taken."""
         if self.given:
             raise self.wrong(f"option {min(self.given)[:50]!r} is unknown")
+
+
+def parse_point(option: str, text: str) -> tuple[float, float]:
+    """Two numbers, e.g. X,Y in metres, from the text of an option. Raises UsageError.
+
+    >>> parse_point("--centre", "0.004,-0.002")
+    (0.004, -0.002)
+    """
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = math.nan
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise UsageError(
+            f"{option} is {text[:80]!r}, not two numbers", f"Give metres, e.g. {option} 0.11,-0.02."
+        )
+    return x, y

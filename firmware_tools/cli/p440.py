@@ -42,8 +42,8 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid-firmware p440 --radar udp://192.168.1.100 --store
         """
-        from tagid.cli.radar.device import open_configured, radar_url
-        from tagid.config import load_config
+        from tagid.cli.radar.device import open_configured
+        from tagid.config import load_config, radar_url
         from tagid.radar.survey import RadarSurvey
         from tagid.report.radar import info_table
 

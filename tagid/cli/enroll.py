@@ -11,10 +11,10 @@ import typer
 
 from tagid.cli.common import enrolling, options
 from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.points import parse_point
 from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import RegistryError, UsageError
+from tagid.query import parse_point
 from tagid.result import Result
 
 if TYPE_CHECKING:

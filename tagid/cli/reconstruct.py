@@ -13,6 +13,7 @@ from tagid.cli.common.outputs import check_drawing
 from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import UsageError
+from tagid.query import parse_point
 from tagid.result import Result
 
 
@@ -175,7 +176,8 @@ def register(app: typer.Typer) -> None:
             loading = replace(LoadSettings.of(config, background), wave_speed_m_s=wave_speed)
             outputs = Outputs(out, vti, ply, png, webp, surface)
             outputs.check(file)
-            asked = Asked(background, imaging.parse_place(heights, "--heights"), levels, held_out)
+            span = None if heights is None else parse_point("--heights", heights)
+            asked = Asked(background, span, levels, held_out)
             return make_volume(terminal, load_capture(file, loading), config, asked, outputs)
         place = Workplace(config, background)
         given = place.imaging(focus)
@@ -187,8 +189,8 @@ def register(app: typer.Typer) -> None:
             seed=seed,
             preset=preset,
             ats=replace(given.ats, engine=engine, device=device, **parse_settings(words)),
-            centre_m=imaging.parse_place(centre),
-            towards_m=imaging.parse_place(side, "--side"),
+            centre_m=None if centre is None else parse_point("--centre", centre),
+            towards_m=None if side is None else parse_point("--side", side),
             delay_m=delay_search if focus else 0.0,
             focus_m=axis_search if focus else 0.0,
             restore=beam,

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tagid.config import Config, data_folder, load_config
+from tagid.config import Config, data_folder, load_config, radar_url
 from tagid.errors import ConfigError, StorageError, TagidError, UsageError
 from tagid.files import make_folder
 from tagid.pipeline.load import BACKGROUNDS, LoadSettings
@@ -137,14 +137,7 @@ class Workplace:
 
     def radar_url(self) -> str:
         """URL of the configured radar. Raises ConfigError if there is none."""
-        url = self.config["radar.url"]
-        if not url:
-            raise ConfigError(
-                "no radar is configured",
-                "Set `radar.url` to udp://192.168.1.100, or store it with "
-                "`tagid config set radar.url udp://...`; `tagid scan --demo` shows a scan without a radar.",
-            )
-        return str(url)
+        return radar_url(self.config)
 
     def plan(
         self, scans: int | None = None, max_seconds: float = TURN_S, about: ObjectInfo | None = None

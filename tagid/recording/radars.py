@@ -9,15 +9,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from tagid.errors import UsageError
 from tagid.metadata import ObjectInfo
 from tagid.query import MAX_SEED
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.faults import Faults
 from tagid.radar.emulation.memory import MemoryLink
+from tagid.radar.emulation.sources import RecordingSource
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.radar.urls import RadarOptions, open_link, parse_radar_url
-from tagid.recording.sources import emulated_recording, emulated_scene
 
 _PROBABILITIES: Final = ("lose", "lose_requests", "duplicate", "reorder", "delay")
 
@@ -46,7 +47,10 @@ def open_radar(url: str, timeout: float = 1.0) -> P440:
     scene = dict(query.given)
     faults = Faults(**levels, seed=query.whole("seed", 0, 0, MAX_SEED))
     if parsed.scheme == "emulator":
-        core = EmulatorCore(emulated_scene(parsed.target, scene), RadarConfig())
+        from tagid.simulate.spec import SceneSpec, turning_scene
+
+        source = turning_scene(SceneSpec.from_url(parsed.target, scene))
+        core = EmulatorCore(source, RadarConfig())
         return P440(MemoryLink(core, rate, faults, url), timeout)
     loop = query.text("loop", "0") not in ("0", "")
     query.done()
@@ -59,5 +63,23 @@ def emulated_object(url: str) -> ObjectInfo | None:
     parsed = parse_radar_url(url)
     if parsed.scheme != "emulator":
         return None
+    from tagid.simulate.spec import SceneSpec, turning_scene
+
     own = ("rate", "delay_s", *_PROBABILITIES)
-    return emulated_scene(parsed.target, {k: v for k, v in parsed.options.items() if k not in own}).about()
+    options = {key: text for key, text in parsed.options.items() if key not in own}
+    return turning_scene(SceneSpec.from_url(parsed.target, options)).about()
+
+
+def emulated_recording(path: Path, loop: bool) -> RecordingSource:
+    """A P440 recording or capture as the radar saw it. Raises the reader's errors."""
+    from tagid.storage.importers import read_any
+
+    capture = read_any(path)
+    settings = capture.radar.config
+    if settings is None:
+        raise UsageError(
+            f"{path} holds no radar settings, so it cannot be replayed as a radar",
+            "Replay a P440 recording (.out, .prd) or a capture made by `tagid scan`.",
+        )
+    config = RadarConfig.of_stored(settings)
+    return RecordingSource(capture.samples, config, capture.radar_time_ms, loop)

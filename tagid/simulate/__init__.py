@@ -13,6 +13,7 @@ from tagid.simulate.scattering import Box, Cylinder, Points
 from tagid.simulate.scene import Scene, StaticReturns
 from tagid.simulate.snr import EchoLevels, Snr
 from tagid.simulate.source import TurningScene
+from tagid.simulate.spec import SceneSpec
 from tagid.simulate.specification import BodySpec, ReflectorSpec, parse_body, parse_elevation, parse_reflector
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Recording",
     "ReflectorSpec",
     "Scene",
+    "SceneSpec",
     "Snr",
     "StaticReturns",
     "Truth",

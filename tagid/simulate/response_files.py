@@ -1,8 +1,7 @@
-"""An object given by its response file on the command line, as a scene or on an emulated turntable."""
+"""An object given by its response file on the command line, as a scene."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from tagid.simulate.presets import room_clutter
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import ResponseBody, peak_echo, response_scene
 from tagid.simulate.scene import Scene, StaticReturns
-from tagid.simulate.source import TurningScene
 
 
 @dataclass(frozen=True)
@@ -55,15 +53,3 @@ class ResponseFiles:
         room = room_clutter(np.random.default_rng(seed))
         room = StaticReturns(room.ranges_m, room.amplitudes * max(1.0, *strengths))
         return response_scene(response, acquisition, self.polarisation, reference, room)
-
-    def turning(
-        self,
-        acquisition: Acquisition,
-        rpm: float,
-        seed: int = 0,
-        cable_delay_s: float = 0.0,
-        true_angle: Callable[[float], float] | None = None,
-    ) -> TurningScene:
-        """The object on an emulated turntable, for the radar emulator; arguments as for `TurningScene`."""
-        scene = self.scene(acquisition, seed)
-        return TurningScene(scene, rpm, seed, acquisition, cable_delay_s, true_angle)

@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.constants import CLIP_COUNTS_PER_INTEGRATION, SPEED_OF_LIGHT
-from tagid.errors import UsageError
+from tagid.errors import StorageError, UsageError
+from tagid.files import read_head
 from tagid.metadata import ObjectInfo
 from tagid.simulate.acquisition import Acquisition, RangeWindow, Turn
 from tagid.simulate.capture import object_settings
@@ -29,6 +31,7 @@ NOISE_COUNTS = 120.0
 NOISE_INDEX = 11
 _LEVEL_VIEWS = 72
 """Views per turn over which the peaks for the SNR are computed."""
+MAX_ANTENNA_HEIGHT_M = 10.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,42 @@ class Stop:
                 f"the emulated table stops after {self.after_turns} turns for {self.seconds} s",
                 "Give zero turns or more, and more than zero seconds.",
             )
+
+
+class HeightFile:
+    """Height of an emulated antenna, m, as another program writes it to a text file.
+
+    Calling it returns the current height. A file that cannot be read for a moment leaves the height
+    unchanged.
+
+    Args:
+        path: the file; it must contain a height when the emulator starts.
+
+    Raises UsageError if it does not.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        read = self._read()
+        if read is None:
+            raise UsageError(
+                f"{path} does not contain the height of the emulated antenna",
+                f"Write a number of metres from -{MAX_ANTENNA_HEIGHT_M:g} to {MAX_ANTENNA_HEIGHT_M:g} to it.",
+            )
+        self._height = read
+
+    def __call__(self) -> float:
+        read = self._read()
+        if read is not None:
+            self._height = read
+        return self._height
+
+    def _read(self) -> float | None:
+        try:
+            height = float(read_head(self._path, 64))
+        except (StorageError, ValueError):
+            return None
+        return height if abs(height) <= MAX_ANTENNA_HEIGHT_M else None
 
 
 class ScanConfig(Protocol):

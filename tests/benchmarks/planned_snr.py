@@ -25,10 +25,10 @@ from tagid.planning.plan import Setup, changing_db
 from tagid.radar.settings import RadarConfig
 from tagid.recording.inspection import noise_power_of, signal_to_noise_db
 from tagid.recording.plan import plan_window
-from tagid.recording.sources import emulated_scene
 from tagid.signal import analytic
 from tagid.simulate import ReflectorSpec, parse_body
 from tagid.simulate.budget import LinkBudget
+from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.tags.layouts.layout import builtin_layouts
 
 LAYOUTS = builtin_layouts()
@@ -74,15 +74,16 @@ class Case:
 
     def measured_db(self) -> float | None:
         """Of the emulated scans; None where nothing changes beyond the noise."""
-        options = {
-            "reflector": f"octahedron:{self.size_mm}mm",
-            "axis_distance": str(self.distance_m),
-            "budget": "1",
-            "rpm": str(60 / PERIOD_S),
-            "seed": str(self.seed),
-            **({} if self.body == "none" else {"body": self.body}),
-        }
-        source = emulated_scene(self.layout, options)
+        spec = SceneSpec(
+            self.layout,
+            reflector=f"octahedron:{self.size_mm}mm",
+            axis_distance=self.distance_m,
+            budget=True,
+            rpm=60 / PERIOD_S,
+            seed=self.seed,
+            body=self.body,
+        )
+        source = turning_scene(spec)
         radar = RadarConfig(base_integration_index=self.integration)
         config = plan_window(self.distance_m, 0.5, 0.0, radar)
         times = np.arange(round(OVERLAP_TURNS * SCANS_PER_TURN)) / SCANS_PER_TURN * PERIOD_S

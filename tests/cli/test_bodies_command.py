@@ -54,7 +54,7 @@ def test_both_snrs_are_printed_and_the_option_says_which_it_sets(tagid) -> None:
 
 def test_the_help_names_the_values_that_are_accepted(tagid) -> None:
     told = " ".join(tagid("simulate", "--help").out.split())
-    (line,) = re.findall(r"--snr-of (.*?) --noise ", told)
+    (line,) = re.findall(r"--snr-of (.*?) --noise-colour ", told)
     assert all(value in line for value in REFERENCES) and "or sum." not in line
 
 

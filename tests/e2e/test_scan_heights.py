@@ -19,7 +19,8 @@ from tagid.pipeline.load import load_capture
 from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
 from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import plan_window
-from tagid.recording.sources import HeightFile, emulated_scene
+from tagid.simulate.source import HeightFile
+from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.storage.importers import read_any
 from tests.cli.on_a_terminal import Drawn, run
 from tests.e2e.test_scan import TAGID, emulator, environment
@@ -169,7 +170,7 @@ def test_an_emulated_antenna_follows_its_file(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="does not contain the height"):
         HeightFile(file)
     file.write_text("0.0")
-    scene = emulated_scene("points-3", {"antenna_height_file": str(file), "rpm": "0", "snr": "60"})
+    scene = turning_scene(SceneSpec("points-3", antenna_height_file=file, rpm=0, snr=60))
     config = plan_window(1.0, 0.5, 0.0, RadarConfig())
     low = scene.scan(0, 0.0, config)
     for text in ("soon", "nan", "50", ""):

@@ -21,7 +21,7 @@ from tagid.doctor import examine
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import SerialEmulator, ServeOptions, UdpEmulator
 from tagid.radar.settings import RadarConfig
-from tagid.recording.sources import emulated_scene
+from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.station import server
 from tagid.station.station import MAX_CONNECTIONS
 from tagid.station.wiring import wiring
@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def core(rpm: float = 20) -> EmulatorCore:
-    return EmulatorCore(emulated_scene("helmet-120", {"rpm": f"{rpm:g}", "seed": "2"}), RadarConfig())
+    return EmulatorCore(turning_scene(SceneSpec("helmet-120", rpm=rpm, seed=2)), RadarConfig())
 
 
 def test_a_radar_that_is_gone_is_told_with_its_wiring_and_the_next_scan_works(serve, tmp_path: Path) -> None:

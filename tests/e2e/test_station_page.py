@@ -26,8 +26,8 @@ from tagid.pipeline.answer import Identification
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
 from tagid.radar.settings import RadarConfig
-from tagid.recording.sources import emulated_scene
 from tagid.result import Problem
+from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.station import live_socket, station
 from tagid.station.server import Server
 from tagid.storage.history import FILE_NAME, History
@@ -334,11 +334,11 @@ def test_an_object_is_enrolled_by_keyboard_and_the_enrolment_undone(
 def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
     browser: Any, serve: Callable[..., Server]
 ) -> None:
-    def core(rpm: str) -> EmulatorCore:
-        return EmulatorCore(emulated_scene("helmet-120", {"rpm": rpm}), RadarConfig())
+    def core(rpm: float) -> EmulatorCore:
+        return EmulatorCore(turning_scene(SceneSpec("helmet-120", rpm=rpm)), RadarConfig())
 
     size(browser, 390, 844, True)
-    with UdpEmulator(core("2"), ServeOptions(port=0)) as radar:
+    with UdpEmulator(core(2), ServeOptions(port=0)) as radar:
         one = serve(radar.url, check=examine, rpm=2, resume_s=4.0)
         browser.get(one.url)
         wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
@@ -355,7 +355,7 @@ def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
     assert text(browser, "wiring-name") == "network cable"
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
     assert problems(browser) == []
-    with UdpEmulator(core("20"), ServeOptions(port=int(radar.url.rpartition(":")[2]), rate=0)):
+    with UdpEmulator(core(20), ServeOptions(port=int(radar.url.rpartition(":")[2]), rate=0)):
         wait(browser, lambda: not browser.find_element(By.ID, "wiring").is_displayed())
         view(browser, "scan")
         browser.find_element(By.ID, "scan").click()

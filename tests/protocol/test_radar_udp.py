@@ -17,7 +17,7 @@ from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator, serve_udp
 from tagid.radar.emulation.faults import Faults
 from tagid.radar.emulation.firmware import SERVER_ONLY
-from tagid.radar.emulation.sources import RecordingSource, ScanSource
+from tagid.radar.emulation.sources import RecordingSource
 from tagid.radar.links import UdpLink
 from tagid.radar.messages import CONFIG_DTYPE, SCAN_INFO_DTYPE, MessageType, decode, encode
 from tagid.radar.p440 import P440
@@ -264,14 +264,9 @@ class Seen:
         config = RadarConfig().quantised()
         return RecordingSource(np.stack([expected(i, config) for i in range(7)]), config, loop=loop)
 
-    def scene(self, name: str, options: dict[str, str]) -> ScanSource:
-        assert (name, options) == ("helmet-120", {"seed": "1", "rpm": "2"})
-        return Noise()
-
 
 def test_urls_open_the_same_client(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tagid.recording.radars.emulated_recording", Seen().recording)
-    monkeypatch.setattr("tagid.recording.radars.emulated_scene", Seen().scene)
     with open_radar("replay://some/file.tagid.h5") as radar:
         assert len(list(radar.scans())) == 7  # a replay ends by itself
         assert len(list(radar.scans())) == 7

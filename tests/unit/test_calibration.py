@@ -25,7 +25,7 @@ from tagid.recording.calibration import (
     take_scans,
     without_background,
 )
-from tagid.recording.sources import emulated_scene
+from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.waveform import nominal_pulse, pulse_at
 
 DISTANCE = 2.0
@@ -130,9 +130,7 @@ def test_the_reference_fits_a_window_that_starts_elsewhere() -> None:
 
 
 def test_through_the_radar_with_cables() -> None:
-    source = emulated_scene(
-        "corner", {"axis_distance": "2", "rpm": "0", "seed": "3", "cable_delay": str(DELAY_PS)}
-    )
+    source = turning_scene(SceneSpec("corner", axis_distance=2, rpm=0, seed=3, cable_delay=DELAY_PS))
     with P440(MemoryLink(EmulatorCore(source, CONFIG))) as radar:
         scans = take_scans(radar, 64)
     assert scans.samples.shape == (64, CONFIG.samples)

@@ -22,10 +22,10 @@ from tagid.radar.assembler import Scan
 from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.session import Session
-from tagid.recording.sources import emulated_scene
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
+from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tests.unit.imaging_scenes import record, turn
 
@@ -78,7 +78,7 @@ def test_a_period_is_believed_when_a_second_search_finds_it_again() -> None:
     config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=13))
     plan = RecordingPlan(config, 1.0)
     session = cast(Session, SimpleNamespace(plan=plan, config=config))
-    source = emulated_scene("container-90", {"rpm": "10", "axis_distance": "1"})
+    source = turning_scene(SceneSpec("container-90", rpm=10))
     times_s = 0.05 * np.arange(200)
     scans = [
         Scan(n, round(1e3 * t), 0, source.scan(n, float(t), config), 0, 1, 2) for n, t in enumerate(times_s)

@@ -19,12 +19,12 @@ from tagid.planning.rates import expected
 from tagid.radar.settings import RadarConfig
 from tagid.recording.inspection import noise_power_of, signal_to_noise_db
 from tagid.recording.plan import plan_window
-from tagid.recording.sources import emulated_scene
 from tagid.signal import analytic
 from tagid.simulate import Acquisition, BodySpec, ReflectorSpec, parse_body, scene_on_body, simulate_capture
 from tagid.simulate.budget import LinkBudget, effective_length_m, rcs_dbsm
 from tagid.simulate.scatterers import Octahedron
 from tagid.simulate.source import NOISE_COUNTS, NOISE_INDEX
+from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.tags.layouts.layout import builtin_layouts
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,8 +42,9 @@ def emulated(
     size_mm: int, distance_m: float, index: int, body: str = "", layout: str = "container-180"
 ) -> NDArray[np.float64]:
     """(96, bins) scans of one turn as an emulated radar sends them."""
-    options = {"reflector": f"octahedron:{size_mm}mm", "axis_distance": str(distance_m), "budget": "1"}
-    source = emulated_scene(layout, {**options, "rpm": "6", **({"body": body} if body else {})})
+    reflector = f"octahedron:{size_mm}mm"
+    spec = SceneSpec(layout, reflector=reflector, axis_distance=distance_m, budget=True, body=body or None)
+    source = turning_scene(spec)
     config = plan_window(distance_m, 0.5, 0.0, RadarConfig(base_integration_index=index))
     times = np.arange(96) / 96 * 10.0
     return np.stack([source.scan(i, float(t), config) for i, t in enumerate(times)]).astype(np.float64)

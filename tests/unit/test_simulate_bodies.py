@@ -5,17 +5,20 @@ Levels in dBsm are those of method-of-moments solutions (shared/fullwave/README.
 
 from __future__ import annotations
 
+import inspect
 import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from tagid.cli.common.scene_options import SceneOptions
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError, UsageError
-from tagid.recording.sources import emulated_scene
+from tagid.query import parse_point
 from tagid.simulate import (
     Acquisition,
     BodySpec,
@@ -45,6 +48,7 @@ from tagid.simulate.objects import METAL, WATER, Variation, tagged_object
 from tagid.simulate.response_file import read_response
 from tagid.simulate.scatterers import Mounted, Octahedron, Rod, unit_of
 from tagid.simulate.scene import Tag
+from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.simulate.specification import parse_length
 
 DATA = Path(__file__).parents[1] / "data"
@@ -489,7 +493,7 @@ def test_an_emulated_radars_scene_takes_a_body_and_its_place() -> None:
         "centre": "0.004,-0.002",
         "elevation": "5cm",
     }
-    source = emulated_scene("container-90", options)
+    source = turning_scene(SceneSpec.from_url("container-90", options))
     assert isinstance(source, TurningScene)
     expected = TurningScene(
         scene_on_body("container-90", parse_body("can:35mm"), ReflectorSpec()),
@@ -506,8 +510,41 @@ def test_an_emulated_radars_scene_takes_a_body_and_its_place() -> None:
         {"handle": "1"},
     ):
         with pytest.raises(UsageError) as error:
-            emulated_scene("container-90", wrong)
+            turning_scene(SceneSpec.from_url("container-90", wrong))
         assert error.value.remedy
+
+
+def test_command_line_url_and_api_request_one_scene() -> None:
+    url = {"rotation": "30", "centre": "0.004,-0.002", "rpm": "7", "body": "can:35mm", "budget": "1"}
+    spec = SceneSpec("mine", rotation=30, centre=(0.004, -0.002), rpm=7, body="can:35mm", budget=True)
+    typed = SceneOptions(rotation=30, centre="0.004,-0.002", body="can:35mm")
+    assert SceneSpec.from_url("mine", url) == typed.spec(scene="mine", rpm=7, budget=True) == spec
+    for option in inspect.signature(SceneOptions).parameters.values():
+        if option.name != "centre":
+            assert option.default == getattr(SceneSpec("mine"), option.name)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"scene": "can", "response": Path("r.npz")},
+        {"scene": "can", "polarisation": "H"},
+        {"response": Path("r.npz"), "budget": True},
+        {"scene": "can", "unlike": 3.0},
+        {"scene": "can", "reflector": "octahedron", "unlike": float("nan")},
+    ],
+)
+def test_options_of_a_scene_that_contradict_each_other(options: dict[str, Any]) -> None:
+    with pytest.raises(UsageError) as error:
+        SceneSpec(**options)
+    assert error.value.remedy
+
+
+@pytest.mark.parametrize("text", ["1", "1,2,3", "a,b", "0,nan", "inf,0", ""])
+def test_what_is_not_a_pair_of_numbers(text: str) -> None:
+    with pytest.raises(UsageError, match=r"--centre is .* not two numbers"):
+        parse_point("--centre", text)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import sys
 import typing
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -95,6 +95,7 @@ def command(
 ) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Register a function `(terminal, ...) -> Result` as a command with the common options added.
 
+    A parameter whose type is a dataclass stands for options declared as its fields.
     `formats` are the choices of --output: "human", "json" and, if the result has one, "csv".
     """
 
@@ -139,11 +140,9 @@ def _with_common_options(
     name: str, function: Callable[..., Result], formats: type[StrEnum]
 ) -> Callable[..., None]:
     hints = typing.get_type_hints(function, include_extras=True)
-    own = [
-        parameter.replace(annotation=hints[parameter.name])
-        for parameter in inspect.signature(function).parameters.values()
-        if parameter.name != "terminal"
-    ]
+    parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "terminal"]
+    own = [option for p in parameters for option in _options_of(p, hints[p.name])]
+    values = {p.name: hints[p.name] for p in parameters if is_dataclass(hints[p.name])}
     declared = {parameter.name: _declared(parameter) for parameter in own}
     output = Annotated[formats, typer.Option("--output", help=_OUTPUT_HELP)]  # type: ignore[valid-type]
     common = [
@@ -160,9 +159,10 @@ def _with_common_options(
         terminal = Terminal(options.pop("output"), options.pop("quiet"), options.pop("verbose"))
 
         def work() -> Result:
-            return function(
-                terminal, **{key: _accepted(key, declared[key], value) for key, value in options.items()}
-            )
+            given = {key: _accepted(key, declared[key], value) for key, value in options.items()}
+            for key, kind in values.items():
+                given[key] = kind(**{item.name: given.pop(item.name) for item in fields(kind)})
+            return function(terminal, **given)
 
         result = execute(name, terminal, work)
         raise typer.Exit(result.exit_code)
@@ -170,6 +170,22 @@ def _with_common_options(
     run.__signature__ = inspect.Signature(own + common)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in own + common}
     return run
+
+
+def _options_of(parameter: inspect.Parameter, kind: Any) -> list[inspect.Parameter]:
+    """The options that a parameter stands for: itself, or the fields of a dataclass."""
+    if not is_dataclass(kind):
+        return [parameter.replace(annotation=kind)]
+    hints = typing.get_type_hints(kind, include_extras=True)
+    return [
+        inspect.Parameter(
+            item.name,
+            parameter.kind,
+            default=parameter.empty if item.default is MISSING else item.default,
+            annotation=hints[item.name],
+        )
+        for item in fields(kind)
+    ]
 
 
 def _declared(parameter: inspect.Parameter) -> OptionInfo | None:

@@ -6,24 +6,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from tagid.counting import counted
-from tagid.errors import EXIT_BATCH, EXIT_FAILED, EXIT_OK, EXIT_UNCERTAIN, UsageError
+from tagid.errors import EXIT_BATCH, EXIT_FAILED, EXIT_OK, EXIT_UNCERTAIN
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from tagid.pipeline.answer import Identification
     from tagid.pipeline.reconstruct import Reconstruction
-
-
-def parse_place(text: str | None, option: str = "--centre") -> tuple[float, float] | None:
-    """X,Y in metres of --centre or --side."""
-    if text is None:
-        return None
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise UsageError(f"{option} is {text!r}", f"Give X,Y in metres, such as {option} 0.5,2.") from None
-    return x, y
 
 
 def learned(result: Reconstruction) -> dict[str, Any]:

@@ -144,15 +144,6 @@ Reflector = Annotated[
     str | None,
     typer.Option("--reflector", help="Reflectors of the tag: octahedron:20mm.", show_default=False),
 ]
-Elevation = Annotated[
-    str,
-    typer.Option(
-        "--elevation", help="Height of the tag above the stated plane, e.g. 50mm; not stored in the capture."
-    ),
-]
-ObjectCentre = Annotated[
-    str, typer.Option("--centre", help="Offset of the object from the axis, X,Y in metres; up to 0.25.")
-]
 Seed = Annotated[int, typer.Option("--seed", help="Random seed.", min=0)]
 LayoutFile = Annotated[
     Path | None,

@@ -12,8 +12,8 @@ import typer
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.prompts import can_ask, read_line
-from tagid.cli.radar.device import open_configured, radar_url
-from tagid.config import Config, data_folder, load_config
+from tagid.cli.radar.device import open_configured
+from tagid.config import Config, data_folder, load_config, radar_url
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import DataError, StorageError, UsageError
 from tagid.result import Result

@@ -9,8 +9,8 @@ import typer
 
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
-from tagid.cli.radar.device import open_configured, radar_url
-from tagid.config import load_config
+from tagid.cli.radar.device import open_configured
+from tagid.config import load_config, radar_url
 from tagid.errors import UsageError
 from tagid.result import Result
 

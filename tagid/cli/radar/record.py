@@ -10,8 +10,8 @@ import typer
 from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
-from tagid.cli.radar.device import open_configured, radar_url
-from tagid.config import load_config
+from tagid.cli.radar.device import open_configured
+from tagid.config import load_config, radar_url
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.counting import counted
 from tagid.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
