@@ -13,7 +13,7 @@ from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.recording import Limits
+from tagid.cli.common.recording import Limits, demo_settings
 from tagid.cli.common.truth import truth_of, with_truth
 from tagid.config import load_config
 from tagid.errors import ConfigError, TagidError, UsageError
@@ -120,7 +120,7 @@ def register(app: typer.Typer) -> None:
         from tagid.metadata import ObjectInfo
         from tagid.operate.workplace import Workplace
 
-        about = ObjectInfo(note=note or None)
+        about = ObjectInfo(note=note or None, demo=demo or None)
         limits = Limits(scans, max_seconds)
         if not 1 <= repeat <= MAX_REPEAT:
             raise ConfigError(f"--repeat is {repeat}", f"Give 1 to {MAX_REPEAT}.")
@@ -141,22 +141,13 @@ def register(app: typer.Typer) -> None:
                 "Omit one of the two.",
             )
         shown = View(preview, subtract_body, live, until_sure)
-        if not demo:
-            config = load_config(overrides)
-            agree_to(config["motion.url"], yes)
-            about = with_truth(about, truth_of(config["radar.url"] or "", truth))
-            place = Workplace(config)
-            if levels is not None:
-                return scan_heights(terminal, place, limits, about, levels, Lift.of(place, yes))
-            return _scans(terminal, place, limits, about, shown, repeat)
-        from tagid.cli.common.demo import emulated_radar
-
-        with emulated_radar(demo_scene) as there:
-            place = Workplace({**overrides, **there.settings})
-            about = with_truth(replace(about, demo=True), there.object)
-            if levels is not None:
-                return scan_heights(terminal, place, limits, about, levels, Lift(there.place))
-            return _scans(terminal, place, limits, about, shown, repeat)
+        config = load_config(overrides | (demo_settings(demo_scene) if demo else {}))
+        agree_to(config["motion.url"], yes)
+        about = with_truth(about, truth_of(config["radar.url"] or "", truth))
+        place = Workplace(config)
+        if levels is not None:
+            return scan_heights(terminal, place, limits, about, levels, Lift.of(place, yes))
+        return _scans(terminal, place, limits, about, shown, repeat)
 
 
 def _scans(

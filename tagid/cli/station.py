@@ -14,6 +14,7 @@ import typer
 from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.frame import Output, Terminal, command
+from tagid.cli.common.recording import demo_settings
 from tagid.errors import MissingExtraError, UsageError
 from tagid.result import Result
 
@@ -63,9 +64,7 @@ def register(app: typer.Typer) -> None:
 
         with ExitStack() as stack:
             if demo:
-                from tagid.cli.common.demo import emulated_radar
-
-                overrides |= stack.enter_context(emulated_radar(demo_scene)).settings
+                overrides |= demo_settings(demo_scene)
             source = Source(lambda: Workplace(overrides), max_seconds, demo)
             source.place()
             work = Station(source)

@@ -202,44 +202,6 @@ def cgroup_killed(folder: Path) -> Outcome:
     return Outcome(figure, still and "--scope" in words)
 
 
-@attack(
-    "F20b",
-    "`scan --demo` killed: its emulator and its temporary folder",
-    before="emulator ended: False, left: 1",
-    test="tests/unit/test_processes.py::test_the_emulator_ends_with_a_killed_demo",
-)
-def killed_demo(folder: Path) -> Outcome:
-    place = folder / "tmp"
-    place.mkdir()
-    scan = subprocess.Popen(
-        [TAGID, "scan", "--demo", "-q"], cwd=folder, env={**os.environ, "TMPDIR": str(place)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    wait_for(lambda: bool(children_of(scan.pid)), 30)
-    time.sleep(5)
-    kids = children_of(scan.pid)
-    scan.kill()
-    scan.wait()
-
-    def gone() -> bool:
-        return not any("emulate" in words_of(kid) for kid in kids)
-
-    ended = wait_for(gone, 20)
-    for kid in kids:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(kid, signal.SIGKILL)
-    left = list(place.iterdir())
-    return Outcome(f"emulator ended: {ended}, left: {len(left)}", ended and not left and bool(kids))
-
-
-def words_of(pid: int) -> str:
-    """Command line of a process; empty if it has ended."""
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_text()
-    except OSError:
-        return ""
-
-
 class Proxy:
     """A serial proxy that prints a robot's log between its packets and loses one byte in 400."""
 

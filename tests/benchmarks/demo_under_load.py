@@ -2,9 +2,9 @@
 
     python tests/benchmarks/demo_under_load.py --runs 20
 
-Ten processes keep the cores busy while `tagid scan --demo` runs, which emulates its radar over UDP in real
-time. Exit code, answer and seconds of each run are printed. The exit code is 1 where fewer than --aim percent
-name the object. With --log, a run goes on where an earlier one ended.
+Ten processes keep the cores busy while `tagid scan --demo` runs, which emulates its radar in real time. Exit
+code, answer and seconds of each run are printed. The exit code is 1 where fewer than --aim percent name the
+object. With --log, a run goes on where an earlier one ended.
 """
 
 from __future__ import annotations

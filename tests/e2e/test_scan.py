@@ -177,3 +177,6 @@ def test_the_demo(home: dict[str, str], tmp_path: Path) -> None:
     assert done.returncode == 0, document
     assert document["data"]["items"][0]["layout"] == "container-90"
     assert "scans" in done.stderr
+    shown = read_any(Path(document["data"]["files"]["capture"])).object
+    assert shown.demo and shown.scene == "container-90"
+    assert shown.truth is not None and shown.truth.centre_m == (0.005, -0.003)

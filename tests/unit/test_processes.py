@@ -108,37 +108,6 @@ guard.release(farewell=False)
         assert owned(hostile) == []
 
 
-def test_the_emulator_ends_with_a_killed_demo(tmp_path: Path) -> None:
-    code = """
-import time
-from tagid.cli.common.demo import emulated_radar
-from tagid import processes
-started = []
-start = processes.start
-processes.start = lambda *words, **more: started.append(start(*words, **more)) or started[-1]
-with emulated_radar("helmet-120") as emulated:
-    emulated.place(0.25)
-    print(started[0].pid, flush=True)
-    time.sleep(60)
-"""
-    (tmp_path / "tmp").mkdir()
-    demo = subprocess.Popen(
-        [sys.executable, "-c", code],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "TMPDIR": str(tmp_path / "tmp")},
-    )
-    assert demo.stdout is not None
-    emulator = int(demo.stdout.readline())
-    demo.kill()
-    demo.communicate()
-    deadline = time.monotonic() + 10
-    while Path(f"/proc/{emulator}").exists() and "Z" not in state(emulator):
-        assert time.monotonic() < deadline, "the emulator outlives its demo"
-        time.sleep(0.02)
-    assert list((tmp_path / "tmp").iterdir()) == []
-
-
 def state(pid: int) -> str:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]

@@ -1,4 +1,4 @@
-"""The truth of an emulated scene, for its capture: from the emulator's file, its URL, or the demo."""
+"""The truth of an emulated scene, for its capture: from the emulator's file or its URL."""
 
 from __future__ import annotations
 
