@@ -304,8 +304,8 @@ def radar_url(config: Config) -> str:
         raise ConfigError(
             "no radar is configured",
             "Set `radar.url` to udp://192.168.1.100 or serial:///dev/ttyACM0 (--radar), or store it with "
-            "`tagid config set radar.url URL`. `tagid radar find` looks for radars; `tagid scan --demo` shows a "
-            "scan without one.",
+            "`tagid config set radar.url URL`. `tagid radar find` looks for radars, and "
+            "`tagid scan --demo` shows a scan without one.",
         )
     return str(config["radar.url"])
 

@@ -7,7 +7,6 @@ end.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,12 +67,10 @@ class Lift:
     """How the antenna gets to a height.
 
     Attributes:
-        place: moves it, m; None: the operator does, and confirms it on the terminal.
-        asks: whether the operator is asked; with --yes the antenna is taken to be there.
+        asks: whether the operator, who moves it, is asked; with --yes the antenna is taken to be there.
         emulated: the radar is an emulator of this program, whose URL states the height.
     """
 
-    place: Callable[[float], None] | None = None
     asks: bool = False
     emulated: bool = False
 
@@ -98,9 +95,7 @@ class Lift:
         """Move the antenna, or have it moved; returns the radar's URL. Raises CaptureInterrupted."""
         if self.emulated:
             return f"{url}{'&' if '?' in url else '?'}antenna_height={height_m!r}"
-        if self.place is not None:
-            self.place(height_m)
-        elif self.asks:
+        if self.asks:
             text = f"{which}: move the antenna to {height_m:.3f} m above the object's plane. Is it there?"
             if not confirm(text, default=True):
                 raise CaptureInterrupted(f"stopped before {which.lower()}")
