@@ -43,12 +43,12 @@ if TYPE_CHECKING:
     from tagid.metadata import Standstill as Standstill
     from tagid.metadata import Track as Track
     from tagid.motion.device import Motion as Motion
-    from tagid.pipeline.answer import Cause as Cause
-    from tagid.pipeline.answer import Identification as Identification
     from tagid.operate.turn import Answer as Answer
     from tagid.operate.turn import ReadingSetup as ReadingSetup
     from tagid.operate.turn import identify as identify
     from tagid.operate.workplace import Workplace as Workplace
+    from tagid.pipeline.answer import Cause as Cause
+    from tagid.pipeline.answer import Identification as Identification
     from tagid.pipeline.load import LoadDefault as LoadDefault
     from tagid.pipeline.load import LoadSettings as LoadSettings
     from tagid.pipeline.load import load_capture as load_capture

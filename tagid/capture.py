@@ -195,12 +195,12 @@ class Capture:
         if self.angles_rad is None:
             raise DataError(
                 "the capture holds no angles",
-                "Specify the motion: --motion free (period from the data) or --motion 'free?rpm=2'.",
+                "Specify the motion: `motion.url=free` (period from the data) or `motion.url=free?rpm=2`.",
             )
         if self.axis_distance_m is None:
             raise DataError(
                 "the distance from the radar to the rotation axis is unknown",
-                "Give it with --axis-distance METRES.",
+                "Give it with `motion.axis_distance_m=METRES`.",
             )
         return Aperture.turntable(
             self.angles_rad, self.axis_distance_m, self.antenna_height_m, self.antenna_separation_m

@@ -59,7 +59,7 @@ def _versions() -> list[Finding]:
     names = [*_PACKAGES, *([_EXTRA] if importlib.util.find_spec(_EXTRA) is not None else [])]
     found = ", ".join(f"{name} {metadata.version(name)}" for name in names)
     if _EXTRA not in names:
-        found += f"; without {_EXTRA}: no MATLAB files, no `layouts reflector --rcs`"
+        found += f"; without {_EXTRA}: no MATLAB files, no `tagid layouts reflector --rcs`"
     return [
         Finding("tagid", "ok", f"{__version__} on Python {platform.python_version()}, {platform.system()}"),
         Finding("packages", "ok", found),
@@ -150,8 +150,8 @@ def _system() -> list[Finding]:
         service = Finding("service", "ok", f"{home / unit.name}")
     else:
         remedy = (
-            f"To start the station at login: mkdir -p {home} && cp {unit} {home}/ && "
-            "systemctl --user enable --now tagid-station"
+            f"To start the station at login: `mkdir -p {home} && cp {unit} {home}/ && "
+            "systemctl --user enable --now tagid-station`"
         )
         service = Finding(
             "service", "ok", "no systemd unit, needed to start the station automatically", remedy
@@ -161,8 +161,8 @@ def _system() -> list[Finding]:
 
 def _install_rule(rule: Path) -> str:
     return (
-        f"To install it: sudo cp {rule} /etc/udev/rules.d/ && sudo udevadm control --reload && "
-        "sudo udevadm trigger"
+        f"To install it: `sudo cp {rule} /etc/udev/rules.d/ && sudo udevadm control --reload && "
+        "sudo udevadm trigger`"
     )
 
 

@@ -393,7 +393,7 @@ class Track(JsonValue):
                 dict(values.get("info") or {}),
             )
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError):
-            raise DataError("the capture's motion track is damaged", "Use --motion free.") from None
+            raise DataError("the capture's motion track is damaged", "Use `motion.url=free`.") from None
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values."""

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,6 +23,23 @@ RESULT_VERSION = 1
 """Version of the JSON envelope; it changes only when a field changes its meaning or goes."""
 
 Status = Literal["success", "partial", "error"]
+_NAMED = re.compile(r"`([a-z][a-z0-9_]*(?:\.[a-z0-9_]+)?)(?:=([^`\s]+))?`")
+_PROSE = frozenset(
+    (
+        "advice",
+        "message",
+        "note",
+        "problem",
+        "reason",
+        "remark",
+        "remarks",
+        "remedy",
+        "steps",
+        "text",
+        "warnings",
+    )
+)
+"""Fields of documents that hold sentences of this program."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +69,31 @@ class Problem:
     def to_json(self) -> dict[str, str]:
         """Plain JSON values: {code, message, remedy}."""
         return {"code": self.code, "message": self.message, "remedy": self.remedy}
+
+
+def reworded(text: str, words: Callable[[str, str], str | None]) -> str:
+    """Text with the settings that it names as a front end offers them.
+
+    Args:
+        text: names settings and arguments in backticks, as `name` or `name=value`.
+        words: for a name and its value, "" without one; None leaves them as they are.
+    """
+    return _NAMED.sub(lambda match: words(match[1], match[2] or "") or match[0], text)
+
+
+def reworded_document(value: Any, words: Callable[[str], str], prose: bool = False) -> Any:
+    """A JSON document with its sentences in other words; names, labels and files stay.
+
+    Args:
+        value: the document, or a part of it.
+        words: for a text.
+        prose: whether the part holds sentences.
+    """
+    if isinstance(value, dict):
+        return {key: reworded_document(item, words, key in _PROSE) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [reworded_document(item, words, prose) for item in value]
+    return words(value) if prose and isinstance(value, str) else value
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,7 @@ def _refuse_step(times_s: Floats, arrivals_s: Floats) -> None:
         raise DataError(
             f"this computer's clock was set by about {step:+.1f} s during the recording: the measured angles "
             "cannot be assigned to the scans",
-            "Use the period from the scans: --motion free.",
+            "Use the period from the scans: `motion.url=free`.",
         )
 
 
@@ -133,7 +133,7 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
     if len(track) < 2:
         raise DataError(
             f"the motion gave {len(track)} readings: the angles are unknown",
-            "Use the period from the scans: --motion free.",
+            "Use the period from the scans: `motion.url=free`.",
         )
     zero = int(host_time_ns[0])
     arrivals = np.asarray((host_time_ns - zero) * 1e-9, dtype=np.float64)

@@ -112,7 +112,7 @@ def average_into_views(capture: Capture, views: int) -> Capture:
     if capture.angles_rad is None:
         raise DataError(
             "views cannot be averaged: the capture holds no angles",
-            "Resolve the angles first: --motion free.",
+            "Resolve the angles first: `motion.url=free`.",
         )
     if views < 1:
         raise UsageError(f"{views} views per turn", "Give 1 or more.")

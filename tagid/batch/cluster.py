@@ -52,7 +52,7 @@ def run_cluster(tasks: Tasks, job: Job, address: str, verbose: bool = False) -> 
         import distributed
     except ImportError:
         raise MissingExtraError(
-            "--dask needs distributed, which is not installed",
+            "`dask` needs distributed, which is not installed",
             "Install it with `pip install 'tagid[cluster]'`.",
         ) from None
     if not verbose:
@@ -233,7 +233,7 @@ class _Cluster:
                 if killed.args[0] == shared.key and alone:
                     raise ClusterError(
                         f"the workers at {self._address} die before they work on a file",
-                        "Their log tells why. Finished items are kept: add --resume.",
+                        "Their log tells why. Finished items are kept: add `resume`.",
                     ) from killed
                 if killed.args[0] == shared.key and self._shared is shared:
                     self.share(self._job)
@@ -258,13 +258,13 @@ class _Cluster:
         return ClusterError(
             f"the cluster at {self._address} has no workers",
             f"Start some with `dask worker {self._address} --nthreads 1`; finished items are kept, "
-            "add --resume.",
+            "add `resume`.",
         )
 
     def _gone(self, how: str = "") -> ClusterError:
         return ClusterError(
             f"the connection to the Dask scheduler at {self._address} was lost{how}",
-            "Finished items are kept: start the cluster again and add --resume.",
+            "Finished items are kept: start the cluster again and add `resume`.",
         )
 
 

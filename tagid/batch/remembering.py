@@ -86,7 +86,7 @@ class Remembering:
             what = counted(self._missed, "answer") if self._missed else "answers of an earlier run"
             lines.append(
                 f"not stored in the history: {what}: {self._error.message}. {self._error.remedy} "
-                "Then add --resume."
+                "Then add `resume`."
             )
         if self._foreign:
             lines.append(

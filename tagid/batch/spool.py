@@ -23,11 +23,11 @@ _SCHEMA = Schema(
     what="working file",
     application_id=0x74616773,  # "tags"
     migrations=(),
-    restore="Remove the file (--resume then finds no results), or choose another --out.",
+    restore="Remove the file (`resume` then finds no results), or choose another `out`.",
     error=StorageError,
-    move="choose another --out",
-    busy="Another tagid report is writing it: wait for it, or choose another --out.",
-    room="and add --resume: the results so far are kept",
+    move="choose another `out`",
+    busy="Another tagid report is writing it: wait for it, or choose another `out`.",
+    room="and add `resume`: the results so far are kept",
 )
 _FINAL = "(status <> 'failed' OR json_extract(record, '$.error.code') IN ('bad_file', 'bad_data'))"
 """Answers that the same content always produces; other failures, such as a lost worker, are retried."""
@@ -74,7 +74,7 @@ class Spool:
         owner = int(db.execute("PRAGMA application_id").fetchone()[0])
         version = int(db.execute("PRAGMA user_version").fetchone()[0])
         if owner not in (0, _SCHEMA.application_id):
-            raise StorageError(f"{self.path} belongs to another program", "Choose another --out.")
+            raise StorageError(f"{self.path} belongs to another program", "Choose another `out`.")
         check_objects(db, self.path, _SCHEMA)
         if fresh or version != _VERSION:
             for table in ("item", "kept"):

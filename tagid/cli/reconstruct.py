@@ -124,6 +124,7 @@ def register(app: typer.Typer) -> None:
 
         from tagid.cli.common import imaging
         from tagid.imaging.ats.options import parse_calibrate, parse_settings
+        from tagid.imaging.autofocus import BEYOND_SEARCH
         from tagid.operate.turn import draw_image_of
         from tagid.operate.words import SUBTRACTED, learned_words
         from tagid.operate.workplace import Workplace
@@ -221,6 +222,8 @@ def register(app: typer.Typer) -> None:
         where = "" if distance is None else f", axis at {distance:.3f} m"
         lines.append(Text(f"{result.method} image of {counted(result.views, 'view')} in {took:.2f} s{where}"))
         lines += [Text(line) for line in learned_words(result)]
+        if result.focus is not None and result.focus.reason == BEYOND_SEARCH:
+            lines.append(Text("--axis-search METRES searches farther"))
         if subtract_body:
             lines.append(Text(SUBTRACTED[subtracted]))
         lines += [Text(f"{name} {path}") for name, path in (("image", out), ("picture", png)) if path]

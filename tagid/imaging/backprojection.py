@@ -47,7 +47,7 @@ def backproject(scans: BasebandScans, grid: ImageGrid) -> Image:
     require_memory(
         40 * pixels + 24 * min(views * scans.samples.shape[1] * upsampling(scans), _VALUES_PER_BLOCK),
         f"backprojections of {views} views to {grid.pixels} x {grid.pixels} pixels",
-        "Use fewer pixels (--pixels).",
+        "Use fewer pixels (`imaging.pixels`).",
     )
     points = grid.points
     total = np.zeros(len(points), dtype=np.complex64)

@@ -53,7 +53,7 @@ def range_doppler(scans: BasebandScans, grid: ImageGrid, cells: float = 1.0) -> 
     require_memory(
         24 * values_held + 120 * len(centred),
         f"range-Doppler images of {scans.aperture.views} views, {grid.pixels} x {grid.pixels} pixels",
-        "Use fewer views or pixels (--pixels), or --method bp.",
+        "Use fewer views or pixels (`imaging.pixels`), or `imaging.method=bp`.",
     )
     power = np.zeros(len(centred))
     weight = 0
@@ -102,7 +102,7 @@ def polar_format(scans: BasebandScans, grid: ImageGrid) -> Image:
     require_memory(
         64 * size**2 + 64 * kx.size + 32 * size * grid.pixels,
         f"polar format spectra of {size} x {size} samples for {grid.extent:g} m",
-        "Image a smaller square (--extent), or use --method bp.",
+        "Image a smaller square (`imaging.extent_m`), or use `imaging.method=bp`.",
     )
     cartesian = _gridded(kx / spacing, ky / spacing, spectrum * weight, size)
     # image(p) = sum over cells of F exp(-j K.p) at the pixels; the bilinear spread is divided out.
@@ -122,7 +122,7 @@ def _polar(scans: BasebandScans) -> tuple[Floats, Floats]:
     if float(across.min()) < scans.range_step_m:
         raise DataError(
             "the antenna passes over the middle of the image, where this method sees no side",
-            "Move the image with --centre X,Y, or use --method bp.",
+            "Move the image with `centre_m=X,Y`, or use `imaging.method=bp`.",
         )
     bearing = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
     return np.linalg.norm(offset, axis=1), bearing

@@ -71,9 +71,9 @@ def pixel_warning(extent_m: float, pixels: int, wavelength_m: float) -> str | No
         return None
     most = coarsest_pixel_m(wavelength_m)
     needed = math.ceil(extent_m / most)
-    more = f"{needed} --pixels or " if needed <= MOST_PIXELS else ""
+    more = f"`imaging.pixels={needed}` or " if needed <= MOST_PIXELS else ""
     return (
         f"pixels of {step * 1e3:.3g} mm are coarser than a quarter of the wavelength, "
         f"{wavelength_m / 4e-3:.3g} mm: points between them are lost; "
-        f"give {more}an --extent of up to {pixels * most:.2g} m"
+        f"give {more}an `imaging.extent_m` of up to {pixels * most:.2g} m"
     )

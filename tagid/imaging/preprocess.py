@@ -233,9 +233,9 @@ def _filter(samples: NDArray[Any], band: BandFilter, range_start_m: float) -> ND
 def outside_error(capture: Capture, what: str, at_m: float) -> DataError:
     """That the object, of which `what` is at a range of `at_m`, lies outside the recorded ranges."""
     first, last = capture.range_start_m, float(capture.ranges_m[-1])
-    remedy = "Correct the axis distance (--axis-distance METRES) or the radar's range window."
+    remedy = "Correct the axis distance (`motion.axis_distance_m=METRES`) or the radar's range window."
     if capture.antenna_positions_m is not None:
-        remedy = "Check that antenna_positions_m is in metres, and where the image is (--centre X,Y)."
+        remedy = "Check that antenna_positions_m is in metres, and where the image is (`centre_m=X,Y`)."
     return DataError(
         f"the recorded range is {first:.3f} to {last:.3f} m, the {what} is at {at_m:.3f} m: "
         "the object lies outside the data",

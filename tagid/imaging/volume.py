@@ -61,7 +61,7 @@ def backproject_volume(scans: BasebandScans, grid: VolumeGrid, progress: Progres
     require_memory(
         16 * grid.voxels + 24 * _VIEW_VALUES + 100 * _SLAB_VOXELS,
         f"backprojections to {grid.voxels:,} voxels",
-        "Use fewer pixels (--pixels) or levels (--levels).",
+        "Use fewer pixels (`imaging.pixels`) or levels (`levels`).",
     )
     per_level = grid.square.pixels**2
     rise = max(1, _SLAB_VOXELS // per_level)

@@ -43,7 +43,7 @@ MOST_SCALE_SIGMA = 0.035
 """Largest relative standard deviation of a device's angle scale: the calibration of early endings includes
 errors of 3 %, the slip of a calibrated robot. An uncalibrated robot (6 %) is corrected by the scans of a
 whole turn only."""
-_WHOLE = "--until-sure recorded the whole revolution"
+_WHOLE = "`until_sure` recorded the whole revolution"
 _PAUSE_S = 0.1
 _JOIN_S = 30.0
 
@@ -53,9 +53,10 @@ def check_angle_known(motion: Motion, motion_url: str | MotionUrl) -> None:
     if motion.measures or motion.nominal_s is not None:
         return
     raise ConfigError(
-        f"--until-sure needs the angle during the scan, but with the motion {motion_url} it is found in the "
+        f"`until_sure` needs the angle during the scan, but with the motion {motion_url} it is found in the "
         "scans after the turn",
-        "Give the speed (--motion 'free?rpm=2'), use a device that measures its angle, or omit --until-sure.",
+        "Give the speed (`motion.url=free?rpm=2`), use a device that measures its angle, or omit "
+        "`until_sure`.",
     )
 
 

@@ -261,5 +261,5 @@ class DrivenMotion(ABC):
         """Not possible from scans: the angles are measured during recording. Raises DataError."""
         raise DataError(
             f"the angles of {self.name} are measured while recording; this capture holds none",
-            "Take the period from the scans: --motion free, or 'free?rpm=...'.",
+            "Take the period from the scans: `motion.url=free`, or `motion.url=free?rpm=RPM`.",
         )

@@ -147,7 +147,7 @@ class FreeTurntable:
             raise MotionStoppedError(
                 f"nothing turns: the scans of {elapsed:.0f} s differ by noise only",
                 "Switch the table on; check that the antennas point at the object. If the object looks "
-                "the same from all sides, give the speed: --motion 'free?rpm=...'.",
+                "the same from all sides, give the speed: `motion.url=free?rpm=RPM`.",
             )
         every = -(-len(times_s) // MAX_SEARCH_SCANS)
         try:

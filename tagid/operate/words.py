@@ -194,8 +194,6 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
     """The result of the axis-distance search, with its evidence if it was not used."""
     if focus is None or focus.axis_distance_m is None:
         return []
-    from tagid.imaging.autofocus import BEYOND_SEARCH
-
     if focus.reliable:
         return [
             f"axis distance {focus.axis_distance_m:.4f} m, {focus.offset_m * 1e3:+.1f} mm from the given "
@@ -208,8 +206,6 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
             f"best estimate of the axis distance {focus.best_m:.4f} m, evidence {focus.evidence:.1f} of "
             f"{focus.needed:.1f} needed"
         )
-    if focus.reason == BEYOND_SEARCH:
-        lines.append("--axis-search METRES searches farther")
     return lines
 
 

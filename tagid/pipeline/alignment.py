@@ -78,7 +78,7 @@ def aligned(captures: Sequence[Capture], extent_m: float = 0.4) -> tuple[list[Ca
         if capture.angles_rad is None:
             raise DataError(
                 f"capture {number} has antenna positions instead of angles, so it cannot be rotated",
-                "Join it without --align.",
+                "Join it without `align`.",
             )
     images = [_polar(capture, extent_m) for capture in captures]
     rivals, likeness = [[0.0]], [1.0]
@@ -90,7 +90,7 @@ def aligned(captures: Sequence[Capture], extent_m: float = 0.4) -> tuple[list[Ca
             raise DataError(
                 f"the rotation of capture {number + 1} relative to the one before cannot be determined from "
                 f"the scans (correlation {likeness[-1]:.2f}, {LEAST_LIKENESS:.2f} needed)",
-                "If every capture states the same angle for the same pose, join them without --align.",
+                "If every capture states the same angle for the same pose, join them without `align`.",
             )
         rivals.append(_peaks(correlation))
     turns = [0.0]

@@ -127,9 +127,10 @@ def _of_the_turn(capture: Capture) -> list[Cause]:
     causes = []
     if told := speed_contradiction(resolved):
         assert resolved is not None
-        speeds = one_of([f"--motion 'free?rpm={rpm:.3g}'" for rpm in resolved.shown_rpms])
+        speeds = one_of([f"`motion.url=free?rpm={rpm:.3g}`" for rpm in resolved.shown_rpms])
         remedy = (
-            f"Read it again with {speeds}, or with --motion free, which estimates the speed from the scans."
+            f"Read it again with {speeds}, or with `motion.url=free`, which estimates the speed from the "
+            "scans."
         )
         if len(resolved.shown_rpms) > 1:
             remedy = f"Measure the time of a turn, and read it again with {speeds}."
@@ -166,7 +167,7 @@ def _of_the_axis(elsewhere: Elsewhere) -> list[Cause]:
                     f"with an axis distance of {best:.2f} m instead of {given:.2f} m the scans show "
                     f"{found.layout}",
                     "Measure the distance from the antennas to the rotation axis again; "
-                    f"--axis-distance {best:.2f} applies it to this recording.",
+                    f"`motion.axis_distance_m={best:.2f}` applies it to this recording.",
                 )
             ]
     return []

@@ -111,7 +111,7 @@ class SignatureProposal:
         return LayoutConflictError(
             f"object {self.signature.name} could be confused with {self.alike[0]}: "
             f"{self.likenesses[0].left:.1%} of its angle-dependent echo distinguishes them",
-            "Change its tag, remove the other, or override with --force; nothing was stored.",
+            "Change its tag, remove the other, or override with `force`; nothing was stored.",
         )
 
     def store(self, registry: Registry, source: str, force: bool = False) -> int:

@@ -66,7 +66,7 @@ def join(captures: Sequence[Capture]) -> Capture:
     if len(heights_of(joined)) < 2:
         raise DataError(
             f"all {len(captures)} captures were recorded at the same antenna height",
-            "Give captures from different heights, each recorded with its own --antenna-height.",
+            "Give captures from different heights, each recorded with its own `motion.antenna_height_m`.",
         )
     flags = [capture.flags for capture in captures]
     if all(each is not None for each in flags):

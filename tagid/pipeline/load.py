@@ -79,7 +79,7 @@ class LoadSettings:
                 FileFormatError if its file cannot be read.
         """
         if background not in BACKGROUNDS:
-            raise UsageError(f"--background is {background!r}", f"Use {', '.join(BACKGROUNDS)}.")
+            raise UsageError(f"`background` is {background!r}", f"Use {', '.join(BACKGROUNDS)}.")
 
         def default(name: str) -> LoadDefault:
             given = config.values[name]

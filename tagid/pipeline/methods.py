@@ -95,8 +95,8 @@ def make_image(
     if preset == "paper":
         if importlib.util.find_spec("torch") is None:
             raise MissingExtraError(
-                "--preset paper needs torch",
-                "Install it with `pip install 'tagid[ats]'`, or use --preset field.",
+                "`preset=paper` needs torch",
+                "Install it with `pip install 'tagid[ats]'`, or use `preset=field`.",
             )
         from tagid.imaging.ats.fit_paper import PaperSettings, fit_paper
 

@@ -132,7 +132,7 @@ def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
         if settings.focus_m:
             raise UsageError(
                 "the capture has antenna positions and no axis distance",
-                "Omit --axis-search; --delay-search sets the search for the path delay.",
+                "Omit `focus_m`; `delay_m` sets the search for the path delay.",
             )
         with watch.stage("focus"):
             region = choose_region(
@@ -150,13 +150,13 @@ def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
     if settings.centre_m is not None:
         raise UsageError(
             "images of a turntable are always centred on the rotation axis",
-            "Omit --centre, or give a larger --extent.",
+            "Omit `centre_m`, or give a larger `imaging.extent_m`.",
         )
     if settings.towards_m is not None or settings.delay_m:
         what = "side of its path" if settings.towards_m is not None else "path delay"
         raise UsageError(
             f"the capture is from a turntable, which has no {what}",
-            "Omit --side and --delay-search; --axis-search sets the search for the axis distance.",
+            "Omit `towards_m` and `delay_m`; `focus_m` sets the search for the axis distance.",
         )
     if settings.free_pixels:
         finest = finest_cell_m(prepared.given.wavelength_m)
@@ -290,7 +290,7 @@ def check_extent(capture: Capture, grid: ImageGrid) -> None:
         raise UsageError(
             f"an image of {grid.extent:g} m reaches beyond the recorded ranges, which end at "
             f"{capture.ranges_m[-1]:.3g} m",
-            f"Give an --extent of up to {2 * reach:.3g} m.",
+            f"Give an `imaging.extent_m` of up to {2 * reach:.3g} m.",
         )
 
 

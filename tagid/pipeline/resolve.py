@@ -70,7 +70,7 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
         if device.measures and capture.motion.not_resolved:
             raise DataError(
                 f"the measured angles were not assigned to the scans: {capture.motion.not_resolved}",
-                "Use the period from the scans: --motion free.",
+                "Use the period from the scans: `motion.url=free`.",
             )
         if device.nominal_s is not None:
             _check_speed(clock.period_s, device.nominal_s)

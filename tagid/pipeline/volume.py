@@ -160,7 +160,7 @@ def _make(
 
         return fit_volume(matched, unfiltered, grid, progress=progress)
     require_memory(
-        80 * grid.voxels, f"{grid.voxels:,} voxels of a fit", "Use fewer pixels (--pixels) or levels."
+        80 * grid.voxels, f"{grid.voxels:,} voxels of a fit", "Use fewer pixels (`imaging.pixels`) or levels."
     )
     return sparse_volume(unfiltered, grid, progress=progress)
 

@@ -71,7 +71,7 @@ class Setup:
         if not 0.05 <= self.distance_m <= 20:
             raise UsageError(f"the distance is {self.distance_m:g} m", "Give 0.05 to 20, in metres.")
         if self.enrolled and self.body.kind == "none":
-            raise UsageError("a bare tag has no body to enrol", "Give --body, or omit --enrolled.")
+            raise UsageError("a bare tag has no body to enrol", "Give `body`, or omit `enrolled`.")
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,7 @@ def invert(setup: Setup, rate: float) -> Wanted:
     Raises UsageError if the rate is not between 0 and 1.
     """
     if not 0 < rate < 1:
-        raise UsageError(f"--want is {rate:g}", "Give a rate between 0 and 1, e.g. 0.99.")
+        raise UsageError(f"`want` is {rate:g}", "Give a rate between 0 and 1, e.g. 0.99.")
     sizes = [replace(setup, reflector=replace(setup.reflector, size_m=size)) for size in SIZES_M]
     far = [replace(setup, distance_m=distance) for distance in reversed(DISTANCES_M)]
     fast = [replace(setup, budget=replace(setup.budget, integration=index)) for index in INDICES]

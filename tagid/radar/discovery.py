@@ -31,7 +31,7 @@ _MOST_ADDRESSES: Final = 64
 
 WHERE_TO_LOOK: Final = (
     "Check power (a P440 boots for 7 to 11 s) and cable. On Ethernet, give this computer 192.168.1.1/24 and "
-    "allow UDP port 21210 in the firewall. Other addresses: --address, or `tagid config set radar.addresses`."
+    "allow UDP port 21210 in the firewall. Other addresses: `radar.addresses`."
 )
 
 

@@ -184,7 +184,7 @@ def without_background(capture: Capture, reference: Capture) -> Capture:
     Unlike subtracting the mean over the angles, this keeps the rotationally symmetric echo of the object.
     """
     if np.iscomplexobj(capture.samples):
-        raise DataError("complex samples have no background reference", "Use --background mean.")
+        raise DataError("complex samples have no background reference", "Use `background=mean`.")
     samples = (capture.samples - reference_on(reference, capture)).astype(np.float32)
     name = ReferenceName(reference.uuid, reference.created_utc)
     return replace(capture, samples=samples, radar=replace(capture.radar, background_reference=name))
@@ -286,7 +286,7 @@ def _check_echo(
         times = [f"{found.time_ps(each) / 1e3:.2f} ns" for each in sorted((peak, rival))]
         raise DataError(
             f"two echoes of similar strength stand out, at {times[0]} and {times[1]}",
-            "Record the scene without the target first (--step both), or use a larger reflector.",
+            "Record the scene without the target first (`step=both`), or use a larger reflector.",
         )
     clip = target.radar.clip_counts
     sample = round(peak / _FINER)

@@ -140,7 +140,7 @@ def to_pdf(drawings: list[Drawing], paper: str) -> bytes:
     for drawing in drawings:
         tiles, size = page_tiles(drawing, paper)
         if len(sheets) + len(tiles) > MAX_PAGES:
-            raise UsageError(f"the template needs more than {MAX_PAGES} sheets", "Use a larger --paper.")
+            raise UsageError(f"the template needs more than {MAX_PAGES} sheets", "Use a larger `paper`.")
         for number, tile in enumerate(tiles, 1):
             joint = f", part {number} of {len(tiles)}: join at the corner marks" if len(tiles) > 1 else ""
             sheets.append(_sheet(drawing, tile, size, f"print at 100 %{joint}"))

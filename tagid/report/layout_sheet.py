@@ -102,7 +102,7 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
         )
     radius = (surface_radius_m if surface_radius_m is not None else float(radii.max())) * 1e3
     if not 5 <= radius <= 1500:
-        raise UsageError(f"the surface radius is {radius:.0f} mm", "Give metres, e.g. --surface-radius 0.11.")
+        raise UsageError(f"the surface radius is {radius:.0f} mm", "Give metres, e.g. `surface_radius=0.11`.")
     length = 2 * np.pi * radius
     heights = np.asarray(layout.heights) * 1e3
     low, high = float(heights.min()), float(heights.max())

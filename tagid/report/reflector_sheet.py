@@ -40,7 +40,7 @@ def check_size(size_m: float) -> None:
     if not low <= size_m <= high:
         raise UsageError(
             f"a reflector of {size_m * 1e3:g} mm from tip to tip",
-            f"Give {low * 1e3:g} to {high * 1e3:g}, in millimetres, e.g. --size 40.",
+            f"Give {low * 1e3:g} to {high * 1e3:g}, in millimetres, e.g. `size=40`.",
         )
 
 
@@ -204,7 +204,7 @@ def cross_section(size_m: float, frequencies: int = 7) -> CrossSection:
             raise
         raise MissingExtraError(
             "the radar cross-section is solved with scipy, which is not installed",
-            "Install it with `pip install 'tagid[science]'`, or omit --rcs.",
+            "Install it with `pip install 'tagid[science]'`, or omit `rcs`.",
         ) from None
     sweep = Sweep(3.1e9, 4.9e9, frequencies, _ASPECTS, (Ring(1.0, "V"), Ring(1.0, "H")))
     solved = solve_response("octahedron", shapes.closed_octahedron(size_m, _PIECES), sweep)

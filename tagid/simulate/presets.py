@@ -180,5 +180,5 @@ def scene_from_name(name: str, seed: int = 0, layouts: Mapping[str, Layout] | No
         return scene_from_layout(places, name, seed)
     raise UsageError(
         f"scene {name[:80]!r} is unknown",
-        f"Use one of {', '.join(preset_names(layouts))}, or give a designed layout with --file.",
+        f"Use one of {', '.join(preset_names(layouts))}, or give a designed layout with `file`.",
     )

@@ -209,7 +209,7 @@ class Response:
             held = many if len(heights) > 1 else f"the height {heights[0]:g} m"
             raise UsageError(
                 f"the antenna is {abs(height):.3f} m {side} the plane of {self.name}",
-                f"Its response holds {held} only: --antenna-height less --elevation must be that.",
+                f"Its response holds {held} only: `motion.antenna_height_m` less `elevation` must be that.",
             )
         by_distance = _lagrange(1 / distances, 1 / distance)
         by_height = _lagrange(heights, np.clip(z, heights[0], heights[-1]))

@@ -33,7 +33,7 @@ class ResponseFiles:
 
     def __post_init__(self) -> None:
         if self.reference_body is not None and self.reference is None:
-            raise UsageError("a reference body is given without a reference", "Add --snr-reference FILE.")
+            raise UsageError("a reference body is given without a reference", "Add `snr_reference=FILE`.")
 
     def scene(self, acquisition: Acquisition, seed: int = 0) -> Scene:
         """The object in a room drawn from the seed, scaled by the object if that exceeds its reference.

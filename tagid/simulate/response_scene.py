@@ -128,7 +128,7 @@ def _levels(
     shifted to where each of the object's reflectors is.
     """
     if reference is None:
-        return EchoLevels(1.0, 1.0, (), "the whole object, body included (--snr-reference takes another)")
+        return EchoLevels(1.0, 1.0, (), "the whole object, body included (`snr_reference` takes another)")
     name = reference.name + ("" if reference.difference else ", taken to have no body")
     count, own = len(reference.reflectors_m), response.reflectors_m
     if count == 0:

@@ -107,9 +107,9 @@ def parse_length(option: str, text: str) -> float:
 
 def parse_elevation(text: str) -> float:
     """Height of the tag above the plane stated in the capture, m, from `--elevation`. Raises UsageError."""
-    value = parse_length("--elevation", text)
+    value = parse_length("`elevation`", text)
     if abs(value) > MAX_ELEVATION_M:
-        raise UsageError(f"--elevation is {value:g} m", f"Give at most {MAX_ELEVATION_M:g} m up or down.")
+        raise UsageError(f"`elevation` is {value:g} m", f"Give at most {MAX_ELEVATION_M:g} m up or down.")
     return value
 
 
@@ -126,20 +126,20 @@ def parse_body(text: str) -> BodySpec:
     kind = _SYNONYMS.get(kind, kind)
     if kind not in SHAPES:
         raise UsageError(
-            f"--body: body {kind[:40]!r} is unknown",
-            f"Use {', '.join(SHAPES)} or none, e.g. --body can:35mm,handle.",
+            f"`body`: body {kind[:40]!r} is unknown",
+            f"Use {', '.join(SHAPES)} or none, e.g. `body=can:35mm,handle`.",
         )
     shape = SHAPES[kind]
     size = shape.default_m
     if colon:
-        size = parse_length(f"--body {kind}", size_text)
+        size = parse_length(f"`body={kind}`", size_text)
         _check(f"the {shape.size} of a {kind}", size, shape.least_m, shape.most_m)
     parts: list[str] = []
     lengths: dict[str, float] = {}
     for item in rest:
         key, equals, value = item.partition("=")
         if equals and key in shape.lengths and key not in lengths:
-            lengths[key] = parse_length(f"--body {kind},{key}", value)
+            lengths[key] = parse_length(f"`body={kind},{key}`", value)
             _check(f"the {key} of a {kind}", lengths[key], *shape.lengths[key])
         elif not equals and key in shape.parts and key not in parts:
             parts.append(key)
@@ -153,9 +153,9 @@ def parse_reflector(text: str) -> ReflectorSpec:
     kind, colon, size_text = text.strip().partition(":")
     if kind not in REFLECTORS:
         raise UsageError(
-            f"--reflector: reflector {kind[:40]!r} is unknown", "Use octahedron, e.g. octahedron:20mm."
+            f"`reflector`: reflector {kind[:40]!r} is unknown", "Use octahedron, e.g. octahedron:20mm."
         )
-    size = parse_length(f"--reflector {kind}", size_text) if colon else ReflectorSpec.size_m
+    size = parse_length(f"`reflector={kind}`", size_text) if colon else ReflectorSpec.size_m
     _check(f"the size of an {kind}", size, *REFLECTORS[kind])
     return ReflectorSpec(kind, size)
 
@@ -169,5 +169,5 @@ def _unknown_part(kind: str, item: str) -> NoReturn:
     shape = SHAPES[kind]
     known = [*shape.parts, *(f"{key}=LENGTH" for key in shape.lengths)]
     raise UsageError(
-        f"--body {kind}: {item[:40]!r} is unknown or given twice", f"Use {', '.join(known)}, each once."
+        f"`body={kind}`: {item[:40]!r} is unknown or given twice", f"Use {', '.join(known)}, each once."
     )

@@ -229,8 +229,11 @@ class Enrolling:
             self._state = replace(before, captures=left)
             self._measure()
 
-    def store(self) -> Stored:
+    def store(self, force: bool = False) -> Stored:
         """Enrol the object.
+
+        Args:
+            force: enrol it despite a conflict, and replace an entry of the same name.
 
         Raises:
             EnrolmentError: something disagrees, or captures are missing.
@@ -243,15 +246,14 @@ class Enrolling:
                 raise EnrolmentError(
                     "the object is not ready to be enrolled", "Record the captures that are missing."
                 )
-            if proposal.taken is not None:
-                raise proposal.taken
-            if proposal.conflict is not None:
-                raise proposal.conflict
+            error = proposal.taken or proposal.conflict
+            if error is not None and not force:
+                raise error
             source = f"station, {len(before.captures)} captures"
             if isinstance(proposal, LayoutProposal):
-                version = proposal.store(self._registry(), source).version
+                version = proposal.store(self._registry(), source, force).version
             else:
-                version = proposal.store(self._registry(), source)
+                version = proposal.store(self._registry(), source, force)
             done = Stored(before.subject.name, version, isinstance(proposal, LayoutProposal))
             self._state = EnrolmentState(stored=done)
             return done

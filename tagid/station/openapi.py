@@ -126,7 +126,7 @@ def _enrolment() -> dict[str, Any]:
             "post": _post("Start a scan whose capture is added to the enrolment", "Keyed", 202, "Started")
         },
         f"{place}/drop": act("Remove a capture from the enrolment; its file is kept", "Drop"),
-        f"{place}/store": act("Enrol the object"),
+        f"{place}/store": act("Enrol the object", "Store"),
         f"{place}/undo": act("Undo the last enrolment of the station"),
         f"{place}/cancel": act("End the enrolment without storing anything"),
         f"{place}/template.pdf": {
@@ -242,6 +242,7 @@ def _schemas() -> dict[str, Any]:
             "properties": {"number": whole, "key": key},
             "required": ["number"],
         },
+        "Store": {"type": "object", "properties": {"force": {"type": "boolean"}, "key": key}},
         "Subject": {
             "type": "object",
             "properties": {"name": text, "kind": {"enum": list(KINDS)}, "label": text, "key": key},

@@ -101,6 +101,14 @@ def key_of(asked: dict[str, Any]) -> str | None:
     return found
 
 
+def flag_of(asked: dict[str, Any], name: str) -> bool:
+    """Whether something is requested in a body; not without a value. Raises UsageError."""
+    found = asked.get(name, False)
+    if not isinstance(found, bool):
+        raise UsageError(f"{name} must be true or false")
+    return found
+
+
 def entries_of(numbers: Any) -> tuple[int, ...]:
     """Numbers of entries of the history. Raises UsageError."""
     right = isinstance(numbers, list) and all(
@@ -175,7 +183,8 @@ def refusal_of(error: Exception, place: str) -> Refusal:
         logging.getLogger("tagid").error("%.*s: %s: %s", _LOGGED, place, type(error).__name__, error)
         return Refusal(500, "failed", "the station failed to answer", "See its log for the reason.")
     status = next(code for kind, code in STATUSES if isinstance(shown, kind))
-    return Refusal(status, shown.code, shown.message, shown.remedy)
+    words = wire.in_page_words
+    return Refusal(status, shown.code, words(shown.message), words(shown.remedy))
 
 
 async def on_error(request: Request, error: Exception) -> Response:

@@ -368,6 +368,6 @@ def _listen(host: str, port: int) -> socket.socket:
             raise UsageError(f"{host} is not an address", "Give an IP address, e.g. 127.0.0.1.") from error
         raise PortInUseError(
             f"cannot listen on {host}:{port}: {error.strerror}",
-            "End the other program, or choose another port with --bind HOST:PORT.",
+            "End the other program, or choose another port with `bind=HOST:PORT`.",
         ) from error
     return found

@@ -14,7 +14,7 @@ from tagid.report.drafting import to_pdf
 from tagid.station import wire
 from tagid.station.enrolling import Subject
 from tagid.station.errors import NoSuchItemError
-from tagid.station.requests import as_json, attached, body, key_of, text_of
+from tagid.station.requests import as_json, attached, body, flag_of, key_of, text_of
 from tagid.station.station import Station
 from tagid.tags.layouts.layout import Layout
 
@@ -70,8 +70,10 @@ class EnrolmentHandlers:
         return self._answer()
 
     async def store(self, request: Request) -> Response:
-        self._station.operate(key_of(await body(request)))
-        await run_in_threadpool(self._station.enrolling.store)
+        asked = await body(request)
+        force = flag_of(asked, "force")
+        self._station.operate(key_of(asked))
+        await run_in_threadpool(self._station.enrolling.store, force)
         return self._answer()
 
     async def undo(self, request: Request) -> Response:

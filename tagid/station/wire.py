@@ -17,7 +17,7 @@ from tagid.pipeline.enrolment import LayoutProposal, SignatureProposal
 from tagid.pipeline.measuring import Measured
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.preview import resample
-from tagid.result import Problem
+from tagid.result import Problem, reworded, reworded_document
 from tagid.station.enrolling import NEEDED, EnrolmentState, Taken
 from tagid.station.reports import ReportRun
 from tagid.station.scans import ScanRun
@@ -28,6 +28,9 @@ SINOGRAM_DB = 30.0
 _SINOGRAM_ROWS, _SINOGRAM_COLUMNS = 120, 128
 _NEAREST = 6
 """Neighbours of a new layout that are shown."""
+
+_CONTROLS = {"force": "the button “Enrol it anyway”", "paper": "“Paper”", "since": "“Since”"}
+"""What the page offers for an argument that a remedy names."""
 
 Json = dict[str, Any]
 
@@ -230,7 +233,13 @@ def palette() -> str:
 
 def to_text(value: Json) -> str:
     """JSON text; numbers that are not finite become null."""
-    return json.dumps(_finite(value), allow_nan=False, separators=(",", ":"))
+    document = reworded_document(_finite(value), in_page_words)
+    return json.dumps(document, allow_nan=False, separators=(",", ":"))
+
+
+def in_page_words(text: str) -> str:
+    """Text that names the page's controls instead of arguments; settings stay, the page has none."""
+    return reworded(text, lambda name, _: _CONTROLS.get(name))
 
 
 def _finite(value: Any) -> Any:

@@ -281,7 +281,7 @@ class History:
                 raise StorageError(
                     f"the history {self.path} holds a damaged entry, number {row[0]}: {name} is "
                     f"{str(value)[:80]!r}",
-                    "Restore a backup, or leave the entry out with other filters (--since, --file, --limit).",
+                    "Restore a backup, or leave the entry out with other filters (`since`, `file`, `limit`).",
                 )
 
     def count(self, wanted: Filter | None = None) -> int:

@@ -72,9 +72,9 @@ def choose_node(path: Path, scans_of: dict[int, int], node: int | None) -> int:
     if node is None:
         raise UsageError(
             f"{path}: holds scans of {len(scans_of)} radars (nodes {shown})",
-            f"Choose one with --node, e.g. --node {min(scans_of)}.",
+            f"Choose one with `node`, e.g. `node={min(scans_of)}`.",
         )
-    raise UsageError(f"{path}: holds no scan of node {node}", f"It holds {shown}; choose one with --node.")
+    raise UsageError(f"{path}: holds no scan of node {node}", f"It holds {shown}; choose one with `node`.")
 
 
 def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: float) -> Capture:

@@ -108,7 +108,8 @@ def write_surface(path: Path, volume: GriddedVolume, level_db: float = SURFACE_D
     magnitude = np.abs(volume.values)
     if min(magnitude.shape) < 2:
         raise UsageError(
-            f"a volume of {magnitude.shape} voxels has no surface", "Use at least two --levels and --pixels."
+            f"a volume of {magnitude.shape} voxels has no surface",
+            "Use at least two `levels` and `imaging.pixels`.",
         )
     axis = volume.grid.square.axis
     # A frame of zeros closes the surface where the object reaches the volume's border.

@@ -104,7 +104,7 @@ def test_without_locks_it_is_read_and_not_written(history: History, tmp_path: Pa
     found = read(tmp_path, env={**os.environ, "LD_PRELOAD": str(library), "LOCKERR": str(code)})
     assert found[:2] == ["['uuid-1', 'uuid-0']", "4 4"]
     assert len(found) == 5
-    for line, remedy in zip(found[2:], ("TAGID_DATA", "TAGID_DATA", "--out"), strict=True):
+    for line, remedy in zip(found[2:], ("TAGID_DATA", "TAGID_DATA", "`out`"), strict=True):
         assert "has no locks" in line and remedy in line
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 

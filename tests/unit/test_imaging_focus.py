@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from imaging_scenes import BANDWIDTH, FC, C, record, turn
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.autofocus import MOST_SIGMA_WAVELENGTHS, focus_axis_distance
+from tagid.imaging.autofocus import BEYOND_SEARCH, MOST_SIGMA_WAVELENGTHS, focus_axis_distance
 from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, band_delays, explain, jackknife_error
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
@@ -20,6 +21,7 @@ from tagid.operate.words import focus_words
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
+from tagid.storage.hdf5 import write_capture
 
 GRID = ImageGrid(0.4, 64)
 POINTS = [(0.05, 0.03), (-0.04, 0.06)]
@@ -145,8 +147,8 @@ def test_the_search_is_made_once_for_a_prepared_capture() -> None:
     assert PreparedCapture(capture, replace(settings, focus_m=0.0)).focus() is None
 
 
-def test_a_distance_beyond_the_search_is_found_by_a_wider_one() -> None:
-    """1.2 wavelengths off; the words of a search that is too narrow name the option that widens it."""
+def test_a_distance_beyond_the_search_is_found_by_a_wider_one(tagid: Any, tmp_path: Path) -> None:
+    """1.2 wavelengths off; the command that can widen the search says so, and no other."""
     error = 1.2 * LAM
     capture = replace(
         record(POINTS, [1.0, 0.7], turn(120), noise=0.05, start_m=0.2, bins=220),
@@ -156,7 +158,10 @@ def test_a_distance_beyond_the_search_is_found_by_a_wider_one() -> None:
     settings = ImagingSettings(method="bp", extent_m=0.4, pixels=48, background="none", held_out=False)
     near = reconstruct(capture, settings, tell_outside=False).focus
     assert near is not None and not near.reliable
-    assert "--axis-search" in " ".join(focus_words(near))
+    assert near.reason == BEYOND_SEARCH and "--axis-search" not in " ".join(focus_words(near))
+    write_capture(tmp_path / "far.tagid.h5", capture)
+    words = ("--method", "bp", "--extent", 0.4, "--pixels", 48, "--background", "none", "--png", "a.png")
+    assert "--axis-search METRES searches farther" in tagid("reconstruct", "far.tagid.h5", *words).out
     far = reconstruct(capture, replace(settings, focus_m=1.9 * LAM), tell_outside=False).focus
     assert far is not None and far.reliable
     assert far.axis_distance_m == pytest.approx(1.0, abs=0.002)
@@ -174,4 +179,4 @@ def test_searches_of_paths_are_refused_for_a_turntable(change: dict[str, Any]) -
     positions = replace(capture, angles_rad=None, antenna_positions_m=turn(12).positions)
     with pytest.raises(UsageError, match="antenna positions") as raised:
         reconstruct(replace(positions, axis_distance_m=None), ImagingSettings(method="bp", focus_m=0.1))
-    assert "--delay-search" in raised.value.remedy
+    assert "`delay_m`" in raised.value.remedy

@@ -117,9 +117,9 @@ def test_lengths_of_a_p440_are_the_known_ones() -> None:
 def test_pixels_that_miss_points_are_warned_of() -> None:
     lam = VACUUM / 77e9
     assert pixel_warning(0.4, 512, lam) is None
-    assert "--pixels" not in str(pixel_warning(1.0, 512, lam))
+    assert "pixels=" not in str(pixel_warning(1.0, 512, lam))
     told = pixel_warning(0.8, 512, lam)
-    assert told is not None and "give 867 --pixels or an --extent of up to 0.47 m" in told
+    assert told is not None and "give `imaging.pixels=867` or an `imaging.extent_m` of up to 0.47 m" in told
     capture = capture_of(4e9, VACUUM)
     settings = ImagingSettings(method="bp", extent_m=1.0, pixels=32, background="none", held_out=False)
     assert "coarser" in reconstruct(capture, settings).image.settings["warnings"][0]

@@ -161,7 +161,7 @@ def test_what_is_wanted_is_reached_by_the_least_effort() -> None:
     for found in (wanted.plan, wanted.distance, wanted.integration):
         assert found is not None and found.rates.named.value >= 0.99 and found.margin_db > 0
     assert wanted.distance.setup.reflector == far.reflector
-    with pytest.raises(UsageError, match="--want"):
+    with pytest.raises(UsageError, match="`want`"):
         invert(far, 1.0)
 
 

@@ -125,6 +125,8 @@ def test_an_object_that_is_enrolled_already_is_refused(
     with pytest.raises(LayoutConflictError):
         enrolling.store()
     assert "twin" not in [layout.name for layout in registry.layouts()]
+    assert enrolling.store(force=True).name == "twin"
+    assert "twin" in [layout.name for layout in registry.layouts()]
 
 
 def test_an_object_that_was_not_moved_is_noticed(enrolling: Enrolling, captures) -> None:

@@ -70,7 +70,7 @@ def test_several_radars_are_told_apart(tmp_path: Path, samples) -> None:
     path = log(tmp_path / "a.csv", *lines)
     with pytest.raises(UsageError, match="101, 102") as caught:
         read_any(path)
-    assert "--node 101" in caught.value.remedy
+    assert "`node=101`" in caught.value.remedy
     with pytest.raises(UsageError, match="node 5"):
         read_any(path, node=5)
     for node, rows, pii, start in ((101, [1, 3, 5], 9, 10_000), (102, [0, 2, 4], 13, 20_000)):

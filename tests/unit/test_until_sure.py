@@ -166,7 +166,7 @@ def test_an_ending_whose_thread_dies_records_the_whole_turn_and_says_so(
     with EarlyEnding(settings(), CALIBRATION) as ending:
         capture = recorded(tmp_path / "x.tagid.h5", ending)
     assert capture.radar.ended == Ending("turn") and capture.complete
-    assert "--until-sure recorded the whole revolution: reading ahead stopped" in ending.remark
+    assert "`until_sure` recorded the whole revolution: reading ahead stopped" in ending.remark
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -337,7 +337,7 @@ def test_a_layout_that_the_reader_names_is_never_ruled_out_beforehand() -> None:
 
 
 def test_an_angle_that_is_found_in_the_scans_is_refused() -> None:
-    with pytest.raises(ConfigError, match="--until-sure needs the angle") as refused:
+    with pytest.raises(ConfigError, match="`until_sure` needs the angle") as refused:
         check_angle_known(open_motion("free"), "free")
     assert "rpm=2" in refused.value.remedy
     check_angle_known(open_motion(URL), URL)

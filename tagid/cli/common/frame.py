@@ -25,6 +25,7 @@ import typer
 from typer.models import OptionInfo
 
 from tagid import interrupts
+from tagid.cli.common.wording import result_in_options
 from tagid.errors import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -239,7 +240,7 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
 def _write(result: Result, output: str, quiet: bool = False) -> Result:
     """Render a result; returns it, or one that reports that its output could not be written."""
     try:
-        render(result, output, quiet)
+        render(result_in_options(result), output, quiet)
     except BrokenPipeError:  # its reader has read enough
         _drop_if_broken(sys.stdout)
     except OSError as error:

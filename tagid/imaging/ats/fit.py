@@ -456,7 +456,7 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
         return NativeEngine(start)
     if importlib.util.find_spec("torch" if name == "torch" else "onnxruntime") is None:
         raise MissingExtraError(
-            f"ATS with --engine {name} needs {'torch' if name == 'torch' else 'onnxruntime'}, "
+            f"ATS with `engine={name}` needs {'torch' if name == 'torch' else 'onnxruntime'}, "
             "which is not installed",
             "Install it with `pip install 'tagid[ats]'`." if name == "torch" else "Install tagid again.",
         )
@@ -495,7 +495,7 @@ def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> No
     require_memory(
         points * (views * per_pair + per_point + 8 * scans.aperture.views) + shadows,
         f"steps of {views} views and {grid.pixels} x {grid.pixels} pixels",
-        "Use fewer pixels (--pixels), or fewer views a step.",
+        "Use fewer pixels (`imaging.pixels`), or fewer views a step.",
     )
 
 

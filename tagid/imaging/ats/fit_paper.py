@@ -192,7 +192,7 @@ class _Fit:
         require_memory(
             views * each + _KEPT_BYTES,
             f"steps of the paper's method with {views} views of {points} points",
-            "Image a smaller square (--extent) or shorter scans, or use --preset field.",
+            "Image a smaller square (`imaging.extent_m`) or shorter scans, or use `preset=field`.",
         )
 
     def view(self, view: int) -> tuple[RaySamples, Any]:

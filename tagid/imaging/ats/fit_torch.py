@@ -101,7 +101,7 @@ def _device(name: str) -> Any:
     if device.type == "cuda" and not torch.cuda.is_available():
         raise UsageError(
             f"device {name} is not available to torch {torch.__version__}",
-            "Install a torch built for CUDA and its driver, or use --device cpu.",
+            "Install a torch built for CUDA and its driver, or use `device=cpu`.",
         )
     if device.type not in ("cpu", "cuda"):
         raise UsageError(f"device {name} is not supported", "Use cpu, cuda or cuda:N.")

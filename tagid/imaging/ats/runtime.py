@@ -72,7 +72,7 @@ class OnnxEngine:
         if (levels, hidden) != (LEVELS, HIDDEN):
             raise UsageError(
                 f"the shipped graph has {LEVELS} levels and {HIDDEN} hidden layers, not {levels}, {hidden}",
-                "Leave levels and hidden layers at their defaults, or use --engine torch.",
+                "Leave levels and hidden layers at their defaults, or use `engine=torch`.",
             )
         self._model = open_model(MODEL, threads)
         self._start = weights

@@ -135,7 +135,7 @@ class AtsSettings:
             if what not in CALIBRATIONS:
                 raise UsageError(f"ATS cannot learn {what!r}", f"Use {', '.join(CALIBRATIONS)}.")
         if self.device != "cpu" and self.engine == "onnx":
-            raise UsageError(f"--engine onnx does not run on {self.device}", "Use --engine torch.")
+            raise UsageError(f"`engine=onnx` does not run on {self.device}", "Use `engine=torch`.")
         for name, (low, high) in _BOUNDS.items():
             if not low <= getattr(self, name) <= high:
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", f"Give {low:g} to {high:g}.")

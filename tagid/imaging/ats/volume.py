@@ -149,7 +149,7 @@ class _Fit:
         require_memory(
             per_voxel * len(self.active) + 16 * grid.voxels,
             f"fits of {len(self.active):,} voxels",
-            "Use fewer pixels (--pixels) or levels (--levels).",
+            "Use fewer pixels (`imaging.pixels`) or levels (`levels`).",
         )
         rng = np.random.default_rng(settings.seed)
         views = scans.aperture.views

@@ -128,7 +128,7 @@ class Bridge:
             if self.info.protocol != PROTOCOL:
                 raise DeviceError(
                     f"{self!r} speaks protocol {self.info.protocol}, this tagid speaks {PROTOCOL}",
-                    "Install this version's firmware on it: `tagid-firmware build`, then `provision`.",
+                    "Install its firmware: run `tagid-firmware build` and `tagid-firmware provision`.",
                 )
             await self._pair()
             await self._client.start_notify(EVENT, self._event)

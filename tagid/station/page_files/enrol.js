@@ -34,17 +34,10 @@ function showEnrolment() {
   if (!subject) return;
   showCaptures(captures, needed, measuring);
   const words = trouble ? [element("p", `${trouble.message}.`)] : [];
-  if (trouble) words.push(element("p", captures.length < needed && captures.length > 1 ? "Go on with the next capture: it shows which one is wrong." : pageRemedy(trouble)));
+  if (trouble) words.push(element("p", captures.length < needed && captures.length > 1 ? "Go on with the next capture: it shows which one is wrong." : trouble.remedy));
   fill("trouble", JSON.stringify(trouble) + captures.length, words);
   fill("remarks", JSON.stringify(enrolment.remarks), enrolment.remarks.map((one) => element("li", one)));
   if (proposal) showProposal(subject, captures, proposal);
-}
-
-// The command's remedies name its options; the page has other ways.
-function pageRemedy(error) {
-  if (error.code === "layout_conflict") return "Move a reflector of the object, and record it again.";
-  if (error.code === "registry") return "Enter another name above.";
-  return error.remedy;
 }
 
 function fill(id, shown, nodes) {
@@ -112,7 +105,10 @@ function showProposal(subject, captures, proposal) {
   const rate = proposal.confusion_rate;
   setText("confusion", rate === null ? "" : `Expected wrong names at ${proposal.reference.views} views and ${proposal.reference.snr_db} dB: ${rate < 1e-12 ? "fewer than 1 in 10¹²" : rate.toExponential(0)} of readings.`);
   setText("store", `Enrol ${subject.name}`);
-  $("store").disabled = !mayAct() || running || enrolment.measuring || !proposal.ready;
+  const busy = !mayAct() || running || enrolment.measuring;
+  $("store").disabled = busy || !proposal.ready;
+  $("store-anyway").hidden = proposal.ready;
+  $("store-anyway").disabled = busy;
 }
 
 // Seen from above, x to the right and y up, as in layout files; 1 unit is what fits the outermost on 90.
@@ -168,7 +164,9 @@ $("subject-form").addEventListener("submit", async (event) => {
   received(found);
 });
 $("capture").addEventListener("click", () => (running ? send({ type: "stop" }) : post("enrolment/capture", {})));
-$("store").addEventListener("click", () => post("enrolment/store", {}).then((found) => { received(found); loadLayouts(); }));
+const store = (values) => post("enrolment/store", values).then((found) => { received(found); loadLayouts(); });
+$("store").addEventListener("click", () => store({}));
+$("store-anyway").addEventListener("click", () => store({ force: true }));
 $("undo").addEventListener("click", () => post("enrolment/undo", {}).then((found) => { received(found); loadLayouts(); }));
 $("cancel").addEventListener("click", () => post("enrolment/cancel", {}).then(received));
 $("template-form").addEventListener("submit", (event) => event.preventDefault());

@@ -41,7 +41,7 @@ def alternatives(
     count: int,
     enrolled: Sequence[Layout] = (),
 ) -> list[str]:
-    """Options that lead to a set which can be enrolled, e.g. "--rows 2" or "--count 4"; at most two.
+    """Settings that lead to a set which can be enrolled, e.g. "`rows=2`" or "`count=4`"; at most two.
 
     Args:
         target: the object with all its rows.
@@ -61,33 +61,33 @@ def alternatives(
 def _variations(
     target: TaggedObject, rows: int, rules: DesignRules, count: int
 ) -> Iterator[tuple[str, int, DesignRules, int]]:
-    """(options, rows, rules, count) to try: what keeps the number of layouts first."""
+    """(settings, rows, rules, count) to try: what keeps the number of layouts first."""
     for more in range(rows + 1, len(target.rows) + 1):
-        yield f"--rows {more}", more, rules, count
+        yield f"`rows={more}`", more, rules, count
     for slots in _MORE_SLOTS:
         if rules.slots < slots <= MAX_SLOTS:
-            yield f"--slots {slots}", rows, replace(rules, slots=slots), count
+            yield f"`slots={slots}`", rows, replace(rules, slots=slots), count
     for reflectors in (rules.reflectors + 1, rules.reflectors - 1):
         if 2 <= reflectors <= min(MAX_REFLECTORS, rules.slots):
-            yield f"--reflectors {reflectors}", rows, replace(rules, reflectors=reflectors), count
+            yield f"`reflectors={reflectors}`", rows, replace(rules, reflectors=reflectors), count
     for spacing in (0.06, 0.05, _LEAST_SPACING_M):
         if spacing < rules.spacing_m:
-            yield f"--spacing {spacing:g}", rows, replace(rules, spacing_m=spacing), count
+            yield f"`spacing={spacing:g}`", rows, replace(rules, spacing_m=spacing), count
     for fewer in range(count - 1, max(0, count - 12), -1):
-        yield f"--count {fewer}", rows, rules, fewer
+        yield f"`count={fewer}`", rows, rules, fewer
         if fewer == count // 2:
             break
     fewer = min(count // 2, max(count - 12, 0))
     while fewer:
-        yield f"--count {fewer}", rows, rules, fewer
+        yield f"`count={fewer}`", rows, rules, fewer
         fewer //= 2
-    # Several options together, for objects on which little fits.
+    # Several settings together, for objects on which little fits.
     least = replace(rules, spacing_m=min(rules.spacing_m, _LEAST_SPACING_M))
     for reflectors in range(rules.reflectors - 1, 1, -1):
         for number in dict.fromkeys((count, 1)):
-            words = [f"--reflectors {reflectors}"]
-            words += [f"--spacing {_LEAST_SPACING_M:g}"] * (least != rules)
-            words += [f"--count {number}"] * (number != count)
+            words = [f"`reflectors={reflectors}`"]
+            words += [f"`spacing={_LEAST_SPACING_M:g}`"] * (least != rules)
+            words += [f"`count={number}`"] * (number != count)
             yield " ".join(words), rows, replace(least, reflectors=reflectors), number
 
 

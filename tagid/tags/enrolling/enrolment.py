@@ -127,13 +127,13 @@ class Outlook:
                 f"{round(worst.distance.rotation_deg) % 360} degrees their reflectors are within "
                 f"{worst.distance.worst_m * 1e3:.1f} mm of each other",
                 f"Move a reflector so that at least one is {CONFUSABLE_M * 1e3:.0f} mm away, remove one, or "
-                "override with --force; nothing was stored.",
+                "override with `force`; nothing was stored.",
             )
         return LayoutConflictError(
             f"layout {self.layout.name} would be confused with {image}{worst.name} in "
             f"{worst.confusion_rate:.2g} of readings ({worst.distance.rms_m * 1e3:.1f} mm apart, positions "
             f"known to {self.layout.sigma_m * 1e3:.1f} mm); the limit is {MAX_CONFUSION:g}",
-            "Measure it on more captures, move a reflector, or override with --force; nothing was stored.",
+            "Measure it on more captures, move a reflector, or override with `force`; nothing was stored.",
         )
 
 
@@ -363,7 +363,7 @@ def check_merge(outlooks: Sequence[Outlook], enrolled: Sequence[Layout]) -> None
         if same is not None and same.to_dict() != one.layout.to_dict():
             raise LayoutConflictError(
                 f"a different layout named {same.name} is already enrolled",
-                "Rename one of them (a design: --prefix NAME), or import with --force; nothing was stored.",
+                "Rename one of them (a design: `prefix=NAME`), or import with `force`; nothing was stored.",
             )
     for one in reversed(outlooks):
         conflict = one.conflict()

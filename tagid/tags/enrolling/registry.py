@@ -499,11 +499,11 @@ class Registry:
                 raise ValueError(f"it belongs to the {signature.kind} {signature.name}")
             return signature
         except (ValueError, TagidError) as error:
-            group = "bodies --remove" if kind == "body" else "layouts --remove"
+            group = "bodies" if kind == "body" else "layouts"
             raise RegistryError(
                 f"{self.path} holds a damaged signature of the {kind} {name!r}: {str(error)[:200]}",
-                f"Remove it with `tagid {group} NAME` (its history stays) and enrol it again, go back with "
-                "`tagid layouts undo --to VERSION`, or restore a backup.",
+                f"Remove it with `tagid {group} --remove NAME` (its history stays) and enrol it again, "
+                "go back with `tagid layouts undo --to VERSION`, or restore a backup.",
             ) from None
 
     def _missing(self, name: str, kind: str = "layout") -> RegistryError:
@@ -535,7 +535,7 @@ def taken(key: Key, entries: Collection[Key]) -> RegistryError | None:
     return RegistryError(
         f"{_article(holder)} named {name} is already enrolled",
         f"Choose another name, remove it with `{_COMMANDS[holder][1].format(name)}`, "
-        "or replace it with --force.",
+        "or replace it with `force`.",
     )
 
 

@@ -79,7 +79,7 @@ class DesignRules:
                 f"{self.slots} slots for {self.reflectors} reflectors", f"Give up to {MAX_SLOTS} slots."
             )
         if not 0 <= self.seed < 1 << 63:
-            raise UsageError(f"the seed is {self.seed}", "Give a whole number from 0, e.g. --seed 1.")
+            raise UsageError(f"the seed is {self.seed}", "Give a whole number from 0, e.g. `seed=1`.")
         if not self.antenna_heights_m or not np.isfinite(self.antenna_heights_m).all():
             raise UsageError("the antenna heights are not finite numbers", "Give metres, e.g. 0,0.15,0.3.")
         if not (np.isfinite(self.axis_distance_m) and self.axis_distance_m > 0):
@@ -281,7 +281,7 @@ def distance_matrix(points: NDArray[np.float64], rules: DesignRules) -> NDArray[
     if n * n * factorial(k) > _MAX_PAIRINGS:
         raise UsageError(
             f"{n} candidate layouts of {k} reflectors are too many to compare",
-            "Reduce --slots, --reflectors or --rows, or increase --spacing.",
+            "Reduce `slots`, `reflectors` or `rows`, or increase `spacing`.",
         )
     straight = all_distances(points, rules.centre_tolerance_m)
     if rules.mirror_counts:

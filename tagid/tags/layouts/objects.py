@@ -71,7 +71,7 @@ class TaggedObject:
         """The same object with its first rows only. Raises UsageError if it has fewer."""
         if not 1 <= count <= len(self.rows):
             raise UsageError(
-                f"{self.name} has {len(self.rows)} rows, cannot use {count}", "Give fewer --rows."
+                f"{self.name} has {len(self.rows)} rows, cannot use {count}", "Give fewer `rows`."
             )
         return TaggedObject(self.name, self.kind, self.rows[:count], self.label)
 
@@ -94,6 +94,6 @@ def object_named(name: str) -> TaggedObject:
     if name not in objects:
         raise UsageError(
             f"unknown object {name[:80]!r}",
-            f"Use {', '.join(objects)}, or give your own with --radius METRES.",
+            f"Use {', '.join(objects)}, or give your own with `radius=METRES`.",
         )
     return objects[name]

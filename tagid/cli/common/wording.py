@@ -1,0 +1,71 @@
+"""Remedies in the words of the command line: its options instead of the settings that the library names."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from tagid.result import Problem, Result, reworded, reworded_document
+
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+
+_SAME = (
+    "align background bind body count dask device elevation engine enrolled file force levels limit node out"
+    " paper point prefix preset radius rcs reflector reflectors resume rows seed since size slots"
+    " snr_reference spacing step surface_radius until_sure want"
+)
+"""Arguments whose option has their name."""
+OPTIONS = {name: "--" + name.replace("_", "-") for name in _SAME.split()} | {
+    "centre_m": "--centre",
+    "delay_m": "--delay-search",
+    "focus_m": "--axis-search",
+    "imaging.extent_m": "--extent",
+    "imaging.method": "--method",
+    "imaging.pixels": "--pixels",
+    "motion.antenna_height_m": "--antenna-height",
+    "motion.axis_distance_m": "--axis-distance",
+    "motion.url": "--motion",
+    "radar.addresses": "--address, or `tagid config set radar.addresses`",
+    "towards_m": "--side",
+}
+"""Option of each setting or argument that an error or remedy of the library names."""
+
+
+def in_options(text: str) -> str:
+    """Text with options in the place of settings.
+
+    >>> in_options("Use `motion.url=free?rpm=2`, or override with `force`.")
+    "Use --motion 'free?rpm=2', or override with --force."
+    """
+    return reworded(text, _option)
+
+
+def _option(name: str, value: str) -> str | None:
+    option = OPTIONS.get(name)
+    return f"{option} {shlex.quote(value)}" if option and value else option
+
+
+def result_in_options(result: Result) -> Result:
+    """A result as the command line shows it, in text and in JSON."""
+    return replace(
+        result,
+        data=reworded_document(result.data, in_options),
+        human=None if result.human is None else _InOptions(result.human),
+        messages=tuple(map(in_options, result.messages)),
+        errors=tuple(Problem(e.code, in_options(e.message), in_options(e.remedy)) for e in result.errors),
+    )
+
+
+class _InOptions:
+    """Anything rich can draw, with options in its texts."""
+
+    def __init__(self, drawn: RenderableType) -> None:
+        self._drawn = drawn
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        from rich.segment import Segment
+
+        for segment in console.render(self._drawn, options):
+            yield segment if segment.control else Segment(in_options(segment.text), segment.style)
