@@ -15,6 +15,7 @@ from tagid.config import data_folder
 from tagid.station.server import Server
 from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.codebook import best_pairing
+from tagid.tags.layouts.layout import Layout
 
 
 def state(one: Server) -> dict[str, Any]:
@@ -53,12 +54,21 @@ def test_an_object_is_measured_stored_named_and_undone(serve, tmp_path: Path) ->
     assert best_pairing(measured, PLACES).worst_m < 2e-3
     assert client.get("/api/v1/enrolment/template.pdf?paper=a3").content.startswith(b"%PDF")
     assert client.get("/api/v1/enrolment/template.pdf?paper=../../etc").status == 400
+    # A conflict is told in the words of the page, and only a flag overrides it.
+    registry = Registry(data_folder() / "registry.sqlite")
+    registry.add(Layout("twin", PLACES), "another program")
+    trouble = client.post("/api/v1/enrolment", name="gate-4", kind="helmet").json()["trouble"]
+    refused = client.post("/api/v1/enrolment/store")
+    for error in (trouble, refused.json()["error"]):
+        assert error["code"] == "layout_conflict" and "force" not in error["remedy"]
+        assert "the button “Enrol it anyway”" in error["remedy"]
+    assert client.post("/api/v1/enrolment/store", force="yes").status == 400
+    registry.remove("twin")
     # A new name keeps the captures.
     assert client.post("/api/v1/enrolment", name="gate-5", kind="helmet").json()["proposal"]["ready"]
     stored = client.post("/api/v1/enrolment/store").json()["stored"]
     assert stored["name"] == "gate-5" and stored["has_layout"]
     assert "gate-5" in [layout["name"] for layout in client.get("/api/v1/layouts").json()["items"]]
-    registry = Registry(data_folder() / "registry.sqlite")
     assert registry.get("gate-5").kind == "helmet" and registry.version == stored["registry_version"]
     assert client.get("/api/v1/layouts/gate-5/template.pdf").content.startswith(b"%PDF")
     assert client.get("/api/v1/layouts/..%2fgate-5/template.pdf").status == 404

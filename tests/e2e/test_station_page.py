@@ -17,7 +17,7 @@ from chromium import size, start, theme, wait
 pytest.importorskip("starlette")
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from station_harness import ENDLESS, Asks, alone, own_object, poses
+from station_harness import ENDLESS, PLACES, Asks, alone, own_object, poses
 from station_harness import wait as until
 
 from tagid.config import data_folder
@@ -31,6 +31,8 @@ from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.station import live_socket, station
 from tagid.station.server import Server
 from tagid.storage.history import FILE_NAME, History
+from tagid.tags.enrolling.registry import Registry
+from tagid.tags.layouts.layout import Layout
 
 PIXELS = """
 const canvas = document.getElementById(arguments[0]);
@@ -302,7 +304,14 @@ def test_an_object_is_enrolled_by_keyboard_and_the_enrolment_undone(
     assert "3 reflectors" in text(browser, "measured-text") and "mm apart" in text(browser, "nearest")
     assert len(browser.find_elements(By.CSS_SELECTOR, "#plan circle")) == 3
     assert problems(browser) == []
-    by_keyboard(browser, "store")
+    assert not browser.find_element(By.ID, "store-anyway").is_displayed()
+    # Another program enrols its twin: the page refuses, and says which button overrides that.
+    Registry(data_folder() / "registry.sqlite").add(Layout("twin", PLACES), "another program")
+    browser.execute_script("$('subject-form').requestSubmit()")
+    wait(browser, lambda: "could be confused with twin" in text(browser, "trouble"))
+    assert "override with the button “Enrol it anyway”" in text(browser, "trouble")
+    assert not browser.find_element(By.ID, "store").is_enabled() and problems(browser) == []
+    by_keyboard(browser, "store-anyway")
     browser.switch_to.active_element.send_keys(Keys.ENTER)
     wait(browser, lambda: text(browser, "done-text").startswith("gate-4 is enrolled"))
     assert browser.find_element(By.ID, "done-template").get_attribute("href").endswith("gate-4/template.pdf")
