@@ -28,7 +28,7 @@ _MOST = 10**9
 """Largest limit of a query."""
 STATUSES = ("identified", "unknown", "ambiguous", "no_tag", "failed")
 
-_COLUMNS: dict[str, str] = {
+_FIRST_COLUMNS = {
     "time_utc": "TEXT NOT NULL",
     "file": "TEXT NOT NULL",
     "content_sha256": "TEXT",
@@ -51,6 +51,8 @@ _COLUMNS: dict[str, str] = {
     "error_code": "TEXT",
     "error_message": "TEXT",
 }
+_ADDED_COLUMNS = dict.fromkeys(("advice", "cause", "object_note"), "TEXT NOT NULL DEFAULT ''")
+_COLUMNS: dict[str, str] = _FIRST_COLUMNS | _ADDED_COLUMNS
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,9 @@ class Entry:
         total_s: processing time, s.
         reason: why the object was not named.
         error_code, error_message: of a failed identification.
+        advice: what to do about the reason.
+        cause: the likeliest cause with its remedy.
+        object_note: the user's note on the object.
     """
 
     id: int
@@ -95,6 +100,9 @@ class Entry:
     reason: str
     error_code: str | None
     error_message: str | None
+    advice: str = ""
+    cause: str = ""
+    object_note: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Its fields as plain JSON values, in the order of `FIELDS`."""
@@ -128,7 +136,7 @@ _SCHEMA = Schema(
             " command TEXT NOT NULL, tool_version TEXT NOT NULL, host TEXT NOT NULL, settings TEXT NOT NULL)",
             "CREATE TABLE identification (id INTEGER PRIMARY KEY AUTOINCREMENT,"
             " run_id INTEGER NOT NULL REFERENCES run (id) ON DELETE CASCADE, "
-            + ", ".join(f"{name} {kind}" for name, kind in _COLUMNS.items())
+            + ", ".join(f"{name} {kind}" for name, kind in _FIRST_COLUMNS.items())
             + ")",
             "CREATE TABLE reflector (identification_id INTEGER NOT NULL"
             " REFERENCES identification (id) ON DELETE CASCADE, number INTEGER NOT NULL,"
@@ -144,6 +152,10 @@ _SCHEMA = Schema(
             "PRAGMA secure_delete = ON",
             _hide_key("run", "settings"),
             _hide_key("identification", "error_message"),
+        ),
+        # 3: what to do, the likeliest cause, and the user's note.
+        tuple(
+            f"ALTER TABLE identification ADD COLUMN {name} {kind}" for name, kind in _ADDED_COLUMNS.items()
         ),
     ),
     restore="Restore a backup, or move the file away to begin a new history.",
@@ -231,8 +243,8 @@ class History:
 
         Args:
             run: number of the run.
-            records: have the fields of the contract's Identification, with `file` and, if known, `time_utc`
-                and `content_sha256`.
+            records: have the fields of the contract's Identification, with `file` and, if known, `time_utc`,
+                `content_sha256` and `object_note`.
             once: leave out those that are stored, with the same time, file and duration.
         """
         names = ("run_id", *_COLUMNS)
@@ -327,6 +339,7 @@ def csv_text(entries: Iterable[Entry]) -> str:
 def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
     centre = record.get("centre_m") or (None, None)
     error = record.get("error") or {}
+    causes = [f"{cause['text']}. {cause['remedy']}" for cause in record.get("causes") or ()]
     own = {
         "time_utc": record.get("time_utc") or utc_text(),
         "centre_x_m": centre[0],
@@ -334,6 +347,9 @@ def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
         "total_s": sum((record.get("seconds") or {}).values()),
         "error_code": error.get("code"),
         "error_message": error.get("message"),
+        "advice": record.get("advice") or "",
+        "cause": causes[0] if causes else "",
+        "object_note": record.get("object_note") or "",
     }
     return tuple(own[name] if name in own else record.get(name) for name in _COLUMNS)
 

@@ -28,6 +28,12 @@ def record(number: int = 0, **changes: object) -> dict[str, object]:
         "capture_uuid": f"uuid-{number}",
         "status": "identified",
         "reason": "",
+        "advice": "Turn it.",
+        "causes": [
+            {"code": "turn_stopped", "text": "it stood still", "remedy": "Start the table."},
+            {"code": "speed", "text": "another speed", "remedy": "Give it."},
+        ],
+        "object_note": "gate 4",
         "layout": "helmet-120",
         "label": "",
         "score": 0.9,
@@ -83,6 +89,9 @@ def test_what_is_kept_comes_back(history: History) -> None:
         reason=record()["reason"],
         error_code=None,
         error_message=None,
+        advice="Turn it.",
+        cause="it stood still. Start the table.",
+        object_note="gate 4",
     )
     assert history.reflectors(number) == record()["reflectors"]
 
@@ -121,7 +130,7 @@ def test_all_or_none_and_only_with_a_run(history: History) -> None:
     assert history.count() == 0
     with sqlite3.connect(history.path) as connection:
         assert connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
-        assert connection.execute("PRAGMA user_version").fetchone()[0] == 2
+        assert connection.execute("PRAGMA user_version").fetchone()[0] == 3
     connection.close()
 
 
@@ -198,8 +207,12 @@ def test_pass_keys_of_earlier_runs_are_hidden(tmp_path: Path) -> None:
     path = tmp_path / "history.sqlite"
     History(path).begin("identify", {"motion.url": "roomba+ble://R2?passkey=918273&wait=1"})
     with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        for column in ("advice", "cause", "object_note"):
+            connection.execute(f"ALTER TABLE identification DROP COLUMN {column}")
         connection.execute("PRAGMA user_version = 1")
-    History(path)
+    history = History(path)
+    history.add(1, [record()])
+    assert [entry.object_note for entry in history.find()] == ["gate 4"]
     with closing(sqlite3.connect(path)) as connection:
         (settings,) = connection.execute("SELECT settings FROM run").fetchone()
     assert json.loads(settings) == {"motion.url": "roomba+ble://R2?passkey=***&wait=1"}
