@@ -121,7 +121,10 @@ class Answer:
 
     def to_dict(self) -> dict[str, Any]:
         """The answer document of the contract as plain JSON values (docs/formats.md)."""
-        document = {"file": self.file, **self.identification.to_dict()}
+        captures = [answer.prepared for answer in (self.alone or (self,))]
+        notes = (prepared.given.object.note for prepared in captures if prepared is not None)
+        note = next((note for note in notes if note), None)
+        document = {"file": self.file, "object_note": note, **self.identification.to_dict()}
         return {**document, "votes": [_vote(answer) for answer in self.alone]} if self.alone else document
 
 

@@ -69,6 +69,7 @@ class ScanRun:
         self._view = LiveView(settings)
         self._stop = threading.Event()
         self._last_scan_at: float | None = None
+        self._asked = 0
         self._remark = ""
         self._device_failed = False
         self._thread = Worker(self._run, f"station-scan-{number}", self._fail)
@@ -107,8 +108,10 @@ class ScanRun:
 
     @property
     def silent_s(self) -> float:
-        """Seconds since the last scan during the recording; 0 otherwise."""
-        if self.state.phase is not Phase.TURNING or self._last_scan_at is None:
+        """Seconds since the last scan while the recording waits for the next one; 0 otherwise."""
+        # `record` asks whether to stop once after a scan, and again only while it waits for scans: not while
+        # it searches those it has for a complete turn, nor once it has one.
+        if self.state.phase is not Phase.TURNING or self._last_scan_at is None or self._asked < 2:
             return 0.0
         return time.monotonic() - self._last_scan_at
 
@@ -165,9 +168,13 @@ class ScanRun:
             began=view.began,
             scan=self._took,
             ended=view.ended,
-            stop=self._stop.is_set,
+            stop=self._asks,
         )
 
+    def _asks(self) -> bool:
+        self._asked += 1
+        return self._stop.is_set()
+
     def _took(self, scan: Any) -> None:
-        self._last_scan_at = time.monotonic()
+        self._last_scan_at, self._asked = time.monotonic(), 0
         self._view.scan(scan)

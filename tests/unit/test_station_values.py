@@ -62,6 +62,27 @@ def test_a_scan_is_described_in_degrees_with_the_likeliest_layout_first(
     assert [one["enough"] for one in described["evidence"]] == [True, False, False]
 
 
+def test_only_a_radar_that_the_recording_waits_for_is_silent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TAGID_DATA", str(tmp_path))
+    reading = ReadingSetup(tmp_path, LoadSettings(), ImagingSettings(method="bp", pixels=16))
+    setup = ScanSetup("emulator://empty", 2.0, "free", RecordingPlan(None, 1.0), reading)
+    run = ScanRun(1, setup, threading.Lock())
+    watch = run._watch(lambda path: None)
+    run._view._publish(phase=Phase.TURNING)
+    watch.stop()
+    watch.stop()
+    assert run.silent_s == 0, "before the first scan"
+    watch.scan(None)
+    watch.stop()
+    assert run.silent_s == 0, "the recording searches its scans for a turn, and may end with them"
+    watch.stop()
+    assert run.silent_s > 0
+    watch.ended()
+    assert run.silent_s == 0
+
+
 def test_numbers_that_json_does_not_have_become_null() -> None:
     text = wire.to_text({"a": [math.inf, -math.inf, math.nan, 1.5]})
     assert json.loads(text) == {"a": [None, None, None, 1.5]}
