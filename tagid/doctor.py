@@ -33,12 +33,14 @@ class Finding:
         level: "ok", "warning" (not essential) or "problem".
         text: the finding.
         remedy: what to do; empty if there is no problem.
+        answers: whether the device of this check answers; None if the check is of no device.
     """
 
     topic: str
     level: Level
     text: str
     remedy: str = ""
+    answers: bool | None = None
 
 
 def examine(config: Config) -> list[Finding]:
@@ -181,18 +183,19 @@ def _radar(config: Config) -> Finding:
     url = config["radar.url"]
     if not url:
         remedy = "tagid config set radar.url udp://192.168.1.100 (kit units: .100 to .103)"
-        return Finding("radar", "warning", "none configured", remedy)
+        return Finding("radar", "warning", "none configured", remedy, answers=False)
     try:
         found = survey(open_radar(url, config["radar.timeout_s"]))
     except TagidError as error:
-        return Finding("radar", "problem", f"{url}: {error.message}", error.remedy)
+        return Finding("radar", "problem", f"{url}: {error.message}", error.remedy, answers=False)
     status = found.status
     text = f"{url} answers: serial {status.serial}, MRM {status.mrm_version}, {status.temperature_c:.1f} degC"
     if found.config is not None:
         text += f", {found.config.samples} samples"
     if status.built_in_test:
         remedy = "Power-cycle the radar; if the error persists, the unit needs service."
-        return Finding("radar", "problem", f"{text}, self test {status.built_in_test}", remedy)
+        return Finding("radar", "problem", f"{text}, self test {status.built_in_test}", remedy, answers=True)
     if odd := found.warnings():
-        return Finding("radar", "warning", f"{text}; {'; '.join(odd)}", "`tagid radar info` shows more.")
-    return Finding("radar", "ok", text)
+        remedy = "`tagid radar info` shows more."
+        return Finding("radar", "warning", f"{text}; {'; '.join(odd)}", remedy, answers=True)
+    return Finding("radar", "ok", text, answers=True)

@@ -46,10 +46,12 @@ class PageSettings:
     Attributes:
         title: title of the page.
         megabytes: size limit of all pictures together.
+        note: a remark on the selection of the items; empty for none.
     """
 
     title: str = "Radar tag identification"
     megabytes: float = 32.0
+    note: str = ""
 
     def __post_init__(self) -> None:
         if not 0 <= self.megabytes <= 1000:

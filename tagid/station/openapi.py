@@ -89,7 +89,7 @@ def _reports() -> dict[str, Any]:
     }
     return {
         "/api/v1/reports": {
-            "post": _post("Begin a report over entries of the history", "ReportStart", 202, "Started")
+            "post": _post("Begin a report over entries of the history", "ReportStart", 202, "ReportStarted")
         },
         "/api/v1/reports/stop": {
             "post": _post("Stop the report; finished captures are in it", "Keyed", 202, "Empty")
@@ -266,6 +266,7 @@ def _schemas() -> dict[str, Any]:
             },
         },
         "Started": _object(number=whole),
+        "ReportStarted": _object(number=whole, left_out=text),
         "Answer": answer,
         "Scan": _object(
             number=whole,
@@ -299,9 +300,14 @@ def _schemas() -> dict[str, Any]:
                 findings={
                     "type": "array",
                     "items": _object(
-                        topic=text, level={"enum": ["ok", "warning", "problem"]}, text=text, remedy=text
+                        topic=text,
+                        level={"enum": ["ok", "warning", "problem"]},
+                        text=text,
+                        remedy=text,
+                        answers={"type": ["boolean", "null"]},
                     ),
                 },
+                recovered_scan={"type": ["integer", "null"]},
                 wiring=_or_null(
                     _object(
                         cable={"enum": ["ethernet", "usb", "uart", "none"]},
@@ -320,6 +326,7 @@ def _schemas() -> dict[str, Any]:
             total=whole,
             complete=yes_no,
             folder=text,
+            left_out=text,
             error=_or_null(_ref("Problem")),
         ),
         "Enrolment": _object(
@@ -358,7 +365,9 @@ def _schemas() -> dict[str, Any]:
         "Layouts": _object(
             items={"type": "array", "items": _object(name=text, kind=text, label=text, size=whole)}
         ),
-        "History": _object(items={"type": "array", "items": _object(**entry)}),
+        "History": _object(
+            items={"type": "array", "items": _object(**entry, has_capture=yes_no, has_picture=yes_no)}
+        ),
         "Problem": _object(code=text, message=text, remedy=text),
         "Error": _object(error=_ref("Problem")),
     }

@@ -32,19 +32,21 @@ class ReportRun:
         number: counts the station's reports.
         folder: where it is written; new.
         captures: files to identify.
+        left_out: what the selection held in addition, and why it is left out; empty if nothing.
         job: settings of the batch.
 
     Attributes:
-        number, folder: as given.
+        number, folder, left_out: as given.
         total: number of captures.
         done: number of finished captures.
         error: why it failed; None if it did not.
         complete: whether all its files are written.
     """
 
-    def __init__(self, number: int, folder: Path, captures: Sequence[Path], job: Job) -> None:
+    def __init__(self, number: int, folder: Path, captures: Sequence[Path], left_out: str, job: Job) -> None:
         self.number = number
         self.folder = folder
+        self.left_out = left_out
         self.total = len(captures)
         self.done = 0
         self.error: TagidError | None = None
@@ -73,7 +75,7 @@ class ReportRun:
 
     def _work(self) -> None:
         sources = tuple(Source(path, Path(path).name) for path in self._captures)
-        page = PageSettings("Captures of the station", _PAGE_MEGABYTES)
+        page = PageSettings("Captures of the station", _PAGE_MEGABYTES, self.left_out)
         hooks = Hooks(self._progress, self._stop.is_set)
         plan = Plan(Collected(sources), self.folder, page=page)
         run_batch(plan, self._job, partial(run_local, workers=1), hooks)
@@ -103,22 +105,22 @@ class Reports:
         """A report by its number; None if there is none, or no longer."""
         return self._runs.get(number)
 
-    def start(self, captures: Sequence[Path], place: Workplace) -> ReportRun:
-        """Begin a report over captures.
+    def start(self, captures: Sequence[Path], left_out: str, place: Workplace) -> ReportRun:
+        """Begin a report over captures; `left_out` as in `ReportRun`.
 
         Raises BusyError if one is running, UsageError if there are no captures or too many.
         """
         if not 1 <= len(captures) <= MOST_CAPTURES:
             raise UsageError(
-                f"{len(captures)} captures are selected",
-                f"Select 1 to {MOST_CAPTURES} that are on this computer.",
+                left_out or f"{len(captures)} captures are selected",
+                f"Select 1 to {MOST_CAPTURES} scans of the station's folder.",
             )
         with self._lock:
             if self.newest is not None and self.newest.running:
                 raise BusyError("a report is being written", "Wait for its end, or stop it.")
             number = self._count + 1
             job = Job.of(place.setup(as_recorded=True))
-            run = ReportRun(number, _new_folder(place.folder()), captures, job)
+            run = ReportRun(number, _new_folder(place.folder()), captures, left_out, job)
             run.start()
             self._runs[number] = run
             self._count = number

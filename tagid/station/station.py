@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tagid.config import data_folder
@@ -59,12 +59,19 @@ class Health:
     Attributes:
         findings: of `tagid.doctor`.
         checked_at: monotonic seconds; None before the first one.
-        wiring: how to connect the radar; None if it answers.
+        wiring: how to connect the radar; None unless it is missing.
+        recovered: number of the scan that a device made fail, if the radar was missing and answers again.
     """
 
     findings: tuple[Finding, ...] = ()
     checked_at: float | None = None
     wiring: Wiring | None = None
+    recovered: int | None = None
+
+    @property
+    def radar(self) -> bool | None:
+        """Whether the radar answers; None if that is not known."""
+        return next((one.answers for one in self.findings if one.answers is not None), None)
 
 
 class Station:
@@ -207,12 +214,21 @@ class Station:
     def start_report(self, key: str | None, entries: tuple[int, ...]) -> ReportRun:
         """Begin a report over entries of the history.
 
-        Captures that are no longer on the disk are left out.
+        Entries without a scan in the station's folder are left out, and the report says how many.
 
         Raises NotOperatorError, BusyError, UsageError, StorageError.
         """
         self.operate(key)
-        return self.reports.start(self.captures(entries), self.source.place())
+        place, captures = self.source.place(), self.captures(entries)
+        files = {entry.id: Path(entry.file) for entry in self.history(Filter(numbers=entries))}
+        selected = set(entries)
+        missing = sum(files.get(number) not in captures for number in selected)
+        left_out = (
+            f"{missing} of {len(selected)} left out: their captures are not among the scans in {place.folder()}"
+            if missing
+            else ""
+        )
+        return self.reports.start(captures, left_out, place)
 
     def stop(self) -> None:
         """Stop the running scan; every connection may. Its capture is kept."""
@@ -250,7 +266,8 @@ class Station:
         """Show why there is no health check; the next one is due as usual."""
         found = reported(error)
         text = f"the health check failed: {found.message}"
-        self._health = Health((Finding("health check", "problem", text, found.remedy),), time.monotonic())
+        finding = Finding("health check", "problem", text, found.remedy)
+        self._health = replace(self._health, findings=(finding,), checked_at=time.monotonic())
 
     def _watch_operator(self) -> None:
         """The interlock: stop a motion without an operator. Its thread does nothing else."""
@@ -269,14 +286,27 @@ class Station:
                 findings = tuple(self._check(config))
             except TagidError as error:
                 findings = (Finding("configuration", "problem", error.message, error.remedy),)
-        missing = any(one.topic == "radar" and one.level != "ok" for one in findings)
-        self._health = Health(findings, time.monotonic(), wiring(url) if missing else None)
-        if missing:
+        before, run = self._health, self._scan
+        health = Health(findings, time.monotonic(), None, before.recovered)
+        if health.radar is False:
+            health = replace(health, wiring=wiring(url))
             self._health_due = min(self._health_due, time.monotonic() + MISSING_EVERY_S)
+        elif health.radar and before.wiring is not None and run is not None and run.device_failed:
+            health = replace(health, recovered=run.number)
+        self._health = health
 
     def history(self, wanted: Filter) -> list[Entry]:
         """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError, UsageError."""
         return list(History(data_folder() / FILE_NAME).find(wanted))
+
+    def available(self, entries: list[Entry]) -> list[tuple[bool, bool]]:
+        """Whether the station gives out the capture and the picture of each entry."""
+        try:
+            folder = self.source.reading().folder
+        except TagidError:  # a damaged configuration, which Health shows
+            return [(False, False)] * len(entries)
+        paths = [_own_file(entry, folder) for entry in entries]
+        return [(path.is_file(), picture_of(path).is_file()) if path else (False, False) for path in paths]
 
     def picture(self, number: int) -> bytes:
         """The picture of an entry of the history, PNG. Raises NoSuchItemError."""

@@ -65,7 +65,8 @@ class HistoryHandlers:
         ]
 
     async def history(self, request: Request) -> Response:
-        return as_json(_items(await self._entries(request)))
+        entries = await self._entries(request)
+        return as_json(await run_in_threadpool(self._listed, entries))
 
     async def history_csv(self, request: Request) -> Response:
         text = csv_text(await self._entries(request))
@@ -97,7 +98,7 @@ class HistoryHandlers:
         asked = await body(request)
         entries = entries_of(asked.get("entries"))
         run = await run_in_threadpool(self._station.start_report, key_of(asked), entries)
-        return JSONResponse({"number": run.number}, status_code=202)
+        return JSONResponse({"number": run.number, "left_out": run.left_out}, status_code=202)
 
     async def stop(self, request: Request) -> Response:
         self._station.operate(key_of(await body(request)))
@@ -127,6 +128,16 @@ class HistoryHandlers:
         if run is None:
             raise NoSuchItemError("there is no such report", "Begin one with POST /api/v1/reports.")
         return run
+
+    def _listed(self, entries: list[Entry]) -> wire.Json:
+        """Entries with whether their capture and picture can be requested."""
+        available = self._station.available(entries)
+        return {
+            "items": [
+                entry.to_json() | {"has_capture": capture, "has_picture": picture}
+                for entry, (capture, picture) in zip(entries, available, strict=True)
+            ]
+        }
 
     async def _entries(self, request: Request) -> list[Entry]:
         wanted: Filter = filter_of(request)

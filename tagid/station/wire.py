@@ -122,9 +122,16 @@ def health(found: Health) -> Json:
     return {
         "checked": found.checked_at is not None,
         "findings": [
-            {"topic": one.topic, "level": one.level, "text": one.text, "remedy": one.remedy}
+            {
+                "topic": one.topic,
+                "level": one.level,
+                "text": one.text,
+                "remedy": one.remedy,
+                "answers": one.answers,
+            }
             for one in found.findings
         ],
+        "recovered_scan": found.recovered,
         "wiring": None
         if found.wiring is None
         else {"cable": found.wiring.cable, "url": found.wiring.url, "steps": list(found.wiring.steps)},
@@ -217,6 +224,7 @@ def report(run: ReportRun) -> Json:
         "total": run.total,
         "complete": run.complete,
         "folder": str(run.folder),
+        "left_out": run.left_out,
         "error": None if run.error is None else error_entry(run.error),
     }
 

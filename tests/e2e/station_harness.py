@@ -46,7 +46,7 @@ def source(
         "motion.url": motion,
         "motion.axis_distance_m": 1.0,
         "radar.integration": 15,
-        "radar.timeout_s": 2.0,
+        "radar.timeout_s": 1.0,
         "radar.resume_s": resume_s,
         "imaging.method": "bp",
         "imaging.pixels": 64,
@@ -67,7 +67,7 @@ def source(
 
 
 def healthy(config: object) -> list[Finding]:
-    return [Finding("radar", "problem", "no answer <b>", "Check the cable.")]
+    return [Finding("radar", "problem", "no answer <b>", "Check the cable.", answers=False)]
 
 
 def wait(condition: Callable[[], Any], seconds: float = WAIT_S) -> Any:

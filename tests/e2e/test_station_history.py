@@ -45,24 +45,38 @@ def test_a_report_over_a_selection(serve, tmp_path: Path) -> None:
     client = Asks(one.url, OWN)
     first, second = scanned(one), scanned(one)
     gone = entry(tmp_path / "out" / "gone.tagid.h5")
+    (tmp_path / "other").mkdir()
+    for suffix in (".tagid.h5", ".png"):
+        (tmp_path / "other" / f"scan{suffix}").touch()
+    other = entry(tmp_path / "other" / "scan.tagid.h5")
+    files = {
+        one["id"]: (one["has_capture"], one["has_picture"])
+        for one in client.get("/api/v1/history").json()["items"]
+    }
+    assert files == {first: (True, True), second: (True, True), gone: (False, False), other: (False, False)}
     for wrong in (None, [], ["1"], [True], [0], [-1], [10**19], list(range(1, 300)), {"a": 1}):
         assert client.post("/api/v1/reports", entries=wrong).status == 400, wrong
-    assert client.post("/api/v1/reports", entries=[gone]).status == 400, "its capture is gone"
-    assert client.post("/api/v1/reports", entries=[first, gone, second]).json() == {"number": 1}
+    refusal = client.post("/api/v1/reports", entries=[gone])
+    assert refusal.status == 400 and "1 of 1 left out" in refusal.json()["error"]["message"]
+    left_out = f"2 of 4 left out: their captures are not among the scans in {tmp_path / 'out'}"
+    begun = client.post("/api/v1/reports", entries=[first, gone, second, other, first])
+    assert begun.json() == {"number": 1, "left_out": left_out}
     assert client.post("/api/v1/reports", entries=[first]).json()["error"]["code"] == "busy"
     assert client.get("/api/v1/reports/1/report.html").status == 404, "it is not complete"
     found = wait(lambda: (r := client.get("/api/v1/reports/1").json())["running"] is False and r)
     assert (found["complete"], found["done"], found["total"], found["error"]) == (True, 2, 2, None)
+    assert found["left_out"] == left_out
     page = client.get("/api/v1/reports/1/report.html")
     policy = page.headers["content-security-policy"]
     assert policy.startswith("sandbox allow-scripts;") and "allow-same-origin" not in policy
+    assert left_out in page.text
     assert "helmet-120" in page.text and "attachment" not in page.headers.get("content-disposition", "")
     rows = list(csv.DictReader(io.StringIO(client.get("/api/v1/reports/1/items.csv").text)))
     assert [row["layout"] for row in rows] == ["helmet-120"] * 2
     assert client.get("/api/v1/reports/1/summary.json").json()["inputs"] == 2
     for path in ("2", "1/spool.sqlite", "1/..%2f..%2fhistory.sqlite", "9" * 30, "-1"):
         assert client.get(f"/api/v1/reports/{path}").status == 404, path
-    assert len(client.get("/api/v1/history").json()["items"]) == 3, "a report adds nothing to the history"
+    assert len(client.get("/api/v1/history").json()["items"]) == 4, "a report adds nothing to the history"
 
 
 def test_only_the_operator_begins_a_report_and_it_can_be_stopped(serve) -> None:

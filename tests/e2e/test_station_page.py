@@ -22,7 +22,7 @@ from station_harness import wait as until
 
 from tagid.config import data_folder
 from tagid.doctor import examine
-from tagid.pipeline.answer import Identification
+from tagid.pipeline.answer import Cause, Identification
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
 from tagid.radar.settings import RadarConfig
@@ -69,6 +69,16 @@ def text(page: Any, identity: str) -> str:
     return page.find_element(By.ID, identity).text
 
 
+def finished(page: Any, number: int) -> None:
+    """Wait until the page shows the end of a scan; Stop may be shown too briefly to be seen."""
+    wait(
+        page,
+        lambda: page.execute_script(
+            "return newest && newest.number === arguments[0] && !newest.running", number
+        ),
+    )
+
+
 def by_keyboard(page: Any, identity: str, most: int = 40) -> None:
     """Reach an element with the Tab key alone."""
     for _ in range(most):
@@ -108,6 +118,11 @@ def test_the_main_road_by_keyboard_alone(browser: Any, station_alone: Server) ->
     )
     assert letters > 100, "to be read from three metres"
     wait(browser, lambda: "360 of 360 degrees" in text(browser, "figures"))
+    storing = browser.execute_script(
+        "receive({type: 'frame', scan: {...newest, running: true}});"
+        "const scan = document.getElementById('scan'); return [scan.textContent, scan.disabled];"
+    )
+    assert storing == ["Scan", True], "nothing to stop after the name"
     image = np.array(browser.execute_script(PIXELS, "image"))
     assert len(image) == 64 * 64 and len(np.unique(image)) > 20, "the image is not drawn"
     assert len(np.unique(browser.execute_script(PIXELS, "sinogram"))) > 20
@@ -127,6 +142,12 @@ def test_the_main_road_by_keyboard_alone(browser: Any, station_alone: Server) ->
     button.send_keys(Keys.ENTER)
     picture = browser.find_element(By.ID, "viewer-picture")
     wait(browser, lambda: browser.execute_script("return arguments[0].naturalWidth", picture) == 940)
+    (capture,) = Asks(station_alone.url, {}).get("/api/v1/history").json()["items"]
+    assert text(browser, "viewer-capture") == Path(capture["file"]).name
+    for width, height in ((1180, 820), (1440, 900)):
+        size(browser, width, height)
+        for part in (picture, *browser.find_elements(By.CSS_SELECTOR, "#viewer a, #viewer button")):
+            assert part.rect["y"] > 0 and part.rect["y"] + part.rect["height"] < height
     browser.switch_to.active_element.send_keys(Keys.ESCAPE)
     wait(browser, lambda: not browser.find_element(By.ID, "viewer").is_displayed())
     assert browser.switch_to.active_element == button
@@ -151,9 +172,10 @@ def test_the_answer_is_heard_where_sound_is_on(browser: Any, serve: Callable[...
     def scanned() -> int:
         """Tones since the page was opened, after one more scan."""
         wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
+        number = browser.execute_script("return newest ? newest.number + 1 : 1")
         pressed("scan")
-        wait(browser, lambda: text(browser, "scan") != "Scan")
-        wait(browser, lambda: text(browser, "answer") == "helmet-120" and text(browser, "scan") == "Scan")
+        finished(browser, number)
+        assert text(browser, "answer") == "helmet-120"
         return tones()
 
     assert text(browser, "sound") == "Sound off"
@@ -167,16 +189,37 @@ def test_the_answer_is_heard_where_sound_is_on(browser: Any, serve: Callable[...
 
 def test_the_history_says_why_nothing_was_named(browser: Any, serve: Callable[..., Server]) -> None:
     error = Problem("data", "the scans do not <b>repeat</b>", "Record 1.3 turns.")
-    record = Identification("failed", None, None, None, error=error).to_dict()
+    cause = Cause("speed", "the table turns slower", "Give its speed.")
+    record = Identification("failed", None, None, None, "Helmet 7", error=error).to_dict()
+    known = Identification("failed", None, None, None, error=error, causes=(cause,)).to_dict()
     history = History(data_folder() / FILE_NAME)
     station_url = serve().url
-    history.add(history.begin("station", {}), [{"file": "scan.tagid.h5", **record}])
+    entries = [
+        {"file": "/other/scan.tagid.h5", "object_note": "gate <b>4</b>", **record},
+        {"file": "/other/scan-2.tagid.h5", **known},
+    ]
+    history.add(history.begin("station", {}), entries)
     size(browser, 390, 844, True)
     browser.get(station_url)
     view(browser, "history")
     wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#history li"))
-    (row,) = browser.find_elements(By.CSS_SELECTOR, "#history li")
-    assert "Failed" in row.text and "the scans do not <b>repeat</b>" in row.text
+    caused, row = browser.find_elements(By.CSS_SELECTOR, "#history li")
+    for words in (
+        "Failed",
+        "Helmet 7",
+        "gate <b>4</b>",
+        "/other/scan.tagid.h5",
+        "the scans do not <b>repeat</b>",
+    ):
+        assert words in row.text
+    assert "Record 1.3 turns." in row.text and "Likely cause" not in row.text
+    assert "Likely cause: the table turns slower. Give its speed." in caused.text
+    assert not row.find_elements(By.TAG_NAME, "button"), "no picture is offered where there is none"
+    for field in browser.find_elements(By.CSS_SELECTOR, "#filter select, #filter input"):
+        label = field.find_element(By.XPATH, "..")
+        assert label.rect["y"] < field.rect["y"] and label.rect["x"] == field.rect["x"], (
+            "its label is above it"
+        )
     assert problems(browser) == []
     assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
 
@@ -322,14 +365,19 @@ def test_an_object_is_enrolled_by_keyboard_and_the_enrolment_undone(
     size(browser, 390, 844, True)
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
     # A selection of the history becomes a report; each theme and size of its view was checked above.
+    history = History(data_folder() / FILE_NAME)
+    gone = Identification("unknown", None, None, None).to_dict()
+    history.add(history.begin("station", {}), [{"file": "/other/scan.tagid.h5", **gone}])
     view(browser, "history")
-    wait(browser, lambda: len(browser.find_elements(By.CSS_SELECTOR, "#history input")) == 3)
-    browser.find_elements(By.CSS_SELECTOR, "#history input")[1].send_keys(Keys.SPACE)
-    assert text(browser, "selected") == "1 selected"
-    assert "entries=2" in browser.find_element(By.ID, "export-captures").get_attribute("href")
+    wait(browser, lambda: len(browser.find_elements(By.CSS_SELECTOR, "#history input")) == 4)
+    for number in (0, 2):
+        browser.find_elements(By.CSS_SELECTOR, "#history input")[number].send_keys(Keys.SPACE)
+    assert text(browser, "selected") == "2 selected, 1 without a capture here"
+    assert "entries=4,2" in browser.find_element(By.ID, "export-captures").get_attribute("href")
     browser.find_element(By.ID, "report").send_keys(Keys.ENTER)
     wait(browser, lambda: browser.find_element(By.ID, "report-page").is_displayed())
     assert "1 captures" in text(browser, "report-text") and problems(browser) == []
+    assert "1 of 2 left out: their captures are not among the scans in" in text(browser, "report-text")
     browser.get(browser.find_element(By.ID, "report-page").get_attribute("href"))
     wait(browser, lambda: "Captures of the station" in browser.title)
     wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "table tbody tr"))
@@ -348,14 +396,21 @@ def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
 
     size(browser, 390, 844, True)
     with UdpEmulator(core(2), ServeOptions(port=0)) as radar:
-        one = serve(radar.url, check=examine, rpm=2, resume_s=4.0)
-        browser.get(one.url)
-        wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
+        port = int(radar.url.rpartition(":")[2])
+    one = serve(radar.url, check=examine, rpm=2, resume_s=4.0)
+    browser.get(one.url)
+    # Before anybody scans.
+    wait(browser, lambda: text(browser, "answer") == "No radar")
+    assert text(browser, "radar") == "no radar" and text(browser, "link") == "connected"
+    assert radar.url in text(browser, "reason") and "cable" in text(browser, "advice")
+    assert problems(browser) == []
+    with UdpEmulator(core(2), ServeOptions(port=port)):
+        wait(browser, lambda: text(browser, "answer") == "Ready" and text(browser, "radar") == "radar ok")
         assert not browser.find_element(By.ID, "alert").is_displayed()
         browser.find_element(By.ID, "scan").click()
         wait(browser, lambda: re.match(r"[1-9]\d+ scans", text(browser, "figures")))
     wait(browser, lambda: text(browser, "answer") == "No signal")
-    assert "cable and power" in text(browser, "advice")
+    assert text(browser, "radar") == "no signal" and "cable and power" in text(browser, "advice")
     wait(browser, lambda: text(browser, "answer") == "Failed")
     assert "are in" in text(browser, "reason"), "where the scans are"
     wait(browser, lambda: browser.find_element(By.ID, "alert").is_displayed())
@@ -364,12 +419,14 @@ def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
     assert text(browser, "wiring-name") == "network cable"
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
     assert problems(browser) == []
-    with UdpEmulator(core(20), ServeOptions(port=int(radar.url.rpartition(":")[2]), rate=0)):
+    assert text(browser, "radar") == "no radar"
+    with UdpEmulator(core(20), ServeOptions(port=port, rate=0)):
         wait(browser, lambda: not browser.find_element(By.ID, "wiring").is_displayed())
         view(browser, "scan")
+        assert text(browser, "answer") == "Ready" and text(browser, "radar") == "radar ok"
+        assert text(browser, "reason").startswith("The last scan failed: "), "where its scans are"
         browser.find_element(By.ID, "scan").click()
-        wait(browser, lambda: text(browser, "scan") == "Stop")
-        wait(browser, lambda: text(browser, "scan") == "Scan")
+        finished(browser, 2)
         assert Asks(one.url, {}).get("/api/v1/scan").json()["phase"] == "done"
 
 

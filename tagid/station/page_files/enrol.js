@@ -67,10 +67,10 @@ function showCaptures(captures, needed, measuring) {
   if (next > needed) text = enrolment.trouble ? "Remove the capture that disagrees, or record another." : "Enough captures. More make the positions more accurate.";
   setText("instruction", text);
   const button = $("capture");
-  setText("capture", running ? "Stop" : next <= needed ? `Record ${next} of ${needed}` : "Record another");
+  setText("capture", recording ? "Stop" : next <= needed ? `Record ${next} of ${needed}` : "Record another");
   // Once there are enough, the large button is the one that enrols.
-  button.className = running ? "big stop" : next <= needed ? "big" : "";
-  button.disabled = running ? false : !mayAct() || measuring;
+  button.className = recording ? "big stop" : next <= needed ? "big" : "";
+  button.disabled = running ? !recording : !mayAct() || measuring;
   if (recordNext && !button.disabled) {
     recordNext = false;
     button.focus();
@@ -163,7 +163,7 @@ $("subject-form").addEventListener("submit", async (event) => {
   recordNext = Boolean(found);
   received(found);
 });
-$("capture").addEventListener("click", () => (running ? send({ type: "stop" }) : post("enrolment/capture", {})));
+$("capture").addEventListener("click", () => (recording ? send({ type: "stop" }) : post("enrolment/capture", {})));
 const store = (values) => post("enrolment/store", values).then((found) => { received(found); loadLayouts(); });
 $("store").addEventListener("click", () => store({}));
 $("store-anyway").addEventListener("click", () => store({ force: true }));

@@ -47,17 +47,28 @@ function historyRow(one) {
     label.append(box);
     row.append(label);
   }
-  row.append(element("span", nameOf(one), `who ${one.status}`), element("span", time));
-  if (scanned) {
+  const who = element("span", nameOf(one), `who ${one.status}`);
+  if (one.label) who.append(element("span", ` ${one.label}`, "label"));
+  row.append(who, element("span", time));
+  if (one.has_picture) {
     const button = element("button", "Picture");
     button.type = "button";
     button.setAttribute("aria-label", `Picture of ${nameOf(one)}, ${time}`);
-    button.addEventListener("click", () => showPicture(one.id, nameOf(one)));
+    button.addEventListener("click", () => showPicture(one));
     row.append(button);
   }
+  // A capture that is not in this folder is named with its own.
+  const file = one.has_capture ? fileName(one) : one.file;
   const why = one.status === "identified" ? "" : one.reason;
-  if (why) row.append(element("span", why, "why quiet"));
+  const advice = one.cause ? `Likely cause: ${one.cause}` : one.advice;
+  for (const [text, kind] of [[one.object_note, "note"], [file, "quiet"], [why, "quiet"], [advice, "advice"]]) {
+    if (text) row.append(element("span", text, `more ${kind}`));
+  }
   return row;
+}
+
+function fileName(one) {
+  return one.file.slice(one.file.lastIndexOf("/") + 1);
 }
 
 // The picked entries, or all that are shown.
@@ -67,7 +78,8 @@ function chosen() {
 
 function showSelection() {
   const entries = chosen();
-  setText("selected", picked.size ? `${picked.size} selected` : `all ${rows.length} shown`);
+  const gone = rows.filter((one) => !one.has_capture && (!picked.size || picked.has(one.id))).length;
+  setText("selected", (picked.size ? `${picked.size} selected` : `all ${rows.length} shown`) + (gone ? `, ${gone} without a capture here` : ""));
   $("select-all").checked = picked.size > 0;
   $("select-all").indeterminate = picked.size > 0 && picked.size < rows.length;
   const query = entries.length ? `?entries=${entries.join(",")}` : "?limit=1";
@@ -85,7 +97,7 @@ function showReport() {
   let text = `Report ${report.number}: ${report.done} of ${report.total} captures read.`;
   if (report.error) text = `The report failed: ${report.error.message}. ${report.error.remedy}`;
   else if (report.complete) text = `Report ${report.number}: ${report.done} captures, stored in ${report.folder}.`;
-  setText("report-text", text);
+  setText("report-text", report.left_out ? `${text} ${report.left_out}.` : text);
   $("report-bar").hidden = !busy;
   $("report-bar").value = report.total ? report.done / report.total : 0;
   $("report-stop").hidden = !busy || !mayAct();
@@ -95,19 +107,20 @@ function showReport() {
   }
 }
 
-async function showPicture(number, name) {
-  setText("viewer-head", name);
-  const picture = $("viewer-picture");
-  $("viewer-capture").href = `api/v1/history/${number}/capture`;
-  const answer = await fetch(`api/v1/history/${number}/picture`);
-  if (picture.src) URL.revokeObjectURL(picture.src);
-  if (answer.ok) {
-    picture.src = URL.createObjectURL(await answer.blob());
-    picture.alt = `Radar image of ${name}`;
-  } else {
-    picture.removeAttribute("src");
-    picture.alt = (await answer.json()).error.message;
+async function showPicture(one) {
+  showProblem(null);
+  const answer = await fetch(`api/v1/history/${one.id}/picture`);
+  if (!answer.ok) {
+    showProblem((await answer.json()).error);
+    return;
   }
+  const picture = $("viewer-picture");
+  setText("viewer-head", nameOf(one));
+  setText("viewer-capture", fileName(one));
+  $("viewer-capture").href = `api/v1/history/${one.id}/capture`;
+  if (picture.src) URL.revokeObjectURL(picture.src);
+  picture.src = URL.createObjectURL(await answer.blob());
+  picture.alt = `Radar image of ${nameOf(one)}`;
   $("viewer").showModal();
   $("viewer-head").focus();
 }

@@ -10,6 +10,10 @@ let wait = 250;
 let mine = false;
 let operated = false;
 let running = false;
+// Whether Stop has an effect: the scan still waits for the radar or records.
+let recording = false;
+let health = null;
+let newest = null;
 let sound = false;
 let audio = null;
 let told = null;
@@ -70,10 +74,27 @@ function nameOf(answer) {
   return answer.status === "identified" ? answer.layout : STATUS[answer.status] || answer.status;
 }
 
+// What stands for the answer before a scan, or once what made one fail is over.
+function idle() {
+  if (!connected()) return ["Not connected", "", "", ""];
+  if (!health || !health.checked) return ["Checking", "", "Looking for the radar.", ""];
+  const radar = health.findings.find((one) => one.answers === false);
+  if (radar) return ["No radar", "failed", radarText(health.wiring), radar.remedy];
+  const problem = health.findings.find((one) => one.level === "problem");
+  return problem ? ["Not ready", "failed", `${problem.topic}: ${problem.text}.`, problem.remedy] : ["Ready", "", "", ""];
+}
+
+function radarText(wiring) {
+  return wiring.url ? `No radar answers at ${wiring.url}.` : "No radar is configured.";
+}
+
 function showAnswer(scan) {
   const box = $("answer");
-  let [text, kind, reason, advice] = ["Ready", "", "", ""];
-  if (scan) {
+  const recovered = Boolean(scan && scan.phase === "failed" && health && health.recovered_scan === scan.number);
+  let [text, kind, reason, advice] = idle();
+  if (recovered && !reason) reason = `The last scan failed: ${scan.note}`;
+  if (scan && !recovered) {
+    [reason, advice] = ["", ""];
     const found = scan.answer;
     if (scan.phase === "failed") {
       [text, kind, reason] = ["Failed", "failed", scan.note];
@@ -97,7 +118,7 @@ function showAnswer(scan) {
   box.className = kind + (text.length > 14 ? " long" : "");
   setText("reason", reason || "");
   setText("advice", advice || "");
-  const ended = scan && (scan.final || scan.phase === "failed");
+  const ended = scan && !recovered && (scan.final || scan.phase === "failed");
   const tone = `${scan ? scan.number : 0} ${kind}`;
   if (told === null) {
     told = ended ? tone : "";  // a scan that ended before the page was opened is not heard
@@ -122,8 +143,11 @@ function play(tones) {
 }
 
 function showScan(scan) {
+  newest = scan;
   running = Boolean(scan && scan.running);
+  recording = running && (scan.phase === "connecting" || scan.phase === "turning");
   showAnswer(scan);
+  showRadar(scan);
   $("turn").value = scan && scan.turn_share ? scan.turn_share : 0;
   if (scan) {
     const words = [`${scan.scans} scans in ${scan.seconds.toFixed(1)} s`];
@@ -141,13 +165,27 @@ function showScan(scan) {
   showButton();
 }
 
+function connected() {
+  return Boolean(socket && socket.readyState === WebSocket.OPEN);
+}
+
+// A scan that records shows whether the radar answers; otherwise the last health check does.
+function showRadar(scan) {
+  const scans = recording && scan.scans > 0;
+  const found = health && health.findings.find((one) => one.answers !== null);
+  const answers = scans ? scan.silent_s <= 2 : Boolean(found && found.answers);
+  $("radar").hidden = !connected() || !(scans || found);
+  $("radar").classList.toggle("bad", !answers);
+  setText("radar", answers ? "radar ok" : scans ? "no signal" : "no radar");
+}
+
 function showButton() {
   const button = $("scan");
-  const open = socket && socket.readyState === WebSocket.OPEN;
+  const open = connected();
   const elsewhere = operated && !mine;
-  setText("scan", running ? "Stop" : "Scan");
-  button.className = running ? "big stop" : "big";
-  button.disabled = !open || (!running && elsewhere);
+  setText("scan", recording ? "Stop" : "Scan");
+  button.className = recording ? "big stop" : "big";
+  button.disabled = !open || (running ? !recording : elsewhere);
   $("take").hidden = !(open && elsewhere && !running);
   setText("operator", elsewhere ? "Another browser operates the station; this one only watches." : mine ? "This browser operates the station." : "");
   showEnrolment();
@@ -156,7 +194,7 @@ function showButton() {
 
 // May this browser act? Anybody may stop a scan.
 function mayAct() {
-  return Boolean(socket && socket.readyState === WebSocket.OPEN) && !(operated && !mine);
+  return connected() && !(operated && !mine);
 }
 
 function showEvidence(items) {
@@ -191,7 +229,7 @@ function showEvidence(items) {
   });
 }
 
-function showHealth(health) {
+function showHealth() {
   if (!health.checked) return;
   const text = JSON.stringify(health.findings);
   if ($("health").dataset.shown === text) return;
@@ -207,15 +245,15 @@ function showHealth(health) {
   $("health").replaceChildren(...rows.filter((row) => row.className !== "ok"));
   $("health-fine").replaceChildren(...fine);
   setText("health-count", `${fine.length} of ${rows.length} checks passed`);
-  showAlert(health);
+  showAlert();
 }
 
 // What hinders a scan, on every view, with the way to its remedy.
-function showAlert(health) {
-  const bad = health.findings.filter((one) => one.level === "problem");
+function showAlert() {
+  const bad = health.findings.filter((one) => one.level === "problem" || one.answers === false);
   $("health-mark").hidden = bad.length === 0;
   $("alert").hidden = bad.length === 0;
-  const words = bad.map((one) => (one.topic === "radar" && health.wiring ? "No radar." : `${one.topic}: ${one.text}.`));
+  const words = bad.map((one) => (one.answers === false ? "No radar." : `${one.topic}: ${one.text}.`));
   setText("alert-text", words.join(" "));
 }
 
@@ -226,7 +264,7 @@ function showWiring(wiring) {
   if (!wiring) return;
   const names = { ethernet: "network cable", usb: "USB cable", uart: "serial adapter", none: "which cable?" };
   setText("wiring-name", names[wiring.cable]);
-  setText("wiring-found", wiring.url ? `No radar answers at ${wiring.url}.` : "No radar is configured.");
+  setText("wiring-found", radarText(wiring));
   const list = $("wiring-steps");
   if (list.dataset.shown === wiring.steps.join("\n")) return;
   list.dataset.shown = wiring.steps.join("\n");
@@ -245,8 +283,9 @@ function receive(message) {
     operated = message.operated;
     enrolment = message.enrolment;
     report = message.report;
-    showHealth(message.health);
-    showWiring(message.health.wiring);
+    health = message.health;
+    showHealth();
+    showWiring(health.wiring);
     showScan(message.scan);
   } else if (message.type === "frame") {
     showScan(message.scan);
@@ -279,7 +318,8 @@ function connect() {
   one.addEventListener("close", async () => {
     setText("link", "not connected");
     mine = false;
-    showButton();
+    health = null;
+    showScan(newest);
     // A refused WebSocket gives no reason, but a request does.
     try {
       const answer = await fetch("api/v1/status", { cache: "no-store" });
@@ -324,7 +364,7 @@ function send(message) {
   if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
 
-$("scan").addEventListener("click", () => send(running ? { type: "stop" } : { type: "scan", note: $("note").value }));
+$("scan").addEventListener("click", () => send(recording ? { type: "stop" } : { type: "scan", note: $("note").value }));
 $("take").addEventListener("click", () => send({ type: "take" }));
 $("sound").addEventListener("click", () => {
   sound = !sound;
