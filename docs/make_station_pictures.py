@@ -126,7 +126,7 @@ def main() -> None:
             page.find_element(By.ID, "scan").click()
             until(page, "document.getElementById('turn').value > 0.45")
             take(page, out / "station-turning.png")
-            until(page, "document.getElementById('scan').textContent === 'Scan'")
+            until(page, "!running")
             take(page, out / "station-answer.png")
             size(page, "phone", "dark")
             take(page, out / "station-phone-dark.png")
