@@ -50,7 +50,7 @@ GROUPS = {
     ),
     "Recording": (
         "open_radar", "P440", "RadarConfig", "RadarStatus", "Scan", "Statistics", "Link", "Motion", "Angles", "RecordingPlan",
-        "record", "Watch", "Session",
+        "record", "Watch", "ScanStream", "Session",
     ),
     "Version": ("__version__",),
 }  # fmt: skip

@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from tagid.recording.recorder import Watch as Watch
     from tagid.recording.recorder import record as record
     from tagid.recording.session import Session as Session
+    from tagid.recording.stream import ScanStream as ScanStream
     from tagid.result import Problem as Problem
     from tagid.simulate.acquisition import Acquisition as Acquisition
     from tagid.simulate.acquisition import Placement as Placement
@@ -183,6 +184,7 @@ _HOMES = {
     "RadarStatus": "tagid.radar.status",
     "Watch": "tagid.recording.recorder",
     "Session": "tagid.recording.session",
+    "ScanStream": "tagid.recording.stream",
     "Problem": "tagid.result",
     "Placement": "tagid.simulate.acquisition",
     "RangeWindow": "tagid.simulate.acquisition",

@@ -1,7 +1,7 @@
 """Computes states from the scans during recording, in separate threads.
 
-The recording only appends to a list and is never blocked: a slow computer shows fewer frames, but every scan
-is included in the next one.
+The recording is never blocked: a slow computer shows fewer frames, but every scan is included in the next
+one.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from tagid.pipeline.answer import Identification
     from tagid.radar.assembler import Scan
     from tagid.recording.session import Session
+    from tagid.recording.stream import ScanStream
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.layouts.layout import Layout
 
@@ -68,8 +69,7 @@ class LiveSettings:
 class LiveView:
     """Computes states from scans; use it as a context manager.
 
-    `began`, `scan` and `ended` are called by the recording and return at once. States are made on a worker
-    thread; a second one reads the tag as soon as a turn is complete.
+    States are made on a worker thread; a second one reads the tag as soon as a turn is complete.
 
     Args:
         settings: inputs other than the scans.
@@ -82,33 +82,27 @@ class LiveView:
         self._settings = settings
         self._tell = tell
         self._lock = threading.Lock()
-        self._wake = threading.Event()
-        self._queue: list[Scan] = []
-        self._session: Session | None = None
-        self._closing = False
+        self._hurry = threading.Event()
+        self._stream: ScanStream | None = None
         self._stored: Capture | None = None
         self._state = LiveState()
-        self._last_scan_at: float | None = None
         self._answer_at: float | None = None
         self._no_image = False
         self._stopped = ""
-        self._over = False
         grid = settings.imaging
         self._grid = ImageGrid(grid.extent_m, min(grid.pixels, MAX_PIXELS))
-        self._scans: list[Scan] = []
         self._angles = LiveAngles(settings.motion)
         unknown = settings.motion.nominal_s is None and not settings.motion.measures
         self._speed = GrowingSpeed() if unknown else None
         self._views = GrowingViews(self._grid, settings.layouts, settings.imaging)
         self._ats = GrowingAts(self._grid, settings.imaging) if settings.imaging.method == "ats" else None
         self._ats_image: Image | None = None
+        self._worker: Worker | None = None
         self._fitter: Worker | None = None
         self._reader: Worker | None = None
         self._read_turn: float | None = None
-        self._worker = self._worker_for(self._work, "live-view", "the live view stopped")
 
     def __enter__(self) -> LiveView:
-        self._start(self._worker)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -119,17 +113,24 @@ class LiveView:
         """The newest state."""
         return self._state
 
-    def began(self, session: Session) -> None:
-        """Called when the radar is configured, before the first scan."""
-        self._session = session
-        self._publish(phase=Phase.TURNING)
+    @property
+    def received(self) -> int:
+        """Number of scans of the recording so far."""
+        return 0 if self._stream is None else len(self._stream)
 
-    def scan(self, scan: Scan) -> None:
-        """Add one scan."""
-        with self._lock:
-            self._queue.append(scan)
-            self._last_scan_at = time.monotonic()
-        self._wake.set()
+    @property
+    def silent_s(self) -> float:
+        """Seconds since the newest scan; 0 before the first and after the end of the recording."""
+        stream = self._stream
+        if stream is None or stream.ended or stream.newest_s is None:
+            return 0.0
+        return time.monotonic() - stream.newest_s
+
+    def began(self, stream: ScanStream) -> None:
+        """Follow a recording; the function for `Watch.began`."""
+        self._stream = stream
+        self._publish(phase=Phase.TURNING)
+        self._worker = self._start(lambda: self._work(stream), "live-view", "the live view stopped")
 
     def resolving(self, resolve: Callable[[Capture, str], Capture]) -> Callable[[Capture, str], Capture]:
         """The function for `Watch.resolve` that also passes the estimated period to the view."""
@@ -145,17 +146,11 @@ class LiveView:
 
         return told
 
-    def ended(self) -> None:
-        """Called after the last scan, while the capture file is being written."""
-        self._over = True
-        self._publish(phase=Phase.READING)
-        self._wake.set()
-
     def settle(self, prepared: Capture, answer: Identification) -> None:
         """Set the answer of the stored capture, and the prepared capture for the last frame."""
         self._answered(answer)
         self._stored = prepared
-        self._wake.set()
+        self._hurry.set()
 
     def explain(self, answer: Identification) -> None:
         """Replace the final answer by the same one with its likely causes."""
@@ -171,8 +166,7 @@ class LiveView:
 
     def close(self) -> None:
         """End the threads; the state is kept. After `settle` the last frame is still computed."""
-        self._closing = True
-        self._wake.set()
+        self._hurry.set()
         workers = [one for one in (self._worker, self._fitter, self._reader) if one is not None]
         if all(worker.join(_JOIN_S) for worker in workers):
             self._forget()
@@ -183,13 +177,15 @@ class LiveView:
         Garbage collection would find that cycle only after many scans of a station, each with sums of about
         10 MB.
         """
-        self._session, self._stored = None, None
-        self._queue, self._scans = [], []
+        self._stream = self._stored = None
         self._views = GrowingViews(self._grid, (), self._settings.imaging)
         self._ats = self._ats_image = None
 
-    def _publish(self, **changes: object) -> None:
+    def _publish(self, *, after: Phase | None = None, **changes: object) -> None:
+        """Publish the next state; with `after` only if the newest one is of this phase."""
         with self._lock:
+            if after not in (None, self._state.phase):
+                return
             state = self._change(changes)
         self._tell(state)
 
@@ -216,21 +212,21 @@ class LiveView:
             before = self._state.answer
             if before is None or self._answer_at is None or not _same(before, answer):
                 self._answer_at = time.monotonic()
-            after = None if self._last_scan_at is None else self._answer_at - self._last_scan_at
+            newest_s = None if self._stream is None else self._stream.newest_s
+            after = None if newest_s is None else self._answer_at - newest_s
             state = self._change(
                 {"answer": answer, "final": True, "answer_after_s": after, "phase": Phase.DONE}
             )
         self._tell(state)
 
-    def _worker_for(self, work: Callable[[], None], name: str, stopped: str) -> Worker:
-        """A worker whose failure is a remark in the state: the recording must not depend on its view."""
-        return Worker(work, name, lambda error: self._remark(stopped, error))
-
-    def _start(self, worker: Worker) -> None:
+    def _start(self, work: Callable[[], None], name: str, stopped: str) -> Worker:
+        """Start a worker whose failure is a remark in the state and costs the recording nothing."""
+        worker = Worker(work, name, lambda error: self._remark(stopped, error))
         try:
             worker.start()
         except RuntimeError as error:
-            self._remark(f"no {worker.name}", error)
+            self._remark(f"no {name}", error)
+        return worker
 
     def _remark(self, stopped: str, error: BaseException) -> None:
         why = error.message if isinstance(error, TagidError) else f"unexpected {type(error).__name__}"
@@ -238,121 +234,83 @@ class LiveView:
         with suppress(Exception):
             self._publish(note=f"{stopped} ({why}); the recording continues")
 
-    def _work(self) -> None:
-        """The worker thread: until closed, process new scans and publish."""
-        while not self._closing:
-            self._wake.wait(FRAME_S)
-            self._wake.clear()
-            if self._stored is not None:
-                break
+    def _work(self, stream: ScanStream) -> None:
+        """The worker thread: publish new scans until the recording has ended, then the stored capture."""
+        shown = 0
+        while stream.wait(shown) and not self._hurry.is_set():
             began = time.monotonic()
-            if self._take():
-                time.sleep(max(0.0, FRAME_S - (time.monotonic() - began)))
+            scans = stream.since()
+            shown = len(scans)
+            self._take(stream, scans)
+            self._hurry.wait(max(0.0, FRAME_S - (time.monotonic() - began)))
+        self._publish(after=Phase.TURNING, phase=Phase.READING)
+        self._hurry.wait()
         if self._stored is not None:
-            self._count_the_rest()
+            self._count_the_rest(stream)
             self._last_frame(self._stored)
 
-    def _take(self) -> bool:
-        """Add the new scans to the views, and publish; False if there are none."""
-        with self._lock:
-            new, self._queue = self._queue, []
-        session = self._session
-        if not new or session is None:
-            return False
-        self._scans += new
-        period_s = self._speed.period_s(session, self._scans) if self._speed and not self._over else None
+    def _take(self, stream: ScanStream, scans: list[Scan]) -> None:
+        """Add the new ones of all scans so far to the views, and publish."""
+        session = stream.session
+        period_s = self._speed.period_s(session, scans) if self._speed and not stream.ended else None
         if period_s is not None:
             self._angles.learn(period_s)
-        angles = self._angles.of(self._scans)
-        shown: dict[str, object] = {}
+        angles = self._angles.of(scans)
+        shown: dict[str, Any] = {}
         if angles is not None:
             shown["turned_rad"] = float(np.abs(angles).max())
         if self._angles.stopped != self._stopped:
             self._stopped = shown["note"] = self._angles.stopped
         if angles is not None and session.plan.axis_distance_m is not None and not self._no_image:
             # Before the views: where the speed is found late, all of them are formed at once.
-            self._read_ahead(session, angles)
+            self._read_ahead(stream, scans, angles)
             try:
-                self._views.update(capture_so_far(session, self._scans), angles, self._in_a_hurry)
+                self._views.update(capture_so_far(session, scans), angles, self._hurry.is_set)
                 image, evidence = self._views.image(), self._views.evidence()
             except DataError as error:
                 self._no_image = True
                 shown["note"] = f"no live image: {error.message}"
             else:
-                self._fit_ahead()
+                self._fit_ahead(stream)
                 image = self._ats_image or image
                 shown |= {"views": self._views.count, "image": image, "evidence": evidence}
-        self._publish(**self._recorded(session), **shown)
-        return True
+        self._publish(**_recorded(session, scans), **shown)
 
-    def _count_the_rest(self) -> None:
+    def _count_the_rest(self, stream: ScanStream) -> None:
         """Publish what was recorded: the last scans of a late view, or all of them, were in no frame."""
-        with self._lock:
-            new, self._queue = self._queue, []
-        self._scans += new
-        session = self._session
-        if not self._scans or session is None:
+        scans = stream.since()
+        if not scans:
             return
         # Also where all scans were shown: angles may have become known since.
-        angles = self._angles.of(self._scans)
+        angles = self._angles.of(scans)
         turned = self._state.turned_rad if angles is None else float(np.abs(angles).max())
-        self._publish(**self._recorded(session), turned_rad=turned)
+        self._publish(**_recorded(stream.session, scans), turned_rad=turned)
 
-    def _recorded(self, session: Session) -> dict[str, object]:
-        """Fields of the state that need the scans so far and no angles; at least one scan."""
-        sinogram, snr = self._sinogram(session)
-        return {
-            "scans": len(self._scans),
-            "lost": session.intake.scans_lost,
-            "seconds": (self._scans[-1].radar_time_ms - self._scans[0].radar_time_ms) * 1e-3,
-            "sinogram": sinogram,
-            "snr_db": snr,
-        }
-
-    def _in_a_hurry(self) -> bool:
-        """Whether the view is to end; remaining scans are then not shown."""
-        return self._closing or self._stored is not None
-
-    def _sinogram(self, session: Session) -> tuple[Sinogram | None, float | None]:
-        if len(self._scans) < 3:
-            return None, None
-        every = -(-len(self._scans) // _ROWS)
-        samples = np.stack([scan.samples for scan in self._scans[::every]]).astype(np.float64)
-        mean = samples.mean(axis=0)
-        rows = np.abs(analytic(samples - mean)).astype(np.float32)
-        recent = np.stack([scan.samples for scan in self._scans[-_JUDGED_SCANS:]]).astype(np.float64)
-        noise = noise_power_of(analytic(recent))
-        snr, _ = signal_to_noise_db(analytic(recent - mean), noise)
-        start = session.config.range_start_m(session.plan.cable_delay_ps)
-        return Sinogram(rows, (start, start + RANGE_STEP_M * (rows.shape[1] - 1))), snr
-
-    def _fit_ahead(self) -> None:
+    def _fit_ahead(self, stream: ScanStream) -> None:
         """Continue the fit of the method ats with the new views, in its own thread."""
         capture, ats = self._views.capture, self._ats
         busy = self._fitter is not None and self._fitter.alive
-        if ats is None or capture is None or busy or self._over or not ats.due(capture.views):
+        if ats is None or capture is None or busy or stream.ended or not ats.due(capture.views):
             return
 
         def fit() -> None:
             self._ats_image = ats.go_on(capture)
 
-        self._fitter = self._worker_for(fit, "live-fitter", "the fit ahead stopped")
-        self._start(self._fitter)
+        self._fitter = self._start(fit, "live-fitter", "the fit ahead stopped")
 
-    def _read_ahead(self, session: Session, angles: NDArray[np.float64]) -> None:
+    def _read_ahead(self, stream: ScanStream, scans: list[Scan], angles: NDArray[np.float64]) -> None:
         """Read the tag when a turn is complete, while the overlap is still being recorded."""
         turned = float(np.abs(angles).max())
         per_scan = turned / max(len(angles) - 1, 1)
         busy = self._reader is not None and self._reader.alive
         # After the last scan the stored capture is about to be read.
-        if busy or self._over or not self._settings.layouts or turned < 2 * np.pi - 0.5 * per_scan:
+        if busy or stream.ended or not self._settings.layouts or turned < 2 * np.pi - 0.5 * per_scan:
             return
         if self._read_turn is not None and abs(per_scan / self._read_turn - 1) * 2 * np.pi < TOLERANCE_RAD:
             return
         self._read_turn = per_scan
-        capture = replace(capture_so_far(session, self._scans), angles_rad=angles.copy())
-        self._reader = self._worker_for(lambda: self._read(capture), "live-reader", "no answer ahead")
-        self._start(self._reader)
+        capture = replace(capture_so_far(stream.session, scans), angles_rad=angles.copy())
+        self._reader = self._start(lambda: self._read(capture), "live-reader", "no answer ahead")
 
     def _read(self, capture: Capture) -> None:
         from tagid.pipeline.identify import identify
@@ -383,6 +341,32 @@ class LiveView:
             image = self._ats.go_on(capture, last=True)
         self._publish(image=image, views=capture.views)
         self._publish(evidence=whole_evidence(capture, self._settings.layouts, self._settings.imaging))
+
+
+def _recorded(session: Session, scans: list[Scan]) -> dict[str, Any]:
+    """Fields of the state that need the scans so far and no angles; at least one scan."""
+    sinogram, snr = _sinogram(session, scans)
+    return {
+        "scans": len(scans),
+        "lost": session.intake.scans_lost,
+        "seconds": (scans[-1].radar_time_ms - scans[0].radar_time_ms) * 1e-3,
+        "sinogram": sinogram,
+        "snr_db": snr,
+    }
+
+
+def _sinogram(session: Session, scans: list[Scan]) -> tuple[Sinogram | None, float | None]:
+    if len(scans) < 3:
+        return None, None
+    every = -(-len(scans) // _ROWS)
+    samples = np.stack([scan.samples for scan in scans[::every]]).astype(np.float64)
+    mean = samples.mean(axis=0)
+    rows = np.abs(analytic(samples - mean)).astype(np.float32)
+    recent = np.stack([scan.samples for scan in scans[-_JUDGED_SCANS:]]).astype(np.float64)
+    noise = noise_power_of(analytic(recent))
+    snr, _ = signal_to_noise_db(analytic(recent - mean), noise)
+    start = session.config.range_start_m(session.plan.cable_delay_ps)
+    return Sinogram(rows, (start, start + RANGE_STEP_M * (rows.shape[1] - 1))), snr
 
 
 def _same(one: Identification, other: Identification) -> bool:

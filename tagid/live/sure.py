@@ -8,7 +8,6 @@ contradict it.
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -35,7 +34,7 @@ from tagid.workers import Worker
 
 if TYPE_CHECKING:
     from tagid.radar.assembler import Scan
-    from tagid.recording.session import Session
+    from tagid.recording.stream import ScanStream
 
 SURE = "sure"
 """`Ending.reason` of a scan that ended because the answer was certain."""
@@ -44,7 +43,6 @@ MOST_SCALE_SIGMA = 0.035
 errors of 3 %, the slip of a calibrated robot. An uncalibrated robot (6 %) is corrected by the scans of a
 whole turn only."""
 _WHOLE = "`until_sure` recorded the whole revolution"
-_PAUSE_S = 0.1
 _JOIN_S = 30.0
 
 
@@ -63,8 +61,6 @@ def check_angle_known(motion: Motion, motion_url: str | MotionUrl) -> None:
 class EarlyEnding:
     """Reads a recording at the looks and decides whether it may end; use it as a context manager.
 
-    `began`, `scan` and `enough` are called by the recording and return at once.
-
     Args:
         settings: registry, motion and false-accept probability.
         calibration: None for the package's own.
@@ -75,29 +71,17 @@ class EarlyEnding:
         self._calibration = calibration or EndingCalibration.shipped()
         self._angles = LiveAngles(settings.motion)
         self._remark = self._why_not()
-        self._lock = threading.Lock()
-        self._wake = threading.Event()
-        self._idle = threading.Condition()
-        self._queue: list[Scan] = []
-        self._busy = False
-        self._scans: list[Scan] = []
-        self._session: Session | None = None
+        self._considered = 0
         self._looks: list[Look] = []
         self._ending: Ending | None = None
-        self._closing = False
-        self._worker = Worker(self._work, "live-ending", self._failed)
+        self._worker: Worker | None = None
 
     def __enter__(self) -> EarlyEnding:
-        try:
-            self._worker.start()
-        except RuntimeError as error:
-            self._failed(error)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._closing = True
-        self._wake.set()
-        self._worker.join(_JOIN_S)
+        if self._worker is not None:
+            self._worker.join(_JOIN_S)
 
     @property
     def remark(self) -> str:
@@ -125,78 +109,57 @@ class EarlyEnding:
         """The looks so far."""
         return tuple(self._looks)
 
+    @property
+    def considered(self) -> int:
+        """Number of scans considered so far."""
+        return self._considered
+
     def watching(self, watch: Watch) -> Watch:
         """The callbacks of a recording with those of the early ending added."""
 
-        def began(session: Session) -> None:
-            watch.began(session)
-            self._session = session
+        def began(stream: ScanStream) -> None:
+            watch.began(stream)
+            self._worker = Worker(lambda: self._work(stream), "live-ending", self._failed)
+            try:
+                self._worker.start()
+            except RuntimeError as error:
+                self._failed(error)
 
-        def scan(scan: Scan) -> None:
-            watch.scan(scan)
-            self.scan(scan)
-
-        return replace(watch, began=began, scan=scan, enough=self.enough)
-
-    def scan(self, scan: Scan) -> None:
-        """Add one scan."""
-        with self._lock:
-            self._queue.append(scan)
-        self._wake.set()
+        return replace(watch, began=began, enough=self.enough)
 
     def enough(self) -> Ending | None:
         """Why the recording may end; None while it may not."""
         return self._ending
 
-    def settle(self, timeout_s: float) -> None:
-        """Wait until every scan so far has been considered."""
-        with self._idle:
-            self._idle.wait_for(
-                lambda: self._worker.failure or (not self._busy and not self._queue), timeout_s
-            )
-
     def _failed(self, error: BaseException) -> None:
         """Without a decision the whole turn is recorded."""
         self._remark = f"{_WHOLE}: reading ahead stopped (unexpected {type(error).__name__})"
-        with self._idle:
-            self._idle.notify_all()
 
-    def _work(self) -> None:
-        while not self._closing:
-            self._wake.wait(_PAUSE_S)
-            self._wake.clear()
-            with self._lock:
-                new, self._queue = self._queue, []
-                self._busy = bool(new)
+    def _work(self, stream: ScanStream) -> None:
+        while stream.wait(self._considered) and self._ending is None and not self._remark:
+            scans = stream.since()
             try:
-                if new and self._ending is None:
-                    self._consider(new)
+                self._consider(stream, scans)
             except TagidError as error:
                 # More scans may allow what these did not.
                 logging.getLogger("tagid").debug("early ending: %s", error.message)
-            with self._idle:
-                self._busy = False
-                self._idle.notify_all()
+            self._considered = len(scans)
 
-    def _consider(self, new: Sequence[Scan]) -> None:
-        """Take the looks that are due with these scans."""
-        self._scans += new
-        session = self._session
-        if session is None or self._remark:
-            return
+    def _consider(self, stream: ScanStream, scans: Sequence[Scan]) -> None:
+        """Take the looks that are due with the scans so far."""
         track = self._settings.motion.track()
         if track is not None and float(track.info.get("scale_sigma", 0.0)) > MOST_SCALE_SIGMA:
             self._remark = f"{_WHOLE}: the angle of the device is not calibrated (`tagid motion calibrate`)"
             return
-        angles = self._angles.of(self._scans)
+        angles = self._angles.of(scans)
         if angles is None:
             return
         turned = float(np.abs(angles - angles[0]).max())
-        while len(self._looks) < len(LOOKS) and self._ending is None and not self._closing:
+        while len(self._looks) < len(LOOKS) and self._ending is None and not stream.ended:
             share = LOOKS[len(self._looks)]
             if turned <= 2 * np.pi * share:
                 return
-            capture = replace(capture_so_far(session, self._scans), angles_rad=angles)
+            capture = replace(capture_so_far(stream.session, scans), angles_rad=angles)
             self._looks.append(self._look(capture, share))
             self._ending = self._decided()
 

@@ -21,6 +21,7 @@ from tagid.radar.p440 import P440
 from tagid.recording.intake import HostLimit
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.session import Recorded, Session, Steps, Written, run_recording
+from tagid.recording.stream import ScanStream
 from tagid.storage.hdf5 import write_capture
 from tagid.storage.journal import read_journal
 from tagid.storage.journal_capture import journal_to_capture
@@ -43,9 +44,8 @@ class Watch:
         resolve: gives a capture its angles, from the motion's URL; called when the motion considers a turn
             complete (imaging can tell whether the shortest repetition is a turn, the motion cannot), and
             at the end. It raises DataError if that is not possible.
-        began: called once the radar is configured, before the motion starts.
-        scan: called with each scan after it was put into the journal's queue; it must return at once.
-        ended: called after the last scan and the end of the motion, before the capture file is written.
+        began: called with the recording's scans once the radar is configured, before the motion starts; they
+            are read in another thread, and end after the motion, before the capture file is written.
         stop: called about ten times per second; True ends the recording early, as a stop signal does.
         enough: called with every scan and about ten times per second; a value ends the recording, which is
             then complete, and is stored with it.
@@ -55,9 +55,7 @@ class Watch:
     resolve: Callable[[Capture, str], Capture] | None = None
     gap: Callable[[ScanGap], None] = lambda gap: None
     named: Callable[[Path], None] = lambda path: None
-    began: Callable[[Session], None] = lambda session: None
-    scan: Callable[[Scan], None] = lambda scan: None
-    ended: Callable[[], None] = lambda: None
+    began: Callable[[ScanStream], None] = lambda stream: None
     stop: Callable[[], bool] = lambda: False
     enough: Callable[[], Ending | None] = lambda: None
 
@@ -86,11 +84,12 @@ def record(
     watch = watch or Watch()
 
     def receive(session: Session) -> bool:
-        watch.began(session)
+        stream = ScanStream(session)
         try:
-            _OneTurn(session, motion, watch).run()
+            watch.began(stream)
+            _OneTurn(stream, motion, watch).run()
         finally:
-            watch.ended()
+            stream.end()
         return True
 
     def write(recorded: Recorded) -> Written[Capture]:
@@ -104,12 +103,12 @@ def record(
 class _OneTurn:
     """Takes scans and motion readings until a turn is complete."""
 
-    def __init__(self, session: Session, motion: Motion, watch: Watch) -> None:
-        self._session = session
-        self._plan = session.plan
+    def __init__(self, stream: ScanStream, motion: Motion, watch: Watch) -> None:
+        self._stream = stream
+        self._session = stream.session
+        self._plan = stream.session.plan
         self._motion = motion
         self._watch = watch
-        self._scans: list[Scan] = []
         self._needed_s = 0.0
         self._readings_kept = 0
 
@@ -125,20 +124,19 @@ class _OneTurn:
                 return limit.passed() or self._watch.stop() or self._is_enough()
 
             for scan in self._session.intake.scans(self._plan.scans or SCAN_FOREVER, until=ends):
-                self._scans.append(scan)
-                self._watch.scan(scan)
+                self._stream.append(scan)
                 self._motion.check()
                 if self._watch.stop():
                     break
                 if self._is_enough():
                     return
-                if len(self._scans) % max(1, check_every // 5) == 0:
+                if len(self._stream) % max(1, check_every // 5) == 0:
                     self._keep_readings()
-                if len(self._scans) % check_every == 0 and (ending := self._ending(scan)):
+                if len(self._stream) % check_every == 0 and (ending := self._ending()):
                     self._session.intake.ended = ending
                     return
             if self._watch.stop():
-                raise CaptureInterrupted(f"stopped after {len(self._scans)} scans")
+                raise CaptureInterrupted(f"stopped after {len(self._stream)} scans")
             if not self._is_enough():
                 self._session.intake.ended = self._ended("limit")
         finally:
@@ -154,22 +152,23 @@ class _OneTurn:
         intake.ended = intake.ended or self._watch.enough()
         return intake.ended is not None
 
-    def _ending(self, scan: Scan) -> Ending | None:
-        """Why the recording is complete with this scan; None if it is not."""
-        seconds = (scan.radar_time_ms - self._scans[0].radar_time_ms) * 1e-3
+    def _ending(self) -> Ending | None:
+        """Why the recording is complete with the newest scan; None if it is not."""
+        scans = self._stream.since()
+        seconds = (scans[-1].radar_time_ms - scans[0].radar_time_ms) * 1e-3
         if self._watch.progress:
-            self._watch.progress(len(self._scans), seconds)
+            self._watch.progress(len(scans), seconds)
         if seconds >= self._plan.max_seconds:
             return self._ended("limit")
         if self._plan.scans is not None or seconds < self._needed_s:
             return None
         if self._motion.measures:
             return self._ended("turn") if self._motion.finished([], []) else None
-        samples = [each.samples for each in self._scans]
-        times = [each.radar_time_ms * 1e-3 for each in self._scans]
+        samples = [scan.samples for scan in scans]
+        times = [scan.radar_time_ms * 1e-3 for scan in scans]
         if not (self._needed_s or self._motion.finished(samples, times)):
             return None
-        self._needed_s = self._needed_seconds()
+        self._needed_s = self._needed_seconds(scans)
         if seconds < self._needed_s:
             return None
         # Where nothing repeats within the longest time, no turn is known to be complete.
@@ -188,12 +187,11 @@ class _OneTurn:
         self._session.queue.put_motion(new.to_json())
         self._readings_kept = len(track)
 
-    def _needed_seconds(self) -> float:
+    def _needed_seconds(self, scans: list[Scan]) -> float:
         """Seconds to record; 0 if the scans do not show it, because more scans would not help."""
         if not self._watch.resolve:
             return 0.0
-        every = -(-len(self._scans) // _JUDGED_SCANS)
-        some = self._scans[::every]
+        some = scans[:: -(-len(scans) // _JUDGED_SCANS)]
         capture = Capture(
             np.stack([scan.samples for scan in some]),
             self._session.config.range_start_m(self._plan.cable_delay_ps),

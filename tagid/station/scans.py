@@ -7,12 +7,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from tagid.capture import Capture
 from tagid.errors import CaptureInterrupted, DeviceError, TagidError
 from tagid.live.engine import LiveSettings, LiveView
-from tagid.live.state import LiveState, Phase
+from tagid.live.state import LiveState
 from tagid.metadata import ScanGap
 from tagid.motion.device import Motion
 from tagid.motion.urls import open_motion
@@ -68,8 +67,7 @@ class ScanRun:
         )
         self._view = LiveView(settings)
         self._stop = threading.Event()
-        self._last_scan_at: float | None = None
-        self._asked = 0
+        self._received = self._asked = 0
         self._remark = ""
         self._device_failed = False
         self._thread = Worker(self._run, f"station-scan-{number}", self._fail)
@@ -111,9 +109,7 @@ class ScanRun:
         """Seconds since the last scan while the recording waits for the next one; 0 otherwise."""
         # `record` asks whether to stop once after a scan, and again only while it waits for scans: not while
         # it searches those it has for a complete turn, nor once it has one.
-        if self.state.phase is not Phase.TURNING or self._last_scan_at is None or self._asked < 2:
-            return 0.0
-        return time.monotonic() - self._last_scan_at
+        return self._view.silent_s if self._asked > 1 else 0.0
 
     def _fail(self, error: BaseException) -> None:
         self._device_failed = isinstance(error, DeviceError)
@@ -166,15 +162,11 @@ class ScanRun:
             gap=gap,
             resolve=view.resolving(resolve),
             began=view.began,
-            scan=self._took,
-            ended=view.ended,
             stop=self._asks,
         )
 
     def _asks(self) -> bool:
-        self._asked += 1
+        received = self._view.received
+        self._asked = self._asked + 1 if received == self._received else 1
+        self._received = received
         return self._stop.is_set()
-
-    def _took(self, scan: Any) -> None:
-        self._last_scan_at, self._asked = time.monotonic(), 0
-        self._view.scan(scan)

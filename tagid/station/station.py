@@ -223,11 +223,11 @@ class Station:
         files = {entry.id: Path(entry.file) for entry in self.history(Filter(numbers=entries))}
         selected = set(entries)
         missing = sum(files.get(number) not in captures for number in selected)
+        folder = place.folder()
         left_out = (
-            f"{missing} of {len(selected)} left out: their captures are not among the scans in {place.folder()}"
-            if missing
-            else ""
+            f"{missing} of {len(selected)} left out: their captures are not among the scans in {folder}"
         )
+        left_out = left_out if missing else ""
         return self.reports.start(captures, left_out, place)
 
     def stop(self) -> None:
@@ -302,7 +302,7 @@ class Station:
     def available(self, entries: list[Entry]) -> list[tuple[bool, bool]]:
         """Whether the station gives out the capture and the picture of each entry."""
         try:
-            folder = self.source.reading().folder
+            folder = self.source.place().folder()
         except TagidError:  # a damaged configuration, which Health shows
             return [(False, False)] * len(entries)
         paths = [_own_file(entry, folder) for entry in entries]

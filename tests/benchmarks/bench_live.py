@@ -68,9 +68,7 @@ def one(url: str, motion_url: str, integration: int, folder: Path) -> dict[str, 
         frames.append((time.monotonic(), state.views))
 
     with LiveView(LiveSettings(motion, known.layouts), tell) as view:
-        watch = Watch(
-            resolve=view.resolving(resolve_turn), began=view.began, scan=view.scan, ended=view.ended
-        )
+        watch = Watch(resolve=view.resolving(resolve_turn), began=view.began)
         began = time.process_time()
         capture = record(open_radar(url, 2.0), motion, plan, capture_path(folder), watch)
         spent = time.process_time() - began

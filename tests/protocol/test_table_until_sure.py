@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +24,7 @@ from tagid.recording.recorder import Watch, record
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.sequential.calibration import EndingCalibration
 from tagid.tags.sequential.looks import LOOKS
+from tests.unit.paced import paced
 
 CALIBRATION = EndingCalibration("made up", (0, 3999), LOOKS, 32, 1e9, 3999, ())
 
@@ -43,14 +43,9 @@ def test_a_table_stands_once_the_answer_is_certain(tmp_path: Path, monkeypatch: 
             plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=13)), 1.0, motion=url
         )
         with EarlyEnding(LiveSettings(motion, layouts), CALIBRATION) as ending:
-            watch = ending.watching(Watch(resolve=resolve_turn))
-
-            def scan(scan: object) -> None:
-                watch.scan(scan)  # type: ignore[arg-type]
-                ending.settle(60.0)
-
+            watch = paced(ending, Watch(resolve=resolve_turn))
             radar = open_radar(f"emulator://helmet-120?rate=1&seed=2&turned_by={truth.address}")
-            capture = record(radar, motion, plan, tmp_path / "x.tagid.h5", replace(watch, scan=scan))
+            capture = record(radar, motion, plan, tmp_path / "x.tagid.h5", watch)
         assert not core.table.speed_deg_s
     ended = capture.radar.ended
     assert capture.complete and ended is not None

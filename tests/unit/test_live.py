@@ -5,13 +5,10 @@ from __future__ import annotations
 import gc
 import io
 import threading
-import time
-import weakref
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -31,6 +28,7 @@ from tagid.live.evidence import GrowingEvidence
 from tagid.live.image import GrowingImage
 from tagid.live.speed import GrowingSpeed
 from tagid.live.state import LiveState, Phase
+from tagid.live.sure import EarlyEnding
 from tagid.live.views import GrowingViews, capture_so_far
 from tagid.motion.urls import open_motion
 from tagid.pipeline import identify as identify_module
@@ -46,6 +44,7 @@ from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
 from tagid.recording.session import Session
+from tagid.recording.stream import ScanStream
 from tagid.report.live_screen import draw
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
@@ -53,7 +52,9 @@ from tagid.simulate.presets import scene_from_name
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.reading.coarse import CoarseImage
 from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.hypotheses import SearchSettings
+from tagid.tags.reading.hypotheses import CoarseGrid, SearchSettings
+from tagid.tags.reading.squares import whole_grams
+from tests.unit.paced import wait_for
 
 GRID = ImageGrid(0.4, 48)
 RAW = PreprocessSettings(background="none", extent_m=0.4)
@@ -115,12 +116,24 @@ def test_growing_evidence_is_that_of_the_readers_coarse_search(layouts: list[Lay
     radius = max(one.radius_m for one in layouts) + search.centre_range_m * np.sqrt(2)
     scans = preprocess(capture, settings=replace(UNMATCHED, background="mean"))
     matched = MatchedField(scans, radius + 0.02)
-    for sums, aspect in zip(growing._sums, search.aspects, strict=True):
-        mine = sums.image(40, growing._scan_sum / 40)
-        reader = CoarseImage.of(matched, radius, aspect, search.offsets_m)
-        assert np.abs(mine.images - reader.images).max() < 1e-4 * np.abs(reader.images).max()
-        assert np.abs(mine.static - reader.static).max() < 1e-4 * np.abs(reader.static).max()
-    found = {one.layout: one for one in growing.judged(scans)}
+    images = CoarseImage.of_each(matched, radius, search.aspects, search.offsets_m)
+
+    def energy(layout: Layout) -> float:
+        grid = CoarseGrid.of(layout, search)
+        grams = [
+            whole_grams(matched, image.aspect, grid.placed, np.zeros(layout.size), grid.facing)
+            for image in images
+        ]
+        scored = [
+            grid.energies(image, gram, matched.template_energy, search.balance).best.max()
+            for image, gram in zip(images, grams, strict=True)
+        ]
+        return float(max(scored))
+
+    judged = growing.judged(scans)
+    wanted = [energy(layout) / matched.noise_variance for layout in layouts]
+    assert [one.nats for one in judged] == pytest.approx(wanted, rel=1e-4)
+    found = {one.layout: one for one in judged}
     best = max(found.values(), key=lambda one: one.share)
     assert best.layout == "helmet-120" and best.enough and best.share > 0.7
     assert all(one.share < 0.35 for name, one in found.items() if name != "helmet-120")
@@ -225,9 +238,15 @@ def test_a_symmetric_tag_without_a_stated_speed_is_shown_once_imaging_tells_the_
     found = view.resolving(resolve_turn)(seen, "free").motion.resolved
     assert found is not None and found.repetitions_a_turn == 3
     scans = [scan_of(i, round(float(t))) for i, t in enumerate(capture.radar_time_ms)]
-    angles = view._angles.of(scans)
-    assert angles is not None
-    assert np.ptp(angles) == pytest.approx(0.8 * 2 * np.pi, rel=0.02)
+    plan, intake = RecordingPlan(None, None), SimpleNamespace(scans_lost=0)
+    stream = ScanStream(cast(Session, SimpleNamespace(plan=plan, config=RadarConfig(), intake=intake)))
+    for scan in scans:
+        stream.append(scan)
+    stream.end()
+    with view:
+        view.began(stream)
+        wait_for(lambda: view.state.phase is Phase.READING)
+    assert view.state.turned_rad == pytest.approx(0.8 * 2 * np.pi, rel=0.02)
 
 
 def recorded(folder: Path, view: LiveView, seconds: float = 60.0, **more: object) -> Capture:
@@ -235,7 +254,7 @@ def recorded(folder: Path, view: LiveView, seconds: float = 60.0, **more: object
     config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
     url = "free?rpm=20"
     plan = RecordingPlan(config, 1.0, motion=url, max_seconds=seconds)
-    watch = Watch(resolve=view.resolving(resolve_turn), began=view.began, scan=view.scan, ended=view.ended)
+    watch = Watch(resolve=view.resolving(resolve_turn), began=view.began)
     radar = open_radar("emulator://helmet-120?rpm=20&seed=2")
     return record(radar, open_motion(url), plan, folder / "x.tagid.h5", replace(watch, **more))
 
@@ -262,15 +281,21 @@ def test_a_recording_is_shown_to_its_last_frame(tmp_path: Path, layouts: list[La
 
 
 def test_a_view_that_is_late_ends_with_angle_and_sinogram_of_what_was_recorded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layouts: list[Layout]
+    tmp_path: Path, layouts: list[Layout]
 ) -> None:
     """On a busy computer the last scans of a turn arrive after the last frame that shows scans."""
-    monkeypatch.setattr(LiveView, "_take", lambda _: False)
+    settled = threading.Event()
+
+    def late(state: LiveState) -> None:
+        if threading.current_thread().name == "live-view":
+            settled.wait(60)
+
     settings = LiveSettings(open_motion("free?rpm=20"), layouts, imaging=ImagingSettings(pixels=48))
-    with LiveView(settings) as view:
+    with LiveView(settings, late) as view:
         capture = recorded(tmp_path, view)
         prepared = PreparedCapture(load_capture(capture), ImagingSettings(pixels=48))
         view.settle(prepared.given, identify(prepared, layouts))
+        settled.set()
     assert view.state.final
     best = max(view.state.evidence, key=lambda one: one.share)
     assert best.layout == "helmet-120" and best.enough
@@ -292,12 +317,11 @@ class Turning:
     def of(cls, scene: str, folder: Path, turns: float) -> Turning:
         config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
         plan = RecordingPlan(config, 1.0, motion="free", max_seconds=10.0 * turns)
-        sessions: list[Session] = []
-        scans: list[Scan] = []
-        watch = Watch(began=sessions.append, scan=scans.append)
+        streams: list[ScanStream] = []
+        watch = Watch(began=streams.append)
         radar = open_radar(f"emulator://{scene}?rpm=6&seed=2&snr=10")
         record(radar, open_motion("free?rpm=6"), plan, folder / f"{scene}.tagid.h5", watch)
-        return cls(sessions[0], scans)
+        return cls(streams[0].session, streams[0].since())
 
     def part(self, turns: float) -> list[Scan]:
         """The scans of the first turns."""
@@ -332,47 +356,50 @@ def test_image_and_answer_precede_the_end_of_a_turn_of_unknown_speed(
 ) -> None:
     turning = Turning.of("helmet-120", tmp_path, 1.2)
     with LiveView(LiveSettings(open_motion("free"), layouts, imaging=ImagingSettings(pixels=48))) as view:
-        view.began(turning.session)
+        stream = ScanStream(turning.session)
+        view.began(stream)
         half = turning.part(0.55)
         for number, scan in enumerate(half):
-            view.scan(scan)
+            stream.append(scan)
             if number % 10 == 0:
                 wait_for(lambda seen=number: view.state.scans > seen)
         wait_for(lambda: view.state.scans == len(half) and view.state.image is not None)
         assert view.state.turned_rad == pytest.approx(0.55 * 2 * np.pi, rel=0.02)
         assert max(view.state.evidence, key=lambda one: one.share).layout == "helmet-120"
         for scan in turning.scans[len(half) :]:
-            view.scan(scan)
+            stream.append(scan)
         wait_for(lambda: view.state.answer is not None)
         answer, final = view.state.answer, view.state.final
+        stream.end()
     assert answer is not None and answer.reading is not None and not final
     assert answer.reading.layout == "helmet-120"
 
 
-def wait_for(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + 120
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
-
-
-def test_a_closed_view_holds_no_scans_and_is_freed_without_the_garbage_collector(
+def test_closed_watchers_hold_no_scans_and_are_freed_without_the_garbage_collector(
     tmp_path: Path, layouts: list[Layout]
 ) -> None:
     """The recording refers to its view by the callback for gaps, and the view to the recording."""
+    kinds = (Scan, ScanStream, Session, GrowingEvidence, EarlyEnding, LiveView)
 
-    def held() -> list[Any]:
-        with LiveView(LiveSettings(open_motion("free?rpm=20"), layouts)) as view:
-            recorded(tmp_path, view, gap=lambda gap: view.note("a gap"))
-            found = [weakref.ref(view), weakref.ref(view._views), weakref.ref(view._session.intake)]
-            wait_for(lambda: view._views.count > 5)
-        assert found[1]() is None, "the sums go with the end of the view"
-        return found
+    def alive() -> list[int]:
+        return [sum(type(found) is kind for found in gc.get_objects()) for kind in kinds]
+
+    def watched() -> None:
+        settings = LiveSettings(open_motion("free?rpm=20"), layouts)
+        with LiveView(settings) as view, EarlyEnding(settings) as ending:
+            began = ending.watching(Watch(began=view.began)).began
+            recorded(tmp_path, view, began=began, gap=lambda gap: view.note("a gap"))
+            wait_for(lambda: (view.state.views or 0) > 5)
+        after = alive()
+        assert after[:4] == before[:4], "scans and sums go with the end of the watchers"
+        assert after[4:] == [count + 1 for count in before[4:]]
 
     gc.collect()
+    before = alive()
     gc.disable()
     try:
-        assert [one() for one in held()] == [None, None, None]
+        watched()
+        assert alive() == before
     finally:
         gc.enable()
 
@@ -442,11 +469,11 @@ def test_a_worker_of_the_view_that_dies_is_a_remark_and_costs_no_scan(
 
     with LiveView(known, tell) as view:
 
-        def ended() -> None:
+        def resolve(capture: Capture, motion: str) -> Capture:
             assert remarked.wait(60)
-            view.ended()
+            return resolve_turn(capture, motion)
 
-        assert recorded(tmp_path, view, ended=ended).complete
+        assert recorded(tmp_path, view, resolve=resolve).complete
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -465,14 +492,19 @@ def test_the_final_answer_stays_and_a_new_one_has_its_own_time() -> None:
 
 
 def test_stop_ends_a_recording_and_keeps_its_scans(tmp_path: Path) -> None:
-    taken: list[Scan] = []
+    streams: list[ScanStream] = []
     with (
         LiveView(LiveSettings(open_motion("free?rpm=20"))) as view,
         pytest.raises(CaptureInterrupted, match="stopped after") as stopped,
     ):
-        recorded(tmp_path, view, scan=taken.append, stop=lambda: len(taken) >= 10)
+
+        def began(stream: ScanStream) -> None:
+            streams.append(stream)
+            view.began(stream)
+
+        recorded(tmp_path, view, began=began, stop=lambda: len(streams[0]) >= 10)
     assert str(tmp_path / "x.tagid.h5") in stopped.value.remedy
-    assert len(taken) >= 10
+    assert len(streams[0]) >= 10 and streams[0].ended
 
 
 @pytest.mark.parametrize("size", [(80, 24), (200, 60), (20, 5), (65535, 65535)])

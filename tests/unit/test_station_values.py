@@ -7,6 +7,7 @@ import json
 import math
 import threading
 from pathlib import Path
+from typing import cast
 from urllib.parse import urlencode
 
 import numpy as np
@@ -21,7 +22,10 @@ from tagid.imaging.types import Image
 from tagid.live.evidence import LayoutEvidence
 from tagid.live.state import LiveState, Phase, Sinogram
 from tagid.operate.workplace import Workplace
+from tagid.radar.assembler import Scan
 from tagid.recording.plan import RecordingPlan
+from tagid.recording.session import Session
+from tagid.recording.stream import ScanStream
 from tagid.station import wire
 from tagid.station.operators import GRACE_S, Operators
 from tagid.station.requests import entries_of, filter_of
@@ -66,20 +70,19 @@ def test_only_a_radar_that_the_recording_waits_for_is_silent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TAGID_DATA", str(tmp_path))
-    reading = ReadingSetup(tmp_path, LoadSettings(), ImagingSettings(method="bp", pixels=16))
-    setup = ScanSetup("emulator://empty", 2.0, "free", RecordingPlan(None, 1.0), reading)
-    run = ScanRun(1, setup, threading.Lock())
-    watch = run._watch(lambda path: None)
-    run._view._publish(phase=Phase.TURNING)
+    place = Workplace({"radar.url": "emulator://empty", "motion.url": "free", "imaging.method": "bp"})
+    run = ScanRun(1, place, RecordingPlan(None, 1.0), threading.Lock())
+    watch, stream = run._watch(), ScanStream(cast(Session, None))
+    watch.began(stream)
     watch.stop()
     watch.stop()
     assert run.silent_s == 0, "before the first scan"
-    watch.scan(None)
+    stream.append(cast(Scan, None))
     watch.stop()
     assert run.silent_s == 0, "the recording searches its scans for a turn, and may end with them"
     watch.stop()
     assert run.silent_s > 0
-    watch.ended()
+    stream.end()
     assert run.silent_s == 0
 
 

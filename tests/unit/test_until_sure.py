@@ -51,6 +51,7 @@ from tagid.tags.sequential.looks import (
     look,
     part_of_turn,
 )
+from tests.unit.paced import paced
 
 CALIBRATION = EndingCalibration("made up", (0, 3999), LOOKS, 32, 1e9, 3999, ())
 URL = "free?rpm=20"
@@ -62,14 +63,9 @@ def recorded(
     """A turn in memory, as fast as it goes; each scan waits for the looks, whatever the computer's speed."""
     config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=13))
     plan = RecordingPlan(config, 1.0, motion=URL)
-    watch = ending.watching(Watch(resolve=resolve_turn))
-
-    def scan(scan: object) -> None:
-        watch.scan(scan)  # type: ignore[arg-type]
-        ending.settle(120.0)
-
+    watch = paced(ending, Watch(resolve=resolve_turn))
     radar = open_radar(f"emulator://{scene}?rpm=20&seed=2")
-    return record(radar, motion or open_motion(URL), plan, path, replace(watch, scan=scan))
+    return record(radar, motion or open_motion(URL), plan, path, watch)
 
 
 def settings(motion: FreeTurntable | None = None, **imaging: float) -> LiveSettings:
@@ -190,7 +186,7 @@ def test_a_scan_that_fails_leaves_no_thread_and_no_ending(tmp_path: Path, error:
         LiveView(known) as view,
         EarlyEnding(known, CALIBRATION) as ending,
     ):
-        watch = ending.watching(Watch(began=view.began, scan=view.scan, ended=view.ended))
+        watch = ending.watching(Watch(began=view.began))
         record(radar, motion, plan, tmp_path / "x.tagid.h5", watch)
     assert ending.enough() is None
     kept = read_capture(tmp_path / "x.tagid.h5")
@@ -214,7 +210,6 @@ def test_an_angle_of_uncertain_scale_ends_no_scan(tmp_path: Path) -> None:
         watch = ending.watching(Watch())
         plan = RecordingPlan(config, 1.0, motion=URL, scans=150)
         capture = record(open_radar("emulator://helmet-120?rpm=20&seed=2"), motion, plan, path, watch)
-        ending.settle(120.0)
     assert capture.radar.ended == Ending("limit") and ending.looks == ()
     assert "not calibrated" in ending.remark
 

@@ -46,10 +46,7 @@ class LiveScan:
         """The callbacks of a recording with those of the view added."""
         from dataclasses import replace
 
-        view = self.view
-        return replace(
-            watch, began=view.began, scan=view.scan, ended=view.ended, resolve=view.resolving(resolve)
-        )
+        return replace(watch, began=self.view.began, resolve=self.view.resolving(resolve))
 
     def facts(self) -> dict[str, Any]:
         """Figures of the live view, as JSON values."""

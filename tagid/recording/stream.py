@@ -1,0 +1,65 @@
+"""The scans of a running recording in memory, for everything that reads them while it runs."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tagid.radar.assembler import Scan
+    from tagid.recording.session import Session
+
+
+class ScanStream:
+    """The scans of one recording, in order; one thread appends, any number of threads read.
+
+    A reader counts the scans that it has read: `while stream.wait(count)`, it takes `stream.since(count)`. It
+    holds the lock only while it copies references, so that a slow one never delays the recording.
+
+    Args:
+        session: the recording.
+
+    Attributes:
+        session: as given.
+        newest_s: when the newest scan was appended, s of `time.monotonic`; None before the first.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.newest_s: float | None = None
+        self._scans: list[Scan] = []
+        self._ended = False
+        self._changed = threading.Condition()
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    @property
+    def ended(self) -> bool:
+        """Whether no further scan follows."""
+        return self._ended
+
+    def append(self, scan: Scan) -> None:
+        """Add the next scan."""
+        with self._changed:
+            self._scans.append(scan)
+            self.newest_s = time.monotonic()
+            self._changed.notify_all()
+
+    def end(self) -> None:
+        """Report that no further scan follows; `record` does so however it ends."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    def since(self, number: int = 0) -> list[Scan]:
+        """The scans so far from this number on, counted from 0."""
+        with self._changed:
+            return self._scans[number:]
+
+    def wait(self, number: int, timeout_s: float | None = None) -> bool:
+        """Wait for scan `number`, counted from 0; False if the recording or the time ended before it."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended or len(self._scans) > number, timeout_s)
+            return len(self._scans) > number
