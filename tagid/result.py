@@ -11,7 +11,7 @@ import math
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from tagid.errors import EXIT_OK, TagidError, visible
@@ -114,6 +114,7 @@ class Result:
     command: str
     data: dict[str, Any] = field(default_factory=dict)
     human: RenderableType | None = None
+    _: KW_ONLY
     exit_code: int = EXIT_OK
     messages: tuple[str, ...] = ()
     errors: tuple[Problem, ...] = ()

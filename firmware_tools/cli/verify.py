@@ -9,7 +9,7 @@ import typer
 from firmware_tools.cli import shared
 from tagid.cli.common.frame import Terminal, command
 from tagid.errors import EXIT_FAILED, EXIT_OK
-from tagid.result import Result
+from tagid.result import Problem, Result
 
 
 def register(app: typer.Typer) -> None:
@@ -54,11 +54,7 @@ def register(app: typer.Typer) -> None:
         wrong = [f"{name} {verdict}" for name, verdict in found.files.items() if verdict != "same"]
         if found.problem:
             wrong.append(f"configuration: {found.problem}")
-        errors = tuple(
-            {"code": "firmware", "message": text, "remedy": "Run `tagid-firmware provision` again."}
-            for text in wrong
-        )
+        errors = tuple(Problem("firmware", text, "Run `tagid-firmware provision` again.") for text in wrong)
         notes = tuple(f"{name} on the board is not part of this build" for name in found.extra)
-        status = "success" if found.good else "error"
         code = EXIT_OK if found.good else EXIT_FAILED
-        return Result("verify", data, table, status, code, notes, errors)  # type: ignore[arg-type]
+        return Result("verify", data, table, exit_code=code, messages=notes, errors=errors)

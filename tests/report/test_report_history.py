@@ -81,7 +81,7 @@ def test_a_locked_history_is_told_and_waited_for_once(
     holder.execute("BEGIN IMMEDIATE")
     (remark,) = make_report(captures, hooks=Hooks(history=path)).remarks
     assert remark.startswith("not stored in the history: 5 answers: cannot use the history")
-    assert "--resume" in remark
+    assert "`resume`" in remark
     assert [wait for wait in waits if wait] == [remembering.BUSY_SECONDS]
     holder.close()
     assert make_report(captures, hooks=Hooks(history=path), resume=True).remarks == ()

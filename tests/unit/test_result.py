@@ -11,7 +11,8 @@ import tagid
 from tagid.errors import EXIT_DEVICE, DeviceError
 from tagid.result import Problem, Result
 
-SOURCES = sorted(Path(tagid.__file__).parent.rglob("*.py"))
+ROOT = Path(tagid.__file__).parents[1]
+SOURCES = [path for part in ("tagid", "firmware_tools") for path in sorted((ROOT / part).rglob("*.py"))]
 
 
 @pytest.mark.parametrize(
