@@ -21,23 +21,19 @@ from tagid.live.engine import LiveSettings
 from tagid.live.views import capture_so_far
 from tagid.metadata import Ending
 from tagid.motion.device import Motion
-from tagid.pipeline.answer import Identification
+from tagid.pipeline.coverage import SURE
 from tagid.pipeline.identify import enrolled_hypotheses
 from tagid.recording.recorder import Watch
 from tagid.secret import MotionUrl
-from tagid.tags.bodies.calibration import Bound
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.sequential.calibration import EndingCalibration
-from tagid.tags.sequential.looks import LEAST_REFLECTORS, LOOKS, SPENT, Look, agreed, look, part_of_turn
-from tagid.tags.verdicts.verdict import Code
+from tagid.tags.sequential.looks import LEAST_REFLECTORS, LOOKS, Look, agreed, look, part_of_turn
 from tagid.workers import Worker
 
 if TYPE_CHECKING:
     from tagid.radar.assembler import Scan
     from tagid.recording.stream import ScanStream
 
-SURE = "sure"
-"""`Ending.reason` of a scan that ended because the answer was certain."""
 MOST_SCALE_SIGMA = 0.035
 """Largest relative standard deviation of a device's angle scale: the calibration of early endings includes
 errors of 3 %, the slip of a calibrated robot. An uncalibrated robot (6 %) is corrected by the scans of a
@@ -187,35 +183,3 @@ class EarlyEnding:
         if reading.layout != name or reading.kind is not Kind.BARE:
             return None
         return Ending(SURE, newest.share, name, bound.p_value, bound.objects)
-
-
-def ended_answer(
-    answer: Identification,
-    ending: Ending | None,
-    false_accept: float,
-    calibration: EndingCalibration | None = None,
-) -> Identification:
-    """The answer of a capture that ended early, with the bound of the whole procedure.
-
-    The recording goes on for some scans while a look is read; a name that these contradict is withdrawn.
-
-    Args:
-        answer: of the captured part of the turn.
-        ending: of its recording; the answer is returned unchanged unless it is that of an early ending.
-        false_accept: of the whole scan.
-        calibration: None for the package's own.
-    """
-    reading = answer.reading
-    if ending is None or ending.reason != SURE or reading is None:
-        return answer
-    if answer.status == "identified" and reading.layout == ending.layout:
-        known = calibration or EndingCalibration.shipped()
-        bound = Bound(
-            ending.p_value or 1.0, SPENT * false_accept, ending.turns or 0, known.stratum, known.population
-        )
-        return replace(answer, reading=replace(reading, bound=bound))
-    if answer.status != "identified":
-        return answer
-    reason = f"the first {ending.share or 0:.0%} of the turn show {ending.layout}, all scans {reading.layout}"
-    withdrawn = replace(reading.refused(Code.DISAGREE, reason), bound=None)
-    return replace(answer, status="unknown", reading=withdrawn, label="")

@@ -14,24 +14,23 @@ from typing import TYPE_CHECKING, Any, Protocol
 from tagid.capture import Capture
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import DataError, TagidError, displayable
-from tagid.live.sure import ended_answer
 from tagid.operate.words import headline, method_shown, notes
 from tagid.pipeline.answer import Cause, Identification
+from tagid.pipeline.coverage import ended_answer
 from tagid.pipeline.diagnosis import recording_remarks, with_causes
 from tagid.pipeline.identify import identify as read_tag
 from tagid.pipeline.identify import identify_together, without_body
 from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
 from tagid.pipeline.prepared import PreparedCapture, as_prepared
 from tagid.pipeline.settings import ImagingSettings, Stopwatch
-from tagid.pipeline.turn import resolve_turn
-from tagid.recording.plan import RecordingPlan, capture_path
-from tagid.recording.recorder import Watch, record
 from tagid.result import Problem
 
 if TYPE_CHECKING:
     from tagid.motion.device import Motion
     from tagid.operate.workplace import Workplace
     from tagid.pipeline.reconstruct import Reconstruction
+    from tagid.recording.plan import RecordingPlan
+    from tagid.recording.recorder import Watch
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.enrolling.registry import RegistryContents
     from tagid.tags.layouts.layout import Layout
@@ -160,7 +159,10 @@ def record_turn(
         As `tagid.recording.recorder.record`.
     """
     from tagid.motion.urls import open_motion
+    from tagid.pipeline.turn import resolve_turn
+    from tagid.recording.plan import capture_path
     from tagid.recording.radars import open_radar
+    from tagid.recording.recorder import Watch, record
 
     watch = watch or Watch()
     paths: list[Path] = []
@@ -182,7 +184,6 @@ def identify(
     settings: ImagingSettings | None = None,
     registry_version: int | None = None,
     signatures: Sequence[Signature] = (),
-    watcher: Watcher | None = None,
 ) -> Identification:
     """Name the object of a prepared capture, with remarks on the recording, and likely causes if unnamed.
 
@@ -192,14 +193,23 @@ def identify(
         settings: only with a plain capture.
         registry_version: stored in the answer.
         signatures: enrolled bodies and objects.
-        watcher: shown the answer before the search for causes, which reads the scans several times more.
 
     Raises:
         DataError: too few views or bins, the object lies outside the range window, or the samples are no
             waveform in the assumed band.
         RegistryError: no layout is enrolled.
     """
-    prepared = as_prepared(capture, settings)
+    return _identified(as_prepared(capture, settings), layouts, registry_version, signatures)
+
+
+def _identified(
+    prepared: PreparedCapture,
+    layouts: Sequence[Layout],
+    registry_version: int | None,
+    signatures: Sequence[Signature],
+    watcher: Watcher | None = None,
+) -> Identification:
+    """As `identify`; a watcher is shown the answer before the search for causes, which takes longer."""
     given = prepared.given
     ended = given.radar.ended
     answer = read_tag(
@@ -230,7 +240,6 @@ def read(
     source: Path | Capture,
     file: Path | str | None = None,
     watcher: Watcher | None = None,
-    identity: Callable[[], None] = lambda: None,
 ) -> Answer:
     """Load a recording and name its object.
 
@@ -238,7 +247,7 @@ def read(
         setup: all that the answer depends on besides the recording.
         source: the recording's file, or a capture in memory.
         file: name of the recording in document and errors; None: that of `source`.
-        watcher: see `identify`.
+        watcher: shown the answer before the search for causes.
 
     Returns:
         The answer; one of status "failed" for a recording that cannot be read.
@@ -252,13 +261,7 @@ def read(
         uuid = capture.uuid
         prepared = PreparedCapture(capture, setup.imaging)
         enrolled = setup.enrolled
-        answer = identify(
-            prepared,
-            enrolled.layouts,
-            registry_version=enrolled.version,
-            signatures=enrolled.signatures,
-            watcher=watcher,
-        )
+        answer = _identified(prepared, enrolled.layouts, enrolled.version, enrolled.signatures, watcher)
     except TagidError as error:
         return failed(error, name, displayable(str(source)) if isinstance(source, Path) else "", uuid)
     answer = replace(answer, seconds={**watch.seconds, **answer.seconds})

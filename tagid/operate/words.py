@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from tagid.counting import counted
 from tagid.metadata import Ending, RadarInfo, ResolvedMotion
 from tagid.pipeline.resolve import one_of
-from tagid.storage.journal_queue import drop_note
 
 if TYPE_CHECKING:
     from tagid.imaging.autofocus import AxisFocus
@@ -129,6 +128,8 @@ def notes(radar: RadarInfo) -> list[str]:
     if malformed:
         found.append(f"{counted(malformed, 'packet')} were damaged or not P440 messages")
     if radar.scans_dropped:
+        from tagid.storage.journal_queue import drop_note
+
         found.append(drop_note(radar.scans_dropped))
     if radar.gap_count:
         seconds = sum(gap.seconds for gap in radar.gaps)

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tagid.capture import Capture
+from tagid.metadata import Ending
+from tagid.pipeline.answer import Identification
 from tagid.pipeline.standstill import stopped_words
 from tagid.signal import median
+from tagid.tags.bodies.calibration import Bound
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code
 
+if TYPE_CHECKING:
+    from tagid.tags.sequential.calibration import EndingCalibration
+
+SURE = "sure"
+"""`Ending.reason` of a scan that ended because the answer was certain."""
 WHOLE_TURN = 0.97
 """Smallest share of a revolution that counts as complete: a gap of 10 degrees does not impair reading."""
 LEAST_NAMED = 0.58
@@ -77,7 +86,7 @@ def share_seen(captures: Sequence[Capture]) -> float | None:
 def ended_early(capture: Capture) -> bool:
     """Whether the recording ended on purpose before the turn did, because the answer was certain."""
     ended = capture.radar.ended
-    return ended is not None and ended.reason == "sure"
+    return ended is not None and ended.reason == SURE
 
 
 def of_the_part(reading: Reading, captures: Sequence[Capture]) -> Reading:
@@ -109,3 +118,38 @@ def of_the_part(reading: Reading, captures: Sequence[Capture]) -> Reading:
     if resolved is None or resolved.standstill is None:
         return reading.refused(Code.PARTIAL, f"{covered}, and in these {shows}")
     return reading.refused(Code.STOPPED, f"{stopped_words(resolved.standstill)}, and until then {shows}")
+
+
+def ended_answer(
+    answer: Identification,
+    ending: Ending | None,
+    false_accept: float,
+    calibration: EndingCalibration | None = None,
+) -> Identification:
+    """The answer of a capture that ended early, with the bound of the whole procedure.
+
+    The recording goes on for some scans while a look is read; a name that these contradict is withdrawn.
+
+    Args:
+        answer: of the captured part of the turn.
+        ending: of its recording; the answer is returned unchanged unless it is that of an early ending.
+        false_accept: of the whole scan.
+        calibration: None for the package's own.
+    """
+    reading = answer.reading
+    if ending is None or ending.reason != SURE or reading is None:
+        return answer
+    from tagid.tags.sequential.calibration import EndingCalibration
+    from tagid.tags.sequential.looks import SPENT
+
+    if answer.status == "identified" and reading.layout == ending.layout:
+        known = calibration or EndingCalibration.shipped()
+        bound = Bound(
+            ending.p_value or 1.0, SPENT * false_accept, ending.turns or 0, known.stratum, known.population
+        )
+        return replace(answer, reading=replace(reading, bound=bound))
+    if answer.status != "identified":
+        return answer
+    reason = f"the first {ending.share or 0:.0%} of the turn show {ending.layout}, all scans {reading.layout}"
+    withdrawn = replace(reading.refused(Code.DISAGREE, reason), bound=None)
+    return replace(answer, status="unknown", reading=withdrawn, label="")

@@ -17,12 +17,12 @@ from tagid.capture import Capture
 from tagid.errors import ConfigError, DeviceError, DeviceTimeoutError, ModelError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.live.engine import LiveSettings, LiveView
-from tagid.live.sure import EarlyEnding, check_angle_known, ended_answer
+from tagid.live.sure import EarlyEnding, check_angle_known
 from tagid.metadata import Ending, Track
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
 from tagid.motion.urls import open_motion
-from tagid.pipeline.coverage import widest_gap
+from tagid.pipeline.coverage import ended_answer, widest_gap
 from tagid.pipeline.diagnosis import recording_remarks
 from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
