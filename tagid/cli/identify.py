@@ -64,7 +64,7 @@ def register(app: typer.Typer) -> None:
         }
         place = Workplace(overrides, background)
         if vote:
-            return vote_on(place, files, "identify")
+            return vote_on(terminal, place, files, "identify")
         return run(terminal, place, files, View(preview, png), _given(overrides))
 
 
@@ -107,7 +107,7 @@ def run(
                 answer = failed(error, answer.file)
         answers.append(answer)
         if answer.error is None:
-            drawn.append(imaging.describe(answer.identification, displayable(path.name)))
+            drawn.append(imaging.describe(answer, displayable(path.name), terminal.verbose > 0))
     errors = [answer for answer in answers if answer.error is not None]
     code = imaging.exit_code_of([answer.identification for answer in answers])
     if code == EXIT_FAILED:
@@ -132,7 +132,7 @@ def run(
     )
 
 
-def vote_on(place: Workplace, files: list[Path], command_name: str) -> Result:
+def vote_on(terminal: Terminal, place: Workplace, files: list[Path], command_name: str) -> Result:
     """One joint answer from recordings of one object. Raises the errors of reading them."""
     from tagid.cli.common import imaging
     from tagid.operate.turn import read_jointly
@@ -143,13 +143,13 @@ def vote_on(place: Workplace, files: list[Path], command_name: str) -> Result:
     return Result(
         command_name,
         {"items": items, "png": None},
-        _joint_text(answer),
+        _joint_text(answer, terminal.verbose > 0),
         exit_code=imaging.exit_code_of([answer.identification]),
         messages=(*answer.remarks, *notes),
     )
 
 
-def _joint_text(answer: Answer) -> RenderableType:
+def _joint_text(answer: Answer, verbose: bool) -> RenderableType:
     """The joint answer as text, with one line per recording."""
     from rich.console import Group
     from rich.text import Text
@@ -160,7 +160,7 @@ def _joint_text(answer: Answer) -> RenderableType:
 
     lines = [Text(f"  {alone.file}: {headline(alone.identification)}") for alone in answer.alone]
     source = f"from {counted(len(answer.alone), 'recording')}"
-    return Group(imaging.describe(answer.identification, source), *lines)
+    return Group(imaging.describe(answer, source, verbose), *lines)
 
 
 def _given(overrides: Mapping[str, object]) -> dict[str, object]:

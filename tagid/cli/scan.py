@@ -165,7 +165,7 @@ def _scans(
     if repeat == 1 or any(turn.errors for turn in turns):
         return next((turn for turn in turns if turn.errors), turns[-1])
     files = [Path(turn.data["files"]["capture"]) for turn in turns]
-    joint = vote_on(place, files, "scan")
+    joint = vote_on(terminal, place, files, "scan")
     facts = [{key: value for key, value in turn.data.items() if key != "items"} for turn in turns]
     messages = tuple(dict.fromkeys(m for turn in turns for m in turn.messages)) + joint.messages
     return replace(joint, data={"items": joint.data["items"], "turns": facts}, messages=messages)
@@ -189,6 +189,7 @@ def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInf
     png = picture_of(path)
     npz = png.with_suffix(".image.npz")
     drawn: list[RenderableType] = []
+    details: list[str] = []
     files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
     errors: tuple[Problem, ...] = ()
     learned: dict[str, Any] = {}
@@ -199,9 +200,9 @@ def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInf
         write_image(npz, result.image)
         files |= {"png": str(png), "image": str(npz)}
         learned = imaging.learned(result)
-        drawn += [Text(line) for line in learned_words(result)]
+        details += learned_words(result)
         if picture.body_subtracted:
-            drawn.append(Text(SUBTRACTED[True]))
+            details.append(SUBTRACTED[True])
         if view.preview:
             drawn.append(imaging.in_terminal(result))
     except KeyboardInterrupt as stop:
@@ -214,12 +215,13 @@ def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInf
         code = error.exit_code
     else:
         code = imaging.exit_code_of([answer.identification])
-        drawn.append(imaging.describe(answer.identification, ""))
+        drawn.insert(0, imaging.describe(answer, "", terminal.verbose > 0))
+    drawn.append(Text(f"  saved {imaging.saved(files)}"))
     if line := turn_line(resolved):
-        drawn.append(Text(f"turn     {line}"))
-    if view.until_sure and ended is not None:
-        drawn.append(Text(f"ended    {ending_words(ended)}"))
-    drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
+        details.append(f"turn: {line}")
+    if ended is not None:
+        details.append(f"ended: {ending_words(ended)}")
+    drawn += [Text(f"  {line}") for line in details if terminal.verbose]
     facts = {
         "views": capture.views,
         "bins": capture.bins,

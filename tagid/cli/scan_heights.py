@@ -171,17 +171,17 @@ def _joined(
     write_capture(path, joined)
     answer = read(replace(setup, loading=loading), joined, path)
     files: dict[str, str | None] = {"capture": str(path), "png": None}
-    drawn: list[RenderableType] = [imaging.describe(answer.identification, "")]
+    drawn: list[RenderableType] = [imaging.describe(answer, "", terminal.verbose > 0)]
     try:
         _draw(terminal, place, joined, png)
         files["png"] = str(png)
     except TagidError as error:
         drawn.append(Text(f"no picture: {error.message}"))
     rows = [_facts(*row) for row in zip(heights, turns, alignments, strict=True)]
-    for row in rows:
+    for row in rows if terminal.verbose else ():
         turned = f"rotated {row['rotation_deg']:+.2f} deg"
         drawn.append(Text(f"{row['height_m']:.3f} m  {row['views']} scans, {turned}  {row['file']}"))
-    drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
+    drawn.append(Text(f"  saved {imaging.saved(files)}"))
     items = [answer.to_dict()]
     kept = place.remember(
         "scan", items, {"radar": place.radar_url(), "motion": place.config["motion.url"].public}

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from tagid.capture import Capture
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import DataError, TagidError, displayable
+from tagid.operate.truth import Comparison, compare
 from tagid.operate.words import headline, method_shown, notes
 from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.coverage import ended_answer
@@ -87,6 +88,7 @@ class Answer:
         prepared: the prepared capture; None if reading failed, and for several recordings.
         error: the error that prevented reading.
         alone: of several recordings, the answer of each.
+        truth: the answer beside the truth that the capture of a simulated object states.
         notes: on the work besides the recording, e.g. that the history could not be written.
     """
 
@@ -95,6 +97,7 @@ class Answer:
     prepared: PreparedCapture | None = None
     error: TagidError | None = None
     alone: tuple[Answer, ...] = ()
+    truth: Comparison | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -123,7 +126,12 @@ class Answer:
         captures = [answer.prepared for answer in (self.alone or (self,))]
         notes = (prepared.given.object.note for prepared in captures if prepared is not None)
         note = next((note for note in notes if note), None)
-        document = {"file": self.file, "object_note": note, **self.identification.to_dict()}
+        document = {
+            "file": self.file,
+            "object_note": note,
+            **self.identification.to_dict(),
+            "truth": None if self.truth is None else self.truth.to_dict(),
+        }
         return {**document, "votes": [_vote(answer) for answer in self.alone]} if self.alone else document
 
 
@@ -265,7 +273,7 @@ def read(
     except TagidError as error:
         return failed(error, name, displayable(str(source)) if isinstance(source, Path) else "", uuid)
     answer = replace(answer, seconds={**watch.seconds, **answer.seconds})
-    return Answer(answer, name, prepared)
+    return Answer(answer, name, prepared, truth=compare(capture, answer, enrolled.layouts))
 
 
 def failed(error: TagidError, name: str, path: str = "", uuid: str | None = None) -> Answer:
@@ -317,7 +325,10 @@ def read_jointly(
     causes = {cause.code: cause for answer in reversed(explained) for cause in answer.causes}
     unnamed = joint.status != "identified"
     joint = replace(joint, remarks=remarks, causes=tuple(causes.values()) if unnamed else ())
-    return Answer(joint, names[0], alone=tuple(explained))
+    truth = compare(captures[0], joint, enrolled.layouts)
+    if truth is not None:  # The recordings show the object in several poses.
+        truth = Comparison(truth.layout, truth.right)
+    return Answer(joint, names[0], alone=tuple(explained), truth=truth)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from tagid.counting import counted
 from tagid.metadata import Ending, RadarInfo, ResolvedMotion
+from tagid.operate.truth import Comparison
+from tagid.pipeline.coverage import WHOLE_TURN
 from tagid.pipeline.resolve import one_of
 
 if TYPE_CHECKING:
@@ -37,10 +39,56 @@ HYPOTHESES = {
 def headline(answer: Identification) -> str:
     """The answer in a few words, for a title or a first line."""
     reading = answer.reading
+    name = name_of(answer)
+    return f"{name}, score {reading.score:.2f}" if answer.status == "identified" and reading else name
+
+
+def name_of(answer: Identification) -> str:
+    """The name, or that there is none, in one or two words."""
+    reading = answer.reading
     if answer.status == "identified" and reading:
-        return f"{reading.layout}, score {reading.score:.2f}"
+        return str(reading.layout)
     words = {"unknown": "unknown tag", "ambiguous": "ambiguous", "no_tag": "no tag", "failed": "failed"}
     return words[answer.status]
+
+
+def trust_words(answer: Identification) -> str:
+    """How far a name can be trusted, in one line."""
+    bound = answer.reading.bound if answer.reading else None
+    if bound is None or bound.objects == 0:
+        seen = coverage_words(answer.coverage)
+        return f"no bound on wrong names: {seen or 'answers of this kind are not calibrated'}"
+    one_in = 1 / max(bound.p_value, 1e-12)
+    scale = 10.0 ** max(math.floor(math.log10(one_in)) - 1, 0)
+    words = (
+        f"at most 1 in {math.floor(one_in / scale) * scale:,.0f} such objects is named wrongly (simulated)"
+    )
+    return words if bound.kept else f"{words}; set is 1 in {1 / bound.false_accept:,.0f}"
+
+
+def coverage_words(coverage: float | None) -> str:
+    """That a recording is of a part of a turn; "" if it is not."""
+    if coverage is None or coverage >= WHOLE_TURN:
+        return ""
+    return f"the views cover {360 * coverage:.0f} of 360 degrees"
+
+
+def truth_words(truth: Comparison | None) -> str:
+    """An answer beside the truth, in one line; "" without one.
+
+    >>> truth_words(Comparison("helmet-120", True, 0.42, 1.23e-3))
+    'helmet-120: named rightly, rotation +0.4 deg, centre 1.2 mm off'
+    """
+    if truth is None:
+        return ""
+    words = f"{truth.layout or 'no tag'}: {'named rightly' if truth.right else 'not named'}"
+    if truth.layout is None:
+        words = "no tag: nothing named" if truth.right else "no tag: named wrongly"
+    if truth.rotation_error_deg is not None:
+        words += f", rotation {truth.rotation_error_deg:+.1f} deg"
+    if truth.centre_error_m is not None:
+        words += f", centre {truth.centre_error_m * 1e3:.1f} mm off"
+    return words
 
 
 def bound_words(bound: Bound) -> str:

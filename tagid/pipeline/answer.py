@@ -25,11 +25,13 @@ class Cause:
             for programs.
         text: what the scans show.
         remedy: what to do.
+        settings: with which the recording is read rightly, by name; empty if no setting cures it.
     """
 
     code: str
     text: str
     remedy: str
+    settings: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,7 +134,9 @@ def _of_the_turn(capture: Capture) -> list[Cause]:
         )
         if len(resolved.shown_rpms) > 1:
             remedy = f"Measure the time of a turn, and read it again with {speeds}."
-        causes.append(Cause("speed", told, remedy))
+        only = resolved.shown_rpms[0] if len(resolved.shown_rpms) == 1 else None
+        settings = {} if only is None else {"motion.url": f"free?rpm={only:.3g}"}
+        causes.append(Cause("speed", told, remedy, settings))
     if cause := _stopped(capture) or _uncovered(capture):
         causes.append(cause)
     return causes
@@ -168,6 +170,7 @@ def _of_the_axis(elsewhere: Elsewhere) -> list[Cause]:
                     f"{found.layout}",
                     "Measure the distance from the antennas to the rotation axis again; "
                     f"`motion.axis_distance_m={best:.2f}` applies it to this recording.",
+                    {"motion.axis_distance_m": round(float(best), 2)},
                 )
             ]
     return []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tagid.counting import counted
@@ -11,6 +12,7 @@ from tagid.errors import EXIT_BATCH, EXIT_FAILED, EXIT_OK, EXIT_UNCERTAIN
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from tagid.operate.turn import Answer
     from tagid.pipeline.answer import Identification
     from tagid.pipeline.reconstruct import Reconstruction
 
@@ -41,47 +43,88 @@ def in_terminal(result: Reconstruction) -> RenderableType:
     return preview(image.values, image.grid.extent, colour=colour, centre_m=image.centre_m)
 
 
-def describe(answer: Identification, name: str) -> RenderableType:
-    """The answer as text: one bold line, then the details."""
+def describe(answer: Answer, name: str, verbose: bool) -> RenderableType:
+    """The answer as text: the name, how far to trust it or what to do, and all else only where asked for.
+
+    Args:
+        answer: not failed.
+        name: shown beside it, e.g. of the file.
+        verbose: also show how it was read.
+    """
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.operate.words import bound_words, degrees, headline, hypothesis_words, nearest_words
+    from tagid.operate import words
 
-    colours = {"identified": "bold green", "failed": "bold red"}
-    style = colours.get(answer.status, "bold yellow")
-    first = Text.assemble((headline(answer).upper(), style), f"   {answer.label}   {name}")
-    lines = [first]
+    found, reading = answer.identification, answer.identification.reading
+    style = "bold green" if found.status == "identified" else "bold yellow"
+    beside = "".join(f"   {part}" for part in (found.label, name) if part)
+    lines = [Text.assemble((words.name_of(found).upper(), style), beside)]
+    if reading is None:
+        return Group(*lines)
+    if found.status == "identified":
+        lines.append(Text(f"  {words.trust_words(found)}"))
+    elif found.causes:
+        for cause in found.causes:
+            lines.append(Text(f"  likely cause: {cause.text}", "bold"))
+            lines.append(Text(f"  what to do: {cause.remedy}"))
+            if cause.settings and answer.file:
+                lines.append(Text(f"  then: `tagid identify {_again(answer.file, cause.settings)}`"))
+    else:
+        lines += [Text(f"  why: {reading.reason}"), Text(f"  what to do: {reading.advice}")]
+    if found.status == "identified" and reading.bound and (part := words.coverage_words(found.coverage)):
+        lines.append(Text(f"  caution: {part}", "yellow"))
+    if reading.note:
+        lines.append(Text(f"  caution: {reading.note}", "yellow"))
+    if truth := words.truth_words(answer.truth):
+        lines.append(Text(f"  truth: {truth}"))
+    return Group(*lines, *(Text(f"  {line}") for line in _details(found) if verbose))
+
+
+def _again(file: str, settings: dict[str, Any]) -> str:
+    """The arguments that read a recording with other settings."""
+    import shlex
+
+    from tagid.cli.common.wording import OPTIONS
+
+    options = (f"{OPTIONS[name]} {shlex.quote(str(value))}" for name, value in settings.items())
+    return " ".join((shlex.quote(file), *options))
+
+
+def _details(answer: Identification) -> Iterator[str]:
+    """How an answer was read, one line each."""
+    from tagid.operate import words
+
     reading = answer.reading
-    if answer.error:
-        lines.append(Text(f"  {answer.error.message} {answer.error.remedy}"))
-    if reading:
-        if reading.reason:
-            lines.append(Text(f"  why: {reading.reason}"))
-            if answer.status == "unknown":
-                lines.append(Text(f"  nearest layout: {nearest_words(answer)}"))
-            for cause in answer.causes:
-                lines.append(Text(f"  likely cause: {cause.text}", "bold"))
-                lines.append(Text(f"  what to do: {cause.remedy}"))
-            if all(cause.code != reading.code.value for cause in answer.causes):
-                lines.append(Text(f"  {'otherwise' if answer.causes else 'what to do'}: {reading.advice}"))
-        if words := hypothesis_words(reading):
-            lines.append(Text(f"  read as: {words}"))
-        if reading.note:
-            lines.append(Text(f"  note: {reading.note}"))
-        if reading.bound is not None:
-            lines.append(Text(f"  {bound_words(reading.bound)}"))
-        elif reading.status == "identified":
-            lines.append(Text("  no bound on false accept: answers of this kind are not calibrated"))
-        if reading.layout:
-            x, y = (value * 1e3 for value in reading.centre_m)
-            lines.append(
-                Text(
-                    f"  rotated {degrees(reading.rotation_deg)} deg, centre ({x:.1f}, {y:.1f}) mm, "
-                    f"margin {reading.margin:.2f}, {counted(len(reading.reflectors), 'reflector')}"
-                )
-            )
-    return Group(*lines)
+    if reading is None:
+        return
+    if answer.status == "unknown":
+        yield f"nearest layout: {words.nearest_words(answer)}"
+    if answer.causes:
+        yield f"why: {reading.reason}"
+        if all(cause.code != reading.code.value for cause in answer.causes):
+            yield f"otherwise: {reading.advice}"
+    if hypothesis := words.hypothesis_words(reading):
+        yield f"read as: {hypothesis}"
+    if reading.bound is not None:
+        yield words.bound_words(reading.bound)
+    if reading.layout:
+        x, y = (value * 1e3 for value in reading.centre_m)
+        yield (
+            f"rotated {words.degrees(reading.rotation_deg)} deg, centre ({x:.1f}, {y:.1f}) mm, "
+            f"score {reading.score:.2f}, margin {reading.margin:.2f}, "
+            f"{counted(len(reading.reflectors), 'reflector')}"
+        )
+
+
+def saved(files: dict[str, str | None]) -> str:
+    """The files of a recording in one line: the capture, then the others by the ends of their names.
+
+    >>> saved({"capture": "a/b.tagid.h5", "png": "a/b.png", "image": None})
+    'a/b.tagid.h5, b.png'
+    """
+    first, *others = (path for path in files.values() if path)
+    return ", ".join((first, *(Path(path).name for path in others)))
 
 
 def exit_code_of(answers: list[Identification]) -> int:

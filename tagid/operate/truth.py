@@ -1,0 +1,55 @@
+"""How far an answer is from the truth of a simulated or emulated object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.pipeline.answer import Identification
+from tagid.tags.layouts.layout import Layout
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """An answer beside the truth of its capture.
+
+    Attributes:
+        layout: the layout that the object carries; None: it carries none.
+        right: whether the answer names it, or names nothing where there is none.
+        rotation_error_deg: difference of the rotations, -180 to 180 degrees over the layout's symmetry; None
+            where it was not named or is not known, as of an emulated table, which turns before the first scan.
+        centre_error_m: distance of the centres, m; None likewise.
+    """
+
+    layout: str | None
+    right: bool
+    rotation_error_deg: float | None = None
+    centre_error_m: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return asdict(self)
+
+
+def compare(capture: Capture, answer: Identification, layouts: Sequence[Layout]) -> Comparison | None:
+    """An answer beside the truth of its capture; None if the capture states none."""
+    truth, carried = capture.object.truth, capture.object.layout
+    if truth is None or answer.status == "failed":
+        return None
+    reading = answer.reading
+    named = reading.layout if reading is not None and answer.status == "identified" else None
+    if named is None or named != carried or reading is None:
+        return Comparison(carried, named == carried)
+    order = next((layout.symmetry for layout in layouts if layout.name == named), 0) or 1
+    turn = 360.0 / order
+    rotation = centre = None
+    # An emulated table turns before the first scan: its rotation then is not that of the truth.
+    if truth.rotation_deg is not None and capture.radar.kind == "simulated":
+        rotation = float((reading.rotation_deg - truth.rotation_deg + turn / 2) % turn - turn / 2)
+    if truth.centre_m is not None:
+        centre = float(np.hypot(*np.subtract(reading.centre_m, truth.centre_m[:2])))
+    return Comparison(carried, True, rotation, centre)
