@@ -21,7 +21,7 @@ class Comparison:
         layout: the layout that the object carries; None: it carries none.
         right: whether the answer names it, or names nothing where there is none.
         rotation_error_deg: difference of the rotations, -180 to 180 degrees over the layout's symmetry; None
-            where it was not named or is not known, as of an emulated table, which turns before the first scan.
+            where it was not named or is not known, as of an emulated table that turns before the first scan.
         centre_error_m: distance of the centres, m; None likewise.
     """
 

@@ -58,7 +58,7 @@ def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid: Callable[..., Any]
     read = tagid("identify", "seen.npz", "--output", "json")
     item = read.json["data"]["items"][0]
     assert read.code == 0 and (item["layout"], item["hypothesis"]) == ("container-90", "body")
-    said = tagid("identify", "seen.npz").out
+    said = tagid("identify", "-v", "seen.npz").out
     assert "  read as: a tag on the body mug, centre (1, -3) mm, 0.0 % unexplained\n" in said
     # Export, removal, import and undo.
     assert tagid("layouts", "export", "all.toml", "mug").code == 0

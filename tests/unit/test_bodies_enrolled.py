@@ -16,6 +16,7 @@ from rich.console import Console
 
 from tagid.cli.common.imaging import describe
 from tagid.errors import FileFormatError, LayoutConflictError, RegistryError
+from tagid.operate.turn import Answer
 from tagid.operate.words import HYPOTHESES, hypothesis_words
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.enrolment import propose_layout, propose_signature
@@ -186,12 +187,13 @@ def test_the_answer_says_where_the_image_contradicts_a_name() -> None:
     reading, second = _looked_at_again(elsewhere, replace(named, note="first"))
     assert second is not None and reading.layout == named.layout
     assert reading.note == "first; the image does not show its reflectors"
-    # On the screen it stands before the bound, which takes five lines.
+    # The screen shows it without being asked.
     printed = io.StringIO()
     answer = Identification(reading.status, reading, None, 1, second=second)
-    Console(file=printed, width=80).print(describe(answer, "x.h5"))
+    Console(file=printed, width=80).print(describe(Answer(answer), "x.h5", verbose=False))
     lines = printed.getvalue().splitlines()
-    assert lines[1].startswith("  read as: ") and lines[2].startswith("  note: first; the image")
+    assert lines[0] == "CONTAINER-90   x.h5" and lines[1].startswith(("  at most 1 in ", "  no bound"))
+    assert lines[2:] == ["  caution: first; the image does not show its reflectors"]
     more = PreparedCapture(capture(TAG.plus(ring(325)), 50, **where))  # type: ignore[arg-type]
     assert "that it does not have" in _looked_at_again(more, named)[0].note
     refused = replace(named, status="unknown")
