@@ -60,7 +60,8 @@ def test_every_setting_that_the_library_names_has_an_option() -> None:
 
 
 def test_the_options_exist() -> None:
-    declared = {text.split("/")[0] for path in (ROOT / "cli").rglob("*.py") for text in texts(path)}
+    modules = [path for path in (ROOT / "cli").rglob("*.py") if path.name != "wording.py"]
+    declared = {text.split("/")[0] for path in modules for text in texts(path)}
     assert {option.split(",")[0] for option in OPTIONS.values()} <= declared
 
 
