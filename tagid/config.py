@@ -303,7 +303,7 @@ def radar_url(config: Config) -> str:
     if not config["radar.url"]:
         raise ConfigError(
             "no radar is configured",
-            "Set `radar.url` to udp://192.168.1.100 or serial:///dev/ttyACM0 (--radar), or store it with "
+            "Set `radar.url` to udp://192.168.1.100 or serial:///dev/ttyACM0, or store it with "
             "`tagid config set radar.url URL`. `tagid radar find` looks for radars, and "
             "`tagid scan --demo` shows a scan without one.",
         )

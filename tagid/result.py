@@ -27,6 +27,8 @@ _NAMED = re.compile(r"`([a-z][a-z0-9_]*(?:\.[a-z0-9_]+)?)(?:=([^`\s]+))?`")
 _PROSE = frozenset(
     (
         "advice",
+        "cause",
+        "error_message",
         "message",
         "note",
         "problem",

@@ -234,7 +234,8 @@ def region_words(region: Region | None) -> list[str]:
             )
     if region.mirrored:
         lines.append(
-            "the path is straight: echoes from each side also appear on the other (--side X,Y selects one)"
+            "the path is straight: echoes from each side also appear on the other "
+            "(`towards_m=X,Y` selects one)"
         )
     return lines
 
@@ -271,7 +272,8 @@ def held_out_words(settings: dict[str, Any]) -> list[str]:
     ]
     if found["worse_than_backprojection"]:
         lines.append(
-            "backprojection predicts held-out views better: --method bp is more reliable than this image"
+            "backprojection predicts held-out views better: `imaging.method=bp` is more reliable than this "
+            "image"
         )
     return lines
 
@@ -320,7 +322,7 @@ def outside_words(settings: dict[str, Any]) -> list[str]:
     subtracted = " and was subtracted" if found["subtracted"] else ""
     return [
         f"{100 * found['share']:.0f} % of the scans' energy comes from outside the image{subtracted}; "
-        "use a larger --extent to show it"
+        "use a larger `imaging.extent_m` to show it"
     ]
 
 

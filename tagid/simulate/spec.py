@@ -110,20 +110,20 @@ class SceneSpec:
     def __post_init__(self) -> None:
         if (self.scene is None) == (self.response is None):
             raise UsageError(
-                "give either a scene or --response FILE", "`tagid simulate --help` has examples."
+                "give either a scene or `response=FILE`", "`tagid simulate --help` has examples."
             )
         if self.response is not None:
             why = "a response file contains the complete object"
-            check_unchanged(self, _NOT_WITH_A_RESPONSE, "--response", why)
+            check_unchanged(self, _NOT_WITH_A_RESPONSE, "`response`", why)
         elif self.polarisation or self.snr_reference or self.snr_reference_body:
             raise UsageError(
-                "--polarisation, --snr-reference and --snr-reference-body need --response",
-                "Add --response FILE.",
+                "`polarisation`, `snr_reference` and `snr_reference_body` need `response`",
+                "Add `response=FILE`.",
             )
         if not 0 <= self.unlike <= MAX_UNLIKE_DB:
-            raise UsageError(f"--unlike is {self.unlike:g} dB", f"Give 0 to {MAX_UNLIKE_DB:g} dB.")
+            raise UsageError(f"`unlike` is {self.unlike:g} dB", f"Give 0 to {MAX_UNLIKE_DB:g} dB.")
         if self.unlike and not (self.body or self.reflector):
-            raise UsageError("--unlike needs physical reflectors", "Add --reflector octahedron:20mm.")
+            raise UsageError("`unlike` needs physical reflectors", "Add `reflector=octahedron:20mm`.")
 
     @classmethod
     def from_url(cls, scene: str, options: Mapping[str, str]) -> SceneSpec:
@@ -206,7 +206,7 @@ def check_unchanged(options: Any, names: Collection[str], instead: str, why: str
     Raises UsageError, which names those that differ from their defaults.
     """
     given = [
-        f"--{item.name.replace('_', '-')}"
+        f"`{item.name}`"
         for item in fields(options)
         if item.name in names and getattr(options, item.name) != item.default
     ]

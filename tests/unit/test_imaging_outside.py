@@ -67,7 +67,7 @@ def test_methods_without_a_fit_say_that_echoes_lie_outside(method: str) -> None:
     found = reconstruct(capture, settings).image.settings
     assert found["outside"]["share"] > 0.5 and not found["outside"]["subtracted"]
     (words,) = outside_words(found)
-    assert "outside the image; use a larger --extent" in words
+    assert "outside the image; use a larger `imaging.extent_m`" in words
     capture = record(INSIDE, [1, 0.8], turn(48), noise=0.05, bins=180)
     assert "outside" not in reconstruct(capture, settings).image.settings
 

@@ -12,9 +12,11 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
 _SAME = (
-    "align background bind body count dask device elevation engine enrolled file force levels limit node out"
-    " paper point prefix preset radius rcs reflector reflectors resume rows seed since size slots"
-    " snr_reference spacing step surface_radius until_sure want"
+    "align antenna_height antenna_height_file antenna_separation axis_distance background bind body budget"
+    " cable_delay centre count dask device elevation engine enrolled file force levels limit max_seconds node"
+    " noise out paper point polarisation prefix preset radius range_law rcs reflector reflectors response"
+    " resume rotation rows rpm scans scene seed since size slots snr snr_reference snr_reference_body spacing"
+    " step surface_radius turned_by unlike until_sure want wobble"
 )
 """Arguments whose option has their name."""
 OPTIONS = {name: "--" + name.replace("_", "-") for name in _SAME.split()} | {
@@ -27,6 +29,7 @@ OPTIONS = {name: "--" + name.replace("_", "-") for name in _SAME.split()} | {
     "motion.antenna_height_m": "--antenna-height",
     "motion.axis_distance_m": "--axis-distance",
     "motion.url": "--motion",
+    "radar.url": "--radar",
     "radar.addresses": "--address, or `tagid config set radar.addresses`",
     "towards_m": "--side",
 }
