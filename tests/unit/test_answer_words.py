@@ -28,8 +28,9 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> Answer:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TAGID_DATA", str(tmp_path_factory.mktemp("data")))
         setup = Workplace({}).setup()
-    acquisition = Acquisition(scans=36, snr_db=20.0, seed=3, placement=Placement(0.3, (0.003, -0.002)))
-    return read(setup, simulate_capture(scene_from_name("helmet-120"), acquisition), "a.tagid.h5")
+    acquisition = Acquisition(views=36, snr_db=20.0, placement=Placement((0.003, -0.002), 0.3))
+    capture, _ = simulate_capture(scene_from_name("helmet-120"), acquisition, seed=3)
+    return read(setup, capture, "a.tagid.h5")
 
 
 def test_a_name_takes_three_lines(answer: Answer) -> None:
