@@ -156,6 +156,10 @@ class LiveView:
         """Replace the final answer by the same one with its likely causes."""
         self._publish(answer=answer)
 
+    def show(self, image: Image) -> None:
+        """Replace the image of the growing views by that of the whole recording."""
+        self._publish(image=image)
+
     def note(self, text: str) -> None:
         """Show a remark."""
         self._publish(note=text)

@@ -239,7 +239,11 @@ def _identified(
 
 def remarks_on(capture: Capture) -> tuple[str, ...]:
     """What a user should know of a recording, one sentence each: losses, its file, its samples, its turn."""
-    every = (*notes(capture.radar), *intake_remarks(capture), *recording_remarks(capture))
+    read_as = capture
+    if capture.radar.source is None:  # the notes on an own recording state its losses
+        read_as = replace(capture, radar=replace(capture.radar, scans_lost=None))
+    losses = notes(capture.radar) if read_as is not capture else ()
+    every = (*losses, *intake_remarks(read_as), *recording_remarks(capture))
     return tuple(dict.fromkeys(every))
 
 

@@ -15,7 +15,7 @@ from tagid.live.state import LiveState
 from tagid.metadata import ScanGap
 from tagid.motion.device import Motion
 from tagid.motion.urls import open_motion
-from tagid.operate.turn import draw, picture_of, read, record_turn
+from tagid.operate.turn import Drawn, draw, picture_of, read, record_turn
 from tagid.operate.workplace import Workplace
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.turn import resolve_turn
@@ -130,6 +130,7 @@ class ScanRun:
             self._radar.release()
 
     def _run(self) -> None:
+        picture: Drawn | None = None
         with self._view:
             with self._radar_alone():
                 recorded = record_turn(self._place, self._plan, self.motion, self._watch())
@@ -137,7 +138,7 @@ class ScanRun:
             remarks = list(answer.remarks)
             if answer.error is None:
                 try:
-                    draw(answer, picture_of(recorded.path))
+                    picture = draw(answer, picture_of(recorded.path))
                 except TagidError as error:
                     remarks.append(f"no picture: {error.message}")
             radar = {"radar": self._place.radar_url(), "motion": self._plan.motion}
@@ -146,6 +147,8 @@ class ScanRun:
             if answer.error is not None:
                 # The recording is stored; only the reading failed.
                 raise answer.error
+        if picture is not None:
+            self._view.show(picture.result.image)
         if self._then is not None and answer.prepared is not None:
             self._then(recorded.path, answer.prepared.given, answer.identification)
 

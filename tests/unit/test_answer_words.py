@@ -36,7 +36,9 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> Answer:
 def test_a_name_takes_three_lines(answer: Answer) -> None:
     name, trust, truth = shown(answer)
     assert name == "HELMET-120   Helmet, 120 degrees"
-    assert trust.startswith("  at most 1 in 1,") and trust.endswith("such objects is named wrongly (simulated)")
+    assert trust.startswith("  at most 1 in 1,") and trust.endswith(
+        "such objects is named wrongly (simulated)"
+    )
     assert truth.startswith("  truth: helmet-120: named rightly, rotation ")
     assert any(line.startswith("  read as: ") for line in shown(answer, verbose=True))
 

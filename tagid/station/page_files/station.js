@@ -45,6 +45,8 @@ function bytes(text) {
   return out;
 }
 
+const CIRCLED_PIXELS = 640;
+
 function paint(canvas, width, height, text) {
   const levels = bytes(text);
   if (!palette || levels.length !== width * height) return;
@@ -57,6 +59,27 @@ function paint(canvas, width, height, text) {
     data.data[4 * i + 3] = 255;
   }
   context.putImageData(data, 0, 0);
+}
+
+function circle(canvas, reflectors, extent) {
+  // The pixels of an image stay sharp under circles that are drawn finer.
+  const pixels = document.createElement("canvas");
+  pixels.width = canvas.width;
+  pixels.height = canvas.height;
+  pixels.getContext("2d").drawImage(canvas, 0, 0);
+  const side = CIRCLED_PIXELS;
+  canvas.width = canvas.height = side;
+  const context = canvas.getContext("2d");
+  context.imageSmoothingEnabled = false;
+  context.drawImage(pixels, 0, 0, side, side);
+  context.strokeStyle = "white";
+  context.lineWidth = side / 160;
+  for (const one of reflectors) {
+    context.setLineDash(one.matched ? [] : [side / 80, side / 80]);
+    context.beginPath();
+    context.arc(side * (0.5 + one.x_m / extent), side * (0.5 - one.y_m / extent), side / 32, 0, 2 * Math.PI);
+    context.stroke();
+  }
 }
 
 function element(tag, text, kind) {
@@ -292,6 +315,8 @@ function receive(message) {
     const { image, sinogram } = message;
     if (image) {
       paint($("image"), image.side, image.side, image.levels);
+      const answer = message.scan && message.scan.final ? message.scan.answer : null;
+      if (answer && answer.reflectors.length) circle($("image"), answer.reflectors, image.extent_m);
       setText("image-caption", `Image from above, ${image.extent_m.toFixed(2)} m wide`);
     }
     if (sinogram) {
