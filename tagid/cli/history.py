@@ -44,7 +44,7 @@ def register(app: typer.Typer) -> None:
         uuid: Annotated[str | None, typer.Option("--uuid", help="UUID of a capture.")] = None,
         part: Annotated[str | None, typer.Option("--file", help="Part of the file name.")] = None,
         made_by: Annotated[
-            str | None, typer.Option("--command", help="Command: scan, identify or report.")
+            str | None, typer.Option("--command", help="Command: scan, identify, report, station or python.")
         ] = None,
         since: Annotated[
             str | None, typer.Option("--since", help="Only entries at or after this date or time, UTC.")

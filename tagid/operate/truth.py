@@ -15,14 +15,15 @@ from tagid.tags.layouts.layout import Layout
 
 @dataclass(frozen=True)
 class Comparison:
-    """An answer beside the truth of its capture.
+    """Comparison of an answer with the truth of a simulated or emulated object.
 
     Attributes:
         layout: the layout that the object carries; None: it carries none.
-        right: whether the answer names it, or names nothing where there is none.
-        rotation_error_deg: difference of the rotations, -180 to 180 degrees over the layout's symmetry; None
-            where it was not named or is not known, as of an emulated table that turns before the first scan.
-        centre_error_m: distance of the centres, m; None likewise.
+        right: whether the answer names this layout, or nothing if there is none.
+        rotation_error_deg: error of the rotation, at most 180 degrees divided by the layout's symmetry; None
+            if the layout was not named or the rotation is unknown, as on an emulated table, which turns
+            before the first scan.
+        centre_error_m: distance between estimated and true centre, m; None if not named or unknown.
     """
 
     layout: str | None
@@ -36,7 +37,7 @@ class Comparison:
 
 
 def compare(capture: Capture, answer: Identification, layouts: Sequence[Layout]) -> Comparison | None:
-    """An answer beside the truth of its capture; None if the capture states none."""
+    """Compare an answer with the truth of its capture; None if the capture holds none."""
     truth, carried = capture.object.truth, capture.object.layout
     if truth is None or answer.status == "failed":
         return None

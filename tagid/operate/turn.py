@@ -1,7 +1,7 @@
 """One revolution from radar to answer: record, read, explain, draw. Every front end calls these functions.
 
-A recording therefore has one answer, whoever asks: the same document from `tagid scan`, `tagid identify`, a
-report, the station and a program.
+A recording therefore has one answer: `tagid scan`, `tagid identify`, a report, the station and the Python API
+give the same document.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ Progress = Callable[[float, float, str], None]
 
 
 class Watcher(Protocol):
-    """Who shows an answer before its causes are known, such as a live view."""
+    """Receives an answer before its causes are known, such as a live view."""
 
     def settle(self, prepared: Capture, answer: Identification) -> None:
-        """The answer, and the prepared capture it was read from."""
+        """Called with the answer, and the prepared capture that it was read from."""
 
     def explain(self, answer: Identification) -> None:
-        """The same answer with its likely causes."""
+        """Called with the same answer and its likely causes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +83,13 @@ class Answer:
     """The answer of one recording, or of several of one object.
 
     Attributes:
-        identification: what was read, with likely causes and remarks; status "failed" if `error` is set.
+        identification: the reading, with likely causes and remarks; status "failed" if `error` is set.
         file: name of the (first) recording; empty for a capture in memory.
         prepared: the prepared capture; None if reading failed, and for several recordings.
-        error: the error that prevented reading.
-        alone: of several recordings, the answer of each.
-        truth: the answer beside the truth that the capture of a simulated object states.
-        notes: on the work besides the recording, e.g. that the history could not be written.
+        error: the error that prevented reading; None if there was none.
+        alone: the answer of each recording, if there were several.
+        truth: comparison with the known truth of a simulated object; None for a real one.
+        notes: problems that do not concern the recording, e.g. that the history could not be written.
     """
 
     identification: Identification
@@ -113,7 +113,7 @@ class Answer:
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """Likely causes if nothing is named, most certain first."""
+        """Likely causes if nothing is named, most certain first; each has a remedy."""
         return self.identification.causes
 
     @property
@@ -157,14 +157,21 @@ def record_turn(
     """Record one revolution into the next free file of the workplace's folder.
 
     Args:
-        place: settings of radar and motion.
-        plan: of the recording.
-        motion: None: opened from the settings.
-        watch: callbacks; the angles are found in the scans unless it finds them otherwise.
-        radar_url: None: that of the settings.
+        place: settings of radar and motion, and the folder.
+        plan: the plan of the recording.
+        motion: the device that rotates the object; None: that of the settings.
+        watch: callbacks; unless it has `resolve`, the angles are determined from the scans.
+        radar_url: URL of the radar; None: that of the settings.
+
+    Returns:
+        The recording and its file.
 
     Raises:
-        As `tagid.recording.recorder.record`.
+        UsageError: the URL of radar or motion is malformed.
+        DeviceError: the radar or the motion failed.
+        DataError: no scan arrived.
+        StorageError: a file cannot be written.
+        CaptureInterrupted: the user stopped the recording.
     """
     from tagid.motion.urls import open_motion
     from tagid.pipeline.turn import resolve_turn
@@ -198,9 +205,12 @@ def identify(
     Args:
         capture: the result of `prepare`, or a `PreparedCapture`, which has its own settings.
         layouts: the candidates.
-        settings: only with a plain capture.
-        registry_version: stored in the answer.
-        signatures: enrolled bodies and objects.
+        settings: settings of imaging and reading, only with a plain capture.
+        registry_version: version of the registry that `layouts` come from; stored in the answer.
+        signatures: the enrolled bodies and objects.
+
+    Returns:
+        The reading, with likely causes if nothing is named, and remarks on the recording.
 
     Raises:
         DataError: too few views or bins, the object lies outside the range window, or the samples are no
@@ -259,7 +269,7 @@ def read(
         setup: all that the answer depends on besides the recording.
         source: the recording's file, or a capture in memory.
         file: name of the recording in document and errors; None: that of `source`.
-        watcher: shown the answer before the search for causes.
+        watcher: receives the answer before the search for causes.
 
     Returns:
         The answer; one of status "failed" for a recording that cannot be read.
@@ -284,10 +294,10 @@ def failed(error: TagidError, name: str, path: str = "", uuid: str | None = None
     """The answer of a recording that could not be read; its error names the recording.
 
     Args:
-        error: why.
-        name: of the recording.
-        path: where the error says it was, if that is not its name, e.g. a temporary copy.
-        uuid: of its capture, if it has been read.
+        error: the error that prevented reading.
+        name: name of the recording.
+        path: path of the recording in the error, if it differs from the name, e.g. a temporary copy.
+        uuid: identifier of the capture, if it has been read.
     """
     message = error.message.replace(path, name) if path else error.message
     problem = Problem(error.code, message if name in message else f"{name}: {message}", error.remedy)
@@ -299,12 +309,15 @@ def read_jointly(
 ) -> Answer:
     """One joint answer from recordings of one object.
 
-    Where nothing is named, the likely causes are those of the recordings.
+    If nothing is named, the likely causes are those of the recordings.
 
     Args:
         setup: all that the answer depends on besides the recordings.
         sources: files or captures in memory.
         files: names of the recordings; None: those of `sources`.
+
+    Returns:
+        The joint answer; `alone` holds the answer of each recording.
 
     Raises:
         DataError, FileFormatError, StorageError: a recording cannot be read.
@@ -341,7 +354,7 @@ class Drawn:
 
     Attributes:
         result: the image.
-        body_subtracted: whether it lacks the echo of a body that the reader found.
+        body_subtracted: whether the echo of a body was subtracted from it.
     """
 
     result: Reconstruction
@@ -354,13 +367,18 @@ def draw(
     """Image a recording and write the picture with its name and reflectors.
 
     Args:
-        answer: of one recording.
+        answer: the answer of one recording.
         png: the picture to write; None writes none.
-        subtract_body: draw it without the echo of the body that the reader found.
-        progress: called as the image is made.
+        subtract_body: subtract the echo of the body that the reader found.
+        progress: called with the progress of the reconstruction.
+
+    Returns:
+        The image.
 
     Raises:
-        The error of an answer that failed. DataError: no image can be made. StorageError: the file.
+        TagidError: the error of an answer that failed.
+        DataError: no image can be made, or the answer is of several recordings.
+        StorageError: the picture cannot be written.
     """
     from tagid.pipeline.reconstruct import reconstruct
 
@@ -374,7 +392,16 @@ def draw(
 
 
 def draw_image_of(result: Reconstruction, answer: Identification | None, png: Path) -> None:
-    """Write the picture of an image, with the reflectors of an answer. Raises StorageError."""
+    """Write the picture of an image, with the reflectors of an answer.
+
+    Args:
+        result: the image.
+        answer: its name is the title, its reflectors are marked; None for neither.
+        png: the picture to write.
+
+    Raises:
+        StorageError: the picture cannot be written.
+    """
     from tagid.report.picture import Marker, draw_image
 
     reading = answer.reading if answer else None
@@ -387,5 +414,5 @@ def draw_image_of(result: Reconstruction, answer: Identification | None, png: Pa
 
 
 def picture_of(capture: Path) -> Path:
-    """The picture that belongs to a capture file."""
+    """Path of the picture that belongs to a capture file."""
     return capture.with_name(f"{capture.name.removesuffix(CAPTURE_SUFFIX)}.png")

@@ -1,4 +1,4 @@
-"""Every sentence about a result: image, axis, pulse, turn, ending and bound. No module else words them."""
+"""Every sentence about a result: image, axis, pulse, turn, ending and bound. No other module words them."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ def trust_words(answer: Identification) -> str:
 
 
 def coverage_words(coverage: float | None) -> str:
-    """That a recording is of a part of a turn; "" if it is not."""
+    """The part of a turn that the views cover; "" for a whole turn."""
     if coverage is None or coverage >= WHOLE_TURN:
         return ""
     return f"the views cover {360 * coverage:.0f} of 360 degrees"
 
 
 def truth_words(truth: Comparison | None) -> str:
-    """An answer beside the truth, in one line; "" without one.
+    """The comparison of an answer with the truth, in one line; "" if there is none.
 
     >>> truth_words(Comparison("helmet-120", True, 0.42, 1.23e-3))
     'helmet-120: named rightly, rotation +0.4 deg, centre 1.2 mm off'
@@ -104,9 +104,9 @@ def bound_words(bound: Bound) -> str:
 
 
 def hypothesis_words(reading: Reading) -> str:
-    """The hypothesis that won, its body's centre and the share of the moving echo that it leaves unexplained.
+    """The best hypothesis, its body's centre and the share of the moving echo that it does not explain.
 
-    Empty where the scans hold no echo that any hypothesis could explain.
+    Empty if the scans hold no echo that any hypothesis could explain.
     """
     from tagid.tags.bodies.hypothesis import Kind
 
@@ -128,7 +128,7 @@ def hypothesis_words(reading: Reading) -> str:
 
 
 def nearest_words(answer: Identification) -> str:
-    """The nearest layout, and the share of the echo that it explains, if compared."""
+    """The nearest layout, and the share of the echo that it explains, if they were compared."""
     nearest = answer.to_dict()["nearest"]
     share = "" if nearest["share"] is None else f", which explains {nearest['share']:.0%} of the echo"
     return f"{nearest['layout']}{share}"
@@ -144,7 +144,7 @@ def degrees(value: float) -> str:
 
 
 def turn_line(resolved: ResolvedMotion | None) -> str:
-    """One line on how the angles were found; "" if unknown.
+    """How the angles were determined, in one line; "" if unknown.
 
     >>> turn_line(ResolvedMotion(turns=1.312, period_s=8.63, quality=0.97, kind="free"))
     '1.31 turns of 8.63 s (free), period quality 0.97'
@@ -279,7 +279,7 @@ def held_out_words(settings: dict[str, Any]) -> list[str]:
 
 
 def prior_words(settings: dict[str, Any]) -> list[str]:
-    """The prior that ats took instead of its defaults, if it tried any, and what it left out."""
+    """The prior that ATS used instead of its default, if it tried any, and the priors that it did not try."""
     words = _prior_words(settings)
     skipped = settings.get("priors_not_tried")
     if words and skipped:
@@ -315,7 +315,7 @@ def _prior_words(settings: dict[str, Any]) -> list[str]:
 
 
 def outside_words(settings: dict[str, Any]) -> list[str]:
-    """Whether echoes from outside the image were found."""
+    """The share of energy from outside the image, if it is large."""
     found = settings.get("outside")
     if not found:
         return []
@@ -339,7 +339,7 @@ def pulse_words(pulse: PulseEstimate | None) -> list[str]:
 
 
 def calibration_words(settings: dict[str, Any]) -> list[str]:
-    """Parameters that ats estimated besides the scene, one line each, with standard errors."""
+    """The parameters that ATS estimated besides the scene, one line each, with standard errors."""
     found: dict[str, Any] = settings.get("calibration") or {}
     lines: list[str] = []
     if "axis" in found:
@@ -364,7 +364,7 @@ def calibration_words(settings: dict[str, Any]) -> list[str]:
 
 
 def learned_words(result: Reconstruction) -> list[str]:
-    """The same as text, one line each."""
+    """Everything that a reconstruction reports of its image, one line each."""
     return [
         *held_out_words(result.image.settings),
         *prior_words(result.image.settings),
@@ -378,7 +378,7 @@ def learned_words(result: Reconstruction) -> list[str]:
 
 
 def method_shown(result: Reconstruction) -> str:
-    """The method as a picture's title names it: ATS may show the paper's, or no field."""
+    """The method for a picture's title; of ATS also the variant or the solution that replaced the field."""
     from tagid.imaging.ats.adapt import PIXELS, linear_iterations
 
     if result.image.settings.get("preset") == "paper":

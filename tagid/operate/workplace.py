@@ -1,4 +1,4 @@
-"""Where a recording is made and read: settings, registry, history and folder of one person's work."""
+"""Records and reads with one configuration, which selects the registry, the history and the folder."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from tagid.tags.enrolling.registry import Registry
 
 LONGEST_S = 86400.0
+"""Longest recording, s."""
 MOST_SCANS = 65534
+"""Largest number of scans in a recording."""
 TURN_S = 180.0
 """Time within which a table that turns at 0.35 rpm completes a turn, s."""
 
@@ -36,15 +38,19 @@ def open_registry() -> Registry:
 
 
 class Workplace:
-    """The settings of one person's work, with the registry, the history and the folder that they select.
+    """Records and names objects with one configuration, as `tagid scan` and `tagid identify` do.
 
-    All that it records, reads or draws goes through the same functions as the commands `tagid scan` and
-    `tagid identify`, with the same answer. As a context manager, all its answers are one run of the history.
+    The answers are those of the commands. Each answer is a run of the history; those in a `with` block are
+    one run together.
+
+    >>> with Workplace({"motion.axis_distance_m": 1.0}) as place:
+    ...     place.config["motion.axis_distance_m"]
+    1.0
 
     Args:
-        settings: a configuration, or values by name, such as {"motion.axis_distance_m": 1.0}, which precede
-            those of environment and file (docs/configuration.md).
-        background: static background that is removed: "mean", "median", "none" or "reference", the stored
+        settings: a configuration, or values by name, which precede those of environment and file;
+            `tagid config` lists them.
+        background: the static background to remove: "mean", "median", "none" or "reference", the stored
             recording of the empty scene.
 
     Attributes:
@@ -52,7 +58,9 @@ class Workplace:
         background: as given.
 
     Raises:
-        ConfigError: a setting is unknown or out of range. UsageError: unknown background.
+        ConfigError: a setting is unknown or out of range.
+        StorageError: the configuration file cannot be read.
+        UsageError: unknown background.
     """
 
     def __init__(self, settings: Config | Mapping[str, Any] | None = None, background: str = "mean") -> None:
@@ -60,22 +68,27 @@ class Workplace:
             raise UsageError(f"`background` is {background!r}", f"Use {', '.join(BACKGROUNDS)}.")
         self.config = settings if isinstance(settings, Config) else load_config(dict(settings or {}))
         self.background = background
+        self._entered = False
         self._run: int | None = None
 
     def __enter__(self) -> Workplace:
-        self._run = None
+        self._entered, self._run = True, None
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._run = None
+        self._entered = False
 
     @property
     def registry(self) -> Registry:
-        """The registry of layouts, bodies and objects."""
+        """The registry of layouts, bodies and objects of this computer's user."""
         return open_registry()
 
     def folder(self) -> Path:
-        """The folder of the captures, created durably if it is missing. Raises StorageError."""
+        """The folder of the captures and pictures; created if it is missing.
+
+        Raises:
+            StorageError: it cannot be created.
+        """
         folder = Path(self.config["storage.folder"] or ".")
         try:
             make_folder(folder)
@@ -86,10 +99,13 @@ class Workplace:
         return folder
 
     def imaging(self, focus: bool = True) -> ImagingSettings:
-        """Settings of imaging and reading.
+        """The settings of imaging and reading.
 
         Args:
-            focus: whether images search for the axis distance.
+            focus: whether imaging searches for the axis distance.
+
+        Raises:
+            UsageError: the setting `imaging.ats` is malformed.
         """
         from tagid.imaging.ats.options import parse_settings
         from tagid.imaging.ats.settings import AtsSettings
@@ -118,34 +134,47 @@ class Workplace:
         )
 
     def loading(self, node: int | None = None, as_recorded: bool = False) -> LoadSettings:
-        """Settings of loading a recording.
+        """The settings of loading a recording.
 
         Args:
             node: number of the radar to read, if a log holds several.
-            as_recorded: the capture was recorded with these settings: it keeps its angles.
+            as_recorded: whether the capture was recorded with these settings and keeps its angles.
 
         Raises:
-            ConfigError: no reference background is stored. StorageError, FileFormatError: it cannot be read.
+            ConfigError: no reference background is stored.
+            StorageError, FileFormatError: the reference background cannot be read.
         """
         return LoadSettings.of(self.config, self.background, node, as_recorded)
 
     def setup(self, as_recorded: bool = False) -> ReadingSetup:
-        """All that an answer depends on besides the recording, read at this moment. Raises as `loading`."""
+        """All that an answer depends on besides the recording, with the registry's contents at this moment.
+
+        Args:
+            as_recorded: as for `loading`.
+
+        Raises:
+            ConfigError, StorageError, FileFormatError, UsageError: as `loading` and `imaging`.
+            RegistryError: the registry cannot be read.
+        """
         from tagid.operate.turn import ReadingSetup
 
         return ReadingSetup(self.loading(as_recorded=as_recorded), self.imaging(), self.registry.contents())
 
     def radar_url(self) -> str:
-        """URL of the configured radar. Raises ConfigError if there is none."""
+        """The URL of the configured radar.
+
+        Raises:
+            ConfigError: no radar is configured.
+        """
         return radar_url(self.config)
 
     def plan(
         self, scans: int | None = None, max_seconds: float = TURN_S, about: ObjectInfo | None = None
     ) -> RecordingPlan:
-        """The plan of a recording.
+        """The plan of a recording, for `tagid.record`.
 
         Args:
-            scans: number of scans; None: until a turn is complete.
+            scans: number of scans; None: until one revolution is complete.
             max_seconds: longest duration, s.
             about: description of the object.
 
@@ -202,18 +231,18 @@ class Workplace:
         """Store answers in the history.
 
         Args:
-            command: that made them.
-            items: their documents.
-            settings: which they were made with.
+            command: name of the command that made them.
+            items: the answer documents (`Answer.to_dict`).
+            settings: the settings that they were made with, as plain JSON values.
 
         Returns:
-            A remark if the history cannot be written, which must not suppress the answers.
+            Why they could not be stored; empty if they were. No error, because the answers are valid.
         """
         from tagid.storage.history import FILE_NAME, History
 
         try:
             history = History(data_folder() / FILE_NAME)
-            if self._run is None:
+            if self._run is None or not self._entered:
                 self._run = history.begin(command, dict(settings))
             history.add(self._run, items)
         except TagidError as error:
@@ -227,24 +256,34 @@ class Workplace:
             source: a file in any supported format, or a capture in memory.
 
         Returns:
-            The answer; its status is "failed", with the error, where the recording cannot be read.
+            The answer; its status is "failed", with the error, if the recording cannot be read.
+
+        Raises:
+            ConfigError, StorageError, FileFormatError, UsageError, RegistryError: as `setup`.
         """
         from tagid.operate.turn import read
 
-        answer = read(self.setup(), Path(source) if isinstance(source, str) else source)
-        return self._remembered("identify", [answer], {"background": self.background})[0]
+        return self._remembered(read(self.setup(), Path(source) if isinstance(source, str) else source))
 
     def identify_together(self, sources: Iterable[Path | str | Capture]) -> Answer:
-        """One joint answer from recordings of one object, as `tagid identify --vote` does.
+        """One joint answer from recordings of one object, as `tagid identify --vote` gives it.
 
-        Raises the errors of reading them.
+        The answer is stored in the history.
+
+        Args:
+            sources: files in any supported format, or captures in memory.
+
+        Returns:
+            The joint answer; `alone` holds the answer of each recording.
+
+        Raises:
+            DataError, FileFormatError, StorageError: a recording cannot be read.
+            ConfigError, UsageError, RegistryError: as `setup`.
         """
         from tagid.operate.turn import read_jointly
 
         files = [Path(source) if isinstance(source, str) else source for source in sources]
-        answer = read_jointly(self.setup(), files)
-        settings = {"background": self.background, "vote": len(files)}
-        return self._remembered("identify", [answer], settings)[0]
+        return self._remembered(read_jointly(self.setup(), files))
 
     def scan(self, note: str = "", watch: Watch | None = None) -> Answer:
         """Record one revolution, name the object and draw it, as `tagid scan` does.
@@ -256,11 +295,17 @@ class Workplace:
             watch: callbacks of the recording.
 
         Returns:
-            The answer; its status is "failed", with the error, where the recording cannot be read.
+            The answer, with the name of the capture file; its status is "failed", with the error, if the
+            recording cannot be read.
 
         Raises:
-            ConfigError: no radar or no axis distance. DeviceError and its subclasses: the radar or the motion
-            failed. DiskFullError, StorageError: files. CaptureInterrupted: stopped by the user.
+            ConfigError: no radar or no axis distance is configured.
+            UsageError: the URL of radar or motion is malformed.
+            DeviceError: the radar or the motion failed.
+            DataError: no scan arrived.
+            StorageError: a file cannot be written.
+            RegistryError: the registry cannot be read.
+            CaptureInterrupted: the user stopped the recording; the capture is kept.
         """
         from tagid.metadata import ObjectInfo
         from tagid.operate.turn import draw, picture_of, read, record_turn
@@ -273,9 +318,11 @@ class Workplace:
             draw(answer, picture_of(recorded.path))
         except TagidError as error:
             answer = replace(answer, notes=(*answer.notes, f"no picture: {error.message}"))
-        settings = {"radar": self.radar_url(), "motion": plan.motion}
-        return self._remembered("scan", [answer], settings)[0]
+        return self._remembered(answer)
 
-    def _remembered(self, command: str, answers: list[Answer], settings: dict[str, Any]) -> list[Answer]:
-        notes = self.remember(command, [answer.to_dict() for answer in answers], settings)
-        return [replace(answer, notes=(*answer.notes, *notes)) for answer in answers]
+    def _remembered(self, answer: Answer) -> Answer:
+        config = self.config
+        motion = config["motion.url"].public
+        settings = {"background": self.background, "radar": config["radar.url"], "motion": motion}
+        notes = self.remember("python", [answer.to_dict()], settings)
+        return replace(answer, notes=(*answer.notes, *notes))

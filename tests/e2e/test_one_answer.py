@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import tagid as api
+from tagid.metadata import ResolvedMotion
 from tagid.operate.workplace import Workplace
 from tagid.pipeline.load import load_capture
 from tagid.station.scans import ScanRun
@@ -75,7 +76,7 @@ def captures(tagid: Callable[..., Any], tmp_path: Path) -> dict[str, str]:
     return {kind: f"{kind}.tagid.h5" for kind in STATUS}
 
 
-TURNED = api.ResolvedMotion(turns=1.1, period_s=10.0)
+TURNED = ResolvedMotion(turns=1.1, period_s=10.0)
 
 
 def test_every_door_gives_the_same_document(

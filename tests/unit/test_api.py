@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
+import importlib
 import importlib.util
-import inspect
+import re
+import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from types import ModuleType
-from typing import Any, get_args, get_type_hints
 
 import numpy as np
+import pytest
 
 import tagid
 
 
-def test_every_public_name_is_there() -> None:
-    for name in tagid.__all__:
-        assert getattr(tagid, name) is not None
-        assert name in dir(tagid)
-
-
-def api_page_script() -> ModuleType:
+@pytest.fixture(scope="module")
+def page() -> ModuleType:
+    """The script that writes docs/api.md."""
     spec = importlib.util.spec_from_file_location(
         "make_api", Path(__file__).parents[2] / "docs" / "make_api.py"
     )
@@ -34,72 +32,54 @@ def api_page_script() -> ModuleType:
     return module
 
 
-def names_in(module: ModuleType) -> dict[str, Any]:
-    """Everything that a module imports only for annotations, under the names that it uses."""
-    found: dict[str, Any] = {}
-    for block in ast.parse(inspect.getsource(module)).body:
-        if isinstance(block, ast.If) and "TYPE_CHECKING" in ast.unparse(block.test):
-            exec(compile(ast.Module(block.body, []), module.__name__, "exec"), found)
-    return found
+def test_a_type_checker_and_a_program_get_each_name_from_the_same_module() -> None:
+    (block,) = (node for node in ast.parse(Path(tagid.__file__).read_text()).body if isinstance(node, ast.If))
+    checked = {
+        alias.asname: node.module
+        for node in block.body
+        if isinstance(node, ast.ImportFrom) and node.module != "typing"
+        for alias in node.names
+    }
+    assert checked == tagid._HOMES
+    assert set(checked) < set(tagid.__all__) <= set(dir(tagid))
+    assert 35 <= len(checked) <= 45
 
 
-def annotated(thing: Any) -> dict[str, Any]:
-    """Annotations of a function, or of the fields of a class, with all names resolved."""
-    module = sys.modules[thing.__module__]
-    return get_type_hints(thing, {**vars(module), **names_in(module)})
+def test_a_name_that_moved_is_given_with_a_warning_that_names_its_module() -> None:
+    moved = [name for names in tagid._MOVED.values() for name in names.split()]
+    assert {"Pulse", "RadarInfo", "Reading", "Placement"} <= set(moved)
+    assert not set(moved) & {*tagid.__all__, *dir(tagid)}
+    for name in moved:
+        with pytest.warns(DeprecationWarning) as warned:
+            value = getattr(tagid, name)
+        (warning,) = warned
+        assert warning.filename == __file__
+        line = re.search(r"`from (tagid\S*) import (\w+)`", str(warning.message))
+        assert line and getattr(importlib.import_module(line[1]), line[2]) is value
 
 
-def own_classes(annotation: Any) -> Iterator[type]:
-    """The classes of this package in an annotation, inside of unions, containers and callables too."""
-    if isinstance(annotation, type) and annotation.__module__.split(".")[0] == "tagid":
-        yield annotation
-    parts = annotation if isinstance(annotation, list) else get_args(annotation)
-    for part in parts:
-        yield from own_classes(part)
+def test_every_type_that_a_public_name_takes_or_gives_has_a_documented_module(page: ModuleType) -> None:
+    """Nested and private types, and those of private modules, could not be imported as the page says."""
+    text = page.PAGE.read_text()
+    types = page.types_by_module()
+    for module, members in types.items():
+        section = text.partition(f"\n## {module}\n")[2].partition("\n## ")[0]
+        home = importlib.import_module(module)
+        assert not re.search(r"\b_", module)
+        for one in members:
+            assert getattr(home, one.__qualname__, None) is one and not one.__name__.startswith("_")
+            assert f"\n### {one.__name__}\n" in section
+    names = {one.__name__ for members in types.values() for one in members}
+    assert {"Aperture", "Code", "Comparison", "DiskFullError", "Image", "RadarInfo", "Reflector"} <= names
 
 
-def public_annotations(thing: Any) -> dict[str, Any]:
-    """Annotations that a user of a public function or class meets: arguments, results and fields."""
-    if not inspect.isclass(thing):
-        return annotated(thing)
-    found = {}
-    if "__init__" in vars(thing) or dataclasses.is_dataclass(thing):
-        found = {f"(): {name}": a for name, a in annotated(thing.__init__).items()}
-    fields = annotated(thing)
-    found |= {f".{name}": a for name, a in fields.items() if not name.startswith("_")}
-    for name, member in vars(thing).items():
-        if name.startswith("_") and name != "__call__":
-            continue
-        call = (
-            getattr(member, "fget", None)
-            or getattr(member, "func", None)
-            or getattr(member, "__func__", member)
-        )
-        if inspect.isfunction(call):
-            found |= {f".{name}: {argument}": a for argument, a in annotated(call).items()}
-    return found
-
-
-def test_every_type_that_a_public_name_takes_or_gives_is_public() -> None:
-    """An opaque type is public itself, but what it consists of is not."""
-    opaque = api_page_script().OPAQUE
-    public = {name: getattr(tagid, name) for name in tagid.__all__ if name != "__version__"}
-    hidden = [
-        f"{name}{where} is a {found.__module__}.{found.__qualname__}"
-        for name, thing in public.items()
-        if name not in opaque
-        for where, annotation in public_annotations(thing).items()
-        for found in own_classes(annotation)
-        # The page names the module of the errors.
-        if public.get(found.__name__) is not found and found.__module__ != "tagid.errors"
-    ]
-    assert hidden == []
-
-
-def test_types_inside_of_containers_are_found() -> None:
-    found = set(own_classes(dict[str, tuple[tagid.Capture, ...] | None] | Callable[[tagid.Layout], int]))
+def test_types_inside_of_containers_and_behind_properties_are_found(page: ModuleType) -> None:
+    found = set(page.own_classes(dict[str, tuple[tagid.Capture, ...] | None] | Callable[[tagid.Layout], int]))
     assert found == {tagid.Capture, tagid.Layout}
-    assert list(own_classes(np.ndarray | int)) == []
+    assert list(page.own_classes(np.ndarray | int)) == []
+    annotations = page.annotations_of(tagid.Workplace)
+    assert annotations[".registry: return"] is tagid.Registry
+    assert annotations[".plan: return"] is tagid.RecordingPlan
 
 
 def test_importing_tagid_imports_nothing_else() -> None:
@@ -114,12 +94,8 @@ def test_importing_tagid_imports_nothing_else() -> None:
 
 
 def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
-    try:
+    with pytest.raises(AttributeError, match="nothing"):
         tagid.nothing  # noqa: B018
-    except AttributeError as error:
-        assert "nothing" in str(error)
-    else:
-        raise AssertionError("no error")
 
 
 def test_a_notebook_goes_from_a_scene_to_a_name() -> None:
@@ -147,3 +123,30 @@ def test_an_operator_is_called_like_a_matrix() -> None:
     y = (rng.standard_normal(scans.samples.shape) + 1j).astype(np.complex64)
     assert A.shape == (scans.samples.size, 256)
     np.testing.assert_allclose(np.vdot(A(x), y), np.vdot(x, A.adjoint(y)), rtol=1e-4)
+
+
+def test_the_answers_of_a_with_block_are_one_run_of_the_history(
+    tmp_path: Path, home: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TAGID_DATA", home["TAGID_DATA"])
+    monkeypatch.setenv("TAGID_CONFIG", home["TAGID_CONFIG"])
+    monkeypatch.chdir(tmp_path)
+
+    def runs() -> list[int]:
+        """Number of answers of each run."""
+        query = "SELECT count(*) FROM identification GROUP BY run_id ORDER BY run_id"
+        with closing(sqlite3.connect(Path(home["TAGID_DATA"]) / "history.sqlite")) as history:
+            return [count for (count,) in history.execute(query)]
+
+    place = tagid.Workplace({"motion.url": "free?rpm=2"})
+    for _ in range(2):
+        answer = place.identify("missing.npz")
+        assert (answer.status, answer.name, answer.notes) == ("failed", None, ())
+        assert isinstance(answer.error, tagid.TagidError) and "missing.npz" in answer.error.message
+    assert runs() == [1, 1]
+    for _ in range(2):
+        with place as entered:
+            for _ in range(3):
+                entered.identify("missing.npz")
+    place.identify("missing.npz")
+    assert runs() == [1, 1, 3, 3, 1]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +31,35 @@ def run(heading: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str
 
 
 def test_every_program_of_the_page_is_run_here() -> None:
-    assert PAGE.read_text().count("```python") == 3
+    assert PAGE.read_text().count("```python") == 4
+
+
+def test_five_lines_record_name_and_read_again_in_an_empty_folder(
+    tmp_path: Path,
+    home: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    first = program("Record and name an object")
+    for page in (PAGE.parent / "api.md", PAGE.parents[1] / "README.md"):
+        assert re.search(r"^```python\n(.*?)^```$", page.read_text(), re.M | re.S)[1] == first  # type: ignore[index]
+    for name in ("TAGID_CONFIG", "TAGID_DATA"):
+        monkeypatch.setenv(name, home[name])
+    # A shorter test: an eighth of the scans, and an image whose method does not affect the name.
+    monkeypatch.setenv("TAGID_RADAR_INTEGRATION", "15")
+    monkeypatch.setenv("TAGID_IMAGING_METHOD", "bp")
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    answer = run("Record and name an object", folder, monkeypatch)["answer"]
+    assert capsys.readouterr().out == "identified helmet-120 helmet-120\n"
+    assert (answer.notes, answer.causes) == ((), ())
+    capture = folder / answer.file
+    assert sorted(folder.iterdir()) == [capture.with_name(capture.name.replace(".tagid.h5", ".png")), capture]
+    with closing(sqlite3.connect(Path(home["TAGID_DATA"]) / "history.sqlite")) as history:
+        assert history.execute("SELECT count(*), count(DISTINCT run_id) FROM identification").fetchone() == (
+            2,
+            1,
+        )
 
 
 def test_a_capture_becomes_a_picture_with_the_reflectors_where_they_are(
