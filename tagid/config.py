@@ -263,21 +263,25 @@ def load_config(overrides: Mapping[str, Any] | None = None, tolerant: bool = Fal
     """Resolve every setting.
 
     Args:
-        overrides: values of the command line, None meaning not given.
+        overrides: values of the command line or of a program by name, None meaning not given.
         tolerant: ignore, with a warning in the log, what cannot be used in the file and the environment: for
             a stop, which no configuration may prevent.
 
-    Raises ConfigError, StorageError.
+    Raises:
+        ConfigError: a setting is unknown or out of range.
+        StorageError: the file cannot be read.
     """
     path = config_path()
     from_file = read_file(path, tolerant)
     values: dict[str, ConfigValue] = {}
+    given = {
+        name: parse_value(name, raw, "command line")
+        for name, raw in (overrides or {}).items()
+        if raw is not None
+    }
     for setting in SETTINGS:
-        given = (overrides or {}).get(setting.name)
-        if given is not None:
-            values[setting.name] = ConfigValue(
-                parse_value(setting.name, given, "command line"), "command line"
-            )
+        if setting.name in given:
+            values[setting.name] = ConfigValue(given[setting.name], "command line")
             continue
         values[setting.name] = ConfigValue(setting.default, "default")
         if setting.name in from_file:

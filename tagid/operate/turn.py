@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from tagid.capture import Capture
 from tagid.constants import CAPTURE_SUFFIX
-from tagid.errors import DataError, TagidError, displayable
+from tagid.errors import DataError, TagidError, UsageError, displayable
 from tagid.operate.truth import Comparison, compare
 from tagid.operate.words import headline, method_shown, notes
 from tagid.pipeline.answer import Cause, Identification
@@ -321,7 +321,10 @@ def read_jointly(
 
     Raises:
         DataError, FileFormatError, StorageError: a recording cannot be read.
+        UsageError: no recording is given.
     """
+    if not sources:
+        raise UsageError("there is no recording to identify", "Give at least one.")
     names = [displayable(str(file)) if isinstance(file, Path) else "" for file in files or sources]
     if len(sources) == 1:
         only = read(setup, sources[0], names[0])

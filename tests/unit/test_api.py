@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import tagid
+from tagid.errors import ConfigError, UsageError
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +124,19 @@ def test_an_operator_is_called_like_a_matrix() -> None:
     y = (rng.standard_normal(scans.samples.shape) + 1j).astype(np.complex64)
     assert A.shape == (scans.samples.size, 256)
     np.testing.assert_allclose(np.vdot(A(x), y), np.vdot(x, A.adjoint(y)), rtol=1e-4)
+
+
+def test_a_workplace_refuses_what_it_does_not_know(
+    home: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("TAGID_CONFIG", "TAGID_DATA"):
+        monkeypatch.setenv(name, home[name])
+    with pytest.raises(ConfigError, match=r"radar\.ulr"):
+        tagid.Workplace({"radar.ulr": "emulator://empty"})
+    with pytest.raises(UsageError, match="zero"):
+        tagid.Workplace(background="zero")
+    with pytest.raises(UsageError, match="no recording"):
+        tagid.Workplace().identify_together([])
 
 
 def test_the_answers_of_a_with_block_are_one_run_of_the_history(

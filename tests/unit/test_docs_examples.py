@@ -45,7 +45,7 @@ def test_five_lines_record_name_and_read_again_in_an_empty_folder(
         assert re.search(r"^```python\n(.*?)^```$", page.read_text(), re.M | re.S)[1] == first  # type: ignore[index]
     for name in ("TAGID_CONFIG", "TAGID_DATA"):
         monkeypatch.setenv(name, home[name])
-    # A shorter test: an eighth of the scans, and an image whose method does not affect the name.
+    # A shorter test: fewer scans, and an image whose method does not affect the name.
     monkeypatch.setenv("TAGID_RADAR_INTEGRATION", "15")
     monkeypatch.setenv("TAGID_IMAGING_METHOD", "bp")
     folder = tmp_path / "empty"
