@@ -12,15 +12,13 @@ import tempfile
 import time
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tagid import files
 from tagid.batch.inputs import Source, filesystem
 from tagid.batch.job import MAX_CAPTURE_BYTES, Answered, Job, Known, Outcome
-from tagid.capture import Capture
 from tagid.errors import FileFormatError, StorageError, TagidError, displayable
 from tagid.operate.turn import Answer, failed, read
 from tagid.pipeline.answer import Identification
@@ -44,29 +42,10 @@ class Content:
     Attributes:
         sha256: in hex.
         size_bytes: its size, bytes.
-        recorded_utc: time of the recording, ISO 8601; None if the file does not tell it.
-        note: the operator's; empty if there is none.
-        read_at: when the file was read.
     """
 
     sha256: str
     size_bytes: int
-    recorded_utc: str | None = None
-    note: str = ""
-    read_at: datetime = field(default_factory=lambda: datetime.now(UTC))
-
-    def of(self, capture: Capture) -> Content:
-        """The content with time and note of the capture in it.
-
-        A capture from a file without a time has that of its reading, which is none of a recording.
-        """
-        recorded = None
-        with suppress(ValueError, OverflowError):
-            created = datetime.fromisoformat(capture.created_utc)
-            created = created if created.tzinfo else created.replace(tzinfo=UTC)
-            if created < self.read_at.replace(microsecond=0):
-                recorded = utc_text(created)
-        return replace(self, recorded_utc=recorded, note=capture.object.note or "")
 
 
 def work(source: Source, job: Job) -> Outcome:
@@ -81,8 +60,6 @@ def work(source: Source, job: Job) -> Outcome:
             if content.sha256 in job.known:
                 return Known(content.sha256, time.process_time() - began)
             answer = read(job.setup, path, source.name)
-        if answer.prepared is not None:
-            content = content.of(answer.prepared.given)
         if job.pictures and answer.prepared is not None:
             with watch.stage("pictures"):
                 pictures = _pictures(answer.prepared, answer.identification, job)
@@ -91,7 +68,7 @@ def work(source: Source, job: Job) -> Outcome:
     except Exception as error:
         answer = _failed(source, unexpected(source, error))
     seconds = {**answer.identification.seconds, **watch.seconds}
-    record = make_record(source, answer.identification, seconds, content)
+    record = make_record(source, answer, seconds, content)
     return Answered(record, pictures, time.process_time() - began)
 
 
@@ -109,18 +86,16 @@ def unexpected(source: Source, error: BaseException) -> TagidError:
 
 
 def make_record(
-    source: Source, answer: Identification, seconds: dict[str, float], content: Content | None
+    source: Source, answer: Answer, seconds: dict[str, float], content: Content | None
 ) -> ItemRecord:
-    """An item's record: its identification, with file, content (None: unreadable), s per stage and time."""
+    """An item's record: its answer, with file, content (None: unreadable), s per stage and time."""
     document = {
         "schema": "tagid.report.item",
         "schema_version": RECORD_VERSION,
-        "file": source.name,
         "content_sha256": content.sha256 if content else None,
         "size_bytes": content.size_bytes if content else None,
-        "recorded_utc": content.recorded_utc if content else None,
-        "recording_note": content.note if content else "",
         **answer.to_dict(),
+        "file": source.name,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
         "time_utc": utc_text(),
     }
@@ -129,7 +104,7 @@ def make_record(
 
 def failed_record(source: Source, error: TagidError) -> ItemRecord:
     """The record of an item that no worker could complete."""
-    return make_record(source, _failed(source, error).identification, {}, None)
+    return make_record(source, _failed(source, error), {}, None)
 
 
 def content_of(path: Path) -> Content:

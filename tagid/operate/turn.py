@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -25,6 +26,7 @@ from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
 from tagid.pipeline.prepared import PreparedCapture, as_prepared
 from tagid.pipeline.settings import ImagingSettings, Stopwatch
 from tagid.result import Problem
+from tagid.storage.history import utc_text
 
 if TYPE_CHECKING:
     from tagid.motion.device import Motion
@@ -88,6 +90,7 @@ class Answer:
         prepared: the prepared capture; None if reading failed, and for several recordings.
         error: the error that prevented reading; None if there was none.
         alone: the answer of each recording, if there were several.
+        recorded_utc: time of the (first) recording, ISO 8601; None if its file does not tell it.
         truth: comparison with the known truth of a simulated object; None for a real one.
         notes: problems that do not concern the recording, e.g. that the history could not be written.
     """
@@ -97,6 +100,7 @@ class Answer:
     prepared: PreparedCapture | None = None
     error: TagidError | None = None
     alone: tuple[Answer, ...] = ()
+    recorded_utc: str | None = None
     truth: Comparison | None = None
     notes: tuple[str, ...] = ()
 
@@ -125,10 +129,11 @@ class Answer:
         """The answer document of the contract as plain JSON values (docs/formats.md)."""
         captures = [answer.prepared for answer in (self.alone or (self,))]
         notes = (prepared.given.object.note for prepared in captures if prepared is not None)
-        note = next((note for note in notes if note), None)
+        note = next((note for note in notes if note), "")
         document = {
             "file": self.file,
-            "object_note": note,
+            "recorded_utc": self.recorded_utc,
+            "recording_note": note,
             **self.identification.to_dict(),
             "truth": None if self.truth is None else self.truth.to_dict(),
         }
@@ -277,6 +282,7 @@ def read(
     name = displayable(str(source if file is None and isinstance(source, Path) else file or ""))
     watch = Stopwatch()
     uuid = source.uuid if isinstance(source, Capture) else None
+    began = datetime.now(UTC)
     try:
         with watch.stage("load"):
             capture = load_capture(source, setup.loading)
@@ -287,7 +293,19 @@ def read(
     except TagidError as error:
         return failed(error, name, displayable(str(source)) if isinstance(source, Path) else "", uuid)
     answer = replace(answer, seconds={**watch.seconds, **answer.seconds})
-    return Answer(answer, name, prepared, truth=compare(capture, answer, enrolled.layouts))
+    truth = compare(capture, answer, enrolled.layouts)
+    return Answer(answer, name, prepared, recorded_utc=_recorded(source, capture, began), truth=truth)
+
+
+def _recorded(source: Path | Capture, capture: Capture, read_at: datetime) -> str | None:
+    """Time of a recording; a file without one gets the time at which it is read, which is none."""
+    try:
+        created = datetime.fromisoformat(capture.created_utc)
+        created = created if created.tzinfo else created.replace(tzinfo=UTC)
+        of_reading = isinstance(source, Path) and created >= read_at.replace(microsecond=0)
+        return None if of_reading else utc_text(created)
+    except (ValueError, OverflowError):
+        return None
 
 
 def failed(error: TagidError, name: str, path: str = "", uuid: str | None = None) -> Answer:
@@ -332,6 +350,7 @@ def read_jointly(
             raise only.error
         return replace(only, alone=(only,))
     enrolled, imaging = setup.enrolled, setup.imaging
+    began = datetime.now(UTC)
     captures = [load_capture(source, setup.loading) for source in sources]
     joint, each = identify_together(
         captures, enrolled.layouts, imaging, enrolled.version, enrolled.signatures
@@ -348,7 +367,8 @@ def read_jointly(
     truth = compare(captures[0], joint, enrolled.layouts)
     if truth is not None:  # The recordings show the object in several poses.
         truth = Comparison(truth.layout, truth.right)
-    return Answer(joint, names[0], alone=tuple(explained), truth=truth)
+    recorded = _recorded(sources[0], captures[0], began)
+    return Answer(joint, names[0], alone=tuple(explained), recorded_utc=recorded, truth=truth)
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,7 +51,7 @@ _FIRST_COLUMNS = {
     "error_code": "TEXT",
     "error_message": "TEXT",
 }
-_ADDED_COLUMNS = dict.fromkeys(("advice", "cause", "object_note"), "TEXT NOT NULL DEFAULT ''")
+_ADDED_COLUMNS = dict.fromkeys(("advice", "cause", "recording_note"), "TEXT NOT NULL DEFAULT ''")
 _COLUMNS: dict[str, str] = _FIRST_COLUMNS | _ADDED_COLUMNS
 
 
@@ -74,7 +74,7 @@ class Entry:
         error_code, error_message: of a failed identification.
         advice: what to do about the reason.
         cause: the likeliest cause with its remedy.
-        object_note: the user's note on the object.
+        recording_note: the user's note on the object.
     """
 
     id: int
@@ -102,7 +102,7 @@ class Entry:
     error_message: str | None
     advice: str = ""
     cause: str = ""
-    object_note: str = ""
+    recording_note: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Its fields as plain JSON values, in the order of `FIELDS`."""
@@ -244,7 +244,7 @@ class History:
         Args:
             run: number of the run.
             records: have the fields of the contract's Identification, with `file` and, if known, `time_utc`,
-                `content_sha256` and `object_note`.
+                `content_sha256` and `recording_note`.
             once: leave out those that are stored, with the same time, file and duration.
         """
         names = ("run_id", *_COLUMNS)
@@ -349,7 +349,7 @@ def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
         "error_message": error.get("message"),
         "advice": record.get("advice") or "",
         "cause": causes[0] if causes else "",
-        "object_note": record.get("object_note") or "",
+        "recording_note": record.get("recording_note") or "",
     }
     return tuple(own[name] if name in own else record.get(name) for name in _COLUMNS)
 

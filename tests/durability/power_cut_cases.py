@@ -28,6 +28,7 @@ from tagid.batch.work import content_of, make_record
 from tagid.capture import Capture
 from tagid.config import change_file, change_settings, read_file
 from tagid.errors import TagidError
+from tagid.operate.turn import Answer
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
@@ -318,7 +319,8 @@ def _history() -> None:
 
 def _record(number: int) -> dict[str, Any]:
     source = Source(f"/{number}", f"{number}")
-    return dict(make_record(source, Identification("no_tag", None, f"uuid-{number}", 4), {}, None).document)
+    answer = Answer(Identification("no_tag", None, f"uuid-{number}", 4))
+    return dict(make_record(source, answer, {}, None).document)
 
 
 def _histories() -> list[list[str]]:
@@ -354,7 +356,7 @@ def _answers(again: list[str], tell: bool) -> Callable[[Tasks, Job], Results]:
             outcome: Outcome = Known(content.sha256)
             if content.sha256 not in job.known:
                 again.append(source.name)
-                answer = Identification("no_tag", None, f"uuid-{content.sha256[:8]}", 4)
+                answer = Answer(Identification("no_tag", None, f"uuid-{content.sha256[:8]}", 4))
                 record = make_record(source, answer, {"load": 0.1}, content)
                 outcome = Answered(record, Thumbnails(image=bytes.fromhex(content.sha256) * 200))
             yield Done(task, outcome)

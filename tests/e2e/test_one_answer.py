@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 import tagid as api
+from tagid.cli.common.wording import in_options
 from tagid.metadata import ResolvedMotion
 from tagid.operate.workplace import Workplace
 from tagid.pipeline.load import load_capture
+from tagid.result import reworded_document
 from tagid.station.scans import ScanRun
 from tagid.station.setup import Source as StationSource
 from tagid.station.station import Station
@@ -23,7 +25,8 @@ from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.history import Filter
 
 TIMES = ("seconds", "time_utc")
-OF_A_REPORT = ("schema", "schema_version", "content_sha256", "size_bytes", "expected", "correct")
+OF_THE_FILE = ("file", "recorded_utc", "recording_note", "truth")
+OF_A_REPORT = ("schema", "schema_version", "content_sha256", "size_bytes", "expected", "correct", "copy_of")
 KINDS = {
     "named": ("helmet-120", "--views", 24),
     "on-a-can": ("container-90", "--body", "can:35mm", "--views", 36, "--snr", 20),
@@ -54,8 +57,9 @@ CAUSES = {
 
 
 def plain(document: dict[str, Any], *leave: str) -> dict[str, Any]:
-    """A document without times and names of fields that only some carry."""
-    return {key: value for key, value in document.items() if key not in (*TIMES, *OF_A_REPORT, *leave)}
+    """A document as a command prints it, without times and the fields that a report adds."""
+    values = {key: value for key, value in document.items() if key not in (*TIMES, *OF_A_REPORT, *leave)}
+    return dict(reworded_document(values, in_options))
 
 
 @pytest.fixture
@@ -105,7 +109,7 @@ def test_every_door_gives_the_same_document(
     for kind in ("axis", "on-a-can"):
         capture = load_capture(Path(captures[kind]), loading)
         stepwise = api.identify(capture, enrolled.layouts, imaging, enrolled.version, enrolled.signatures)
-        assert plain({"file": captures[kind], **stepwise.to_dict()}) == documents[kind]
+        assert plain(stepwise.to_dict()) == plain(documents[kind], *OF_THE_FILE)
     # The joint answer of one recording is its own.
     for kind in ("named", "axis", "empty"):
         (joint,) = tagid("identify", "--vote", captures[kind], "--output", "json").json["data"]["items"]
@@ -153,7 +157,7 @@ def test_a_scan_a_station_and_a_program_answer_as_identify_does(
     newest = station.history(Filter(limit=1))[0]
     shown = run.state.answer
     assert shown is not None and newest.status == shown.status
-    assert plain({"file": newest.file, **shown.to_dict()}) == identified(newest.file)
+    assert plain(shown.to_dict()) == plain(identified(newest.file), *OF_THE_FILE)
 
 
 def test_turns_and_heights_answer_as_their_files_do(tagid: Callable[..., Any]) -> None:

@@ -195,7 +195,7 @@ def test_the_history_says_why_nothing_was_named(browser: Any, serve: Callable[..
     history = History(data_folder() / FILE_NAME)
     station_url = serve().url
     entries = [
-        {"file": "/other/scan.tagid.h5", "object_note": "gate <b>4</b>", **record},
+        {"file": "/other/scan.tagid.h5", "recording_note": "gate <b>4</b>", **record},
         {"file": "/other/scan-2.tagid.h5", **known},
     ]
     history.add(history.begin("station", {}), entries)

@@ -33,7 +33,7 @@ def record(number: int = 0, **changes: object) -> dict[str, object]:
             {"code": "turn_stopped", "text": "it stood still", "remedy": "Start the table."},
             {"code": "speed", "text": "another speed", "remedy": "Give it."},
         ],
-        "object_note": "gate 4",
+        "recording_note": "gate 4",
         "layout": "helmet-120",
         "label": "",
         "score": 0.9,
@@ -91,7 +91,7 @@ def test_what_is_kept_comes_back(history: History) -> None:
         error_message=None,
         advice="Turn it.",
         cause="it stood still. Start the table.",
-        object_note="gate 4",
+        recording_note="gate 4",
     )
     assert history.reflectors(number) == record()["reflectors"]
 
@@ -207,12 +207,12 @@ def test_pass_keys_of_earlier_runs_are_hidden(tmp_path: Path) -> None:
     path = tmp_path / "history.sqlite"
     History(path).begin("identify", {"motion.url": "roomba+ble://R2?passkey=918273&wait=1"})
     with closing(sqlite3.connect(path, isolation_level=None)) as connection:
-        for column in ("advice", "cause", "object_note"):
+        for column in ("advice", "cause", "recording_note"):
             connection.execute(f"ALTER TABLE identification DROP COLUMN {column}")
         connection.execute("PRAGMA user_version = 1")
     history = History(path)
     history.add(1, [record()])
-    assert [entry.object_note for entry in history.find()] == ["gate 4"]
+    assert [entry.recording_note for entry in history.find()] == ["gate 4"]
     with closing(sqlite3.connect(path)) as connection:
         (settings,) = connection.execute("SELECT settings FROM run").fetchone()
     assert json.loads(settings) == {"motion.url": "roomba+ble://R2?passkey=***&wait=1"}

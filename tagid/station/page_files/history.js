@@ -61,7 +61,7 @@ function historyRow(one) {
   const file = one.has_capture ? fileName(one) : one.file;
   const why = one.status === "identified" ? "" : one.reason;
   const advice = one.cause ? `Likely cause: ${one.cause}` : one.advice;
-  for (const [text, kind] of [[one.object_note, "note"], [file, "quiet"], [why, "quiet"], [advice, "advice"]]) {
+  for (const [text, kind] of [[one.recording_note, "note"], [file, "quiet"], [why, "quiet"], [advice, "advice"]]) {
     if (text) row.append(element("span", text, `more ${kind}`));
   }
   return row;
