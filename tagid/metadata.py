@@ -444,8 +444,9 @@ class SimulatedTruth(JsonValue):
         wobble_speed, wobble_radial_m: relative amplitude of the speed's wobble, and of the axis, m.
         pulse: "nominal" or "other".
         noise_colour: slope of the noise's spectrum.
-        snr_reflector_db, snr_summed_db: SNR per reflector and of the summed echo, dB; None without a tag.
-        snr_reference_db: SNR of a whole object or another reference, where neither of these is known, dB.
+        snr_db: SNR of the changing echo, dB; None if nothing changes.
+        snr_reflector_db, snr_summed_db: peak per reflector and of all over the noise, dB; None without a tag.
+        snr_reference_db: the same of a whole object or another reference, where neither of these is known.
         extra: what else was varied.
     """
 
@@ -460,6 +461,7 @@ class SimulatedTruth(JsonValue):
     snr_reflector_db: float | None = None
     snr_summed_db: float | None = None
     snr_reference_db: float | None = None
+    snr_db: float | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -71,17 +71,18 @@ def register(app: typer.Typer) -> None:
         Example: tagid plan --reflector octahedron:40mm --body can:35mm --distance 1.0 --pii 11 --rpm 2
         Example: tagid plan --reflector octahedron:20mm --want 0.99
         """
-        from tagid.planning.plan import invert
+        from tagid.planning.plan import invert, planned_snr_db
         from tagid.planning.plan import plan as work_out
 
         setup = setup_from(Asked(reflector, body, distance, pii, gain, rpm, layout, file, enrolled))
         found = work_out(setup)
         wanted = None if want is None else invert(setup, want)
-        data = {**_data(found), "wanted": None if wanted is None else _wanted_data(wanted)}
+        snr = planned_snr_db(setup)
+        data = {**_data(found), "snr_db": snr, "wanted": None if wanted is None else _wanted_data(wanted)}
         doubt = ""
         if wanted is not None and want is not None:
             data["wanted_remark"] = doubt = _doubt(found, wanted, want)
-        return Result("plan", data, _drawn(found, wanted, want, doubt))
+        return Result("plan", data, _drawn(found, snr, wanted, want, doubt))
 
 
 class Asked:
@@ -201,7 +202,7 @@ def _doubt(found: Plan, wanted: Wanted, want: float) -> str:
     )
 
 
-def _drawn(found: Plan, wanted: Wanted | None, want: float | None, doubt: str) -> RenderableType:
+def _drawn(found: Plan, snr: float, wanted: Wanted | None, want: float | None, doubt: str) -> RenderableType:
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
@@ -217,7 +218,7 @@ def _drawn(found: Plan, wanted: Wanted | None, want: float | None, doubt: str) -
     for term in found.terms:
         budget.add_row(term.name, f"{term.value:.4g} {term.unit}", Text(term.source, style="dim"))
     outcome = table()
-    for name, text in _rows(found):
+    for name, text in _rows(found, snr):
         outcome.add_row(name, text)
     parts: list[RenderableType] = [Text("link budget", "bold"), budget, Text("recording", "bold"), outcome]
     if wanted is not None and want is not None:
@@ -230,7 +231,7 @@ def _drawn(found: Plan, wanted: Wanted | None, want: float | None, doubt: str) -
     return Group(*parts)
 
 
-def _rows(found: Plan) -> list[tuple[str, str]]:
+def _rows(found: Plan, snr: float) -> list[tuple[str, str]]:
     """The outcome, line by line."""
     setup = found.setup
     rows = [
@@ -238,8 +239,13 @@ def _rows(found: Plan) -> list[tuple[str, str]]:
             "reflector",
             f"{setup.reflector} (tip to tip), {found.rcs_dbsm:.1f} dBsm; layout {setup.layout.name}",
         ),
-        ("SNR per sample", f"{found.snr_sample_db:.1f} dB per reflector at {setup.distance_m:g} m"),
-        ("SNR per view", f"{found.snr_view_db:.1f} dB, {found.scans_per_turn} scans in {found.views} views"),
+        ("SNR", f"{snr:.1f} dB at {setup.distance_m:g} m, as `tagid show` measures it"),
+        ("per reflector", f"peak {found.snr_sample_db:.1f} dB over the noise of one sample"),
+        (
+            "averaging",
+            f"{found.snr_view_db - found.snr_sample_db:+.1f} dB: "
+            f"{found.scans_per_turn} scans in {found.views} views",
+        ),
     ]
     if found.body_db is not None:
         rows.append(("body", f"{setup.body}, {found.body_db:+.1f} dB over one reflector"))
@@ -291,8 +297,6 @@ def _reached(wanted: Wanted, table: Any) -> RenderableType:
         "integration",
         wanted.integration,
         "none",
-        lambda one: (
-            f"--pii {one.setup.budget.integration} or more, {one.views} views, {one.snr_view_db:.1f} dB"
-        ),
+        lambda one: f"--pii {one.setup.budget.integration} or more, {one.views} views",
     )
     return table  # type: ignore[no-any-return]

@@ -76,8 +76,7 @@ def register(app: typer.Typer) -> None:
             rows.append(("ended", why))
         if compared is not None:
             told = (
-                f"{compared.measured_db:.1f} dB measured, {compared.planned_db:.1f} dB planned, "
-                f"changing echo of {layout}"
+                f"SNR {compared.measured_db:.1f} dB measured, {compared.planned_db:.1f} dB planned, {layout}"
             )
             rows += [("plan", told), *([("likely cause", compared.cause)] if compared.cause else [])]
         elif reflector is not None:
@@ -180,22 +179,22 @@ def _rows(summary: RecordingSummary) -> list[tuple[str, str]]:
     rows = [
         ("scans", f"{count} of {summary.bins} samples{per_second}"),
         ("range", f"{summary.range_from_m:.2f} to {summary.range_to_m:.2f} m"),
-        ("SNR", f"{or_dash(summary.snr_db, '.1f')} dB"),
     ]
     if summary.changes:
-        changing = f"{summary.changing_snr_db:.1f} dB at {or_dash(summary.changing_range_m, '.2f')} m"
-        rows.append(("changing", changing))
+        snr = f"{summary.changing_snr_db:.1f} dB at {or_dash(summary.changing_range_m, '.2f')} m"
+        rows.append(("SNR", snr))
         period = summary.period_note
         if summary.period_s is not None:
             period = f"{summary.period_s:.3f} s +- {summary.period_sigma_s or 0:.3f} s {period}"
         rows.append(("period", period))
     else:
-        rows.append(("changing", "nothing beyond the noise" if summary.views > 1 else "- (one scan)"))
+        rows.append(("SNR", "- nothing changes beyond the noise" if summary.views > 1 else "- (one scan)"))
     rows += [
         ("clipped", clipped),
         ("lost scans", "-" if summary.lost_scans is None else str(summary.lost_scans)),
     ]
     if summary.strongest:
         s = summary.strongest
-        rows.append(("strongest", f"{s.range_m:.2f} m (bin {s.bin}, moves {s.spread_bins:.1f} bins)"))
+        over = f"{or_dash(summary.snr_db, '.1f')} dB over noise at {s.range_m:.2f} m"
+        rows.append(("strongest", f"{over} (bin {s.bin}, moves {s.spread_bins:.1f} bins)"))
     return rows

@@ -125,6 +125,7 @@ def register(app: typer.Typer) -> None:
                 "axis_distance_m": truth.axis_distance_m,
                 "positions_m": truth.positions_m,
                 "noise_std": truth.noise_std,
+                "snr_db": truth.snr.changing_db,
                 "snr_reflector_db": truth.snr.reflector_db,
                 "snr_summed_db": truth.snr.summed_db,
                 "snr_reference_db": truth.snr.reference_db,

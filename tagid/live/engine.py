@@ -28,8 +28,7 @@ from tagid.live.state import LiveState, Phase, Sinogram
 from tagid.live.views import TOLERANCE_RAD, GrowingViews, capture_so_far, whole_evidence, whole_image
 from tagid.motion.device import Motion
 from tagid.pipeline.settings import ImagingSettings
-from tagid.recording.inspection import noise_power_of, signal_to_noise_db
-from tagid.signal import analytic
+from tagid.signal import analytic, noise_power_of, snr_db
 from tagid.workers import Worker
 
 if TYPE_CHECKING:
@@ -364,12 +363,11 @@ def _sinogram(session: Session, scans: list[Scan]) -> tuple[Sinogram | None, flo
         return None, None
     every = -(-len(scans) // _ROWS)
     samples = np.stack([scan.samples for scan in scans[::every]]).astype(np.float64)
-    mean = samples.mean(axis=0)
-    rows = np.abs(analytic(samples - mean)).astype(np.float32)
+    changing = analytic(samples - samples.mean(axis=0))
     recent = np.stack([scan.samples for scan in scans[-_JUDGED_SCANS:]]).astype(np.float64)
-    noise = noise_power_of(analytic(recent))
-    snr, _ = signal_to_noise_db(analytic(recent - mean), noise)
+    snr, _ = snr_db(changing, noise_power_of(analytic(recent)))
     start = session.config.range_start_m(session.plan.cable_delay_ps)
+    rows = np.abs(changing).astype(np.float32)
     return Sinogram(rows, (start, start + RANGE_STEP_M * (rows.shape[1] - 1))), snr
 
 

@@ -50,7 +50,7 @@ class LiveState:
         seconds: from the first scan to the last, by the radar's clock, s.
         turned_rad: angle covered, not negative; None while neither the motion nor the scans determine it.
         views: views in the image.
-        snr_db: ratio of moving echo to noise in one scan, dB; None if no echo exceeds the noise.
+        snr_db: of the scans so far, see `tagid.signal.snr_db`; None if nothing changes beyond the noise.
         sinogram: of the scans so far; None before three of them.
         image: backprojection of the views so far; None before there is one.
         evidence: for each layout; empty with too few views.

@@ -16,13 +16,14 @@ from tagid.motion.turntable import OVERLAP_TURNS
 from tagid.planning.rates import Expected, expected
 from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import plan_window
+from tagid.signal import changing_power
 from tagid.simulate.acquisition import Acquisition, RangeWindow
 from tagid.simulate.budget import LinkBudget, Term, effective_length_m, rcs_dbsm
 from tagid.simulate.presets import scene_on_body
 from tagid.simulate.render import PulseTable, antennas, render_bodies
 from tagid.simulate.scatterers import Octahedron, unit_of
 from tagid.simulate.snr import echo_levels
-from tagid.simulate.source import NOISE_COUNTS, NOISE_INDEX
+from tagid.simulate.source import noise_counts
 from tagid.simulate.specification import BodySpec, ReflectorSpec
 from tagid.tags.layouts.layout import Layout
 
@@ -81,8 +82,8 @@ class Plan:
     Attributes:
         setup: the requested setup.
         rcs_dbsm: of one reflector alone, of the pulse's peak.
-        snr_sample_db: per reflector in one sample of one scan, as defined in `tagid.simulate.snr`: the
-            largest over a turn, on its body.
+        snr_sample_db: per reflector: peak over the noise of one sample of one scan, on its body, see
+            `tagid.simulate.snr`. The SNR is `planned_snr_db`.
         snr_view_db: the same after scans are averaged into views.
         body_db: echo of the body over that of one reflector, dB; None without a body.
         margin_db: of the strongest echo below saturation, dB; negative where it clips.
@@ -132,7 +133,6 @@ def plan(setup: Setup) -> Plan:
         )
     views = min(scans, views_needed(setup.extent_m, SPEED_OF_LIGHT / CENTER_FREQUENCY_HZ))
     view = sample + 10 * float(np.log10(scans / views))
-    noise = NOISE_COUNTS * 2.0 ** ((setup.budget.integration - NOISE_INDEX) / 2)
     strongest = sample + max(0.0, body_db or 0.0)
     body = _class_of(setup.body)
     return Plan(
@@ -141,7 +141,7 @@ def plan(setup: Setup) -> Plan:
         sample,
         view,
         body_db,
-        setup.budget.clipping_margin_db(strongest, noise),
+        setup.budget.clipping_margin_db(strongest, noise_counts(setup.budget.integration)),
         scans,
         views,
         60 / setup.rpm,
@@ -200,20 +200,17 @@ def _on_body(
     table = PulseTable.of(None)
     level = echo_levels(scene, acquisition, antenna, table).reflector
     others = tuple(one for one in scene.object if one is not scene.tag)
-    echo = np.zeros((_LEVEL_VIEWS, acquisition.range_window.bins), dtype=np.complex128)
-    render_bodies(others, acquisition.placement, antenna, acquisition, table, echo)
+    echo = render_bodies(others, acquisition.placement, antenna, acquisition, table)
     alone = effective_length_m(Octahedron(reflector.size_m))
     unit = alone / unit_of(Octahedron(reflector.size_m))
     mounted = 20 * float(np.log10(level / unit))
     return mounted, 20 * float(np.log10(np.abs(echo).max() / level))
 
 
-def changing_db(setup: Setup) -> float:
-    """Planned `RecordingSummary.changing_snr_db` of a recording, dB.
+def planned_snr_db(setup: Setup) -> float:
+    """Planned SNR of a recording, see `tagid.signal.snr_db`, dB.
 
-    It is a mean power: the noise can be subtracted from the measured one, whereas it raises the maximum over
-    the range bins of every scan, by 1.5 dB for an echo of 15 dB. Reflectors at the same range add up, and
-    those that a body hides add nothing in half of the views.
+    Reflectors at the same range add up, and those that a body hides add nothing in half of the views.
     """
     layout, distance = setup.layout, setup.distance_m
     acquisition = Acquisition(axis_distance_m=distance, range_law=True, window=RangeWindow.around(distance))
@@ -224,14 +221,12 @@ def changing_db(setup: Setup) -> float:
     power = 0.0
     for seed in seeds:
         scene = scene_on_body(layout.name, setup.body, setup.reflector, seed, layouts={layout.name: layout})
-        echo = np.zeros((_LEVEL_VIEWS, acquisition.range_window.bins), dtype=np.complex128)
-        render_bodies(scene.object, acquisition.placement, antenna, acquisition, PulseTable.of(None), echo)
-        power += float((np.abs(echo - echo.mean(axis=0)) ** 2).mean(axis=0).max()) / len(seeds)
+        echo = render_bodies(scene.object, acquisition.placement, antenna, acquisition, PulseTable.of(None))
+        power += changing_power(echo) / len(seeds)
     scatterer = Octahedron(setup.reflector.size_m)
     alone = effective_length_m(scatterer)
     free = setup.budget.snr_db(alone, distance) + 20 * float(np.log10(unit_of(scatterer) / alone))
-    # A sample has half of the envelope's noise power.
-    return free + 10 * float(np.log10(power / 2))
+    return free + 10 * float(np.log10(power))
 
 
 @dataclass(frozen=True)
@@ -283,7 +278,7 @@ class Gap:
     """Measured and planned SNR of a recording.
 
     Attributes:
-        measured_db, planned_db: of the changing echo, see `RecordingSummary.changing_snr_db`, dB.
+        measured_db, planned_db: see `tagid.signal.snr_db`, dB.
         cause: likely cause of the difference; "" if it is within the budget's uncertainty.
     """
 
@@ -296,18 +291,17 @@ GAP_DB = 8.0
 """Difference within the budget's uncertainty (6 dB of its fitted loss) and that of interfering echoes."""
 
 
-def gap(capture: Capture, noise_counts: float, measured_db: float, setup: Setup) -> Gap:
+def gap(capture: Capture, noise: float, measured_db: float, setup: Setup) -> Gap:
     """Compare a recording with its plan.
 
     Args:
         capture: the recording.
-        noise_counts: standard deviation of the noise of one of its samples, counts.
-        measured_db: its `RecordingSummary.changing_snr_db`.
+        noise: standard deviation of the noise of one of its samples, counts.
+        measured_db: its SNR, see `tagid.signal.snr_db`.
         setup: the recorded setup.
     """
-    index = setup.budget.integration
-    usual = NOISE_COUNTS * 2.0 ** ((index - NOISE_INDEX) / 2)
-    planned = changing_db(setup)
+    usual = noise_counts(setup.budget.integration)
+    planned = planned_snr_db(setup)
     difference = measured_db - planned
     clip = capture.radar.clip_counts
     cause = ""
@@ -315,9 +309,9 @@ def gap(capture: Capture, noise_counts: float, measured_db: float, setup: Setup)
         cause = "samples are clipped: lower the transmit gain, or increase the distance"
     elif difference < -GAP_DB:
         gain = None if capture.radar.config is None else capture.radar.config.transmit_gain
-        if noise_counts > 2 * usual:
+        if noise > 2 * usual:
             cause = (
-                f"the noise is {20 * np.log10(noise_counts / usual):.0f} dB above that of other recordings: "
+                f"the noise is {20 * np.log10(noise / usual):.0f} dB above that of other recordings: "
                 "another transmitter in the band, or a damaged antenna cable"
             )
         elif gain is not None and gain < setup.budget.transmit_gain:

@@ -46,7 +46,7 @@ class DelayEstimate:
         delay_ps: the delay, ps; goes into `radar.cable_delay_ps`.
         sigma_ps: its standard deviation, ps: root sum of squares of the parts below.
         echo_ps: two-way time of the echo's peak on the radar's clock, ps.
-        snr_db: power of the echo over the noise in the mean of all scans, dB.
+        snr_db: power of the echo over the rest in the mean of all scans, behind the matched filter, dB.
         tape_ps: contribution of the error of the measured distance, ps.
         noise_ps: scatter between parts of the recording, ps.
         shape_ps: shift of the peak by the matched filter, because the pulse is not the nominal one.
@@ -261,7 +261,7 @@ class _Found:
 def _check_echo(
     target: Capture, scans: NDArray[np.float64], matched: NDArray[np.float64], found: _Found
 ) -> float:
-    """SNR of the echo, dB; DataError if there is none, more than one, or a clipped one."""
+    """`DelayEstimate.snr_db`; DataError if there is no echo, more than one, or a clipped one."""
     low, high, peak, step_ps = found.low, found.high, found.peak, found.step_ps
     near = round(_APART_PS / step_ps * _FINER)
     away = np.ones(len(matched), dtype=bool)

@@ -17,11 +17,10 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion
 from tagid.recording.curves import TIME_LABEL, slow_time
-from tagid.signal import analytic, vertex
+from tagid.signal import analytic, noise_power_of, over_noise_db, snr_db, vertex
 
 MOST_BYTES = 64 << 20
 """Samples inspected or plotted at a time, bytes; of longer recordings every n-th view is used."""
-_BLOCK_BINS = 16
 _GATE_BINS = 64
 
 
@@ -55,8 +54,8 @@ class RecordingSummary:
         views, bins: size of the recording.
         range_from_m, range_to_m: one-way range of the first and last bin, m.
         noise: standard deviation of the noise of one sample, counts; None for a single view.
-        snr_db: power of the strongest return over the noise's in one view, dB; None if there is no return.
-        changing_snr_db: the same for the scans less the mean scan: moving or rotating echoes.
+        snr_db: strongest return, static or not, over the noise, see `tagid.signal.over_noise_db`, dB.
+        changing_snr_db: SNR, see `tagid.signal.snr_db`, dB; None if nothing changes beyond the noise.
         changing_range_m: one-way range with the largest change, m; None with `changing_snr_db`.
         clipped_fraction: saturated samples over all samples; None if the limit is not known.
         lost_scans: scans missing between the first and the last; None if scans are not numbered.
@@ -115,7 +114,7 @@ def inspect(capture: Capture) -> RecordingSummary:
     signal = analytic(some.samples)
     noise_power = noise_power_of(signal)
     strongest = strongest_return(signal, some)
-    changing_snr, changing_bin = signal_to_noise_db(signal - signal.mean(axis=0), noise_power)
+    changing_snr, changing_bin = snr_db(signal, noise_power)
     rate, duration = scan_rate(capture)
     turning = turning_period(some) if changing_snr is not None else NO_CHANGE
     ranges = capture.ranges_m
@@ -127,7 +126,7 @@ def inspect(capture: Capture) -> RecordingSummary:
         range_from_m=float(ranges[0]),
         range_to_m=float(ranges[-1]),
         noise=None if noise_power is None else math.sqrt(own * noise_power),
-        snr_db=signal_to_noise_db(signal, noise_power)[0],
+        snr_db=over_noise_db(signal, noise_power)[0],
         changing_snr_db=changing_snr,
         changing_range_m=None if changing_bin is None else float(ranges[changing_bin]),
         clipped_fraction=clipped_fraction(capture),
@@ -140,43 +139,6 @@ def inspect(capture: Capture) -> RecordingSummary:
         strongest=strongest,
         every=every,
     )
-
-
-def noise_power_of(signal: NDArray[np.complex64]) -> float | None:
-    """Noise power of one analytic sample, (views, bins) -> counts^2; None for a single view.
-
-    Second differences over slow time cancel static and linearly drifting echoes, and multiply the power of
-    white noise by 6 (first differences, with two views: by 2). Strong rotating echoes remain, so the power is
-    estimated in blocks of 16 bins, and the lower quartile of the blocks is returned.
-    """
-    views, bins = signal.shape
-    if views < 2:
-        return None
-    change, gain = (np.diff(signal, axis=0), 2.0) if views == 2 else (np.diff(signal, 2, axis=0), 6.0)
-    power = (np.abs(change) ** 2).mean(axis=0, dtype=np.float64) / gain
-    starts = np.arange(0, max(bins - _BLOCK_BINS + 1, 1), _BLOCK_BINS)
-    widths = np.diff(np.append(starts, bins))
-    blocks = np.add.reduceat(power, starts) / widths
-    # The analytic signal has less noise at the edges of the window.
-    return float(np.percentile(blocks[1:-1] if len(blocks) > 4 else blocks, 25))
-
-
-def signal_to_noise_db(
-    signal: NDArray[np.complex64], noise_power: float | None
-) -> tuple[float | None, int | None]:
-    """(dB, bin) of the range bin with the most mean power, less the noise power, over that of one view.
-
-    For real samples this is A^2 / (2 sigma^2), A the envelope's peak and sigma the noise of a sample.
-    (None, None) without a noise estimate, or if no bin exceeds it by six standard errors of the mean noise
-    power: the lower quartile is 2 to 3 % low, so among some hundred bins noise alone exceeds five in about
-    one recording of 150.
-    """
-    if not noise_power:
-        return None, None
-    power = (np.abs(signal) ** 2).mean(axis=0, dtype=np.float64)
-    peak = int(power.argmax())
-    ratio = float(power[peak]) / noise_power - 1
-    return (10 * math.log10(ratio), peak) if ratio > 6 / math.sqrt(len(signal)) else (None, None)
 
 
 def clipped_fraction(capture: Capture) -> float | None:

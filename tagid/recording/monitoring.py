@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from tagid.radar.assembler import Scan, Statistics
 from tagid.radar.settings import RadarConfig
-from tagid.recording.inspection import noise_power_of, signal_to_noise_db
-from tagid.signal import analytic
+from tagid.signal import analytic, noise_power_of, over_noise_db
 
 ROWS: Final = 200
 """Number of rows kept for the waterfall; more than any terminal displays."""
@@ -41,7 +40,8 @@ class Snapshot:
         range_m: one-way range of the first and the last bin, m.
         scans, lost: complete scans and lost ones since the start.
         scan_rate_hz: rate of the last scans, by the radar's clock; None before the second scan.
-        snr_db: strongest return over the noise in one scan; None if there is none.
+        snr_db: strongest return over the noise, see `tagid.signal.over_noise_db`, dB; None if there is none.
+            Not the SNR of a turn: the last scans see a small part of it, and static echoes count.
         peak_m: its range, m.
         clipped_fraction: fraction of clipped samples in the two seconds up to the last scan.
         temperature_c: board temperature; None until the radar has reported it.
@@ -62,6 +62,13 @@ class Snapshot:
     silent_s: float
     seconds: float
     note: str
+
+    @property
+    def strongest(self) -> str:
+        """The strongest return over the noise, in words."""
+        if self.snr_db is None:
+            return "echo -"
+        return f"echo {self.snr_db:.1f} dB at {self.peak_m:.2f} m"
 
     @property
     def lost_fraction(self) -> float:
@@ -159,7 +166,7 @@ class Monitor:
             )
 
     def _judged(self) -> tuple[float | None, float | None]:
-        """SNR, dB, and range of the strongest return in the last scans."""
+        """The strongest return in the last scans: over the noise, dB, and its range, m."""
         with self._lock:
             recent = np.array(self._recent, dtype=np.float64)
         if len(recent) < 3:
@@ -167,7 +174,7 @@ class Monitor:
         if self._mean is not None:
             recent -= self._mean
         signal = analytic(recent)
-        snr, peak = signal_to_noise_db(signal, noise_power_of(signal))
-        if snr is None or peak is None or not math.isfinite(snr):
+        strongest, peak = over_noise_db(signal, noise_power_of(signal))
+        if strongest is None or peak is None or not math.isfinite(strongest):
             return None, None
-        return snr, self._range_m[0] + peak * self._config.range_step_m
+        return strongest, self._range_m[0] + peak * self._config.range_step_m

@@ -53,11 +53,11 @@ def draw(snapshot: Snapshot, title: str, size: tuple[int, int], colour: bool) ->
 
 
 def _figures(s: Snapshot) -> Text:
-    """Scan rate, SNR, clipping, loss, temperature; problems in red."""
+    """Scan rate, strongest return, clipping, loss, temperature; problems in red."""
     text = Text()
     rate = "-" if s.scan_rate_hz is None else f"{s.scan_rate_hz:.1f}"
     text.append(f"{rate} scans/s  ")
-    text.append("SNR - " if s.snr_db is None else f"SNR {s.snr_db:.1f} dB at {s.peak_m:.2f} m")
+    text.append(s.strongest)
     text.append("  ")
     text.append(f"clipped {s.clipped_fraction:.2%}", style="bold red" if s.clipped_fraction else "")
     text.append("  ")

@@ -32,7 +32,7 @@ class Truth:
         amplitudes: (n,) complex128 relative strengths of the reflectors.
         noise_std: standard deviation of one sample, in the capture's units, without interference.
         levels: peaks to which the SNR refers, in the capture's units.
-        snr: both SNRs.
+        snr: SNR, and peaks over the noise.
         clean: (views, bins) samples without noise, quantisation and clipping, float64 or complex128.
     """
 
@@ -94,6 +94,7 @@ def object_settings(scene: Scene, acquisition: Acquisition, snr: Snr) -> ObjectI
         wobble_radial_m=acquisition.wobble.radial_m,
         pulse="nominal" if acquisition.pulse is None else "other",
         noise_colour=acquisition.noise.colour,
+        snr_db=snr.changing_db,
         snr_reflector_db=snr.reflector_db,
         snr_summed_db=snr.summed_db,
         snr_reference_db=snr.reference_db,
@@ -144,12 +145,11 @@ def simulate_capture(
     angles = turn.angles(turns)
     antenna = antennas(angles, acq.axis_distance_m + turn.radial(turns), acq.antenna_height_m)
 
-    clean = np.zeros((acq.scans, window.bins), dtype=np.complex128)
-    render_bodies(scene.object, acq.placement, antenna, acq, table, clean)
+    clean = render_bodies(scene.object, acq.placement, antenna, acq, table)
     clean += render_room(scene, window, table)
     levels = echo_levels(scene, acq, antenna, table)
     noise_std = _noise_std(acq, levels)
-    snr = Snr.of(levels, noise_std)
+    snr = Snr.of(levels, noise_std, clean)
 
     stated = acq.direction * 2 * np.pi * turns + acq.angle_error_rad * rng.standard_normal(acq.scans)
     samples, flags = _recorded(clean, noise_std, acq, rng)

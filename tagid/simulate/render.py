@@ -123,9 +123,8 @@ def render_bodies(
     antenna: NDArray[np.float64],
     acquisition: Acquisition,
     table: PulseTable,
-    out: NDArray[np.complex128],
-) -> None:
-    """Add the analytic echoes of placed bodies to out (views, bins), range law and beam pattern included.
+) -> NDArray[np.complex128]:
+    """(views, bins) analytic echoes of placed bodies, range law and beam pattern included.
 
     The beam points at the rotation axis at height zero of the room. Its two-way amplitude equals the one-way
     power pattern 2^-(2 theta / width)^2, half at half of the -3 dB width.
@@ -133,6 +132,7 @@ def render_bodies(
     local = _placed(antenna, placement)
     pair = [_placed(each, placement) for each in _pair(antenna, acquisition.antenna_separation_m)]
     axis = _placed(np.zeros((1, 3)), placement)
+    out = np.zeros((len(antenna), acquisition.range_window.bins), dtype=np.complex128)
     for body in bodies:
         returns = body.returns(local)
         ways = [np.linalg.norm(returns.points - each[:, None], axis=2) for each in pair]
@@ -144,6 +144,7 @@ def render_bodies(
             theta = np.arccos(np.clip(_boresight_cosine(local, axis, returns.points), -1, 1))
             amplitude = amplitude * 2.0 ** -((2 * theta / acquisition.beam_width_rad) ** 2)
         table.add(out, acquisition.range_window, distance, amplitude)
+    return out
 
 
 def render_room(scene: Scene, window: RangeWindow, table: PulseTable) -> NDArray[np.complex128]:

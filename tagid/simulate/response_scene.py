@@ -112,11 +112,8 @@ def _summed_peak(body: ResponseBody, acquisition: Acquisition, placements: Seque
         2 * np.pi * np.arange(72) / 72, distance, acquisition.antenna_height_m
     ).positions
     window, table = RangeWindow.around(distance), PulseTable.of(acquisition.pulse)
-    out = np.zeros((72, window.bins), dtype=np.complex128)
     plain = Acquisition(axis_distance_m=distance, window=window)
-    for placement in placements:
-        render_bodies((body,), placement, antennas, plain, table, out)
-    return float(np.abs(out).max())
+    return float(np.abs(sum(render_bodies((body,), at, antennas, plain, table) for at in placements)).max())
 
 
 def _levels(

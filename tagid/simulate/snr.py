@@ -1,7 +1,8 @@
-"""The signal-to-noise ratio of a recording: the common definition of simulator, emulator and benchmarks.
+"""The SNR of a simulated recording, and the peaks to which its noise is set.
 
-SNR = 20 log10(peak / sigma). `sigma` is the standard deviation of the noise in one sample of one scan. `peak`
-is the largest value over all scans and samples of the noise-free envelope (magnitude of the analytic signal):
+The SNR is that of `tagid.signal.snr_db`: of everything that changes, so that it can be measured. The noise is
+set by a peak instead, 20 log10(peak / sigma), with the same sigma: the standard deviation of the noise in one
+sample of one scan. `peak` is the largest noise-free envelope over all scans and samples:
 
 - per reflector ("reflector"): of the strongest single reflector's echo, as mounted on its body;
 - summed ("summed"): of the echoes of all reflectors together, which may add up or cancel.
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
+from tagid.signal import changing_power
 
 if TYPE_CHECKING:
     from tagid.simulate.acquisition import Acquisition
@@ -32,7 +34,7 @@ REFERENCES = ("reflector", "summed")
 
 @dataclass(frozen=True)
 class EchoLevels:
-    """Peaks to which the SNR refers, relative to the peak of a unit reflector on the axis.
+    """Peaks over the noise may refer to, relative to the peak of a unit reflector on the axis.
 
     Attributes:
         reflector: peak of the strongest single reflector, or of the reference.
@@ -55,35 +57,38 @@ class EchoLevels:
 
 @dataclass(frozen=True)
 class Snr:
-    """Both SNRs of a recording, dB; None if there is no noise, or if that echo is not known.
+    """SNR of a recording and its peaks over the noise, dB; None if there is no noise, or no such echo.
 
     Attributes:
-        reflector_db, summed_db: of the strongest reflector, and of all together.
-        reference_db: of the reference, where it tells neither of the two.
+        reflector_db, summed_db: peak of the strongest reflector, and of all together.
+        reference_db: peak of the reference, where it tells neither of the two.
         reference: see `EchoLevels`.
+        changing_db: SNR, see `tagid.signal.snr_db`; None if nothing rotates.
     """
 
     reflector_db: float | None
     summed_db: float | None
     reference_db: float | None = None
     reference: str = ""
+    changing_db: float | None = None
 
     @classmethod
-    def of(cls, levels: EchoLevels, noise_std: float) -> Snr:
-        """From the levels and the standard deviation of one sample, in the same unit."""
+    def of(cls, levels: EchoLevels, noise_std: float, echo: NDArray[np.complex128]) -> Snr:
+        """From levels, standard deviation of one sample and noise-free scans (views, bins), in one unit."""
         reflector, summed = (
             ratio_db(levels.of(name), noise_std) if name in levels.known else None for name in REFERENCES
         )
         whole = None if levels.known else ratio_db(levels.reflector, noise_std)
-        return cls(reflector, summed, whole, levels.reference)
+        changing = ratio_db(float(np.sqrt(changing_power(echo))), noise_std)
+        return cls(reflector, summed, whole, levels.reference, changing)
 
     def __str__(self) -> str:
         """The values that are known and what they refer to, as every command and table prints them."""
-        if self.reference_db is not None:
-            return f"SNR {self.reference_db:.1f} dB against {self.reference}"
-        both = ((self.reflector_db, "per reflector"), (self.summed_db, "summed"))
-        known = ", ".join(f"{value:.1f} dB {what}" for value, what in both if value is not None)
-        return "no noise" if not known else f"SNR {known}" + f" ({self.reference})" * bool(self.reference)
+        peaks = ((self.reflector_db, " per reflector"), (self.summed_db, " summed"), (self.reference_db, ""))
+        known = ", ".join(f"{value:.1f} dB{what}" for value, what in peaks if value is not None)
+        snr = "nothing changes" if self.changing_db is None else f"SNR {self.changing_db:.1f} dB"
+        what = f", of {self.reference}" * bool(self.reference)
+        return f"{snr}; peak over noise {known}{what}" if known else "no noise"
 
 
 def ratio_db(peak: float, noise_std: float) -> float | None:
@@ -103,8 +108,7 @@ def echo_levels(
     from tagid.simulate.render import render_bodies
 
     def peak(bodies: tuple[Body, ...]) -> float:
-        echo = np.zeros((len(antenna), acquisition.range_window.bins), dtype=np.complex128)
-        render_bodies(bodies, acquisition.placement, antenna, acquisition, table, echo)
+        echo = render_bodies(bodies, acquisition.placement, antenna, acquisition, table)
         return float(np.abs(echo).max(initial=0.0))
 
     if scene.levels is not None:

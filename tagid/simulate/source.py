@@ -30,8 +30,13 @@ NOISE_COUNTS = 120.0
 """Noise std of one sample at integration index 11, counts (recordings: 90 to 160)."""
 NOISE_INDEX = 11
 _LEVEL_VIEWS = 72
-"""Views per turn over which the peaks for the SNR are computed."""
+"""Views per turn over which the SNR is computed."""
 MAX_ANTENNA_HEIGHT_M = 10.0
+
+
+def noise_counts(integration: int) -> float:
+    """Noise std of one sample at an integration index, counts."""
+    return NOISE_COUNTS * math.sqrt(2.0 ** (integration - NOISE_INDEX))
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,7 @@ class TurningScene:
             antenna above the object's plane, m, called for every scan.
 
     Attributes:
-        snr: both SNRs at integration index 11.
+        snr: SNR and peaks over the noise at integration index 11.
     """
 
     def __init__(
@@ -157,7 +162,8 @@ class TurningScene:
         levels = echo_levels(scene, around, antenna, self._table)
         snr_db = 20.0 if acq.snr_db is None else acq.snr_db
         self._noise = acq.noise_std or noise_std_for(snr_db, levels.of(acq.snr_reference))
-        self.snr = Snr.of(levels, self._noise)
+        echo = render_bodies(scene.object, acq.placement, antenna, around, self._table)
+        self.snr = Snr.of(levels, self._noise, echo)
         self._true_angle = true_angle
         self._stop = stop
         self._began_s = 0.0
@@ -215,9 +221,8 @@ class TurningScene:
         distance = acq.axis_distance_m + self._turn.radial(turns)
         height = acq.antenna_height_m if self._antenna_height is None else self._antenna_height()
         antenna = antennas(self._turn.angles(turns), distance, height)
-        out = self._room[1][None].copy()
-        render_bodies(self.scene.object, acq.placement, antenna, acq, self._table, out)
-        return np.asarray(out[0].real * self.counts_per_unit(config), dtype=np.float64)
+        echo = render_bodies(self.scene.object, acq.placement, antenna, acq, self._table)[0] + self._room[1]
+        return np.asarray(echo.real * self.counts_per_unit(config), dtype=np.float64)
 
     def scan(self, index: int, time_s: float, config: ScanConfig) -> NDArray[np.int32]:
         """One scan as the radar would send it.
@@ -233,7 +238,7 @@ class TurningScene:
         if index == 0:
             self._began_s = time_s
         rng = np.random.default_rng([self.seed & 0xFFFFFFFF, index & 0xFFFFFFFF])
-        noise = NOISE_COUNTS * 2.0 ** ((config.base_integration_index - NOISE_INDEX) / 2)
+        noise = noise_counts(config.base_integration_index)
         shape, ranges = self._acquisition.noise, self.window(config).ranges_m
         counts = self.clean(time_s, config) + noise * draw_noise(shape, ranges, 1, rng)[0]
         clip = CLIP_COUNTS_PER_INTEGRATION * 2**config.base_integration_index

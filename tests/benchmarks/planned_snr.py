@@ -21,11 +21,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from tagid.motion.turntable import OVERLAP_TURNS
-from tagid.planning.plan import Setup, changing_db
+from tagid.planning.plan import Setup, planned_snr_db
 from tagid.radar.settings import RadarConfig
-from tagid.recording.inspection import noise_power_of, signal_to_noise_db
 from tagid.recording.plan import plan_window
-from tagid.signal import analytic
+from tagid.signal import analytic, noise_power_of, snr_db
 from tagid.simulate import ReflectorSpec, parse_body
 from tagid.simulate.budget import LinkBudget
 from tagid.simulate.spec import SceneSpec, turning_scene
@@ -61,7 +60,7 @@ class Case:
 
     def planned_db(self) -> float:
         """By `tagid plan`."""
-        return changing_db(
+        return planned_snr_db(
             Setup(
                 LAYOUTS[self.layout],
                 ReflectorSpec("octahedron", self.size_mm * 1e-3),
@@ -88,7 +87,7 @@ class Case:
         config = plan_window(self.distance_m, 0.5, 0.0, radar)
         times = np.arange(round(OVERLAP_TURNS * SCANS_PER_TURN)) / SCANS_PER_TURN * PERIOD_S
         signal = analytic(np.stack([source.scan(i, float(t), config) for i, t in enumerate(times)]))
-        return signal_to_noise_db(signal - signal.mean(axis=0), noise_power_of(signal))[0]
+        return snr_db(signal, noise_power_of(signal))[0]
 
 
 def level(planned_db: float) -> str:

@@ -83,12 +83,11 @@ def level(folder: Path, name: str, acquisition: Acquisition, polarisation: str) 
     whole = response(folder, tagged)
     tag = whole.without(response(folder, base)) if base else whole
     distance = acquisition.axis_distance_m
-    out = np.zeros((len(TURN), acquisition.range_window.bins), dtype=np.complex128)
     antennas = Aperture.turntable(TURN, distance, 0.0).positions
     body = ResponseBody(tag, polarisation, distance)
     table = PulseTable.of(acquisition.pulse)
     plain = Acquisition(axis_distance_m=distance, window=acquisition.window)
-    render_bodies((body,), Placement(), antennas, plain, table, out)
+    out = render_bodies((body,), Placement(), antennas, plain, table)
     peak = np.abs(out).max(axis=1)
     return float(np.sqrt((peak**2).mean() * 2 / max(len(OBJECTS[tagged].places), 2)))
 
@@ -147,9 +146,8 @@ def recorded(
         other = ResponseBody(response(folder, second), where.polarisation, distance, 1 / unit)
         bodies = (Beside(body, (0.075, 0.0)), Beside(other, (-0.075, 0.01)))
     rng = np.random.default_rng(where.seed)
-    out = np.zeros((len(TURN), acquisition.range_window.bins), dtype=np.complex128)
     antennas = Aperture.turntable(TURN, distance, 0.0).positions
-    render_bodies(bodies, Placement(), antennas, acquisition, PulseTable.of(acquisition.pulse), out)
+    out = render_bodies(bodies, Placement(), antennas, acquisition, PulseTable.of(acquisition.pulse))
     room = room_clutter(rng)
     room = StaticReturns(room.ranges_m, room.amplitudes * max(1.0, float(np.abs(out).max())))
     scene = Scene(name, bodies, room=room, reference_amplitude=1.0)

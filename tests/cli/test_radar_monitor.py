@@ -55,10 +55,10 @@ def device(**faults: float) -> UdpEmulator:
 
 @pytest.mark.parametrize("colour", [True, False])
 def test_it_draws_in_colour_and_without(home: dict[str, str], colour: bool) -> None:
-    """It ends when it has drawn losses, clipping and an SNR, however long a busy machine takes for that."""
+    """It ends when it has drawn losses, clipping and an echo, however long a busy machine takes for that."""
 
     def enough(sent: bytes) -> bool:
-        drawn = re.findall(rb"SNR (\d+\.\d)", sent)
+        drawn = re.findall(rb"echo (\d+\.\d) dB", sent)
         losses = re.findall(rb"lost \d+\.\d% \((\d+)\)", sent)
         clipping = re.findall(rb"clipped (\d+\.\d+)%", sent)
         return len(drawn) > 3 and float(drawn[-1]) > 30 and losses[-1] > b"0" and float(clipping[-1]) > 0
@@ -74,7 +74,7 @@ def test_it_draws_in_colour_and_without(home: dict[str, str], colour: bool) -> N
     assert data["temperature_c"] == 51.5
     assert data["snr_db"] > 30
     text = sent.decode(errors="replace")
-    for part in ("SNR", "clipped", "lost", "51.5 degC", "scans/s"):
+    for part in ("echo", "clipped", "lost", "51.5 degC", "scans/s"):
         assert part in text
     assert ("▀" in text) is colour
     assert ("38;2;" in text) is colour

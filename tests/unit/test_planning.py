@@ -14,16 +14,24 @@ from numpy.typing import NDArray
 from tagid.errors import UsageError
 from tagid.imaging.lengths import views_needed
 from tagid.metadata import RadarInfo, RadarSettings
-from tagid.planning.plan import DISTANCES_M, GAP_DB, Setup, changing_db, gap, invert, moved_distance_m, plan
+from tagid.planning.plan import (
+    DISTANCES_M,
+    GAP_DB,
+    Setup,
+    gap,
+    invert,
+    moved_distance_m,
+    plan,
+    planned_snr_db,
+)
 from tagid.planning.rates import expected
 from tagid.radar.settings import RadarConfig
-from tagid.recording.inspection import noise_power_of, signal_to_noise_db
 from tagid.recording.plan import plan_window
-from tagid.signal import analytic
+from tagid.signal import analytic, noise_power_of, snr_db
 from tagid.simulate import Acquisition, BodySpec, ReflectorSpec, parse_body, scene_on_body, simulate_capture
 from tagid.simulate.budget import LinkBudget, effective_length_m, rcs_dbsm
 from tagid.simulate.scatterers import Octahedron
-from tagid.simulate.source import NOISE_COUNTS, NOISE_INDEX
+from tagid.simulate.source import noise_counts
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.tags.layouts.layout import builtin_layouts
 
@@ -54,9 +62,8 @@ def emulated_peak_db(size_mm: int, distance_m: float, index: int) -> float:
     """SNR of one reflector as an emulated radar's scans show it: peak envelope over the noise of a sample."""
     scans = emulated(size_mm, distance_m, index)
     moving = np.abs(analytic(scans - scans.mean(axis=0)))
-    noise = NOISE_COUNTS * 2 ** ((index - NOISE_INDEX) / 2)
     # Two reflectors opposite each other do not overlap where one is nearest: its peak is the first one.
-    return float(20 * np.log10(np.quantile(moving.max(axis=1), 0.5) / noise))
+    return float(20 * np.log10(np.quantile(moving.max(axis=1), 0.5) / noise_counts(index)))
 
 
 @pytest.mark.parametrize(
@@ -85,8 +92,8 @@ def test_show_compares_what_the_plan_predicts_of_every_layout_and_body(
 ) -> None:
     asked = replace(setup(size_mm * 1e-3, body or "none", distance_m), layout=builtin_layouts()[layout])
     signal = analytic(emulated(size_mm, distance_m, 11, body, layout))
-    measured = signal_to_noise_db(signal - signal.mean(axis=0), noise_power_of(signal))[0]
-    assert measured == pytest.approx(changing_db(asked), abs=1.0)
+    measured = snr_db(signal, noise_power_of(signal))[0]
+    assert measured == pytest.approx(planned_snr_db(asked), abs=1.0)
 
 
 def test_the_radar_equation() -> None:
@@ -184,7 +191,7 @@ def test_a_gap_between_plan_and_recording_has_a_cause() -> None:
     one = setup()
     scene = scene_on_body("container-180", BodySpec(), one.reflector, 1)
     capture, _ = simulate_capture(scene, Acquisition(views=12, snr_db=30), 1)
-    planned = changing_db(one)
+    planned = planned_snr_db(one)
     noise = 120.0
     assert gap(capture, noise, planned + 0.9 * GAP_DB, one).cause == ""
     assert "weaker" in gap(capture, noise, planned - 20, one).cause

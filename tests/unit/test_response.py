@@ -154,9 +154,9 @@ def test_the_printed_snr_says_what_it_is_against() -> None:
     assert found.summed_db == pytest.approx(20 + 20 * np.log10(peaks[1] / peaks[0]), abs=0.05)
     assert found.summed_db > 21 and "2 like that of point, taken to have no body" in str(found)
     assert snr(two, one, replace(acq, snr_reference="summed")).summed_db == pytest.approx(20)
-    assert str(snr(one, two.without(body))).startswith("SNR 20.0 dB summed (the 2 of two without body; per")
-    assert str(snr(two, None)).startswith("SNR 20.0 dB against the whole object, body included")
-    assert str(snr(two, body)) == "SNR 20.0 dB against body; how many reflectors it has is not stated"
+    assert "noise 20.0 dB summed, of the 2 of two without body; per" in str(snr(one, two.without(body)))
+    assert "peak over noise 20.0 dB, of the whole object, body included" in str(snr(two, None))
+    assert str(snr(two, body)).endswith("20.0 dB, of body; how many reflectors it has is not stated")
     assert "own reflectors are not stated" in str(snr(body, one)) and "summed" not in str(snr(body, one))
     far = replace(two, reflectors_m=np.array([[0.9, 0.0], [0.0, 0.05]]))
     assert "of the object's 2 it is not known" in str(snr(far, one))

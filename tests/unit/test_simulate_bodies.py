@@ -387,7 +387,7 @@ def test_snr_is_measured_on_the_samples(reference: str, index: int) -> None:
 )
 def test_without_a_tag_one_snr_is_told_and_what_it_is_against(text: str, against: str) -> None:
     capture, truth = simulate_capture(scene_of(text, tagged=False), Acquisition(views=12, snr_db=12.0))
-    assert str(truth.snr).startswith(f"SNR 12.0 dB against {against}")
+    assert f"peak over noise 12.0 dB, of {against}" in str(truth.snr)
     told = capture.object.truth
     assert (told.snr_reflector_db, told.snr_summed_db) == (None, None)
     assert told.snr_reference_db == pytest.approx(12.0)

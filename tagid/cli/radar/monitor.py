@@ -49,7 +49,7 @@ def register(group: typer.Typer) -> None:
         ] = 0,
         cable_delay: options.CableDelay = None,
     ) -> Result:
-        """Show range over time, SNR, clipping, loss and temperature, with the radar's current settings.
+        """Show range over time, strongest return, clipping, loss and temperature, at the radar's settings.
 
         Example: tagid radar monitor --radar udp://192.168.1.100
         """
@@ -126,8 +126,7 @@ def _watch(
         "frames": screen.frames,
         "frames_per_second": screen.rate_hz,
     }
-    snr = "-" if last.snr_db is None else f"{last.snr_db:.1f} dB at {last.peak_m:.2f} m"
-    text = f"{last.scans} scans in {last.seconds:.1f} s, {last.lost} lost, SNR {snr}"
+    text = f"{last.scans} scans in {last.seconds:.1f} s, {last.lost} lost, {last.strongest}"
     return Result("radar monitor", data, Text(text))
 
 
