@@ -21,7 +21,7 @@ class Measured:
 
     Attributes:
         body: "none", or the body that carried the tag.
-        views, snr_db: of the recordings; SNR per reflector in one sample of one view.
+        views, snr_db: of the recordings; peak per reflector over the noise of one sample of one view, dB.
         scenes: number of recordings. named, wrong: number named correctly and wrongly.
         enrolled: whether the untagged body was enrolled.
     """

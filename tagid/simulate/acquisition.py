@@ -144,7 +144,7 @@ class Acquisition:
         window: range bins; None for 192 bins with the axis in the middle.
         pulse: received from a point reflector; None for the nominal one.
         tell_pulse: whether the capture contains the pulse.
-        snr_db: SNR of the recording, defined in `snr`; None for no noise.
+        snr_db: peak over noise, defined in `snr`, dB; None for no noise.
         snr_reference: what snr_db refers to, "reflector" or "summed".
         noise_std: standard deviation of one sample, if a unit reflector on the axis peaks at 1; replaces
             snr_db.

@@ -57,7 +57,7 @@ class SceneOptions:
     axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0
     snr: Annotated[
         float,
-        typer.Option("--snr", help="Ratio of the strongest reflector's peak to the noise of one sample, dB."),
+        typer.Option("--snr", help="Peak of the strongest reflector over the noise of one sample, dB."),
     ] = 20.0
     seed: Annotated[
         int,

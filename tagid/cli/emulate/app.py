@@ -54,7 +54,7 @@ class _SceneOptions(SceneOptions):
     ] = None
     budget: Annotated[
         bool,
-        typer.Option("--budget", help="SNR from the radar equation of `tagid plan`; replaces --snr."),
+        typer.Option("--budget", help="Noise from the radar equation of `tagid plan`; replaces --snr."),
     ] = False
     cable_delay: Annotated[
         float,
