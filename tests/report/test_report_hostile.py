@@ -24,15 +24,15 @@ def test_any_exception_is_its_items_failure_with_type_and_place(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    real = work_module.load_capture
+    real = work_module.read
     faults = {"a.tagid.h5": RuntimeError("boom"), "b.tagid.h5": UnicodeEncodeError("utf-8", "x", 0, 1, "y")}
 
-    def load(path: Path, *rest: Any, **more: Any) -> Any:
+    def read(setup: Any, path: Path, *rest: Any) -> Any:
         if path.name in faults:
             raise faults[path.name]
-        return real(path, *rest, **more)
+        return real(setup, path, *rest)
 
-    monkeypatch.setattr(work_module, "load_capture", load)
+    monkeypatch.setattr(work_module, "read", read)
     folder = tmp_path / "captures"
     folder.mkdir()
     for name in (*faults, "good.tagid.h5"):

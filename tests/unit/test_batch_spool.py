@@ -165,7 +165,7 @@ def test_a_record_keeps_the_order_of_its_fields_and_no_number_that_json_lacks(sp
 @pytest.mark.parametrize(
     ("primary", "message", "remedy"),
     [
-        (sqlite3.SQLITE_FULL, "no space left", "--resume"),
+        (sqlite3.SQLITE_FULL, "no space left", "`resume`"),
         (sqlite3.SQLITE_LOCKED, "malformed", "wait for it"),
         (sqlite3.SQLITE_READONLY, "cannot use", "permission"),
         (sqlite3.SQLITE_CANTOPEN, "cannot use", "permission"),
