@@ -64,7 +64,9 @@ class StationHttp(H11Protocol):
         self._waits_since = self.loop.time()
         super().connection_made(transport)
         self.loop.call_later(HEADER_S, self._expire, None)
-        if len(self.connections) > _places():
+        # A closed connection is listed until the loop runs on; it takes no place any more.
+        gone = sum(isinstance(item, StationHttp) and item._aborted for item in self.connections)
+        if len(self.connections) - gone > _places():
             self._make_room()
 
     def _make_room(self) -> None:
