@@ -279,6 +279,7 @@ class ResolvedMotion(JsonValue):
         turns: number of turns recorded.
         period_s, period_sigma_s: time per turn and its standard deviation, s.
         quality: 0..1, how well the scans repeat after a period.
+        repeats: False where the scans show that they do not repeat after the stated period; else None.
         nominal_rpm: the stated speed, turns per minute.
         measured_rpm: the speed that the scans show, where it contradicts the stated one.
         likely_rpms: the speeds that they may show instead, where a symmetric tag does not tell them apart.
@@ -304,6 +305,7 @@ class ResolvedMotion(JsonValue):
     period_s: float | None = None
     period_sigma_s: float | None = None
     quality: float | None = None
+    repeats: bool | None = None
     nominal_rpm: float | None = None
     measured_rpm: float | None = None
     likely_rpms: tuple[float, ...] = ()

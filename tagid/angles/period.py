@@ -42,6 +42,10 @@ NOMINAL_TOLERANCE = 0.15
 """Relative uncertainty of a nominal period."""
 
 
+class NotRepeatingError(DataError):
+    """The recording is long enough to show that the scans do not repeat after the nominal period."""
+
+
 @dataclass(frozen=True)
 class PeriodEstimate:
     """A rotation period.
@@ -126,6 +130,23 @@ def _first_turn(ac: Autocorrelation, rho: NDArray[np.float64], within: tuple[int
     return int(peaks[rho[peaks] >= ALIKE * best - slack][0])
 
 
+def _never_repeats(ac: Autocorrelation, shortest_s: float, longest_s: float) -> bool:
+    """Whether no lag of a range is a repetition, and noise is not why.
+
+    A repetition is a peak: at every other lag the object has turned on. Equal echoes correlate by
+    `Autocorrelation.repeated`, c, with a standard deviation of noise sqrt(1 - c^2), those of unrelated times by
+    0. False also where not every lag of the range was recorded.
+    """
+    low, high = max(1, int(shortest_s / ac.step_s)), int(np.ceil(longest_s / ac.step_s))
+    if high * (1 + OVERLAP) > ac.scans:
+        return False
+    before, value, after = (ac.values[low + i : high + i] for i in (-1, 0, 1))
+    equal, noise = ac.repeated[low:high], ac.noise[low:high]
+    chance = SIGNIFICANT * noise * np.sqrt(1 - equal**2)
+    may_repeat = (value >= ACCEPT * equal) | (value + chance >= equal)
+    return not np.any(may_repeat & (value >= before) & (value >= after))
+
+
 def _peak_place(
     ac: Autocorrelation, rho: NDArray[np.float64], peak: int, half_width: int
 ) -> tuple[float, float]:
@@ -172,7 +193,8 @@ def find_period(
     nominal period.
 
     Raises:
-        DataError: less than 1.1 turns, nothing moves, or no repetition is found.
+        DataError: less than 1.1 turns, nothing moves, or no repetition is found; NotRepeatingError where the
+            scans contradict the nominal period.
     """
     ac = autocorrelate(samples, times_s)
     rho = ac.values
@@ -191,6 +213,12 @@ def find_period(
         lobe = _lobe(rho, 0.5 * ac.coherence)
         low = max(2 * lobe, int(min_s / ac.step_s), 2)
         peak = _first_turn(ac, rho, (low, min(longest, int(max_s / ac.step_s))), marker)
+    if peak == 0 and nominal_s is not None:
+        within = nominal_s * (1 - tolerance), nominal_s * (1 + tolerance)
+        if _never_repeats(ac, *within):
+            raise NotRepeatingError(
+                f"the scans do not repeat after {within[0]:.1f} to {within[1]:.1f} s", "Check the speed."
+            )
     if peak == 0:
         raise DataError(
             f"the scans do not repeat within {duration:.1f} s: no rotation period found",

@@ -31,6 +31,7 @@ class Autocorrelation:
         coherence: expected correlation of identical echoes: signal / (signal + noise).
         noise: (lags,) standard deviation of the correlation of noise alone, from the number of independent
             samples in the overlap.
+        repeated: (lags,) as `coherence`, of the scans that overlap: an echo may be weak in just these.
     """
 
     step_s: float
@@ -39,6 +40,7 @@ class Autocorrelation:
     norm: NDArray[np.float64]
     coherence: float
     noise: NDArray[np.float64]
+    repeated: NDArray[np.float64]
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -194,8 +196,10 @@ def autocorrelate(samples: NDArray[np.generic], times_s: NDArray[np.floating]) -
     norm = np.sqrt(np.maximum(early, tiny) * np.maximum(late, tiny))
     coherence = float(np.clip(signal / scan_energy.sum(), 1e-3, 1.0))
     overlap = np.maximum(np.fft.irfft(np.abs(m) ** 2, size)[:n], 1.0)
+    noise_energy = (1 - coherence) * scan_energy.sum() / np.count_nonzero(received)
+    repeated = np.clip(1 - noise_energy * overlap / norm, 0, 1)
     noise = 1 / np.sqrt(np.maximum(overlap * independent * _independent_bins(x), 1.0))
-    return Autocorrelation(step, n, products, norm, coherence, noise)
+    return Autocorrelation(step, n, products, norm, coherence, noise, repeated)
 
 
 def _independent_bins(x: NDArray[np.float32]) -> float:

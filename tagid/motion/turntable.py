@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.angles.period import GOOD_QUALITY, PeriodEstimate, find_period
+from tagid.angles.period import GOOD_QUALITY, NotRepeatingError, PeriodEstimate, find_period
 from tagid.angles.views import Angles
 from tagid.errors import DataError, UsageError
 from tagid.metadata import ResolvedMotion
@@ -201,6 +201,8 @@ class FreeTurntable:
                 raise
             period, sigma = self.nominal_s, NOMINAL_SIGMA * self.nominal_s
             info |= {"source": "nominal", "reason": error.message, "harmonic_ambiguous": False}
+            if isinstance(error, NotRepeatingError):
+                info["repeats"] = False
         info |= {"period_s": period, "period_sigma_s": sigma}
         since = times - times[0]
         info["turns"] = float(since[-1] / period)

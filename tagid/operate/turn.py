@@ -364,6 +364,10 @@ def read_jointly(
     causes = {cause.code: cause for answer in reversed(explained) for cause in answer.causes}
     unnamed = joint.status != "identified"
     joint = replace(joint, remarks=remarks, causes=tuple(causes.values()) if unnamed else ())
+    if unnamed and joint.reading is not None:
+        code = joint.reading.code
+        same = (one.identification for one in explained if one.identification.reading)
+        joint = replace(joint, advice=next((one.advice for one in same if one.reading.code == code), ""))
     truth = compare(captures[0], joint, enrolled.layouts)
     if truth is not None:  # The recordings show the object in several poses.
         truth = Comparison(truth.layout, truth.right)

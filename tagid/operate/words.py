@@ -14,6 +14,7 @@ from tagid.pipeline.resolve import one_of
 if TYPE_CHECKING:
     from tagid.imaging.autofocus import AxisFocus
     from tagid.imaging.pulsefit import PulseEstimate
+    from tagid.imaging.rangefocus import DelayFocus
     from tagid.imaging.region import Region
     from tagid.pipeline.answer import Identification
     from tagid.pipeline.reconstruct import Reconstruction
@@ -224,14 +225,9 @@ def region_words(region: Region | None) -> list[str]:
             f"(standard error {focus.sigma_m * 1e3:.2g} mm)"
         )
     elif focus is not None:
-        lines.append(
-            f"the data do not determine the path delay: {focus.reason}; the ranges are used as given"
-        )
-        if focus.best_m is not None:
-            lines.append(
-                f"best estimate of the path delay {focus.best_m * 1e3:+.1f} mm, "
-                f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed"
-            )
+        lines.append(f"the ranges are used as given: {focus.reason}")
+        if focus.best_m is not None and focus.evidence < focus.needed:
+            lines.append(f"best estimate of the path delay {focus.best_m * 1e3:+.1f} mm, {_evidence(focus)}")
     if region.mirrored:
         lines.append(
             "the path is straight: echoes from each side also appear on the other "
@@ -247,16 +243,17 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
     if focus.reliable:
         return [
             f"axis distance {focus.axis_distance_m:.4f} m, {focus.offset_m * 1e3:+.1f} mm from the given "
-            f"(standard error {focus.sigma_m * 1e3:.2g} mm, "
-            f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed)"
+            f"(standard error {focus.sigma_m * 1e3:.2g} mm, {_evidence(focus)})"
         ]
-    lines = [f"the data do not determine the axis distance: {focus.reason}; the given value is used"]
-    if focus.best_m is not None:
-        lines.append(
-            f"best estimate of the axis distance {focus.best_m:.4f} m, evidence {focus.evidence:.1f} of "
-            f"{focus.needed:.1f} needed"
-        )
+    lines = [f"the given axis distance is used: {focus.reason}"]
+    # Enough evidence for a distance that another test rejects would read as a contradiction.
+    if focus.best_m is not None and focus.evidence < focus.needed:
+        lines.append(f"best estimate of the axis distance {focus.best_m:.4f} m, {_evidence(focus)}")
     return lines
+
+
+def _evidence(focus: AxisFocus | DelayFocus) -> str:
+    return f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed"
 
 
 def held_out_words(settings: dict[str, Any]) -> list[str]:

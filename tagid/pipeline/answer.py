@@ -47,6 +47,7 @@ class Identification:
         second: the network's result for the image; None for free antenna positions and if status is
             "failed".
         causes: likely causes if nothing is named, most certain first.
+        advice: what to do next, if the recording calls for something else than the reading's advice.
         coverage: share of a turn from which the object was seen, 0 to 1; None if unknown.
         remarks: on the recording, one sentence each: how its file was read, its samples, speed and losses.
     """
@@ -60,8 +61,15 @@ class Identification:
     error: Problem | None = None
     second: SecondLook | None = None
     causes: tuple[Cause, ...] = ()
+    advice: str = ""
     coverage: float | None = None
     remarks: tuple[str, ...] = ()
+
+    def what_to_do(self) -> str:
+        """What to do next besides the remedies of the causes; "" if the object is named."""
+        if self.reading is None:
+            return self.error.remedy if self.error else ""
+        return self.advice or self.reading.advice
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON values, with all fields of the contract."""
@@ -73,7 +81,7 @@ class Identification:
             "status": self.status,
             "reason": r.reason if r else error.message,
             "reason_code": r.code.value if r else error.code,
-            "advice": r.advice if r else error.remedy,
+            "advice": self.what_to_do(),
             "causes": [asdict(cause) for cause in self.causes],
             "nearest": {"layout": r.nearest, "share": self._nearest_share()} if r else None,
             "layout": r.layout if r else None,

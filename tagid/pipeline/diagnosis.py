@@ -14,6 +14,7 @@ from itertools import permutations
 import numpy as np
 
 from tagid.capture import Capture, ViewFlag
+from tagid.metadata import ResolvedMotion
 from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.circling import Circling, circling
@@ -24,7 +25,7 @@ from tagid.pipeline.resolve import one_of, speed_contradiction
 from tagid.pipeline.standstill import REMEDY, stopped_words
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.reflectors import Reflector
-from tagid.tags.verdicts.verdict import Code
+from tagid.tags.verdicts.verdict import ADVICE, Code
 
 _LOSS = int(ViewFlag.AFTER_LOSS | ViewFlag.AFTER_GAP)
 _ALIKE_DB = 10.0
@@ -47,6 +48,11 @@ _CIRCLES_M = 0.006
 _TOLD_M = 0.020
 """From here on the width of the circle is that of the body's place to within 5 mm."""
 _CENTRE_IT = "Place the object's axis within 10 mm of the rotation axis."
+_CENTRE_FIRST = {
+    code: f"{_CENTRE_IT} If it is there: {ADVICE[Code.UNEXPLAINED if code is Code.BODY else code]}"
+    for code in (Code.BODY, Code.UNEXPLAINED, Code.ELSEWHERE, Code.OTHER)
+}
+"""Advice in the place of the reader's, which lets the body be enrolled, where it may stand off the axis."""
 _AXIS_M = 0.01
 """An axis distance wrong by less is no cause: the reader looks for that itself."""
 
@@ -112,14 +118,16 @@ def with_causes(
     causes = [*_of_the_turn(prepared.given)]
     # Where the answer itself says so, a place farther out that explains the scans as well is none.
     says_so = answer.reading.code is Code.OFF_CENTRE
-    circle = None if says_so else _circle(prepared.given)
+    found = circling(prepared.given)
+    circle = None if says_so else _off_the_axis(found)
     elsewhere = Elsewhere(prepared, layouts)
     if not any(cause.code == "speed" for cause in causes):
         beside = None if circle is None else _of_a_round_body(circle)
         causes += _of_the_axis(elsewhere) if beside is None else [beside]
     if not causes and not says_so:
         causes += _of_the_place(elsewhere, answer.reading.reflectors, circle)
-    return replace(answer, causes=tuple(causes))
+    advice = "" if _centred(found) else _CENTRE_FIRST.get(answer.reading.code, "")
+    return replace(answer, causes=tuple(causes), advice=advice)
 
 
 def _of_the_turn(capture: Capture) -> list[Cause]:
@@ -127,19 +135,30 @@ def _of_the_turn(capture: Capture) -> list[Cause]:
     causes = []
     if told := speed_contradiction(resolved):
         assert resolved is not None
-        speeds = one_of([f"`motion.url=free?rpm={rpm:.3g}`" for rpm in resolved.shown_rpms])
-        remedy = (
-            f"Read it again with {speeds}, or with `motion.url=free`, which estimates the speed from the "
-            "scans."
-        )
-        if len(resolved.shown_rpms) > 1:
-            remedy = f"Measure the time of a turn, and read it again with {speeds}."
-        only = resolved.shown_rpms[0] if len(resolved.shown_rpms) == 1 else None
-        settings = {} if only is None else {"motion.url": f"free?rpm={only:.3g}"}
-        causes.append(Cause("speed", told, remedy, settings))
+        causes.append(_of_the_speed(resolved, told))
     if cause := _stopped(capture) or _uncovered(capture):
         causes.append(cause)
     return causes
+
+
+def _of_the_speed(resolved: ResolvedMotion, told: str) -> Cause:
+    """A stated speed that the scans contradict, with the ones that they show."""
+    turned = "direction=cw" if resolved.direction == -1 else ""
+    urls = ["free?" + "&".join(filter(None, (f"rpm={rpm:.3g}", turned))) for rpm in resolved.shown_rpms]
+    estimated = "?".join(filter(None, ("free", turned)))
+    speeds = one_of([f"`motion.url={url}`" for url in urls]) if urls else ""
+    if len(urls) > 1:
+        return Cause("speed", told, f"Measure the time of a turn, and read it again with {speeds}.")
+    estimate = f"`motion.url={estimated}`, which estimates the speed from the scans."
+    if urls:
+        return Cause(
+            "speed", told, f"Read it again with {speeds}, or with {estimate}", {"motion.url": urls[0]}
+        )
+    if resolved.shortest_repetition_s is not None:
+        settings = {"motion.url": estimated}
+        return Cause("speed", told, f"Check the speed, or read it again with {estimate}", settings)
+    # What was recorded may be less than a turn.
+    return Cause("speed", told, f"Check the speed and record again, or record with {estimate}")
 
 
 def _stopped(capture: Capture) -> Cause | None:
@@ -184,7 +203,7 @@ def _of_the_place(
     if capture.angles_rad is None or capture.axis_distance_m is None:
         return []
     centres = _other_centres(reflectors, elsewhere.layouts)
-    if circle is not None and circle.spread_m < _CIRCLE_M and circle.share > _CIRCLE_SHARE:
+    if circle is not None and _followed(circle):
         centres = [circle.centre_m, *centres]
     moved = [recentred(capture, centre) for centre in centres]
     for i in elsewhere.clearer(moved)[:_PLACE_TRIES]:
@@ -201,10 +220,19 @@ def _of_the_place(
     return []
 
 
-def _circle(capture: Capture) -> Circling | None:
+def _off_the_axis(circle: Circling | None) -> Circling | None:
     """The circle of the strongest echo, where something off the axis, not too far, makes one."""
-    circle = circling(capture)
     return circle if circle is not None and _CIRCLES_M < circle.radius_m < _FARTHEST_M else None
+
+
+def _followed(circle: Circling | None) -> bool:
+    """Whether the strongest echo of most views lies on the circle."""
+    return circle is not None and circle.spread_m < _CIRCLE_M and circle.share > _CIRCLE_SHARE
+
+
+def _centred(circle: Circling | None) -> bool:
+    """Whether the scans exclude that the object stands off the axis."""
+    return circle is not None and _followed(circle) and circle.radius_m <= _CIRCLES_M
 
 
 def _of_a_round_body(circle: Circling) -> Cause | None:

@@ -112,15 +112,22 @@ def with_measured_angles(capture: Capture) -> Capture:
 
 
 def speed_contradiction(resolved: ResolvedMotion | None) -> str:
-    """One sentence with both speeds if the scans contradict the stated one; otherwise "".
+    """One sentence with what the scans show if they contradict the stated speed; otherwise "".
 
     >>> speed_contradiction(ResolvedMotion(nominal_rpm=6.0, measured_rpm=10.02))
     'the stated speed of 6 rpm (10.0 s per turn) is not that of the scans: they show 10 rpm (6.0 s per turn)'
     >>> speed_contradiction(ResolvedMotion(nominal_rpm=6.0, likely_rpms=(20.0, 10.0)))[70:]
     'they show 20 or 10 rpm (3.0 or 6.0 s per turn): the object repeats within a turn, so that several fit'
+    >>> speed_contradiction(ResolvedMotion(nominal_rpm=12.0, repeats=False))
+    'the scans do not repeat after the stated 5.0 s'
     """
-    if resolved is None or not resolved.shown_rpms or not resolved.nominal_rpm:
+    if resolved is None or not resolved.nominal_rpm:
         return ""
+    if not resolved.shown_rpms:
+        stated_s = 60 / resolved.nominal_rpm
+        return (
+            f"the scans do not repeat after the stated {stated_s:.1f} s" if resolved.repeats is False else ""
+        )
     stated, shown = resolved.nominal_rpm, resolved.shown_rpms
     told = (
         f"the stated speed of {stated:.3g} rpm ({60 / stated:.1f} s per turn) is not that of the scans: "

@@ -136,6 +136,9 @@ def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Ca
             return told
         if (alone.quality or 0.0) < GOOD_QUALITY:
             return told
+        if resolved.repeats is False:
+            resolved = replace(resolved, shortest_repetition_s=alone.period_s)
+            told = replace(told, motion=replace(told.motion, resolved=resolved))
         others = [
             multiple * alone.period_s
             for multiple in MULTIPLES

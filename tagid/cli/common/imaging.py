@@ -71,7 +71,7 @@ def describe(answer: Answer, name: str, verbose: bool) -> RenderableType:
             if cause.settings and answer.file:
                 lines.append(Text(f"  then: `tagid identify {_again(answer.file, cause.settings)}`"))
     else:
-        lines += [Text(f"  why: {reading.reason}"), Text(f"  what to do: {reading.advice}")]
+        lines += [Text(f"  why: {reading.reason}"), Text(f"  what to do: {found.what_to_do()}")]
     if found.status == "identified" and reading.bound and (part := words.coverage_words(found.coverage)):
         lines.append(Text(f"  caution: {part}", "yellow"))
     if reading.note:
@@ -103,7 +103,7 @@ def _details(answer: Identification) -> Iterator[str]:
     if answer.causes:
         yield f"why: {reading.reason}"
         if all(cause.code != reading.code.value for cause in answer.causes):
-            yield f"otherwise: {reading.advice}"
+            yield f"otherwise: {answer.what_to_do()}"
     if hypothesis := words.hypothesis_words(reading):
         yield f"read as: {hypothesis}"
     if reading.bound is not None:
