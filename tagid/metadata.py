@@ -416,7 +416,7 @@ class MotionInfo(JsonValue):
         kind: "simulated" where nothing turned.
         nominal_rpm: stated speed of an imported recording, turns per minute.
         resolved: how the angles were found; None if they were not, or came with the file.
-        not_resolved: why they could not be found.
+        not_resolved: why those that the device measured could not be assigned to the scans.
         track: the device's own readings, until angles are made of them.
         averaged_into_views: number of views that scans were averaged into.
         extra: other keys of the file.

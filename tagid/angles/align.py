@@ -33,6 +33,10 @@ _MAX_DRIFT: Final = 1e-3
 """A change of the host's clock beyond this, s, plus this share of the duration is no drift of a crystal."""
 
 
+class NotAlignedError(DataError):
+    """The times at which scans and readings arrived do not tell which reading belongs to which scan."""
+
+
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """Angles of scans from a motion track.
@@ -104,7 +108,11 @@ def even_times(arrivals_s: Floats, step_s: float) -> Floats:
 
 
 def _refuse_step(times_s: Floats, arrivals_s: Floats) -> None:
-    """Raises DataError if the earliest arrivals before and after a scan say that the clock was set there."""
+    """Raises NotAlignedError if the earliest arrivals before and after a scan differ.
+
+    The clock of this computer was set back where a scan seems to arrive before an earlier one. Scans that
+    wait in a queue arrive late; if they do so to the end or from the start, a clock that was set looks alike.
+    """
     late = arrivals_s - times_s
     before = np.minimum.accumulate(late)[:-1]
     after = np.minimum.accumulate(late[::-1])[::-1][1:]
@@ -112,9 +120,11 @@ def _refuse_step(times_s: Floats, arrivals_s: Floats) -> None:
     steps = (after - before)[edge : len(late) - edge]
     step = float(steps[np.argmax(np.abs(steps))]) if len(steps) else 0.0
     if abs(step) > _STEP_S + _MAX_DRIFT * (times_s[-1] - times_s[0]):
-        raise DataError(
-            f"this computer's clock was set by about {step:+.1f} s during the recording: the measured angles "
-            "cannot be assigned to the scans",
+        why = f"scans arrived {abs(step):.1f} s late: this computer was busy, or its clock was set"
+        if np.diff(arrivals_s).min() < -_STEP_S:
+            why = f"this computer's clock was set by about {step:+.1f} s during the recording"
+        raise NotAlignedError(
+            f"{why}: the measured angles cannot be assigned to the scans",
             "Use the period from the scans: `motion.url=free`.",
         )
 
@@ -128,7 +138,8 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
         track: motion readings; at least two.
 
     Raises:
-        DataError: no readings, not one of them during the recording, or the host's clock was set meanwhile.
+        DataError: no readings, or not one of them during the recording; NotAlignedError where scans arrived
+            late throughout a part of the recording, or the host's clock was set meanwhile.
     """
     if len(track) < 2:
         raise DataError(

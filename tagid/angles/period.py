@@ -134,8 +134,8 @@ def _never_repeats(ac: Autocorrelation, shortest_s: float, longest_s: float) -> 
     """Whether no lag of a range is a repetition, and noise is not why.
 
     A repetition is a peak: at every other lag the object has turned on. Equal echoes correlate by
-    `Autocorrelation.repeated`, c, with a standard deviation of noise sqrt(1 - c^2), those of unrelated times by
-    0. False also where not every lag of the range was recorded.
+    `Autocorrelation.repeated`, c, with a standard deviation of noise sqrt(1 - c^2), unrelated ones by 0.
+    False also where not every lag of the range was recorded.
     """
     low, high = max(1, int(shortest_s / ac.step_s)), int(np.ceil(longest_s / ac.step_s))
     if high * (1 + OVERLAP) > ac.scans:

@@ -360,14 +360,14 @@ def read_jointly(
         prepared = PreparedCapture(capture, imaging)
         alone = with_causes(replace(alone, remarks=remarks_on(capture)), prepared, enrolled.layouts)
         explained.append(Answer(alone, name, prepared))
+    each_explained = [answer.identification for answer in explained]
     remarks = tuple(dict.fromkeys(remark for answer in explained for remark in answer.remarks))
     causes = {cause.code: cause for answer in reversed(explained) for cause in answer.causes}
     unnamed = joint.status != "identified"
     joint = replace(joint, remarks=remarks, causes=tuple(causes.values()) if unnamed else ())
     if unnamed and joint.reading is not None:
-        code = joint.reading.code
-        same = (one.identification for one in explained if one.identification.reading)
-        joint = replace(joint, advice=next((one.advice for one in same if one.reading.code == code), ""))
+        each_advice = {one.reading.code: one.advice for one in each_explained if one.reading is not None}
+        joint = replace(joint, advice=each_advice.get(joint.reading.code, ""))
     truth = compare(captures[0], joint, enrolled.layouts)
     if truth is not None:  # The recordings show the object in several poses.
         truth = Comparison(truth.layout, truth.right)

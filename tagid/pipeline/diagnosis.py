@@ -94,6 +94,8 @@ def _uncovered(capture: Capture) -> Cause | None:
 def recording_remarks(capture: Capture) -> tuple[str, ...]:
     """Problems of a recording, one sentence each: a wrong speed, lost scans, a partial revolution."""
     remarks = []
+    if capture.motion.not_resolved and capture.motion.resolved is not None:
+        remarks.append(f"{capture.motion.not_resolved}; their period is used instead")
     if told := speed_contradiction(capture.motion.resolved):
         remarks.append(told)
     if cause := _stopped(capture):

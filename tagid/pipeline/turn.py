@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.angles.align import NotAlignedError
 from tagid.angles.period import GOOD_QUALITY, NOMINAL_TOLERANCE
 from tagid.angles.views import mean_scans
 from tagid.capture import Capture
@@ -58,7 +59,8 @@ def _outside(capture: Capture) -> DataError | None:
 def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
     """The capture with angles; a period estimated from the data is checked for being a fraction of a turn.
 
-    Where the scans show that the object stopped, its angle is held.
+    Where the scans show that the object stopped, its angle is held. Where measured angles cannot be assigned
+    to the scans, the period in the scans takes their place.
 
     Args:
         capture: any capture; existing angles and positions are kept unless a motion is given.
@@ -72,6 +74,8 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
         return capture
     try:
         first = with_angles(capture, motion)
+    except NotAlignedError as error:
+        return _by_the_scans(capture, motion, error)
     except DataError as error:
         raise _outside(capture) or stopped_error(capture) or error from error
     resolved = first.motion.resolved
@@ -116,6 +120,21 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
     return replace(found, motion=replace(found.motion, url=url, resolved=info))
 
 
+def _by_the_scans(capture: Capture, motion: str | None, unaligned: NotAlignedError) -> Capture:
+    """The capture with angles from the period in its scans; raises the error where they show no turn."""
+    track = capture.motion.track
+    reverse = track is not None and track.angles_rad[-1] < track.angles_rad[0]
+    bare = replace(capture, motion=capture.motion.without_track())
+    try:
+        found = resolve_turn(bare, "free?direction=cw" if reverse else "free")
+    except DataError:
+        raise unaligned from None
+    if found.motion.resolved is None or (found.motion.resolved.quality or 0.0) < GOOD_QUALITY:
+        raise unaligned
+    url = motion or capture.motion.url
+    return replace(found, motion=replace(found.motion, url=url, not_resolved=unaligned.message))
+
+
 def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Capture:
     """The capture with its stated speed, and the speed measured in its scans if the two differ.
 
@@ -137,8 +156,8 @@ def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Ca
         if (alone.quality or 0.0) < GOOD_QUALITY:
             return told
         if resolved.repeats is False:
-            resolved = replace(resolved, shortest_repetition_s=alone.period_s)
-            told = replace(told, motion=replace(told.motion, resolved=resolved))
+            repeating = replace(resolved, shortest_repetition_s=alone.period_s)
+            told = replace(told, motion=replace(told.motion, resolved=repeating))
         others = [
             multiple * alone.period_s
             for multiple in MULTIPLES

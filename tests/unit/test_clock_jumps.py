@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -14,10 +15,12 @@ import numpy as np
 import pytest
 
 from tagid import hostclock
-from tagid.angles.align import align
+from tagid.angles.align import NotAlignedError, align
 from tagid.angles.clock import fit_clock
-from tagid.errors import DataError
-from tagid.metadata import Track
+from tagid.metadata import MotionInfo, Track
+from tagid.pipeline.diagnosis import recording_remarks
+from tagid.pipeline.turn import resolve_turn
+from tagid.simulate import Acquisition, scene_from_name, simulate_capture
 from tagid.storage import history as history_module
 from tagid.storage.history import Filter, History
 
@@ -83,11 +86,43 @@ def test_angles_of_a_recording_whose_clock_was_set_are_refused() -> None:
         track = Track(stamped(readings, step_s), 0.6 * readings, np.full(len(readings), 1e-3), {})
         return align(fit_clock(np.floor(scans * 1e3)), arrivals, track).angles_rad
 
-    for step_s in (-1.0, 1.0, 3600.0, -3600.0):
-        with pytest.raises(DataError, match=re.escape(f"set by about {step_s:+.1f} s")):
+    for step_s in (-1.0, -3600.0):
+        with pytest.raises(NotAlignedError, match=re.escape(f"set by about {step_s:+.1f} s")):
+            angles_with(step_s)
+    for step_s in (1.0, 3600.0):  # Scans that wait to the end look alike.
+        with pytest.raises(
+            NotAlignedError, match=f"^scans arrived {step_s:.1f} s late: .* busy, or its clock"
+        ):
             angles_with(step_s)
     # A network that holds everything back for three seconds is no step of the clock.
     assert np.abs(angles_with(0.0, stall_s=3.0) - 0.6 * scans).max() < 0.02
+
+
+@pytest.mark.parametrize(("late_s", "turns"), [(0.6, 1.4), (-3600.0, 1.4), (0.6, 0.7)])
+def test_the_period_in_the_scans_replaces_angles_that_cannot_be_assigned(late_s: float, turns: float) -> None:
+    acquisition = Acquisition(views=200, turns=turns, snr_db=20.0, period_s=10.0)
+    recorded, _ = simulate_capture(scene_from_name("helmet-120", 3), acquisition, 3)
+    assert recorded.radar_time_ms is not None
+    times = recorded.radar_time_ms * 1e-3
+    late = np.where(times > 0.6 * times[-1], late_s, 0.0)
+    readings = np.arange(0, times[-1], 0.05)
+    track = Track.of([(EPOCH_NS + int(t * 1e9), -0.63 * t, 1e-3) for t in readings], {"kind": "roomba"})
+    capture = replace(
+        recorded,
+        angles_rad=None,
+        angle_sigma_rad=None,
+        host_time_ns=EPOCH_NS + ((times + late) * 1e9).astype(np.int64),
+        motion=MotionInfo(url="roomba+serial:///dev/ttyUSB1", track=track),
+    )
+    if turns < 1:
+        with pytest.raises(NotAlignedError):
+            resolve_turn(capture)
+        return
+    motion = (found := resolve_turn(capture)).motion
+    assert motion.resolved is not None and motion.track is None and motion.url == capture.motion.url
+    assert motion.resolved.period_s == pytest.approx(10.0, rel=0.01) and motion.resolved.direction == -1
+    (remark,) = recording_remarks(found)
+    assert "cannot be assigned to the scans; their period is used instead" in remark
 
 
 def test_the_history_stays_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

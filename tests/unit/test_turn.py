@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tagid.metadata import ResolvedMotion
 from tagid.operate.words import turn_line
 from tagid.pipeline.diagnosis import _of_the_turn
 from tagid.pipeline.resolve import speed_contradiction
@@ -21,6 +22,7 @@ from tagid.simulate import (
     scene_on_body,
     simulate_capture,
 )
+from tagid.simulate.acquisition import Wobble
 from tagid.tags.layouts.design import DesignRules, design
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.layouts.objects import object_named
@@ -77,6 +79,38 @@ def _mug(turns: float, layout: str, seed: int):
     scene = scene_on_body(layout, BodySpec(), ReflectorSpec("octahedron", 0.04), seed, layouts=layouts)
     capture, _ = simulate_capture(scene, Acquisition(views=200, turns=turns, snr_db=15), seed)
     return replace(capture, angles_rad=None, angle_sigma_rad=None)
+
+
+@pytest.mark.parametrize(
+    ("turns", "told", "said"), [(0.65, 4.0, True), (0.13, 20.0, True), (0.6, 4.0, False)]
+)
+def test_scans_that_do_not_repeat_as_stated_contradict_the_speed(
+    turns: float, told: float, said: bool
+) -> None:
+    # Of 1.2 stated turns, a table 15 % slower than stated shows no repetition either.
+    found = resolve_turn(_mug(turns, "mug-01", 5), f"free?rpm={told}")
+    causes = [cause for cause in _of_the_turn(found) if cause.code == "speed"]
+    assert [cause.settings for cause in causes] == [{}] * said
+    if said:
+        assert causes[0].text == f"the scans do not repeat after the stated {60 / told:.1f} s"
+        assert "`motion.url=free`" in causes[0].remedy
+
+
+@pytest.mark.parametrize("snr_db", [-5.0, 20.0])
+@pytest.mark.parametrize("told", [1.8, 2.0, 2.2])
+def test_the_speed_of_a_table_that_turns_unevenly_is_not_contradicted(told: float, snr_db: float) -> None:
+    acquisition = Acquisition(views=200, turns=1.45, snr_db=snr_db, wobble=Wobble(0.03))
+    capture, _ = simulate_capture(scene_from_name("container-90", 5), acquisition, 5)
+    found = resolve_turn(replace(capture, angles_rad=None, angle_sigma_rad=None), f"free?rpm={told}")
+    assert speed_contradiction(found.motion.resolved) == ""
+
+
+def test_a_recording_that_holds_a_turn_is_read_again_with_its_own_speed() -> None:
+    # At a wrong axis distance the image cannot say which multiple of the repetition is a turn.
+    resolved = ResolvedMotion(nominal_rpm=12.0, direction=-1, repeats=False, shortest_repetition_s=10.0)
+    capture = _mug(1.3, "mug-01", 5)
+    cause = _of_the_turn(replace(capture, motion=replace(capture.motion, resolved=resolved)))[0]
+    assert cause.settings == {"motion.url": "free?direction=cw"}
 
 
 def test_a_part_of_a_tag_that_repeats_is_not_a_turn() -> None:
