@@ -213,6 +213,27 @@ def test_a_can_beside_the_axis_is_told_by_the_circle_of_its_echo(off_mm: float, 
     assert re.search(f"a round body {told} off it$", cause.text)
 
 
+@pytest.mark.parametrize(
+    ("layout", "body", "reflector", "off_m"),
+    [
+        ("container-90", "can:35mm", "octahedron:40mm", 0.03),
+        ("container-90", "can:35mm,handle", "octahedron:20mm", 0.0),
+    ],
+)
+def test_a_body_is_enrolled_after_it_is_centred(layout: str, body: str, reflector: str, off_m: float) -> None:
+    layouts = list(builtin_layouts().values())
+    scene = scene_on_body(layout, parse_body(body), parse_reflector(reflector))
+    capture, _ = simulate_capture(
+        scene, Acquisition(views=36, snr_db=20.0, placement=Placement((off_m, 0.0))), seed=3
+    )
+    prepared = PreparedCapture(load_capture(capture))
+    answer = with_causes(identify(prepared, layouts), prepared, layouts)
+    said = " ".join([*(cause.remedy for cause in answer.causes), answer.what_to_do()])
+    assert answer.status == "unknown" and "not round" not in said
+    assert said.startswith("Place the object") and "Enrol the body" not in said
+    assert answer.to_dict()["advice"] == answer.what_to_do()
+
+
 def test_the_circle_is_about_the_bodys_middle() -> None:
     found = circling(can_off_the_axis(0.05, "can:35mm").given)
     assert found is not None and found.share == 1.0 and found.spread_m < 0.006

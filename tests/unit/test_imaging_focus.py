@@ -13,7 +13,7 @@ from imaging_scenes import BANDWIDTH, FC, C, record, turn
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.autofocus import BEYOND_SEARCH, MOST_SIGMA_WAVELENGTHS, focus_axis_distance
+from tagid.imaging.autofocus import BEYOND_SEARCH, MOST_SIGMA_WAVELENGTHS, AxisFocus, focus_axis_distance
 from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, band_delays, explain, jackknife_error
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
@@ -180,3 +180,12 @@ def test_searches_of_paths_are_refused_for_a_turntable(change: dict[str, Any]) -
     with pytest.raises(UsageError, match="antenna positions") as raised:
         reconstruct(replace(positions, axis_distance_m=None), ImagingSettings(method="bp", focus_m=0.1))
     assert "`delay_m`" in raised.value.remedy
+
+
+@pytest.mark.parametrize(("evidence", "lines"), [(4.1, 1), (1.2, 2)])
+def test_a_rejected_axis_distance_shows_its_evidence_only_where_it_is_too_little(
+    evidence: float, lines: int
+) -> None:
+    focus = AxisFocus(1.1, best_m=1.044, evidence=evidence, needed=2.8, reason="it is at the edge")
+    said = focus_words(focus)
+    assert len(said) == lines and said[0] == "the given axis distance is used: it is at the edge"
