@@ -227,7 +227,14 @@ def test_a_csv_of_the_terminal_is_neutral(monkeypatch: pytest.MonkeyPatch, tmp_p
     from tagid.report.tables import CSV_COLUMNS, write_csv
 
     record: dict[str, Any] = dict.fromkeys(CSV_COLUMNS, "=1+1")
-    record |= {"centre_m": None, "reflectors": [], "error": None, "seconds": {}, "correct": None, "coverage": None}
+    record |= {
+        "centre_m": None,
+        "reflectors": [],
+        "error": None,
+        "seconds": {},
+        "correct": None,
+        "coverage": None,
+    }
     write_csv(tmp_path / "items.csv", [ItemRecord(record)])
     rows = list(csv.reader(io.StringIO((tmp_path / "items.csv").read_text())))
     assert rows[0] == list(CSV_COLUMNS)
