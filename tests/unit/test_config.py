@@ -1,3 +1,5 @@
+"""Settings from file, environment and options: their order, their checks, and how they are written."""
+
 from __future__ import annotations
 
 from pathlib import Path

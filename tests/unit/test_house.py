@@ -276,12 +276,6 @@ def test_the_firmware_and_its_tools_are_imported_late() -> None:
             assert {name.split(".")[0] for name in names} <= board | {"tagid_bridge"}, path
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "firmware_tools").rglob("*.py")), ids=lambda p: p.name)
-def test_every_file_of_the_firmware_says_why_it_exists(path: Path) -> None:
-    text = path.read_text()
-    assert ast.get_docstring(ast.parse(text)) and text.count("\n") <= 600
-
-
 def test_torch_is_imported_only_where_it_belongs() -> None:
     allowed = {
         f"imaging/ats/{name}.py" for name in ("encoding", "network", "forward_step", "fit_torch", "export")
@@ -336,12 +330,9 @@ def test_identify_loads_only_what_it_uses(tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_every_module_says_why_it_exists_and_stays_readable(path: Path) -> None:
-    text = path.read_text()
-    if path.name != "__init__.py":
-        assert ast.get_docstring(ast.parse(text)), "no docstring"
-    assert text.count("\n") <= 600, "more than one thought"
+def test_no_module_is_over_600_lines() -> None:
+    files = [*FILES, *(ROOT / "firmware_tools").rglob("*.py")]
+    assert [str(path) for path in files if path.read_text().count("\n") > 600] == [], "more than one thought"
 
 
 def test_the_configuration_knows_every_imaging_method() -> None:

@@ -1,5 +1,8 @@
-# Runs in MicroPython: the firmware of /board against a radio, a wire and a clock that follow a scenario.
-# Time passes only where the firmware sleeps, so every figure is in the firmware's own time.
+"""Runs in MicroPython: the firmware of /board against a radio, a wire and a clock that follow a scenario.
+
+Time passes only where the firmware sleeps, so every figure is in the firmware's own time.
+"""
+
 import gc
 import json
 import os
