@@ -1,0 +1,148 @@
+"""Between recording and answer: joint answers, errors that name the recording, the history, the words."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture
+from tagid.config import data_folder
+from tagid.errors import ConfigError, DataError
+from tagid.metadata import RadarInfo, ScanGap
+from tagid.operate.truth import Comparison, compare
+from tagid.operate.turn import draw, failed, read, read_jointly
+from tagid.operate.words import bound_words, coverage_words, notes, trust_words, truth_words
+from tagid.operate.workplace import MOST_SCANS, Workplace
+from tagid.pipeline.answer import Identification
+from tagid.simulate import Acquisition, scene_from_name, simulate_capture
+from tagid.storage.history import FILE_NAME
+from tagid.tags.bodies.calibration import Bound
+from tagid.tags.layouts.layout import builtin_layouts
+
+BOUND = Bound(1 / 4700, 0.001, 4999, "bare", "simulated objects")
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workplace:
+    monkeypatch.setenv("TAGID_DATA", str(tmp_path / "data"))
+    monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "config.toml"))
+    settings = {"motion.axis_distance_m": 1.0, "imaging.method": "bp", "imaging.pixels": 32}
+    return Workplace({"radar.url": "emulator://empty", **settings})
+
+
+def recording(seed: int) -> Capture:
+    return simulate_capture(scene_from_name("helmet-120", seed), Acquisition(views=24), seed)[0]
+
+
+def test_an_answer_stands_beside_the_truth_of_its_capture(place: Workplace) -> None:
+    whole = recording(2)
+    answer = read(place.setup(), whole)
+    assert answer.name == "helmet-120" and answer.truth is not None and answer.truth.right
+    # Over the symmetry of three equal angles: a third of a turn more or less is the same pose.
+    for turned in (0.0, 118.0, 240.0, -359.0):
+        truth = replace(whole.object.truth, rotation_deg=whole.object.truth.rotation_deg + turned)
+        seen = compare(
+            replace(whole, object=replace(whole.object, truth=truth)),
+            answer.identification,
+            builtin_layouts().values(),
+        )
+        assert seen is not None and abs(seen.rotation_error_deg + (turned + 60) % 120 - 60) < 1
+    assert answer.truth.centre_error_m < 2e-3
+    emulated = replace(whole, radar=replace(whole.radar, kind=None))
+    beside = compare(emulated, answer.identification, builtin_layouts().values())
+    assert beside.rotation_error_deg is None and beside.centre_error_m == answer.truth.centre_error_m
+    for carried, right in ((None, False), ("container-90", False), ("helmet-120", True)):
+        other = replace(whole, object=replace(whole.object, layout=carried))
+        assert compare(other, answer.identification, []).right == right
+    unsure = replace(answer.identification, status="ambiguous")
+    assert compare(whole, unsure, []) == Comparison("helmet-120", False)
+    assert compare(whole, Identification("failed", None, None, None), []) is None
+    bare = replace(whole, object=replace(whole.object, layout=None))
+    assert compare(bare, Identification("no_tag", None, None, None), []) == Comparison(None, True)
+
+
+def test_a_joint_answer_has_the_remarks_and_causes_of_its_recordings(place: Workplace) -> None:
+    noted = recording(2)
+    noted = replace(
+        noted, object=replace(noted.object, note="gate 4"), radar=replace(noted.radar, scans_lost=2)
+    )
+    joint = read_jointly(place.setup(), [recording(3), noted])
+    document = joint.to_dict()
+    assert joint.name == "helmet-120" and not joint.causes and document["object_note"] == "gate 4"
+    assert [remark for remark in joint.remarks if "scans lost" in remark]
+    assert [vote["layout"] for vote in document["votes"]] == ["helmet-120"] * 2
+    assert document["votes"][0]["score"] > 0.5 and document["votes"][0]["margin"] > 0
+    assert joint.truth == Comparison("helmet-120", True), "of several poses"
+    parts = [whole.select(np.flatnonzero(whole.angles_rad < np.pi)) for whole in (noted, recording(3))]
+    part = read_jointly(place.setup(), parts)
+    assert part.name is None and [cause.code for cause in part.causes] == ["partial_turn"]
+    with pytest.raises(DataError, match="no common image"):
+        draw(joint, None)
+
+
+def test_an_error_names_the_recording_once_and_not_its_copy(place: Workplace, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.tagid.h5"
+    copy.write_bytes(b"nothing")
+    answer = read(place.setup(), copy, "a.tagid.h5")
+    message = answer.to_dict()["error"]["message"]
+    assert answer.status == "failed" and message.count("a.tagid.h5") == 1 and str(copy) not in message
+    assert failed(DataError("no samples", ""), "b").to_dict()["error"]["message"] == "b: no samples"
+    with pytest.raises(type(answer.error)):
+        read_jointly(place.setup(), [copy])
+
+
+def test_the_picture_shows_whether_a_body_is_subtracted(place: Workplace, tmp_path: Path) -> None:
+    answer = read(place.setup(), recording(2))
+    drawn = draw(answer, tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 1000 and not drawn.body_subtracted
+
+
+def test_answers_of_one_workplace_are_one_run_of_the_history(place: Workplace) -> None:
+    with place:
+        for seed in (2, 3):
+            assert not place.identify(recording(seed)).notes
+    with place:
+        place.identify_together([recording(4)])
+    rows = sqlite3.connect(data_folder() / FILE_NAME).execute("SELECT run_id FROM identification ORDER BY id")
+    assert rows.fetchall() == [(1,), (1,), (2,)]
+
+
+def test_limits_and_settings_of_a_recording_are_checked(place: Workplace) -> None:
+    assert place.plan(1, 1e-3).scans == 1 and place.plan(MOST_SCANS, 86400).scans == MOST_SCANS
+    for scans, seconds in ((0, 1), (MOST_SCANS + 1, 1), (1, 0), (1, 86401)):
+        with pytest.raises(ConfigError):
+            place.plan(scans, seconds)
+    with pytest.raises(ConfigError, match="rotation axis is unknown"):
+        Workplace({"radar.url": "udp://127.0.0.1"}).plan()
+    assert Workplace({"radar.url": "replay:///a.tagid.h5"}).plan().config is None
+    backgrounds = {name: Workplace(background=name).imaging().background for name in ("median", "reference")}
+    assert backgrounds == {"median": "median", "reference": "none"}
+    assert place.imaging().focus_m is None and place.imaging(focus=False).focus_m == 0
+
+
+def test_the_words_on_trust_never_promise_more_than_the_bound(place: Workplace) -> None:
+    answer = read(place.setup(), recording(2)).identification
+    at = lambda bound: trust_words(replace(answer, reading=replace(answer.reading, bound=bound)))  # noqa: E731
+    assert at(BOUND) == "at most 1 in 4,700 such objects is named wrongly (simulated)"
+    assert "1 in 4,600 " in at(replace(BOUND, p_value=1 / 4699)), "rounded to the safe side"
+    assert at(replace(BOUND, p_value=0.0021)).endswith("; set is 1 in 1,000")
+    assert at(None) == "no bound on wrong names: answers of this kind are not calibrated"
+    assert coverage_words(0.5) == "the views cover 180 of 360 degrees" and not coverage_words(0.98)
+    assert "too few objects" in bound_words(replace(BOUND, objects=99))
+    assert bound_words(replace(BOUND, p_value=0.0021)).startswith(
+        "false accept at most 0.0021 (0.001 is set)"
+    )
+    assert truth_words(Comparison(None, True)) == "no tag: nothing named"
+    assert truth_words(Comparison(None, False)) == "no tag: named wrongly"
+
+
+def test_a_radar_that_is_lost_often_has_perhaps_another_user() -> None:
+    gap = ScanGap(1, 2.0, "timeout", False)
+    (once,) = notes(RadarInfo(gap_count=1, gaps=(gap,)))
+    (twice,) = notes(RadarInfo(gap_count=2, gaps=(gap, gap)))
+    assert "lost once, for 2.0 s" in once and "another program" not in once
+    assert "lost 2 times, for 4.0 s" in twice and twice.endswith("is another program using it?")
