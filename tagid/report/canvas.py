@@ -104,7 +104,7 @@ class Canvas:
     def png(self) -> bytes:
         """The finished picture as the bytes of a PNG file."""
         buffer = io.BytesIO()
-        self._image.reduce(OVERSAMPLING).save(buffer, format="PNG", optimize=True)
+        self._image.reduce(OVERSAMPLING).save(buffer, format="PNG")
         return buffer.getvalue()
 
     def save(self, path: Path) -> None:
