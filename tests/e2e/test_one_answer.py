@@ -116,7 +116,7 @@ def test_every_door_gives_the_same_document(
         assert plain(joint, "votes") == documents[kind]
 
 
-@pytest.mark.parametrize(("radar", "code"), [("helmet-120?rpm=20&seed=2", 0), ("empty?rpm=20&seed=3", 3)])
+@pytest.mark.parametrize(("radar", "code"), [("helmet-120?rpm=40&seed=2", 0), ("empty?rpm=40&seed=3", 3)])
 def test_a_scan_a_station_and_a_program_answer_as_identify_does(
     tagid: Callable[..., Any],
     tmp_path: Path,
@@ -133,14 +133,14 @@ def test_a_scan_a_station_and_a_program_answer_as_identify_does(
     def identified(file: str) -> dict[str, Any]:
         return plain(tagid("identify", file, "--output", "json").json["data"]["items"][0])
 
-    options = ("--radar", f"emulator://{radar}", "--motion", "free?rpm=20", "--axis-distance", 1.0)
+    options = ("--radar", f"emulator://{radar}", "--motion", "free?rpm=40", "--axis-distance", 1.0)
     scanned = tagid("scan", *options, "--method", "bp", "--save-dir", "out", "--output", "json")
     assert scanned.code == code, scanned.err
     (item,) = scanned.json["data"]["items"]
     assert plain(item) == identified(item["file"])
     settings = {
         "radar.url": f"emulator://{radar}",
-        "motion.url": "free?rpm=20",
+        "motion.url": "free?rpm=40",
         "motion.axis_distance_m": 1.0,
         "imaging.method": "bp",
         "radar.integration": 15,
@@ -163,12 +163,13 @@ def test_a_scan_a_station_and_a_program_answer_as_identify_does(
 def test_turns_and_heights_answer_as_their_files_do(tagid: Callable[..., Any]) -> None:
     options = (
         "--radar",
-        "emulator://helmet-120?rpm=10&seed=3&centre=0.005,-0.003",
+        "emulator://helmet-120?rpm=50&seed=3&centre=0.005,-0.003",
         "--motion",
-        "free",
+        "free?rpm=50",
         "--axis-distance",
         1.1,
     )
+    assert tagid("config", "set", "radar.integration", 15).code == 0
     twice = tagid("scan", *options, "--method", "bp", "--repeat", 2, "--output", "json").json["data"]
     files = [turn["files"]["capture"] for turn in twice["turns"]]
     given = ("--axis-distance", 1.1, "--output", "json")

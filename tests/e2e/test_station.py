@@ -710,7 +710,7 @@ def test_nothing_is_left_of_a_scan_when_the_next_ones_are_over(serve) -> None:
     kinds = (ScanRun, LiveView, Capture, Identification, Image)
     # What earlier tests of this process left is held, so that it cannot go meanwhile.
     earlier = [found for found in gc.get_objects() if type(found) in kinds]
-    for _ in range(6):
+    for _ in range(4):
         assert client.post("/api/v1/scan").status == 202
         assert ended(one)["phase"] == "done"
         gc.collect()

@@ -35,8 +35,8 @@ def core(rpm: float = 20) -> EmulatorCore:
 
 
 def test_a_radar_that_is_gone_is_told_with_its_wiring_and_the_next_scan_works(serve, tmp_path: Path) -> None:
-    with UdpEmulator(core(2), ServeOptions(port=0)) as radar:
-        one = serve(radar.url, check=examine, rpm=2, resume_s=0.0)
+    with UdpEmulator(core(6), ServeOptions(port=0)) as radar:
+        one = serve(radar.url, check=examine, rpm=6, resume_s=0.0)
         page, _ = joined(one.port)
         first = page.until("status", lambda m: m["health"]["checked"])["health"]
         assert first["wiring"] is None

@@ -395,16 +395,16 @@ def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
         return EmulatorCore(turning_scene(SceneSpec("helmet-120", rpm=rpm)), RadarConfig())
 
     size(browser, 390, 844, True)
-    with UdpEmulator(core(2), ServeOptions(port=0)) as radar:
+    with UdpEmulator(core(6), ServeOptions(port=0)) as radar:
         port = int(radar.url.rpartition(":")[2])
-    one = serve(radar.url, check=examine, rpm=2, resume_s=4.0)
+    one = serve(radar.url, check=examine, rpm=6, resume_s=4.0)
     browser.get(one.url)
     # Before anybody scans.
     wait(browser, lambda: text(browser, "answer") == "No radar")
     assert text(browser, "radar") == "no radar" and text(browser, "link") == "connected"
     assert radar.url in text(browser, "reason") and "cable" in text(browser, "advice")
     assert problems(browser) == []
-    with UdpEmulator(core(2), ServeOptions(port=port)):
+    with UdpEmulator(core(6), ServeOptions(port=port)):
         wait(browser, lambda: text(browser, "answer") == "Ready" and text(browser, "radar") == "radar ok")
         assert not browser.find_element(By.ID, "alert").is_displayed()
         browser.find_element(By.ID, "scan").click()

@@ -92,7 +92,7 @@ def test_without_a_wall_a_reflector_looks_alike_from_all_sides() -> None:
 
 @pytest.mark.parametrize("horizontal", [False, True])
 def test_a_dense_sheet_is_metal(horizontal: bool) -> None:
-    metal, dense = (waves(Wall(horizontal, 0.045, 0.01, made)) for made in (METAL, Material(1e-7, 1e10)))
+    metal, dense = (waves(Wall(horizontal, 0.045, 0.01, made)) for made in (METAL, Material(1e-6, 1e8)))
     assert np.abs(metal - dense).max() < 1e-3
 
 

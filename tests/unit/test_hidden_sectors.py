@@ -91,7 +91,7 @@ def test_a_vote_of_such_recordings_names_it_too() -> None:
 def test_a_reflector_too_many_is_not_hidden_away() -> None:
     """Views are left out where the layout's own reflectors are hidden, never to lose another one."""
     points = places("container-90")
-    for seed, angle in enumerate((0.3, 2.0, 4.1)):
+    for seed, angle in enumerate((0.3, 4.1)):
         more = CENTRE + 0.06 * np.array([np.cos(angle), np.sin(angle)])
         three = np.concatenate([points, more[None]])
         scans = hidden_scans(three, np.full(3, 1.0), seed=seed)

@@ -16,7 +16,7 @@ from tagid.pipeline.reconstruct import Reconstruction, reconstruct
 from tagid.pipeline.settings import ImagingSettings
 
 VACUUM, AIR = 299_792_458.0, 345.0
-DISTANCE, STEP, FINE, VIEWS = 49.0, 0.11, 16, 180
+DISTANCE, STEP, FINE, VIEWS = 49.0, 0.11, 16, 120
 """Distance to the axis, range bin (wavelengths), fine steps of a bin, views of the turn."""
 
 

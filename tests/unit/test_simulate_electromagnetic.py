@@ -100,7 +100,7 @@ def test_a_large_plate_is_a_mirror_at_half_the_power_of_its_image() -> None:
 
 
 def test_a_box_flashes_where_its_sides_are() -> None:
-    acquisition = Acquisition(views=180, recording=Recording("complex64"))
+    acquisition = Acquisition(views=90, recording=Recording("complex64"))
     grid = ImageGrid(0.5, 100)
     settings = PreprocessSettings("none", True, extent_m=grid.extent)
     box, _ = simulate_capture(Scene("box", metal_box(0.2413, 0.2)), acquisition)
