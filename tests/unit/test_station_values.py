@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("starlette")
 from starlette.requests import Request
 
-from tagid.errors import UsageError
+from tagid.errors import DataError, DeviceError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.types import Image
 from tagid.live.evidence import LayoutEvidence
@@ -84,6 +84,9 @@ def test_only_a_radar_that_the_recording_waits_for_is_silent(
     assert run.silent_s > 0
     stream.end()
     assert run.silent_s == 0
+    for error, failed in ((DeviceError("no answer", ""), True), (DataError("no tag", ""), False)):
+        run._fail(error)
+        assert run.device_failed == failed, "only a device that failed is checked at once"
 
 
 def test_numbers_that_json_does_not_have_become_null() -> None:

@@ -82,9 +82,12 @@ def test_a_reader_waits_for_the_next_scan_the_end_or_its_time() -> None:
     assert not stream.wait(0, 0.01) and not stream.ended
     stream.append(SCANS[0])
     assert stream.wait(0) and not stream.wait(1, 0.01) and stream.newest_s is not None
+    first_s = stream.newest_s
+    stream.append(SCANS[1])
+    assert stream.newest_s > first_s
     late = threading.Timer(0.05, stream.end)
     late.start()
-    assert not stream.wait(1) and stream.ended
+    assert not stream.wait(2) and stream.ended
     assert stream.wait(0), "what was recorded can be read after the end"
     late.join()
 
