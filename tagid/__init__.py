@@ -1,8 +1,8 @@
 """Identifies tagged objects from ultra-wideband radar scans taken while they rotate.
 
 The names listed here are the public interface, with the types of their arguments, results and fields, which
-`docs/api.md` lists by module. Each name is loaded when it is first used, so `import tagid` is cheap.
-Everything else may change between versions.
+the API page of the site (`make docs`) lists by module. Each name is loaded when it is first used, so
+`import tagid` is cheap. Everything else may change between versions.
 """
 
 from __future__ import annotations

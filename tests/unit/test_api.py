@@ -23,7 +23,7 @@ from tagid.errors import ConfigError, UsageError
 
 @pytest.fixture(scope="module")
 def page() -> ModuleType:
-    """The script that writes docs/api.md."""
+    """The script that makes the API page of the site."""
     spec = importlib.util.spec_from_file_location(
         "make_api", Path(__file__).parents[2] / "docs" / "make_api.py"
     )
@@ -61,7 +61,7 @@ def test_a_name_that_moved_is_given_with_a_warning_that_names_its_module() -> No
 
 def test_every_type_that_a_public_name_takes_or_gives_has_a_documented_module(page: ModuleType) -> None:
     """Nested and private types, and those of private modules, could not be imported as the page says."""
-    text = page.PAGE.read_text()
+    text = page.render()
     types = page.types_by_module()
     for module, members in types.items():
         section = text.partition(f"\n## {module}\n")[2].partition("\n## ")[0]

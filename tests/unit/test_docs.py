@@ -33,12 +33,8 @@ def api_script() -> ModuleType:
     return module
 
 
-def test_the_api_page_is_what_the_docstrings_say() -> None:
-    assert (DOCS / "api.md").read_text() == api_script().render(), "run: python docs/make_api.py"
-
-
 def test_the_api_page_has_every_public_name_with_a_signature_and_words() -> None:
-    page = (DOCS / "api.md").read_text()
+    page = api_script().render()
     sections = dict(re.findall(r"^### (\w+)\n(.*?)(?=^##|\Z)", page, re.M | re.S))
     types = [one.__name__ for types in api_script().types_by_module().values() for one in types]
     assert sorted(sections) == sorted([*tagid.__all__, *types])
