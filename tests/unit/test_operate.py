@@ -72,7 +72,7 @@ def test_a_joint_answer_has_the_remarks_and_causes_of_its_recordings(place: Work
     )
     joint = read_jointly(place.setup(), [recording(3), noted])
     document = joint.to_dict()
-    assert joint.name == "helmet-120" and not joint.causes and document["object_note"] == "gate 4"
+    assert joint.name == "helmet-120" and not joint.causes and document["recording_note"] == "gate 4"
     assert [remark for remark in joint.remarks if "scans lost" in remark]
     assert [vote["layout"] for vote in document["votes"]] == ["helmet-120"] * 2
     assert document["votes"][0]["score"] > 0.5 and document["votes"][0]["margin"] > 0
@@ -107,8 +107,10 @@ def test_answers_of_one_workplace_are_one_run_of_the_history(place: Workplace) -
             assert not place.identify(recording(seed)).notes
     with place:
         place.identify_together([recording(4)])
+    place.identify(recording(2))
+    place.identify(recording(3))
     rows = sqlite3.connect(data_folder() / FILE_NAME).execute("SELECT run_id FROM identification ORDER BY id")
-    assert rows.fetchall() == [(1,), (1,), (2,)]
+    assert rows.fetchall() == [(1,), (1,), (2,), (3,), (4,)]
 
 
 def test_limits_and_settings_of_a_recording_are_checked(place: Workplace) -> None:
