@@ -117,7 +117,7 @@ class Capture:
     motion: MotionInfo = field(default_factory=MotionInfo)
     object: ObjectInfo = field(default_factory=ObjectInfo)
     uuid: str = field(default_factory=lambda: str(uuid_module.uuid4()))
-    created_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    created_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="microseconds"))
     tool_version: str = __version__
     complete: bool = True
 

@@ -302,7 +302,7 @@ def _recorded(source: Path | Capture, capture: Capture, read_at: datetime) -> st
     try:
         created = datetime.fromisoformat(capture.created_utc)
         created = created if created.tzinfo else created.replace(tzinfo=UTC)
-        of_reading = isinstance(source, Path) and created >= read_at.replace(microsecond=0)
+        of_reading = isinstance(source, Path) and created >= read_at
         return None if of_reading else utc_text(created)
     except (ValueError, OverflowError):
         return None

@@ -19,6 +19,7 @@ from tagid.operate.words import bound_words, coverage_words, notes, trust_words,
 from tagid.operate.workplace import MOST_SCANS, Workplace
 from tagid.pipeline.answer import Identification
 from tagid.simulate import Acquisition, scene_from_name, simulate_capture
+from tagid.storage.hdf5 import write_capture
 from tagid.storage.history import FILE_NAME
 from tagid.tags.bodies.calibration import Bound
 from tagid.tags.layouts.layout import builtin_layouts
@@ -93,6 +94,18 @@ def test_an_error_names_the_recording_once_and_not_its_copy(place: Workplace, tm
     assert failed(DataError("no samples", ""), "b").to_dict()["error"]["message"] == "b: no samples"
     with pytest.raises(type(answer.error)):
         read_jointly(place.setup(), [copy])
+
+
+def test_the_time_of_a_recording_is_that_of_its_file_however_soon_it_is_read(
+    place: Workplace, tmp_path: Path
+) -> None:
+    capture = recording(2)
+    write_capture(tmp_path / "a.tagid.h5", capture)
+    fields = ("samples", "range_start_m", "range_step_m", "angles_rad", "axis_distance_m")
+    np.savez(tmp_path / "timeless.npz", **{name: getattr(capture, name) for name in fields})
+    stored, timeless = (read(place.setup(), tmp_path / name) for name in ("a.tagid.h5", "timeless.npz"))
+    assert stored.recorded_utc == read(place.setup(), capture).recorded_utc is not None
+    assert timeless.name == "helmet-120" and timeless.recorded_utc is None
 
 
 def test_the_picture_shows_whether_a_body_is_subtracted(place: Workplace, tmp_path: Path) -> None:
