@@ -227,7 +227,11 @@ def _schemas() -> dict[str, Any]:
         reason=text,
         reason_code=text,
         advice=text,
-        causes={"type": "array", "items": _object(code=text, text=text, remedy=text)},
+        causes={
+            "type": "array",
+            "items": _object(code=text, text=text, remedy=text, settings={"type": "object"}),
+        },
+        reflectors={"type": "array", "items": _object(x_m=number, y_m=number, matched=yes_no)},
         capture_uuid={"type": ["string", "null"]},
     )
     evidence = _object(

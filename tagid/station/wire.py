@@ -90,7 +90,8 @@ def answer(found: Identification) -> Json:
     """Fields of an answer for the page and scripts; `tagid identify` has all fields."""
     values = found.to_dict()
     names = ("status", "layout", "label", "score", "margin", "reason", "reason_code", "advice", "causes")
-    return {name: values[name] for name in (*names, "reflectors", "capture_uuid")}
+    reflectors = [{key: row[key] for key in ("x_m", "y_m", "matched")} for row in values["reflectors"]]
+    return {**{name: values[name] for name in (*names, "capture_uuid")}, "reflectors": reflectors}
 
 
 def pictures(state: LiveState) -> Json:
