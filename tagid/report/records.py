@@ -155,15 +155,17 @@ class ItemRecord:
 
     @property
     def why(self) -> str:
-        """Reason, likely causes and notes in one line; empty if there is nothing to say."""
+        """Likely causes, reason and notes in one line; empty if there is nothing to say."""
         causes = [f"likely cause: {cause['text']}" for cause in self.causes]
-        return "; ".join(filter(None, (self.reason, *causes, self.note)))
+        return "; ".join(filter(None, (*causes, self.reason, self.note)))
 
     def explained(self) -> list[tuple[str, str]]:
         """What qualifies the answer, as (name, text) in the order of a person's questions."""
         causes = [("likely cause", cause["text"]) for cause in self.causes]
         remedies = [("what to do", remedy) for remedy in self.what_to_do]
-        lines = [("why", self.reason), *causes, *remedies, ("note", self.note)]
+        why = ("why", self.reason)
+        lines = [*causes, *remedies, why] if causes else [why, *remedies]
+        lines.append(("note", self.note))
         lines += [("turn", self._turn_words()), ("false accept", self._bound_words())]
         lines += [("recorded", _utc(self.recorded_utc)), ("note of the recording", self.recording_note)]
         lines.append(("copy of", self.copy_of or ""))
