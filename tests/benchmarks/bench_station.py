@@ -181,12 +181,14 @@ def run(home: Path, plan: Plan) -> Run:
     """Scan with a station in this process, let it wait, and scan again."""
     os.environ |= {"TAGID_CONFIG": f"{home}/c.toml", "TAGID_DATA": f"{home}/data"}
     from tagid.doctor import examine
+    from tagid.operate.workplace import open_registry
     from tagid.station.server import Server
-    from tagid.station.station import Station, registry
+    from tagid.station.station import Station
 
-    for layout in registry().layouts():
+    registry = open_registry()
+    for layout in registry.layouts():
         if layout.name != "helmet-120":
-            registry().remove(layout.name)
+            registry.remove(layout.name)
     place = home / "out"
     place.mkdir()
     work = Work()
