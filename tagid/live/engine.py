@@ -113,17 +113,10 @@ class LiveView:
         return self._state
 
     @property
-    def received(self) -> int:
-        """Number of scans of the recording so far."""
-        return 0 if self._stream is None else len(self._stream)
-
-    @property
     def silent_s(self) -> float:
-        """Seconds since the newest scan; 0 before the first and after the end of the recording."""
+        """Seconds for which the recording has waited for its next scan; 0 while it does not wait."""
         stream = self._stream
-        if stream is None or stream.ended or stream.newest_s is None:
-            return 0.0
-        return time.monotonic() - stream.newest_s
+        return 0.0 if stream is None else stream.silent_s
 
     def began(self, stream: ScanStream) -> None:
         """Follow a recording; the function for `Watch.began`."""

@@ -135,6 +135,7 @@ class _OneTurn:
                 if len(self._stream) % check_every == 0 and (ending := self._ending()):
                     self._session.intake.ended = ending
                     return
+                self._stream.await_next()
             if self._watch.stop():
                 raise CaptureInterrupted(f"stopped after {len(self._stream)} scans")
             if not self._is_enough():

@@ -28,6 +28,7 @@ class ScanStream:
     def __init__(self, session: Session) -> None:
         self.session = session
         self.newest_s: float | None = None
+        self._awaits_s: float | None = None
         self._scans: list[Scan] = []
         self._ended = False
         self._changed = threading.Condition()
@@ -44,8 +45,18 @@ class ScanStream:
         """Add the next scan."""
         with self._changed:
             self._scans.append(scan)
-            self.newest_s = time.monotonic()
+            self.newest_s, self._awaits_s = time.monotonic(), None
             self._changed.notify_all()
+
+    def await_next(self) -> None:
+        """Report that the recording waits for its next scan, having dealt with the newest one."""
+        self._awaits_s = time.monotonic()
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds for which the recording has waited for its next scan; 0 while it does not wait."""
+        since = self._awaits_s
+        return 0.0 if since is None or self._ended else time.monotonic() - since
 
     def end(self) -> None:
         """Report that no further scan follows; `record` does so however it ends."""

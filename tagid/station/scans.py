@@ -67,7 +67,6 @@ class ScanRun:
         )
         self._view = LiveView(settings)
         self._stop = threading.Event()
-        self._received = self._asked = 0
         self._remark = ""
         self._device_failed = False
         self._thread = Worker(self._run, f"station-scan-{number}", self._fail)
@@ -106,10 +105,8 @@ class ScanRun:
 
     @property
     def silent_s(self) -> float:
-        """Seconds since the last scan while the recording waits for the next one; 0 otherwise."""
-        # `record` asks whether to stop once after a scan, and again only while it waits for scans: not while
-        # it searches those it has for a complete turn, nor once it has one.
-        return self._view.silent_s if self._asked > 1 else 0.0
+        """Seconds for which the recording has waited for its next scan; 0 while it does not wait."""
+        return self._view.silent_s
 
     def _fail(self, error: BaseException) -> None:
         self._device_failed = isinstance(error, DeviceError)
@@ -165,11 +162,5 @@ class ScanRun:
             gap=gap,
             resolve=view.resolving(resolve),
             began=view.began,
-            stop=self._asks,
+            stop=self._stop.is_set,
         )
-
-    def _asks(self) -> bool:
-        received = self._view.received
-        self._asked = self._asked + 1 if received == self._received else 1
-        self._received = received
-        return self._stop.is_set()

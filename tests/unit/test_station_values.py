@@ -72,15 +72,12 @@ def test_only_a_radar_that_the_recording_waits_for_is_silent(
     monkeypatch.setenv("TAGID_DATA", str(tmp_path))
     place = Workplace({"radar.url": "emulator://empty", "motion.url": "free", "imaging.method": "bp"})
     run = ScanRun(1, place, RecordingPlan(None, 1.0), threading.Lock())
-    watch, stream = run._watch(), ScanStream(cast(Session, None))
-    watch.began(stream)
-    watch.stop()
-    watch.stop()
+    stream = ScanStream(cast(Session, None))
+    run._watch().began(stream)
     assert run.silent_s == 0, "before the first scan"
     stream.append(cast(Scan, None))
-    watch.stop()
     assert run.silent_s == 0, "the recording searches its scans for a turn, and may end with them"
-    watch.stop()
+    stream.await_next()
     assert run.silent_s > 0
     stream.end()
     assert run.silent_s == 0

@@ -12,7 +12,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from tagid.errors import CaptureInterrupted
+from tagid.capture import Capture
+from tagid.errors import CaptureInterrupted, DataError
 from tagid.live.engine import LiveSettings, LiveView
 from tagid.live.sure import EarlyEnding
 from tagid.metadata import Ending
@@ -136,3 +137,28 @@ def test_a_stream_ends_however_its_recording_does(tmp_path: Path) -> None:
         recorded(tmp_path / "b.tagid.h5", Watch(began=streams.append, stop=lambda: len(streams[-1]) > 2))
     assert [stream.ended for stream in streams] == [True, True]
     assert len(streams[1]) == 3
+
+
+def test_a_recording_says_whether_it_waits_for_a_scan_or_searches_those_it_has(tmp_path: Path) -> None:
+    """A radar whose recording is busy is not silent."""
+    streams: list[ScanStream] = []
+    waits: list[float] = []
+
+    def resolve(capture: Capture, motion: str) -> Capture:
+        waits.append(streams[0].silent_s)
+        raise DataError("no angles")
+
+    watch = Watch(
+        began=streams.append, resolve=resolve, progress=lambda *_: waits.append(streams[0].silent_s)
+    )
+    recorded(tmp_path / "a.tagid.h5", watch)
+    assert len(waits) > 1 and not any(waits)
+    stream = ScanStream(SESSION)
+    assert stream.silent_s == 0
+    for scan in SCANS[:2]:
+        stream.append(scan)
+        assert stream.silent_s == 0
+        stream.await_next()
+        assert stream.silent_s > 0
+    stream.end()
+    assert stream.silent_s == 0
