@@ -13,13 +13,8 @@ from typing import Any
 from tagid import __version__
 from tagid.models_store import manifest
 from tagid.operate.turn import ReadingSetup
-from tagid.pipeline.load import LoadSettings
-from tagid.pipeline.settings import ImagingSettings
 from tagid.report.records import ItemRecord, Thumbnails
-from tagid.tags.bodies.signature import Signature
 from tagid.tags.bodies.signature_file import to_bytes
-from tagid.tags.enrolling.registry import RegistryContents
-from tagid.tags.layouts.layout import Layout
 
 MAX_CAPTURE_BYTES = 512 << 20
 """Largest file that a worker accepts: hours of scans. A single file must not end a batch."""
@@ -30,56 +25,34 @@ class Job:
     """Settings of a batch.
 
     Attributes:
-        settings: imaging settings; the method also renders the page's pictures.
-        layouts, registry_version: the enrolled layouts to compare with, and the registry's version.
-        load: how captures are loaded, with geometry and motion for those that lack them.
+        setup: settings of loading, imaging and reading, and the enrolled layouts, bodies and objects; the
+            imaging method also renders the page's pictures.
         pictures: whether to render the page's pictures.
         known: sha256 of contents whose answer is kept from an earlier run with the same fingerprint.
-        signatures: enrolled bodies and objects.
     """
 
-    settings: ImagingSettings
-    layouts: tuple[Layout, ...]
-    registry_version: int
-    load: LoadSettings
+    setup: ReadingSetup
     pictures: bool = True
     known: frozenset[str] = field(default_factory=frozenset)
-    signatures: tuple[Signature, ...] = ()
 
     @classmethod
-    def of(
-        cls,
-        setup: ReadingSetup,
-        pictures: bool = True,
-    ) -> Job:
+    def of(cls, setup: ReadingSetup, pictures: bool = True) -> Job:
         """The job of a setup; the method "auto" becomes backprojection.
 
         One picture by a slower method takes as long as ten identifications: use them only on request.
         """
         method = "bp" if setup.imaging.method == "auto" else setup.imaging.method
-        return cls(
-            replace(setup.imaging, method=method),
-            tuple(setup.enrolled.layouts),
-            setup.enrolled.version,
-            setup.loading,
-            pictures,
-            signatures=tuple(setup.enrolled.signatures),
-        )
-
-    @property
-    def setup(self) -> ReadingSetup:
-        """What an answer depends on besides the recording."""
-        enrolled = RegistryContents(self.registry_version, list(self.layouts), list(self.signatures))
-        return ReadingSetup(self.load, self.settings, enrolled)
+        return cls(replace(setup, imaging=replace(setup.imaging, method=method)), pictures)
 
     def described(self) -> dict[str, Any]:
         """Everything that an answer depends on except the capture, as plain JSON values."""
+        enrolled = self.setup.enrolled
         return {
-            "imaging": asdict(self.settings),
-            **self.load.described(),
-            "registry_version": self.registry_version,
-            "layouts_sha256": _sha256([layout.to_dict() for layout in self.layouts]),
-            "signatures_sha256": [hashlib.sha256(to_bytes(one)).hexdigest() for one in self.signatures],
+            "imaging": asdict(self.setup.imaging),
+            **self.setup.loading.described(),
+            "registry_version": enrolled.version,
+            "layouts_sha256": _sha256([layout.to_dict() for layout in enrolled.layouts]),
+            "signatures_sha256": [hashlib.sha256(to_bytes(one)).hexdigest() for one in enrolled.signatures],
             "tool_version": __version__,
             "models_sha256": {name: entry.sha256 for name, entry in sorted(manifest().items())},
             "pictures": self.pictures,

@@ -152,7 +152,7 @@ def _expecting(plan: Plan, manifest: Path, job: Job) -> Plan:
 
     from tagid.batch.expected import read_manifest
 
-    names = [layout.name for layout in job.layouts]
+    names = [layout.name for layout in job.setup.enrolled.layouts]
     may_come = plan.watch is not None
     expectations = read_manifest(manifest, plan.inputs.sources, names, may_come=may_come)
     return replace(plan, expectations=expectations)

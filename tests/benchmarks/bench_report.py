@@ -30,11 +30,13 @@ from tagid.batch.job import Job
 from tagid.batch.local import Results, Tasks, cores, run_local
 from tagid.batch.run import Plan, run_batch
 from tagid.config import load_config
+from tagid.operate.turn import ReadingSetup
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
+from tagid.tags.enrolling.registry import RegistryContents
 from tagid.tags.layouts.layout import builtin_layouts
 
 OBJECTS = ("helmet-120", "container-90", "helmet-linear", "container-180")
@@ -116,7 +118,8 @@ def main() -> None:
     )
     print(f"Command: `python {' '.join(sys.argv)}`\n")
     settings = ImagingSettings(method="bp")
-    job = Job(settings, tuple(builtin_layouts().values()), 1, LoadSettings.of(load_config()))
+    enrolled = RegistryContents(1, list(builtin_layouts().values()), [])
+    job = Job(ReadingSetup(LoadSettings.of(load_config()), settings, enrolled))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "captures"
         folder.mkdir()

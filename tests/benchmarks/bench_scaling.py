@@ -34,12 +34,14 @@ from tagid.batch.inputs import Source
 from tagid.batch.job import Job
 from tagid.batch.local import Results, Task, Tasks, run_local
 from tagid.config import load_config
+from tagid.operate.turn import ReadingSetup
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.storage.hdf5 import write_capture
+from tagid.tags.enrolling.registry import RegistryContents
 from tagid.tags.layouts.layout import builtin_layouts
 
 OBJECTS = ("helmet-120", "container-90", "helmet-linear", "container-180")
@@ -99,9 +101,8 @@ def main() -> None:
         f"numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}."
     )
     print(f"Command: `python {' '.join(sys.argv)}`\n")
-    job = Job(
-        ImagingSettings(method="bp"), tuple(builtin_layouts().values()), 1, LoadSettings.of(load_config())
-    )
+    enrolled = RegistryContents(1, list(builtin_layouts().values()), [])
+    job = Job(ReadingSetup(LoadSettings.of(load_config()), ImagingSettings(method="bp"), enrolled))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         real = []

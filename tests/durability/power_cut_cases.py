@@ -28,7 +28,7 @@ from tagid.batch.work import content_of, make_record
 from tagid.capture import Capture
 from tagid.config import change_file, change_settings, read_file
 from tagid.errors import TagidError
-from tagid.operate.turn import Answer
+from tagid.operate.turn import Answer, ReadingSetup
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
@@ -38,7 +38,7 @@ from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.history import Filter, History
 from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_records import PREAMBLE, intact_records, record_bytes
-from tagid.tags.enrolling.registry import Registry
+from tagid.tags.enrolling.registry import Registry, RegistryContents
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -342,7 +342,8 @@ _ITEMS = 10
 
 def _job() -> Job:
     settings = ImagingSettings(method="bp", pixels=48)
-    return Job(settings, tuple(builtin_layouts().values()), 4, LoadSettings(), pictures=False)
+    enrolled = RegistryContents(4, list(builtin_layouts().values()), [])
+    return Job(ReadingSetup(LoadSettings(), settings, enrolled), pictures=False)
 
 
 def _answers(again: list[str], tell: bool) -> Callable[[Tasks, Job], Results]:

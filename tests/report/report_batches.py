@@ -15,9 +15,11 @@ from tagid.batch.job import Job
 from tagid.batch.local import Done, Results, Tasks
 from tagid.batch.work import work
 from tagid.config import load_config
+from tagid.operate.turn import ReadingSetup
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.storage.hdf5 import read_capture, write_capture
+from tagid.tags.enrolling.registry import RegistryContents
 from tagid.tags.layouts.layout import builtin_layouts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
@@ -52,7 +54,14 @@ def in_this_process(tasks: Tasks, job: Job) -> Results:
 
 def a_job() -> Job:
     settings = ImagingSettings(method="bp", pixels=48)
-    return Job(settings, tuple(builtin_layouts().values()), 4, LoadSettings.of(load_config()))
+    enrolled = RegistryContents(4, list(builtin_layouts().values()), [])
+    return Job(ReadingSetup(LoadSettings.of(load_config()), settings, enrolled))
+
+
+def of_another_registry(job: Job) -> Job:
+    """The same job after a change of the registry that left its entries as they are."""
+    enrolled = job.setup.enrolled
+    return replace(job, setup=replace(job.setup, enrolled=replace(enrolled, version=enrolled.version + 1)))
 
 
 def add_hostile_files(folder: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from report_batches import a_job
+from report_batches import a_job, of_another_registry
 
 from tagid.batch import remembering
 from tagid.batch.run import Hooks
@@ -35,7 +35,7 @@ def test_what_a_killed_run_left_is_stored_by_the_next(make_report, captures: Pat
         connection.execute("DELETE FROM identification WHERE id > 2")
     connection.close()
     # Also a run with other settings finds them, and stores them under the run that made them.
-    other = replace(plain, registry_version=plain.registry_version + 1)
+    other = of_another_registry(plain)
     assert make_report(captures / "bad.tagid.h5", hooks=hooks, job=other, resume=True).remarks == ()
     assert len(names(path)) == 7
     with sqlite3.connect(path) as connection:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,22 +13,26 @@ from tagid.batch.job import MAX_CAPTURE_BYTES, Answered, Job, _sha256
 from tagid.config import load_config
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.models_store import manifest
+from tagid.operate.turn import ReadingSetup
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.report.records import Drawing, ItemRecord, Thumbnails, drawing_json
+from tagid.tags.enrolling.registry import RegistryContents
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
 LAYOUTS = tuple(builtin_layouts().values())
 
 
-def job(**changed: object) -> Job:
-    usual = {
-        "settings": ImagingSettings(),
-        "layouts": LAYOUTS,
-        "registry_version": 4,
-        "load": LoadSettings.of(load_config({"motion.axis_distance_m": 1.0})),
-    }
-    return Job(**(usual | changed))  # type: ignore[arg-type]
+def job(
+    settings: ImagingSettings | None = None,
+    layouts: tuple[Layout, ...] = LAYOUTS,
+    registry_version: int = 4,
+    load: LoadSettings | None = None,
+    **more: Any,
+) -> Job:
+    load = load or LoadSettings.of(load_config({"motion.axis_distance_m": 1.0}))
+    enrolled = RegistryContents(registry_version, list(layouts), [])
+    return Job(ReadingSetup(load, settings or ImagingSettings(), enrolled), **more)
 
 
 def test_the_same_job_has_the_same_fingerprint() -> None:
