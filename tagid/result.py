@@ -199,7 +199,7 @@ def render(result: Result, output: str, quiet: bool = False) -> None:
         # rich itself ends the program where stdout is a closed pipe.
         with console.capture() as drawn:
             # What may not be wrapped, such as a URL to be copied, is not cropped either.
-            console.print(Harmless(result.human), crop=False)
+            console.print(Redrawn(result.human, visible), crop=False)
         sys.stdout.write(drawn.get())
         sys.stdout.flush()
     if not quiet:
@@ -211,14 +211,19 @@ def render(result: Result, output: str, quiet: bool = False) -> None:
             err.print(Text.assemble(("what to do: ", "bold"), visible(problem.remedy)), soft_wrap=True)
 
 
-class Harmless:
-    """Anything rich can draw, with the control characters of its texts escaped; rich's own colours stay."""
+class Redrawn:
+    """Anything rich can draw, with its texts changed; rich's own colours and control sequences stay.
 
-    def __init__(self, drawn: RenderableType) -> None:
-        self._drawn = drawn
+    Args:
+        drawn: what is drawn.
+        words: gives the text to draw for a piece of text within a line.
+    """
+
+    def __init__(self, drawn: RenderableType, words: Callable[[str], str]) -> None:
+        self._drawn, self._words = drawn, words
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         from rich.segment import Segment
 
         for segment in console.render(self._drawn, options):
-            yield segment if segment.control else Segment(visible(segment.text), segment.style)
+            yield segment if segment.control else Segment(self._words(segment.text), segment.style)

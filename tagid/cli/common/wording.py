@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from tagid.result import Problem, Result, reworded, reworded_document
-
-if TYPE_CHECKING:
-    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from tagid.result import Problem, Redrawn, Result, reworded, reworded_document
 
 _SAME = (
     "align antenna_height antenna_height_file antenna_separation axis_distance background bind body budget"
@@ -55,20 +51,7 @@ def result_in_options(result: Result) -> Result:
     return replace(
         result,
         data=reworded_document(result.data, in_options),
-        human=None if result.human is None else _InOptions(result.human),
+        human=None if result.human is None else Redrawn(result.human, in_options),
         messages=tuple(map(in_options, result.messages)),
         errors=tuple(Problem(e.code, in_options(e.message), in_options(e.remedy)) for e in result.errors),
     )
-
-
-class _InOptions:
-    """Anything rich can draw, with options in its texts."""
-
-    def __init__(self, drawn: RenderableType) -> None:
-        self._drawn = drawn
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        from rich.segment import Segment
-
-        for segment in console.render(self._drawn, options):
-            yield segment if segment.control else Segment(in_options(segment.text), segment.style)
