@@ -349,29 +349,34 @@ def read_jointly(
         if only.error is not None:
             raise only.error
         return replace(only, alone=(only,))
-    enrolled, imaging = setup.enrolled, setup.imaging
+    enrolled = setup.enrolled
     began = datetime.now(UTC)
-    captures = [load_capture(source, setup.loading) for source in sources]
-    joint, each = identify_together(
-        captures, enrolled.layouts, imaging, enrolled.version, enrolled.signatures
+    recordings = [PreparedCapture(load_capture(source, setup.loading), setup.imaging) for source in sources]
+    joint, readings = identify_together(
+        recordings,
+        enrolled.layouts,
+        registry_version=enrolled.version,
+        signatures=enrolled.signatures,
     )
     explained = []
-    for capture, alone, name in zip(captures, each, names, strict=True):
-        prepared = PreparedCapture(capture, imaging)
-        alone = with_causes(replace(alone, remarks=remarks_on(capture)), prepared, enrolled.layouts)
-        explained.append(Answer(alone, name, prepared))
-    each_explained = [answer.identification for answer in explained]
+    for prepared, reading, name in zip(recordings, readings, names, strict=True):
+        reading = replace(reading, remarks=remarks_on(prepared.given))
+        explained.append(Answer(with_causes(reading, prepared, enrolled.layouts), name, prepared))
     remarks = tuple(dict.fromkeys(remark for answer in explained for remark in answer.remarks))
-    causes = {cause.code: cause for answer in reversed(explained) for cause in answer.causes}
-    unnamed = joint.status != "identified"
-    joint = replace(joint, remarks=remarks, causes=tuple(causes.values()) if unnamed else ())
-    if unnamed and joint.reading is not None:
-        each_advice = {one.reading.code: one.advice for one in each_explained if one.reading is not None}
-        joint = replace(joint, advice=each_advice.get(joint.reading.code, ""))
-    truth = compare(captures[0], joint, enrolled.layouts)
+    joint = replace(joint, remarks=remarks)
+    if joint.status != "identified" and joint.reading is not None:
+        causes = {cause.code: cause for answer in reversed(explained) for cause in answer.causes}
+        advice = {
+            answer.identification.reading.code: answer.identification.advice
+            for answer in explained
+            if answer.identification.reading is not None
+        }
+        joint = replace(joint, causes=tuple(causes.values()), advice=advice.get(joint.reading.code, ""))
+    first = recordings[0].given
+    truth = compare(first, joint, enrolled.layouts)
     if truth is not None:  # The recordings show the object in several poses.
         truth = Comparison(truth.layout, truth.right)
-    recorded = _recorded(sources[0], captures[0], began)
+    recorded = _recorded(sources[0], first, began)
     return Answer(joint, names[0], alone=tuple(explained), recorded_utc=recorded, truth=truth)
 
 

@@ -115,21 +115,22 @@ def _selected_body(reading: Reading) -> BodyReading | None:
 
 
 def identify_together(
-    captures: Sequence[Capture],
+    given: Sequence[Capture | PreparedCapture],
     layouts: Sequence[Layout],
     settings: ImagingSettings | None = None,
     registry_version: int | None = None,
     signatures: Sequence[Signature] = (),
 ) -> tuple[Identification, list[Identification]]:
-    """Name the object of several prepared captures jointly, and of each alone (see `tags.matching.vote`).
+    """Name the object of several captures jointly, and of each alone (see `tags.matching.vote`).
 
-    Raises as `identify` does.
+    Arguments and errors are those of `identify`; prepared captures have the same settings.
     """
     from tagid.tags.matching.vote import read_together
 
-    settings = settings or ImagingSettings()
     watch = Stopwatch()
-    prepared = [PreparedCapture(capture, settings) for capture in captures]
+    prepared = [as_prepared(capture, settings) for capture in given]
+    captures = [one.given for one in prepared]
+    settings = prepared[0].settings if prepared else ImagingSettings()
     for one in prepared:
         _check_views(one)
     recordings = [one.scans(settings.preprocessing(matched_filter=False)) for one in prepared]
