@@ -186,13 +186,13 @@ def _check_earlier(plan: Plan, force: bool) -> list[str]:
             agree_to_replace(what, "Choose another --out, continue it with --resume, or add --force.")
         return []
     missing = _missing(names, plan)
-    elsewhere = [name for name in missing if is_url(name) or Path(name).exists()]
-    if elsewhere and not force:
+    not_inputs = [name for name in missing if is_url(name) or Path(name).exists()]
+    if not_inputs and not force:
         agree_to_replace(
-            f"{what}; not among the inputs: {len(elsewhere)}, e.g. {elsewhere[0]}",
+            f"{what}; not among the inputs: {len(not_inputs)}, e.g. {not_inputs[0]}",
             "Choose another --out, name the inputs of both, or add --force.",
         )
-    gone = len(missing) - len(elsewhere)
+    gone = len(missing) - len(not_inputs)
     return [f"no longer in its place: {counted(gone, 'capture')} of the earlier report"] if gone else []
 
 

@@ -143,24 +143,27 @@ def _of_the_turn(capture: Capture) -> list[Cause]:
     return causes
 
 
-def _of_the_speed(resolved: ResolvedMotion, told: str) -> Cause:
+def _of_the_speed(resolved: ResolvedMotion, contradiction: str) -> Cause:
     """A stated speed that the scans contradict, with the ones that they show."""
     turned = "direction=cw" if resolved.direction == -1 else ""
     urls = ["free?" + "&".join(filter(None, (f"rpm={rpm:.3g}", turned))) for rpm in resolved.shown_rpms]
     estimated = "?".join(filter(None, ("free", turned)))
     speeds = one_of([f"`motion.url={url}`" for url in urls]) if urls else ""
     if len(urls) > 1:
-        return Cause("speed", told, f"Measure the time of a turn, and read it again with {speeds}.")
+        return Cause("speed", contradiction, f"Measure the time of a turn, and read it again with {speeds}.")
     estimate = f"`motion.url={estimated}`, which estimates the speed from the scans."
     if urls:
         return Cause(
-            "speed", told, f"Read it again with {speeds}, or with {estimate}", {"motion.url": urls[0]}
+            "speed",
+            contradiction,
+            f"Read it again with {speeds}, or with {estimate}",
+            {"motion.url": urls[0]},
         )
     if resolved.shortest_repetition_s is not None:
         settings = {"motion.url": estimated}
-        return Cause("speed", told, f"Check the speed, or read it again with {estimate}", settings)
+        return Cause("speed", contradiction, f"Check the speed, or read it again with {estimate}", settings)
     # What was recorded may be less than a turn.
-    return Cause("speed", told, f"Check the speed and record again, or record with {estimate}")
+    return Cause("speed", contradiction, f"Check the speed and record again, or record with {estimate}")
 
 
 def _stopped(capture: Capture) -> Cause | None:

@@ -56,29 +56,34 @@ def describe(answer: Answer, name: str, verbose: bool) -> RenderableType:
 
     from tagid.operate import words
 
-    found, reading = answer.identification, answer.identification.reading
-    style = "bold green" if found.status == "identified" else "bold yellow"
-    beside = "".join(f"   {part}" for part in (found.label, name) if part)
-    lines = [Text.assemble((words.name_of(found).upper(), style), beside)]
+    identification = answer.identification
+    reading = identification.reading
+    style = "bold green" if identification.status == "identified" else "bold yellow"
+    beside = "".join(f"   {part}" for part in (identification.label, name) if part)
+    lines = [Text.assemble((words.name_of(identification).upper(), style), beside)]
     if reading is None:
         return Group(*lines)
-    if found.status == "identified":
-        lines.append(Text(f"  {words.trust_words(found)}"))
-    elif found.causes:
-        for cause in found.causes:
+    if identification.status == "identified":
+        lines.append(Text(f"  {words.trust_words(identification)}"))
+    elif identification.causes:
+        for cause in identification.causes:
             lines.append(Text(f"  likely cause: {cause.text}", "bold"))
             lines.append(Text(f"  what to do: {cause.remedy}"))
             if cause.settings and answer.file:
                 lines.append(Text(f"  then: `tagid identify {_again(answer.file, cause.settings)}`"))
     else:
-        lines += [Text(f"  why: {reading.reason}"), Text(f"  what to do: {found.what_to_do()}")]
-    if found.status == "identified" and reading.bound and (part := words.coverage_words(found.coverage)):
+        lines += [Text(f"  why: {reading.reason}"), Text(f"  what to do: {identification.what_to_do()}")]
+    if (
+        identification.status == "identified"
+        and reading.bound
+        and (part := words.coverage_words(identification.coverage))
+    ):
         lines.append(Text(f"  caution: {part}", "yellow"))
     if reading.note:
         lines.append(Text(f"  caution: {reading.note}", "yellow"))
     if truth := words.truth_words(answer.truth):
         lines.append(Text(f"  truth: {truth}"))
-    return Group(*lines, *(Text(f"  {line}") for line in _details(found) if verbose))
+    return Group(*lines, *(Text(f"  {line}") for line in _details(identification) if verbose))
 
 
 def _again(file: str, settings: dict[str, Any]) -> str:
