@@ -1,0 +1,1 @@
+"""Reads a tag in recordings: hypotheses of one model, compared by their log evidence."""

@@ -1,0 +1,328 @@
+"""Columns of a body, of reflectors and of odd scatterers, and their slopes over places and turns.
+
+A hypothesis is a product of small choices: a body or none, a transfer, an arrangement of reflectors or none,
+and odd scatterers. Its parameters are, in this order: the centre x, y; a turn for every group of reflectors
+that turns by itself; a stretch (m outward) for every group that moves outward by itself; x, y of every odd
+scatterer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.transfers.transfer import ANGLES, Transfer
+
+CENTRE_SD_M = 6e-3
+"""Standard deviation of the object's centre about the axis, m."""
+MOUNTING_SD_M = 1.5e-3
+"""Standard deviation of a reflector's distance from the centre as enrolled, m."""
+CLOSEST_M, CLOSE_SD_M = 18e-3, 0.5e-3
+"""Two reflectors cannot stand in one place: nearer than this costs, by this standard deviation, m."""
+REACH_M = 0.13
+"""An odd scatterer stands within this of the axis, m."""
+RING_M = (0.02, 0.14)
+"""A free ring has a radius between these, m."""
+ODD_POWER = 0.1
+"""Prior power of an odd scatterer, over the moving energy."""
+WIDE = 1e3
+"""Prior power of a body, over the moving energy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """Reflectors of one tag, alike but for their transfer.
+
+    Attributes:
+        radius_m, angle, height_m: (K,) places about the centre, before turn and stretch.
+        turn, stretch: (K,) number of the turn and of the stretch that moves each.
+        free: its angles and radii are free; otherwise a layout's, with the mounting's prior on the stretch.
+    """
+
+    radius_m: Floats
+    angle: Floats
+    height_m: Floats
+    turn: NDArray[np.intp]
+    stretch: NDArray[np.intp]
+    free: bool
+
+    @classmethod
+    def of_layout(cls, positions: Floats, heights: Floats | None) -> Arrangement:
+        """That of a layout's positions (K, 2) and heights (K,), m."""
+        place = positions[:, 0] + 1j * positions[:, 1]
+        zero = np.zeros(len(place), dtype=np.intp)
+        up = np.zeros(len(place)) if heights is None else np.asarray(heights, dtype=float)
+        return cls(np.abs(place), np.angle(place), up, zero, zero, False)
+
+    @classmethod
+    def ring(cls, radius_m: float, angle: Floats) -> Arrangement:
+        """Reflectors at any angles (K,), rad, of one free ring."""
+        k = len(angle)
+        zero = np.zeros(k, dtype=np.intp)
+        return cls(np.full(k, radius_m), np.asarray(angle), np.zeros(k), np.arange(k), zero, True)
+
+    @classmethod
+    def points(cls, places: Complex) -> Arrangement:
+        """Reflectors anywhere (K,), x + jy, m."""
+        k = np.arange(len(places))
+        return cls(np.abs(places), np.angle(places), np.zeros(len(places)), k, k, True)
+
+    @property
+    def turns(self) -> int:
+        return int(self.turn.max()) + 1
+
+    @property
+    def stretches(self) -> int:
+        return int(self.stretch.max()) + 1
+
+    @property
+    def count(self) -> int:
+        """Number of reflectors."""
+        return len(self.radius_m)
+
+
+@lru_cache(maxsize=256)
+def _table(transfer: Transfer, kappa: bytes, radius_m: float) -> Complex:
+    return np.ascontiguousarray(transfer.table(np.frombuffer(kappa), radius_m))
+
+
+def patterns(
+    spectra: Spectra, transfer: Transfer, radius_m: Floats, facing: Floats, slope: bool = False
+) -> tuple[Complex, Complex | None]:
+    """(K, P, F, V) patterns of reflectors that face so, rad, as seen from the antennas, and their slopes.
+
+    The slope is over the angle psi between outward direction and antenna.
+    """
+    psi = spectra.direction - facing[:, None]
+    at = psi * (ANGLES / (2 * np.pi))
+    low = np.floor(at)
+    part = at - low
+    index = low.astype(np.intp) % ANGLES
+    here, slopes = [], []
+    for k, radius in enumerate(radius_m):
+        table = _table(transfer, spectra.kappa.tobytes(), round(float(radius), 4))
+        first = table[:, :, index[k]]
+        rise = table[:, :, (index[k] + 1) % ANGLES] - first
+        here.append(first + rise * part[k])
+        if slope:
+            slopes.append(rise * (ANGLES / (2 * np.pi)))
+    return np.stack(here), np.stack(slopes) if slope else None
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A hypothesis of points: what the columns are functions of.
+
+    Attributes:
+        transfer: of the reflectors; also says whether there is a body.
+        tag: the reflectors, or None.
+        oval: the body may be oval: two tangents.
+        disc: number of the clutter's disc, see `CLUTTER_RADII_M`.
+        odd: number of odd scatterers.
+    """
+
+    transfer: Transfer
+    tag: Arrangement | None
+    oval: bool
+    disc: int
+    odd: int = 0
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        tag = 0 if self.tag is None else self.tag.turns + self.tag.stretches
+        return 2 + tag + 2 * self.odd
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        body = (3 if self.oval else 1) if self.transfer.body else 0
+        return body + (0 if self.tag is None else len(self.transfer.power)) + self.odd
+
+    def with_odd(self, count: int) -> Model:
+        """The same beside so many odd scatterers."""
+        return replace(self, odd=count)
+
+    def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:
+        """Centre, turns, stretches and odd places of parameters."""
+        t = 0 if self.tag is None else self.tag.turns
+        s = 0 if self.tag is None else self.tag.stretches
+        odd = x[2 + t + s :].reshape(-1, 2)
+        return complex(x[0], x[1]), x[2 : 2 + t], x[2 + t : 2 + t + s], odd[:, 0] + 1j * odd[:, 1]
+
+    def places(self, x: Floats) -> Complex:
+        """(K,) of the reflectors, x + jy, m."""
+        if self.tag is None:
+            return np.zeros(0, dtype=complex)
+        centre, turn, stretch, _ = self.split(x)
+        facing = self.tag.angle + turn[self.tag.turn]
+        return np.asarray(centre + (self.tag.radius_m + stretch[self.tag.stretch]) * np.exp(1j * facing))
+
+    def power(self, moving: Floats, tag: float, oval: float) -> Floats:
+        """(F, n) prior variances of the amplitudes."""
+        parts: list[float] = []
+        if self.transfer.body:
+            parts += [WIDE, oval, oval] if self.oval else [WIDE]
+        if self.tag is not None:
+            parts += [tag * p for p in self.transfer.power]
+        parts += [ODD_POWER] * self.odd
+        return np.asarray(moving[:, None] * np.array(parts))
+
+    @cached_property
+    def precision(self) -> Floats:
+        """(P,) inverse variances of the prior; those of flat ones serve the Laplace term alone."""
+        return np.asarray(self._sds() ** -2.0)
+
+    def _sds(self) -> Floats:
+        sds = [CENTRE_SD_M, CENTRE_SD_M]
+        if self.tag is not None:
+            sds += [2 * np.pi / np.sqrt(12)] * self.tag.turns
+            mounting = float(np.hypot(MOUNTING_SD_M, self.transfer.radius_sd_m))
+            sds += [np.ptp(RING_M) / np.sqrt(12) if self.tag.free else mounting] * self.tag.stretches
+        return np.array(sds + [REACH_M / 2] * (2 * self.odd))
+
+    @cached_property
+    def _normal(self) -> NDArray[np.bool_]:
+        """(P,) which parameters have a Gaussian prior."""
+        flags = [True, True]
+        if self.tag is not None:
+            flags += [False] * self.tag.turns + [not self.tag.free] * self.tag.stretches
+        return np.array(flags + [False] * (2 * self.odd))
+
+    def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
+        """Log density, its slope (P,) and precision (P, P) of what pulls the parameters."""
+        sds, normal = self._sds(), self._normal
+        log = float((-0.5 * (x / sds) ** 2 - np.log(sds) - 0.5 * np.log(2 * np.pi))[normal].sum())
+        slope = np.where(normal, -x / sds**2, 0.0)
+        hessian = np.diag(np.where(normal, sds**-2.0, 0.0))
+        if self.tag is not None:
+            log -= self.tag.turns * np.log(2 * np.pi)
+            if self.tag.free:
+                log -= self.tag.stretches * np.log(np.ptp(RING_M)) - _log_factorial(self.tag.count)
+        log -= self.odd * np.log(np.pi * REACH_M**2) - _log_factorial(self.odd)
+        return log, slope, hessian
+
+    def overlap(self, x: Floats) -> float:
+        """Nats that reflectors and odd scatterers cost which stand in one place."""
+        free = self.tag is not None and self.tag.free
+        places = np.concatenate([self.places(x), self.split(x)[3]])
+        fixed = 0 if free or self.tag is None else self.tag.count
+        if len(places) - fixed < 1 or len(places) < 2:
+            return 0.0
+        first, second = np.triu_indices(len(places), 1)
+        keep = second >= fixed
+        gap = np.abs(places[first] - places[second])[keep]
+        return float((np.maximum(CLOSEST_M - gap, 0) ** 2).sum() / (2 * CLOSE_SD_M**2))
+
+
+def _log_factorial(n: int) -> float:
+    return float(np.log(np.arange(1, n + 1)).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of a model at some parameters, with what their slopes need.
+
+    Attributes:
+        values: (F, n, V).
+    """
+
+    model: Model
+    spectra: Spectra
+    x: Floats
+    values: Complex
+    waves: Complex
+    toward: Complex
+    range_m: Floats
+    pattern: Complex | None
+    turned: Complex | None
+    oval: Floats | None
+
+    @classmethod
+    def of(cls, model: Model, spectra: Spectra, x: Floats, slopes: bool = True) -> Columns:
+        """Those of a model at parameters x (P,)."""
+        centre, turn, _, odd = model.split(x)
+        tag = model.tag
+        body = 1 if model.transfer.body else 0
+        places = np.concatenate([[centre] * body, model.places(x), odd])
+        heights = np.zeros(len(places))
+        k = 0 if tag is None else tag.count
+        if tag is not None:
+            heights[body : body + k] = tag.height_m
+        waves, range_m = spectra.waves(places, heights)
+        toward = (places[:, None] - spectra.antenna) / range_m
+        parts, pattern, turned, oval = [], None, None, None
+        if body:
+            parts.append(waves[:, :1])
+            if model.oval:
+                twice = 2 * spectra.direction
+                oval = np.stack([np.cos(twice), np.sin(twice)])
+                parts.append(waves[:, :1] * oval)
+        if tag is not None:
+            facing = tag.angle + turn[tag.turn]
+            pattern, turned = patterns(spectra, model.transfer, tag.radius_m, facing, slopes)
+            parts.append(np.einsum("kpfv,fkv->fpv", pattern, waves[:, body : body + k]))
+        parts.append(waves[:, body + k :])
+        values = np.concatenate(parts, axis=1) if parts else np.zeros((len(spectra.kappa), 0, spectra.views))
+        return cls(model, spectra, x, values, waves, toward, range_m, pattern, turned, oval)
+
+    def _weighted(self, weights: Complex) -> tuple[Complex, Complex | None]:
+        """(F, S, V) every source's patterns summed with weights (F, n, V or 1), and those of the slopes."""
+        model = self.model
+        body = (3 if model.oval else 1) if model.transfer.body else 0
+        out = np.empty_like(self.waves)
+        first = 0
+        if body:
+            out[:, 0] = weights[:, 0]
+            if self.oval is not None:
+                out[:, 0] = weights[:, 0] + (weights[:, 1:3] * self.oval).sum(axis=1)
+            first = 1
+        turned = None
+        k = 0
+        if self.pattern is not None and model.tag is not None:
+            k = model.tag.count
+            p = len(model.transfer.power)
+            w = np.broadcast_to(weights[:, body : body + p], (len(out), p, out.shape[2]))
+            out[:, first : first + k] = np.einsum("kpfv,fpv->fkv", self.pattern, w)
+            body += p
+            if self.turned is not None:
+                turned = np.einsum("kpfv,fpv->fkv", self.turned, w)
+        out[:, first + k :] = weights[:, body:]
+        return out, turned
+
+    def slopes(self, weights: Complex) -> Complex:
+        """(P, F, V) change of the sum of weights times columns with the parameters.
+
+        Args:
+            weights: (F, n, 1) amplitudes, or (F, n, V) any weights.
+        """
+        model, x = self.model, self.x
+        sources, turned = self._weighted(weights)
+        moved = sources * self.waves * (-1j * self.spectra.kappa[:, None, None] - 2 / self.range_m)
+        along_x, along_y = moved * self.toward.real, moved * self.toward.imag
+        out = np.zeros((model.parameters, *self.spectra.data.shape), dtype=np.complex128)
+        first = 1 if model.transfer.body else 0
+        k = 0 if model.tag is None else model.tag.count
+        out[0] = along_x[:, : first + k].sum(axis=1)
+        out[1] = along_y[:, : first + k].sum(axis=1)
+        row = 2
+        if model.tag is not None and turned is not None:
+            centre, turn, _, _ = model.split(x)
+            outward = np.exp(1j * (model.tag.angle + turn[model.tag.turn]))
+            across = 1j * (model.places(x) - centre)
+            own = slice(first, first + k)
+            spun = along_x[:, own] * across.real[:, None] + along_y[:, own] * across.imag[:, None]
+            spun -= turned * self.waves[:, own]
+            drawn = along_x[:, own] * outward.real[:, None] + along_y[:, own] * outward.imag[:, None]
+            for i in range(k):
+                out[row + model.tag.turn[i]] += spun[:, i]
+                out[row + model.tag.turns + model.tag.stretch[i]] += drawn[:, i]
+            row += model.tag.turns + model.tag.stretches
+        for i in range(model.odd):
+            out[row + 2 * i] = along_x[:, first + k + i]
+            out[row + 2 * i + 1] = along_y[:, first + k + i]
+        return out

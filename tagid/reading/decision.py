@@ -1,0 +1,111 @@
+"""The winner, its lead over what is not the same, and the reason in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.reading.hypotheses import Hypothesis
+
+SURE = float(np.log(1000))
+"""Lead from which a name is given, nats: one false in a thousand where the hypotheses are complete."""
+SAME_M = 8e-3
+"""Reflectors nearer than this are the same ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What a recording shows.
+
+    Attributes:
+        status: "identified", "ambiguous", "no_tag" or "unknown".
+        name: of the layout, where one is identified.
+        lead: Lambda, log evidence of the best layout over the best other hypothesis, nats.
+        reason: the winning hypothesis in words.
+        best, rival: the best layout and the best hypothesis that is not it.
+    """
+
+    status: str
+    name: str | None
+    lead: float
+    reason: str
+    best: Hypothesis | None
+    rival: Hypothesis | None
+
+
+def decide(hypotheses: Sequence[Hypothesis], sure: float = SURE) -> Decision:
+    """The decision over the hypotheses of one recording."""
+    named = [one for one in hypotheses if one.layout is not None]
+    if not named:
+        winner = max(hypotheses, key=lambda one: one.log_z)
+        return Decision("no_tag", None, -np.inf, words(winner), None, winner)
+    best = max(named, key=lambda one: one.log_z)
+    others = [one for one in hypotheses if not is_same(one, best)]
+    rival = max(others, key=lambda one: one.log_z)
+    lead = best.log_z - rival.log_z
+    assert best.layout is not None
+    if lead >= sure:
+        return Decision("identified", best.layout.name, lead, "", best, rival)
+    winner = best if lead > 0 else rival
+    if not winner.tagged:
+        return Decision("no_tag", None, lead, words(winner), best, rival)
+    if rival.layout is not None:
+        return Decision("ambiguous", None, lead, f"{words(best)}, or {words(rival)}", best, rival)
+    return Decision("unknown", None, lead, words(winner), best, rival)
+
+
+def is_same(one: Hypothesis, best: Hypothesis) -> bool:
+    """The hypothesis describes the reflectors of the layout `best`."""
+    if one is best or one.layout is not None:
+        return one.layout is best.layout
+    if not one.tagged:
+        return False
+    own, other = one.found, best.found
+    target = other.places
+    bare = not own.model.transfer.body
+    if bare and best.middle and other.model.transfer.body:
+        target = np.append(target, other.centre)
+    alike = own.places
+    if bare and len(alike) == len(target) and _congruent(alike, target):
+        return True
+    every = np.concatenate([alike, own.odd] + ([[own.centre]] if best.middle and not bare else []))
+    near = np.abs(target[:, None] - every).min(axis=1) < SAME_M
+    spare = np.concatenate([target, other.odd] + ([[other.centre]] if best.middle else []))
+    extra = np.abs(alike[:, None] - spare).min(axis=1) >= SAME_M
+    return bool(near.all() and not extra.any())
+
+
+def _congruent(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> bool:
+    """Points (K,) are the same under a rigid motion, each within `SAME_M`."""
+    if len(a) > 6:
+        return False
+    for order in permutations(range(len(b))):
+        u, v = a - a.mean(), b[list(order)] - b.mean()
+        w = np.vdot(v, u)
+        if np.abs(u - v * (w / abs(w) if abs(w) > 0 else 1.0)).max() < SAME_M:
+            return True
+    return False
+
+
+def words(one: Hypothesis) -> str:
+    """A hypothesis for people."""
+    model = one.found.model
+    odd = {0: "", 1: " and one odd scatterer"}.get(model.odd, f" and {model.odd} odd scatterers")
+    where = f" on {model.transfer.words}" if model.transfer.body else ""
+    if one.layout is not None:
+        return f"{one.layout.name}{where}{odd}"
+    if model.tag is None:
+        return ("an object without a tag" if model.transfer.body else "nothing but clutter") + odd
+    places = one.found.places - one.found.centre
+    count = len(places)
+    if count == 1:
+        return f"one reflector{where}{odd}"
+    angle = np.sort(np.rad2deg(np.angle(places)) % 360)
+    gaps = np.diff(np.append(angle, angle[0] + 360))
+    gaps = np.sort(gaps)[:-1] if count == 2 else gaps
+    apart = " and ".join(f"{g:.0f}" for g in gaps)
+    return f"{count} reflectors {apart} degrees apart, {np.abs(places).mean() * 1e3:.0f} mm from the centre{where}{odd}"

@@ -1,0 +1,242 @@
+"""A recording as spectra over the views, whitened under noise, model error and clutter.
+
+Amplitudes are free at every frequency, so that pulse, level and a common range offset need not be known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import DataError
+from tagid.imaging.types import BasebandScans
+from tagid.imaging.whitening import whitened
+from tagid.tags.reading.views import fold_views
+
+Complex = NDArray[np.complex128]
+Floats = NDArray[np.float64]
+
+FREQUENCIES = 9
+"""One per c / (2 * 0.65 m) = 0.23 GHz of the range window would be independent of its neighbours."""
+BAND_SHARE = 0.94
+"""Share of the pulse's -10 dB band that is used: its outermost edges hold little signal."""
+FLAT_M, EDGE_M = 0.24, 0.42
+"""The range window about the axis is flat to the first and ends at the second distance: an object of 0.13 m
+radius, its creeping waves and double bounces, and a range offset of 0.05 m lie in the flat part."""
+MODEL_ERROR = 0.05
+"""Amplitude of what no hypothesis models, over the amplitude of the echo that changes over the views."""
+CLUTTER_RADII_M = (0.05, 0.10, 0.20)
+"""Radii of the discs over which the scatterers of the clutter are spread."""
+_DISC_RINGS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Whitener:
+    """The clutter's covariance over the views, diagonal in a basis that is free of the room.
+
+    The room is one constant per antenna height. Scatterers spread evenly over a disc about the axis have the
+    covariance of J0(2 kappa r sin(dphi / 2)) averaged over the disc. On a full even turn at one height its
+    eigenvectors are the Fourier vectors.
+
+    Attributes:
+        variance: (F, M) of the clutter in the basis, mean 1 over the views for unit power.
+        basis: (F, M, V) rows of the basis; None: the Fourier vectors without the constant one.
+        every: (F, V) the variance of all Fourier vectors; empty with another basis.
+    """
+
+    variance: Floats
+    basis: Complex | None
+    every: Floats
+
+    def apply(self, columns: Complex) -> Complex:
+        """(F, n, M) of columns (F, n, V)."""
+        if self.basis is None:
+            views = columns.shape[-1]
+            return np.asarray(np.fft.fft(columns, axis=-1)[..., 1:] / np.sqrt(views))
+        return np.asarray(columns @ np.swapaxes(self.basis, 1, 2))
+
+    def adjoint(self, columns: Complex) -> Complex:
+        """(F, n, V) of columns (F, n, M): the Hermitian transpose of `apply`."""
+        if self.basis is None:
+            views = columns.shape[-1] + 1
+            full = np.zeros((*columns.shape[:-1], views), dtype=np.complex128)
+            full[..., 1:] = columns
+            return np.asarray(np.fft.ifft(full, axis=-1) * np.sqrt(views))
+        return np.asarray(columns @ self.basis.conj())
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Spectra of the moving echo, in units of noise and model error.
+
+    A point of reflectivity sigma(f) at distance R_v from the antenna of view v gives
+    data[f, v] = sigma(f) exp(-j kappa_f (R_v - d)), kappa_f = 4 pi f / c; what is constant over the views of
+    one antenna height is the room's.
+
+    Attributes:
+        data: (F, V), of variance 1 from noise and model error.
+        kappa: (F,) rad/m.
+        antenna: (V,) x + jy in the object's frame, m.
+        height_m: (V,) of the antenna above the object's plane, m.
+        distance_m: d, mean distance from the axis to the antenna, m.
+        moving: (F,) energy of the moving echo per view, in the same units.
+        snr: that over the noise alone, mean over the frequencies.
+        full_turn: the views are evenly spaced over a turn at one height.
+    """
+
+    data: Complex
+    kappa: Floats
+    antenna: Complex
+    height_m: Floats
+    distance_m: float
+    moving: Floats
+    snr: float
+    full_turn: bool
+
+    @classmethod
+    def of(cls, scans: BasebandScans, radius_m: float = 0.13, model_error: float = MODEL_ERROR) -> Spectra:
+        """Spectra of scans made without a matched filter.
+
+        Args:
+            scans: (views, bins); many views of a turn are folded to what the radius needs.
+            radius_m: of the object, m.
+            model_error: see `MODEL_ERROR`.
+
+        Raises:
+            DataError: fewer than 4 range bins lie in the window about the axis.
+        """
+        scans = whitened(scans)
+        before = scans.noise_std
+        scans = fold_views(scans, radius_m)
+        gain = (scans.noise_std / before) ** 2 if before > 0 else 1.0
+        positions = scans.aperture.positions
+        reach = np.linalg.norm(positions, axis=1)
+        distance = float(reach.mean())
+        ranges = scans.ranges_m[None] - (reach - distance)[:, None]
+        taper = np.clip((EDGE_M - np.abs(ranges - distance)) / (EDGE_M - FLAT_M), 0, 1)
+        taper = 0.5 - 0.5 * np.cos(np.pi * taper)
+        if np.count_nonzero(taper.mean(axis=0)) < 4:
+            raise DataError(
+                f"the scans cover {scans.ranges_m[0]:.2f} to {scans.ranges_m[-1]:.2f} m, the object is at "
+                f"{distance:.2f} m",
+                "Check the axis distance, or record a range window that holds the object.",
+            )
+        offsets = np.linspace(-0.5, 0.5, FREQUENCIES) * BAND_SHARE * scans.bandwidth_hz
+        turn = 4 * np.pi / scans.wave_speed_m_s * offsets
+        data = np.exp(-1j * turn[:, None] * (scans.ranges_m - distance)[None]) @ (scans.samples * taper).T
+        data = data * np.exp(2j * scans.wavenumber * distance)
+        height = np.ascontiguousarray(positions[:, 2])
+        rooms = _rooms(height)
+        data = data - (data @ rooms.T) @ rooms
+        density = scans.noise_density * gain
+        if not density:
+            size = scans.samples.size
+            density = scans.noise_std**2 * size / (scans.independent_samples or size)
+        noise = density * float((taper**2).sum(axis=1).mean())
+        moving = np.maximum((np.abs(data) ** 2).mean(axis=1) - noise, 0.02 * noise)
+        if noise + moving.sum() <= 0:
+            raise DataError("nothing changes over the views", "Check that the object turned.")
+        unit = noise + model_error**2 * moving
+        antenna = positions[:, 0] + 1j * positions[:, 1]
+        return cls(
+            data / np.sqrt(unit)[:, None],
+            2 * scans.wavenumber + turn,
+            antenna,
+            height,
+            distance,
+            moving / unit,
+            float(moving.mean() / noise) if noise > 0 else np.inf,
+            _is_full_turn(antenna, height),
+        )
+
+    @property
+    def views(self) -> int:
+        """Number of views V."""
+        return int(self.data.shape[1])
+
+    @cached_property
+    def direction(self) -> Floats:
+        """(V,) of the antenna from the axis, rad."""
+        return np.asarray(np.angle(self.antenna))
+
+    @cached_property
+    def whiteners(self) -> tuple[Whitener, ...]:
+        """One for each of `CLUTTER_RADII_M`."""
+        apart = 2 * np.abs(np.sin((self.direction[:, None] - self.direction) / 2))
+        rooms = _rooms(self.height_m)
+        found = []
+        for radius in CLUTTER_RADII_M:
+            steps = radius * np.sqrt((np.arange(_DISC_RINGS) + 0.5) / _DISC_RINGS)
+            if self.full_turn:
+                row = _j0(self.kappa[:, None, None] * steps[None, :, None] * apart[0]).mean(axis=1)
+                every = np.maximum(np.fft.fft(row, axis=1).real, 0)
+                found.append(Whitener(every[:, 1:], None, every))
+                continue
+            covariance = _j0(self.kappa[:, None, None, None] * steps[:, None, None] * apart).mean(axis=1)
+            free = np.linalg.svd(rooms)[2][len(rooms) :]
+            values, vectors = np.linalg.eigh(free @ covariance @ free.T)
+            basis = (np.swapaxes(vectors, 1, 2) @ free).astype(complex)
+            found.append(Whitener(np.maximum(values, 0), basis, np.zeros((len(values), 0))))
+        return tuple(found)
+
+    @cached_property
+    def white(self) -> tuple[Complex, ...]:
+        """The data (F, M) in the basis of every whitener."""
+        return tuple(one.apply(self.data[:, None])[:, 0] for one in self.whiteners)
+
+    def of_views(self, views: NDArray[np.intp]) -> Spectra:
+        """The same of some of the views."""
+        return replace(
+            self,
+            data=self.data[:, views],
+            antenna=self.antenna[views],
+            height_m=self.height_m[views],
+            full_turn=False,
+        )
+
+    def waves(self, places: Complex, heights: Floats) -> tuple[Complex, Floats]:
+        """Echoes (F, S, V) of unit points at places x + jy (S,) and heights (S,), m, and their ranges (S, V)."""
+        range_m = np.hypot(np.abs(self.antenna - places[:, None]), self.height_m - heights[:, None])
+        path = range_m - self.distance_m
+        step = np.exp(-1j * (self.kappa[1] - self.kappa[0]) * path)
+        out = np.empty((len(self.kappa), *path.shape), dtype=np.complex128)
+        out[0] = np.exp(-1j * self.kappa[0] * path) * (self.distance_m / range_m) ** 2
+        for f in range(1, len(out)):
+            np.multiply(out[f - 1], step, out=out[f])
+        return out, range_m
+
+
+def _rooms(height_m: Floats) -> Floats:
+    """(H, V) orthonormal: one constant per antenna height."""
+    levels = np.unique(np.round(height_m, 4))
+    rows = np.stack([np.isclose(height_m, level, atol=1e-4) for level in levels]).astype(float)
+    return np.asarray(rows / np.sqrt(rows.sum(axis=1, keepdims=True)))
+
+
+def _is_full_turn(antenna: Complex, height_m: Floats) -> bool:
+    if np.ptp(height_m) > 1e-4 or np.ptp(np.abs(antenna)) > 1e-4:
+        return False
+    steps = np.angle(np.roll(antenna, -1) / antenna)
+    return bool(np.ptp(steps) < 1e-6 and abs(abs(steps.sum()) - 2 * np.pi) < 1e-6)
+
+
+def _j0(x: Floats) -> Floats:
+    """The Bessel function J0 of x >= 0, by interpolation in a table: to 1e-5."""
+    if x.size == 0:
+        return x
+    return np.interp(x, *_table())
+
+
+def _table() -> tuple[Floats, Floats]:
+    global _TABLE
+    if _TABLE is None:
+        grid = np.linspace(0, 200, 20_001)
+        angle = (np.arange(256) + 0.5) * np.pi / 256
+        _TABLE = grid, np.cos(np.outer(grid, np.sin(angle))).mean(axis=1)
+    return _TABLE
+
+
+_TABLE: tuple[Floats, Floats] | None = None

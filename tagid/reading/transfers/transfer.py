@@ -1,0 +1,56 @@
+"""What a transfer is: the patterns that a reflector of a tag may have beside a body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+ANGLES = 256
+"""Aspects of a table, between which patterns are interpolated."""
+
+Tables = Callable[[NDArray[np.float64], float], NDArray[np.complex128]]
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """Patterns of the echo of a reflector relative to the same one in free space.
+
+    Attributes:
+        name: of the kind of surroundings.
+        words: the same for people, after "on" or "beside".
+        body: a body stands there, which returns a wave of its own.
+        power: (P,) prior variances of the patterns' amplitudes, relative to the reflector's.
+        table: function of wavenumbers kappa (F,), rad/m, and distance from the axis, m, that gives the
+            patterns (P, F, ANGLES) at angles 2 pi i / ANGLES between outward direction and antenna.
+        radius_sd_m: standard deviation of the ring's apparent radius, beyond the mounting's.
+        nearest_m, farthest_m: distances from the axis at which it exists.
+    """
+
+    name: str
+    words: str
+    body: bool
+    power: tuple[float, ...]
+    table: Tables
+    radius_sd_m: float = 0.0
+    nearest_m: float = 0.0
+    farthest_m: float = 10.0
+
+
+def aspects() -> NDArray[np.float64]:
+    """(ANGLES,) of a table, rad."""
+    return 2 * np.pi * np.arange(ANGLES) / ANGLES
+
+
+def cosines(terms: int, lobe: int, delay_m: float = 0.0) -> Tables:
+    """Patterns ((1 + cos psi) / 2)^lobe cos(p psi), p < terms, late by delay ((1 - cos psi) / 2)^2."""
+    psi = aspects()
+    shape = ((1 + np.cos(psi)) / 2) ** lobe * np.cos(np.arange(terms)[:, None] * psi)
+    late = delay_m * ((1 - np.cos(psi)) / 2) ** 2
+
+    def table(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
+        return np.asarray(shape[:, None] * np.exp(-1j * kappa[:, None] * late))
+
+    return table
