@@ -71,12 +71,19 @@ class Arrangement:
         k = np.arange(len(places))
         return cls(np.abs(places), np.angle(places), np.zeros(len(places)), k, k, True)
 
+    def of(self, which: NDArray[np.intp]) -> Arrangement:
+        """Some of the reflectors."""
+        parts = (self.radius_m, self.angle, self.height_m, self.turn, self.stretch)
+        return Arrangement(*(part[which] for part in parts), self.free)
+
     @property
     def turns(self) -> int:
+        """Number of groups that turn by themselves."""
         return int(self.turn.max()) + 1
 
     @property
     def stretches(self) -> int:
+        """Number of groups that move outward by themselves."""
         return int(self.stretch.max()) + 1
 
     @property

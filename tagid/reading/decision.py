@@ -74,7 +74,7 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
         return True
     every = np.concatenate([alike, own.odd] + ([[own.centre]] if best.middle and not bare else []))
     near = np.abs(target[:, None] - every).min(axis=1) < SAME_M
-    spare = np.concatenate([target, other.odd] + ([[other.centre]] if best.middle else []))
+    spare = np.append(target, other.centre) if best.middle else target
     extra = np.abs(alike[:, None] - spare).min(axis=1) >= SAME_M
     return bool(near.all() and not extra.any())
 

@@ -26,6 +26,8 @@ MOST_REFLECTORS = 4
 """Reflectors of an arrangement that is not enrolled."""
 FREE_RINGS_M = (0.03, 0.045, 0.063, 0.085, 0.11)
 """Radii of rings on which an arrangement that is not enrolled is looked for."""
+FIRST, THEN = 24, 8
+"""Starts that are refined under much clutter, and those of them that are refined wholly."""
 _GRID_M = 4e-3
 _MIDDLE_M = 5e-3
 """A reflector nearer to the axis is the middle one: beside a body it looks like that."""
@@ -53,6 +55,41 @@ class Hypothesis:
         return self.found.model.tag is not None
 
 
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A start of the descent and the log evidence that the tables give it."""
+
+    log: float
+    layout: Layout | None
+    model: Model
+    x: Floats
+    middle: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Arranged:
+    """A layout as an arrangement; beside a body without its middle reflector, which looks like that."""
+
+    layout: Layout
+    tag: Arrangement
+    radius_m: float
+    middle: bool
+
+    @classmethod
+    def of(cls, layout: Layout, body: bool) -> _Arranged:
+        whole = Arrangement.of_layout(layout.positions, layout.heights)
+        out = whole.radius_m > _MIDDLE_M
+        tag = whole.of(np.flatnonzero(out)) if body else whole
+        return cls(layout, tag, float(whole.radius_m.max()), bool((~out).any()))
+
+    def rings(self, offset_m: float) -> list[tuple[float, float]]:
+        """Radius and height of every reflector, m, moved outward; the middle one stays."""
+        return [
+            (round(float(r + offset_m * (r > _MIDDLE_M)), 4), float(z))
+            for r, z in zip(self.tag.radius_m, self.tag.height_m, strict=True)
+        ]
+
+
 @dataclass(eq=False)
 class Contest:
     """Hypotheses of one recording and what they share."""
@@ -75,11 +112,30 @@ class Contest:
         bodies = self._untagged()
         centre = bodies[0].found.centre
         clutter = [max(one.found.powers.clutter, 1e-3) for one in bodies[:2]]
-        for transfer in self.transfers:
-            self._tagged(transfer, centre, clutter)
+        starts = [one for transfer in self.transfers for one in self._starts(transfer, centre, clutter)]
+        for enrolled in (True, False):
+            self._refine([one for one in starts if (one.layout is not None) == enrolled])
         self._beside_odd()
         self._one_more()
         return sorted(self.hypotheses, key=lambda one: -one.log_z)
+
+    def _refine(self, starts: list[Candidate]) -> None:
+        """The best starts under much clutter first, and the best of those wholly."""
+        starts = sorted(starts, key=lambda one: -one.log)[:FIRST]
+        near = []
+        for one in starts:
+            found = refined(self.spectra, one.model, one.x, (1e-2,), 4)
+            near.append((found.log_z, len(near), found))
+        near.sort(key=lambda one: -one[0])
+        done: list[Found] = []
+        for _, i, rough in near:
+            if len(done) == THEN:
+                break
+            if any(_same_place(rough, other) for other in done):
+                continue
+            found = refined(self.spectra, rough.model, rough.x, (1e-3, None))
+            done.append(found)
+            self.add(starts[i].layout, found, starts[i].middle)
 
     def _untagged(self) -> list[Hypothesis]:
         """Nothing, and a round body, with clutter of either disc."""
@@ -97,60 +153,37 @@ class Contest:
             self.add(None, refined(self.spectra, Model(BARE, None, False, disc), np.zeros(2), (None,), 1))
         return bodies
 
-    def _tagged(self, transfer: Transfer, centre: complex, clutter: Sequence[float]) -> None:
-        spectra = self.spectra
+    def _starts(self, transfer: Transfer, centre: complex, clutter: Sequence[float]) -> list[Candidate]:
+        """Layouts at their best turns, and free arrangements, by tables of single reflectors."""
         grid = _GRID_M * np.arange(-2, 3)
         centres = [centre] if transfer.body else [centre, *(complex(x, y) for x in grid for y in grid)]
         offsets = (0.0,) if transfer.radius_sd_m < 5e-3 else (-0.009, 0.0, 0.011)
-        arranged = [Arrangement.of_layout(one.positions, one.heights) for one in self.layouts]
+        arranged = [_Arranged.of(one, transfer.body) for one in self.layouts]
+        found: list[Candidate] = []
         for disc in (0, 1):
-            own = [i for i, one in enumerate(arranged) if disc_of(float(one.radius_m.max())) == disc]
-            free_m = [r for r in FREE_RINGS_M if disc_of(r) == disc]
             model = Model(transfer, None, transfer.body, disc)
-            powers = Powers(clutter[disc])
-            best: dict[int, list[tuple[float, complex, float, float]]] = {i: [] for i in own}
-            free: list[tuple[float, complex, float, tuple[float, ...]]] = []
+            own = [one for one in arranged if disc_of(one.radius_m) == disc]
+            free_m = [r for r in FREE_RINGS_M if disc_of(r) == disc]
+            rings = sorted({r for one in own for o in offsets for r in one.rings(o)} | {(r, 0.0) for r in free_m})
+            about = []
             for c in centres:
-                rings = sorted(
-                    {(round(float(r + o), 4), float(z)) for i in own for r, z in _rings(arranged[i]) for o in offsets}
-                    | {(r, 0.0) for r in free_m}
-                )
-                table = search.tables(spectra, model, c, rings, powers)
-                for i in own:
-                    a = arranged[i]
-                    keep = (a.radius_m > _MIDDLE_M) | (not transfer.body)
+                table = search.tables(self.spectra, model, c, rings, Powers(clutter[disc]))
+                best = -np.inf
+                for one in own:
                     for o in offsets:
-                        ring = np.array(
-                            [rings.index((round(float(r + o * (r > _MIDDLE_M)), 4), float(z))) if (round(float(r + o * (r > _MIDDLE_M)), 4), float(z)) in rings else 0
-                             for r, z in zip(a.radius_m[keep], a.height_m[keep], strict=True)]
-                        )
-                        for s in search.turned(table, ring, a.angle[keep], 2):
-                            best[i].append((s.log, c, s.angles[0], o))
+                        ring = np.array([rings.index(r) for r in one.rings(o)])
+                        for s in search.turned(table, ring, one.tag.angle, 2):
+                            x = np.array([c.real, c.imag, s.angles[0], o])
+                            found.append(Candidate(s.log, one.layout, replace(model, tag=one.tag), x, one.middle))
+                            best = max(best, s.log)
+                about.append((best, c, table))
+            for _, c, table in sorted(about, key=lambda one: -one[0])[:2]:
                 for r in free_m:
                     for s in search.free(table, rings.index((r, 0.0)), MOST_REFLECTORS, 2):
-                        free.append((s.log, c, r, s.angles))
-            order = sorted(own, key=lambda i: -max(b[0] for b in best[i]))[:2]
-            for i in order:
-                a = arranged[i]
-                middle = bool((a.radius_m <= _MIDDLE_M).any())
-                if middle and transfer.body:
-                    a = _without_middle(a)
-                for _, c, turn, o in sorted(best[i], key=lambda b: -b[0])[:2]:
-                    x = np.array([c.real, c.imag, turn, o])
-                    found = refined(spectra, replace(model, tag=a), x, (1e-2, 1e-3, None))
-                    self.add(self.layouts[i], found, middle)
-            free.sort(key=lambda one: -one[0])
-            seen: list[tuple[int, Floats]] = []
-            for _, c, r, angles in free:
-                gaps = _gaps(np.array(angles))
-                if any(len(gaps) == len(g) and _alike(gaps, g) for _, g in seen):
-                    continue
-                seen.append((len(angles), gaps))
-                x = np.r_[c.real, c.imag, np.zeros(len(angles)), 0.0]
-                tag = Arrangement.ring(r, np.array(angles))
-                self.add(None, refined(spectra, replace(model, tag=tag), x, (1e-2, 1e-3, None)))
-                if len(seen) == 4:
-                    break
+                        x = np.r_[c.real, c.imag, np.zeros(len(s.angles)), 0.0]
+                        tag = Arrangement.ring(r, np.array(s.angles))
+                        found.append(Candidate(s.log, None, replace(model, tag=tag), x, False))
+        return found
 
     def _beside_odd(self) -> None:
         """The best of every kind beside odd scatterers, added while they pay."""
@@ -230,22 +263,11 @@ def disc_of(radius_m: float) -> int:
     return 0 if radius_m < 0.08 else 1
 
 
-def _rings(arrangement: Arrangement) -> list[tuple[float, float]]:
-    return list(zip(arrangement.radius_m, arrangement.height_m, strict=True))
-
-
-def _without_middle(a: Arrangement) -> Arrangement:
-    keep = a.radius_m > _MIDDLE_M
-    return Arrangement(a.radius_m[keep], a.angle[keep], a.height_m[keep], a.turn[keep], a.stretch[keep], a.free)
-
-
-def _gaps(angles: Floats) -> Floats:
-    a = np.sort(angles % (2 * np.pi))
-    return np.diff(np.append(a, a[0] + 2 * np.pi))
-
-
-def _alike(a: Floats, b: Floats) -> bool:
-    return any(np.abs(np.roll(a, k) - b).max() < np.deg2rad(20) for k in range(len(a)))
+def _same_place(one: Found, other: Found) -> bool:
+    """Both are of one model and stand at one place."""
+    if one.model.transfer is not other.model.transfer or len(one.places) != len(other.places):
+        return False
+    return bool((np.abs(one.places[:, None] - other.places).min(axis=1) < 5e-3).all())
 
 
 def _disc() -> Complex:

@@ -121,10 +121,10 @@ def _even(
     w = np.fft.fft(np.concatenate(columns, axis=1), axis=-1) / np.sqrt(views) / root[:, None, None]
     undone = np.exp(1j * spectra.kappa[:, None] * (np.abs(spectra.antenna - centre) - spectra.distance_m))
     room, body = (np.fft.fft(one, axis=-1) / np.sqrt(views) / root for one in (undone, np.ones_like(undone)))
-    held_out = _orthogonal([room, body] if transfer.body else [room], WIDE * spectra.moving)
+    held_out, charge = _orthogonal([room, body] if transfer.body else [room], WIDE * spectra.moving)
     y = np.fft.fft(spectra.data * undone, axis=-1) / np.sqrt(views) / root
     y, base = _cleared(y, held_out)
-    base -= 2 * float(np.log(root).sum())
+    base -= 2 * float(np.log(root[:, 1:]).sum()) + (charge if transfer.body else 0.0)
     q = np.stack(held_out, axis=1)
     turned = w.conj()
     right = np.moveaxis(np.fft.ifft(turned * y[:, None, None], axis=-1) * views, 3, 2)
@@ -154,12 +154,12 @@ def _uneven(
     w = np.concatenate(parts, axis=1)
     f, count, p, v = w.shape
     w = (whitener.apply(w.reshape(f, count * p, v)) / root[:, None]).reshape(f, count, p, -1)
-    held_out = []
+    held_out, charge = [], 0.0
     if transfer.body:
         body, _ = spectra.waves(np.array([centre]), np.zeros(1))
-        held_out = _orthogonal([whitener.apply(body)[:, 0] / root], WIDE * spectra.moving)
+        held_out, charge = _orthogonal([whitener.apply(body)[:, 0] / root], WIDE * spectra.moving)
     y, base = _cleared(spectra.white[model.disc] / root, held_out)
-    base -= 2 * float(np.log(root).sum())
+    base -= 2 * float(np.log(root).sum()) + charge
     q = np.stack(held_out, axis=1) if held_out else np.zeros((f, 0, y.shape[1]))
     held = np.ascontiguousarray((w @ np.swapaxes(q.conj(), 1, 2)[:, None])[:, :, None])
     flat = w.reshape(f, count * p, -1)
@@ -171,9 +171,14 @@ def _uneven(
     return Tables(pack(gram), pack(right), held, pack(power), base, len(rings), angles, angles, step)
 
 
-def _orthogonal(vectors: Sequence[Complex], power: Floats) -> list[Complex]:
-    """Vectors (F, M) made orthogonal, each scaled so that y - q q^H y is y without it as far as its power is."""
+def _orthogonal(vectors: Sequence[Complex], power: Floats) -> tuple[list[Complex], float]:
+    """Vectors (F, M) made orthogonal, each scaled so that y - q q^H y is y without it as far as its power is.
+
+    Returns:
+        The vectors, and the log determinant that the last of them adds.
+    """
     out: list[Complex] = []
+    strength = np.zeros((len(power), 1))
     units: list[Complex] = []
     for vector in vectors:
         rest = vector
@@ -183,7 +188,7 @@ def _orthogonal(vectors: Sequence[Complex], power: Floats) -> list[Complex]:
         units.append(rest / np.sqrt(np.maximum(size, 1e-30)))
         strength = power[:, None] * size
         out.append(units[-1] * np.sqrt(strength / (1 + strength)))
-    return out
+    return out, float(np.log1p(strength).sum())
 
 
 def _cleared(y: Complex, held_out: Sequence[Complex]) -> tuple[Complex, float]:
@@ -224,17 +229,15 @@ def _subsets(positions: int, least: int) -> NDArray[np.intp]:
 
 def free(table: Tables, ring: int, most: int, kept: int) -> list[Start]:
     """The best sets of one to `most` reflectors of a ring, grown one by one; `kept` of every number."""
-    coarse = np.arange(0, table.angles, COARSE if table.fractions > 1 and table.angles >= 120 else 1)
+    coarse = np.arange(0, table.angles, COARSE if table.angles >= 120 else 1)
     angle = coarse * table.step_rad
     ids = table.index(np.full(len(coarse), ring), angle)
-    least = max(int(round(APART_RAD / abs(angle[1] - angle[0]))), 1)
+    least = max(round(APART_RAD / abs(angle[1] - angle[0])), 1)
     found: list[Start] = []
     sets = np.arange(len(coarse))[:, None]
     for number in range(1, most + 1):
-        if number == 2:
-            sets = _subsets(len(coarse), least)
-        elif number > 2:
-            sets = _more(sets[order[:GROWN]], len(coarse), least)
+        if number > 1:
+            sets = _subsets(len(coarse), least) if number == 2 else _more(sets[order[:GROWN]], len(coarse), least)
         if not len(sets):
             break
         scores = table.scores(ids[sets])
@@ -256,10 +259,11 @@ def _far(a: NDArray[np.intp], b: NDArray[np.intp], positions: int, least: int) -
 
 
 def _more(sets: NDArray[np.intp], positions: int, least: int) -> NDArray[np.intp]:
+    """Sets (H, K) with one more, at least so far from the others; every one once."""
     every = np.arange(positions)
-    grown = []
-    for one in sets:
-        gap = np.abs(every[:, None] - one)
-        ok = np.minimum(gap, positions - gap).min(axis=1) >= least
-        grown.append(np.column_stack([np.broadcast_to(one, (ok.sum(), len(one))), every[ok]]))
-    return np.unique(np.sort(np.concatenate(grown), axis=1), axis=0)
+    gap = np.abs(every - sets[..., None])
+    far = np.minimum(gap, positions - gap).min(axis=1) >= least
+    which, new = np.nonzero(far)
+    grown = np.sort(np.column_stack([sets[which], new]), axis=1)
+    code = grown @ (positions ** np.arange(grown.shape[1]))
+    return np.asarray(grown[np.unique(code, return_index=True)[1]])
