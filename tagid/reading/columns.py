@@ -27,6 +27,8 @@ REACH_M = 0.13
 """An odd scatterer stands within this of the axis, m."""
 RING_M = (0.02, 0.14)
 """A free ring has a radius between these, m."""
+UNLIKE = 0.2
+"""Reflectors of one tag differ in strength by this standard deviation, over their mean."""
 ODD_POWER = 0.1
 """Prior power of an odd scatterer, over the moving energy."""
 WIDE = 1e3
@@ -40,7 +42,7 @@ class Arrangement:
     Attributes:
         radius_m, angle, height_m: (K,) places about the centre, before turn and stretch.
         turn, stretch: (K,) number of the turn and of the stretch that moves each.
-        free: its angles and radii are free; otherwise a layout's, with the mounting's prior on the stretch.
+        free: (S,) whether the radius is free that a stretch moves; otherwise it has the mounting's prior.
     """
 
     radius_m: Floats
@@ -48,7 +50,7 @@ class Arrangement:
     height_m: Floats
     turn: NDArray[np.intp]
     stretch: NDArray[np.intp]
-    free: bool
+    free: NDArray[np.bool_]
 
     @classmethod
     def of_layout(cls, positions: Floats, heights: Floats | None) -> Arrangement:
@@ -56,25 +58,36 @@ class Arrangement:
         place = positions[:, 0] + 1j * positions[:, 1]
         zero = np.zeros(len(place), dtype=np.intp)
         up = np.zeros(len(place)) if heights is None else np.asarray(heights, dtype=float)
-        return cls(np.abs(place), np.angle(place), up, zero, zero, False)
+        return cls(np.abs(place), np.angle(place), up, zero, zero, np.zeros(1, dtype=bool))
 
     @classmethod
     def ring(cls, radius_m: float, angle: Floats) -> Arrangement:
         """Reflectors at any angles (K,), rad, of one free ring."""
         k = len(angle)
         zero = np.zeros(k, dtype=np.intp)
-        return cls(np.full(k, radius_m), np.asarray(angle), np.zeros(k), np.arange(k), zero, True)
+        return cls(np.full(k, radius_m), np.asarray(angle), np.zeros(k), np.arange(k), zero, np.ones(1, dtype=bool))
 
     @classmethod
     def points(cls, places: Complex) -> Arrangement:
         """Reflectors anywhere (K,), x + jy, m."""
         k = np.arange(len(places))
-        return cls(np.abs(places), np.angle(places), np.zeros(len(places)), k, k, True)
+        return cls(np.abs(places), np.angle(places), np.zeros(len(k)), k, k, np.ones(len(k), dtype=bool))
 
     def of(self, which: NDArray[np.intp]) -> Arrangement:
         """Some of the reflectors."""
         parts = (self.radius_m, self.angle, self.height_m, self.turn, self.stretch)
         return Arrangement(*(part[which] for part in parts), self.free)
+
+    def and_one(self, place: complex) -> Arrangement:
+        """One reflector more, anywhere, x + jy, m, with a turn and a stretch of its own."""
+        return Arrangement(
+            np.append(self.radius_m, abs(place)),
+            np.append(self.angle, np.angle(place)),
+            np.append(self.height_m, 0.0),
+            np.append(self.turn, self.turns),
+            np.append(self.stretch, self.stretches),
+            np.append(self.free, True),
+        )
 
     @property
     def turns(self) -> int:
@@ -148,7 +161,12 @@ class Model:
     def columns(self) -> int:
         """Number of columns."""
         body = (3 if self.oval else 1) if self.transfer.body else 0
-        return body + (0 if self.tag is None else len(self.transfer.power)) + self.odd
+        return body + (0 if self.tag is None else len(self.transfer.power) + self.unlike) + self.odd
+
+    @property
+    def unlike(self) -> int:
+        """Number of columns for the unlike strength of the reflectors."""
+        return 0 if self.tag is None or self.tag.count < 2 else self.tag.count
 
     def with_odd(self, count: int) -> Model:
         """The same beside so many odd scatterers."""
@@ -176,6 +194,7 @@ class Model:
             parts += [WIDE, oval, oval] if self.oval else [WIDE]
         if self.tag is not None:
             parts += [tag * p for p in self.transfer.power]
+            parts += [tag * self.transfer.power[0] * UNLIKE**2] * self.unlike
         parts += [ODD_POWER] * self.odd
         return np.asarray(moving[:, None] * np.array(parts))
 
@@ -189,7 +208,7 @@ class Model:
         if self.tag is not None:
             sds += [2 * np.pi / np.sqrt(12)] * self.tag.turns
             mounting = float(np.hypot(MOUNTING_SD_M, self.transfer.radius_sd_m))
-            sds += [np.ptp(RING_M) / np.sqrt(12) if self.tag.free else mounting] * self.tag.stretches
+            sds += [np.ptp(RING_M) / np.sqrt(12) if free else mounting for free in self.tag.free]
         return np.array(sds + [REACH_M / 2] * (2 * self.odd))
 
     @cached_property
@@ -197,7 +216,7 @@ class Model:
         """(P,) which parameters have a Gaussian prior."""
         flags = [True, True]
         if self.tag is not None:
-            flags += [False] * self.tag.turns + [not self.tag.free] * self.tag.stretches
+            flags += [False] * self.tag.turns + [not free for free in self.tag.free]
         return np.array(flags + [False] * (2 * self.odd))
 
     def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
@@ -208,21 +227,18 @@ class Model:
         hessian = np.diag(np.where(normal, sds**-2.0, 0.0))
         if self.tag is not None:
             log -= self.tag.turns * np.log(2 * np.pi)
-            if self.tag.free:
-                log -= self.tag.stretches * np.log(np.ptp(RING_M)) - _log_factorial(self.tag.count)
+            log -= self.tag.free.sum() * np.log(np.ptp(RING_M)) - _log_factorial(self.tag.turns)
         log -= self.odd * np.log(np.pi * REACH_M**2) - _log_factorial(self.odd)
         return log, slope, hessian
 
     def overlap(self, x: Floats) -> float:
         """Nats that reflectors and odd scatterers cost which stand in one place."""
-        free = self.tag is not None and self.tag.free
         places = np.concatenate([self.places(x), self.split(x)[3]])
-        fixed = 0 if free or self.tag is None else self.tag.count
-        if len(places) - fixed < 1 or len(places) < 2:
-            return 0.0
+        rigid = np.arange(len(places))
+        if self.tag is not None:
+            rigid[: self.tag.count] = -1 - self.tag.turn
         first, second = np.triu_indices(len(places), 1)
-        keep = second >= fixed
-        gap = np.abs(places[first] - places[second])[keep]
+        gap = np.abs(places[first] - places[second])[rigid[first] != rigid[second]]
         return float((np.maximum(CLOSEST_M - gap, 0) ** 2).sum() / (2 * CLOSE_SD_M**2))
 
 
@@ -273,6 +289,8 @@ class Columns:
             facing = tag.angle + turn[tag.turn]
             pattern, turned = patterns(spectra, model.transfer, tag.radius_m, facing, slopes)
             parts.append(np.einsum("kpfv,fkv->fpv", pattern, waves[:, body : body + k]))
+            if model.unlike:
+                parts.append(np.moveaxis(pattern[:, 0], 0, 1) * waves[:, body : body + k])
         parts.append(waves[:, body + k :])
         values = np.concatenate(parts, axis=1) if parts else np.zeros((len(spectra.kappa), 0, spectra.views))
         return cls(model, spectra, x, values, waves, toward, range_m, pattern, turned, oval)
@@ -298,6 +316,12 @@ class Columns:
             body += p
             if self.turned is not None:
                 turned = np.einsum("kpfv,fpv->fkv", self.turned, w)
+            if model.unlike:
+                own = weights[:, body : body + k]
+                out[:, first : first + k] += np.moveaxis(self.pattern[:, 0], 0, 1) * own
+                if turned is not None and self.turned is not None:
+                    turned += np.moveaxis(self.turned[:, 0], 0, 1) * own
+                body += k
         out[:, first + k :] = weights[:, body:]
         return out, turned
 

@@ -9,6 +9,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.reading.descent import Found
 from tagid.reading.hypotheses import Hypothesis
 
 SURE = float(np.log(1000))
@@ -65,6 +66,8 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
     if not one.tagged:
         return False
     own, other = one.found, best.found
+    if not _enrolled_radius(own, other):
+        return False
     target = other.places
     bare = not own.model.transfer.body
     if bare and best.middle and other.model.transfer.body:
@@ -77,6 +80,16 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
     spare = np.append(target, other.centre) if best.middle else target
     extra = np.abs(alike[:, None] - spare).min(axis=1) >= SAME_M
     return bool(near.all() and not extra.any())
+
+
+def _enrolled_radius(own: Found, other: Found) -> bool:
+    """Whether the radii of some reflectors may be those of the other's layout, seen through their transfer."""
+    tag, enrolled = own.model.tag, other.model.tag
+    if tag is None or enrolled is None or not own.model.transfer.body or not tag.free.all():
+        return True
+    radius = np.abs(own.places - own.centre)
+    slack = max(SAME_M, 3 * own.model.transfer.radius_sd_m)
+    return bool((np.abs(radius[:, None] - enrolled.radius_m).min(axis=1) < slack).all())
 
 
 def _congruent(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> bool:

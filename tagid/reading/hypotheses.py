@@ -16,15 +16,16 @@ from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M, Arrangement, Co
 from tagid.reading.descent import CLUTTER, Found, Powers, best_powers, refined, variance
 from tagid.reading.spectra import CLUTTER_RADII_M, Complex, Floats, Spectra
 from tagid.reading.transfers.plain import BARE, FACING, FILLED, OPEN, POINTS, THIN
+from tagid.reading.transfers.shade import SHADE
 from tagid.reading.transfers.transfer import Transfer
 from tagid.tags.layouts.layout import Layout
 
-TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, FACING, OPEN, THIN, FILLED)
+TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, FACING, OPEN, THIN, FILLED, SHADE)
 MOST_ODD, MOST_ODD_UNTAGGED = 2, 5
 """Odd scatterers beside a tag, and where there is none."""
 MOST_REFLECTORS = 4
 """Reflectors of an arrangement that is not enrolled."""
-FREE_RINGS_M = (0.03, 0.045, 0.063, 0.085, 0.11)
+FREE_RINGS_M = (0.028, 0.036, 0.045, 0.054, 0.063, 0.072, 0.082, 0.09, 0.1, 0.11)
 """Radii of rings on which an arrangement that is not enrolled is looked for."""
 FIRST, THEN = 24, 8
 """Starts that are refined under much clutter, and those of them that are refined wholly."""
@@ -115,6 +116,7 @@ class Contest:
         starts = [one for transfer in self.transfers for one in self._starts(transfer, centre, clutter)]
         for enrolled in (True, False):
             self._refine([one for one in starts if (one.layout is not None) == enrolled])
+        self._one_less()
         self._beside_odd()
         self._one_more()
         return sorted(self.hypotheses, key=lambda one: -one.log_z)
@@ -136,6 +138,17 @@ class Contest:
             found = refined(self.spectra, rough.model, rough.x, (1e-3, None))
             done.append(found)
             self.add(starts[i].layout, found, starts[i].middle)
+
+    def _one_less(self) -> None:
+        """The best layouts without one of their reflectors, which then is missing or was never there."""
+        named = [one for one in self.hypotheses if one.layout is not None]
+        for one in sorted(named, key=lambda one: -one.log_z)[:3]:
+            tag, found = one.found.model.tag, one.found
+            if tag is None or tag.count < 2:
+                continue
+            for k in range(tag.count):
+                model = replace(found.model, tag=tag.of(np.delete(np.arange(tag.count), k)))
+                self.add(None, refined(self.spectra, model, found.x, (None,)))
 
     def _untagged(self) -> list[Hypothesis]:
         """Nothing, and a round body, with clutter of either disc."""
@@ -178,7 +191,9 @@ class Contest:
                             best = max(best, s.log)
                 about.append((best, c, table))
             for _, c, table in sorted(about, key=lambda one: -one[0])[:2]:
-                for r in free_m:
+                pairs = [search.free(table, rings.index((r, 0.0)), 2, 1)[-1].log for r in free_m]
+                for i in np.argsort(pairs)[::-1][:2]:
+                    r = free_m[i]
                     for s in search.free(table, rings.index((r, 0.0)), MOST_REFLECTORS, 2):
                         x = np.r_[c.real, c.imag, np.zeros(len(s.angles)), 0.0]
                         tag = Arrangement.ring(r, np.array(s.angles))
@@ -246,15 +261,9 @@ class Contest:
                 continue
             for odd in found.odd:
                 places = np.append(found.places, odd) - found.centre
-                radius = float(np.abs(places[:-1]).max())
-                if not 0.5 * radius < abs(places[-1]) < 1.7 * radius:
-                    continue
-                more = Arrangement(
-                    np.abs(places), np.angle(places), np.append(tag.height_m, 0.0), np.arange(len(places)),
-                    np.zeros(len(places), dtype=np.intp), True,
-                )
+                more = tag.and_one(complex(places[-1]))
                 model = Model(found.model.transfer, more, found.model.oval, found.model.disc)
-                x = np.r_[found.x[:2], np.zeros(len(places) + 1)]
+                x = np.r_[found.x[:3], 0.0, found.x[3], 0.0]
                 self._grow(self.add(None, refined(self.spectra, model, x, (None,)), one.middle), MOST_ODD)
 
 
