@@ -31,8 +31,6 @@ UNLIKE = 0.2
 """Reflectors of one tag differ in strength by this standard deviation, over their mean."""
 ODD_POWER = 0.1
 """Prior power of an odd scatterer, over the moving energy."""
-WIDE = 1e3
-"""Prior power of a body, over the moving energy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,11 +185,11 @@ class Model:
         facing = self.tag.angle + turn[self.tag.turn]
         return np.asarray(centre + (self.tag.radius_m + stretch[self.tag.stretch]) * np.exp(1j * facing))
 
-    def power(self, moving: Floats, tag: float, oval: float) -> Floats:
+    def power(self, moving: Floats, body: float, tag: float, oval: float) -> Floats:
         """(F, n) prior variances of the amplitudes."""
         parts: list[float] = []
         if self.transfer.body:
-            parts += [WIDE, oval, oval] if self.oval else [WIDE]
+            parts += [body, body * oval, body * oval] if self.oval else [body]
         if self.tag is not None:
             parts += [tag * p for p in self.transfer.power]
             parts += [tag * self.transfer.power[0] * UNLIKE**2] * self.unlike

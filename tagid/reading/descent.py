@@ -16,19 +16,22 @@ CLUTTER = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)
 """Powers of the clutter that are tried, over the moving energy."""
 TAG = (0.03, 0.3, 3.0)
 """Powers of a reflector that are tried, over the moving energy."""
-OVAL = (1e-4, 1e-2, 1.0)
-"""Powers of a body's oval part that are tried, over the moving energy."""
+BODY = (0.1, 3.0, 100.0, 3000.0)
+"""Powers of a body that are tried, over the moving energy: the part of it that does not move is the room's."""
+OVAL = (1e-5, 1e-3, 1e-1)
+"""Powers of a body's oval part that are tried, over the body's."""
 _FAR_M = 0.03
 """No centre lies farther from the axis."""
 
 
 @dataclass(frozen=True)
 class Powers:
-    """Prior powers of clutter, reflectors and oval tangents, over the moving energy."""
+    """Prior powers of clutter, body and reflectors, over the moving energy; of oval tangents, over the body's."""
 
     clutter: float
+    body: float = 100.0
     tag: float = 0.3
-    oval: float = 1e-2
+    oval: float = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,7 @@ class Found:
         x: (P,) parameters.
         log: log posterior density there, amplitudes integrated out, nats.
         log_z: log evidence, with the parameters integrated out by Laplace's method.
+        centre_sd_m: standard deviation of the centre, the larger one.
     """
 
     model: Model
@@ -46,6 +50,7 @@ class Found:
     powers: Powers
     log: float
     log_z: float
+    centre_sd_m: float
 
     @property
     def places(self) -> NDArray[np.complex128]:
@@ -73,17 +78,20 @@ def best_powers(spectra: Spectra, model: Model, x: Floats, clutter: float | None
     whitener = spectra.whiteners[model.disc]
     columns = whitener.apply(Columns.of(model, spectra, x, slopes=False).values)
     data = spectra.white[model.disc]
-    ovals = OVAL if model.oval and model.transfer.body else OVAL[:1]
-    tags = TAG if model.tag is not None else TAG[1:2]
-    both = list(product(tags, ovals))
-    power = np.stack([model.power(spectra.moving, *one) for one in both])
     best, found = -np.inf, Powers(0.0)
-    for sigma in CLUTTER if clutter is None else (clutter,):
-        lam = variance(spectra, model, sigma)[None]
-        values = log_evidence(columns, data, lam, power)
-        i = int(values.argmax())
-        if values[i] > best:
-            best, found = float(values[i]), Powers(sigma, *both[i])
+    bodies = BODY if model.transfer.body else BODY[:1]
+    tags = TAG if model.tag is not None else TAG[1:2]
+    for ovals in (OVAL[1:2], OVAL) if model.oval and model.transfer.body else (OVAL[1:2],):
+        if len(ovals) > 1:
+            bodies, tags = (found.body,), (found.tag,)
+        some = list(product(bodies, tags, ovals))
+        power = np.stack([model.power(spectra.moving, *one) for one in some])
+        sigmas = CLUTTER if clutter is None else (clutter,)
+        for sigma in sigmas if len(ovals) == 1 else (found.clutter,):
+            values = log_evidence(columns, data, variance(spectra, model, sigma)[None], power)
+            i = int(values.argmax())
+            if values[i] > best:
+                best, found = float(values[i]), Powers(sigma, *some[i])
     return found, best + model.log_prior(x)[0] - model.overlap(x)
 
 
@@ -125,7 +133,7 @@ def _expanded(
 def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: int) -> tuple[Floats, _Here]:
     """Levenberg and Marquardt's method from x at fixed powers."""
     lam = variance(spectra, model, powers.clutter)
-    power = model.power(spectra.moving, powers.tag, powers.oval)
+    power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
     value = _value(spectra, model, x, lam, power)
     here = _expanded(spectra, model, x, lam, value)
     damping = 1e-2
@@ -171,4 +179,5 @@ def refined(
     if sign <= 0:
         volume = float(np.log(np.maximum(np.diag(curved), 1e-300)).sum())
     log_z = log + 0.5 * len(x) * np.log(2 * np.pi) - 0.5 * float(volume)
-    return Found(model, x, powers, log, log_z)
+    spread = float(1 / np.sqrt(max(np.linalg.eigvalsh(curved[:2, :2])[0], 1e-30)))
+    return Found(model, x, powers, log, log_z, spread)

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.reading import search
 from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M, Arrangement, Columns, Model
-from tagid.reading.descent import CLUTTER, Found, Powers, best_powers, refined, variance
-from tagid.reading.spectra import CLUTTER_RADII_M, Complex, Floats, Spectra
+from tagid.reading.descent import Found, Powers, best_powers, refined, variance
+from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import BARE, FACING, FILLED, OPEN, POINTS, THIN
 from tagid.reading.transfers.shade import SHADE
 from tagid.reading.transfers.transfer import Transfer
@@ -30,6 +31,10 @@ FREE_RINGS_M = (0.028, 0.036, 0.045, 0.054, 0.063, 0.072, 0.082, 0.09, 0.1, 0.11
 FIRST, THEN = 24, 8
 """Starts that are refined under much clutter, and those of them that are refined wholly."""
 _GRID_M = 4e-3
+FITS_M = 0.012
+"""A layout is tried where a free arrangement differs from it by less, m."""
+_KNOWN_M = 1.5e-3
+"""A body's centre is known well enough for the search where its standard deviation is below."""
 _MIDDLE_M = 5e-3
 """A reflector nearer to the axis is the middle one: beside a body it looks like that."""
 
@@ -111,11 +116,14 @@ class Contest:
     def run(self) -> list[Hypothesis]:
         """All hypotheses, the best first."""
         bodies = self._untagged()
-        centre = bodies[0].found.centre
-        clutter = [max(one.found.powers.clutter, 1e-3) for one in bodies[:2]]
-        starts = [one for transfer in self.transfers for one in self._starts(transfer, centre, clutter)]
+        body = max(bodies, key=lambda one: one.log_z).found
+        grid = [complex(x, y) for x in _GRID_M * np.arange(-2, 3) for y in _GRID_M * np.arange(-2, 3)]
+        near = [body.centre, *(grid if body.centre_sd_m > _KNOWN_M else [])]
+        powers = [replace(one.found.powers, clutter=max(one.found.powers.clutter, 1e-3)) for one in bodies[:2]]
+        starts = [one for transfer in self.transfers for one in self._starts(transfer, near if transfer.body else [body.centre, *grid], powers)]
         for enrolled in (True, False):
             self._refine([one for one in starts if (one.layout is not None) == enrolled])
+        self._as_enrolled()
         self._one_less()
         self._beside_odd()
         self._one_more()
@@ -138,6 +146,20 @@ class Contest:
             found = refined(self.spectra, rough.model, rough.x, (1e-3, None))
             done.append(found)
             self.add(starts[i].layout, found, starts[i].middle)
+
+    def _as_enrolled(self) -> None:
+        """Layouts where the best free arrangements stand, if they are about the same."""
+        free = [one for one in self.hypotheses if one.tagged and one.layout is None]
+        for one in sorted(free, key=lambda one: -one.log_z)[:6]:
+            model = one.found.model
+            for layout in self.layouts:
+                arranged = _Arranged.of(layout, model.transfer.body)
+                pose = _pose(arranged.tag, one.found.places)
+                if pose is None:
+                    continue
+                x = np.array([pose[0].real, pose[0].imag, pose[1], 0.0])
+                own = Model(model.transfer, arranged.tag, model.oval, disc_of(arranged.radius_m))
+                self.add(layout, refined(self.spectra, own, x, (1e-2, None)), arranged.middle)
 
     def _one_less(self) -> None:
         """The best layouts without one of their reflectors, which then is missing or was never there."""
@@ -166,10 +188,10 @@ class Contest:
             self.add(None, refined(self.spectra, Model(BARE, None, False, disc), np.zeros(2), (None,), 1))
         return bodies
 
-    def _starts(self, transfer: Transfer, centre: complex, clutter: Sequence[float]) -> list[Candidate]:
+    def _starts(
+        self, transfer: Transfer, centres: Sequence[complex], powers: Sequence[Powers]
+    ) -> list[Candidate]:
         """Layouts at their best turns, and free arrangements, by tables of single reflectors."""
-        grid = _GRID_M * np.arange(-2, 3)
-        centres = [centre] if transfer.body else [centre, *(complex(x, y) for x in grid for y in grid)]
         offsets = (0.0,) if transfer.radius_sd_m < 5e-3 else (-0.009, 0.0, 0.011)
         arranged = [_Arranged.of(one, transfer.body) for one in self.layouts]
         found: list[Candidate] = []
@@ -177,26 +199,31 @@ class Contest:
             model = Model(transfer, None, transfer.body, disc)
             own = [one for one in arranged if disc_of(one.radius_m) == disc]
             free_m = [r for r in FREE_RINGS_M if disc_of(r) == disc]
-            rings = sorted({r for one in own for o in offsets for r in one.rings(o)} | {(r, 0.0) for r in free_m})
             about = []
+            enrolled: dict[str, list[Candidate]] = {one.layout.name: [] for one in own}
             for c in centres:
-                table = search.tables(self.spectra, model, c, rings, Powers(clutter[disc]))
+                tables: dict[tuple[tuple[float, float], ...], search.Tables] = {}
                 best = -np.inf
-                for one in own:
-                    for o in offsets:
-                        ring = np.array([rings.index(r) for r in one.rings(o)])
-                        for s in search.turned(table, ring, one.tag.angle, 2):
-                            x = np.array([c.real, c.imag, s.angles[0], o])
-                            found.append(Candidate(s.log, one.layout, replace(model, tag=one.tag), x, one.middle))
-                            best = max(best, s.log)
-                about.append((best, c, table))
-            for _, c, table in sorted(about, key=lambda one: -one[0])[:2]:
-                pairs = [search.free(table, rings.index((r, 0.0)), 2, 1)[-1].log for r in free_m]
+                for one, o in product(own, offsets):
+                    rings = tuple(dict.fromkeys(one.rings(o)))
+                    if rings not in tables:
+                        tables[rings] = search.tables(self.spectra, model, c, rings, powers[disc])
+                    ring = np.array([rings.index(r) for r in one.rings(o)])
+                    for s in search.turned(tables[rings], ring, one.tag.angle, 2):
+                        x = np.array([c.real, c.imag, s.angles[0], o])
+                        start = Candidate(s.log, one.layout, replace(model, tag=one.tag), x, one.middle)
+                        enrolled[one.layout.name].append(start)
+                        best = max(best, s.log)
+                about.append((best, c))
+            for some in enrolled.values():
+                found += _unlike(some, 2)
+            for _, c in sorted(about, key=lambda one: -one[0])[:2]:
+                every = [search.tables(self.spectra, model, c, [(r, 0.0)], powers[disc]) for r in free_m]
+                pairs = [search.free(table, 0, 2, 1)[-1].log for table in every]
                 for i in np.argsort(pairs)[::-1][:2]:
-                    r = free_m[i]
-                    for s in search.free(table, rings.index((r, 0.0)), MOST_REFLECTORS, 2):
+                    for s in search.free(every[i], 0, MOST_REFLECTORS, 2):
                         x = np.r_[c.real, c.imag, np.zeros(len(s.angles)), 0.0]
-                        tag = Arrangement.ring(r, np.array(s.angles))
+                        tag = Arrangement.ring(free_m[i], np.array(s.angles))
                         found.append(Candidate(s.log, None, replace(model, tag=tag), x, False))
         return found
 
@@ -235,7 +262,7 @@ class Contest:
         whitener = spectra.whiteners[model.disc]
         columns = whitener.apply(Columns.of(model, spectra, found.x, slopes=False).values) / np.sqrt(lam)[:, None]
         y = spectra.white[model.disc] / np.sqrt(lam)
-        power = model.power(spectra.moving, found.powers.tag, found.powers.oval)
+        power = model.power(spectra.moving, found.powers.body, found.powers.tag, found.powers.oval)
         matrix = columns.conj() @ np.swapaxes(columns, 1, 2) + np.eye(columns.shape[1]) / power[:, None, :]
         inverse = np.linalg.inv(matrix)
         left = y - ((inverse @ (columns.conj() @ y[..., None]))[..., 0][:, None] @ columns)[:, 0]
@@ -270,6 +297,36 @@ class Contest:
 def disc_of(radius_m: float) -> int:
     """Number of the clutter's disc for reflectors at a distance from the axis, m."""
     return 0 if radius_m < 0.08 else 1
+
+
+def _pose(tag: Arrangement, places: Complex) -> tuple[complex, float] | None:
+    """Centre and turn that lay a tag's reflectors on places (K,), x + jy, m; None where they are far off."""
+    if tag.count != len(places) or tag.count < 2:
+        return None
+    flat = tag.radius_m * np.exp(1j * tag.angle)
+    best, found = FITS_M, None
+    for order in permutations(range(tag.count)):
+        p = places[list(order)]
+        turn = np.vdot(flat - flat.mean(), p - p.mean())
+        turn = turn / max(abs(turn), 1e-30)
+        off = np.abs((flat - flat.mean()) * turn - (p - p.mean())).max()
+        if off < best:
+            best, found = float(off), (complex(p.mean() - flat.mean() * turn), float(np.angle(turn)))
+    return found
+
+
+def _unlike(starts: list[Candidate], count: int) -> list[Candidate]:
+    """The best starts of one layout whose reflectors stand in other places."""
+    out: list[Candidate] = []
+    for one in sorted(starts, key=lambda one: -one.log):
+        places = one.model.places(one.x)
+        if all(
+            np.abs(places[:, None] - other.model.places(other.x)).min(axis=1).max() > 0.015 for other in out
+        ):
+            out.append(one)
+        if len(out) == count:
+            break
+    return out
 
 
 def _same_place(one: Found, other: Found) -> bool:

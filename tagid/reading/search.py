@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.loops import loop
-from tagid.reading.columns import WIDE, Model, patterns
+from tagid.reading.columns import Model, patterns
 from tagid.reading.descent import Powers
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.transfer import Transfer
@@ -121,7 +121,7 @@ def _even(
     w = np.fft.fft(np.concatenate(columns, axis=1), axis=-1) / np.sqrt(views) / root[:, None, None]
     undone = np.exp(1j * spectra.kappa[:, None] * (np.abs(spectra.antenna - centre) - spectra.distance_m))
     room, body = (np.fft.fft(one, axis=-1) / np.sqrt(views) / root for one in (undone, np.ones_like(undone)))
-    held_out, charge = _orthogonal([room, body] if transfer.body else [room], WIDE * spectra.moving)
+    held_out, charge = _orthogonal([room, body] if transfer.body else [room], powers.body * spectra.moving)
     y = np.fft.fft(spectra.data * undone, axis=-1) / np.sqrt(views) / root
     y, base = _cleared(y, held_out)
     base -= 2 * float(np.log(root[:, 1:]).sum()) + (charge if transfer.body else 0.0)
@@ -157,7 +157,7 @@ def _uneven(
     held_out, charge = [], 0.0
     if transfer.body:
         body, _ = spectra.waves(np.array([centre]), np.zeros(1))
-        held_out, charge = _orthogonal([whitener.apply(body)[:, 0] / root], WIDE * spectra.moving)
+        held_out, charge = _orthogonal([whitener.apply(body)[:, 0] / root], powers.body * spectra.moving)
     y, base = _cleared(spectra.white[model.disc] / root, held_out)
     base -= 2 * float(np.log(root).sum()) + charge
     q = np.stack(held_out, axis=1) if held_out else np.zeros((f, 0, y.shape[1]))
