@@ -29,6 +29,8 @@ RING_M = (0.02, 0.14)
 """A free ring has a radius between these, m."""
 UNLIKE = 0.2
 """Reflectors of one tag differ in strength by this standard deviation, over their mean."""
+SECTORS = 36
+"""Sectors, starts times widths, of which one may be hidden."""
 ODD_POWER = 0.1
 """Prior power of an odd scatterer, over the moving energy."""
 
@@ -141,6 +143,7 @@ class Model:
         oval: the body may be oval: two tangents.
         disc: number of the clutter's disc, see `CLUTTER_RADII_M`.
         odd: number of odd scatterers.
+        hidden: start and width, rad, of a sector of directions from which no reflector is seen; width 0: none.
     """
 
     transfer: Transfer
@@ -148,6 +151,7 @@ class Model:
     oval: bool
     disc: int
     odd: int = 0
+    hidden: tuple[float, float] = (0.0, 0.0)
 
     @property
     def parameters(self) -> int:
@@ -227,6 +231,7 @@ class Model:
             log -= self.tag.turns * np.log(2 * np.pi)
             log -= self.tag.free.sum() * np.log(np.ptp(RING_M)) - _log_factorial(self.tag.turns)
         log -= self.odd * np.log(np.pi * REACH_M**2) - _log_factorial(self.odd)
+        log -= np.log(SECTORS) if self.hidden[1] else 0.0
         return log, slope, hessian
 
     def overlap(self, x: Floats) -> float:
@@ -286,6 +291,10 @@ class Columns:
         if tag is not None:
             facing = tag.angle + turn[tag.turn]
             pattern, turned = patterns(spectra, model.transfer, tag.radius_m, facing, slopes)
+            if model.hidden[1]:
+                seen = np.mod(spectra.direction - model.hidden[0], 2 * np.pi) >= model.hidden[1]
+                pattern = pattern * seen
+                turned = turned if turned is None else turned * seen
             parts.append(np.einsum("kpfv,fkv->fpv", pattern, waves[:, body : body + k]))
             if model.unlike:
                 parts.append(np.moveaxis(pattern[:, 0], 0, 1) * waves[:, body : body + k])

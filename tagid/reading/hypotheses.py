@@ -31,6 +31,8 @@ FREE_RINGS_M = (0.028, 0.036, 0.045, 0.054, 0.063, 0.072, 0.082, 0.09, 0.1, 0.11
 FIRST, THEN = 24, 8
 """Starts that are refined under much clutter, and those of them that are refined wholly."""
 _GRID_M = 4e-3
+HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
+"""Widths of hidden sectors."""
 FITS_M = 0.012
 """A layout is tried where a free arrangement differs from it by less, m."""
 _KNOWN_M = 1.5e-3
@@ -124,6 +126,7 @@ class Contest:
         for enrolled in (True, False):
             self._refine([one for one in starts if (one.layout is not None) == enrolled])
         self._as_enrolled()
+        self._hidden()
         self._one_less()
         self._beside_odd()
         self._one_more()
@@ -160,6 +163,18 @@ class Contest:
                 x = np.array([pose[0].real, pose[0].imag, pose[1], 0.0])
                 own = Model(model.transfer, arranged.tag, model.oval, disc_of(arranged.radius_m))
                 self.add(layout, refined(self.spectra, own, x, (1e-2, None)), arranged.middle)
+
+    def _hidden(self) -> None:
+        """The best bare tags, not seen from a sector of directions: behind a post or a hand."""
+        bare = [one for one in self.hypotheses if one.tagged and not one.found.model.transfer.body]
+        for enrolled in (True, False):
+            some = [one for one in bare if (one.layout is not None) == enrolled]
+            for one in sorted(some, key=lambda one: -one.log_z)[:2]:
+                starts = 2 * np.pi * np.arange(12) / 12
+                sectors = [replace(one.found.model, hidden=(s, w)) for s in starts for w in HIDDEN_RAD]
+                logs = [best_powers(self.spectra, model, one.found.x, 1e-2)[1] for model in sectors]
+                model = sectors[int(np.argmax(logs))]
+                self.add(one.layout, refined(self.spectra, model, one.found.x, (1e-2, None)), one.middle)
 
     def _one_less(self) -> None:
         """The best layouts without one of their reflectors, which then is missing or was never there."""
