@@ -235,14 +235,18 @@ class Model:
         return log, slope, hessian
 
     def overlap(self, x: Floats) -> float:
-        """Nats that reflectors and odd scatterers cost which stand in one place."""
+        """Nats that reflectors and odd scatterers cost which stand in one place, and rings of no tag."""
         places = np.concatenate([self.places(x), self.split(x)[3]])
-        rigid = np.arange(len(places))
+        height = np.zeros(len(places))
+        beyond = 0.0
         if self.tag is not None:
-            rigid[: self.tag.count] = -1 - self.tag.turn
+            height[: self.tag.count] = self.tag.height_m
+            radius = self.tag.radius_m + self.split(x)[2][self.tag.stretch]
+            radius = radius[self.tag.free[self.tag.stretch]]
+            beyond = float((np.maximum(RING_M[0] - radius, radius - RING_M[1]).clip(0) ** 2).sum())
         first, second = np.triu_indices(len(places), 1)
-        gap = np.abs(places[first] - places[second])[rigid[first] != rigid[second]]
-        return float((np.maximum(CLOSEST_M - gap, 0) ** 2).sum() / (2 * CLOSE_SD_M**2))
+        gap = np.hypot(np.abs(places[first] - places[second]), height[first] - height[second])
+        return float((np.maximum(CLOSEST_M - gap, 0) ** 2).sum() + beyond) / (2 * CLOSE_SD_M**2)
 
 
 def _log_factorial(n: int) -> float:

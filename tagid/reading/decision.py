@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tagid.reading.columns import MOUNTING_SD_M
 from tagid.reading.descent import Found
 from tagid.reading.hypotheses import Hypothesis
+from tagid.reading.spectra import Complex
 
 SURE = float(np.log(1000))
 """Lead from which a name is given, nats: one false in a thousand where the hypotheses are complete."""
 SAME_M = 8e-3
 """Reflectors nearer than this are the same ones."""
+BUILT_M = MOUNTING_SD_M
+"""Where nothing stands beside them, reflectors that are off by more are another tag."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,20 +68,27 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
     if not one.tagged:
         return False
     own, other = one.found, best.found
-    if not _enrolled_radius(own, other):
-        return False
-    target = other.places
     bare = not own.model.transfer.body
-    if bare and best.middle and other.model.transfer.body:
-        target = np.append(target, other.centre)
+    target = other.places
+    if best.middle and other.model.transfer.body:
+        target = np.append(target, other.centre) if bare else target
     alike = own.places
-    if bare and len(alike) == len(target) and _congruent(alike, target):
-        return True
-    every = np.concatenate([alike, own.odd] + ([[own.centre]] if best.middle and not bare else []))
-    near = np.abs(target[:, None] - every).min(axis=1) < SAME_M
-    spare = np.append(target, other.centre) if best.middle else target
-    extra = np.abs(alike[:, None] - spare).min(axis=1) >= SAME_M
-    return bool(near.all() and not extra.any())
+    every = np.concatenate([alike, own.odd])
+    apart = np.abs(target[:, None] - every)
+    stray = np.abs(alike[:, None] - target).min(axis=1) >= SAME_M
+    if (apart.min(axis=1) >= SAME_M).any() or stray.any():
+        return False
+    if bare and not other.model.transfer.body and other.model.tag is not None:
+        nominal = other.model.tag.radius_m * np.exp(1j * other.model.tag.angle)
+        return _off(nominal, every[apart.argmin(axis=1)]) < BUILT_M
+    return _enrolled_radius(own, other)
+
+
+def _off(a: Complex, b: Complex) -> float:
+    """Largest distance between points a (K,) and b (K,) under the best rigid motion, m."""
+    u, v = a - a.mean(), b - b.mean()
+    turn = np.vdot(u, v)
+    return float(np.abs(u * (turn / max(abs(turn), 1e-30)) - v).max())
 
 
 def _enrolled_radius(own: Found, other: Found) -> bool:
@@ -90,18 +99,6 @@ def _enrolled_radius(own: Found, other: Found) -> bool:
     radius = np.abs(own.places - own.centre)
     slack = max(SAME_M, 3 * own.model.transfer.radius_sd_m)
     return bool((np.abs(radius[:, None] - enrolled.radius_m).min(axis=1) < slack).all())
-
-
-def _congruent(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> bool:
-    """Points (K,) are the same under a rigid motion, each within `SAME_M`."""
-    if len(a) > 6:
-        return False
-    for order in permutations(range(len(b))):
-        u, v = a - a.mean(), b[list(order)] - b.mean()
-        w = np.vdot(v, u)
-        if np.abs(u - v * (w / abs(w) if abs(w) > 0 else 1.0)).max() < SAME_M:
-            return True
-    return False
 
 
 def words(one: Hypothesis) -> str:
