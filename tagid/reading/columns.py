@@ -65,7 +65,9 @@ class Arrangement:
         """Reflectors at any angles (K,), rad, of one free ring."""
         k = len(angle)
         zero = np.zeros(k, dtype=np.intp)
-        return cls(np.full(k, radius_m), np.asarray(angle), np.zeros(k), np.arange(k), zero, np.ones(1, dtype=bool))
+        return cls(
+            np.full(k, radius_m), np.asarray(angle), np.zeros(k), np.arange(k), zero, np.ones(1, dtype=bool)
+        )
 
     @classmethod
     def points(cls, places: Complex) -> Arrangement:
@@ -75,8 +77,8 @@ class Arrangement:
 
     def of(self, which: NDArray[np.intp]) -> Arrangement:
         """Some of the reflectors."""
-        parts = (self.radius_m, self.angle, self.height_m, self.turn, self.stretch)
-        return Arrangement(*(part[which] for part in parts), self.free)
+        places = self.radius_m[which], self.angle[which], self.height_m[which]
+        return Arrangement(*places, self.turn[which], self.stretch[which], self.free)
 
     def and_one(self, place: complex) -> Arrangement:
         """One reflector more, anywhere, x + jy, m, with a turn and a stretch of its own."""
@@ -143,7 +145,7 @@ class Model:
         oval: the body may be oval: two tangents.
         disc: number of the clutter's disc, see `CLUTTER_RADII_M`.
         odd: number of odd scatterers.
-        hidden: start and width, rad, of a sector of directions from which no reflector is seen; width 0: none.
+        hidden: start and width, rad, of a sector of directions that sees no reflector; width 0: none.
     """
 
     transfer: Transfer
@@ -303,7 +305,7 @@ class Columns:
             if model.unlike:
                 parts.append(np.moveaxis(pattern[:, 0], 0, 1) * waves[:, body : body + k])
         parts.append(waves[:, body + k :])
-        values = np.concatenate(parts, axis=1) if parts else np.zeros((len(spectra.kappa), 0, spectra.views))
+        values = np.concatenate(parts, axis=1)
         return cls(model, spectra, x, values, waves, toward, range_m, pattern, turned, oval)
 
     def _weighted(self, weights: Complex) -> tuple[Complex, Complex | None]:
@@ -357,8 +359,8 @@ class Columns:
             outward = np.exp(1j * (model.tag.angle + turn[model.tag.turn]))
             across = 1j * (model.places(x) - centre)
             own = slice(first, first + k)
-            spun = along_x[:, own] * across.real[:, None] + along_y[:, own] * across.imag[:, None]
-            spun -= turned * self.waves[:, own]
+            spun = np.asarray(-turned * self.waves[:, own])
+            spun += along_x[:, own] * across.real[:, None] + along_y[:, own] * across.imag[:, None]
             drawn = along_x[:, own] * outward.real[:, None] + along_y[:, own] * outward.imag[:, None]
             for i in range(k):
                 out[row + model.tag.turn[i]] += spun[:, i]

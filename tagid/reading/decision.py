@@ -92,7 +92,7 @@ def _off(a: Complex, b: Complex) -> float:
 
 
 def _enrolled_radius(own: Found, other: Found) -> bool:
-    """Whether the radii of some reflectors may be those of the other's layout, seen through their transfer."""
+    """Whether some reflectors may have the radii of the other's layout, seen through their transfer."""
     tag, enrolled = own.model.tag, other.model.tag
     if tag is None or enrolled is None or not own.model.transfer.body or not tag.free.all():
         return True
@@ -118,4 +118,5 @@ def words(one: Hypothesis) -> str:
     gaps = np.diff(np.append(angle, angle[0] + 360))
     gaps = np.sort(gaps)[:-1] if count == 2 else gaps
     apart = " and ".join(f"{g:.0f}" for g in gaps)
-    return f"{count} reflectors {apart} degrees apart, {np.abs(places).mean() * 1e3:.0f} mm from the centre{where}{odd}"
+    out = np.abs(places).mean() * 1e3
+    return f"{count} reflectors {apart} degrees apart, {out:.0f} mm from the centre{where}{odd}"

@@ -17,7 +17,7 @@ CLUTTER = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)
 TAG = (0.03, 0.3, 3.0)
 """Powers of a reflector that are tried, over the moving energy."""
 BODY = (0.1, 3.0, 100.0, 3000.0)
-"""Powers of a body that are tried, over the moving energy: the part of it that does not move is the room's."""
+"""Powers of a body that are tried, over the moving energy: what does not move is the room's."""
 OVAL = (1e-5, 1e-3, 1e-1)
 """Powers of a body's oval part that are tried, over the body's."""
 _FAR_M = 0.03
@@ -26,7 +26,7 @@ _FAR_M = 0.03
 
 @dataclass(frozen=True)
 class Powers:
-    """Prior powers of clutter, body and reflectors, over the moving energy; of oval tangents, over the body's."""
+    """Prior powers of clutter, body and reflectors over the moving energy, of ovals over the body's."""
 
     clutter: float
     body: float = 100.0
@@ -73,7 +73,9 @@ def variance(spectra: Spectra, model: Model, clutter: float) -> Floats:
     return np.asarray(1 + clutter * spectra.moving[:, None] * spectra.whiteners[model.disc].variance)
 
 
-def best_powers(spectra: Spectra, model: Model, x: Floats, clutter: float | None = None) -> tuple[Powers, float]:
+def best_powers(
+    spectra: Spectra, model: Model, x: Floats, clutter: float | None = None
+) -> tuple[Powers, float]:
     """The powers of the largest evidence at some parameters, and its log density."""
     whitener = spectra.whiteners[model.disc]
     columns = whitener.apply(Columns.of(model, spectra, x, slopes=False).values)
@@ -102,7 +104,9 @@ class _Here:
     hessian: Floats
 
 
-def _value(spectra: Spectra, model: Model, x: Floats, lam: Floats, power: Floats) -> tuple[float, Columns, Fit]:
+def _value(
+    spectra: Spectra, model: Model, x: Floats, lam: Floats, power: Floats
+) -> tuple[float, Columns, Fit]:
     columns = Columns.of(model, spectra, x)
     whitener = spectra.whiteners[model.disc]
     found = fit(whitener.apply(columns.values), spectra.white[model.disc], lam, power)
@@ -144,11 +148,11 @@ def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: i
         promised = float(step @ here.gradient)
         if promised < 0.02:
             break
-        good = np.hypot(trial[0], trial[1]) < _FAR_M
-        value = _value(spectra, model, trial, lam, power) if good else (-np.inf, None, None)
-        if value[0] > here.log:
+        near = np.hypot(trial[0], trial[1]) < _FAR_M
+        value = _value(spectra, model, trial, lam, power) if near else value
+        if near and value[0] > here.log:
             x, gained = trial, value[0] - here.log
-            here = _expanded(spectra, model, x, lam, value)  # type: ignore[arg-type]
+            here = _expanded(spectra, model, x, lam, value)
             damping /= 5
             if gained < 0.02:
                 break
@@ -160,7 +164,11 @@ def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: i
 
 
 def refined(
-    spectra: Spectra, model: Model, x: Floats, stages: tuple[float | None, ...] = (1e-2, None), rounds: int = 6
+    spectra: Spectra,
+    model: Model,
+    x: Floats,
+    stages: tuple[float | None, ...] = (1e-2, None),
+    rounds: int = 6,
 ) -> Found:
     """The most probable parameters near a start.
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.reading.spectra import Complex, Floats
 
@@ -79,11 +78,10 @@ def fit(columns: Complex, data: Complex, lam: Floats, power: Floats) -> Fit:
     n = columns.shape[1]
     matrix[:, np.arange(n), np.arange(n)] += 1 / power
     right = (scaled.conj() @ y[..., None])[..., 0]
-    inverse = np.linalg.inv(matrix)
+    inverse = np.asarray(np.linalg.inv(matrix), dtype=np.complex128)
     amplitudes = (inverse @ right[..., None])[..., 0]
     left = y - (amplitudes[:, None] @ scaled)[:, 0]
     adjoint = left[:, None] * amplitudes.conj()[..., None] - np.swapaxes(inverse, 1, 2) @ scaled
     log = (right.conj() * amplitudes).sum().real + np.linalg.slogdet(inverse)[1].sum()
     log -= (np.abs(y) ** 2).sum() + np.log(lam).sum() + np.log(power).sum()
     return Fit(float(log), amplitudes, adjoint / root[:, None], scaled, inverse)
-

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.reading import search
 from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M, Arrangement, Columns, Model
@@ -119,10 +118,13 @@ class Contest:
         """All hypotheses, the best first."""
         bodies = self._untagged()
         body = max(bodies, key=lambda one: one.log_z).found
-        grid = [complex(x, y) for x in _GRID_M * np.arange(-2, 3) for y in _GRID_M * np.arange(-2, 3)]
-        near = [body.centre, *(grid if body.centre_sd_m > _KNOWN_M else [])]
-        powers = [replace(one.found.powers, clutter=max(one.found.powers.clutter, 1e-3)) for one in bodies[:2]]
-        starts = [one for transfer in self.transfers for one in self._starts(transfer, near if transfer.body else [body.centre, *grid], powers)]
+        steps = _GRID_M * np.arange(-2, 3)
+        centres = [body.centre, *(complex(x, y) for x in steps for y in steps)]
+        known = body.centre_sd_m < _KNOWN_M
+        powers = [replace(one.found.powers, clutter=max(one.found.powers.clutter, 1e-3)) for one in bodies]
+        starts: list[Candidate] = []
+        for transfer in self.transfers:
+            starts += self._starts(transfer, centres[:1] if transfer.body and known else centres, powers)
         for enrolled in (True, False):
             self._refine([one for one in starts if (one.layout is not None) == enrolled])
         self._as_enrolled()
@@ -135,7 +137,7 @@ class Contest:
     def _refine(self, starts: list[Candidate]) -> None:
         """The best starts under much clutter first, and the best of those wholly."""
         starts = sorted(starts, key=lambda one: -one.log)[:FIRST]
-        near = []
+        near: list[tuple[float, int, Found]] = []
         for one in starts:
             found = refined(self.spectra, one.model, one.x, (1e-2,), 4)
             near.append((found.log_z, len(near), found))
@@ -152,8 +154,7 @@ class Contest:
 
     def _as_enrolled(self) -> None:
         """Layouts where the best free arrangements stand, if they are about the same."""
-        free = [one for one in self.hypotheses if one.tagged and one.layout is None]
-        for one in sorted(free, key=lambda one: -one.log_z)[:6]:
+        for one in self._best(6, enrolled=False):
             model = one.found.model
             for layout in self.layouts:
                 arranged = _Arranged.of(layout, model.transfer.body)
@@ -178,8 +179,7 @@ class Contest:
 
     def _one_less(self) -> None:
         """The best layouts without one of their reflectors, which then is missing or was never there."""
-        named = [one for one in self.hypotheses if one.layout is not None]
-        for one in sorted(named, key=lambda one: -one.log_z)[:3]:
+        for one in self._best(3, enrolled=True):
             tag, found = one.found.model.tag, one.found
             if tag is None or tag.count < 2:
                 continue
@@ -242,12 +242,17 @@ class Contest:
                         found.append(Candidate(s.log, None, replace(model, tag=tag), x, False))
         return found
 
+    def _best(self, count: int, *, enrolled: bool) -> list[Hypothesis]:
+        """The best hypotheses with reflectors, of layouts or of arrangements that are not enrolled."""
+        some = [one for one in self.hypotheses if one.tagged and (one.layout is not None) == enrolled]
+        return sorted(some, key=lambda one: -one.log_z)[:count]
+
     def _beside_odd(self) -> None:
         """The best of every kind beside odd scatterers, added while they pay."""
         kinds: tuple[tuple[list[Hypothesis], int], ...] = (
             ([h for h in self.hypotheses if not h.tagged], MOST_ODD_UNTAGGED),
-            (sorted((h for h in self.hypotheses if h.layout is not None), key=lambda h: -h.log_z)[:5], MOST_ODD),
-            (sorted((h for h in self.hypotheses if h.tagged and h.layout is None), key=lambda h: -h.log_z)[:9], MOST_ODD),
+            (self._best(5, enrolled=True), MOST_ODD),
+            (self._best(9, enrolled=False), MOST_ODD),
         )
         for some, most in kinds:
             for one in some:
@@ -275,7 +280,9 @@ class Contest:
             self._maps[model.disc] = spectra.whiteners[model.disc].apply(waves)
         lam = variance(spectra, model, found.powers.clutter)
         whitener = spectra.whiteners[model.disc]
-        columns = whitener.apply(Columns.of(model, spectra, found.x, slopes=False).values) / np.sqrt(lam)[:, None]
+        columns = (
+            whitener.apply(Columns.of(model, spectra, found.x, slopes=False).values) / np.sqrt(lam)[:, None]
+        )
         y = spectra.white[model.disc] / np.sqrt(lam)
         power = model.power(spectra.moving, found.powers.body, found.powers.tag, found.powers.oval)
         matrix = columns.conj() @ np.swapaxes(columns, 1, 2) + np.eye(columns.shape[1]) / power[:, None, :]
@@ -304,7 +311,7 @@ class Contest:
             for odd in found.odd:
                 places = np.append(found.places, odd) - found.centre
                 more = tag.and_one(complex(places[-1]))
-                model = Model(found.model.transfer, more, found.model.oval, found.model.disc)
+                model = replace(found.model, tag=more, odd=0)
                 x = np.r_[found.x[:3], 0.0, found.x[3], 0.0]
                 self._grow(self.add(None, refined(self.spectra, model, x, (None,)), one.middle), MOST_ODD)
 

@@ -19,7 +19,6 @@ from tagid.loops import loop
 from tagid.reading.columns import Model, patterns
 from tagid.reading.descent import Powers
 from tagid.reading.spectra import Complex, Floats, Spectra
-from tagid.reading.transfers.transfer import Transfer
 
 _sets = loop("tagid.reading._sets")
 
@@ -70,7 +69,9 @@ class Tables:
         chosen = np.ascontiguousarray(sets, dtype=np.int32)
         if _sets is not None:
             j = self.held.shape[-1]
-            _sets.scores(self.gram, self.held, self.right, self.power, chosen, out, f, b, v, p, j, *chosen.shape)
+            _sets.scores(
+                self.gram, self.held, self.right, self.power, chosen, out, f, b, v, p, j, *chosen.shape
+            )
             return self.base + out
         return self.base + self._scored(chosen)
 
@@ -82,10 +83,16 @@ class Tables:
         held = self.held[:, block, shift].sum(axis=2)
         apart = (shift[:, None, :] - shift[:, :, None]) % v
         matrix = self.gram[:, block[:, :, None], block[:, None, :], apart].sum(axis=(2, 3))
-        matrix = matrix - held.conj() @ np.swapaxes(held, 2, 3) + np.eye(self.power.shape[1]) / self.power[:, None, :, None]
+        matrix = (
+            matrix
+            - held.conj() @ np.swapaxes(held, 2, 3)
+            + np.eye(self.power.shape[1]) / self.power[:, None, :, None]
+        )
         factor = np.linalg.cholesky(matrix)
         half = np.linalg.solve(factor, right[..., None])[..., 0]
-        gain = (np.abs(half) ** 2).sum(axis=(0, 2)) - 2 * np.log(np.einsum("fhpp->fhp", factor).real).sum(axis=(0, 2))
+        gain = (np.abs(half) ** 2).sum(axis=(0, 2)) - 2 * np.log(np.einsum("fhpp->fhp", factor).real).sum(
+            axis=(0, 2)
+        )
         return np.asarray(gain - np.log(self.power).sum())
 
 
@@ -114,7 +121,7 @@ def _even(
     root = np.sqrt(1 + powers.clutter * spectra.moving[:, None] * variance)
     columns = []
     for radius, height in rings:
-        facing = step * np.arange(fractions)
+        facing = np.asarray(step * np.arange(fractions), dtype=np.float64)
         waves, _ = spectra.waves(radius * np.exp(1j * facing), np.full(fractions, height))
         seen, _ = patterns(spectra, transfer, np.full(fractions, radius), facing)
         columns.append(waves[:, :, None] * np.moveaxis(seen, 2, 0))
@@ -135,17 +142,19 @@ def _even(
     gram = np.moveaxis(np.fft.fft(product, axis=-1), 5, 3)
     power = spectra.moving[:, None] * powers.tag * np.array(transfer.power)
     pack = np.ascontiguousarray
-    return Tables(pack(gram), pack(right), pack(held), pack(power), base, len(rings), views * fractions, fractions, step)
+    return Tables(
+        pack(gram), pack(right), pack(held), pack(power), base, len(rings), views * fractions, fractions, step
+    )
 
 
 def _uneven(
     spectra: Spectra, model: Model, centre: complex, rings: Sequence[tuple[float, float]], powers: Powers
 ) -> Tables:
     transfer, whitener = model.transfer, spectra.whiteners[model.disc]
-    angles = int(round(2 * np.pi / (1.5 * STEP_RAD)))
+    angles = round(2 * np.pi / (1.5 * STEP_RAD))
     step = 2 * np.pi / angles
     root = np.sqrt(1 + powers.clutter * spectra.moving[:, None] * whitener.variance)
-    facing = step * np.arange(angles)
+    facing = np.asarray(step * np.arange(angles), dtype=np.float64)
     parts = []
     for radius, height in rings:
         waves, _ = spectra.waves(centre + radius * np.exp(1j * facing), np.full(angles, height))
@@ -154,7 +163,8 @@ def _uneven(
     w = np.concatenate(parts, axis=1)
     f, count, p, v = w.shape
     w = (whitener.apply(w.reshape(f, count * p, v)) / root[:, None]).reshape(f, count, p, -1)
-    held_out, charge = [], 0.0
+    held_out: list[Complex] = []
+    charge = 0.0
     if transfer.body:
         body, _ = spectra.waves(np.array([centre]), np.zeros(1))
         held_out, charge = _orthogonal([whitener.apply(body)[:, 0] / root], powers.body * spectra.moving)
@@ -214,7 +224,9 @@ def turned(table: Tables, ring: NDArray[np.intp], angle: Floats, count: int) -> 
         count: number of turns, which are local maxima.
     """
     turn = table.step_rad * np.arange(table.angles)
-    sets = np.stack([table.index(np.full(table.angles, r), turn + a) for r, a in zip(ring, angle, strict=True)], axis=1)
+    sets = np.stack(
+        [table.index(np.full(table.angles, r), turn + a) for r, a in zip(ring, angle, strict=True)], axis=1
+    )
     scores = table.scores(sets)
     peaks = np.flatnonzero((scores >= np.roll(scores, 1)) & (scores >= np.roll(scores, -1)))
     best = peaks[np.argsort(-scores[peaks])][:count]
@@ -230,14 +242,16 @@ def _subsets(positions: int, least: int) -> NDArray[np.intp]:
 def free(table: Tables, ring: int, most: int, kept: int) -> list[Start]:
     """The best sets of one to `most` reflectors of a ring, grown one by one; `kept` of every number."""
     coarse = np.arange(0, table.angles, COARSE if table.angles >= 120 else 1)
-    angle = coarse * table.step_rad
+    angle = np.asarray(coarse * table.step_rad, dtype=np.float64)
     ids = table.index(np.full(len(coarse), ring), angle)
     least = max(round(APART_RAD / abs(angle[1] - angle[0])), 1)
     found: list[Start] = []
-    sets = np.arange(len(coarse))[:, None]
+    sets, order = np.arange(len(coarse))[:, None], np.zeros(0, dtype=np.intp)
     for number in range(1, most + 1):
-        if number > 1:
-            sets = _subsets(len(coarse), least) if number == 2 else _more(sets[order[:GROWN]], len(coarse), least)
+        if number == 2:
+            sets = _subsets(len(coarse), least)
+        elif number > 2:
+            sets = _more(sets[order[:GROWN]], len(coarse), least)
         if not len(sets):
             break
         scores = table.scores(ids[sets])

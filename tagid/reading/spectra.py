@@ -198,7 +198,7 @@ class Spectra:
         )
 
     def waves(self, places: Complex, heights: Floats) -> tuple[Complex, Floats]:
-        """Echoes (F, S, V) of unit points at places x + jy (S,) and heights (S,), m, and their ranges (S, V)."""
+        """Echoes (F, S, V) of unit points at places x + jy (S,) and heights (S,), m; their ranges (S, V)."""
         range_m = np.hypot(np.abs(self.antenna - places[:, None]), self.height_m - heights[:, None])
         path = range_m - self.distance_m
         step = np.exp(-1j * (self.kappa[1] - self.kappa[0]) * path)

@@ -24,6 +24,7 @@ LAYERS = (
     {"live", "planning"},
     {"pipeline", "recording"},
     {"simulate"},
+    {"reading"},
     {"tags"},
     {"imaging"},
     {"angles", "motion", "radar", "storage"},
