@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reader_scenes import spectra_of
 
 from tagid.reading import search
 from tagid.reading.columns import Arrangement, Columns, Model
@@ -13,23 +14,19 @@ from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, FACING
 from tagid.reading.transfers.transfer import Transfer
 
-from reader_scenes import spectra_of
-
 POWERS = Powers(1e-3, body=3.0)
 CENTRE = 0.002 + 0.001j
 
 
 def exact(spectra: Spectra, transfer: Transfer, angles: np.ndarray) -> float:
     """Log evidence of alike reflectors at such angles of a ring, without tangents and unlike strength."""
-    parts = []
-    for i, angle in enumerate(angles):
+    parts, body = [], int(transfer.body)
+    for angle in angles:
         model = Model(transfer, Arrangement.ring(0.045, np.array([angle])), False, 0)
         x = np.array([CENTRE.real, CENTRE.imag, 0.0, 0.0])
         values = Columns.of(model, spectra, x, slopes=False).values
-        body = 1 if transfer.body else 0
         parts.append(values[:, body:])
-        first = values[:, :body] if i == 0 else first
-    columns = spectra.whiteners[0].apply(np.concatenate([first, sum(parts)], axis=1))
+    columns = spectra.whiteners[0].apply(np.concatenate([values[:, :body], sum(parts)], axis=1))
     tag = [POWERS.tag * p for p in transfer.power]
     power = spectra.moving[:, None] * np.array(([POWERS.body] if transfer.body else []) + tag)
     lam = variance(spectra, model, POWERS.clutter)
