@@ -33,6 +33,7 @@ class Shell:
         permittivity: relative permittivity of the wall.
         metal: a metal core inside the wall; empty otherwise. Water is nearly one.
         polarisation: "V", electric field along the axis, or "H", across it.
+        filling: relative permittivity of what fills the wall where there is no metal.
     """
 
     radius_m: float
@@ -40,6 +41,7 @@ class Shell:
     permittivity: float
     metal: bool
     polarisation: str = "V"
+    filling: float = 1.0
 
     def __post_init__(self) -> None:
         if not 0 <= self.wall_m < self.radius_m or self.permittivity < 1:
@@ -64,10 +66,13 @@ def reflection(
     metal = np.array([one.metal for one in shells])[:, None, None]
     electric = np.array([one.polarisation == "V" for one in shells])[:, None, None]
     permittivity = np.array([one.permittivity for one in shells])[:, None]
-    core = bessel(order, k * inner)
+    filling = np.array([one.filling for one in shells])[:, None]
+    inside = k * np.sqrt(filling)
+    core = bessel(order, inside * inner)
     # The pair of continuous quantities at the inner face: on metal E = 0 (TM) or dG/dr = 0 (TE).
     field = np.where(metal, np.where(electric, 0.0, 1.0), core.j)
-    slope = np.where(metal, np.where(electric, 1.0, 0.0), core.dj) * k[..., None]
+    within = inside[..., None] / np.where(electric, 1.0, filling[..., None])
+    slope = np.where(metal, np.where(electric, 1.0, 0.0) * k[..., None], core.dj * within)
     scale = np.maximum(np.maximum(np.abs(field), np.abs(slope / k[..., None])), 1e-250)
     field, slope = field / scale, slope / scale
     q = k * np.sqrt(permittivity)

@@ -15,12 +15,13 @@ from tagid.reading import search
 from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M, Arrangement, Columns, Model
 from tagid.reading.descent import Found, Powers, best_powers, refined, variance
 from tagid.reading.spectra import Complex, Floats, Spectra
-from tagid.reading.transfers.plain import BARE, FACING, FILLED, OPEN, POINTS, THIN
+from tagid.reading.transfers.plain import BARE, FILLED, POINTS
 from tagid.reading.transfers.shade import SHADE
 from tagid.reading.transfers.transfer import Transfer
+from tagid.reading.transfers.wall import WALLS
 from tagid.tags.layouts.layout import Layout
 
-TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, FACING, OPEN, THIN, FILLED, SHADE)
+TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, FILLED, *WALLS, SHADE)
 MOST_ODD, MOST_ODD_UNTAGGED = 2, 5
 """Odd scatterers beside a tag, and where there is none."""
 MOST_REFLECTORS = 4

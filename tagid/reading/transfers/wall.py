@@ -1,0 +1,92 @@
+"""Reflectors before a round wall, by the exact fields around a cylinder.
+
+A small reflector answers the electric and the magnetic field of a wave, and by reciprocity the echo takes the
+same ways back (`tagid.fields.shells.echoes`). Beside a known wall two amplitudes per frequency are left. Walls
+of one class differ in radius, thickness and permittivity: their patterns are vectors over the aspect with zero
+mean, since the amplitude has any phase, and a second moment, whose principal vectors are the transfer's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.fields.shells import Shell, echoes
+from tagid.reading.transfers.transfer import Tables, Transfer, aspects
+
+GAP_M, STEP_M = (6e-3, 28e-3), 1.5e-3
+"""From the wall to the reflectors' centres, m, and step between the members of a class."""
+SMALLEST = 0.4
+"""Radius of the smallest body, over that of the reflectors' ring."""
+STRENGTHS = ((0.5, 0.2), (0.2, 0.3))
+"""Covariance of the strengths of the electric and the magnetic dipole: a small metal sphere has them as 2 to 1."""
+
+
+@dataclass(frozen=True)
+class Walls:
+    """A class of walls.
+
+    Attributes:
+        wall_m, permittivity: of the members; thickness 0 is bare metal.
+        metal: there is metal, or water, inside the wall.
+        polarisations: "V", "H" or both.
+    """
+
+    wall_m: tuple[float, ...]
+    permittivity: tuple[float, ...]
+    metal: bool
+    polarisations: str
+
+    def shells(self, radius_m: float) -> list[Shell]:
+        """Bodies that may carry reflectors at a distance from the axis, m."""
+        nearest = min(GAP_M[0], 0.2 * radius_m)
+        farthest = max(min(GAP_M[1], (1 - SMALLEST) * radius_m), nearest)
+        count = int((farthest - nearest) / STEP_M) + 1
+        gaps = np.linspace(nearest, farthest, count)
+        every = product(gaps, self.wall_m, self.permittivity, self.polarisations)
+        return [Shell(float(radius_m - gap), wall, eps, self.metal, p) for gap, wall, eps, p in every]
+
+
+def principal(members: NDArray[np.complex128], terms: int) -> NDArray[np.complex128]:
+    """(terms, F, A) principal patterns of members (M, F, A), each as long as its share of the mean energy."""
+    flat = np.swapaxes(members, 0, 1) / np.sqrt(len(members))
+    _, vectors = np.linalg.eigh(flat @ np.swapaxes(flat.conj(), 1, 2))
+    best = vectors[..., ::-1][..., :terms]
+    return np.ascontiguousarray(np.swapaxes(np.swapaxes(best.conj(), 1, 2) @ flat, 0, 1))
+
+
+def beside(shells: Callable[[float], Sequence[Shell]], terms: int) -> Tables:
+    """Tables of reflectors beside bodies that depend on the radius of their ring, m."""
+    psi, mix = aspects(), np.linalg.cholesky(np.array(STRENGTHS))
+
+    def table(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
+        k = kappa / 2
+        free = np.exp(2j * k[:, None] * radius_m * np.cos(psi))
+        both = echoes(k, shells(radius_m), radius_m, psi) / free
+        mixed = np.tensordot(mix.T, both, 1)
+        return principal(mixed.reshape(-1, *mixed.shape[2:]), terms)
+
+    return table
+
+
+def wall(name: str, words: str, walls: Walls, terms: int) -> Transfer:
+    """The transfer of a class of walls."""
+    return Transfer(name, words, True, (1.0,) * terms, beside(walls.shells, terms))
+
+
+GLASS = (2e-3, 3e-3, 4.2e-3), (4.0, 5.5, 7.5)
+PLASTIC = (0.8e-3, 1.6e-3, 2.5e-3, 3.5e-3), (2.5,)
+
+WALLS = tuple(
+    wall(f"{name}, {polarisation}", words, Walls(*made, polarisation), terms)
+    for name, words, made, terms in (
+        ("metal", "metal or a filled vessel", ((0.0,), (1.0,), True), 3),
+        ("glass", "a wall of glass or ceramic", (*GLASS, False), 5),
+        ("plastic", "a wall of plastic", (*PLASTIC, False), 3),
+    )
+    for polarisation in ("V", "H")
+)
