@@ -29,6 +29,8 @@ RING_M = (0.02, 0.14)
 """A free ring has a radius between these, m."""
 UNLIKE = 0.2
 """Reflectors of one tag differ in strength by this standard deviation, over their mean."""
+TABLE_FROM_M, TABLE_STEP_M = 0.016, 0.003
+"""Patterns are known for rings of this radius on, in steps of so much: they change slowly with it."""
 SECTORS = 36
 """Sectors, starts times widths, of which one may be hidden."""
 ODD_POWER = 0.1
@@ -107,7 +109,7 @@ class Arrangement:
         return len(self.radius_m)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1024)
 def _table(transfer: Transfer, kappa: bytes, radius_m: float) -> Complex:
     return np.ascontiguousarray(transfer.table(np.frombuffer(kappa), radius_m))
 
@@ -126,7 +128,8 @@ def patterns(
     index = low.astype(np.intp) % ANGLES
     here, slopes = [], []
     for k, radius in enumerate(radius_m):
-        table = _table(transfer, spectra.kappa.tobytes(), round(float(radius), 4))
+        nearest = round(max(float(radius), TABLE_FROM_M) / TABLE_STEP_M) * TABLE_STEP_M
+        table = _table(transfer, spectra.kappa.tobytes(), round(nearest, 4))
         first = table[:, :, index[k]]
         rise = table[:, :, (index[k] + 1) % ANGLES] - first
         here.append(first + rise * part[k])
