@@ -28,13 +28,15 @@ MOST_REFLECTORS = 4
 """Reflectors of an arrangement that is not enrolled."""
 FREE_RINGS_M = (0.028, 0.036, 0.045, 0.054, 0.063, 0.072, 0.082, 0.09, 0.1, 0.11)
 """Radii of rings on which an arrangement that is not enrolled is looked for."""
-FIRST, THEN = 24, 8
+FIRST, THEN = 16, 8
 """Starts that are refined under much clutter, and those of them that are refined wholly."""
 _GRID_M = 4e-3
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
 """Widths of hidden sectors."""
 FITS_M = 0.012
 """A layout is tried where a free arrangement differs from it by less, m."""
+_NEAR_M = tuple(2e-3 * np.exp(1j * np.pi / 3 * np.arange(6)))
+"""Steps from a body's centre at which tags are looked for, too."""
 _KNOWN_M = 1.5e-3
 """A body's centre is known well enough for the search where its standard deviation is below."""
 _MIDDLE_M = 5e-3
@@ -107,6 +109,7 @@ class Contest:
     transfers: Sequence[Transfer] = TRANSFERS
     hypotheses: list[Hypothesis] = field(default_factory=list)
     _maps: dict[int, Complex] = field(default_factory=dict)
+    _centres: list[complex] = field(default_factory=list)
 
     def add(self, layout: Layout | None, found: Found, middle: bool = False) -> Hypothesis:
         """Enter a hypothesis."""
@@ -121,13 +124,15 @@ class Contest:
         body = max(bodies, key=lambda one: one.log_z).found
         steps = _GRID_M * np.arange(-2, 3)
         centres = [body.centre, *(complex(x, y) for x in steps for y in steps)]
+        # A loud tag moves the centre that a body alone seems to have.
+        near = _distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
         known = body.centre_sd_m < _KNOWN_M
         powers = [replace(one.found.powers, clutter=max(one.found.powers.clutter, 1e-3)) for one in bodies]
         starts: list[Candidate] = []
         for transfer in self.transfers:
-            starts += self._starts(transfer, centres[:1] if transfer.body and known else centres, powers)
+            starts += self._starts(transfer, near if transfer.body and known else centres, powers)
         for enrolled in (True, False):
-            self._refine([one for one in starts if (one.layout is not None) == enrolled])
+            self._refine([one for one in starts if (one.layout is not None) == enrolled], powers)
         self._as_enrolled()
         self._hidden()
         self._one_less()
@@ -135,12 +140,18 @@ class Contest:
         self._one_more()
         return sorted(self.hypotheses, key=lambda one: -one.log_z)
 
-    def _refine(self, starts: list[Candidate]) -> None:
-        """The best starts under much clutter first, and the best of those wholly."""
-        starts = sorted(starts, key=lambda one: -one.log)[:FIRST]
+    def _refine(self, starts: list[Candidate], powers: Sequence[Powers]) -> None:
+        """The best starts of every kind under the clutter that a body leaves, and the best of those wholly."""
+        ranked = sorted(starts, key=lambda one: -one.log)
+        kinds: dict[tuple[str, str, int], Candidate] = {}
+        for one in ranked:
+            name = "" if one.layout is None else one.layout.name
+            count = 0 if one.model.tag is None else one.model.tag.count
+            kinds.setdefault((one.model.transfer.name, name, count), one)
+        starts = list(dict.fromkeys([*ranked[:FIRST], *kinds.values()]))
         near: list[tuple[float, int, Found]] = []
         for one in starts:
-            found = refined(self.spectra, one.model, one.x, (1e-2,), 4)
+            found = refined(self.spectra, one.model, one.x, (min(powers[one.model.disc].clutter, 1e-2),), 4)
             near.append((found.log_z, len(near), found))
         near.sort(key=lambda one: -one[0])
         done: list[Found] = []
@@ -199,6 +210,7 @@ class Contest:
         for disc in (0, 1):
             of_disc = replace(model, disc=disc)
             found = [refined(self.spectra, of_disc, starts[i], (1e-2, None), 12) for i in order]
+            self._centres += [one.centre for one in found]
             bodies.append(self.add(None, max(found, key=lambda one: one.log_z)))
         for disc in (0, 1):
             self.add(None, refined(self.spectra, Model(BARE, None, False, disc), np.zeros(2), (None,), 1))
@@ -315,6 +327,15 @@ class Contest:
                 model = replace(found.model, tag=more, odd=0)
                 x = np.r_[found.x[:3], 0.0, found.x[3], 0.0]
                 self._grow(self.add(None, refined(self.spectra, model, x, (None,)), one.middle), MOST_ODD)
+
+
+def _distinct(places: Sequence[complex], apart_m: float) -> list[complex]:
+    """Places x + jy, m, without those that stand nearer to one before them."""
+    out: list[complex] = []
+    for place in places:
+        if all(abs(place - other) > apart_m for other in out):
+            out.append(place)
+    return out
 
 
 def disc_of(radius_m: float) -> int:
