@@ -26,6 +26,13 @@ STRENGTHS = ((0.5, 0.2), (0.2, 0.3))
 """Covariance of the strengths of the electric and the magnetic dipole: a small metal sphere has them as 2 to 1."""
 
 
+def gaps(radius_m: float) -> NDArray[np.float64]:
+    """Distances from reflectors on a ring to the walls that may stand inside, m."""
+    nearest = min(GAP_M[0], 0.2 * radius_m)
+    farthest = max(min(GAP_M[1], (1 - SMALLEST) * radius_m), nearest)
+    return np.linspace(nearest, farthest, int((farthest - nearest) / STEP_M) + 1)
+
+
 @dataclass(frozen=True)
 class Walls:
     """A class of walls.
@@ -43,11 +50,7 @@ class Walls:
 
     def shells(self, radius_m: float) -> list[Shell]:
         """Bodies that may carry reflectors at a distance from the axis, m."""
-        nearest = min(GAP_M[0], 0.2 * radius_m)
-        farthest = max(min(GAP_M[1], (1 - SMALLEST) * radius_m), nearest)
-        count = int((farthest - nearest) / STEP_M) + 1
-        gaps = np.linspace(nearest, farthest, count)
-        every = product(gaps, self.wall_m, self.permittivity, self.polarisations)
+        every = product(gaps(radius_m), self.wall_m, self.permittivity, self.polarisations)
         return [Shell(float(radius_m - gap), wall, eps, self.metal, p) for gap, wall, eps, p in every]
 
 
