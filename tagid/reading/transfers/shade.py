@@ -9,19 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.reading.transfers.transfer import Transfer, aspects
+from tagid.reading.transfers.transfer import Transfer, aspects, principal
 
 EDGES_DEG = (50, 65, 80, 90, 100, 115, 130)
 SOFT_DEG = (2, 10, 25)
 TERMS = 5
-
-
-def principal(patterns: NDArray[np.complexfloating], terms: int) -> NDArray[np.complex128]:
-    """(terms, A) principal patterns of some (N, A), each of the root of its share of their mean energy."""
-    moment = patterns.T @ patterns.conj() / len(patterns)
-    values, vectors = np.linalg.eigh(moment)
-    order = np.argsort(values)[::-1][:terms]
-    return np.asarray((vectors[:, order] * np.sqrt(values[order])).T, dtype=np.complex128)
 
 
 def _edges() -> NDArray[np.complex128]:
@@ -31,7 +23,7 @@ def _edges() -> NDArray[np.complex128]:
 
 
 def _table(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
-    return np.repeat(principal(_edges(), TERMS)[:, None], len(kappa), axis=1)
+    return np.repeat(principal(_edges()[:, None], TERMS), len(kappa), axis=1)
 
 
 SHADE = Transfer("shade", "a body that hides them from behind", True, (1.0,) * TERMS, _table)

@@ -54,3 +54,19 @@ def cosines(terms: int, lobe: int, delay_m: float = 0.0) -> Tables:
         return np.asarray(shape[:, None] * np.exp(-1j * kappa[:, None] * late))
 
     return table
+
+
+def principal(members: NDArray[np.complexfloating], terms: int) -> NDArray[np.complex128]:
+    """(terms, F, A) principal patterns of a class of equally likely ones.
+
+    The amplitude has any phase, so that a pattern of the class has mean zero and a second moment over the
+    aspects; its principal vectors, each as long as the root of its share of the mean energy, need powers of
+    one (Karhunen and Loeve's expansion).
+
+    Args:
+        members: (M, F, A) patterns of the class.
+    """
+    flat = np.swapaxes(members, 0, 1) / np.sqrt(len(members))
+    _, vectors = np.linalg.eigh(flat @ np.swapaxes(flat.conj(), 1, 2))
+    best = vectors[..., ::-1][..., :terms]
+    return np.ascontiguousarray(np.swapaxes(np.swapaxes(best.conj(), 1, 2) @ flat, 0, 1))

@@ -1,9 +1,8 @@
 """Reflectors before a round wall, by the exact fields around a cylinder.
 
 A small reflector answers the electric and the magnetic field of a wave, and by reciprocity the echo takes the
-same ways back (`tagid.fields.shells.echoes`). Beside a known wall two amplitudes per frequency are left. Walls
-of one class differ in radius, thickness and permittivity: their patterns are vectors over the aspect with zero
-mean, since the amplitude has any phase, and a second moment, whose principal vectors are the transfer's.
+same ways back (`tagid.fields.shells.echoes`). Beside a known wall two amplitudes per frequency are left; a
+class of walls of any radius, thickness and permittivity has the principal patterns of all of them.
 """
 
 from __future__ import annotations
@@ -16,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.fields.shells import Shell, echoes
-from tagid.reading.transfers.transfer import Tables, Transfer, aspects
+from tagid.reading.transfers.transfer import ANGLES, Tables, Transfer, aspects, principal
 
-GAP_M, STEP_M = (6e-3, 28e-3), 1.5e-3
+GAP_M, STEP_M = (6e-3, 28e-3), 2.5e-3
 """From the wall to the reflectors' centres, m, and step between the members of a class."""
 SMALLEST = 0.4
 """Radius of the smallest body, over that of the reflectors' ring."""
@@ -54,24 +53,18 @@ class Walls:
         return [Shell(float(radius_m - gap), wall, eps, self.metal, p) for gap, wall, eps, p in every]
 
 
-def principal(members: NDArray[np.complex128], terms: int) -> NDArray[np.complex128]:
-    """(terms, F, A) principal patterns of members (M, F, A), each as long as its share of the mean energy."""
-    flat = np.swapaxes(members, 0, 1) / np.sqrt(len(members))
-    _, vectors = np.linalg.eigh(flat @ np.swapaxes(flat.conj(), 1, 2))
-    best = vectors[..., ::-1][..., :terms]
-    return np.ascontiguousarray(np.swapaxes(np.swapaxes(best.conj(), 1, 2) @ flat, 0, 1))
-
-
 def beside(shells: Callable[[float], Sequence[Shell]], terms: int) -> Tables:
     """Tables of reflectors beside bodies that depend on the radius of their ring, m."""
-    psi, mix = aspects(), np.linalg.cholesky(np.array(STRENGTHS))
+    # A pattern is the same to either side.
+    psi, mix = aspects()[: ANGLES // 2 + 1], np.linalg.cholesky(np.array(STRENGTHS))
 
     def table(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
         k = kappa / 2
         free = np.exp(2j * k[:, None] * radius_m * np.cos(psi))
         both = echoes(k, shells(radius_m), radius_m, psi) / free
         mixed = np.tensordot(mix.T, both, 1)
-        return principal(mixed.reshape(-1, *mixed.shape[2:]), terms)
+        half = principal(mixed.reshape(-1, *mixed.shape[2:]), terms)
+        return np.concatenate([half, half[..., -2:0:-1]], axis=2)
 
     return table
 
