@@ -8,11 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import product
 
-import numpy as np
-
 from tagid.fields.shells import Shell
 from tagid.reading.transfers.transfer import Transfer
-from tagid.reading.transfers.wall import beside, gaps
+from tagid.reading.transfers.wall import RADIUS_SD_M, beside, gaps
 
 FILLINGS = (2.0, 2.3, 2.6, 3.0, 3.5, 4.0)
 """Relative permittivities: oil and powder 2 to 3, rice and granulate to 4."""
@@ -34,5 +32,6 @@ def shells(polarisation: str) -> Callable[[float], list[Shell]]:
 
 
 RODS = tuple(
-    Transfer(f"rod, {p}", "a filled vessel", True, (1.0,) * TERMS, beside(shells(p), TERMS)) for p in ("V", "H")
+    Transfer(f"rod, {p}", "a filled vessel", True, (1.0,) * TERMS, beside(shells(p), TERMS), RADIUS_SD_M)
+    for p in ("V", "H")
 )

@@ -8,7 +8,7 @@ class of walls of any radius, thickness and permittivity has the principal patte
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -22,7 +22,9 @@ GAP_M, STEP_M = (6e-3, 28e-3), 2.5e-3
 SMALLEST = 0.4
 """Radius of the smallest body, over that of the reflectors' ring."""
 STRENGTHS = ((0.5, 0.2), (0.2, 0.3))
-"""Covariance of the strengths of the electric and the magnetic dipole: a small metal sphere has them as 2 to 1."""
+"""Covariance of the electric and the magnetic dipole's strengths, which a small metal sphere has as 2 to 1."""
+RADIUS_SD_M = 4e-3
+"""A ring that is glued to a body stands where the body's wall is."""
 
 
 def gaps(radius_m: float) -> NDArray[np.float64]:
@@ -39,18 +41,21 @@ class Walls:
     Attributes:
         wall_m, permittivity: of the members; thickness 0 is bare metal.
         metal: there is metal, or water, inside the wall.
-        polarisations: "V", "H" or both.
+        polarisation: of the radar, "V" along the axis or "H" across it.
     """
 
     wall_m: tuple[float, ...]
     permittivity: tuple[float, ...]
-    metal: bool
-    polarisations: str
+    metal: bool = False
+    polarisation: str = "V"
 
     def shells(self, radius_m: float) -> list[Shell]:
         """Bodies that may carry reflectors at a distance from the axis, m."""
-        every = product(gaps(radius_m), self.wall_m, self.permittivity, self.polarisations)
-        return [Shell(float(radius_m - gap), wall, eps, self.metal, p) for gap, wall, eps, p in every]
+        every = product(gaps(radius_m), self.wall_m, self.permittivity)
+        return [
+            Shell(float(radius_m - gap), thick, permittivity, self.metal, self.polarisation)
+            for gap, thick, permittivity in every
+        ]
 
 
 def beside(shells: Callable[[float], Sequence[Shell]], terms: int) -> Tables:
@@ -62,7 +67,7 @@ def beside(shells: Callable[[float], Sequence[Shell]], terms: int) -> Tables:
         k = kappa / 2
         free = np.exp(2j * k[:, None] * radius_m * np.cos(psi))
         both = echoes(k, shells(radius_m), radius_m, psi) / free
-        mixed = np.tensordot(mix.T, both, 1)
+        mixed = np.sqrt(2) * np.tensordot(mix.T, both, 1)
         half = principal(mixed.reshape(-1, *mixed.shape[2:]), terms)
         return np.concatenate([half, half[..., -2:0:-1]], axis=2)
 
@@ -71,18 +76,19 @@ def beside(shells: Callable[[float], Sequence[Shell]], terms: int) -> Tables:
 
 def wall(name: str, words: str, walls: Walls, terms: int) -> Transfer:
     """The transfer of a class of walls."""
-    return Transfer(name, words, True, (1.0,) * terms, beside(walls.shells, terms))
+    name = f"{name}, {walls.polarisation}"
+    return Transfer(name, words, True, (1.0,) * terms, beside(walls.shells, terms), RADIUS_SD_M)
 
 
-GLASS = (2e-3, 3e-3, 4.2e-3), (4.0, 5.5, 7.5)
-PLASTIC = (0.8e-3, 1.6e-3, 2.5e-3, 3.5e-3), (2.5,)
-
+METAL = Walls((0.0,), (1.0,), True)
+GLASS = Walls((2e-3, 3e-3, 4.2e-3), (4.0, 5.5, 7.5))
+PLASTIC = Walls((0.8e-3, 1.6e-3, 2.5e-3, 3.5e-3), (2.5,))
 WALLS = tuple(
-    wall(f"{name}, {polarisation}", words, Walls(*made, polarisation), terms)
-    for name, words, made, terms in (
-        ("metal", "metal or a filled vessel", ((0.0,), (1.0,), True), 3),
-        ("glass", "a wall of glass or ceramic", (*GLASS, False), 5),
-        ("plastic", "a wall of plastic", (*PLASTIC, False), 3),
-    )
+    one
     for polarisation in ("V", "H")
+    for one in (
+        wall("metal", "metal or a filled vessel", replace(METAL, polarisation=polarisation), 3),
+        wall("glass", "a wall of glass or ceramic", replace(GLASS, polarisation=polarisation), 5),
+        wall("plastic", "a wall of plastic", replace(PLASTIC, polarisation=polarisation), 3),
+    )
 )

@@ -35,7 +35,7 @@ def test_a_pattern_is_alike_to_either_side_and_of_falling_power(transfer: Transf
 
 
 def test_a_wall_of_air_is_free_space() -> None:
-    patterns = table(wall("air", "air", Walls((0.003,), (1.0,), False, "VH"), 2))
+    patterns = table(wall("air", "air", Walls((0.003,), (1.0,)), 2))
     assert np.abs(patterns[0]) == pytest.approx(np.sqrt(np.sum(STRENGTHS)))
     assert np.abs(patterns[1:]).max() < 1e-6
     assert np.ptp(np.angle(patterns[0] / patterns[0, :, :1])) < 1e-6
@@ -67,7 +67,9 @@ def test_behind_a_low_loss_filling_a_reflector_is_late_and_strong() -> None:
     ("body", "name", "radius_m", "most"),
     [("can40", "metal, V", 0.049, 0.01), ("cup36", "glass, V", 0.045, 0.06)],
 )
-def test_a_class_of_walls_holds_a_solved_reflector(body: str, name: str, radius_m: float, most: float) -> None:
+def test_a_class_of_walls_holds_a_solved_reflector(
+    body: str, name: str, radius_m: float, most: float
+) -> None:
     added = read_response(RESPONSES / f"{body}_one.npz").without(read_response(RESPONSES / f"{body}.npz"))
     angle = 2 * np.pi * np.arange(64) / 64
     antennas = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
@@ -82,6 +84,8 @@ def test_a_class_of_walls_holds_a_solved_reflector(body: str, name: str, radius_
         # The prior keeps weak patterns small, as in a reading: an amplitude counts like a residual of 1 %.
         x, y = columns[:, f].T, echo[f]
         scale = np.linalg.norm(y) / np.linalg.norm(x)
-        held = np.linalg.solve(x.conj().T @ x + 64 * (0.1 / scale) ** 2 * np.var(y) * np.eye(x.shape[1]), x.conj().T @ y)
+        held = np.linalg.solve(
+            x.conj().T @ x + 64 * (0.1 / scale) ** 2 * np.var(y) * np.eye(x.shape[1]), x.conj().T @ y
+        )
         left += float((np.abs(y - x @ held) ** 2).sum())
     assert left < most * (np.abs(echo) ** 2).sum()
