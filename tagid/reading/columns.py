@@ -93,12 +93,12 @@ class Arrangement:
             np.append(self.free, True),
         )
 
-    @property
+    @cached_property
     def turns(self) -> int:
         """Number of groups that turn by themselves."""
         return int(self.turn.max()) + 1
 
-    @property
+    @cached_property
     def stretches(self) -> int:
         """Number of groups that move outward by themselves."""
         return int(self.stretch.max()) + 1
@@ -109,8 +109,14 @@ class Arrangement:
         return len(self.radius_m)
 
 
+def nearest_ring(radius_m: float) -> float:
+    """Radius of the ring whose patterns serve for this one, m."""
+    return round(round(max(float(radius_m), TABLE_FROM_M) / TABLE_STEP_M) * TABLE_STEP_M, 4)
+
+
 @lru_cache(maxsize=1024)
-def _table(transfer: Transfer, kappa: bytes, radius_m: float) -> Complex:
+def table_of(transfer: Transfer, kappa: bytes, radius_m: float) -> Complex:
+    """(P, F, ANGLES) patterns of a transfer on a ring, see `Transfer.table`."""
     return np.ascontiguousarray(transfer.table(np.frombuffer(kappa), radius_m))
 
 
@@ -128,8 +134,7 @@ def patterns(
     index = low.astype(np.intp) % ANGLES
     here, slopes = [], []
     for k, radius in enumerate(radius_m):
-        nearest = round(max(float(radius), TABLE_FROM_M) / TABLE_STEP_M) * TABLE_STEP_M
-        table = _table(transfer, spectra.kappa.tobytes(), round(nearest, 4))
+        table = table_of(transfer, spectra.kappa.tobytes(), nearest_ring(radius))
         first = table[:, :, index[k]]
         rise = table[:, :, (index[k] + 1) % ANGLES] - first
         here.append(first + rise * part[k])
@@ -228,30 +233,44 @@ class Model:
 
     def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
         """Log density, its slope (P,) and precision (P, P) of what pulls the parameters."""
-        sds, normal = self._sds(), self._normal
-        log = float((-0.5 * (x / sds) ** 2 - np.log(sds) - 0.5 * np.log(2 * np.pi))[normal].sum())
-        slope = np.where(normal, -x / sds**2, 0.0)
-        hessian = np.diag(np.where(normal, sds**-2.0, 0.0))
+        pull = self._pull
+        return self._log_at_mean - 0.5 * float(pull @ x**2), -pull * x, np.diag(pull)
+
+    @cached_property
+    def _pull(self) -> Floats:
+        """(P,) inverse variances of the Gaussian priors, 0 of flat ones."""
+        return np.where(self._normal, self.precision, 0.0)
+
+    @cached_property
+    def _log_at_mean(self) -> float:
+        """The largest log density of the prior."""
+        log = 0.5 * float(np.log(self.precision[self._normal] / (2 * np.pi)).sum())
         if self.tag is not None:
             log -= self.tag.turns * np.log(2 * np.pi)
             log -= self.tag.free.sum() * np.log(np.ptp(RING_M)) - _log_factorial(self.tag.turns)
         log -= self.odd * np.log(np.pi * REACH_M**2) - _log_factorial(self.odd)
-        log -= np.log(SECTORS) if self.hidden[1] else 0.0
-        return log, slope, hessian
+        return float(log - (np.log(SECTORS) if self.hidden[1] else 0.0))
 
     def overlap(self, x: Floats) -> float:
         """Nats that reflectors and odd scatterers cost which stand in one place, and rings of no tag."""
-        places = np.concatenate([self.places(x), self.split(x)[3]])
-        height = np.zeros(len(places))
-        beyond = 0.0
-        if self.tag is not None:
-            height[: self.tag.count] = self.tag.height_m
-            radius = self.tag.radius_m + self.split(x)[2][self.tag.stretch]
-            radius = radius[self.tag.free[self.tag.stretch]]
-            beyond = float((np.maximum(RING_M[0] - radius, radius - RING_M[1]).clip(0) ** 2).sum())
-        first, second = np.triu_indices(len(places), 1)
-        gap = np.hypot(np.abs(places[first] - places[second]), height[first] - height[second])
-        return float((np.maximum(CLOSEST_M - gap, 0) ** 2).sum() + beyond) / (2 * CLOSE_SD_M**2)
+        _, _, stretch, odd = self.split(x)
+        places = np.concatenate([self.places(x), odd])
+        first, second, rise = self._pairs
+        apart = places[first] - places[second]
+        close = CLOSEST_M - np.sqrt(apart.real**2 + apart.imag**2 + rise)
+        near = close[close > 0]
+        crowded = float(near @ near)
+        if self.tag is not None and self.tag.free.any():
+            radius = (self.tag.radius_m + stretch[self.tag.stretch])[self.tag.free[self.tag.stretch]]
+            crowded += float((np.maximum(RING_M[0] - radius, radius - RING_M[1]).clip(0) ** 2).sum())
+        return crowded / (2 * CLOSE_SD_M**2)
+
+    @cached_property
+    def _pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
+        """Pairs of reflectors and odd scatterers, and their squared differences in height, m^2."""
+        height = np.append(np.zeros(0) if self.tag is None else self.tag.height_m, np.zeros(self.odd))
+        first, second = np.triu_indices(len(height), 1)
+        return first, second, (height[first] - height[second]) ** 2
 
 
 def _log_factorial(n: int) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -9,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.reading.columns import Columns, Model
-from tagid.reading.evidence import Fit, fit, log_evidence
+from tagid.reading.compiled import Amplitudes, Compiled
+from tagid.reading.evidence import fit, log_evidence
 from tagid.reading.spectra import Floats, Spectra
 
 CLUTTER = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)
@@ -73,27 +75,53 @@ def variance(spectra: Spectra, model: Model, clutter: float) -> Floats:
     return np.asarray(1 + clutter * spectra.moving[:, None] * spectra.whiteners[model.disc].variance)
 
 
+@dataclass(frozen=True, eq=False)
+class _Numpy:
+    """What `Compiled` is, for any model."""
+
+    spectra: Spectra
+    model: Model
+
+    def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
+        spectra, model = self.spectra, self.model
+        columns = spectra.whiteners[model.disc].apply(Columns.of(model, spectra, x, slopes=False).values)
+        power = np.stack([model.power(spectra.moving, *one) for one in some])
+        variances = [variance(spectra, model, sigma)[None] for sigma in clutter]
+        return np.stack([log_evidence(columns, spectra.white[model.disc], lam, power) for lam in variances])
+
+    def expanded(self, x: Floats, powers: Amplitudes, clutter: float) -> tuple[float, Floats, Floats]:
+        spectra, model = self.spectra, self.model
+        lam, power = variance(spectra, model, clutter), model.power(spectra.moving, *powers)
+        columns, whitener = Columns.of(model, spectra, x), spectra.whiteners[model.disc]
+        found = fit(whitener.apply(columns.values), spectra.white[model.disc], lam, power)
+        back = whitener.adjoint(found.adjoint)
+        gradient = 2 * columns.slopes(back.conj()).sum(axis=(1, 2)).real
+        moved = np.swapaxes(columns.slopes(found.amplitudes[..., None]), 0, 1)
+        hessian = found.curvature(whitener.apply(moved) / np.sqrt(lam)[:, None])
+        return found.log, gradient, hessian
+
+
+def _likelihood(spectra: Spectra, model: Model) -> Compiled | _Numpy:
+    return Compiled.of(spectra, model) or _Numpy(spectra, model)
+
+
 def best_powers(
     spectra: Spectra, model: Model, x: Floats, clutter: float | None = None
 ) -> tuple[Powers, float]:
     """The powers of the largest evidence at some parameters, and its log density."""
-    whitener = spectra.whiteners[model.disc]
-    columns = whitener.apply(Columns.of(model, spectra, x, slopes=False).values)
-    data = spectra.white[model.disc]
+    likelihood = _likelihood(spectra, model)
     best, found = -np.inf, Powers(0.0)
     bodies = BODY if model.transfer.body else BODY[:1]
     tags = TAG if model.tag is not None else TAG[1:2]
+    sigmas = CLUTTER if clutter is None else (clutter,)
     for ovals in (OVAL[1:2], OVAL) if model.oval and model.transfer.body else (OVAL[1:2],):
         if len(ovals) > 1:
-            bodies, tags = (found.body,), (found.tag,)
+            bodies, tags, sigmas = (found.body,), (found.tag,), (found.clutter,)
         some = list(product(bodies, tags, ovals))
-        power = np.stack([model.power(spectra.moving, *one) for one in some])
-        sigmas = CLUTTER if clutter is None else (clutter,)
-        for sigma in sigmas if len(ovals) == 1 else (found.clutter,):
-            values = log_evidence(columns, data, variance(spectra, model, sigma)[None], power)
-            i = int(values.argmax())
-            if values[i] > best:
-                best, found = float(values[i]), Powers(sigma, *some[i])
+        values = likelihood.values(x, some, sigmas)
+        i, j = divmod(int(values.argmax()), len(some))
+        if values[i, j] > best:
+            best, found = float(values[i, j]), Powers(sigmas[i], *some[j])
     return found, best + model.log_prior(x)[0] - model.overlap(x)
 
 
@@ -104,42 +132,26 @@ class _Here:
     hessian: Floats
 
 
-def _value(
-    spectra: Spectra, model: Model, x: Floats, lam: Floats, power: Floats
-) -> tuple[float, Columns, Fit]:
-    columns = Columns.of(model, spectra, x)
-    whitener = spectra.whiteners[model.disc]
-    found = fit(whitener.apply(columns.values), spectra.white[model.disc], lam, power)
-    return found.log + model.log_prior(x)[0] - model.overlap(x), columns, found
-
-
-def _expanded(
-    spectra: Spectra, model: Model, x: Floats, lam: Floats, value: tuple[float, Columns, Fit]
-) -> _Here:
-    log, columns, found = value
-    whitener = spectra.whiteners[model.disc]
-    back = whitener.adjoint(found.adjoint)
-    gradient = 2 * columns.slopes(back.conj()).sum(axis=(1, 2)).real
-    moved = np.swapaxes(columns.slopes(found.amplitudes[..., None]), 0, 1)
-    hessian = found.curvature(whitener.apply(moved) / np.sqrt(lam)[:, None])
-    _, slope, pull = model.log_prior(x)
-    gradient += slope
-    hessian += pull
-    if model.overlap(x) > 0:
+def _expanded(likelihood: Compiled | _Numpy, x: Floats, powers: Powers) -> _Here:
+    model = likelihood.model
+    log, gradient, hessian = likelihood.expanded(x, (powers.body, powers.tag, powers.oval), powers.clutter)
+    prior, slope, pull = model.log_prior(x)
+    gradient = gradient + slope
+    hessian = hessian + pull
+    overlap = model.overlap(x)
+    if overlap > 0:
         for i in range(len(x)):
             step = np.zeros(len(x))
             step[i] = 1e-5
             gradient[i] -= (model.overlap(x + step) - model.overlap(x - step)) / 2e-5
             hessian[i, i] += 1 / 1e-3**2
-    return _Here(log, gradient, hessian)
+    return _Here(log + prior - overlap, gradient, hessian)
 
 
 def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: int) -> tuple[Floats, _Here]:
     """Levenberg and Marquardt's method from x at fixed powers."""
-    lam = variance(spectra, model, powers.clutter)
-    power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
-    value = _value(spectra, model, x, lam, power)
-    here = _expanded(spectra, model, x, lam, value)
+    likelihood = _likelihood(spectra, model)
+    here = _expanded(likelihood, x, powers)
     damping = 1e-2
     for _ in range(rounds):
         size = np.diag(here.hessian) + model.precision
@@ -148,11 +160,10 @@ def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: i
         promised = float(step @ here.gradient)
         if promised < 0.02:
             break
-        near = np.hypot(trial[0], trial[1]) < _FAR_M
-        value = _value(spectra, model, trial, lam, power) if near else value
-        if near and value[0] > here.log:
-            x, gained = trial, value[0] - here.log
-            here = _expanded(spectra, model, x, lam, value)
+        there = _expanded(likelihood, trial, powers) if np.hypot(trial[0], trial[1]) < _FAR_M else None
+        if there is not None and there.log > here.log:
+            gained = there.log - here.log
+            x, here = trial, there
             damping /= 5
             if gained < 0.02:
                 break
