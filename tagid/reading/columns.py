@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,6 +144,17 @@ def patterns(
     return np.stack(here), np.stack(slopes) if slope else None
 
 
+class Seen(Protocol):
+    """Columns of a model at some parameters."""
+
+    @property
+    def values(self) -> Complex:
+        """(F, n, V)."""
+
+    def slopes(self, weights: Complex) -> Complex:
+        """(P, F, V) change of the sum of weights (F, n, 1 or V) times columns with the parameters."""
+
+
 @dataclass(frozen=True, eq=False)
 class Model:
     """A hypothesis of points: what the columns are functions of.
@@ -164,6 +176,11 @@ class Model:
     hidden: tuple[float, float] = (0.0, 0.0)
 
     @property
+    def head(self) -> int:
+        """Parameters before those of the reflectors."""
+        return 2
+
+    @property
     def parameters(self) -> int:
         """Number of parameters."""
         tag = 0 if self.tag is None else self.tag.turns + self.tag.stretches
@@ -180,7 +197,7 @@ class Model:
         """Number of columns for the unlike strength of the reflectors."""
         return 0 if self.tag is None or self.tag.count < 2 else self.tag.count
 
-    def with_odd(self, count: int) -> Model:
+    def with_odd(self, count: int) -> Self:
         """The same beside so many odd scatterers."""
         return replace(self, odd=count)
 
@@ -190,6 +207,10 @@ class Model:
         s = 0 if self.tag is None else self.tag.stretches
         odd = x[2 + t + s :].reshape(-1, 2)
         return complex(x[0], x[1]), x[2 : 2 + t], x[2 + t : 2 + t + s], odd[:, 0] + 1j * odd[:, 1]
+
+    def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> Seen:
+        """The columns at parameters x (P,); slopes: those are wanted, too."""
+        return Columns.of(self, spectra, x, slopes)
 
     def places(self, x: Floats) -> Complex:
         """(K,) of the reflectors, x + jy, m."""

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.reading.columns import Columns, Model
+from tagid.reading.columns import Model
 from tagid.reading.compiled import Amplitudes, Compiled
 from tagid.reading.evidence import fit, log_evidence
 from tagid.reading.spectra import Floats, Spectra
@@ -67,7 +67,7 @@ class Found:
     @property
     def centre(self) -> complex:
         """Of the object, m."""
-        return complex(self.x[0], self.x[1])
+        return self.model.split(self.x)[0]
 
 
 def variance(spectra: Spectra, model: Model, clutter: float) -> Floats:
@@ -84,7 +84,7 @@ class _Numpy:
 
     def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
         spectra, model = self.spectra, self.model
-        columns = spectra.whiteners[model.disc].apply(Columns.of(model, spectra, x, slopes=False).values)
+        columns = spectra.whiteners[model.disc].apply(model.at(spectra, x, slopes=False).values)
         power = np.stack([model.power(spectra.moving, *one) for one in some])
         variances = [variance(spectra, model, sigma)[None] for sigma in clutter]
         return np.stack([log_evidence(columns, spectra.white[model.disc], lam, power) for lam in variances])
@@ -92,7 +92,7 @@ class _Numpy:
     def expanded(self, x: Floats, powers: Amplitudes, clutter: float) -> tuple[float, Floats, Floats]:
         spectra, model = self.spectra, self.model
         lam, power = variance(spectra, model, clutter), model.power(spectra.moving, *powers)
-        columns, whitener = Columns.of(model, spectra, x), spectra.whiteners[model.disc]
+        columns, whitener = model.at(spectra, x), spectra.whiteners[model.disc]
         found = fit(whitener.apply(columns.values), spectra.white[model.disc], lam, power)
         back = whitener.adjoint(found.adjoint)
         gradient = 2 * columns.slopes(back.conj()).sum(axis=(1, 2)).real
@@ -102,7 +102,8 @@ class _Numpy:
 
 
 def _likelihood(spectra: Spectra, model: Model) -> Compiled | _Numpy:
-    return Compiled.of(spectra, model) or _Numpy(spectra, model)
+    compiled = Compiled.of(spectra, model) if type(model) is Model else None
+    return compiled or _Numpy(spectra, model)
 
 
 def best_powers(

@@ -11,17 +11,18 @@ from itertools import permutations, product
 
 import numpy as np
 
-from tagid.reading import search
-from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M, Arrangement, Columns, Model
+from tagid.reading import search, sheet_tags
+from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M, Arrangement, Model
 from tagid.reading.descent import Found, Powers, best_powers, refined, variance
 from tagid.reading.spectra import Complex, Floats, Spectra
-from tagid.reading.transfers.plain import BARE, FILLED, POINTS
+from tagid.reading.transfers.plain import BARE, POINTS
+from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADE
 from tagid.reading.transfers.transfer import Transfer
 from tagid.reading.transfers.wall import WALLS
 from tagid.tags.layouts.layout import Layout
 
-TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, FILLED, *WALLS, SHADE)
+TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, *WALLS, *RODS, SHADE)
 MOST_ODD, MOST_ODD_UNTAGGED = 2, 5
 """Odd scatterers beside a tag, and where there is none."""
 MOST_REFLECTORS = 4
@@ -137,11 +138,12 @@ class Contest:
         self._hidden()
         self._one_less()
         self._beside_odd()
+        self._sheets()
         self._one_more()
         return sorted(self.hypotheses, key=lambda one: -one.log_z)
 
     def _refine(self, starts: list[Candidate], powers: Sequence[Powers]) -> None:
-        """The best starts of every kind under the clutter that a body leaves, and the best of those wholly."""
+        """The best starts of every kind under the clutter that a body leaves; the best of those wholly."""
         ranked = sorted(starts, key=lambda one: -one.log)
         kinds: dict[tuple[str, str, int], Candidate] = {}
         for one in ranked:
@@ -260,6 +262,14 @@ class Contest:
         some = [one for one in self.hypotheses if one.tagged and (one.layout is not None) == enrolled]
         return sorted(some, key=lambda one: -one.log_z)[:count]
 
+    def _sheets(self) -> None:
+        """Thin sheets, alone, beside what the points have shown, and with all that their tables show."""
+
+        def enter(layout: Layout | None, found: Found, odd: int) -> Found:
+            return self._grow(self.add(layout, found), odd).found
+
+        sheet_tags.explain(self.spectra, self.layouts, tuple(self.hypotheses), enter)
+
     def _beside_odd(self) -> None:
         """The best of every kind beside odd scatterers, added while they pay."""
         kinds: tuple[tuple[list[Hypothesis], int], ...] = (
@@ -293,9 +303,7 @@ class Contest:
             self._maps[model.disc] = spectra.whiteners[model.disc].apply(waves)
         lam = variance(spectra, model, found.powers.clutter)
         whitener = spectra.whiteners[model.disc]
-        columns = (
-            whitener.apply(Columns.of(model, spectra, found.x, slopes=False).values) / np.sqrt(lam)[:, None]
-        )
+        columns = whitener.apply(model.at(spectra, found.x, slopes=False).values) / np.sqrt(lam)[:, None]
         y = spectra.white[model.disc] / np.sqrt(lam)
         power = model.power(spectra.moving, found.powers.body, found.powers.tag, found.powers.oval)
         matrix = columns.conj() @ np.swapaxes(columns, 1, 2) + np.eye(columns.shape[1]) / power[:, None, :]
@@ -325,7 +333,8 @@ class Contest:
                 places = np.append(found.places, odd) - found.centre
                 more = tag.and_one(complex(places[-1]))
                 model = replace(found.model, tag=more, odd=0)
-                x = np.r_[found.x[:3], 0.0, found.x[3], 0.0]
+                turns = model.head + tag.turns
+                x = np.r_[found.x[:turns], 0.0, found.x[turns : turns + tag.stretches], 0.0]
                 self._grow(self.add(None, refined(self.spectra, model, x, (None,)), one.middle), MOST_ODD)
 
 

@@ -197,6 +197,12 @@ class Spectra:
             full_turn=False,
         )
 
+    def thinned(self, step: int) -> Spectra:
+        """The same of every so many-th frequency."""
+        every = slice(None, None, step)
+        kappa = np.ascontiguousarray(self.kappa[every])
+        return replace(self, data=self.data[every], kappa=kappa, moving=self.moving[every])
+
     def waves(self, places: Complex, heights: Floats) -> tuple[Complex, Floats]:
         """Echoes (F, S, V) of unit points at places x + jy (S,) and heights (S,), m; their ranges (S, V)."""
         range_m = np.hypot(np.abs(self.antenna - places[:, None]), self.height_m - heights[:, None])

@@ -1,0 +1,258 @@
+"""A thin sheet as the body: its echo, and reflectors that are seen through its field.
+
+A helmet's shell, the walls of a carton, a cup or a can, not enrolled (`tagid.fields.thin_shell`). The sheet
+returns one column per power of the cosine of incidence, a small reflector the square of the field at its
+place. The parameters of a model begin with those of the sheet: its centre x, y, its turn, and the logarithms
+of two half sizes and of its strength over those of the population. Those of `tagid.reading.columns.Model`
+follow; their centre is that of the tag about the sheet's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField, ShellView, ThinShell
+from tagid.reading.columns import CENTRE_SD_M, Model
+from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.transfers.plain import POINTS
+from tagid.reading.transfers.transfer import Transfer
+
+OBLIQUITIES = 3
+"""Columns of a sheet, see `ShellView.echoes`."""
+THIN_M, CERAMIC_M, METAL_M, STRENGTH_SD = 2.8e-3, 10e-3, 0.2, 0.25
+"""(eps - 1) d of thin sheets, of cups and of what nothing passes, m, and the standard deviation of their
+logarithms. A sheet that ends above and below acts as half of what it is."""
+HALF_M = (0.012, 0.3)
+"""Half sizes lie between these, m."""
+HEAD = 6
+"""Parameters of the sheet."""
+CELL_M = 11e-3
+"""Cells of the contour: a fifth of the shortest wavelength; 8 mm give the same evidence to 1 nat."""
+_STEP = np.array([1e-6, 1e-6, 1e-5, 1e-5, 1e-5, 1e-4])
+"""Finite differences of the sheet's parameters; of a place it is the first."""
+
+
+STEP = 1.05
+"""Between half sizes that are searched."""
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """A population of sheets.
+
+    Attributes:
+        transfer: name and words.
+        shell: its class.
+        size_m: mean half size, m; size_sd: standard deviation of its logarithm.
+        tag_sd_m: standard deviation of a tag's centre about the sheet's, m.
+        sizes_m: half sizes that are searched, m.
+        strength_m: mean (eps - 1) d, m.
+    """
+
+    transfer: Transfer
+    shell: type[ThinShell]
+    size_m: float
+    size_sd: float
+    tag_sd_m: float
+    sizes_m: tuple[float, ...]
+    strength_m: float
+
+
+def _kind(
+    name: str,
+    words: str,
+    shell: type[ThinShell],
+    size_m: float,
+    size_sd: float,
+    tag_sd_m: float,
+    least_m: float,
+    count: int,
+    strength_m: float = THIN_M,
+) -> Kind:
+    transfer = Transfer(name, words, True, (1.0,), POINTS.table)
+    sizes_m = tuple(least_m * STEP**i for i in range(count))
+    return Kind(transfer, shell, size_m, size_sd, tag_sd_m, sizes_m, strength_m)
+
+
+SHELL = _kind("shell", "a thin shell", EllipticShell, 0.072, 0.22, 3e-3, 0.05, 15)
+BOX = _kind("box", "a box of thin walls", BoxShell, 0.063, 0.5, 10e-3, 0.025, 35)
+METAL = _kind("metal box", "a box of metal", BoxShell, 0.045, 0.5, 3e-3, 0.02, 30, METAL_M)
+CAN = _kind("metal can", "a body of metal", EllipticShell, 0.036, 0.35, 3e-3, 0.02, 22, METAL_M)
+CUP = _kind("cup", "a cup", EllipticShell, 0.037, 0.25, 3e-3, 0.025, 15, CERAMIC_M)
+KINDS = (SHELL, BOX, METAL, CAN, CUP)
+
+
+@dataclass(frozen=True, eq=False)
+class SheetModel(Model):
+    """A hypothesis with a sheet.
+
+    Attributes:
+        kind: of the sheet.
+        cells: of its contour.
+    """
+
+    kind: Kind = SHELL
+    cells: int = 72
+
+    @classmethod
+    def of(cls, kind: Kind, half_m: tuple[float, float], disc: int) -> SheetModel:
+        """An untagged one about so large."""
+        around = 4 * sum(half_m) if kind.shell is BoxShell else np.pi * sum(half_m)
+        cells = max(8 * round(around / CELL_M / 8), 48)
+        return cls(kind.transfer, None, True, disc, kind=kind, cells=cells)
+
+    @property
+    def head(self) -> int:
+        """Parameters before those of the reflectors."""
+        return HEAD + 2
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return HEAD + super().parameters
+
+    @property
+    def unlike(self) -> int:
+        """None: strengths are alike."""
+        return 0
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return OBLIQUITIES + (self.tag is not None) + self.odd
+
+    def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:
+        """Centre of the tag, turns, stretches and odd places of parameters."""
+        centre, turn, stretch, odd = super().split(x[HEAD:])
+        return complex(x[0], x[1]) + centre, turn, stretch, odd
+
+    @property
+    def heights(self) -> Floats:
+        """(K + odd,) of the reflectors and the odd scatterers, m."""
+        own = np.zeros(0) if self.tag is None else self.tag.height_m
+        return np.concatenate([own, np.zeros(self.odd)])
+
+    def sheet(self, x: Floats) -> ThinShell:
+        """The sheet about its own centre and axes."""
+        kind = self.kind
+        across, along = np.clip(kind.size_m * np.exp(x[3:5]), *HALF_M)
+        return kind.shell(
+            float(across), float(along), float(kind.strength_m * np.exp(np.clip(x[5], -1.5, 1.5)))
+        )
+
+    def power(self, moving: Floats, body: float, tag: float, oval: float) -> Floats:
+        """(F, n) prior variances of the amplitudes; oval: of the obliquities."""
+        rest = super().power(moving, body, tag, oval)[:, 3:]
+        own = body * np.array([1.0] + [oval] * (OBLIQUITIES - 1))
+        return np.asarray(np.concatenate([moving[:, None] * own, rest], axis=1))
+
+    def _sds(self) -> Floats:
+        size, rest = self.kind.size_sd, super()._sds()
+        rest[:2] = self.kind.tag_sd_m
+        turn = 2 * np.pi / np.sqrt(12)
+        return np.concatenate([[CENTRE_SD_M, CENTRE_SD_M, turn, size, size, STRENGTH_SD], rest])
+
+    @cached_property
+    def _normal(self) -> NDArray[np.bool_]:
+        return np.concatenate([[True, True, False, True, True, True], super()._normal])
+
+    def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
+        """See `Model`: four turns and exchanges of axes are one sheet."""
+        log, slope, hessian = super().log_prior(x)
+        return log + float(np.log(4 / (2 * np.pi))), slope, hessian
+
+    def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SheetColumns:
+        """The columns at parameters x (P,)."""
+        return SheetColumns(self, spectra, x)
+
+
+@dataclass(frozen=True, eq=False)
+class SheetColumns:
+    """Columns of a sheet and its reflectors at some parameters."""
+
+    model: SheetModel
+    spectra: Spectra
+    x: Floats
+
+    @cached_property
+    def _field(self) -> ShellField:
+        return ShellField.of(self.spectra.kappa / 2, self.model.sheet(self.x), self.model.cells)
+
+    @cached_property
+    def view(self) -> ShellView:
+        """The sheet from all antennas."""
+        return _view(self._field, self.spectra, self.x)
+
+    def reflectors(self, places: Complex, heights: Floats) -> Complex:
+        """(F, K, V) echoes of small reflectors at places x + jy, m."""
+        return _reflectors(self.view, self.spectra, self.x, places, heights)
+
+    @cached_property
+    def values(self) -> Complex:
+        """(F, n, V)."""
+        return self._seen(self.view, self.x)
+
+    def _seen(self, view: ShellView, x: Floats) -> Complex:
+        model = self.model
+        tag, odd = model.places(x), model.split(x)[3]
+        echoes = view.echoes(OBLIQUITIES)
+        parts = [echoes / np.sqrt((np.abs(echoes[:, :1]) ** 2).mean(axis=2, keepdims=True))]
+        if len(tag) + len(odd):
+            seen = _reflectors(view, self.spectra, x, np.concatenate([tag, odd]), model.heights)
+            parts += [seen[:, : len(tag)].sum(axis=1, keepdims=True)] if len(tag) else []
+            parts.append(seen[:, len(tag) :])
+        return np.concatenate(parts, axis=1)
+
+    @cached_property
+    def _rates(self) -> Complex:
+        """(P, F, n, V) slopes of the columns."""
+        model, spectra, x = self.model, self.spectra, self.x
+        out = np.zeros((len(x), *self.values.shape), dtype=np.complex128)
+        for i in range(HEAD):
+            there = x.copy()
+            there[i] += _STEP[i]
+            moved = self if i < 3 else SheetColumns(model, spectra, there)
+            seen = self._seen(_view(moved._field, spectra, there), there)
+            out[i] = (seen - self.values) / _STEP[i]
+        centre, turn, _, odd = model.split(x)
+        every = np.concatenate([model.places(x), odd])
+        if not len(every):
+            return out
+        step = float(_STEP[0])
+        near = np.concatenate([every, every + step, every + 1j * step])
+        here, right, up = np.split(self.reflectors(near, np.tile(model.heights, 3)), 3, axis=1)
+        along_x, along_y = (right - here) / step, (up - here) / step
+        count = 0
+        if model.tag is not None:
+            tag, count = model.tag, model.tag.count
+            first = model.head
+            outward = np.exp(1j * (tag.angle + turn[tag.turn]))
+            for i in range(count):
+                for row, way in (
+                    (HEAD, 1.0 + 0j),
+                    (HEAD + 1, 1j),
+                    (first + tag.turn[i], 1j * (every[i] - centre)),
+                    (first + tag.turns + tag.stretch[i], outward[i]),
+                ):
+                    out[row, :, OBLIQUITIES] += along_x[:, i] * way.real + along_y[:, i] * way.imag
+        for i in range(len(odd)):
+            row, column = len(x) - 2 * len(odd) + 2 * i, i - len(odd)
+            out[row, :, column], out[row + 1, :, column] = along_x[:, count + i], along_y[:, count + i]
+        return out
+
+    def slopes(self, weights: Complex) -> Complex:
+        """(P, F, V) change of the sum of weights (F, n, 1 or V) times columns with the parameters."""
+        return np.asarray((self._rates * weights).sum(axis=2))
+
+
+def _view(field: ShellField, spectra: Spectra, x: Floats) -> ShellView:
+    return field.seen_from((spectra.antenna - complex(x[0], x[1])) * np.exp(-1j * x[2]))
+
+
+def _reflectors(view: ShellView, spectra: Spectra, x: Floats, places: Complex, heights: Floats) -> Complex:
+    direct, _ = spectra.waves(places, heights)
+    return np.asarray(direct * view.relative((places - complex(x[0], x[1])) * np.exp(-1j * x[2])))

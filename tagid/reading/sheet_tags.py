@@ -1,0 +1,181 @@
+"""Sheets with and without reflectors: what is tried of them beside the hypotheses of points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from tagid.reading import search
+from tagid.reading.columns import Arrangement
+from tagid.reading.descent import BODY, OVAL, Found, best_powers, refined
+from tagid.reading.evidence import log_evidence
+from tagid.reading.sheet import HEAD, KINDS, SheetModel
+from tagid.reading.sheet_search import Seeker, anywhere, beside
+from tagid.reading.spectra import MODEL_ERROR, Complex, Floats, Spectra
+from tagid.tags.layouts.layout import Layout
+
+GUESTS = 3
+"""Arrangements of other hypotheses beside which sheets are looked for."""
+ALONE, SHEETS = 5, 2
+"""Sheets that are fitted alone, and those about which reflectors are looked for."""
+LAYOUTS, FREE = 3, 3
+"""Layouts and free arrangements that are fitted about sheets."""
+ODD_ALONE, ODD_TAGGED, GROWN = 5, 2, 2
+"""Odd scatterers beside the best sheet alone, and beside so many best layouts and free arrangements."""
+MOST = 3
+"""Reflectors anywhere about a sheet."""
+
+
+Enter = Callable[[Layout | None, Found, int], Found]
+
+
+class Entry(Protocol):
+    """A hypothesis that was tried before."""
+
+    @property
+    def layout(self) -> Layout | None: ...
+
+    @property
+    def found(self) -> Found: ...
+
+    @property
+    def log_z(self) -> float: ...
+
+
+def explain(spectra: Spectra, layouts: Sequence[Layout], before: Sequence[Entry], enter: Enter) -> None:
+    """Enter sheets at their most probable parameters, alone and with reflectors about them.
+
+    Args:
+        before: hypotheses of points.
+        enter: enters a hypothesis beside up to so many odd scatterers, and gives the best of them.
+    """
+    best = max(one.log_z for one in before)
+    thin = spectra.thinned(2)
+    sheets: list[tuple[Layout | None, Found]] = []
+
+    def fitted(layout: Layout | None, model: SheetModel, x: Floats) -> None:
+        x = refined(thin, model, x, (1e-2,), 8).x
+        found = refined(spectra, model, x, (None,), 4)
+        if not any(layout is other and _same(found, one) for other, one in sheets):
+            sheets.append((layout, found))
+
+    alone = Seeker(spectra)
+    likely = [start for kind in KINDS for start in alone.best(kind, SHEETS)]
+    for start in sorted(likely, key=lambda one: -one.score)[:ALONE]:
+        model, x = start.begun(_disc(max(start.half_m)))
+        if possible(spectra, model, x) > best:
+            fitted(None, model, x)
+    sheets.sort(key=lambda one: -one[1].log_z)
+    sheets = [(None, enter(None, found, 0 if i else ODD_ALONE)) for i, (_, found) in enumerate(sheets)]
+    joint = []
+    for layout, guest in _guests(before):
+        held = guest.model.at(spectra, guest.x, slopes=False).values
+        seeker = Seeker(spectra, held[:, _body(guest) : held.shape[1] - guest.model.odd])
+        for kind in KINDS:
+            (start,) = seeker.best(kind, 1)
+            model, x = start.begun(guest.model.disc)
+            if possible(spectra, model, x) > best:
+                model, x = _with(model, x, guest)
+                joint.append((best_powers(spectra, model, x)[1], layout, model, x))
+    alone_only = len(sheets)
+    for _, layout, model, x in sorted(joint, key=lambda one: -one[0])[:GUESTS]:
+        fitted(layout, model, x)
+    starts: list[tuple[float, Layout | None, SheetModel, Floats]] = []
+    for _, found in sorted(sheets, key=lambda one: -one[1].log_z)[:SHEETS]:
+        assert isinstance(found.model, SheetModel)
+        starts += _about(spectra, layouts, replace(found.model, tag=None, odd=0), found)
+    starts.sort(key=lambda one: -one[0])
+    for kept in (
+        [one for one in starts if one[1] is not None][:LAYOUTS],
+        [one for one in starts if one[1] is None][:FREE],
+    ):
+        for _, layout, model, x in kept:
+            fitted(layout, model, x)
+    tagged = sorted(sheets[alone_only:], key=lambda one: -one[1].log_z)
+    for named in (True, False):
+        for i, (layout, found) in enumerate(one for one in tagged if (one[0] is not None) == named):
+            enter(layout, found, ODD_TAGGED if i < GROWN else 0)
+    if tagged:
+        # The sheet that a tag has shown, with anything else about it.
+        found = tagged[0][1]
+        bare = replace(found.model, tag=None, odd=0)
+        enter(None, refined(spectra, bare, np.r_[found.x[:HEAD], 0.0, 0.0], (None,), 4), ODD_ALONE)
+
+
+def _same(one: Found, other: Found) -> bool:
+    """The same sheet with the same reflectors."""
+    if one.model.transfer is not other.model.transfer or len(one.places) != len(other.places):
+        return False
+    alike = abs(one.log_z - other.log_z) < 3
+    if len(one.places):
+        return alike and bool(np.abs(one.places[:, None] - other.places).min(axis=1).max() < 3e-3)
+    return alike and abs(one.x[3:5].sum() - other.x[3:5].sum()) < 0.03
+
+
+def possible(spectra: Spectra, model: SheetModel, x: Floats) -> float:
+    """Largest log evidence of a sheet about here with any reflectors: noise is left, and amplitudes cost."""
+    whitener = spectra.whiteners[model.disc]
+    columns = whitener.apply(model.at(spectra, x).values)
+    lam = np.ones((1, *columns[:, 0].shape))
+    power = np.stack([model.power(spectra.moving, BODY[0], 1.0, oval) for oval in OVAL])
+    cost = log_evidence(columns, np.zeros_like(columns[:, 0]), lam, power).max()
+    noise = np.maximum(1 - MODEL_ERROR**2 * spectra.moving, 0).sum()
+    return float(cost - noise * (columns.shape[2] - columns.shape[1] - 1))
+
+
+def _disc(half_m: float) -> int:
+    return 0 if half_m < 0.07 else 1
+
+
+def _body(guest: Found) -> int:
+    if not guest.model.transfer.body:
+        return 0
+    return 3 if guest.model.oval else 1
+
+
+def _guests(before: Sequence[Entry]) -> list[tuple[Layout | None, Found]]:
+    """The best layouts, and the best free arrangement."""
+    out: list[tuple[Layout | None, Found]] = []
+    for one in sorted(before, key=lambda one: -one.log_z):
+        if one.found.model.tag is None or len(out) == GUESTS:
+            continue
+        if all(one.layout is not layout for layout, _ in out):
+            out.append((one.layout, one.found))
+    return out
+
+
+def _with(model: SheetModel, x: Floats, guest: Found) -> tuple[SheetModel, Floats]:
+    """A sheet with the reflectors of another hypothesis."""
+    centre, turn, stretch, _ = guest.model.split(guest.x)
+    off = centre - complex(x[0], x[1])
+    return replace(model, tag=guest.model.tag), np.r_[x[:HEAD], off.real, off.imag, turn, stretch]
+
+
+def _about(
+    spectra: Spectra, layouts: Sequence[Layout], model: SheetModel, found: Found
+) -> Iterator[tuple[float, Layout | None, SheetModel, Floats]]:
+    """Reflectors about one sheet, by its tables: log evidence, layout, model and parameters."""
+    arranged = [Arrangement.of_layout(one.positions, one.heights) for one in layouts]
+    own = [list(zip(np.round(a.radius_m, 4), a.height_m, strict=True)) for a in arranged]
+    rings = sorted({one for some in own for one in some})
+    x = np.r_[found.x[:HEAD], 0.0, 0.0]
+    sheet_centre = complex(x[0], x[1])
+    centres = [sheet_centre]
+    if abs(found.centre - sheet_centre) > 4e-3:
+        centres.append(found.centre)
+    for centre in centres:
+        off = centre - sheet_centre
+        head = np.r_[x[:HEAD], off.real, off.imag]
+        powers = replace(found.powers, clutter=1e-2, tag=0.3)
+        near = beside(spectra, model, x, rings, centre, powers)
+        for layout, a, some in zip(layouts, arranged, own, strict=True):
+            ring = np.array([rings.index(one) for one in some])
+            for one in search.turned(near.table, ring, a.angle, 2):
+                yield one.log, layout, replace(model, tag=a), np.r_[head, one.angles[0], 0.0]
+        for log, chosen in anywhere(near, MOST, 2):
+            points: Complex = near.places[chosen] - sheet_centre
+            tag = Arrangement.points(points)
+            yield log, None, replace(model, tag=tag), np.r_[x, np.zeros(2 * len(points))]
