@@ -58,7 +58,8 @@ def decide(hypotheses: Sequence[Hypothesis], sure: float = SURE) -> Decision:
         return Decision("no_tag", None, lead, words(winner), best, rival)
     if rival.layout is not None:
         return Decision("ambiguous", None, lead, f"{words(best)}, or {words(rival)}", best, rival)
-    return Decision("unknown", None, lead, words(winner), best, rival)
+    reason = words(rival) if winner is rival else f"{words(best)}, or nearly as likely: {words(rival)}"
+    return Decision("unknown", None, lead, reason, best, rival)
 
 
 def is_same(one: Hypothesis, best: Hypothesis) -> bool:

@@ -224,6 +224,7 @@ class Contest:
         """Layouts at their best turns, and free arrangements, by tables of single reflectors."""
         offsets = (0.0,) if transfer.radius_sd_m < 5e-3 else (-0.009, 0.0, 0.011)
         arranged = [_Arranged.of(one, transfer.body) for one in self.layouts]
+        wide = 1 if transfer.body else 2
         found: list[Candidate] = []
         for disc in (0, 1):
             model = Model(transfer, None, transfer.body, disc)
@@ -247,10 +248,10 @@ class Contest:
                 about.append((best, c))
             for some in enrolled.values():
                 found += _unlike(some, 2)
-            for _, c in sorted(about, key=lambda one: -one[0])[:2]:
+            for _, c in sorted(about, key=lambda one: -one[0])[:wide]:
                 every = [search.tables(self.spectra, model, c, [(r, 0.0)], powers[disc]) for r in free_m]
                 pairs = [search.free(table, 0, 2, 1)[-1].log for table in every]
-                for i in np.argsort(pairs)[::-1][:2]:
+                for i in np.argsort(pairs)[::-1][:wide]:
                     for s in search.free(every[i], 0, MOST_REFLECTORS, 2):
                         x = np.r_[c.real, c.imag, np.zeros(len(s.angles)), 0.0]
                         tag = Arrangement.ring(free_m[i], np.array(s.angles))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField, ShellView, ThinShell
-from tagid.reading.columns import CENTRE_SD_M, Model
+from tagid.reading.columns import CENTRE_SD_M, CLOSE_SD_M, Model
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import POINTS
 from tagid.reading.transfers.transfer import Transfer
@@ -26,6 +26,8 @@ OBLIQUITIES = 3
 THIN_M, CERAMIC_M, METAL_M, STRENGTH_SD = 2.8e-3, 10e-3, 0.2, 0.25
 """(eps - 1) d of thin sheets, of cups and of what nothing passes, m, and the standard deviation of their
 logarithms. A sheet that ends above and below acts as half of what it is."""
+CLEAR_M = 6e-3
+"""No centre of a reflector lies nearer to a sheet, m."""
 HALF_M = (0.012, 0.3)
 """Half sizes lie between these, m."""
 HEAD = 6
@@ -164,6 +166,12 @@ class SheetModel(Model):
         """See `Model`: four turns and exchanges of axes are one sheet."""
         log, slope, hessian = super().log_prior(x)
         return log + float(np.log(4 / (2 * np.pi))), slope, hessian
+
+    def overlap(self, x: Floats) -> float:
+        """See `Model`: no reflector stands in the sheet, either."""
+        about = (self.places(x) - complex(x[0], x[1])) * np.exp(-1j * x[2])
+        inside = np.maximum(CLEAR_M - np.abs(self.sheet(x).outside_m(about)), 0)
+        return super().overlap(x) + float((inside**2).sum() / (2 * CLOSE_SD_M**2))
 
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SheetColumns:
         """The columns at parameters x (P,)."""

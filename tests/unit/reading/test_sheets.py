@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tagid.reading import sheet_tags
 from tagid.reading.columns import Arrangement, Model
 from tagid.reading.decision import decide
 from tagid.reading.descent import Found, refined, variance
@@ -38,7 +39,7 @@ def explained(folder: str, name: str) -> tuple[Hypothesis, ...]:
         found.append(Hypothesis(layout, one, one.log_z))
         return one
 
-    tagging.explain(spectra, list(LAYOUTS.values()), tuple(found), enter)
+    sheet_tags.explain(spectra, list(LAYOUTS.values()), tuple(found), enter)
     return tuple(found)
 
 
