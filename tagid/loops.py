@@ -13,7 +13,7 @@ LOOPS = {
     "tagid.imaging._kernel": 3,
     "tagid.imaging.ats._field": 1,
     "tagid.reading._evidence": 1,
-    "tagid.reading._sets": 1,
+    "tagid.reading._sets": 2,
     "tagid.tags.bodies._arrangements": 1,
     "tagid.tags.bodies._cylinders": 2,
     "tagid.tags.bodies._points": 2,

@@ -8,135 +8,145 @@
 #include <stdlib.h>
 
 #define MOST 8 /* columns of a reflector, at most */
+#define UNIT 4 /* frequencies of a vector */
+#define BELOW(p, q) ((p) * ((p) + 1) / 2 + (q)) /* of a lower triangle */
 
+typedef double Four __attribute__((vector_size(8 * UNIT), aligned(16)));
+
+/* Real and imaginary parts lie apart, frequencies last: (.., 2, F), F a multiple of UNIT. */
 typedef struct {
-    const double *gram;  /* (F, B, B, V, P, P) complex: block a at 0 with block b at a shift */
-    const double *held;  /* (F, B, V, P, J) complex: with what is projected out */
-    const double *right; /* (F, B, V, P) complex: with the data */
-    const double *power; /* (F, P) prior variances */
+    const double *own;   /* (B, T, 2, F) a block with itself, T = P (P + 1) / 2 */
+    const double *pair;  /* (B, B, V, T, 2, F) block a at 0 with block b at a shift, and b with a */
+    const double *held;  /* (B V, P, J, 2, F) with what is projected out */
+    const double *right; /* (B V, P, 2, F) with the data */
+    const double *power; /* (P, F) prior variances */
     const int32_t *sets; /* (H, K) block * V + shift */
     int64_t f, b, v, p, j, h, k;
     double *out; /* (H,) */
 } Sets;
 
-/* log of N(b; 0, M) over N(b; 0, I) of one frequency: the lower triangle of M is overwritten. */
-INLINE double gain(int64_t n, double *restrict mr, double *restrict mi, double *restrict sr, double *restrict si)
+#define FOUR(from) (*(const Four *)(from))
+
+/* log of N(b; 0, M) over N(b; 0, 1 / power) of a set, P known to the compiler. */
+INLINE double score_of(const Sets *g, const int32_t *set, const int64_t P)
 {
-    double sum = 0.0;
-    for (int64_t p = 0; p < n; p++) {
-        for (int64_t q = 0; q < p; q++) {
-            double re = mr[p * MOST + q], im = mi[p * MOST + q];
-            for (int64_t m = 0; m < q; m++) {
-                const double ar = mr[p * MOST + m], ai = mi[p * MOST + m];
-                const double br = mr[q * MOST + m], bi = mi[q * MOST + m];
-                re -= ar * br + ai * bi;
-                im -= ai * br - ar * bi;
+    const int64_t F = g->f, T = P * (P + 1) / 2, J = g->j, K = g->k;
+    const int32_t V = (int32_t)g->v;
+    const Four zero = {0};
+    Four gain = zero, volume = zero + 1.0;
+    for (int64_t f = 0; f < F; f += UNIT) {
+        Four mr[MOST * (MOST + 1) / 2], mi[MOST * (MOST + 1) / 2], sr[MOST], si[MOST], inverse[MOST];
+        for (int64_t t = 0; t < T; t++)
+            mr[t] = mi[t] = zero;
+        for (int64_t p = 0; p < P; p++)
+            sr[p] = si[p] = zero;
+        for (int64_t a = 0; a < K; a++) {
+            const int32_t ba = set[a] / V, va = set[a] - ba * V;
+            const double *right = g->right + set[a] * P * 2 * F + f, *own = g->own + ba * T * 2 * F + f;
+            for (int64_t p = 0; p < P; p++)
+                sr[p] += FOUR(right + 2 * p * F), si[p] += FOUR(right + (2 * p + 1) * F);
+            for (int64_t t = 0; t < T; t++)
+                mr[t] += FOUR(own + 2 * t * F), mi[t] += FOUR(own + (2 * t + 1) * F);
+            for (int64_t c = 0; c < a; c++) {
+                const int32_t bc = set[c] / V, vc = set[c] - bc * V, shift = va >= vc ? va - vc : va - vc + V;
+                const double *pair = g->pair + ((bc * g->b + ba) * V + shift) * T * 2 * F + f;
+                for (int64_t t = 0; t < T; t++)
+                    mr[t] += FOUR(pair + 2 * t * F), mi[t] += FOUR(pair + (2 * t + 1) * F);
             }
-            mr[p * MOST + q] = re / mr[q * MOST + q];
-            mi[p * MOST + q] = im / mr[q * MOST + q];
         }
-        double d = mr[p * MOST + p], re = sr[p], im = si[p];
-        for (int64_t m = 0; m < p; m++) {
-            const double ar = mr[p * MOST + m], ai = mi[p * MOST + m];
-            d -= ar * ar + ai * ai;
-            re -= ar * sr[m] - ai * si[m];
-            im -= ar * si[m] + ai * sr[m];
+        for (int64_t j = 0; j < J; j++) {
+            Four ur[MOST], ui[MOST];
+            for (int64_t p = 0; p < P; p++) {
+                ur[p] = ui[p] = zero;
+                for (int64_t a = 0; a < K; a++) {
+                    const double *held = g->held + ((set[a] * P + p) * J + j) * 2 * F + f;
+                    ur[p] += FOUR(held), ui[p] += FOUR(held + F);
+                }
+                for (int64_t q = 0; q <= p; q++) {
+                    mr[BELOW(p, q)] -= ur[p] * ur[q] + ui[p] * ui[q];
+                    mi[BELOW(p, q)] -= ur[p] * ui[q] - ui[p] * ur[q];
+                }
+            }
         }
-        d = d > 1e-300 ? d : 1e-300;
-        mr[p * MOST + p] = sqrt(d);
-        sr[p] = re / mr[p * MOST + p];
-        si[p] = im / mr[p * MOST + p];
-        sum += sr[p] * sr[p] + si[p] * si[p] - log(d);
+        for (int64_t p = 0; p < P; p++) {
+            const Four power = FOUR(g->power + p * F + f);
+            Four d = mr[BELOW(p, p)] + 1.0 / power;
+            for (int64_t q = 0; q < p; q++) {
+                Four re = mr[BELOW(p, q)], im = mi[BELOW(p, q)];
+                for (int64_t m = 0; m < q; m++) { /* what is left of row p, and rows over their pivots */
+                    const Four ar = mr[BELOW(p, m)], ai = mi[BELOW(p, m)];
+                    const Four br = mr[BELOW(q, m)] * inverse[m], bi = mi[BELOW(q, m)] * inverse[m];
+                    re -= ar * br + ai * bi;
+                    im -= ai * br - ar * bi;
+                }
+                mr[BELOW(p, q)] = re, mi[BELOW(p, q)] = im;
+                const Four lr = re * inverse[q], li = im * inverse[q];
+                d -= re * lr + im * li;
+                sr[p] -= lr * sr[q] - li * si[q];
+                si[p] -= lr * si[q] + li * sr[q];
+            }
+            for (int l = 0; l < UNIT; l++)
+                d[l] = d[l] > 1e-300 ? d[l] : 1e-300;
+            inverse[p] = 1.0 / d;
+            gain += (sr[p] * sr[p] + si[p] * si[p]) * inverse[p];
+            volume *= d * power;
+        }
     }
-    return sum;
+    return gain[0] + gain[1] + gain[2] + gain[3] - log(volume[0]) - log(volume[1]) - log(volume[2]) - log(volume[3]);
 }
 
 WIDE static void score(const Sets *g)
 {
-    const int64_t P = g->p, V = g->v, B = g->b, J = g->j;
     for (int64_t h = 0; h < g->h; h++) {
         const int32_t *set = g->sets + h * g->k;
-        double sum = 0.0;
-        for (int64_t f = 0; f < g->f; f++) {
-            double mr[MOST * MOST] = {0}, mi[MOST * MOST] = {0}, sr[MOST] = {0}, si[MOST] = {0};
-            for (int64_t a = 0; a < g->k; a++) {
-                const int64_t ba = set[a] / V, va = set[a] % V;
-                const double *right = g->right + 2 * (((f * B + ba) * V + va) * P);
-                for (int64_t p = 0; p < P; p++) {
-                    sr[p] += right[2 * p];
-                    si[p] += right[2 * p + 1];
-                }
-                for (int64_t c = 0; c < g->k; c++) {
-                    const int64_t bc = set[c] / V, vc = set[c] % V, shift = vc >= va ? vc - va : vc - va + V;
-                    const double *gram = g->gram + 2 * ((((f * B + ba) * B + bc) * V + shift) * P * P);
-                    for (int64_t p = 0; p < P; p++)
-                        for (int64_t q = 0; q <= p; q++) {
-                            mr[p * MOST + q] += gram[2 * (p * P + q)];
-                            mi[p * MOST + q] += gram[2 * (p * P + q) + 1];
-                        }
-                }
-            }
-            for (int64_t j = 0; j < J; j++) {
-                double ur[MOST] = {0}, ui[MOST] = {0};
-                for (int64_t a = 0; a < g->k; a++) {
-                    const double *held = g->held + 2 * (((f * B * V) + set[a]) * P * J);
-                    for (int64_t p = 0; p < P; p++) {
-                        ur[p] += held[2 * (p * J + j)];
-                        ui[p] += held[2 * (p * J + j) + 1];
-                    }
-                }
-                for (int64_t p = 0; p < P; p++)
-                    for (int64_t q = 0; q <= p; q++) {
-                        mr[p * MOST + q] -= ur[p] * ur[q] + ui[p] * ui[q];
-                        mi[p * MOST + q] -= ur[p] * ui[q] - ui[p] * ur[q];
-                    }
-            }
-            const double *power = g->power + f * P;
-            for (int64_t p = 0; p < P; p++) {
-                mr[p * MOST + p] += 1.0 / power[p];
-                sum -= log(power[p]);
-            }
-            sum += gain(P, mr, mi, sr, si);
+        switch (g->p) {
+        case 1: g->out[h] = score_of(g, set, 1); break;
+        case 2: g->out[h] = score_of(g, set, 2); break;
+        case 3: g->out[h] = score_of(g, set, 3); break;
+        case 4: g->out[h] = score_of(g, set, 4); break;
+        case 5: g->out[h] = score_of(g, set, 5); break;
+        default: g->out[h] = score_of(g, set, g->p);
         }
-        g->out[h] = sum;
     }
 }
 
 static PyObject *scores(PyObject *self, PyObject *args)
 {
     (void)self;
-    PyObject *gram, *held, *right, *power, *sets, *out;
+    PyObject *own, *pair, *held, *right, *power, *sets, *out;
     Sets g;
     long long f, b, v, p, j, h, k;
-    if (!PyArg_ParseTuple(args, "OOOOOOLLLLLLL", &gram, &held, &right, &power, &sets, &out, &f, &b, &v, &p, &j, &h,
-                          &k))
+    if (!PyArg_ParseTuple(args, "OOOOOOOLLLLLLL", &own, &pair, &held, &right, &power, &sets, &out, &f, &b, &v, &p,
+                          &j, &h, &k))
         return NULL;
-    if (p < 1 || p > MOST || f < 1 || b < 1 || v < 1 || j < 0 || k < 1) {
+    if (p < 1 || p > MOST || f < 1 || f % UNIT || b < 1 || v < 1 || j < 0 || k < 1) {
         refused("sizes of the tables");
         return NULL;
     }
     g.f = f, g.b = b, g.v = v, g.p = p, g.j = j, g.h = h, g.k = k;
-    Held held_buffers = {0};
-    g.gram = take(&held_buffers, gram, 16 * f * b * b * v * p * p, 0);
-    g.held = g.gram ? take(&held_buffers, held, 16 * f * b * v * p * j, 0) : NULL;
-    g.right = g.held ? take(&held_buffers, right, 16 * f * b * v * p, 0) : NULL;
-    g.power = g.right ? take(&held_buffers, power, 8 * f * p, 0) : NULL;
-    g.sets = g.power ? take(&held_buffers, sets, 4 * h * k, 0) : NULL;
-    g.out = g.sets ? take(&held_buffers, out, 8 * h, 1) : NULL;
+    Held buffers = {0};
+    const int64_t triangle = p * (p + 1) / 2;
+    g.own = take(&buffers, own, 16 * b * triangle * f, 0);
+    g.pair = g.own ? take(&buffers, pair, 16 * b * b * v * triangle * f, 0) : NULL;
+    g.held = g.pair ? take(&buffers, held, 16 * b * v * p * j * f, 0) : NULL;
+    g.right = g.held ? take(&buffers, right, 16 * b * v * p * f, 0) : NULL;
+    g.power = g.right ? take(&buffers, power, 8 * p * f, 0) : NULL;
+    g.sets = g.power ? take(&buffers, sets, 4 * h * k, 0) : NULL;
+    g.out = g.sets ? take(&buffers, out, 8 * h, 1) : NULL;
     if (!g.out)
-        return finished(&held_buffers);
+        return finished(&buffers);
     for (int64_t i = 0; i < h * k; i++)
         if (g.sets[i] < 0 || g.sets[i] >= b * v) {
             refused("a set names a place beyond the table");
-            return finished(&held_buffers);
+            return finished(&buffers);
         }
     Py_BEGIN_ALLOW_THREADS score(&g);
-    Py_END_ALLOW_THREADS return finished(&held_buffers);
+    Py_END_ALLOW_THREADS return finished(&buffers);
 }
 
 static PyMethodDef methods[] = {
-    {"scores", scores, METH_VARARGS, "scores(gram, held, right, power, sets, out, f, b, v, p, j, h, k)"},
+    {"scores", scores, METH_VARARGS, "scores(own, pair, held, right, power, sets, out, f, b, v, p, j, h, k)"},
     {NULL, NULL, 0, NULL},
 };
 
-MODULE(_sets, "Log Bayes factors of sets of reflectors.", methods, 1)
+MODULE(_sets, "Log Bayes factors of sets of reflectors.", methods, 2)

@@ -19,6 +19,7 @@ from tagid.loops import loop
 from tagid.reading.columns import Model, patterns
 from tagid.reading.descent import Powers
 from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.transfers.transfer import Transfer
 
 _sets = loop("tagid.reading._sets")
 
@@ -36,16 +37,20 @@ GROWN = 40
 class Tables:
     """Inner products of the columns of single reflectors on rings, whitened, without room and body.
 
+    Real and imaginary parts are apart, and the frequencies last, filled up to F, a multiple of 4.
+
     Attributes:
-        gram: (F, B, B, V, P, P), right: (F, B, V, P), held: (F, B, V, P, J), see `_sets.c`.
-        power: (F, P) prior variances.
+        own: (B, T, 2, F), pair: (B, B, V, T, 2, F), see `_sets.c`.
+        right: (B V, P, 2, F), held: (B V, P, J, 2, F), with the data, and with what is held out.
+        power: (P, F) prior variances.
         base: log evidence without reflectors, up to what all centres share, nats.
         rings: number of rings; angles: of every ring, `step_rad` apart; fractions: blocks of a ring.
     """
 
-    gram: Complex
-    right: Complex
-    held: Complex
+    own: Floats
+    pair: Floats
+    right: Floats
+    held: Floats
     power: Floats
     base: float
     rings: int
@@ -62,38 +67,59 @@ class Tables:
 
     def scores(self, sets: NDArray[np.int32]) -> Floats:
         """(H,) log evidences of sets (H, K) of indices."""
-        f, b, _, v, p, _ = self.gram.shape
+        b, _, v, _, _, f = self.pair.shape
         out = np.empty(len(sets))
         if not len(sets):
             return out
         chosen = np.ascontiguousarray(sets, dtype=np.int32)
         if _sets is not None:
-            j = self.held.shape[-1]
-            _sets.scores(
-                self.gram, self.held, self.right, self.power, chosen, out, f, b, v, p, j, *chosen.shape
-            )
+            p, j = self.held.shape[1:3]
+            parts = self.own, self.pair, self.held, self.right, self.power
+            _sets.scores(*parts, chosen, out, f, b, v, p, j, *chosen.shape)
             return self.base + out
         return self.base + self._scored(chosen)
 
     def _scored(self, sets: NDArray[np.int32]) -> Floats:
         """The same with numpy."""
-        v = self.gram.shape[3]
+        v, p = self.pair.shape[2], self.power.shape[0]
         block, shift = sets // v, sets % v
-        right = self.right[:, block, shift].sum(axis=2)
-        held = self.held[:, block, shift].sum(axis=2)
-        apart = (shift[:, None, :] - shift[:, :, None]) % v
-        matrix = self.gram[:, block[:, :, None], block[:, None, :], apart].sum(axis=(2, 3))
-        matrix = (
-            matrix
-            - held.conj() @ np.swapaxes(held, 2, 3)
-            + np.eye(self.power.shape[1]) / self.power[:, None, :, None]
-        )
+        right = _joined(self.right[sets].sum(axis=1))
+        held = _joined(self.held[sets].sum(axis=1))
+        below = _joined(self.own[block].sum(axis=1))
+        for a, c in combinations(range(sets.shape[1]), 2):
+            below = below + _joined(self.pair[block[:, a], block[:, c], (shift[:, c] - shift[:, a]) % v])
+        row, column = np.tril_indices(p)
+        matrix = np.zeros((*below.shape[:-1], p, p), dtype=np.complex128)
+        matrix[..., row, column] = below
+        matrix[..., column, row] = below.conj()
+        matrix = matrix - held.conj() @ np.swapaxes(held, 2, 3)
+        matrix[..., np.arange(p), np.arange(p)] += 1 / self.power.T
         factor = np.linalg.cholesky(matrix)
         half = np.linalg.solve(factor, right[..., None])[..., 0]
-        gain = (np.abs(half) ** 2).sum(axis=(0, 2)) - 2 * np.log(np.einsum("fhpp->fhp", factor).real).sum(
-            axis=(0, 2)
-        )
+        diagonal = np.einsum("hfpp->hfp", factor).real
+        gain = (np.abs(half) ** 2).sum(axis=(1, 2)) - 2 * np.log(diagonal).sum(axis=(1, 2))
         return np.asarray(gain - np.log(self.power).sum())
+
+
+def _apart(values: Complex) -> Floats:
+    """(.., 2, F) parts of values (F, ..), with zeros up to a multiple of 4."""
+    f = len(values)
+    out = np.zeros((*values.shape[1:], 2, -(-f // 4) * 4))
+    last = np.moveaxis(values, 0, -1)
+    out[..., 0, :f], out[..., 1, :f] = last.real, last.imag
+    return out
+
+
+def _joined(parts: Floats) -> Complex:
+    """Values (H, F, ..) of parts (H, .., 2, F)."""
+    return np.asarray(np.moveaxis(parts[..., 0, :] + 1j * parts[..., 1, :], -1, 1))
+
+
+def _powers(moving: Floats, transfer: Transfer, tag: float) -> Floats:
+    """(P, F) prior variances; of what the frequencies are filled up with, one."""
+    out = np.ones((len(transfer.power), -(-len(moving) // 4) * 4))
+    out[:, : len(moving)] = tag * np.array(transfer.power)[:, None] * moving
+    return out
 
 
 def tables(
@@ -110,15 +136,28 @@ def tables(
     return make(spectra, model, centre, rings, powers)
 
 
-def _even(
-    spectra: Spectra, model: Model, centre: complex, rings: Sequence[tuple[float, float]], powers: Powers
-) -> Tables:
-    views, transfer = spectra.views, model.transfer
-    fractions = int(np.ceil(2 * np.pi / views / STEP_RAD - 1e-9))
-    sense = np.sign(np.angle(spectra.antenna[1] / spectra.antenna[0]))
-    step = float(sense * 2 * np.pi / (views * fractions))
-    variance = spectra.whiteners[model.disc].every
-    root = np.sqrt(1 + powers.clutter * spectra.moving[:, None] * variance)
+@dataclass(frozen=True, eq=False)
+class _Turning:
+    """Reflectors on rings of an even turn, about any centre.
+
+    Attributes:
+        columns: (F, B, P, V) Fourier vectors of the blocks, behind `root` (F, V).
+        own, pair: of `Tables`.
+    """
+
+    columns: Complex
+    root: Floats
+    own: Floats
+    pair: Floats
+
+
+@lru_cache(maxsize=16)
+def _turning(
+    spectra: Spectra, transfer: Transfer, disc: int, rings: tuple[tuple[float, float], ...], clutter: float
+) -> _Turning:
+    views = spectra.views
+    fractions, step = _steps(spectra)
+    root = np.sqrt(1 + clutter * spectra.moving[:, None] * spectra.whiteners[disc].every)
     columns = []
     for radius, height in rings:
         facing = np.asarray(step * np.arange(fractions), dtype=np.float64)
@@ -126,24 +165,53 @@ def _even(
         seen, _ = patterns(spectra, transfer, np.full(fractions, radius), facing)
         columns.append(waves[:, :, None] * np.moveaxis(seen, 2, 0))
     w = np.fft.fft(np.concatenate(columns, axis=1), axis=-1) / np.sqrt(views) / root[:, None, None]
+    row, column = np.tril_indices(w.shape[2])
+    first, second = w[:, :, row].conj(), w[:, :, column]
+    back = -np.arange(views) % views
+    # a with b turned by n views, and b with a: the second is the transform of what is reversed.
+    product = first[:, :, None] * second[:, None]
+    product += second[:, :, None][..., back] * first[:, None][..., back]
+    pair = _apart(np.moveaxis(np.fft.fft(product, axis=-1), 4, 3))
+    one = np.arange(w.shape[1])
+    return _Turning(w, root, pair[one, one, 0] / 2, pair)
+
+
+def _steps(spectra: Spectra) -> tuple[int, float]:
+    """Blocks of a ring, and the angle between them, rad, in the sense of the turn."""
+    fractions = int(np.ceil(2 * np.pi / spectra.views / STEP_RAD - 1e-9))
+    sense = np.sign(np.angle(spectra.antenna[1] / spectra.antenna[0]))
+    return fractions, float(sense * 2 * np.pi / (spectra.views * fractions))
+
+
+def _even(
+    spectra: Spectra, model: Model, centre: complex, rings: Sequence[tuple[float, float]], powers: Powers
+) -> Tables:
+    views, transfer = spectra.views, model.transfer
+    fractions, step = _steps(spectra)
+    turning = _turning(spectra, transfer, model.disc, tuple(rings), powers.clutter)
+    root, w = turning.root, turning.columns
     undone = np.exp(1j * spectra.kappa[:, None] * (np.abs(spectra.antenna - centre) - spectra.distance_m))
     room, body = (np.fft.fft(one, axis=-1) / np.sqrt(views) / root for one in (undone, np.ones_like(undone)))
     held_out, charge = _orthogonal([room, body] if transfer.body else [room], powers.body * spectra.moving)
     y = np.fft.fft(spectra.data * undone, axis=-1) / np.sqrt(views) / root
     y, base = _cleared(y, held_out)
     base -= 2 * float(np.log(root[:, 1:]).sum()) + (charge if transfer.body else 0.0)
-    q = np.stack(held_out, axis=1)
-    turned = w.conj()
-    right = np.moveaxis(np.fft.ifft(turned * y[:, None, None], axis=-1) * views, 3, 2)
-    held = np.fft.fft(w[:, :, :, None] * q.conj()[:, None, None], axis=-1)
-    # <q, w shifted by n> = sum over m of conj(q) w exp(-2 pi j m n / V).
-    held = np.moveaxis(held, 4, 2)
-    product = turned[:, :, None, :, None] * w[:, None, :, None, :]
-    gram = np.moveaxis(np.fft.fft(product, axis=-1), 5, 3)
-    power = spectra.moving[:, None] * powers.tag * np.array(transfer.power)
-    pack = np.ascontiguousarray
+    # <q, w shifted by n> = sum over m of conj(q) w exp(-2 pi j m n / V); with the data, its conjugate.
+    against = np.stack([y, *held_out], axis=1).conj()
+    product = np.fft.fft(w[:, :, :, None] * against[:, None, None], axis=-1)
+    f, b, p, j, _ = product.shape
+    product = np.moveaxis(product, 4, 2).reshape(f, b * views, p, j)
     return Tables(
-        pack(gram), pack(right), pack(held), pack(power), base, len(rings), views * fractions, fractions, step
+        turning.own,
+        turning.pair,
+        _apart(product[..., 0].conj()),
+        _apart(product[..., 1:]),
+        _powers(spectra.moving, transfer, powers.tag),
+        base,
+        len(rings),
+        views * fractions,
+        fractions,
+        step,
     )
 
 
@@ -171,14 +239,16 @@ def _uneven(
     y, base = _cleared(spectra.white[model.disc] / root, held_out)
     base -= 2 * float(np.log(root).sum()) + charge
     q = np.stack(held_out, axis=1) if held_out else np.zeros((f, 0, y.shape[1]))
-    held = np.ascontiguousarray((w @ np.swapaxes(q.conj(), 1, 2)[:, None])[:, :, None])
-    flat = w.reshape(f, count * p, -1)
-    gram = (flat.conj() @ np.swapaxes(flat, 1, 2)).reshape(f, count, p, count, p)
-    gram = np.moveaxis(gram, 3, 2)[:, :, :, None]
-    right = (flat.conj() @ y[..., None]).reshape(f, count, 1, p)
-    power = spectra.moving[:, None] * powers.tag * np.array(transfer.power)
-    pack = np.ascontiguousarray
-    return Tables(pack(gram), pack(right), held, pack(power), base, len(rings), angles, angles, step)
+    held = w @ np.swapaxes(q.conj(), 1, 2)[:, None]
+    right = (w.conj() @ y[:, None, :, None])[..., 0]
+    rows = [(i, j) for i in range(p) for j in range(i + 1)]
+    pair = np.zeros((count, count, 1, len(rows), 2, -(-f // 4) * 4))
+    for t, (i, j) in enumerate(rows):
+        product = w[:, :, i].conj() @ np.swapaxes(w[:, :, j], 1, 2)
+        pair[:, :, 0, t, :, :f] = _apart(product + np.swapaxes(product, 1, 2))[..., :f]
+    own = pair[np.arange(count), np.arange(count), 0] / 2
+    power = _powers(spectra.moving, transfer, powers.tag)
+    return Tables(own, pair, _apart(right), _apart(held), power, base, len(rings), angles, angles, step)
 
 
 def _orthogonal(vectors: Sequence[Complex], power: Floats) -> tuple[list[Complex], float]:
