@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from itertools import permutations, product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tagid.reading import search, sheet_tags
 from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M, Arrangement, Model
@@ -109,7 +110,7 @@ class Contest:
     layouts: Sequence[Layout]
     transfers: Sequence[Transfer] = TRANSFERS
     hypotheses: list[Hypothesis] = field(default_factory=list)
-    _maps: dict[int, Complex] = field(default_factory=dict)
+    _maps: dict[int, tuple[NDArray[np.complex64], NDArray[np.float32]]] = field(default_factory=dict)
     _centres: list[complex] = field(default_factory=list)
 
     def add(self, layout: Layout | None, found: Found, middle: bool = False) -> Hypothesis:
@@ -299,25 +300,27 @@ class Contest:
         """Where an odd scatterer adds most evidence, x + jy, m; None where it does not pay for its place."""
         spectra, model = self.spectra, found.model
         places = _disc()
+        whitener = spectra.whiteners[model.disc]
         if model.disc not in self._maps:
             waves, _ = spectra.waves(places, np.zeros(len(places)))
-            self._maps[model.disc] = spectra.whiteners[model.disc].apply(waves)
+            spots = whitener.apply(waves).conj().astype(np.complex64)
+            self._maps[model.disc] = spots, spots.real**2 + spots.imag**2
+        spots, energy = self._maps[model.disc]
         lam = variance(spectra, model, found.powers.clutter)
-        whitener = spectra.whiteners[model.disc]
-        columns = whitener.apply(model.at(spectra, found.x, slopes=False).values) / np.sqrt(lam)[:, None]
+        columns = whitener.apply(model.at(spectra, found.x, slopes=False).values)
+        columns = columns / np.sqrt(lam)[:, None]
         y = spectra.white[model.disc] / np.sqrt(lam)
         power = model.power(spectra.moving, found.powers.body, found.powers.tag, found.powers.oval)
         matrix = columns.conj() @ np.swapaxes(columns, 1, 2) + np.eye(columns.shape[1]) / power[:, None, :]
-        inverse = np.linalg.inv(matrix)
-        left = y - ((inverse @ (columns.conj() @ y[..., None]))[..., 0][:, None] @ columns)[:, 0]
-        spots = self._maps[model.disc]
-        # Columns and data are held against the same whitened spots: conj(w) y / lambda.
-        number = (spots.conj() @ (left / np.sqrt(lam))[..., None])[..., 0]
-        cross = spots.conj() @ np.swapaxes(columns / np.sqrt(lam)[:, None], 1, 2)
-        size = (np.abs(spots) ** 2 @ (1 / lam)[..., None])[..., 0]
-        size -= np.einsum("fqn,fnm,fqm->fq", cross, inverse, cross.conj(), optimize=True).real
+        held = np.linalg.solve(np.linalg.cholesky(matrix), columns.conj())
+        left = y - ((held @ y[..., None])[..., 0][:, None] @ held.conj())[:, 0]
+        # Single precision is enough to find the spot, which is refined.
+        against = np.concatenate([held.conj(), left[:, None]], axis=1) / np.sqrt(lam)[:, None]
+        product = spots @ np.swapaxes(against.astype(np.complex64), 1, 2)
+        product = product.real**2 + product.imag**2
+        size = (energy @ (1 / lam).astype(np.float32)[..., None])[..., 0] - product[..., :-1].sum(axis=-1)
         prior = (ODD_POWER * spectra.moving)[:, None]
-        gain = (np.abs(number) ** 2 / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0)
+        gain = (product[..., -1] / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0)
         used = np.concatenate([found.places, found.odd])
         if len(used):
             gain[(np.abs(places[:, None] - used) < CLOSEST_M).any(axis=1)] = -np.inf
