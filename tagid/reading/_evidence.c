@@ -3,287 +3,11 @@
  * `tagid.reading.columns` and `tagid.reading.evidence` hold the formulas, and do the same with numpy where no
  * compiler was present. Only the stable ABI and the buffer protocol are used.
  *
- * Two layouts: planes (column, 2, V), real and imaginary parts apart, where columns are made view by view; and
- * lanes (block of columns, row) of LANES columns side by side, where views and columns are summed over.
+ * Two layouts: planes, see `_columns.h`, where columns are made view by view; and lanes (block of columns,
+ * row) of LANES columns side by side, where views and columns are summed over.
  */
-#include "../tags/_buffers.h"
-#include <math.h>
+#include "_columns.h"
 #include <stdlib.h>
-#include <string.h>
-
-#define ANGLES 256 /* of a table of patterns */
-#define LANES 8
-#define MOST 32 /* columns or parameters, at most */
-#define UNIT 4  /* doubles of a vector */
-
-typedef double Four __attribute__((vector_size(8 * UNIT), aligned(16)));
-typedef struct {
-    Four re[2], im[2];
-} Lanes;
-
-typedef struct {
-    const double *views;   /* (5, V) antenna x, y, height, direction, and 0 where reflectors are hidden */
-    const double *kappa;   /* (2, F) kappa and moving energy */
-    const double *clutter; /* (F, M) variance of unit clutter */
-    const double *white;   /* (F, M) complex: whitened data */
-    const double *basis;   /* (F, M, V); on a full even turn exp(-2 pi j m / V), (V,) complex */
-    const double *tag;     /* (3, K) radius, angle, height */
-    const int64_t *group;  /* (3, K) turn, stretch, table */
-    const double *tables;  /* (tables, P, F, ANGLES) complex */
-    const double *x;       /* (T,) parameters */
-    const double *power;   /* (H, N) prior powers of the columns, over the moving energy */
-    const double *sigma;   /* (G,) powers of the clutter */
-    double *out;
-    double distance;
-    int64_t v, f, m, k, t, n, h, g, body, p, odd, turns, stretches;
-    int64_t even, rows, split, sources, blocks, more;
-} Problem;
-
-typedef struct {
-    double *range, *toward, *wave, *step; /* (S, V), (S, 2, V) */
-    double *lower, *part;                 /* (K, V) where a table is read */
-    double *pattern, *turned;             /* (K, P, 2, V) */
-    double *oval;                         /* (2, V) */
-    double *columns;                      /* (N, 2, V) columns, then weights */
-    double *slopes;                       /* (T, 2, V) */
-    double *scale;                        /* (rows,) 1 / sqrt(lambda) */
-    Lanes *in, *mid;                      /* (blocks, V or rows), (V,) */
-    Lanes *raw, *white;                   /* (blocks, rows), (blocks + more, rows) */
-    Lanes *gram, *inverse, *lower_inverse; /* (columns, blocks) */
-} Work;
-
-static inline double *room(double **at, int64_t count)
-{
-    double *here = *at;
-    *at += (count + 1) / 2 * 2;
-    return here;
-}
-
-/* Lays the work out from a base; the doubles that it takes. */
-static int64_t lay_out(const Problem *g, Work *w, double *base)
-{
-    double *at = base;
-    const int64_t V = g->v, S = g->sources, most = g->blocks > g->more ? g->blocks : g->more, L = 2 * LANES;
-    const int64_t tall = V > g->rows ? V : g->rows, wide = g->blocks + g->more;
-    w->range = room(&at, S * V), w->toward = room(&at, 2 * S * V);
-    w->wave = room(&at, 2 * S * V), w->step = room(&at, 2 * S * V);
-    w->lower = room(&at, g->k * V), w->part = room(&at, g->k * V);
-    w->pattern = room(&at, 2 * g->k * g->p * V), w->turned = room(&at, 2 * g->k * g->p * V);
-    w->oval = room(&at, 2 * V), w->columns = room(&at, 2 * (g->n + 1) * V), w->slopes = room(&at, 2 * g->t * V);
-    w->scale = room(&at, g->rows);
-    w->in = (Lanes *)room(&at, L * most * tall), w->mid = (Lanes *)room(&at, L * V);
-    w->raw = (Lanes *)room(&at, L * most * tall), w->white = (Lanes *)room(&at, L * wide * g->rows);
-    w->gram = (Lanes *)room(&at, L * LANES * most * wide);
-    w->inverse = (Lanes *)room(&at, L * LANES * g->blocks * g->blocks);
-    w->lower_inverse = (Lanes *)room(&at, L * LANES * g->blocks * g->blocks);
-    return at - base;
-}
-
-/* exp(-j x) by polynomials over half a turn: to 3e-16. */
-INLINE void wave_of(double x, double *re, double *im)
-{
-    const double half = rint(x * 0.31830988618379067154);
-    const double r = (x - half * 3.141592653589793116) - half * 1.2246467991473532e-16, q = r * r;
-    const double odd = half - 2.0 * rint(0.5 * half), sign = 1.0 - 2.0 * odd * odd;
-    double s = 1.9572941063391263e-20, c = -8.896791392450574e-22;
-    s = s * q - 8.220635246624329e-18, c = c * q + 4.110317623312165e-19;
-    s = s * q + 2.8114572543455206e-15, c = c * q - 1.5619206968586225e-16;
-    s = s * q - 7.647163731819816e-13, c = c * q + 4.779477332387385e-14;
-    s = s * q + 1.6059043836821613e-10, c = c * q - 1.1470745597729725e-11;
-    s = s * q - 2.505210838544172e-08, c = c * q + 2.08767569878681e-09;
-    s = s * q + 2.7557319223985893e-06, c = c * q - 2.755731922398589e-07;
-    s = s * q - 1.984126984126984e-04, c = c * q + 2.48015873015873e-05;
-    s = s * q + 8.333333333333333e-03, c = c * q - 1.3888888888888889e-03;
-    s = s * q - 1.6666666666666666e-01, c = c * q + 4.1666666666666664e-02;
-    *im = -sign * (r + r * q * s);
-    *re = sign * (1.0 + q * (c * q - 0.5));
-}
-
-/* Places (S, 3) of the sources: body, reflectors, odd scatterers. */
-INLINE void place_all(const Problem *g, double *place)
-{
-    const double *x = g->x, *odd = x + 2 + g->turns + g->stretches;
-    int64_t s = 0;
-    if (g->body)
-        place[0] = x[0], place[1] = x[1], place[2] = 0.0, s = 1;
-    for (int64_t k = 0; k < g->k; k++, s++) {
-        const double facing = g->tag[g->k + k] + x[2 + g->group[k]];
-        const double radius = g->tag[k] + x[2 + g->turns + g->group[g->k + k]];
-        place[3 * s] = x[0] + radius * cos(facing);
-        place[3 * s + 1] = x[1] + radius * sin(facing);
-        place[3 * s + 2] = g->tag[2 * g->k + k];
-    }
-    for (int64_t i = 0; i < g->odd; i++, s++)
-        place[3 * s] = odd[2 * i], place[3 * s + 1] = odd[2 * i + 1], place[3 * s + 2] = 0.0;
-}
-
-/* What holds at all frequencies. */
-INLINE void prepare(const Problem *g, const Work *w)
-{
-    const int64_t V = g->v;
-    const double *ax = g->views, *ay = ax + V, *az = ay + V, *direction = az + V;
-    const double first = g->kappa[0], between = g->f > 1 ? g->kappa[1] - g->kappa[0] : 0.0;
-    double place[3 * MOST];
-    place_all(g, place);
-    for (int64_t s = 0; s < g->sources; s++) {
-        const double px = place[3 * s], py = place[3 * s + 1], pz = place[3 * s + 2];
-        double *restrict range = w->range + s * V, *restrict toward = w->toward + 2 * s * V;
-        double *restrict wave = w->wave + 2 * s * V, *restrict step = w->step + 2 * s * V;
-#pragma omp simd
-        for (int64_t v = 0; v < V; v++) {
-            const double dx = px - ax[v], dy = py - ay[v], dz = az[v] - pz;
-            const double r = sqrt(dx * dx + dy * dy + dz * dz), path = r - g->distance;
-            const double loss = g->distance / r * (g->distance / r);
-            double re, im;
-            range[v] = r, toward[v] = dx / r, toward[V + v] = dy / r;
-            wave_of(first * path, &re, &im);
-            wave[v] = loss * re, wave[V + v] = loss * im;
-            wave_of(between * path, &re, &im);
-            step[v] = re, step[V + v] = im;
-        }
-    }
-    for (int64_t k = 0; k < g->k; k++) {
-        const double facing = g->tag[g->k + k] + g->x[2 + g->group[k]];
-        for (int64_t v = 0; v < V; v++) {
-            const double at = (direction[v] - facing) * (ANGLES / 6.283185307179586), low = floor(at);
-            w->part[k * V + v] = at - low;
-            w->lower[k * V + v] = low - ANGLES * floor(low / ANGLES);
-        }
-    }
-    for (int64_t v = 0; g->body > 1 && v < V; v++) {
-        w->oval[v] = cos(2.0 * direction[v]);
-        w->oval[V + v] = sin(2.0 * direction[v]);
-    }
-}
-
-/* Waves and patterns of frequency f, after those of f - 1. */
-INLINE void at_frequency(const Problem *g, const Work *w, int64_t f, int with_slopes)
-{
-    const int64_t V = g->v;
-    const double *seen = g->views + 4 * V, per_angle = ANGLES / 6.283185307179586;
-    for (int64_t s = 0; f > 0 && s < g->sources; s++) {
-        double *restrict wave = w->wave + 2 * s * V;
-        const double *restrict step = w->step + 2 * s * V;
-#pragma omp simd
-        for (int64_t v = 0; v < V; v++) {
-            const double re = wave[v], im = wave[V + v];
-            wave[v] = re * step[v] - im * step[V + v];
-            wave[V + v] = re * step[V + v] + im * step[v];
-        }
-    }
-    for (int64_t k = 0; k < g->k; k++)
-        for (int64_t p = 0; p < g->p; p++) {
-            const double *table = g->tables + 2 * (((g->group[2 * g->k + k] * g->p + p) * g->f + f) * ANGLES);
-            double *restrict to = w->pattern + 2 * (k * g->p + p) * V;
-            double *restrict turned = w->turned + 2 * (k * g->p + p) * V;
-            for (int64_t v = 0; v < V; v++) {
-                const int64_t low = (int64_t)w->lower[k * V + v], next = (low + 1) % ANGLES;
-                const double re = table[2 * low], im = table[2 * low + 1], part = w->part[k * V + v];
-                const double rise_re = table[2 * next] - re, rise_im = table[2 * next + 1] - im;
-                to[v] = seen[v] * (re + rise_re * part);
-                to[V + v] = seen[v] * (im + rise_im * part);
-                if (with_slopes) {
-                    turned[v] = seen[v] * rise_re * per_angle;
-                    turned[V + v] = seen[v] * rise_im * per_angle;
-                }
-            }
-        }
-}
-
-/* out += a b, all planes. */
-INLINE void add_product(const double *restrict a, const double *restrict b, double *restrict out, int64_t V)
-{
-#pragma omp simd
-    for (int64_t v = 0; v < V; v++) {
-        out[v] += a[v] * b[v] - a[V + v] * b[V + v];
-        out[V + v] += a[v] * b[V + v] + a[V + v] * b[v];
-    }
-}
-
-/* The planes of all columns. */
-INLINE void columns_of(const Problem *g, const Work *w)
-{
-    const int64_t V = g->v;
-    const double *wave = w->wave;
-    double *to = w->columns;
-    memset(to, 0, (size_t)(2 * g->n * V) * sizeof(double));
-    for (int64_t b = 0; b < g->body; b++, to += 2 * V)
-        for (int64_t v = 0; v < V; v++) {
-            const double shape = b ? w->oval[(b - 1) * V + v] : 1.0;
-            to[v] = wave[v] * shape, to[V + v] = wave[V + v] * shape;
-        }
-    wave += g->body ? 2 * V : 0;
-    for (int64_t k = 0; k < g->k; k++) {
-        for (int64_t p = 0; p < g->p; p++)
-            add_product(w->pattern + 2 * (k * g->p + p) * V, wave + 2 * k * V, to + 2 * p * V, V);
-        if (g->k > 1)
-            add_product(w->pattern + 2 * k * g->p * V, wave + 2 * k * V, to + 2 * (g->p + k) * V, V);
-    }
-    to += g->k ? 2 * (g->p + (g->k > 1 ? g->k : 0)) * V : 0;
-    memcpy(to, wave + 2 * g->k * V, (size_t)(2 * g->odd * V) * sizeof(double));
-}
-
-/* Slopes of a source whose patterns sum to `sum`, along x and y times the given shares, onto planes. */
-INLINE void add_slope(const Work *w, int64_t s, const double *restrict sum, double kappa, double along_x,
-                      double along_y, double *restrict out, int64_t V)
-{
-    const double *restrict wave = w->wave + 2 * s * V, *restrict range = w->range + s * V;
-    const double *restrict toward = w->toward + 2 * s * V;
-#pragma omp simd
-    for (int64_t v = 0; v < V; v++) {
-        const double re = sum[v] * wave[v] - sum[V + v] * wave[V + v];
-        const double im = sum[v] * wave[V + v] + sum[V + v] * wave[v];
-        const double share = along_x * toward[v] + along_y * toward[V + v], loss = -2.0 / range[v];
-        out[v] += share * (loss * re + kappa * im);
-        out[V + v] += share * (loss * im - kappa * re);
-    }
-}
-
-/* Slopes (T, 2, V) of the sum of weights (N, 2, V) times columns; `scratch` (2, 2, V). */
-INLINE void slopes_of(const Problem *g, const Work *w, int64_t f, const double *weight, double *scratch)
-{
-    const int64_t V = g->v, two = 2 * V;
-    const double kappa = g->kappa[f];
-    double *sum = scratch, *turned = scratch + two, *out = w->slopes;
-    int64_t s = 0;
-    memset(out, 0, (size_t)(g->t * two) * sizeof(double));
-    if (g->body) {
-        memcpy(sum, weight, (size_t)two * sizeof(double));
-        for (int64_t b = 1; b < g->body; b++)
-            for (int64_t v = 0; v < V; v++) {
-                sum[v] += weight[b * two + v] * w->oval[(b - 1) * V + v];
-                sum[V + v] += weight[b * two + V + v] * w->oval[(b - 1) * V + v];
-            }
-        add_slope(w, s, sum, kappa, 1.0, 0.0, out, V);
-        add_slope(w, s, sum, kappa, 0.0, 1.0, out + two, V);
-        weight += g->body * two, s = 1;
-    }
-    for (int64_t k = 0; k < g->k; k++, s++) {
-        const int64_t turn = g->group[k], stretch = g->group[g->k + k];
-        const double facing = g->tag[g->k + k] + g->x[2 + turn], c = cos(facing), d = sin(facing);
-        const double radius = g->tag[k] + g->x[2 + g->turns + stretch];
-        memset(scratch, 0, (size_t)(2 * two) * sizeof(double));
-        for (int64_t p = 0; p < g->p + (g->k > 1); p++) {
-            const int64_t of = (k * g->p + (p < g->p ? p : 0)) * two, from = (p < g->p ? p : p + k) * two;
-            add_product(w->pattern + of, weight + from, sum, V);
-            add_product(w->turned + of, weight + from, turned, V);
-        }
-        for (int64_t v = 0; v < two; v++)
-            turned[v] = -turned[v];
-        double *spun = out + (2 + turn) * two, *drawn = out + (2 + g->turns + stretch) * two;
-        add_slope(w, s, sum, kappa, 1.0, 0.0, out, V);
-        add_slope(w, s, sum, kappa, 0.0, 1.0, out + two, V);
-        add_slope(w, s, sum, kappa, -radius * d, radius * c, spun, V);
-        add_slope(w, s, sum, kappa, c, d, drawn, V);
-        add_product(turned, w->wave + s * two, spun, V);
-    }
-    weight += g->k ? (g->p + (g->k > 1 ? g->k : 0)) * two : 0;
-    out += (2 + g->turns + g->stretches) * two;
-    for (int64_t i = 0; i < g->odd; i++, s++, weight += two, out += 2 * two) {
-        add_slope(w, s, weight, kappa, 1.0, 0.0, out, V);
-        add_slope(w, s, weight, kappa, 0.0, 1.0, out + two, V);
-    }
-}
 
 /* Planes of so many columns to lanes (blocks, V), and back. */
 INLINE void to_lanes(const double *planes, int64_t count, int64_t V, Lanes *lanes)
@@ -328,9 +52,10 @@ INLINE Lanes turned_sum(const Lanes *in, int64_t count, int64_t stride, const do
 
 /* Lanes (blocks, V) to the whitener's basis (blocks, rows); `back`: by the transposed basis.
  *
- * On a full even turn in two steps, of `split` and V / split views (J. W. Cooley and J. W. Tukey, *Mathematics
- * of Computation* 19, 1965). */
-INLINE void transform(const Problem *g, const Work *w, int64_t f, const Lanes *in, int64_t blocks, Lanes *out, int back)
+ * On a full even turn in two steps, of `split` and V / split views (J. W. Cooley and J. W. Tukey,
+ * *Mathematics of Computation* 19, 1965). */
+INLINE void transform(const Problem *g, const Work *w, int64_t f, const Lanes *in, int64_t blocks, Lanes *out,
+                      int back)
 {
     const int64_t V = g->v, A = g->split, B = V / A, from = back ? g->rows : V, to = back ? V : g->rows;
     const double unit = 1.0 / sqrt((double)V), *basis = g->basis + f * g->m * V;
@@ -569,7 +294,8 @@ INLINE void pull(const Problem *g, const Work *w, Lanes *out)
 
 /* Adds the share of frequency f to gradient and Hessian: gram (T, blocks + more) is of slopes with columns,
  * data and slopes. */
-INLINE void add_curvature(const Problem *g, const Work *w, const double *amplitude, double *gradient, double *hessian)
+INLINE void add_curvature(const Problem *g, const Work *w, const double *amplitude, double *gradient,
+                          double *hessian)
 {
     const int64_t N = g->n, T = g->t, wide = g->blocks + g->more, other = LANES * g->blocks;
     double held[2 * MOST];
@@ -582,16 +308,18 @@ INLINE void add_curvature(const Problem *g, const Work *w, const double *amplitu
         for (int64_t c = 0; c < N; c++) {
             double re = 0.0, im = 0.0; /* of own^T inverse */
             for (int64_t d = 0; d < N; d++) {
-                const double ar = real_of(w->inverse + d * g->blocks, c), ai = imag_of(w->inverse + d * g->blocks, c);
+                const Lanes *row = w->inverse + d * g->blocks;
+                const double ar = real_of(row, c), ai = imag_of(row, c);
                 re += real_of(own, d) * ar - imag_of(own, d) * ai;
                 im += real_of(own, d) * ai + imag_of(own, d) * ar;
             }
             held[2 * c] = re, held[2 * c + 1] = im;
         }
         for (int64_t u = 0; u <= t; u++) {
+            const Lanes *row = w->gram + u * wide;
             double left = real_of(own, other + u);
             for (int64_t c = 0; c < N; c++)
-                left -= held[2 * c] * real_of(w->gram + u * wide, c) + held[2 * c + 1] * imag_of(w->gram + u * wide, c);
+                left -= held[2 * c] * real_of(row, c) + held[2 * c + 1] * imag_of(row, c);
             hessian[t * T + u] += 2.0 * left;
         }
     }
@@ -643,8 +371,8 @@ static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
 {
     PyObject *o[12];
     long long body, patterns, odd;
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOOdLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8, o + 9,
-                          o + 10, o + 11, &g->distance, &body, &patterns, &odd))
+    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOOdLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
+                          o + 9, o + 10, o + 11, &g->distance, &body, &patterns, &odd))
         return 0;
     g->body = body, g->p = patterns, g->odd = odd;
     if (!(g->views = take(held, o[0], -1, 0)) || (g->v = taken(held) / 40) < 1)
@@ -687,7 +415,8 @@ static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
         !(g->out = take(held, o[11], -1, 1)))
         return refused("powers");
     g->h = one ? 1 : taken(held) / 8 / g->g; /* without columns their powers do not say */
-    if (taken(held) != 8 * (one ? 1 + g->t + g->t * g->t : g->g * g->h) || powers != g->h * g->n || (one && g->g > 1))
+    if (taken(held) != 8 * (one ? 1 + g->t + g->t * g->t : g->g * g->h) || powers != g->h * g->n ||
+        (one && g->g > 1))
         return refused("sizes of powers and results");
     for (g->split = 1; (g->split + 1) * (g->split + 1) <= g->v;) {
         int64_t next = g->split + 1;
@@ -732,7 +461,8 @@ static PyObject *expand(PyObject *self, PyObject *args)
     return computed(args, 1);
 }
 
-#define ARGUMENTS_OF "views, kappa, clutter, white, basis, tag, group, tables, x, power, sigma, out, distance, body, p, odd"
+#define ARGUMENTS_OF                                                                                         \
+    "views, kappa, clutter, white, basis, tag, group, tables, x, power, sigma, out, distance, body, p, odd"
 
 static PyMethodDef methods[] = {
     {"values", values, METH_VARARGS, "values(" ARGUMENTS_OF "): out (G, H) log likelihoods"},

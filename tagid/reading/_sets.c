@@ -92,7 +92,10 @@ INLINE double score_of(const Sets *g, const int32_t *set, const int64_t P)
             volume *= d * power;
         }
     }
-    return gain[0] + gain[1] + gain[2] + gain[3] - log(volume[0]) - log(volume[1]) - log(volume[2]) - log(volume[3]);
+    double sum = 0.0;
+    for (int l = 0; l < UNIT; l++)
+        sum += gain[l] - log(volume[l]);
+    return sum;
 }
 
 WIDE static void score(const Sets *g)
@@ -116,8 +119,8 @@ static PyObject *scores(PyObject *self, PyObject *args)
     PyObject *own, *pair, *held, *right, *power, *sets, *out;
     Sets g;
     long long f, b, v, p, j, h, k;
-    if (!PyArg_ParseTuple(args, "OOOOOOOLLLLLLL", &own, &pair, &held, &right, &power, &sets, &out, &f, &b, &v, &p,
-                          &j, &h, &k))
+    if (!PyArg_ParseTuple(args, "OOOOOOOLLLLLLL", &own, &pair, &held, &right, &power, &sets, &out, &f, &b, &v,
+                          &p, &j, &h, &k))
         return NULL;
     if (p < 1 || p > MOST || f < 1 || f % UNIT || b < 1 || v < 1 || j < 0 || k < 1) {
         refused("sizes of the tables");

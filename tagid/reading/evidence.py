@@ -58,7 +58,7 @@ def log_evidence(columns: Complex, data: Complex, lam: Floats, power: Floats) ->
     y = data / np.sqrt(lam)
     energy = (np.abs(y) ** 2).sum(axis=(1, 2)) + np.log(lam).sum(axis=(1, 2))
     if columns.shape[1] == 0:
-        return np.asarray(-energy)
+        return np.broadcast_to(-energy, len(power))
     matrix = scaled.conj() @ np.swapaxes(scaled, 2, 3)
     matrix = matrix + np.eye(power.shape[2]) / power[..., None]
     right = (scaled.conj() @ y[..., None])[..., 0]

@@ -1,0 +1,110 @@
+"""The log evidence of columns: against the dense formula, its slopes, and the compiled loop against numpy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from reader_scenes import LAYOUTS, spectra_of
+
+from tagid.reading.columns import Arrangement, Columns, Model
+from tagid.reading.compiled import Compiled
+from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, _Numpy, variance
+from tagid.reading.spectra import Spectra
+from tagid.reading.transfers.plain import BARE, FACING, FILLED
+from tagid.reading.transfers.shade import SHADE
+
+SPECTRA = {
+    "even": spectra_of("container-90", views=36),
+    "uneven": spectra_of("container-90", views=31, turns=0.8),
+}
+SPECTRA["heights"] = replace(
+    SPECTRA["even"], height_m=np.where(np.arange(36) % 2, 0.12, 0.0), full_turn=False
+)
+LAYOUT = Arrangement.of_layout(LAYOUTS[0].positions, LAYOUTS[0].heights)
+FREE = Arrangement.points(np.array([0.04, 0.05j, -0.03 - 0.03j])).and_one(-0.09j)
+MODELS = {
+    "nothing": Model(BARE, None, False, 0),
+    "round": Model(BARE, LAYOUT, False, 1),
+    "body": Model(FACING, None, True, 0, odd=1),
+    "layout": Model(FACING, LAYOUT, True, 0, odd=2),
+    "late": Model(FILLED, LAYOUT, False, 1),
+    "free": Model(SHADE, FREE, True, 0),
+    "hidden": Model(BARE, FREE, False, 0, odd=1, hidden=(1.0, 2.0)),
+}
+POWERS = (100.0, 0.3, 1e-3)
+
+
+def somewhere(model: Model) -> np.ndarray:
+    """Parameters of a model away from every symmetry."""
+    x = 0.002 * np.cos(1.0 + 3 * np.arange(model.parameters))
+    turns = 0 if model.tag is None else model.tag.turns
+    x[2 : 2 + turns] = 0.3 + np.arange(turns)
+    if model.odd:
+        x[-2 * model.odd :] = 0.09 * np.sin(2.0 + 2 * np.arange(2 * model.odd))
+    return x
+
+
+def compiled(spectra: Spectra, model: Model) -> Compiled:
+    likelihood = Compiled.of(spectra, model)
+    if likelihood is None:
+        pytest.skip("no compiler was present at installation")
+    return likelihood
+
+
+@pytest.mark.parametrize("turn", SPECTRA)
+@pytest.mark.parametrize("kind", MODELS)
+def test_the_compiled_likelihood_is_that_of_numpy(turn: str, kind: str) -> None:
+    spectra, model = SPECTRA[turn], MODELS[kind]
+    x, some = somewhere(model), list(product(BODY, TAG, OVAL[1:2]))
+    one, other = compiled(spectra, model), _Numpy(spectra, model)
+    np.testing.assert_allclose(one.values(x, some, CLUTTER), other.values(x, some, CLUTTER), rtol=1e-9)
+    for a, b in zip(one.expanded(x, POWERS, 1e-3), other.expanded(x, POWERS, 1e-3), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9 * np.abs(b).max())
+
+
+@pytest.mark.parametrize("turn", SPECTRA)
+@pytest.mark.parametrize("kind", ["body", "layout", "free", "hidden"])
+@pytest.mark.parametrize("way", [compiled, _Numpy])
+def test_the_gradient_is_that_of_finite_differences(
+    turn: str, kind: str, way: type[Compiled] | type[_Numpy]
+) -> None:
+    model = MODELS[kind]
+    likelihood, x = way(SPECTRA[turn], model), somewhere(model)
+    value, gradient, hessian = likelihood.expanded(x, POWERS, 1e-3)
+    assert value == pytest.approx(likelihood.values(x, [POWERS], [1e-3])[0, 0], rel=1e-12)
+    assert np.linalg.eigvalsh(hessian)[0] > -1e-9 * np.abs(hessian).max()
+    step = 1e-6
+    ends = [
+        [likelihood.values(x + sign * step * unit, [POWERS], [1e-3])[0, 0] for sign in (1, -1)]
+        for unit in np.eye(len(x))
+    ]
+    slopes = -np.diff(ends, axis=1)[:, 0] / (2 * step)
+    # Patterns are linear between aspects: a view at a corner of a table has no slope there.
+    np.testing.assert_allclose(gradient, slopes, rtol=1e-4, atol=1e-4 * np.abs(slopes).max())
+
+
+@pytest.mark.parametrize("turn", SPECTRA)
+def test_the_evidence_is_that_of_the_covariance(turn: str) -> None:
+    spectra, model = SPECTRA[turn], MODELS["layout"]
+    x, whitener = somewhere(model), SPECTRA[turn].whiteners[0]
+    columns = whitener.apply(Columns.of(model, spectra, x).values)
+    power, lam = model.power(spectra.moving, *POWERS), variance(spectra, model, 1e-2)
+    expected = 0.0
+    for f, data in enumerate(spectra.white[0]):
+        covariance = np.diag(lam[f]) + (columns[f].T * power[f]) @ columns[f].conj()
+        expected -= (data.conj() @ np.linalg.solve(covariance, data)).real + np.linalg.slogdet(covariance)[1]
+    for way in (compiled, _Numpy):
+        likelihood = way(spectra, model)
+        assert likelihood.values(x, [POWERS], [1e-2])[0, 0] == pytest.approx(expected, rel=1e-9)
+        assert likelihood.expanded(x, POWERS, 1e-2)[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_models_of_other_columns_are_left_to_numpy() -> None:
+    class Other(Model):
+        pass
+
+    assert Compiled.of(SPECTRA["even"], Other(BARE, None, False, 0)) is None
+    assert Compiled.of(SPECTRA["even"], Model(BARE, None, False, 0, odd=40)) is None
