@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -34,21 +34,77 @@ GROWN = 40
 
 
 @dataclass(frozen=True, eq=False)
+class Blocks:
+    """Columns of single reflectors, whitened.
+
+    Real and imaginary parts of tables are apart, and the frequencies last, filled up to F, a multiple of 4.
+
+    Attributes:
+        columns: (F, B, P, M) of every block of reflectors.
+        shifts: V of an even turn, by which the reflectors of a block are apart in Fourier vectors; otherwise
+            1, the number of reflectors of a block.
+    """
+
+    columns: Complex
+    shifts: int
+
+    @cached_property
+    def pair(self) -> Floats:
+        """(B, B, V, T, 2, F), see `_sets.c`."""
+        w = self.columns
+        f, b, p, m = w.shape
+        row, column = np.tril_indices(p)
+        if self.shifts > 1:
+            first, second = w[:, :, row].conj(), w[:, :, column]
+            back = -np.arange(m) % m
+            # a with b turned by n views, and b with a: the second is the transform of what is reversed.
+            product = first[:, :, None] * second[:, None]
+            product += second[:, :, None][..., back] * first[:, None][..., back]
+            return _apart(np.moveaxis(np.fft.fft(product, axis=-1), 4, 3))
+        out = np.zeros((b, b, 1, len(row), 2, -(-f // 4) * 4))
+        for t, (i, j) in enumerate(zip(row, column, strict=True)):
+            product = w[:, :, i].conj() @ np.swapaxes(w[:, :, j], 1, 2)
+            out[:, :, 0, t, :, :f] = _apart(product + np.swapaxes(product, 1, 2))[..., :f]
+        return out
+
+    @cached_property
+    def own(self) -> Floats:
+        """(B, T, 2, F), see `_sets.c`."""
+        each = np.arange(self.columns.shape[1])
+        return np.asarray(self.pair[each, each, 0] / 2)
+
+    def below(self, sets: NDArray[np.int32]) -> Complex:
+        """(H, F, T) inner products of sets of reflectors."""
+        v = self.shifts
+        block, shift = sets // v, sets % v
+        below = _joined(self.own[block].sum(axis=1))
+        for a, c in combinations(range(sets.shape[1]), 2):
+            below = below + _joined(self.pair[block[:, a], block[:, c], (shift[:, c] - shift[:, a]) % v])
+        return below
+
+    def summed(self, sets: NDArray[np.int32]) -> Complex:
+        """The same of one reflector a block, from the columns themselves: less for few sets."""
+        f, _, p, _ = self.columns.shape
+        w = self.columns[:, sets].sum(axis=2)
+        row, column = np.tril_indices(p)
+        out = np.zeros((len(sets), -(-f // 4) * 4, len(row)), dtype=np.complex128)
+        out[:, :f] = np.swapaxes((w.conj() @ np.swapaxes(w, 2, 3))[:, :, row, column], 0, 1)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
 class Tables:
     """Inner products of the columns of single reflectors on rings, whitened, without room and body.
 
-    Real and imaginary parts are apart, and the frequencies last, filled up to F, a multiple of 4.
-
     Attributes:
-        own: (B, T, 2, F), pair: (B, B, V, T, 2, F), see `_sets.c`.
+        blocks: the columns.
         right: (B V, P, 2, F), held: (B V, P, J, 2, F), with the data, and with what is held out.
         power: (P, F) prior variances.
         base: log evidence without reflectors, up to what all centres share, nats.
         rings: number of rings; angles: of every ring, `step_rad` apart; fractions: blocks of a ring.
     """
 
-    own: Floats
-    pair: Floats
+    blocks: Blocks
     right: Floats
     held: Floats
     power: Floats
@@ -67,27 +123,25 @@ class Tables:
 
     def scores(self, sets: NDArray[np.int32]) -> Floats:
         """(H,) log evidences of sets (H, K) of indices."""
-        b, _, v, _, _, f = self.pair.shape
-        out = np.empty(len(sets))
         if not len(sets):
-            return out
-        chosen = np.ascontiguousarray(sets, dtype=np.int32)
-        if _sets is not None:
-            p, j = self.held.shape[1:3]
-            parts = self.own, self.pair, self.held, self.right, self.power
-            _sets.scores(*parts, chosen, out, f, b, v, p, j, *chosen.shape)
-            return self.base + out
-        return self.base + self._scored(chosen)
+            return np.zeros(0)
+        blocks, chosen = self.blocks, np.ascontiguousarray(sets, dtype=np.int32)
+        b, v = blocks.columns.shape[1], blocks.shifts
+        if v == 1 and len(sets) <= b and "pair" not in vars(blocks):
+            return self.base + self._scored(chosen, blocks.summed(chosen))
+        if _sets is None:
+            return self.base + self._scored(chosen, blocks.below(chosen))
+        out = np.empty(len(sets))
+        p, j, _, f = self.held.shape[1:]
+        parts = blocks.own, blocks.pair, self.held, self.right, self.power
+        _sets.scores(*parts, chosen, out, f, b, v, p, j, *chosen.shape)
+        return self.base + out
 
-    def _scored(self, sets: NDArray[np.int32]) -> Floats:
-        """The same with numpy."""
-        v, p = self.pair.shape[2], self.power.shape[0]
-        block, shift = sets // v, sets % v
+    def _scored(self, sets: NDArray[np.int32], below: Complex) -> Floats:
+        """The same with numpy, from inner products of the sets (H, F, T)."""
+        p = len(self.power)
         right = _joined(self.right[sets].sum(axis=1))
         held = _joined(self.held[sets].sum(axis=1))
-        below = _joined(self.own[block].sum(axis=1))
-        for a, c in combinations(range(sets.shape[1]), 2):
-            below = below + _joined(self.pair[block[:, a], block[:, c], (shift[:, c] - shift[:, a]) % v])
         row, column = np.tril_indices(p)
         matrix = np.zeros((*below.shape[:-1], p, p), dtype=np.complex128)
         matrix[..., row, column] = below
@@ -136,25 +190,11 @@ def tables(
     return make(spectra, model, centre, rings, powers)
 
 
-@dataclass(frozen=True, eq=False)
-class _Turning:
-    """Reflectors on rings of an even turn, about any centre.
-
-    Attributes:
-        columns: (F, B, P, V) Fourier vectors of the blocks, behind `root` (F, V).
-        own, pair: of `Tables`.
-    """
-
-    columns: Complex
-    root: Floats
-    own: Floats
-    pair: Floats
-
-
 @lru_cache(maxsize=16)
 def _turning(
     spectra: Spectra, transfer: Transfer, disc: int, rings: tuple[tuple[float, float], ...], clutter: float
-) -> _Turning:
+) -> tuple[Blocks, Floats]:
+    """Reflectors on rings of an even turn, about any centre: Fourier vectors behind a root (F, V)."""
     views = spectra.views
     fractions, step = _steps(spectra)
     root = np.sqrt(1 + clutter * spectra.moving[:, None] * spectra.whiteners[disc].every)
@@ -165,15 +205,7 @@ def _turning(
         seen, _ = patterns(spectra, transfer, np.full(fractions, radius), facing)
         columns.append(waves[:, :, None] * np.moveaxis(seen, 2, 0))
     w = np.fft.fft(np.concatenate(columns, axis=1), axis=-1) / np.sqrt(views) / root[:, None, None]
-    row, column = np.tril_indices(w.shape[2])
-    first, second = w[:, :, row].conj(), w[:, :, column]
-    back = -np.arange(views) % views
-    # a with b turned by n views, and b with a: the second is the transform of what is reversed.
-    product = first[:, :, None] * second[:, None]
-    product += second[:, :, None][..., back] * first[:, None][..., back]
-    pair = _apart(np.moveaxis(np.fft.fft(product, axis=-1), 4, 3))
-    one = np.arange(w.shape[1])
-    return _Turning(w, root, pair[one, one, 0] / 2, pair)
+    return Blocks(w, views), root
 
 
 def _steps(spectra: Spectra) -> tuple[int, float]:
@@ -188,8 +220,8 @@ def _even(
 ) -> Tables:
     views, transfer = spectra.views, model.transfer
     fractions, step = _steps(spectra)
-    turning = _turning(spectra, transfer, model.disc, tuple(rings), powers.clutter)
-    root, w = turning.root, turning.columns
+    blocks, root = _turning(spectra, transfer, model.disc, tuple(rings), powers.clutter)
+    w = blocks.columns
     undone = np.exp(1j * spectra.kappa[:, None] * (np.abs(spectra.antenna - centre) - spectra.distance_m))
     room, body = (np.fft.fft(one, axis=-1) / np.sqrt(views) / root for one in (undone, np.ones_like(undone)))
     held_out, charge = _orthogonal([room, body] if transfer.body else [room], powers.body * spectra.moving)
@@ -202,8 +234,7 @@ def _even(
     f, b, p, j, _ = product.shape
     product = np.moveaxis(product, 4, 2).reshape(f, b * views, p, j)
     return Tables(
-        turning.own,
-        turning.pair,
+        blocks,
         _apart(product[..., 0].conj()),
         _apart(product[..., 1:]),
         _powers(spectra.moving, transfer, powers.tag),
@@ -241,14 +272,8 @@ def _uneven(
     q = np.stack(held_out, axis=1) if held_out else np.zeros((f, 0, y.shape[1]))
     held = w @ np.swapaxes(q.conj(), 1, 2)[:, None]
     right = (w.conj() @ y[:, None, :, None])[..., 0]
-    rows = [(i, j) for i in range(p) for j in range(i + 1)]
-    pair = np.zeros((count, count, 1, len(rows), 2, -(-f // 4) * 4))
-    for t, (i, j) in enumerate(rows):
-        product = w[:, :, i].conj() @ np.swapaxes(w[:, :, j], 1, 2)
-        pair[:, :, 0, t, :, :f] = _apart(product + np.swapaxes(product, 1, 2))[..., :f]
-    own = pair[np.arange(count), np.arange(count), 0] / 2
     power = _powers(spectra.moving, transfer, powers.tag)
-    return Tables(own, pair, _apart(right), _apart(held), power, base, len(rings), angles, angles, step)
+    return Tables(Blocks(w, 1), _apart(right), _apart(held), power, base, len(rings), angles, angles, step)
 
 
 def _orthogonal(vectors: Sequence[Complex], power: Floats) -> tuple[list[Complex], float]:

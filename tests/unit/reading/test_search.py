@@ -63,7 +63,17 @@ def test_the_compiled_scores_are_those_of_numpy() -> None:
     spectra = spectra_of("helmet-120", views=36)
     table = search.tables(spectra, Model(FACING, None, True, 1), 0j, [(0.11, 0.0), (0.09, 0.0)], POWERS)
     sets = np.array([[0, 40, 80], [3, 200, 150], [10, 60, 110]], dtype=np.int32)
-    assert table.scores(sets) == pytest.approx(table.base + table._scored(sets), rel=1e-9)
+    numpy = table.base + table._scored(sets, table.blocks.below(sets))
+    assert table.scores(sets) == pytest.approx(numpy, rel=1e-9)
+
+
+def test_few_sets_are_scored_without_tables() -> None:
+    spectra = spectra_of("helmet-120", views=36, turns=0.75)
+    table = search.tables(spectra, Model(FACING, None, True, 1), 0j, [(0.11, 0.0)], POWERS)
+    sets = np.array([[0, 20, 40], [3, 50, 70], [10, 60, 30]], dtype=np.int32)
+    few = table.scores(sets)
+    assert table.blocks.below(sets) == pytest.approx(table.blocks.summed(sets), rel=1e-9)
+    assert table.scores(sets) == pytest.approx(few, rel=1e-9)
 
 
 def test_free_reflectors_are_found_where_they_stand() -> None:
