@@ -8,7 +8,7 @@ moves the phase of every view. On other turns the tables are made column by colu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import combinations
 
@@ -102,6 +102,7 @@ class Tables:
         power: (P, F) prior variances.
         base: log evidence without reflectors, up to what all centres share, nats.
         rings: number of rings; angles: of every ring, `step_rad` apart; fractions: blocks of a ring.
+        known: scores of all single reflectors and pairs of a ring, once they are known.
     """
 
     blocks: Blocks
@@ -113,6 +114,7 @@ class Tables:
     angles: int
     fractions: int
     step_rad: float
+    known: dict[tuple[int, int], Floats] = field(default_factory=dict)
 
     def index(self, ring: NDArray[np.intp], angle: Floats) -> NDArray[np.int32]:
         """Indices of reflectors at angles, rad, of rings."""
@@ -349,7 +351,10 @@ def free(table: Tables, ring: int, most: int, kept: int) -> list[Start]:
             sets = _more(sets[order[:GROWN]], len(coarse), least)
         if not len(sets):
             break
-        scores = table.scores(ids[sets])
+        scores = table.known.get((ring, number)) if number < 3 else None
+        scores = table.scores(ids[sets]) if scores is None else scores
+        if number < 3:
+            table.known[ring, number] = scores
         order = np.argsort(-scores)
         taken: list[NDArray[np.intp]] = []
         for i in order:
