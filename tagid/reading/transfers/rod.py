@@ -12,11 +12,11 @@ from tagid.fields.shells import Shell
 from tagid.reading.transfers.transfer import Transfer
 from tagid.reading.transfers.wall import RADIUS_SD_M, beside, gaps
 
-FILLINGS = (2.0, 2.3, 2.6, 3.0, 3.5, 4.0)
-"""Relative permittivities: oil and powder 2 to 3, rice and granulate to 4."""
+FILLINGS = (2.0, 2.3, 2.6, 3.0, 3.5)
+"""Relative permittivities: oil and powder 2 to 3, rice and granulate more."""
 WALL_M, PERMITTIVITY = 2e-3, 2.5
 """Of the vessel."""
-TERMS = 6
+TERMS = 4
 
 
 def shells(polarisation: str) -> Callable[[float], list[Shell]]:

@@ -22,7 +22,7 @@ GAP_M, STEP_M = (6e-3, 28e-3), 2.5e-3
 SMALLEST = 0.4
 """Radius of the smallest body, over that of the reflectors' ring."""
 STRENGTHS = ((0.5, 0.2), (0.2, 0.3))
-"""Covariance of the strengths of the electric and the magnetic dipole: of a metal sphere, 2 to 1."""
+"""Covariance of the strengths of both dipoles, electric first; a small metal sphere has them as 2 to 1."""
 RADIUS_SD_M = 4e-3
 """A ring that is glued to a body stands where the body's wall is."""
 
