@@ -171,10 +171,10 @@ def _joined(parts: Floats) -> Complex:
     return np.asarray(np.moveaxis(parts[..., 0, :] + 1j * parts[..., 1, :], -1, 1))
 
 
-def _powers(moving: Floats, transfer: Transfer, tag: float) -> Floats:
+def _filled(power: Floats) -> Floats:
     """(P, F) prior variances; of what the frequencies are filled up with, one."""
-    out = np.ones((len(transfer.power), -(-len(moving) // 4) * 4))
-    out[:, : len(moving)] = tag * np.array(transfer.power)[:, None] * moving
+    out = np.ones((len(power), -(-power.shape[1] // 4) * 4))
+    out[:, : power.shape[1]] = power
     return out
 
 
@@ -239,7 +239,7 @@ def _even(
         blocks,
         _apart(product[..., 0].conj()),
         _apart(product[..., 1:]),
-        _powers(spectra.moving, transfer, powers.tag),
+        _filled(powers.tag * np.array(transfer.power)[:, None] * spectra.moving),
         base,
         len(rings),
         views * fractions,
@@ -274,8 +274,25 @@ def _uneven(
     q = np.stack(held_out, axis=1) if held_out else np.zeros((f, 0, y.shape[1]))
     held = w @ np.swapaxes(q.conj(), 1, 2)[:, None]
     right = (w.conj() @ y[:, None, :, None])[..., 0]
-    power = _powers(spectra.moving, transfer, powers.tag)
-    return Tables(Blocks(w, 1), _apart(right), _apart(held), power, base, len(rings), angles, angles, step)
+    power = powers.tag * np.array(transfer.power)[:, None] * spectra.moving
+    return dense(w, right, held, power, base, len(rings), angles)
+
+
+def dense(
+    w: Complex, right: Complex, held: Complex, power: Floats, base: float, rings: int, angles: int
+) -> Tables:
+    """Tables of reflectors whose columns are no shifted copies of each other.
+
+    Args:
+        w: (F, B, P, M) columns; the first are those of rings, at equally spaced angles.
+        right: (F, B, P), held: (F, B, P, J) with the data, and with what is held out.
+        power: (P, F) prior variances.
+        base: see `Tables`.
+    """
+    step = 2 * np.pi / angles
+    return Tables(
+        Blocks(w, 1), _apart(right), _apart(held), _filled(power), base, rings, angles, angles, step
+    )
 
 
 def _orthogonal(vectors: Sequence[Complex], power: Floats) -> tuple[list[Complex], float]:

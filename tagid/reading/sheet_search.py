@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tagid.fields.thin_shell import BoxShell, ShellField
 from tagid.reading.columns import CLOSEST_M, REACH_M
 from tagid.reading.descent import Powers, variance
-from tagid.reading.search import Tables
+from tagid.reading.search import Tables, dense
 from tagid.reading.sheet import HEAD, STEP, Kind, SheetColumns, SheetModel
 from tagid.reading.spectra import Complex, Floats, Spectra
 
@@ -200,10 +200,8 @@ def beside(
     chosen = np.argsort(-gain)[:SPOTS]
     w = np.concatenate([seen(places, np.repeat([z for _, z in rings], RING)), w[:, chosen]], axis=1)
     # Tables of one place a block.
-    gram = np.ascontiguousarray(w.conj() @ np.swapaxes(w, 1, 2))[:, :, :, None, None, None]
-    held = np.ascontiguousarray(w @ np.swapaxes(q.conj(), 1, 2))[:, :, None, None]
-    right = np.ascontiguousarray(w.conj() @ y[..., None])[:, :, None]
-    table = Tables(gram, right, held, power, base, len(rings), RING, RING, 2 * np.pi / RING)
+    held = (w @ np.swapaxes(q.conj(), 1, 2))[:, :, None]
+    table = dense(w[:, :, None], w.conj() @ y[..., None], held, power[None, :, 0], base, len(rings), RING)
     spots = np.arange(len(places) + len(chosen), dtype=np.int32)
     level = np.repeat([z == 0 for _, z in rings], RING) & (spots[: len(places)] % 2 == 0)
     spots = np.concatenate([spots[: len(places)][level], spots[len(places) :]])
