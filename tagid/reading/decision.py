@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagid.reading.columns import MOUNTING_SD_M
-from tagid.reading.descent import Found
 from tagid.reading.hypotheses import Hypothesis
 from tagid.reading.spectra import Complex
+from tagid.reading.transfers.plain import BARE, POINTS
 
 SURE = float(np.log(1000))
 """Lead from which a name is given, nats: one false in a thousand where the hypotheses are complete."""
@@ -74,15 +74,29 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
     if best.middle and other.model.transfer.body:
         target = np.append(target, other.centre) if bare else target
     alike = own.places
-    every = np.concatenate([alike, own.odd])
+    every = np.concatenate([alike, own.odd] + ([] if bare or not best.middle else [[own.centre]]))
     apart = np.abs(target[:, None] - every)
     stray = np.abs(alike[:, None] - target).min(axis=1) >= SAME_M
     if (apart.min(axis=1) >= SAME_M).any() or stray.any():
         return False
-    if bare and not other.model.transfer.body and other.model.tag is not None:
-        nominal = other.model.tag.radius_m * np.exp(1j * other.model.tag.angle)
-        return _off(nominal, every[apart.argmin(axis=1)]) < BUILT_M
-    return _enrolled_radius(own, other)
+    tag = other.model.tag
+    if tag is None or len(tag.radius_m) != len(target):
+        return True
+    nominal = tag.radius_m * np.exp(1j * tag.angle)
+    there = every[apart.argmin(axis=1)]
+    if own.model.transfer in (BARE, POINTS):
+        # Their echo is the same from all sides: the body's centre says nothing of the ring's.
+        return other.model.transfer not in (BARE, POINTS) or _off(nominal, there) < BUILT_M
+    return _about(own.centre, nominal, there, max(SAME_M, 3 * own.model.transfer.radius_sd_m))
+
+
+def _about(centre: complex, nominal: Complex, places: Complex, slack_m: float) -> bool:
+    """Whether places (K,) are those of a layout that stands about a body's centre, out by some slack."""
+    seen = places - centre
+    out = np.abs(nominal) > 0
+    turn = np.vdot(nominal, seen)
+    aside = np.angle(seen[out] * np.conj(nominal[out] * turn)) * np.abs(nominal[out])
+    return bool((np.abs(aside) < SAME_M).all() and (np.abs(np.abs(seen) - np.abs(nominal)) < slack_m).all())
 
 
 def _off(a: Complex, b: Complex) -> float:
@@ -90,16 +104,6 @@ def _off(a: Complex, b: Complex) -> float:
     u, v = a - a.mean(), b - b.mean()
     turn = np.vdot(u, v)
     return float(np.abs(u * (turn / max(abs(turn), 1e-30)) - v).max())
-
-
-def _enrolled_radius(own: Found, other: Found) -> bool:
-    """Whether some reflectors may have the radii of the other's layout, seen through their transfer."""
-    tag, enrolled = own.model.tag, other.model.tag
-    if tag is None or enrolled is None or not own.model.transfer.body or not tag.free.all():
-        return True
-    radius = np.abs(own.places - own.centre)
-    slack = max(SAME_M, 3 * own.model.transfer.radius_sd_m)
-    return bool((np.abs(radius[:, None] - enrolled.radius_m).min(axis=1) < slack).all())
 
 
 def words(one: Hypothesis) -> str:

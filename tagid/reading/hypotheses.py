@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tagid.reading import search, sheet_tags
 from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M, Arrangement, Model
 from tagid.reading.descent import Found, Powers, best_powers, refined, variance
+from tagid.reading.sheet import KINDS, Kind
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
 from tagid.reading.transfers.rod import RODS
@@ -109,6 +110,7 @@ class Contest:
     spectra: Spectra
     layouts: Sequence[Layout]
     transfers: Sequence[Transfer] = TRANSFERS
+    sheets: Sequence[Kind] = KINDS
     hypotheses: list[Hypothesis] = field(default_factory=list)
     _maps: dict[int, tuple[NDArray[np.complex64], NDArray[np.float32]]] = field(default_factory=dict)
     _centres: list[complex] = field(default_factory=list)
@@ -139,7 +141,8 @@ class Contest:
         self._hidden()
         self._one_less()
         self._beside_odd()
-        self._sheets()
+        if self.sheets:
+            self._sheets()
         self._one_more()
         return sorted(self.hypotheses, key=lambda one: -one.log_z)
 
@@ -270,7 +273,7 @@ class Contest:
         def enter(layout: Layout | None, found: Found, odd: int) -> Found:
             return self._grow(self.add(layout, found), odd).found
 
-        sheet_tags.explain(self.spectra, self.layouts, tuple(self.hypotheses), enter)
+        sheet_tags.explain(self.spectra, self.layouts, self.sheets, tuple(self.hypotheses), enter)
 
     def _beside_odd(self) -> None:
         """The best of every kind beside odd scatterers, added while they pay."""

@@ -12,7 +12,7 @@ from tagid.reading import search
 from tagid.reading.columns import Arrangement
 from tagid.reading.descent import BODY, OVAL, Found, best_powers, refined
 from tagid.reading.evidence import log_evidence
-from tagid.reading.sheet import HEAD, KINDS, SheetModel
+from tagid.reading.sheet import HEAD, Kind, SheetModel
 from tagid.reading.sheet_search import Seeker, anywhere, beside
 from tagid.reading.spectra import MODEL_ERROR, Complex, Floats, Spectra
 from tagid.tags.layouts.layout import Layout
@@ -45,10 +45,13 @@ class Entry(Protocol):
     def log_z(self) -> float: ...
 
 
-def explain(spectra: Spectra, layouts: Sequence[Layout], before: Sequence[Entry], enter: Enter) -> None:
+def explain(
+    spectra: Spectra, layouts: Sequence[Layout], kinds: Sequence[Kind], before: Sequence[Entry], enter: Enter
+) -> None:
     """Enter sheets at their most probable parameters, alone and with reflectors about them.
 
     Args:
+        kinds: of sheets.
         before: hypotheses of points.
         enter: enters a hypothesis beside up to so many odd scatterers, and gives the best of them.
     """
@@ -63,7 +66,7 @@ def explain(spectra: Spectra, layouts: Sequence[Layout], before: Sequence[Entry]
             sheets.append((layout, found))
 
     alone = Seeker(spectra)
-    likely = [start for kind in KINDS for start in alone.best(kind, SHEETS)]
+    likely = [start for kind in kinds for start in alone.best(kind, SHEETS)]
     for start in sorted(likely, key=lambda one: -one.score)[:ALONE]:
         model, x = start.begun(_disc(max(start.half_m)))
         if possible(spectra, model, x) > best:
@@ -74,7 +77,7 @@ def explain(spectra: Spectra, layouts: Sequence[Layout], before: Sequence[Entry]
     for layout, guest in _guests(before):
         held = guest.model.at(spectra, guest.x, slopes=False).values
         seeker = Seeker(spectra, held[:, _body(guest) : held.shape[1] - guest.model.odd])
-        for kind in KINDS:
+        for kind in kinds:
             (start,) = seeker.best(kind, 1)
             model, x = start.begun(guest.model.disc)
             if possible(spectra, model, x) > best:

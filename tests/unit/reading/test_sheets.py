@@ -14,7 +14,7 @@ from tagid.reading.decision import decide
 from tagid.reading.descent import Found, refined, variance
 from tagid.reading.evidence import fit
 from tagid.reading.hypotheses import Hypothesis
-from tagid.reading.sheet import SHELL, SheetModel
+from tagid.reading.sheet import KINDS, SHELL, SheetModel
 from tagid.reading.spectra import Floats, Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
 from tagid.tags.layouts.layout import Layout, builtin_layouts
@@ -39,7 +39,7 @@ def explained(folder: str, name: str) -> tuple[Hypothesis, ...]:
         found.append(Hypothesis(layout, one, one.log_z))
         return one
 
-    sheet_tags.explain(spectra, list(LAYOUTS.values()), tuple(found), enter)
+    sheet_tags.explain(spectra, list(LAYOUTS.values()), KINDS, tuple(found), enter)
     return tuple(found)
 
 
