@@ -1,16 +1,17 @@
-"""Free space, and free cosines where the body's waves are not known."""
+"""Reflectors in free space, and beside a body that the waves pass."""
 
 from __future__ import annotations
 
-from tagid.reading.transfers.transfer import Transfer, cosines
+import numpy as np
+from numpy.typing import NDArray
 
-BARE = Transfer("bare", "nothing that returns an echo", False, (1.0,), cosines(1, 0))
-POINTS = Transfer("points", "a body that the waves pass", True, (1.0,), cosines(1, 0))
-FACING = Transfer("facing", "a body", True, (1.0, 0.3, 0.1), cosines(3, 0), radius_sd_m=6e-3)
-OPEN = Transfer(
-    "open", "a body that hides them", True, (1.0, 0.5, 0.3, 0.1), cosines(4, 2), radius_sd_m=12e-3
-)
-THIN = Transfer("thin", "a thin wall", True, (1.0, 0.1), cosines(2, 0, 4e-3))
-FILLED = Transfer(
-    "filled", "a filled body", True, (1.0, 1.0, 0.5, 0.2), cosines(4, 0, 34e-3), radius_sd_m=3e-3
-)
+from tagid.reading.transfers.transfer import ANGLES, Transfer
+
+
+def isotropic(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
+    """One pattern, the same from all sides."""
+    return np.ones((1, len(kappa), ANGLES), dtype=np.complex128)
+
+
+BARE = Transfer("bare", "nothing that returns an echo", False, (1.0,), isotropic)
+POINTS = Transfer("points", "a body that the waves pass", True, (1.0,), isotropic)

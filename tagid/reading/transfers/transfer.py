@@ -26,7 +26,6 @@ class Transfer:
         table: function of wavenumbers kappa (F,), rad/m, and distance from the axis, m, that gives the
             patterns (P, F, ANGLES) at angles 2 pi i / ANGLES between outward direction and antenna.
         radius_sd_m: standard deviation of the ring's apparent radius, beyond the mounting's.
-        nearest_m, farthest_m: distances from the axis at which it exists.
     """
 
     name: str
@@ -35,25 +34,11 @@ class Transfer:
     power: tuple[float, ...]
     table: Tables
     radius_sd_m: float = 0.0
-    nearest_m: float = 0.0
-    farthest_m: float = 10.0
 
 
 def aspects() -> NDArray[np.float64]:
     """(ANGLES,) of a table, rad."""
     return 2 * np.pi * np.arange(ANGLES) / ANGLES
-
-
-def cosines(terms: int, lobe: int, delay_m: float = 0.0) -> Tables:
-    """Patterns ((1 + cos psi) / 2)^lobe cos(p psi), p < terms, late by delay ((1 - cos psi) / 2)^2."""
-    psi = aspects()
-    shape = ((1 + np.cos(psi)) / 2) ** lobe * np.cos(np.arange(terms)[:, None] * psi)
-    late = delay_m * ((1 - np.cos(psi)) / 2) ** 2
-
-    def table(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
-        return np.asarray(shape[:, None] * np.exp(-1j * kappa[:, None] * late))
-
-    return table
 
 
 def principal(members: NDArray[np.complexfloating], terms: int) -> NDArray[np.complex128]:

@@ -13,7 +13,8 @@ from tagid.reading.columns import Arrangement, Columns, Model
 from tagid.reading.compiled import Compiled
 from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, _Numpy, variance
 from tagid.reading.spectra import Spectra
-from tagid.reading.transfers.plain import BARE, FACING, FILLED
+from tagid.reading.transfers.plain import BARE
+from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADE
 
 SPECTRA = {
@@ -28,9 +29,9 @@ FREE = Arrangement.points(np.array([0.04, 0.05j, -0.03 - 0.03j])).and_one(-0.09j
 MODELS = {
     "nothing": Model(BARE, None, False, 0),
     "round": Model(BARE, LAYOUT, False, 1),
-    "body": Model(FACING, None, True, 0, odd=1),
-    "layout": Model(FACING, LAYOUT, True, 0, odd=2),
-    "late": Model(FILLED, LAYOUT, False, 1),
+    "body": Model(SHADE, None, True, 0, odd=1),
+    "layout": Model(SHADE, LAYOUT, True, 0, odd=2),
+    "late": Model(RODS[0], LAYOUT, False, 1),
     "free": Model(SHADE, FREE, True, 0),
     "hidden": Model(BARE, FREE, False, 0, odd=1, hidden=(1.0, 2.0)),
 }

@@ -11,7 +11,8 @@ from tagid.reading.columns import Arrangement, Columns, Model
 from tagid.reading.descent import Powers, variance
 from tagid.reading.evidence import log_evidence
 from tagid.reading.spectra import Spectra
-from tagid.reading.transfers.plain import BARE, FACING
+from tagid.reading.transfers.plain import BARE
+from tagid.reading.transfers.shade import SHADE
 from tagid.reading.transfers.transfer import Transfer
 
 POWERS = Powers(1e-3, body=3.0)
@@ -33,7 +34,7 @@ def exact(spectra: Spectra, transfer: Transfer, angles: np.ndarray) -> float:
     return float(log_evidence(columns, spectra.white[0], lam[None], power[None])[0])
 
 
-@pytest.mark.parametrize("transfer", [BARE, FACING], ids=lambda one: one.name)
+@pytest.mark.parametrize("transfer", [BARE, SHADE], ids=lambda one: one.name)
 @pytest.mark.parametrize("views", [36, 72])
 def test_tables_of_an_even_turn_give_the_evidence_of_the_columns(transfer: Transfer, views: int) -> None:
     spectra = spectra_of("container-90", views=views, offset_m=0.002)
@@ -47,7 +48,7 @@ def test_tables_of_an_even_turn_give_the_evidence_of_the_columns(transfer: Trans
     )
 
 
-@pytest.mark.parametrize("transfer", [BARE, FACING], ids=lambda one: one.name)
+@pytest.mark.parametrize("transfer", [BARE, SHADE], ids=lambda one: one.name)
 def test_tables_of_part_of_a_turn_are_exact(transfer: Transfer) -> None:
     spectra = spectra_of("container-90", views=36, turns=0.75, offset_m=0.002)
     assert not spectra.full_turn
@@ -61,7 +62,7 @@ def test_tables_of_part_of_a_turn_are_exact(transfer: Transfer) -> None:
 
 def test_the_compiled_scores_are_those_of_numpy() -> None:
     spectra = spectra_of("helmet-120", views=36)
-    table = search.tables(spectra, Model(FACING, None, True, 1), 0j, [(0.11, 0.0), (0.09, 0.0)], POWERS)
+    table = search.tables(spectra, Model(SHADE, None, True, 1), 0j, [(0.11, 0.0), (0.09, 0.0)], POWERS)
     sets = np.array([[0, 40, 80], [3, 200, 150], [10, 60, 110]], dtype=np.int32)
     numpy = table.base + table._scored(sets, table.blocks.below(sets))
     assert table.scores(sets) == pytest.approx(numpy, rel=1e-9)
@@ -69,7 +70,7 @@ def test_the_compiled_scores_are_those_of_numpy() -> None:
 
 def test_few_sets_are_scored_without_tables() -> None:
     spectra = spectra_of("helmet-120", views=36, turns=0.75)
-    table = search.tables(spectra, Model(FACING, None, True, 1), 0j, [(0.11, 0.0)], POWERS)
+    table = search.tables(spectra, Model(SHADE, None, True, 1), 0j, [(0.11, 0.0)], POWERS)
     sets = np.array([[0, 20, 40], [3, 50, 70], [10, 60, 30]], dtype=np.int32)
     few = table.scores(sets)
     assert table.blocks.below(sets) == pytest.approx(table.blocks.summed(sets), rel=1e-9)
