@@ -143,6 +143,7 @@ class Contest:
         self._beside_odd()
         if self.sheets:
             self._sheets()
+            self._as_enrolled()
         self._one_more()
         return sorted(self.hypotheses, key=lambda one: -one.log_z)
 
@@ -173,15 +174,19 @@ class Contest:
     def _as_enrolled(self) -> None:
         """Layouts where the best free arrangements stand, if they are about the same."""
         for one in self._best(6, enrolled=False):
-            model = one.found.model
+            model, found = one.found.model, one.found
+            head = found.x[: model.head].copy()
+            # Of a sheet the centre is counted from its own.
+            origin = found.centre - complex(*head[-2:])
             for layout in self.layouts:
                 arranged = _Arranged.of(layout, model.transfer.body)
-                pose = _pose(arranged.tag, one.found.places)
+                pose = _pose(arranged.tag, found.places)
                 if pose is None:
                     continue
-                x = np.array([pose[0].real, pose[0].imag, pose[1], 0.0])
-                own = Model(model.transfer, arranged.tag, model.oval, disc_of(arranged.radius_m))
-                self.add(layout, refined(self.spectra, own, x, (1e-2, None)), arranged.middle)
+                head[-2:] = (pose[0] - origin).real, (pose[0] - origin).imag
+                own = replace(model, tag=arranged.tag, disc=disc_of(arranged.radius_m), odd=0)
+                best = refined(self.spectra, own, np.r_[head, pose[1], 0.0], (1e-2, None))
+                self.add(layout, best, arranged.middle)
 
     def _hidden(self) -> None:
         """The best bare tags, not seen from a sector of directions: behind a post or a hand."""

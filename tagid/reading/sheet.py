@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField, ShellView, ThinShell
-from tagid.reading.columns import CENTRE_SD_M, CLOSE_SD_M, Model
+from tagid.reading.columns import CENTRE_SD_M, CLOSE_SD_M, MOUNTING_SD_M, Model
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import POINTS
 from tagid.reading.transfers.transfer import Transfer
@@ -83,8 +83,8 @@ def _kind(
 SHELL = _kind("shell", "a thin shell", EllipticShell, 0.072, 0.22, 3e-3, 0.05, 15)
 BOX = _kind("box", "a box of thin walls", BoxShell, 0.063, 0.5, 10e-3, 0.025, 35)
 METAL = _kind("metal box", "a box of metal", BoxShell, 0.045, 0.5, 3e-3, 0.02, 30, METAL_M)
-CAN = _kind("metal can", "a body of metal", EllipticShell, 0.036, 0.35, 3e-3, 0.02, 22, METAL_M)
-CUP = _kind("cup", "a cup", EllipticShell, 0.037, 0.25, 3e-3, 0.025, 15, CERAMIC_M)
+CAN = _kind("metal can", "a body of metal", EllipticShell, 0.036, 0.35, MOUNTING_SD_M, 0.02, 22, METAL_M)
+CUP = _kind("cup", "a cup", EllipticShell, 0.037, 0.25, MOUNTING_SD_M, 0.025, 15, CERAMIC_M)
 KINDS = (SHELL, BOX, METAL, CAN, CUP)
 
 
