@@ -197,6 +197,10 @@ class Model:
         """Number of columns for the unlike strength of the reflectors."""
         return 0 if self.tag is None or self.tag.count < 2 else self.tag.count
 
+    def seeing(self, direction: Floats) -> NDArray[np.bool_]:
+        """(V,) whether the reflectors are seen from directions (V,), rad."""
+        return np.mod(direction - self.hidden[0], 2 * np.pi) >= self.hidden[1]
+
     def with_odd(self, count: int) -> Self:
         """The same beside so many odd scatterers."""
         return replace(self, odd=count)
@@ -341,7 +345,7 @@ class Columns:
             facing = tag.angle + turn[tag.turn]
             pattern, turned = patterns(spectra, model.transfer, tag.radius_m, facing, slopes)
             if model.hidden[1]:
-                seen = np.mod(spectra.direction - model.hidden[0], 2 * np.pi) >= model.hidden[1]
+                seen = model.seeing(spectra.direction)
                 pattern = pattern * seen
                 turned = turned if turned is None else turned * seen
             parts.append(np.einsum("kpfv,fkv->fpv", pattern, waves[:, body : body + k]))

@@ -39,7 +39,7 @@ class Compiled:
             radii, index = np.unique([nearest_ring(r) for r in tag.radius_m], return_inverse=True)
             groups[:] = tag.turn, tag.stretch, index
             tables = _stacked(transfer, spectra.kappa.tobytes(), tuple(radii.tolist()))
-        seen = np.mod(spectra.direction - model.hidden[0], 2 * np.pi) >= model.hidden[1]
+        seen = model.seeing(spectra.direction)
         place = spectra.antenna.real, spectra.antenna.imag, spectra.height_m, spectra.direction
         kappa, clutter, white, bases = _recording(spectra)
         body = (3 if model.oval else 1) if transfer.body else 0

@@ -102,8 +102,7 @@ class _Numpy:
 
 
 def _likelihood(spectra: Spectra, model: Model) -> Compiled | _Numpy:
-    compiled = Compiled.of(spectra, model) if type(model) is Model else None
-    return compiled or _Numpy(spectra, model)
+    return Compiled.of(spectra, model) or _Numpy(spectra, model)
 
 
 def best_powers(
@@ -193,7 +192,6 @@ def refined(
         powers, _ = best_powers(spectra, model, x, clutter)
         x, here = descend(spectra, model, x, powers, rounds)
     powers, log = best_powers(spectra, model, x)
-    curved = here.hessian + np.where(np.diag(here.hessian) > 0, 0, 1) * np.eye(len(x))
     curved = here.hessian + np.diag(np.where(model.precision > np.diag(here.hessian), model.precision, 0))
     sign, volume = np.linalg.slogdet(curved)
     if sign <= 0:

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import permutations, product
+from functools import cached_property
+from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.reading import search, sheet_tags
-from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M, Arrangement, Model
-from tagid.reading.descent import Found, Powers, best_powers, refined, variance
+from tagid.reading.columns import Arrangement, Model
+from tagid.reading.descent import Found, Powers, best_powers, refined
+from tagid.reading.odd import OddMap
 from tagid.reading.sheet import KINDS, Kind
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
@@ -33,7 +34,8 @@ FREE_RINGS_M = (0.028, 0.036, 0.045, 0.054, 0.063, 0.072, 0.082, 0.09, 0.1, 0.11
 """Radii of rings on which an arrangement that is not enrolled is looked for."""
 FIRST, THEN = 16, 8
 """Starts that are refined under much clutter, and those of them that are refined wholly."""
-_GRID_M = 4e-3
+GRID_M = tuple(complex(x, y) for x in 4e-3 * np.arange(-2, 3) for y in 4e-3 * np.arange(-2, 3))
+"""Centres that are tried, x + jy."""
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
 """Widths of hidden sectors."""
 FITS_M = 0.012
@@ -95,11 +97,11 @@ class _Arranged:
         tag = whole.of(np.flatnonzero(out)) if body else whole
         return cls(layout, tag, float(whole.radius_m.max()), bool((~out).any()))
 
-    def rings(self, offset_m: float) -> list[tuple[float, float]]:
-        """Radius and height of every reflector, m, moved outward; the middle one stays."""
+    @property
+    def rings(self) -> list[tuple[float, float]]:
+        """Radius and height of every reflector, m."""
         return [
-            (round(float(r + offset_m * (r > _MIDDLE_M)), 4), float(z))
-            for r, z in zip(self.tag.radius_m, self.tag.height_m, strict=True)
+            (round(float(r), 4), float(z)) for r, z in zip(self.tag.radius_m, self.tag.height_m, strict=True)
         ]
 
 
@@ -112,8 +114,12 @@ class Contest:
     transfers: Sequence[Transfer] = TRANSFERS
     sheets: Sequence[Kind] = KINDS
     hypotheses: list[Hypothesis] = field(default_factory=list)
-    _maps: dict[int, tuple[NDArray[np.complex64], NDArray[np.float32]]] = field(default_factory=dict)
     _centres: list[complex] = field(default_factory=list)
+    _tried: set[Found] = field(default_factory=set)
+
+    @cached_property
+    def _odd(self) -> OddMap:
+        return OddMap(self.spectra)
 
     def add(self, layout: Layout | None, found: Found, middle: bool = False) -> Hypothesis:
         """Enter a hypothesis."""
@@ -126,8 +132,7 @@ class Contest:
         """All hypotheses, the best first."""
         bodies = self._untagged()
         body = max(bodies, key=lambda one: one.log_z).found
-        steps = _GRID_M * np.arange(-2, 3)
-        centres = [body.centre, *(complex(x, y) for x in steps for y in steps)]
+        centres = [body.centre, *GRID_M]
         # A loud tag moves the centre that a body alone seems to have.
         near = _distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
         known = body.centre_sd_m < _KNOWN_M
@@ -175,6 +180,9 @@ class Contest:
         """Layouts where the best free arrangements stand, if they are about the same."""
         for one in self._best(6, enrolled=False):
             model, found = one.found.model, one.found
+            if found in self._tried:
+                continue
+            self._tried.add(found)
             head = found.x[: model.head].copy()
             # Of a sheet the centre is counted from its own.
             origin = found.centre - complex(*head[-2:])
@@ -190,10 +198,8 @@ class Contest:
 
     def _hidden(self) -> None:
         """The best bare tags, not seen from a sector of directions: behind a post or a hand."""
-        bare = [one for one in self.hypotheses if one.tagged and not one.found.model.transfer.body]
         for enrolled in (True, False):
-            some = [one for one in bare if (one.layout is not None) == enrolled]
-            for one in sorted(some, key=lambda one: -one.log_z)[:2]:
+            for one in self._best(2, enrolled=enrolled, transfer=BARE):
                 starts = 2 * np.pi * np.arange(12) / 12
                 sectors = [replace(one.found.model, hidden=(s, w)) for s in starts for w in HIDDEN_RAD]
                 logs = [best_powers(self.spectra, model, one.found.x, 1e-2)[1] for model in sectors]
@@ -212,9 +218,8 @@ class Contest:
 
     def _untagged(self) -> list[Hypothesis]:
         """Nothing, and a round body, with clutter of either disc."""
-        grid = _GRID_M * np.arange(-2, 3)
         model = Model(POINTS, None, True, 0)
-        starts = [np.array([x, y]) for x in grid for y in grid]
+        starts = [np.array([c.real, c.imag]) for c in GRID_M]
         values = [best_powers(self.spectra, model, x, 1e-2)[1] for x in starts]
         order = np.argsort(values)[::-1][:2]
         bodies = []
@@ -231,7 +236,6 @@ class Contest:
         self, transfer: Transfer, centres: Sequence[complex], powers: Sequence[Powers]
     ) -> list[Candidate]:
         """Layouts at their best turns, and free arrangements, by tables of single reflectors."""
-        offsets = (0.0,) if transfer.radius_sd_m < 5e-3 else (-0.009, 0.0, 0.011)
         arranged = [_Arranged.of(one, transfer.body) for one in self.layouts]
         wide = 1 if transfer.body else 2
         found: list[Candidate] = []
@@ -244,13 +248,13 @@ class Contest:
             for c in centres:
                 tables: dict[tuple[tuple[float, float], ...], search.Tables] = {}
                 best = -np.inf
-                for one, o in product(own, offsets):
-                    rings = tuple(dict.fromkeys(one.rings(o)))
+                for one in own:
+                    rings = tuple(dict.fromkeys(one.rings))
                     if rings not in tables:
                         tables[rings] = search.tables(self.spectra, model, c, rings, powers[disc])
-                    ring = np.array([rings.index(r) for r in one.rings(o)])
+                    ring = np.array([rings.index(r) for r in one.rings])
                     for s in search.turned(tables[rings], ring, one.tag.angle, 2):
-                        x = np.array([c.real, c.imag, s.angles[0], o])
+                        x = np.array([c.real, c.imag, s.angles[0], 0.0])
                         start = Candidate(s.log, one.layout, replace(model, tag=one.tag), x, one.middle)
                         enrolled[one.layout.name].append(start)
                         best = max(best, s.log)
@@ -267,9 +271,10 @@ class Contest:
                         found.append(Candidate(s.log, None, replace(model, tag=tag), x, False))
         return found
 
-    def _best(self, count: int, *, enrolled: bool) -> list[Hypothesis]:
+    def _best(self, count: int, *, enrolled: bool, transfer: Transfer | None = None) -> list[Hypothesis]:
         """The best hypotheses with reflectors, of layouts or of arrangements that are not enrolled."""
         some = [one for one in self.hypotheses if one.tagged and (one.layout is not None) == enrolled]
+        some = [one for one in some if transfer in (None, one.found.model.transfer)]
         return sorted(some, key=lambda one: -one.log_z)[:count]
 
     def _sheets(self) -> None:
@@ -293,7 +298,7 @@ class Contest:
 
     def _grow(self, one: Hypothesis, most: int) -> Hypothesis:
         for _ in range(most):
-            place = self._likely_spot(one.found)
+            place = self._odd.likeliest(one.found)
             if place is None:
                 break
             model = one.found.model.with_odd(one.found.model.odd + 1)
@@ -303,37 +308,6 @@ class Contest:
                 break
             one = self.add(one.layout, found, one.middle)
         return one
-
-    def _likely_spot(self, found: Found) -> complex | None:
-        """Where an odd scatterer adds most evidence, x + jy, m; None where it does not pay for its place."""
-        spectra, model = self.spectra, found.model
-        places = _disc()
-        whitener = spectra.whiteners[model.disc]
-        if model.disc not in self._maps:
-            waves, _ = spectra.waves(places, np.zeros(len(places)))
-            spots = whitener.apply(waves).conj().astype(np.complex64)
-            self._maps[model.disc] = spots, spots.real**2 + spots.imag**2
-        spots, energy = self._maps[model.disc]
-        lam = variance(spectra, model, found.powers.clutter)
-        columns = whitener.apply(model.at(spectra, found.x, slopes=False).values)
-        columns = columns / np.sqrt(lam)[:, None]
-        y = spectra.white[model.disc] / np.sqrt(lam)
-        power = model.power(spectra.moving, found.powers.body, found.powers.tag, found.powers.oval)
-        matrix = columns.conj() @ np.swapaxes(columns, 1, 2) + np.eye(columns.shape[1]) / power[:, None, :]
-        held = np.linalg.solve(np.linalg.cholesky(matrix), columns.conj())
-        left = y - ((held @ y[..., None])[..., 0][:, None] @ held.conj())[:, 0]
-        # Single precision is enough to find the spot, which is refined.
-        against = np.concatenate([held.conj(), left[:, None]], axis=1) / np.sqrt(lam)[:, None]
-        product = spots @ np.swapaxes(against.astype(np.complex64), 1, 2)
-        product = product.real**2 + product.imag**2
-        size = (energy @ (1 / lam).astype(np.float32)[..., None])[..., 0] - product[..., :-1].sum(axis=-1)
-        prior = (ODD_POWER * spectra.moving)[:, None]
-        gain = (product[..., -1] / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0)
-        used = np.concatenate([found.places, found.odd])
-        if len(used):
-            gain[(np.abs(places[:, None] - used) < CLOSEST_M).any(axis=1)] = -np.inf
-        best = int(gain.argmax())
-        return complex(places[best]) if gain[best] > 5 else None
 
     def _one_more(self) -> None:
         """Whether an odd scatterer beside a layout is an alike reflector more: then it is another tag."""
@@ -399,11 +373,3 @@ def _same_place(one: Found, other: Found) -> bool:
     if one.model.transfer is not other.model.transfer or len(one.places) != len(other.places):
         return False
     return bool((np.abs(one.places[:, None] - other.places).min(axis=1) < 5e-3).all())
-
-
-def _disc() -> Complex:
-    out = []
-    for q in np.arange(0.0, REACH_M + 1e-3, 0.007):
-        n = max(1, int(2 * np.pi * q / 0.008))
-        out.append(q * np.exp(2j * np.pi * np.arange(n) / n))
-    return np.concatenate(out)

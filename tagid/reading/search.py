@@ -102,7 +102,7 @@ class Tables:
         power: (P, F) prior variances.
         base: log evidence without reflectors, up to what all centres share, nats.
         rings: number of rings; angles: of every ring, `step_rad` apart; fractions: blocks of a ring.
-        known: scores of all single reflectors and pairs of a ring, once they are known.
+        known: of rings, scores of all single reflectors and pairs, once they are known.
     """
 
     blocks: Blocks
@@ -114,7 +114,7 @@ class Tables:
     angles: int
     fractions: int
     step_rad: float
-    known: dict[tuple[int, int], Floats] = field(default_factory=dict)
+    known: dict[int, dict[int, Floats]] = field(default_factory=dict)
 
     def index(self, ring: NDArray[np.intp], angle: Floats) -> NDArray[np.int32]:
         """Indices of reflectors at angles, rad, of rings."""
@@ -347,54 +347,66 @@ def turned(table: Tables, ring: NDArray[np.intp], angle: Floats, count: int) -> 
     return [Start(float(scores[i]), (float(turn[i]),)) for i in best]
 
 
-@lru_cache(maxsize=8)
-def _subsets(positions: int, least: int) -> NDArray[np.intp]:
-    apart = [(a, b) for a, b in combinations(range(positions), 2) if min(b - a, positions - b + a) >= least]
-    return np.array(apart, dtype=np.intp).reshape(-1, 2)
-
-
 def free(table: Tables, ring: int, most: int, kept: int) -> list[Start]:
-    """The best sets of one to `most` reflectors of a ring, grown one by one; `kept` of every number."""
+    """The best sets of one to `most` reflectors of a ring; `kept` of every number."""
     coarse = np.arange(0, table.angles, COARSE if table.angles >= 120 else 1)
     angle = np.asarray(coarse * table.step_rad, dtype=np.float64)
     ids = table.index(np.full(len(coarse), ring), angle)
     least = max(round(APART_RAD / abs(angle[1] - angle[0])), 1)
-    found: list[Start] = []
-    sets, order = np.arange(len(coarse))[:, None], np.zeros(0, dtype=np.intp)
+    gap = np.abs(np.subtract.outer(coarse, coarse)) // (coarse[1] - coarse[0])
+    gap = np.minimum(gap, len(coarse) - gap)
+    known = table.known.setdefault(ring, {})
+    sets = grown(table, ids, gap >= least, gap >= max(least // 2, 1), most, kept, known)
+    return [Start(log, tuple(float(a) for a in angle[chosen])) for log, chosen in sets]
+
+
+def grown(
+    table: Tables,
+    ids: NDArray[np.int32],
+    clear: NDArray[np.bool_],
+    unlike: NDArray[np.bool_],
+    most: int,
+    kept: int,
+    known: dict[int, Floats] | None = None,
+) -> list[tuple[float, NDArray[np.intp]]]:
+    """The best sets of one to `most` reflectors, grown one by one; `kept` of every number.
+
+    Args:
+        ids: (N,) indices of the places.
+        clear: (N, N) places in both of which a reflector may stand.
+        unlike: (N, N) places so far apart that sets which differ in them alone are two.
+        known: scores of all single reflectors and of all pairs, by their number; kept for the next call.
+
+    Returns:
+        Log evidences, and positions (K,) among the places.
+    """
+    known = {} if known is None else known
+    best: list[tuple[float, NDArray[np.intp]]] = []
+    sets, order = np.arange(len(ids))[:, None], np.zeros(0, dtype=np.intp)
     for number in range(1, most + 1):
         if number == 2:
-            sets = _subsets(len(coarse), least)
+            sets = np.argwhere(np.triu(clear))
         elif number > 2:
-            sets = _more(sets[order[:GROWN]], len(coarse), least)
+            sets = _more(sets[order[:GROWN]], clear)
         if not len(sets):
             break
-        scores = table.known.get((ring, number)) if number < 3 else None
-        scores = table.scores(ids[sets]) if scores is None else scores
+        scores = known[number] if number in known else table.scores(ids[sets])
         if number < 3:
-            table.known[ring, number] = scores
+            known[number] = scores
         order = np.argsort(-scores)
         taken: list[NDArray[np.intp]] = []
         for i in order:
             if len(taken) == kept:
                 break
-            if all(_far(sets[i], other, len(coarse), least) for other in taken):
+            if all(unlike[np.ix_(sets[i], other)].all(axis=1).any() for other in taken):
                 taken.append(sets[i])
-                found.append(Start(float(scores[i]), tuple(float(a) for a in angle[sets[i]])))
-    return found
+                best.append((float(scores[i]), sets[i]))
+    return best
 
 
-def _far(a: NDArray[np.intp], b: NDArray[np.intp], positions: int, least: int) -> bool:
-    """One of the reflectors of a stands away from all of b."""
-    gap = np.abs(a[:, None] - b)
-    return bool((np.minimum(gap, positions - gap).min(axis=1) >= max(least // 2, 1)).any())
-
-
-def _more(sets: NDArray[np.intp], positions: int, least: int) -> NDArray[np.intp]:
-    """Sets (H, K) with one more, at least so far from the others; every one once."""
-    every = np.arange(positions)
-    gap = np.abs(every - sets[..., None])
-    far = np.minimum(gap, positions - gap).min(axis=1) >= least
-    which, new = np.nonzero(far)
-    grown = np.sort(np.column_stack([sets[which], new]), axis=1)
-    code = grown @ (positions ** np.arange(grown.shape[1]))
-    return np.asarray(grown[np.unique(code, return_index=True)[1]])
+def _more(sets: NDArray[np.intp], clear: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Sets (H, K) with one more where it is clear of the others; every one once."""
+    which, new = np.nonzero(clear[sets].all(axis=1))
+    longer = np.sort(np.column_stack([sets[which], new]), axis=1)
+    code = longer @ (len(clear) ** np.arange(longer.shape[1]))
+    return np.asarray(longer[np.unique(code, return_index=True)[1]])

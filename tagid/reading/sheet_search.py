@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tagid.fields.thin_shell import BoxShell, ShellField
 from tagid.reading.columns import CLOSEST_M, REACH_M
 from tagid.reading.descent import Powers, variance
-from tagid.reading.search import Tables, dense
+from tagid.reading.search import Tables, dense, grown
 from tagid.reading.sheet import HEAD, STEP, Kind, SheetColumns, SheetModel
 from tagid.reading.spectra import Complex, Floats, Spectra
 
@@ -37,8 +37,6 @@ RING = 72
 """Places on a ring about a sheet."""
 SPOTS, SPOT_M = 96, 7e-3
 """Places anywhere about a sheet, and the grid from which they are chosen, m."""
-GROWN = 40
-"""Best sets to which a further reflector is added."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,23 +216,5 @@ def anywhere(found: Beside, most: int, kept: int) -> list[tuple[float, NDArray[n
     """The best sets of one to `most` reflectors anywhere, `kept` of each number: log evidence and indices."""
     places = found.places[found.spots]
     clear = np.abs(places[:, None] - places) >= CLOSEST_M
-    sets = np.arange(len(places))[:, None]
-    out: list[tuple[float, NDArray[np.int32]]] = []
-    for _ in range(most):
-        scores = found.table.scores(found.spots[sets])
-        order = np.argsort(-scores)
-        taken: list[NDArray[np.intp]] = []
-        for i in order:
-            if all(clear[np.ix_(sets[i], other)].all(axis=1).any() for other in taken):
-                taken.append(sets[i])
-                out.append((float(scores[i]), found.spots[sets[i]]))
-                if len(taken) == kept:
-                    break
-        # All pairs, then those that the best sets begin.
-        grown = [
-            np.column_stack([np.broadcast_to(one, (len(more), len(one))), more])
-            for one in sets[order[: GROWN if sets.shape[1] > 1 else None]]
-            for more in [np.flatnonzero(clear[one].all(axis=0))]
-        ]
-        sets = np.unique(np.sort(np.concatenate(grown), axis=1), axis=0)
-    return out
+    sets = grown(found.table, found.spots, clear, clear, most, kept)
+    return [(log, found.spots[chosen]) for log, chosen in sets]

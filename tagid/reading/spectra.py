@@ -6,7 +6,7 @@ Amplitudes are free at every frequency, so that pulse, level and a common range 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,21 +14,15 @@ from numpy.typing import NDArray
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
+from tagid.tags.bodies.spectra import BAND_SHARE, FREQUENCIES, range_window
 from tagid.tags.reading.views import fold_views
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
 
-FREQUENCIES = 9
-"""One per c / (2 * 0.65 m) = 0.23 GHz of the range window would be independent of its neighbours."""
-BAND_SHARE = 0.94
-"""Share of the pulse's -10 dB band that is used: its outermost edges hold little signal."""
-FLAT_M, EDGE_M = 0.24, 0.42
-"""The range window about the axis is flat to the first and ends at the second distance: an object of 0.13 m
-radius, its creeping waves and double bounces, and a range offset of 0.05 m lie in the flat part."""
 MODEL_ERROR = 0.05
 """Amplitude of what no hypothesis models, over the amplitude of the echo that changes over the views."""
-CLUTTER_RADII_M = (0.05, 0.10, 0.20)
+CLUTTER_RADII_M = (0.05, 0.10)
 """Radii of the discs over which the scatterers of the clutter are spread."""
 _DISC_RINGS = 24
 
@@ -83,7 +77,6 @@ class Spectra:
         height_m: (V,) of the antenna above the object's plane, m.
         distance_m: d, mean distance from the axis to the antenna, m.
         moving: (F,) energy of the moving echo per view, in the same units.
-        snr: that over the noise alone, mean over the frequencies.
         full_turn: the views are evenly spaced over a turn at one height.
     """
 
@@ -93,7 +86,6 @@ class Spectra:
     height_m: Floats
     distance_m: float
     moving: Floats
-    snr: float
     full_turn: bool
 
     @classmethod
@@ -113,17 +105,7 @@ class Spectra:
         scans = fold_views(scans, radius_m)
         gain = (scans.noise_std / before) ** 2 if before > 0 else 1.0
         positions = scans.aperture.positions
-        reach = np.linalg.norm(positions, axis=1)
-        distance = float(reach.mean())
-        ranges = scans.ranges_m[None] - (reach - distance)[:, None]
-        taper = np.clip((EDGE_M - np.abs(ranges - distance)) / (EDGE_M - FLAT_M), 0, 1)
-        taper = 0.5 - 0.5 * np.cos(np.pi * taper)
-        if np.count_nonzero(taper.mean(axis=0)) < 4:
-            raise DataError(
-                f"the scans cover {scans.ranges_m[0]:.2f} to {scans.ranges_m[-1]:.2f} m, the object is at "
-                f"{distance:.2f} m",
-                "Check the axis distance, or record a range window that holds the object.",
-            )
+        distance, taper = range_window(scans)
         offsets = np.linspace(-0.5, 0.5, FREQUENCIES) * BAND_SHARE * scans.bandwidth_hz
         turn = 4 * np.pi / scans.wave_speed_m_s * offsets
         data = np.exp(-1j * turn[:, None] * (scans.ranges_m - distance)[None]) @ (scans.samples * taper).T
@@ -148,7 +130,6 @@ class Spectra:
             height,
             distance,
             moving / unit,
-            float(moving.mean() / noise) if noise > 0 else np.inf,
             _is_full_turn(antenna, height),
         )
 
@@ -187,16 +168,6 @@ class Spectra:
         """The data (F, M) in the basis of every whitener."""
         return tuple(one.apply(self.data[:, None])[:, 0] for one in self.whiteners)
 
-    def of_views(self, views: NDArray[np.intp]) -> Spectra:
-        """The same of some of the views."""
-        return replace(
-            self,
-            data=self.data[:, views],
-            antenna=self.antenna[views],
-            height_m=self.height_m[views],
-            full_turn=False,
-        )
-
     def thinned(self, step: int) -> Spectra:
         """The same of every so many-th frequency."""
         every = slice(None, None, step)
@@ -231,18 +202,11 @@ def _is_full_turn(antenna: Complex, height_m: Floats) -> bool:
 
 def _j0(x: Floats) -> Floats:
     """The Bessel function J0 of x >= 0, by interpolation in a table: to 1e-5."""
-    if x.size == 0:
-        return x
-    return np.interp(x, *_table())
+    return np.interp(x, *_j0_table())
 
 
-def _table() -> tuple[Floats, Floats]:
-    global _TABLE
-    if _TABLE is None:
-        grid = np.linspace(0, 200, 20_001)
-        angle = (np.arange(256) + 0.5) * np.pi / 256
-        _TABLE = grid, np.cos(np.outer(grid, np.sin(angle))).mean(axis=1)
-    return _TABLE
-
-
-_TABLE: tuple[Floats, Floats] | None = None
+@cache
+def _j0_table() -> tuple[Floats, Floats]:
+    grid = np.linspace(0, 200, 20_001)
+    angle = (np.arange(256) + 0.5) * np.pi / 256
+    return grid, np.cos(np.outer(grid, np.sin(angle))).mean(axis=1)

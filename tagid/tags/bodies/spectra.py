@@ -72,17 +72,7 @@ class Spectra:
         Raises DataError where fewer than 4 range bins lie in the window.
         """
         positions = scans.aperture.positions
-        reach = np.linalg.norm(positions, axis=1)
-        distance = float(reach.mean())
-        ranges = scans.ranges_m[None] - (reach - distance)[:, None]
-        taper = np.clip((EDGE_M - np.abs(ranges - distance)) / (EDGE_M - FLAT_M), 0, 1)
-        taper = 0.5 - 0.5 * np.cos(np.pi * taper)
-        if np.count_nonzero(taper.mean(axis=0)) < 4:
-            raise DataError(
-                f"the scans cover {scans.ranges_m[0]:.2f} to {scans.ranges_m[-1]:.2f} m, the object is at "
-                f"{distance:.2f} m",
-                "Check the axis distance, or record a range window that holds the object.",
-            )
+        distance, taper = range_window(scans)
         size = scans.samples.size
         independent = scans.independent_samples if scans.independent_samples > 0 else float(size)
         offsets = np.linspace(-0.5, 0.5, frequencies) * BAND_SHARE * scans.bandwidth_hz
@@ -174,6 +164,25 @@ class Spectra:
         ahead = np.arange(-_LONGEST_M, _LONGEST_M, 2e-3)
         turned = np.exp(-1j * ahead[:, None] * self.wavenumbers[None])
         return float(ahead[int(np.argmax(np.abs(turned @ response)))])
+
+
+def range_window(scans: BasebandScans) -> tuple[float, NDArray[np.float64]]:
+    """Mean distance from axis to antenna, m, and the taper (views, bins) about the axis.
+
+    Raises DataError where fewer than 4 range bins lie in the window.
+    """
+    reach = np.linalg.norm(scans.aperture.positions, axis=1)
+    distance = float(reach.mean())
+    ranges = scans.ranges_m[None] - (reach - distance)[:, None]
+    taper = np.clip((EDGE_M - np.abs(ranges - distance)) / (EDGE_M - FLAT_M), 0, 1)
+    taper = 0.5 - 0.5 * np.cos(np.pi * taper)
+    if np.count_nonzero(taper.mean(axis=0)) < 4:
+        raise DataError(
+            f"the scans cover {scans.ranges_m[0]:.2f} to {scans.ranges_m[-1]:.2f} m, the object is at "
+            f"{distance:.2f} m",
+            "Check the axis distance, or record a range window that holds the object.",
+        )
+    return distance, taper
 
 
 def centred(columns: NDArray[np.complex128]) -> NDArray[np.complex128]:

@@ -1,0 +1,67 @@
+"""Where an odd scatterer stands most likely beside a hypothesis: a handle, a seam, a screw, dirt."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M
+from tagid.reading.descent import Found, variance
+from tagid.reading.spectra import Complex, Spectra
+
+GAIN = 5.0
+"""Nats that a place must add before it is refined."""
+_OUT_M, _ALONG_M = 0.007, 0.008
+"""Steps of the map outward and along its rings."""
+
+
+class OddMap:
+    """The map of one recording, which all hypotheses share."""
+
+    def __init__(self, spectra: Spectra) -> None:
+        self._spectra = spectra
+        self._spots: dict[int, tuple[NDArray[np.complex64], NDArray[np.float32]]] = {}
+
+    def _whitened(self, disc: int) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
+        """(F, Q, M) conjugate columns of the places in the basis of a clutter's disc, and their energy."""
+        if disc not in self._spots:
+            waves, _ = self._spectra.waves(_places(), np.zeros(len(_places())))
+            spots = self._spectra.whiteners[disc].apply(waves).conj().astype(np.complex64)
+            self._spots[disc] = spots, spots.real**2 + spots.imag**2
+        return self._spots[disc]
+
+    def likeliest(self, found: Found) -> complex | None:
+        """The place, x + jy, m, that adds most evidence to a hypothesis; None where none adds `GAIN`."""
+        spectra, model, places = self._spectra, found.model, _places()
+        spots, energy = self._whitened(model.disc)
+        lam = variance(spectra, model, found.powers.clutter)
+        columns = spectra.whiteners[model.disc].apply(model.at(spectra, found.x, slopes=False).values)
+        columns = columns / np.sqrt(lam)[:, None]
+        y = spectra.white[model.disc] / np.sqrt(lam)
+        power = model.power(spectra.moving, found.powers.body, found.powers.tag, found.powers.oval)
+        matrix = columns.conj() @ np.swapaxes(columns, 1, 2) + np.eye(columns.shape[1]) / power[:, None, :]
+        held = np.linalg.solve(np.linalg.cholesky(matrix), columns.conj())
+        left = y - ((held @ y[..., None])[..., 0][:, None] @ held.conj())[:, 0]
+        # Single precision is enough to find the spot, which is refined.
+        against = np.concatenate([held.conj(), left[:, None]], axis=1) / np.sqrt(lam)[:, None]
+        product = spots @ np.swapaxes(against.astype(np.complex64), 1, 2)
+        product = product.real**2 + product.imag**2
+        size = (energy @ (1 / lam).astype(np.float32)[..., None])[..., 0] - product[..., :-1].sum(axis=-1)
+        prior = (ODD_POWER * spectra.moving)[:, None]
+        gain = (product[..., -1] / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0)
+        used = np.concatenate([found.places, found.odd])
+        gain[(np.abs(places[:, None] - used) < CLOSEST_M).any(axis=1)] = -np.inf
+        best = int(gain.argmax())
+        return complex(places[best]) if gain[best] > GAIN else None
+
+
+@cache
+def _places() -> Complex:
+    """(Q,) places of the map, x + jy, m."""
+    rings = []
+    for radius in np.arange(0.0, REACH_M + 1e-3, _OUT_M):
+        count = max(1, int(2 * np.pi * radius / _ALONG_M))
+        rings.append(radius * np.exp(2j * np.pi * np.arange(count) / count))
+    return np.concatenate(rings)
