@@ -29,7 +29,7 @@ typedef struct {
     const double *sigma;   /* (G,) powers of the clutter */
     double *out;
     double distance;
-    int64_t v, f, m, k, t, n, h, g, body, p, odd, turns, stretches;
+    int64_t v, f, m, k, t, n, h, g, body, p, odd, turns, stretches, head;
     int64_t even, rows, split, sources, blocks, more;
 } Problem;
 
@@ -98,13 +98,13 @@ INLINE void wave_of(double x, double *re, double *im)
 /* Places (S, 3) of the sources: body, reflectors, odd scatterers. */
 INLINE void place_all(const Problem *g, double *place)
 {
-    const double *x = g->x, *odd = x + 2 + g->turns + g->stretches;
+    const double *x = g->x, *odd = x + g->head + g->turns + g->stretches;
     int64_t s = 0;
     if (g->body)
         place[0] = x[0], place[1] = x[1], place[2] = 0.0, s = 1;
     for (int64_t k = 0; k < g->k; k++, s++) {
-        const double facing = g->tag[g->k + k] + x[2 + g->group[k]];
-        const double radius = g->tag[k] + x[2 + g->turns + g->group[g->k + k]];
+        const double facing = g->tag[g->k + k] + x[g->head + g->group[k]];
+        const double radius = g->tag[k] + x[g->head + g->turns + g->group[g->k + k]];
         place[3 * s] = x[0] + radius * cos(facing);
         place[3 * s + 1] = x[1] + radius * sin(facing);
         place[3 * s + 2] = g->tag[2 * g->k + k];
@@ -139,7 +139,7 @@ INLINE void prepare(const Problem *g, const Work *w)
         }
     }
     for (int64_t k = 0; k < g->k; k++) {
-        const double facing = g->tag[g->k + k] + g->x[2 + g->group[k]];
+        const double facing = g->tag[g->k + k] + g->x[g->head + g->group[k]];
         for (int64_t v = 0; v < V; v++) {
             const double at = (direction[v] - facing) * (ANGLES / 6.283185307179586), low = floor(at);
             w->part[k * V + v] = at - low;
@@ -147,8 +147,15 @@ INLINE void prepare(const Problem *g, const Work *w)
         }
     }
     for (int64_t v = 0; g->body > 1 && v < V; v++) {
-        w->oval[v] = cos(2.0 * direction[v]);
-        w->oval[V + v] = sin(2.0 * direction[v]);
+        const double c = cos(2.0 * direction[v]), s = sin(2.0 * direction[v]);
+        const double path = w->range[v] - g->distance - g->x[2] * c - g->x[3] * s;
+        const double loss = g->distance / w->range[v] * (g->distance / w->range[v]);
+        double re, im;
+        wave_of(first * path, &re, &im);
+        w->wave[v] = loss * re, w->wave[V + v] = loss * im;
+        wave_of(between * path, &re, &im);
+        w->step[v] = re, w->step[V + v] = im;
+        w->oval[v] = c, w->oval[V + v] = s;
     }
 }
 
@@ -252,12 +259,18 @@ INLINE void slopes_of(const Problem *g, const Work *w, int64_t f, const double *
             }
         add_slope(w, s, sum, kappa, 1.0, 0.0, out, V);
         add_slope(w, s, sum, kappa, 0.0, 1.0, out + two, V);
+        for (int64_t b = 1; b < g->body; b++) /* the support function brings the echo nearer: j kappa */
+            for (int64_t v = 0; v < V; v++) {
+                const double nearer = kappa * w->oval[(b - 1) * V + v], *wave = w->wave;
+                out[(b + 1) * two + v] -= nearer * (sum[v] * wave[V + v] + sum[V + v] * wave[v]);
+                out[(b + 1) * two + V + v] += nearer * (sum[v] * wave[v] - sum[V + v] * wave[V + v]);
+            }
         weight += g->body * two, s = 1;
     }
     for (int64_t k = 0; k < g->k; k++, s++) {
         const int64_t turn = g->group[k], stretch = g->group[g->k + k];
-        const double facing = g->tag[g->k + k] + g->x[2 + turn], c = cos(facing), d = sin(facing);
-        const double radius = g->tag[k] + g->x[2 + g->turns + stretch];
+        const double facing = g->tag[g->k + k] + g->x[g->head + turn], c = cos(facing), d = sin(facing);
+        const double radius = g->tag[k] + g->x[g->head + g->turns + stretch];
         memset(scratch, 0, (size_t)(2 * two) * sizeof(double));
         for (int64_t p = 0; p < g->p + (g->k > 1); p++) {
             const int64_t of = (k * g->p + (p < g->p ? p : 0)) * two, from = (p < g->p ? p : p + k) * two;
@@ -266,7 +279,7 @@ INLINE void slopes_of(const Problem *g, const Work *w, int64_t f, const double *
         }
         for (int64_t v = 0; v < two; v++)
             turned[v] = -turned[v];
-        double *spun = out + (2 + turn) * two, *drawn = out + (2 + g->turns + stretch) * two;
+        double *spun = out + (g->head + turn) * two, *drawn = out + (g->head + g->turns + stretch) * two;
         add_slope(w, s, sum, kappa, 1.0, 0.0, out, V);
         add_slope(w, s, sum, kappa, 0.0, 1.0, out + two, V);
         add_slope(w, s, sum, kappa, -radius * d, radius * c, spun, V);
@@ -274,7 +287,7 @@ INLINE void slopes_of(const Problem *g, const Work *w, int64_t f, const double *
         add_product(turned, w->wave + s * two, spun, V);
     }
     weight += g->k ? (g->p + (g->k > 1 ? g->k : 0)) * two : 0;
-    out += (2 + g->turns + g->stretches) * two;
+    out += (g->head + g->turns + g->stretches) * two;
     for (int64_t i = 0; i < g->odd; i++, s++, weight += two, out += 2 * two) {
         add_slope(w, s, weight, kappa, 1.0, 0.0, out, V);
         add_slope(w, s, weight, kappa, 0.0, 1.0, out + two, V);

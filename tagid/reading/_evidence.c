@@ -402,7 +402,8 @@ static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
         if (turn < 0 || stretch < 0 || table < 0 || table >= tables)
             return refused("groups");
     }
-    g->t = 2 + g->turns + g->stretches + 2 * g->odd;
+    g->head = g->body > 1 ? 4 : 2;
+    g->t = g->head + g->turns + g->stretches + 2 * g->odd;
     g->n = g->body + (g->k ? g->p : 0) + (g->k > 1 ? g->k : 0) + g->odd;
     g->sources = (g->body > 0) + g->k + g->odd;
     if (g->body < 0 || g->body == 2 || g->body > 3 || g->odd < 0 || g->n >= MOST ||

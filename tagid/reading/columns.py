@@ -1,8 +1,8 @@
 """Columns of a body, of reflectors and of odd scatterers, and their slopes over places and turns.
 
 A hypothesis is a product of small choices: a body or none, a transfer, an arrangement of reflectors or none,
-and odd scatterers. Its parameters are, in this order: the centre x, y; a turn for every group of reflectors
-that turns by itself; a stretch (m outward) for every group that moves outward by itself; x, y of every odd
+and odd scatterers. Its parameters are, in this order: the centre x, y; of an oval body the cosine and sine
+part of its support function; a turn for every group of reflectors that turns by itself; a stretch (m outward) for every group that moves outward by itself; x, y of every odd
 scatterer.
 """
 
@@ -24,6 +24,8 @@ MOUNTING_SD_M = 1.5e-3
 """Standard deviation of a reflector's distance from the centre as enrolled, m."""
 CLOSEST_M, CLOSE_SD_M = 18e-3, 0.5e-3
 """Two reflectors cannot stand in one place: nearer than this costs, by this standard deviation, m."""
+SHAPE_M = 1e-3
+"""Scale of the support function's two-fold part, m: most bodies are round, some are far from it."""
 REACH_M = 0.13
 """An odd scatterer stands within this of the axis, m."""
 RING_M = (0.02, 0.14)
@@ -162,7 +164,10 @@ class Model:
     Attributes:
         transfer: of the reflectors; also says whether there is a body.
         tag: the reflectors, or None.
-        oval: the body may be oval: two tangents.
+        oval: the body may be oval: its echo comes from a distance of p cos 2 phi + q sin 2 phi before its
+            centre, and its strength may have two-fold tangents. A smooth convex body returns the echo of its
+            specular point, which lies at its support function (J. B. Keller, *IRE Trans. Antennas Propag.* 4,
+            1956).
         disc: number of the clutter's disc, see `CLUTTER_RADII_M`.
         odd: number of odd scatterers.
         hidden: start and width, rad, of a sector of directions that sees no reflector; width 0: none.
@@ -178,13 +183,23 @@ class Model:
     @property
     def head(self) -> int:
         """Parameters before those of the reflectors."""
-        return 2
+        return 2 + self.shapes
+
+    @property
+    def shapes(self) -> int:
+        """Parameters of the body's shape."""
+        return 2 if self.oval and self.transfer.body else 0
+
+    @property
+    def about(self) -> slice:
+        """Parameters of the tag's centre."""
+        return slice(0, 2)
 
     @property
     def parameters(self) -> int:
         """Number of parameters."""
         tag = 0 if self.tag is None else self.tag.turns + self.tag.stretches
-        return 2 + tag + 2 * self.odd
+        return 2 + self.shapes + tag + 2 * self.odd
 
     @property
     def columns(self) -> int:
@@ -209,8 +224,9 @@ class Model:
         """Centre, turns, stretches and odd places of parameters."""
         t = 0 if self.tag is None else self.tag.turns
         s = 0 if self.tag is None else self.tag.stretches
-        odd = x[2 + t + s :].reshape(-1, 2)
-        return complex(x[0], x[1]), x[2 : 2 + t], x[2 + t : 2 + t + s], odd[:, 0] + 1j * odd[:, 1]
+        h = 2 + self.shapes
+        odd = x[h + t + s :].reshape(-1, 2)
+        return complex(x[0], x[1]), x[h : h + t], x[h + t : h + t + s], odd[:, 0] + 1j * odd[:, 1]
 
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> Seen:
         """The columns at parameters x (P,); slopes: those are wanted, too."""
@@ -241,7 +257,7 @@ class Model:
         return np.asarray(self._sds() ** -2.0)
 
     def _sds(self) -> Floats:
-        sds = [CENTRE_SD_M, CENTRE_SD_M]
+        sds = [CENTRE_SD_M, CENTRE_SD_M] + [3 * SHAPE_M] * self.shapes
         if self.tag is not None:
             sds += [2 * np.pi / np.sqrt(12)] * self.tag.turns
             mounting = float(np.hypot(MOUNTING_SD_M, self.transfer.radius_sd_m))
@@ -251,7 +267,7 @@ class Model:
     @cached_property
     def _normal(self) -> NDArray[np.bool_]:
         """(P,) which parameters have a Gaussian prior."""
-        flags = [True, True]
+        flags = [True, True] + [False] * self.shapes
         if self.tag is not None:
             flags += [False] * self.tag.turns + [not free for free in self.tag.free]
         return np.array(flags + [False] * (2 * self.odd))
@@ -259,7 +275,15 @@ class Model:
     def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
         """Log density, its slope (P,) and precision (P, P) of what pulls the parameters."""
         pull = self._pull
-        return self._log_at_mean - 0.5 * float(pull @ x**2), -pull * x, np.diag(pull)
+        log, slope, hessian = self._log_at_mean - 0.5 * float(pull @ x**2), -pull * x, np.diag(pull)
+        if self.shapes:
+            # Cauchy's distribution in two dimensions.
+            shape = slice(2, 4)
+            size = SHAPE_M**2 + float(x[shape] @ x[shape])
+            log += float(np.log(SHAPE_M / (2 * np.pi)) - 1.5 * np.log(size))
+            slope[shape] -= 3 * x[shape] / size
+            hessian[[2, 3], [2, 3]] += 3 / size
+        return log, slope, hessian
 
     @cached_property
     def _pull(self) -> Floats:
@@ -335,6 +359,9 @@ class Columns:
         waves, range_m = spectra.waves(places, heights)
         toward = (places[:, None] - spectra.antenna) / range_m
         parts, pattern, turned, oval = [], None, None, None
+        if model.shapes:
+            near = x[2] * np.cos(2 * spectra.direction) + x[3] * np.sin(2 * spectra.direction)
+            waves[:, 0] *= np.exp(1j * spectra.kappa[:, None] * near)
         if body:
             parts.append(waves[:, :1])
             if model.oval:
@@ -400,7 +427,10 @@ class Columns:
         k = 0 if model.tag is None else model.tag.count
         out[0] = along_x[:, : first + k].sum(axis=1)
         out[1] = along_y[:, : first + k].sum(axis=1)
-        row = 2
+        if model.shapes and self.oval is not None:
+            nearer = 1j * self.spectra.kappa[:, None] * sources[:, 0] * self.waves[:, 0]
+            out[2:4] = nearer * self.oval[:, None]
+        row = 2 + model.shapes
         if model.tag is not None and turned is not None:
             centre, turn, _, _ = model.split(x)
             outward = np.exp(1j * (model.tag.angle + turn[model.tag.turn]))

@@ -36,6 +36,10 @@ FIRST, THEN = 16, 8
 """Starts that are refined under much clutter, and those of them that are refined wholly."""
 GRID_M = tuple(complex(x, y) for x in 4e-3 * np.arange(-2, 3) for y in 4e-3 * np.arange(-2, 3))
 """Centres that are tried, x + jy."""
+SHAPES_M = tuple(r * np.exp(1j * np.pi / 3 * np.arange(6)) for r in (4e-3, 8e-3, 12e-3))
+"""Two-fold parts of a body's support function that are tried, m."""
+POSES = (*((c, 0j) for c in GRID_M), *((0j, complex(s)) for ring in SHAPES_M for s in ring))
+"""Centres and shapes of a body that are tried."""
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
 """Widths of hidden sectors."""
 FITS_M = 0.012
@@ -137,9 +141,10 @@ class Contest:
         near = _distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
         known = body.centre_sd_m < _KNOWN_M
         powers = [replace(one.found.powers, clutter=max(one.found.powers.clutter, 1e-3)) for one in bodies]
+        shapes = [one.found.x[2:4] for one in bodies]
         starts: list[Candidate] = []
         for transfer in self.transfers:
-            starts += self._starts(transfer, near if transfer.body and known else centres, powers)
+            starts += self._starts(transfer, near if transfer.body and known else centres, powers, shapes)
         for enrolled in (True, False):
             self._refine([one for one in starts if (one.layout is not None) == enrolled], powers)
         self._as_enrolled()
@@ -185,13 +190,13 @@ class Contest:
             self._tried.add(found)
             head = found.x[: model.head].copy()
             # Of a sheet the centre is counted from its own.
-            origin = found.centre - complex(*head[-2:])
+            origin = found.centre - complex(*head[model.about])
             for layout in self.layouts:
                 arranged = _Arranged.of(layout, model.transfer.body)
                 pose = _pose(arranged.tag, found.places)
                 if pose is None:
                     continue
-                head[-2:] = (pose[0] - origin).real, (pose[0] - origin).imag
+                head[model.about] = (pose[0] - origin).real, (pose[0] - origin).imag
                 own = replace(model, tag=arranged.tag, disc=disc_of(arranged.radius_m), odd=0)
                 best = refined(self.spectra, own, np.r_[head, pose[1], 0.0], (1e-2, None))
                 self.add(layout, best, arranged.middle)
@@ -219,7 +224,7 @@ class Contest:
     def _untagged(self) -> list[Hypothesis]:
         """Nothing, and a round body, with clutter of either disc."""
         model = Model(POINTS, None, True, 0)
-        starts = [np.array([c.real, c.imag]) for c in GRID_M]
+        starts = [np.array([c.real, c.imag, s.real, s.imag]) for c, s in POSES]
         values = [best_powers(self.spectra, model, x, 1e-2)[1] for x in starts]
         order = np.argsort(values)[::-1][:2]
         bodies = []
@@ -233,7 +238,11 @@ class Contest:
         return bodies
 
     def _starts(
-        self, transfer: Transfer, centres: Sequence[complex], powers: Sequence[Powers]
+        self,
+        transfer: Transfer,
+        centres: Sequence[complex],
+        powers: Sequence[Powers],
+        shapes: Sequence[Floats],
     ) -> list[Candidate]:
         """Layouts at their best turns, and free arrangements, by tables of single reflectors."""
         arranged = [_Arranged.of(one, transfer.body) for one in self.layouts]
@@ -251,10 +260,12 @@ class Contest:
                 for one in own:
                     rings = tuple(dict.fromkeys(one.rings))
                     if rings not in tables:
-                        tables[rings] = search.tables(self.spectra, model, c, rings, powers[disc])
+                        tables[rings] = search.tables(
+                            self.spectra, model, c, rings, powers[disc], shapes[disc]
+                        )
                     ring = np.array([rings.index(r) for r in one.rings])
                     for s in search.turned(tables[rings], ring, one.tag.angle, 2):
-                        x = np.array([c.real, c.imag, s.angles[0], 0.0])
+                        x = np.r_[c.real, c.imag, shapes[disc][: model.shapes], s.angles[0], 0.0]
                         start = Candidate(s.log, one.layout, replace(model, tag=one.tag), x, one.middle)
                         enrolled[one.layout.name].append(start)
                         best = max(best, s.log)
@@ -262,11 +273,15 @@ class Contest:
             for some in enrolled.values():
                 found += _unlike(some, 2)
             for _, c in sorted(about, key=lambda one: -one[0])[:wide]:
-                every = [search.tables(self.spectra, model, c, [(r, 0.0)], powers[disc]) for r in free_m]
+                every = [
+                    search.tables(self.spectra, model, c, [(r, 0.0)], powers[disc], shapes[disc])
+                    for r in free_m
+                ]
                 pairs = [search.free(table, 0, 2, 1)[-1].log for table in every]
                 for i in np.argsort(pairs)[::-1][:wide]:
                     for s in search.free(every[i], 0, MOST_REFLECTORS, 2):
-                        x = np.r_[c.real, c.imag, np.zeros(len(s.angles)), 0.0]
+                        x = np.r_[c.real, c.imag, shapes[disc][: model.shapes], s.angles, 0.0]
+                        x[2 + model.shapes : -1] = 0.0
                         tag = Arrangement.ring(free_m[i], np.array(s.angles))
                         found.append(Candidate(s.log, None, replace(model, tag=tag), x, False))
         return found

@@ -179,7 +179,12 @@ def _filled(power: Floats) -> Floats:
 
 
 def tables(
-    spectra: Spectra, model: Model, centre: complex, rings: Sequence[tuple[float, float]], powers: Powers
+    spectra: Spectra,
+    model: Model,
+    centre: complex,
+    rings: Sequence[tuple[float, float]],
+    powers: Powers,
+    shape: Sequence[float] = (0.0, 0.0),
 ) -> Tables:
     """Tables of the reflectors of a model's transfer about a centre, x + jy, m.
 
@@ -187,9 +192,12 @@ def tables(
         model: transfer and disc are used.
         rings: radius and height of each, m.
         powers: of clutter and reflectors.
+        shape: parameters of the body's.
     """
     make = _even if spectra.full_turn else _uneven
-    return make(spectra, model, centre, rings, powers)
+    twice = 2 * spectra.direction
+    near = shape[0] * np.cos(twice) + shape[1] * np.sin(twice)
+    return make(spectra, model, centre, rings, powers, np.exp(1j * spectra.kappa[:, None] * near))
 
 
 @lru_cache(maxsize=16)
@@ -218,14 +226,19 @@ def _steps(spectra: Spectra) -> tuple[int, float]:
 
 
 def _even(
-    spectra: Spectra, model: Model, centre: complex, rings: Sequence[tuple[float, float]], powers: Powers
+    spectra: Spectra,
+    model: Model,
+    centre: complex,
+    rings: Sequence[tuple[float, float]],
+    powers: Powers,
+    shaped: Complex,
 ) -> Tables:
     views, transfer = spectra.views, model.transfer
     fractions, step = _steps(spectra)
     blocks, root = _turning(spectra, transfer, model.disc, tuple(rings), powers.clutter)
     w = blocks.columns
     undone = np.exp(1j * spectra.kappa[:, None] * (np.abs(spectra.antenna - centre) - spectra.distance_m))
-    room, body = (np.fft.fft(one, axis=-1) / np.sqrt(views) / root for one in (undone, np.ones_like(undone)))
+    room, body = (np.fft.fft(one, axis=-1) / np.sqrt(views) / root for one in (undone, shaped))
     held_out, charge = _orthogonal([room, body] if transfer.body else [room], powers.body * spectra.moving)
     y = np.fft.fft(spectra.data * undone, axis=-1) / np.sqrt(views) / root
     y, base = _cleared(y, held_out)
@@ -249,7 +262,12 @@ def _even(
 
 
 def _uneven(
-    spectra: Spectra, model: Model, centre: complex, rings: Sequence[tuple[float, float]], powers: Powers
+    spectra: Spectra,
+    model: Model,
+    centre: complex,
+    rings: Sequence[tuple[float, float]],
+    powers: Powers,
+    shaped: Complex,
 ) -> Tables:
     transfer, whitener = model.transfer, spectra.whiteners[model.disc]
     angles = round(2 * np.pi / (1.5 * STEP_RAD))
@@ -268,7 +286,7 @@ def _uneven(
     charge = 0.0
     if transfer.body:
         body, _ = spectra.waves(np.array([centre]), np.zeros(1))
-        held_out, charge = _orthogonal([whitener.apply(body)[:, 0] / root], powers.body * spectra.moving)
+        held_out, charge = _orthogonal([whitener.apply(body * shaped[:, None])[:, 0] / root], powers.body * spectra.moving)
     y, base = _cleared(spectra.white[model.disc] / root, held_out)
     base -= 2 * float(np.log(root).sum()) + charge
     q = np.stack(held_out, axis=1) if held_out else np.zeros((f, 0, y.shape[1]))

@@ -113,6 +113,16 @@ class SheetModel(Model):
         return HEAD + 2
 
     @property
+    def shapes(self) -> int:
+        """None: the sheet has its own."""
+        return 0
+
+    @property
+    def about(self) -> slice:
+        """Parameters of the tag's centre about the sheet's."""
+        return slice(HEAD, HEAD + 2)
+
+    @property
     def parameters(self) -> int:
         """Number of parameters."""
         return HEAD + super().parameters

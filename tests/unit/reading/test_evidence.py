@@ -42,7 +42,7 @@ def somewhere(model: Model) -> np.ndarray:
     """Parameters of a model away from every symmetry."""
     x = 0.002 * np.cos(1.0 + 3 * np.arange(model.parameters))
     turns = 0 if model.tag is None else model.tag.turns
-    x[2 : 2 + turns] = 0.3 + np.arange(turns)
+    x[model.head : model.head + turns] = 0.3 + np.arange(turns)
     if model.odd:
         x[-2 * model.odd :] = 0.09 * np.sin(2.0 + 2 * np.arange(2 * model.odd))
     return x
