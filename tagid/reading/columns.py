@@ -80,6 +80,14 @@ class Arrangement:
         k = np.arange(len(places))
         return cls(np.abs(places), np.angle(places), np.zeros(len(k)), k, k, np.ones(len(k), dtype=bool))
 
+    @classmethod
+    def about(cls, places: Complex) -> Arrangement:
+        """Free reflectors near places (K,), x + jy, m: of one ring where those are."""
+        out = np.abs(places)
+        if np.ptp(out) > 2 * MOUNTING_SD_M:
+            return cls.points(places)
+        return cls.ring(float(out.mean()), np.angle(places))
+
     def of(self, which: NDArray[np.intp]) -> Arrangement:
         """Some of the reflectors."""
         places = self.radius_m[which], self.angle[which], self.height_m[which]

@@ -16,6 +16,8 @@ SURE = float(np.log(1000))
 """Lead from which a name is given, nats: one false in a thousand where the hypotheses are complete."""
 SAME_M = 8e-3
 """Reflectors nearer than this are the same ones."""
+ASIDE_M = 3 * MOUNTING_SD_M
+"""On a body, reflectors that stand farther aside along their ring are another tag."""
 BUILT_M = MOUNTING_SD_M
 """Where nothing stands beside them, reflectors that are off by more are another tag."""
 
@@ -96,7 +98,7 @@ def _about(centre: complex, nominal: Complex, places: Complex, slack_m: float) -
     out = np.abs(nominal) > 0
     turn = np.vdot(nominal, seen)
     aside = np.angle(seen[out] * np.conj(nominal[out] * turn)) * np.abs(nominal[out])
-    return bool((np.abs(aside) < SAME_M).all() and (np.abs(np.abs(seen) - np.abs(nominal)) < slack_m).all())
+    return bool((np.abs(aside) < ASIDE_M).all() and (np.abs(np.abs(seen) - np.abs(nominal)) < slack_m).all())
 
 
 def _off(a: Complex, b: Complex) -> float:

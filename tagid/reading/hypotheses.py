@@ -154,6 +154,7 @@ class Contest:
         if self.sheets:
             self._sheets()
             self._as_enrolled()
+        self._as_free()
         self._one_more()
         return sorted(self.hypotheses, key=lambda one: -one.log_z)
 
@@ -200,6 +201,19 @@ class Contest:
                 own = replace(model, tag=arranged.tag, disc=disc_of(arranged.radius_m), odd=0)
                 best = refined(self.spectra, own, np.r_[head, pose[1], 0.0], (1e-2, None))
                 self.add(layout, best, arranged.middle)
+
+    def _as_free(self) -> None:
+        """Free arrangements where the best layouts stand, about the body's own centre."""
+        for one in self._best(3, enrolled=True):
+            model, found = one.found.model, one.found
+            if not model.transfer.body:
+                continue
+            head = found.x[: model.head].copy()
+            if model.about.start:
+                head[model.about] = 0.0
+            own = replace(model, tag=Arrangement.about(found.places - complex(found.x[0], found.x[1])), odd=0)
+            best = refined(self.spectra, own, np.r_[head, np.zeros(own.parameters - model.head)], (None,), 8)
+            self._grow(self.add(None, best), MOST_ODD)
 
     def _hidden(self) -> None:
         """The best bare tags, not seen from a sector of directions: behind a post or a hand."""
