@@ -309,7 +309,7 @@ class Model:
         return float(log - (np.log(SECTORS) if self.hidden[1] else 0.0))
 
     def overlap(self, x: Floats) -> float:
-        """Nats that reflectors and odd scatterers cost which stand in one place, and rings of no tag."""
+        """Nats that reflectors and odd scatterers cost which stand in one place, and rings and shapes of none."""
         _, _, stretch, odd = self.split(x)
         places = np.concatenate([self.places(x), odd])
         first, second, rise = self._pairs
@@ -320,6 +320,10 @@ class Model:
         if self.tag is not None and self.tag.free.any():
             radius = (self.tag.radius_m + stretch[self.tag.stretch])[self.tag.free[self.tag.stretch]]
             crowded += float((np.maximum(RING_M[0] - radius, radius - RING_M[1]).clip(0) ** 2).sum())
+        if self.shapes:
+            # A convex body inside the tag's ring has a radius of curvature everywhere.
+            inside = REACH_M if self.tag is None else float(self.tag.radius_m.max())
+            crowded += max(3 * float(np.hypot(x[2], x[3])) - inside, 0.0) ** 2
         return crowded / (2 * CLOSE_SD_M**2)
 
     @cached_property

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 
@@ -40,6 +40,8 @@ SHAPES_M = tuple(r * np.exp(1j * np.pi / 3 * np.arange(6)) for r in (4e-3, 8e-3,
 """Two-fold parts of a body's support function that are tried, m."""
 POSES = (*((c, 0j) for c in GRID_M), *((0j, complex(s)) for ring in SHAPES_M for s in ring))
 """Centres and shapes of a body that are tried."""
+BESIDE = 3
+"""Bodies beside which the best pose of every arrangement is refined."""
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
 """Widths of hidden sectors."""
 FITS_M = 0.012
@@ -120,6 +122,7 @@ class Contest:
     hypotheses: list[Hypothesis] = field(default_factory=list)
     _centres: list[complex] = field(default_factory=list)
     _tried: set[Found] = field(default_factory=set)
+    _rough: list[Hypothesis] = field(default_factory=list)
 
     @cached_property
     def _odd(self) -> OddMap:
@@ -147,6 +150,7 @@ class Contest:
             starts += self._starts(transfer, near if transfer.body and known else centres, powers, shapes)
         for enrolled in (True, False):
             self._refine([one for one in starts if (one.layout is not None) == enrolled], powers)
+        self._beside_others(shapes)
         self._as_enrolled()
         self._hidden()
         self._one_less()
@@ -171,6 +175,7 @@ class Contest:
         for one in starts:
             found = refined(self.spectra, one.model, one.x, (min(powers[one.model.disc].clutter, 1e-2),), 4)
             near.append((found.log_z, len(near), found))
+            self._rough.append(Hypothesis(one.layout, found, found.log_z, one.middle))
         near.sort(key=lambda one: -one[0])
         done: list[Found] = []
         for _, i, rough in near:
@@ -181,6 +186,33 @@ class Contest:
             found = refined(self.spectra, rough.model, rough.x, (1e-3, None))
             done.append(found)
             self.add(starts[i].layout, found, starts[i].middle)
+
+    def _beside_others(self, shapes: Sequence[Floats]) -> None:
+        """The best pose of every layout, and of free arrangements of every number, beside all bodies."""
+        best: dict[tuple[str, int], Hypothesis] = {}
+        for one in sorted(self.hypotheses, key=lambda one: -one.log_z):
+            if one.found.model.tag is not None:
+                name = "" if one.layout is None else one.layout.name
+                best.setdefault((name, 0 if name else one.found.model.tag.count), one)
+        for one in best.values():
+            found, model = one.found, one.found.model
+            starts = []
+            for transfer, disc in product(self.transfers, (0, 1)):
+                tag = model.tag
+                if one.layout is not None:
+                    tag = _Arranged.of(one.layout, transfer.body).tag
+                own = replace(model, transfer=transfer, tag=tag, oval=transfer.body, disc=disc)
+                shape = found.x[2:4] if model.shapes else shapes[disc]
+                x = np.r_[found.x[:2], shape[: own.shapes], found.x[model.head :]]
+                starts.append((best_powers(self.spectra, own, x, found.powers.clutter)[1], own, x))
+            starts.sort(key=lambda one: -one[0])
+            for _, own, x in starts[:BESIDE]:
+                again = refined(self.spectra, own, x, (1e-3, None))
+                if not any(
+                    _same_place(again, other.found) and other.found.model.disc == own.disc
+                    for other in self.hypotheses
+                ):
+                    self.add(one.layout, again, one.middle)
 
     def _as_enrolled(self) -> None:
         """Layouts where the best free arrangements stand, if they are about the same."""
@@ -218,7 +250,10 @@ class Contest:
     def _hidden(self) -> None:
         """The best bare tags, not seen from a sector of directions: behind a post or a hand."""
         for enrolled in (True, False):
-            for one in self._best(2, enrolled=enrolled, transfer=BARE):
+            # A tag that is hidden from a third of the views is a poor one before the sector is known.
+            bare = [one for one in self._rough if one.found.model.transfer is BARE]
+            bare = [one for one in bare if (one.layout is not None) == enrolled]
+            for one in sorted(bare, key=lambda one: -one.log_z)[:2]:
                 starts = 2 * np.pi * np.arange(12) / 12
                 sectors = [replace(one.found.model, hidden=(s, w)) for s in starts for w in HIDDEN_RAD]
                 logs = [best_powers(self.spectra, model, one.found.x, 1e-2)[1] for model in sectors]
@@ -300,10 +335,9 @@ class Contest:
                         found.append(Candidate(s.log, None, replace(model, tag=tag), x, False))
         return found
 
-    def _best(self, count: int, *, enrolled: bool, transfer: Transfer | None = None) -> list[Hypothesis]:
+    def _best(self, count: int, *, enrolled: bool) -> list[Hypothesis]:
         """The best hypotheses with reflectors, of layouts or of arrangements that are not enrolled."""
         some = [one for one in self.hypotheses if one.tagged and (one.layout is not None) == enrolled]
-        some = [one for one in some if transfer in (None, one.found.model.transfer)]
         return sorted(some, key=lambda one: -one.log_z)[:count]
 
     def _sheets(self) -> None:

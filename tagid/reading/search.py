@@ -286,7 +286,9 @@ def _uneven(
     charge = 0.0
     if transfer.body:
         body, _ = spectra.waves(np.array([centre]), np.zeros(1))
-        held_out, charge = _orthogonal([whitener.apply(body * shaped[:, None])[:, 0] / root], powers.body * spectra.moving)
+        held_out, charge = _orthogonal(
+            [whitener.apply(body * shaped[:, None])[:, 0] / root], powers.body * spectra.moving
+        )
     y, base = _cleared(spectra.white[model.disc] / root, held_out)
     base -= 2 * float(np.log(root).sum()) + charge
     q = np.stack(held_out, axis=1) if held_out else np.zeros((f, 0, y.shape[1]))
