@@ -2,8 +2,8 @@
 
 A hypothesis is a product of small choices: a body or none, a transfer, an arrangement of reflectors or none,
 and odd scatterers. Its parameters are, in this order: the centre x, y; of an oval body the cosine and sine
-part of its support function; a turn for every group of reflectors that turns by itself; a stretch (m outward) for every group that moves outward by itself; x, y of every odd
-scatterer.
+part of its support function, m; a turn for every group of reflectors that turns by itself; a stretch (m
+outward) for every group that moves outward by itself; x, y of every odd scatterer.
 """
 
 from __future__ import annotations
@@ -309,7 +309,7 @@ class Model:
         return float(log - (np.log(SECTORS) if self.hidden[1] else 0.0))
 
     def overlap(self, x: Floats) -> float:
-        """Nats that reflectors and odd scatterers cost which stand in one place, and rings and shapes of none."""
+        """Nats that points in one place cost, and rings of no tag and shapes of no convex body."""
         _, _, stretch, odd = self.split(x)
         places = np.concatenate([self.places(x), odd])
         first, second, rise = self._pairs

@@ -33,6 +33,10 @@ GROWN = 40
 """Best sets to which a further reflector is added."""
 
 
+ROUND = np.zeros(2)
+"""Shape of a round body."""
+
+
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """Columns of single reflectors, whitened.
@@ -184,7 +188,7 @@ def tables(
     centre: complex,
     rings: Sequence[tuple[float, float]],
     powers: Powers,
-    shape: Sequence[float] = (0.0, 0.0),
+    shape: Floats = ROUND,
 ) -> Tables:
     """Tables of the reflectors of a model's transfer about a centre, x + jy, m.
 

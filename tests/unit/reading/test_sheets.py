@@ -32,7 +32,8 @@ def spectra_of(folder: str, name: str) -> Spectra:
 def explained(folder: str, name: str) -> tuple[Hypothesis, ...]:
     """Nothing, a round body, and what is made of sheets."""
     spectra = spectra_of(folder, name)
-    nothing = [refined(spectra, Model(one, None, one.body, 1), np.zeros(2)) for one in (BARE, POINTS)]
+    models = [Model(one, None, one.body, 1) for one in (BARE, POINTS)]
+    nothing = [refined(spectra, one, np.zeros(one.parameters)) for one in models]
     found = [Hypothesis(None, one, one.log_z) for one in nothing]
 
     def enter(layout: Layout | None, one: Found, odd: int) -> Found:
