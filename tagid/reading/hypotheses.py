@@ -42,6 +42,8 @@ POSES = (*((c, 0j) for c in GRID_M), *((0j, complex(s)) for ring in SHAPES_M for
 """Centres and shapes of a body that are tried."""
 BESIDE = 3
 """Bodies beside which the best pose of every arrangement is refined."""
+LOST = 0.01
+"""Share of the tags that have lost a reflector."""
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
 """Widths of hidden sectors."""
 FITS_M = 0.012
@@ -63,12 +65,14 @@ class Hypothesis:
         found: the model at its most probable parameters.
         log_z: log evidence, nats.
         middle: the layout has a reflector in the middle, which looks like the body.
+        prior: log probability of it, in `log_z`.
     """
 
     layout: Layout | None
     found: Found
     log_z: float
     middle: bool = False
+    prior: float = 0.0
 
     @property
     def tagged(self) -> bool:
@@ -128,10 +132,12 @@ class Contest:
     def _odd(self) -> OddMap:
         return OddMap(self.spectra)
 
-    def add(self, layout: Layout | None, found: Found, middle: bool = False) -> Hypothesis:
+    def add(
+        self, layout: Layout | None, found: Found, middle: bool = False, prior: float = 0.0
+    ) -> Hypothesis:
         """Enter a hypothesis."""
         alike = np.log(layout.symmetry) if layout is not None else 0.0
-        one = Hypothesis(layout, found, found.log_z + float(alike), middle)
+        one = Hypothesis(layout, found, found.log_z + float(alike) + prior, middle, prior)
         self.hypotheses.append(one)
         return one
 
@@ -268,7 +274,8 @@ class Contest:
                 continue
             for k in range(tag.count):
                 model = replace(found.model, tag=tag.of(np.delete(np.arange(tag.count), k)))
-                self.add(None, refined(self.spectra, model, found.x, (None,)))
+                prior = float(np.log(LOST / tag.count))
+                self.add(None, refined(self.spectra, model, found.x, (None,)), prior=prior)
 
     def _untagged(self) -> list[Hypothesis]:
         """Nothing, and a round body, with clutter of either disc."""
@@ -369,7 +376,7 @@ class Contest:
             found = refined(self.spectra, model, x, (None,), 8)
             if found.log_z < one.found.log_z + 1:
                 break
-            one = self.add(one.layout, found, one.middle)
+            one = self.add(one.layout, found, one.middle, one.prior)
         return one
 
     def _one_more(self) -> None:
