@@ -282,10 +282,16 @@ def _waves(wavenumber: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDAr
 
 
 @cache
+def line_source_table() -> tuple[NDArray[np.complex128], float, float]:
+    """G of the module's formula at equally spaced arguments, the first of them, and their step."""
+    found = bessel(0, np.arange(_FROM, _TO, _STEP))
+    return np.ascontiguousarray((found.j[:, 0] - 1j * found.y[:, 0]) / 4j), _FROM, _STEP
+
+
+@cache
 def _table() -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """G at equally spaced arguments from _FROM on, and how much more it is at the next."""
-    found = bessel(0, np.arange(_FROM, _TO, _STEP))
-    table = (found.j[:, 0] - 1j * found.y[:, 0]) / 4j
+    table = line_source_table()[0]
     return table[:-1], np.diff(table)
 
 

@@ -1,8 +1,7 @@
 /* Columns of a model of points and their slopes, planes (column, 2, V): real and imaginary parts apart. */
 #ifndef TAGID_COLUMNS_H
 #define TAGID_COLUMNS_H
-#include "../tags/_buffers.h"
-#include <math.h>
+#include "_wave.h"
 #include <string.h>
 
 #define ANGLES 256 /* of a table of patterns */
@@ -27,6 +26,7 @@ typedef struct {
     const double *x;       /* (T,) parameters */
     const double *power;   /* (H, N) prior powers of the columns, over the moving energy */
     const double *sigma;   /* (G,) powers of the clutter */
+    const double *given, *rates; /* instead of points: columns (F, N, V) and slopes (T, F, N, V), complex */
     double *out;
     double distance;
     int64_t v, f, m, k, t, n, h, g, body, p, odd, turns, stretches, head;
@@ -73,26 +73,6 @@ static int64_t lay_out(const Problem *g, Work *w, double *base)
     w->inverse = (Lanes *)room(&at, L * LANES * g->blocks * g->blocks);
     w->lower_inverse = (Lanes *)room(&at, L * LANES * g->blocks * g->blocks);
     return at - base;
-}
-
-/* exp(-j x) by polynomials over half a turn: to 3e-16. */
-INLINE void wave_of(double x, double *re, double *im)
-{
-    const double half = rint(x * 0.31830988618379067154);
-    const double r = (x - half * 3.141592653589793116) - half * 1.2246467991473532e-16, q = r * r;
-    const double odd = half - 2.0 * rint(0.5 * half), sign = 1.0 - 2.0 * odd * odd;
-    double s = 1.9572941063391263e-20, c = -8.896791392450574e-22;
-    s = s * q - 8.220635246624329e-18, c = c * q + 4.110317623312165e-19;
-    s = s * q + 2.8114572543455206e-15, c = c * q - 1.5619206968586225e-16;
-    s = s * q - 7.647163731819816e-13, c = c * q + 4.779477332387385e-14;
-    s = s * q + 1.6059043836821613e-10, c = c * q - 1.1470745597729725e-11;
-    s = s * q - 2.505210838544172e-08, c = c * q + 2.08767569878681e-09;
-    s = s * q + 2.7557319223985893e-06, c = c * q - 2.755731922398589e-07;
-    s = s * q - 1.984126984126984e-04, c = c * q + 2.48015873015873e-05;
-    s = s * q + 8.333333333333333e-03, c = c * q - 1.3888888888888889e-03;
-    s = s * q - 1.6666666666666666e-01, c = c * q + 4.1666666666666664e-02;
-    *im = -sign * (r + r * q * s);
-    *re = sign * (1.0 + q * (c * q - 0.5));
 }
 
 /* Places (S, 3) of the sources: body, reflectors, odd scatterers. */

@@ -145,11 +145,53 @@ INLINE void scaled(const Problem *g, const Work *w, int64_t f, const Lanes *from
     }
 }
 
+/* Columns that are given, as planes. */
+INLINE void given_columns(const Problem *g, const Work *w, int64_t f)
+{
+    const int64_t V = g->v;
+    for (int64_t c = 0; c < g->n; c++) {
+        const double *from = g->given + 2 * (f * g->n + c) * V;
+        double *to = w->columns + 2 * c * V;
+        for (int64_t v = 0; v < V; v++)
+            to[v] = from[2 * v], to[V + v] = from[2 * v + 1];
+    }
+}
+
+/* What `slopes_of` is for points. */
+INLINE void given_slopes(const Problem *g, const Work *w, int64_t f, const double *weight)
+{
+    const int64_t V = g->v;
+    memset(w->slopes, 0, (size_t)(2 * g->t * V) * sizeof(double));
+    for (int64_t t = 0; t < g->t; t++) {
+        double *restrict to = w->slopes + 2 * t * V;
+        for (int64_t c = 0; c < g->n; c++) {
+            const double *restrict from = g->rates + 2 * ((t * g->f + f) * g->n + c) * V;
+            const double *restrict by = weight + 2 * c * V;
+            for (int64_t v = 0; v < V; v++) {
+                to[v] += from[2 * v] * by[v] - from[2 * v + 1] * by[V + v];
+                to[V + v] += from[2 * v] * by[V + v] + from[2 * v + 1] * by[v];
+            }
+        }
+    }
+}
+
+INLINE void slopes(const Problem *g, const Work *w, int64_t f, const double *weight, double *scratch)
+{
+    if (g->given)
+        given_slopes(g, w, f, weight);
+    else
+        slopes_of(g, w, f, weight, scratch);
+}
+
 /* The whitened columns of frequency f in w->raw. */
 INLINE void whitened(const Problem *g, const Work *w, int64_t f, int with_slopes)
 {
-    at_frequency(g, w, f, with_slopes);
-    columns_of(g, w);
+    if (g->given)
+        given_columns(g, w, f);
+    else {
+        at_frequency(g, w, f, with_slopes);
+        columns_of(g, w);
+    }
     memset(w->in, 0, (size_t)(g->blocks * g->v) * sizeof(Lanes));
     to_lanes(w->columns, g->n, g->v, w->in);
     transform(g, w, f, w->in, g->blocks, w->raw, 0);
@@ -203,7 +245,8 @@ INLINE void add_powers(const Problem *g, const Lanes *gram, int64_t f, int64_t h
 WIDE static void all_values(const Problem *g, const Work *w)
 {
     memset(g->out, 0, (size_t)(g->g * g->h) * sizeof(double));
-    prepare(g, w);
+    if (!g->given)
+        prepare(g, w);
     for (int64_t f = 0; f < g->f; f++) {
         whitened(g, w, f, 0);
         for (int64_t i = 0; i < g->g; i++) {
@@ -331,7 +374,8 @@ WIDE static void expanded(const Problem *g, const Work *w)
     double *gradient = g->out + 1, *hessian = gradient + T, amplitude[2 * MOST];
     double *scratch = (double *)w->mid; /* (2, 2, V) */
     memset(g->out, 0, (size_t)(1 + T + T * T) * sizeof(double));
-    prepare(g, w);
+    if (!g->given)
+        prepare(g, w);
     for (int64_t f = 0; f < g->f; f++) {
         whitened(g, w, f, 1);
         const double logs = scales(g, w, f, g->sigma[0]);
@@ -344,7 +388,7 @@ WIDE static void expanded(const Problem *g, const Work *w)
                 w->columns[2 * c * V + v] = amplitude[2 * c];
                 w->columns[2 * c * V + V + v] = amplitude[2 * c + 1];
             }
-        slopes_of(g, w, f, w->columns, scratch);
+        slopes(g, w, f, w->columns, scratch);
         to_lanes(w->slopes, T, V, w->in);
         transform(g, w, f, w->in, g->more, w->raw, 0);
         scaled(g, w, f, w->raw, g->more, w->white + g->blocks * g->rows, 0);
@@ -353,7 +397,7 @@ WIDE static void expanded(const Problem *g, const Work *w)
         pull(g, w, w->in);
         transform(g, w, f, w->in, g->blocks, w->raw, 1);
         to_planes(w->raw, N, V, w->columns);
-        slopes_of(g, w, f, w->columns, scratch);
+        slopes(g, w, f, w->columns, scratch);
         for (int64_t t = 0; t < T; t++) {
             double sum = 0.0;
             for (int64_t v = 0; v < V; v++)
@@ -364,6 +408,50 @@ WIDE static void expanded(const Problem *g, const Work *w)
     for (int64_t t = 0; t < T; t++)
         for (int64_t u = 0; u < t; u++)
             hessian[u * T + t] = hessian[t * T + u];
+}
+
+/* Frequencies, variance, data and basis of a recording. On a full even turn the basis says the views V. */
+static int taken_recording(Held *held, PyObject **o, Problem *g)
+{
+    if (!(g->kappa = take(held, o[0], -1, 0)) || (g->f = taken(held) / 16) < 1)
+        return refused("frequencies");
+    if (!(g->clutter = take(held, o[1], -1, 0)) || (g->m = taken(held) / 8 / g->f) < 1)
+        return refused("variance");
+    if (!(g->white = take(held, o[2], 16 * g->f * g->m, 0)) || !(g->basis = take(held, o[3], -1, 0)))
+        return 0;
+    g->even = taken(held) == 16 * (g->m + 1);
+    const int64_t views = g->even ? g->m + 1 : taken(held) / 8 / g->f / g->m;
+    if (g->v && g->v != views)
+        return refused("basis");
+    g->v = views, g->rows = g->even ? views : g->m;
+    if (!g->even && taken(held) != 8 * g->f * g->m * g->v)
+        return refused("basis");
+    return 1;
+}
+
+/* Powers of columns and clutter, and the results. */
+static int taken_powers(Held *held, PyObject **o, Problem *g, int one)
+{
+    if (!(g->power = take(held, o[0], -1, 0)))
+        return 0;
+    const int64_t powers = taken(held) / 8;
+    if (!(g->sigma = take(held, o[1], -1, 0)) || (g->g = taken(held) / 8) < 1 ||
+        !(g->out = take(held, o[2], -1, 1)))
+        return refused("powers");
+    g->h = one ? 1 : taken(held) / 8 / g->g; /* without columns their powers do not say */
+    if (taken(held) != 8 * (one ? 1 + g->t + g->t * g->t : g->g * g->h) || powers != g->h * g->n ||
+        (one && g->g > 1))
+        return refused("sizes of powers and results");
+    for (g->split = 1; (g->split + 1) * (g->split + 1) <= g->v;) {
+        int64_t next = g->split + 1;
+        while (g->v % next)
+            next++;
+        if (next * next > g->v)
+            break;
+        g->split = next;
+    }
+    g->blocks = (g->n + LANES) / LANES, g->more = (g->t + LANES - 1) / LANES;
+    return 1;
 }
 
 /* Problem and buffers from Python; 0 with an error set. */
@@ -377,16 +465,8 @@ static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
     g->body = body, g->p = patterns, g->odd = odd;
     if (!(g->views = take(held, o[0], -1, 0)) || (g->v = taken(held) / 40) < 1)
         return refused("views");
-    if (!(g->kappa = take(held, o[1], -1, 0)) || (g->f = taken(held) / 16) < 1)
-        return refused("frequencies");
-    if (!(g->clutter = take(held, o[2], -1, 0)) || (g->m = taken(held) / 8 / g->f) < 1)
-        return refused("variance");
-    if (!(g->white = take(held, o[3], 16 * g->f * g->m, 0)) || !(g->basis = take(held, o[4], -1, 0)))
+    if (!taken_recording(held, o + 1, g))
         return 0;
-    g->even = taken(held) == 16 * g->v && g->m == g->v - 1;
-    g->rows = g->even ? g->v : g->m;
-    if (!g->even && taken(held) != 8 * g->f * g->m * g->v)
-        return refused("basis");
     if (!(g->tag = take(held, o[5], -1, 0)))
         return 0;
     g->k = taken(held) / 24;
@@ -409,34 +489,34 @@ static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
     if (g->body < 0 || g->body == 2 || g->body > 3 || g->odd < 0 || g->n >= MOST ||
         g->t > MOST || g->sources > MOST)
         return refused("the model has too many columns or parameters");
-    if (!(g->x = take(held, o[8], 8 * g->t, 0)) || !(g->power = take(held, o[9], -1, 0)))
-        return 0;
-    const int64_t powers = taken(held) / 8;
-    if (!(g->sigma = take(held, o[10], -1, 0)) || (g->g = taken(held) / 8) < 1 ||
-        !(g->out = take(held, o[11], -1, 1)))
-        return refused("powers");
-    g->h = one ? 1 : taken(held) / 8 / g->g; /* without columns their powers do not say */
-    if (taken(held) != 8 * (one ? 1 + g->t + g->t * g->t : g->g * g->h) || powers != g->h * g->n ||
-        (one && g->g > 1))
-        return refused("sizes of powers and results");
-    for (g->split = 1; (g->split + 1) * (g->split + 1) <= g->v;) {
-        int64_t next = g->split + 1;
-        while (g->v % next)
-            next++;
-        if (next * next > g->v)
-            break;
-        g->split = next;
-    }
-    g->blocks = (g->n + LANES) / LANES, g->more = (g->t + LANES - 1) / LANES;
-    return 1;
+    return (g->x = take(held, o[8], 8 * g->t, 0)) && taken_powers(held, o + 9, g, one);
 }
 
-static PyObject *computed(PyObject *args, int one)
+/* The same of columns that are given. */
+static int taken_given(PyObject *args, Held *held, Problem *g, int one)
+{
+    PyObject *o[9];
+    if (!PyArg_ParseTuple(args, "OOOOOOOOO", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8) ||
+        !taken_recording(held, o, g) || !(g->given = take(held, o[4], -1, 0)))
+        return 0;
+    const int64_t column = 16 * g->f * g->v;
+    g->n = taken(held) / column;
+    if (taken(held) != g->n * column || !(g->rates = take(held, o[5], -1, 0)))
+        return refused("columns");
+    g->t = g->n ? taken(held) / column / g->n : 0;
+    if (taken(held) != g->t * g->n * column || (one && g->t < 1))
+        return refused("slopes");
+    if (g->n < 1 || g->n >= MOST || g->t > MOST)
+        return refused("the model has too many columns or parameters");
+    return taken_powers(held, o + 6, g, one);
+}
+
+static PyObject *computed(PyObject *args, int one, int given)
 {
     Problem g = {0};
     Work w;
     Held held = {0};
-    if (!taken_problem(args, &held, &g, one))
+    if (!(given ? taken_given : taken_problem)(args, &held, &g, one))
         return finished(&held);
     double *base = malloc((size_t)lay_out(&g, &w, NULL) * sizeof(double));
     if (!base) {
@@ -453,13 +533,25 @@ static PyObject *computed(PyObject *args, int one)
 static PyObject *values(PyObject *self, PyObject *args)
 {
     (void)self;
-    return computed(args, 0);
+    return computed(args, 0, 0);
 }
 
 static PyObject *expand(PyObject *self, PyObject *args)
 {
     (void)self;
-    return computed(args, 1);
+    return computed(args, 1, 0);
+}
+
+static PyObject *given_values(PyObject *self, PyObject *args)
+{
+    (void)self;
+    return computed(args, 0, 1);
+}
+
+static PyObject *given_expand(PyObject *self, PyObject *args)
+{
+    (void)self;
+    return computed(args, 1, 1);
 }
 
 #define ARGUMENTS_OF                                                                                         \
@@ -468,7 +560,11 @@ static PyObject *expand(PyObject *self, PyObject *args)
 static PyMethodDef methods[] = {
     {"values", values, METH_VARARGS, "values(" ARGUMENTS_OF "): out (G, H) log likelihoods"},
     {"expand", expand, METH_VARARGS, "expand(" ARGUMENTS_OF "): out (1 + T + T T,) value, gradient, Hessian"},
+    {"given_values", given_values, METH_VARARGS,
+     "given_values(kappa, clutter, white, basis, columns, rates, power, sigma, out): as `values`"},
+    {"given_expand", given_expand, METH_VARARGS,
+     "given_expand(kappa, clutter, white, basis, columns, rates, power, sigma, out): as `expand`"},
     {NULL, NULL, 0, NULL},
 };
 
-MODULE(_evidence, "Log likelihoods of models of points, with slopes.", methods, 1)
+MODULE(_evidence, "Log likelihoods of models of points, or of any columns, with slopes.", methods, 2)

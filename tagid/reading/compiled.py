@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tagid.loops import loop
 from tagid.reading.columns import Model, nearest_ring, table_of
+from tagid.reading.sheet import SheetModel
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.transfer import Transfer
 
@@ -50,9 +51,11 @@ class Compiled:
     @staticmethod
     def of(spectra: Spectra, model: Model) -> Compiled | None:
         """That of a model; None where numpy is to do it: without the compiled loop, or for other columns."""
-        if _evidence is None or type(model) is not Model or max(model.columns + 1, model.parameters) > _MOST:
+        if _evidence is None or max(model.columns + 1, model.parameters) > _MOST:
             return None
-        return _of(spectra, model)
+        if isinstance(model, SheetModel):
+            return Given(spectra, model)
+        return _of(spectra, model) if type(model) is Model else None
 
     def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
         """(G, H) log likelihoods under G powers of the clutter and H of the others."""
@@ -82,6 +85,46 @@ class Compiled:
             self._powers[some] = power
         x = np.ascontiguousarray(x, dtype=np.float64)
         function(*self._before, x, power, np.array(clutter), out, *self._after)
+
+
+class Given(Compiled):
+    """The same of a model whose columns are given: of a sheet."""
+
+    model: SheetModel
+
+    def __init__(self, spectra: Spectra, model: SheetModel) -> None:
+        self.model, self._spectra = model, spectra
+
+    def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
+        """See `Compiled.values`."""
+        out = np.empty((len(clutter), len(some)))
+        columns = self.model.at(self._spectra, x).values
+        self._given(_evidence.given_values, columns, np.zeros(0), tuple(some), clutter, out)
+        return out
+
+    def expanded(self, x: Floats, powers: Amplitudes, clutter: float) -> tuple[float, Floats, Floats]:
+        """See `Compiled.expanded`."""
+        p = len(x)
+        out = np.empty(1 + p + p * p)
+        columns = self.model.at(self._spectra, x).expanded
+        self._given(_evidence.given_expand, *columns, (powers,), (clutter,), out)
+        return float(out[0]), out[1 : 1 + p], out[1 + p :].reshape(p, p)
+
+    def _given(
+        self,
+        function: Callable[..., None],
+        values: Complex,
+        rates: Complex | Floats,
+        some: tuple[Amplitudes, ...],
+        clutter: Sequence[float],
+        out: Floats,
+    ) -> None:
+        kappa, variance, white, bases = _recording(self._spectra)
+        disc, unit = self.model.disc, np.ones(1)
+        power = np.concatenate([self.model.power(unit, *one) for one in some])
+        pack = np.ascontiguousarray
+        shared = kappa, variance[disc], white[disc], bases[disc]
+        function(*shared, pack(values), pack(rates), power, np.array(clutter), out)
 
 
 @lru_cache(maxsize=8)

@@ -10,16 +10,26 @@ follow; their centre is that of the tag about the sheet's.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.fields.thin_shell import BoxShell, EllipticShell, ShellField, ShellView, ThinShell
+from tagid.fields.thin_shell import (
+    BoxShell,
+    EllipticShell,
+    ShellField,
+    ShellView,
+    ThinShell,
+    line_source_table,
+)
+from tagid.loops import loop
 from tagid.reading.columns import CENTRE_SD_M, CLOSE_SD_M, MOUNTING_SD_M, Model
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import POINTS
 from tagid.reading.transfers.transfer import Transfer
+
+_sheet = loop("tagid.reading._sheet")
 
 OBLIQUITIES = 3
 """Columns of a sheet, see `ShellView.echoes`."""
@@ -30,6 +40,8 @@ CLEAR_M = 6e-3
 """No centre of a reflector lies nearer to a sheet, m."""
 HALF_M = (0.012, 0.3)
 """Half sizes lie between these, m."""
+WEAKEST = 1.5
+"""Logarithm of a strength over its mean, at most and at least."""
 HEAD = 6
 """Parameters of the sheet."""
 CELL_M = 11e-3
@@ -153,8 +165,15 @@ class SheetModel(Model):
         kind = self.kind
         across, along = np.clip(kind.size_m * np.exp(x[3:5]), *HALF_M)
         return kind.shell(
-            float(across), float(along), float(kind.strength_m * np.exp(np.clip(x[5], -1.5, 1.5)))
+            float(across), float(along), float(kind.strength_m * np.exp(np.clip(x[5], -WEAKEST, WEAKEST)))
         )
+
+    def shape(self, x: Floats) -> Floats:
+        """(6,) half sizes and strength, m, and their slopes over their parameters, over the strength."""
+        one = self.sheet(x)
+        inside = [HALF_M[0] < half < HALF_M[1] for half in (one.across_m, one.along_m)]
+        slopes = one.across_m * inside[0], one.along_m * inside[1], float(abs(x[5]) < WEAKEST)
+        return np.array([one.across_m, one.along_m, one.sheet_m, *slopes])
 
     def power(self, moving: Floats, body: float, tag: float, oval: float) -> Floats:
         """(F, n) prior variances of the amplitudes; oval: of the obliquities."""
@@ -196,6 +215,18 @@ class SheetColumns:
     spectra: Spectra
     x: Floats
 
+    def _compiled(self, slopes: bool) -> tuple[Complex, Complex]:
+        """Columns and rates by the compiled loop; without slopes the rates are empty."""
+        spectra, model = self.spectra, self.model
+        shape = (len(spectra.kappa), model.columns, spectra.views)
+        values = np.empty(shape, dtype=np.complex128)
+        rates = np.empty((len(self.x), *shape) if slopes else 0, dtype=np.complex128)
+        before, after = _handed(spectra, model)
+        x = np.ascontiguousarray(self.x, dtype=np.float64)
+        aspects = quadrant(spectra.kappa, model.sheet(x))
+        _sheet.columns(*before, x, model.shape(x), values, rates, *after, aspects)
+        return values, rates
+
     @cached_property
     def _field(self) -> ShellField:
         return ShellField.of(self.spectra.kappa / 2, self.model.sheet(self.x), self.model.cells)
@@ -212,7 +243,7 @@ class SheetColumns:
     @cached_property
     def values(self) -> Complex:
         """(F, n, V)."""
-        return self._seen(self.view, self.x)
+        return self._seen(self.view, self.x) if _sheet is None else self._compiled(False)[0]
 
     def _seen(self, view: ShellView, x: Floats) -> Complex:
         model = self.model
@@ -226,8 +257,11 @@ class SheetColumns:
         return np.concatenate(parts, axis=1)
 
     @cached_property
+    def expanded(self) -> tuple[Complex, Complex]:
+        """(F, n, V) columns and their (P, F, n, V) slopes."""
+        return (self.values, self._rates()) if _sheet is None else self._compiled(True)
+
     def _rates(self) -> Complex:
-        """(P, F, n, V) slopes of the columns."""
         model, spectra, x = self.model, self.spectra, self.x
         out = np.zeros((len(x), *self.values.shape), dtype=np.complex128)
         for i in range(HEAD):
@@ -264,7 +298,30 @@ class SheetColumns:
 
     def slopes(self, weights: Complex) -> Complex:
         """(P, F, V) change of the sum of weights (F, n, 1 or V) times columns with the parameters."""
-        return np.asarray((self._rates * weights).sum(axis=2))
+        return np.asarray((self.expanded[1] * weights).sum(axis=2))
+
+
+@lru_cache(maxsize=8)
+def _handed(spectra: Spectra, model: SheetModel) -> tuple[tuple[object, ...], tuple[object, ...]]:
+    """What the compiled loop takes before and after the parameters."""
+    table, first, step = line_source_table()
+    unit = model.kind.shell(1.0, 1.0, 1.0).outline(model.cells).contour[: model.cells // 4]
+    k = 0 if model.tag is None else model.tag.count
+    tag, groups = np.zeros((3, k)), np.zeros((2, k), dtype=np.int64)
+    if model.tag is not None:
+        tag[:] = model.tag.radius_m, model.tag.angle, model.tag.height_m
+        groups[:] = model.tag.turn, model.tag.stretch
+    views = np.stack([spectra.antenna.real, spectra.antenna.imag, spectra.height_m])
+    away = float(np.abs(spectra.antenna).mean())
+    before = views, spectra.kappa / 2, np.stack([unit.real, unit.imag]), table, tag, groups
+    is_round = int(model.kind.shell is EllipticShell)
+    return before, (spectra.distance_m, away, first, step, is_round, model.odd)
+
+
+def quadrant(kappa: Floats, shell: ThinShell) -> int:
+    """Aspects of a quadrant that hold all harmonics of a sheet's echo, which are even."""
+    orders = kappa[-1] * shell.radius_m
+    return int(np.ceil((orders + 2 * orders ** (1 / 3) + 2) / 2))
 
 
 def _view(field: ShellField, spectra: Spectra, x: Floats) -> ShellView:

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tagid.reading import sheet_tags
+from tagid.reading import sheet, sheet_tags
 from tagid.reading.columns import Arrangement, Model
+from tagid.reading.compiled import Compiled
 from tagid.reading.decision import decide
-from tagid.reading.descent import Found, refined, variance
-from tagid.reading.evidence import fit
+from tagid.reading.descent import Found, _Numpy, refined
 from tagid.reading.hypotheses import Hypothesis
-from tagid.reading.sheet import KINDS, SHELL, SheetModel
-from tagid.reading.spectra import Floats, Spectra
+from tagid.reading.sheet import KINDS, SHELL, Kind, SheetColumns, SheetModel
+from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tests.unit.solved_shells import recorded_at
@@ -44,24 +44,46 @@ def explained(folder: str, name: str) -> tuple[Hypothesis, ...]:
     return tuple(found)
 
 
-def test_slopes_are_those_of_the_evidence() -> None:
-    layout = LAYOUTS["helmet-120"]
+TAGGED = replace(
+    SheetModel.of(SHELL, (0.07, 0.08), 1),
+    tag=Arrangement.of_layout(LAYOUTS["helmet-120"].positions, LAYOUTS["helmet-120"].heights),
+    odd=1,
+)
+X = np.array([8e-3, -6e-3, 0.3, -0.05, 0.1, 0.05, 1e-3, 2e-3, 0.7, 5e-4, 0.03, 0.05])
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_slopes_are_those_of_the_evidence(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not compiled:
+        monkeypatch.setattr(sheet, "_sheet", None)
     spectra = spectra_of("shells", "shell74_h120").thinned(4)
-    tag = Arrangement.of_layout(layout.positions, layout.heights)
-    model = replace(SheetModel.of(SHELL, (0.07, 0.08), 1), tag=tag, odd=1)
-    x = np.array([8e-3, -6e-3, 0.3, -0.05, 0.1, 0.05, 1e-3, 2e-3, 0.7, 5e-4, 0.03, 0.05])
-    whitener = spectra.whiteners[1]
-    lam, power = variance(spectra, model, 1e-2), model.power(spectra.moving, 10.0, 0.3, 1e-2)
-
-    def at(x: Floats) -> float:
-        return fit(whitener.apply(model.at(spectra, x).values), spectra.white[1], lam, power).log
-
-    columns = model.at(spectra, x)
-    adjoint = fit(whitener.apply(columns.values), spectra.white[1], lam, power).adjoint
-    slopes = 2 * columns.slopes(whitener.adjoint(adjoint).conj()).sum(axis=(1, 2)).real
-    steps = 1e-5 * np.eye(len(x))
-    measured = np.array([(at(x + step) - at(x - step)) / 2e-5 for step in steps])
+    likelihood = (Compiled.of if compiled else _Numpy)(spectra, TAGGED)
+    if likelihood is None:
+        pytest.skip("no compiler was present at installation")
+    powers = (10.0, 0.3, 1e-2)
+    value, slopes, _ = likelihood.expanded(X, powers, 1e-2)
+    steps = 1e-5 * np.eye(len(X))
+    ends = [
+        [likelihood.values(X + sign * step, [powers], [1e-2])[0, 0] for sign in (1, -1)] for step in steps
+    ]
+    measured = -np.diff(ends, axis=1)[:, 0] / 2e-5
+    assert value == pytest.approx(likelihood.values(X, [powers], [1e-2])[0, 0], rel=1e-12)
     assert slopes == pytest.approx(measured, rel=3e-3, abs=1.0)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda one: one.transfer.name)
+def test_the_compiled_columns_are_those_of_numpy(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for the curvature of waves from antennas that are not equally far from the sheet."""
+    if sheet._sheet is None:
+        pytest.skip("no compiler was present at installation")
+    model = replace(TAGGED, kind=kind, transfer=kind.transfer)
+    found = SheetColumns(model, spectra_of("shells", "shell74_h120"), X)
+    values, rates = found.expanded
+    np.testing.assert_array_equal(found.values, values)
+    monkeypatch.setattr(sheet, "_sheet", None)
+    numpy_values, numpy_rates = SheetColumns(model, found.spectra, X).expanded
+    for one, other in zip((values, *rates), (numpy_values, *numpy_rates), strict=True):
+        assert np.linalg.norm(one - other) < 1e-2 * np.linalg.norm(other)
 
 
 @pytest.mark.parametrize(
