@@ -212,13 +212,44 @@ class Model:
     @property
     def columns(self) -> int:
         """Number of columns."""
-        body = (3 if self.oval else 1) if self.transfer.body else 0
-        return body + (0 if self.tag is None else len(self.transfer.power) + self.unlike) + self.odd
+        return (
+            self.body_columns + (0 if self.tag is None else len(self.transfer.power) + self.unlike) + self.odd
+        )
+
+    @property
+    def body_columns(self) -> int:
+        """Number of columns of the body."""
+        return (3 if self.oval else 1) if self.transfer.body else 0
 
     @property
     def unlike(self) -> int:
         """Number of columns for the unlike strength of the reflectors."""
         return 0 if self.tag is None or self.tag.count < 2 else self.tag.count
+
+    @property
+    def covers_middle(self) -> bool:
+        """A reflector in the middle looks like the body."""
+        return self.transfer.body
+
+    @property
+    def tagged(self) -> bool:
+        """It has reflectors."""
+        return self.tag is not None
+
+    @property
+    def identity(self) -> str | None:
+        """What an enrolled object stands for by itself."""
+        return None
+
+    @property
+    def odd_powers(self) -> tuple[float, ...]:
+        """Prior powers that an odd scatterer may have, over the moving energy."""
+        return (ODD_POWER,)
+
+    @property
+    def words(self) -> str:
+        """The body in words, if there is one."""
+        return self.transfer.words
 
     def seeing(self, direction: Floats) -> NDArray[np.bool_]:
         """(V,) whether the reflectors are seen from directions (V,), rad."""
@@ -397,7 +428,7 @@ class Columns:
     def _weighted(self, weights: Complex) -> tuple[Complex, Complex | None]:
         """(F, S, V) every source's patterns summed with weights (F, n, V or 1), and those of the slopes."""
         model = self.model
-        body = (3 if model.oval else 1) if model.transfer.body else 0
+        body = model.body_columns
         out = np.empty_like(self.waves)
         first = 0
         if body:

@@ -43,7 +43,7 @@ class Compiled:
         seen = model.seeing(spectra.direction)
         place = spectra.antenna.real, spectra.antenna.imag, spectra.height_m, spectra.direction
         kappa, clutter, white, bases = _recording(spectra)
-        body = (3 if model.oval else 1) if transfer.body else 0
+        body = model.body_columns
         shared = kappa, clutter[model.disc], white[model.disc], bases[model.disc]
         self._before = (np.stack([*place, seen.astype(float)]), *shared, reflectors, groups, tables)
         self._after = (spectra.distance_m, body, len(transfer.power), model.odd)

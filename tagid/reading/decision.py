@@ -28,10 +28,10 @@ class Decision:
 
     Attributes:
         status: "identified", "ambiguous", "no_tag" or "unknown".
-        name: of the layout, where one is identified.
-        lead: Lambda, log evidence of the best layout over the best other hypothesis, nats.
+        name: of the layout or enrolled object, where one is identified.
+        lead: Lambda, log evidence of the best that has a name over the best other, nats.
         reason: the winning hypothesis in words.
-        best, rival: the best layout and the best hypothesis that is not it.
+        best, rival: the best hypothesis that has a name and the best that is not it.
     """
 
     status: str
@@ -44,7 +44,7 @@ class Decision:
 
 def decide(hypotheses: Sequence[Hypothesis], sure: float = SURE) -> Decision:
     """The decision over the hypotheses of one recording."""
-    named = [one for one in hypotheses if one.layout is not None]
+    named = [one for one in hypotheses if one.name is not None]
     if not named:
         winner = max(hypotheses, key=lambda one: one.log_z)
         return Decision("no_tag", None, -np.inf, words(winner), None, winner)
@@ -52,23 +52,22 @@ def decide(hypotheses: Sequence[Hypothesis], sure: float = SURE) -> Decision:
     others = [one for one in hypotheses if not is_same(one, best)]
     rival = max(others, key=lambda one: one.log_z)
     lead = best.log_z - rival.log_z
-    assert best.layout is not None
     if lead >= sure:
-        return Decision("identified", best.layout.name, lead, "", best, rival)
+        return Decision("identified", best.name, lead, "", best, rival)
     winner = best if lead > 0 else rival
     if not winner.tagged:
         return Decision("no_tag", None, lead, words(winner), best, rival)
-    if rival.layout is not None:
+    if rival.name is not None:
         return Decision("ambiguous", None, lead, f"{words(best)}, or {words(rival)}", best, rival)
     reason = words(rival) if winner is rival else f"{words(best)}, or nearly as likely: {words(rival)}"
     return Decision("unknown", None, lead, reason, best, rival)
 
 
 def is_same(one: Hypothesis, best: Hypothesis) -> bool:
-    """The hypothesis describes the reflectors of the layout `best`."""
-    if one is best or one.layout is not None:
-        return one.layout is best.layout
-    if not one.tagged:
+    """The hypothesis describes the reflectors of the layout `best`, or is the same enrolled object."""
+    if one is best or one.name is not None:
+        return one.name == best.name
+    if one.found.model.tag is None or best.layout is None:
         return False
     own, other = one.found, best.found
     bare = not own.model.transfer.body
@@ -112,11 +111,14 @@ def words(one: Hypothesis) -> str:
     """A hypothesis for people."""
     model = one.found.model
     odd = {0: "", 1: " and one odd scatterer"}.get(model.odd, f" and {model.odd} odd scatterers")
-    where = f" on {model.transfer.words}" if model.transfer.body else ""
+    where = f" on {model.words}" if model.transfer.body else ""
     if one.layout is not None:
         return f"{one.layout.name}{where}{odd}"
+    if model.tag is None and model.tagged:
+        return model.words + odd
     if model.tag is None:
-        return ("an object without a tag" if model.transfer.body else "nothing but clutter") + odd
+        body = "an object" if model.transfer is POINTS and model.covers_middle else model.words
+        return (f"{body} without a tag" if model.transfer.body else "nothing but clutter") + odd
     places = one.found.places - one.found.centre
     count = len(places)
     if count == 1:

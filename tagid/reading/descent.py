@@ -54,6 +54,12 @@ class Found:
     log_z: float
     centre_sd_m: float
 
+    def beside(self, spectra: Spectra) -> NDArray[np.complex128]:
+        """(F, n, V) columns of the reflectors."""
+        model = self.model
+        values = model.at(spectra, self.x, slopes=False).values
+        return values[:, model.body_columns : model.columns - model.odd]
+
     @property
     def places(self) -> NDArray[np.complex128]:
         """(K,) of the reflectors, m."""
@@ -112,7 +118,7 @@ def best_powers(
     likelihood = _likelihood(spectra, model)
     best, found = -np.inf, Powers(0.0)
     bodies = BODY if model.transfer.body else BODY[:1]
-    tags = TAG if model.tag is not None else TAG[1:2]
+    tags = TAG if model.tagged else TAG[1:2]
     sigmas = CLUTTER if clutter is None else (clutter,)
     for ovals in (OVAL[1:2], OVAL) if model.oval and model.transfer.body else (OVAL[1:2],):
         if len(ovals) > 1:

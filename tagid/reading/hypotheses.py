@@ -13,10 +13,12 @@ from itertools import permutations, product
 import numpy as np
 
 from tagid.reading import search, sheet_tags
+from tagid.reading.bodies.signature import HEAD, EnrolledBody, SignatureModel
 from tagid.reading.columns import Arrangement, Model
 from tagid.reading.descent import Found, Powers, best_powers, refined
 from tagid.reading.odd import OddMap
 from tagid.reading.sheet import KINDS, Kind
+from tagid.reading.signature_search import Poses
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
 from tagid.reading.transfers.rod import RODS
@@ -38,16 +40,21 @@ GRID_M = tuple(complex(x, y) for x in 4e-3 * np.arange(-2, 3) for y in 4e-3 * np
 """Centres that are tried, x + jy."""
 SHAPES_M = tuple(r * np.exp(1j * np.pi / 3 * np.arange(6)) for r in (4e-3, 8e-3, 12e-3))
 """Two-fold parts of a body's support function that are tried, m."""
-POSES = (*((c, 0j) for c in GRID_M), *((0j, complex(s)) for ring in SHAPES_M for s in ring))
+BODIES_M = (*((c, 0j) for c in GRID_M), *((0j, complex(s)) for ring in SHAPES_M for s in ring))
 """Centres and shapes of a body that are tried."""
 BESIDE = 3
 """Bodies beside which the best pose of every arrangement is refined."""
+ROUND = np.zeros(2)
+"""Shape of a round body."""
 LOST = 0.01
 """Share of the tags that have lost a reflector."""
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
 """Widths of hidden sectors."""
 FITS_M = 0.012
 """A layout is tried where a free arrangement differs from it by less, m."""
+GUESTS, POSES, STANDS = 3, 3, 2
+"""Arrangements beside which an enrolled body is looked for, its poses that are refined, and poses of any
+enrolled bodies about which reflectors are looked for closely."""
 _NEAR_M = tuple(2e-3 * np.exp(1j * np.pi / 3 * np.arange(6)))
 """Steps from a body's centre at which tags are looked for, too."""
 _KNOWN_M = 1.5e-3
@@ -77,7 +84,12 @@ class Hypothesis:
     @property
     def tagged(self) -> bool:
         """It has reflectors."""
-        return self.found.model.tag is not None
+        return self.found.model.tagged
+
+    @property
+    def name(self) -> str | None:
+        """Of the layout, or of the enrolled object that stands there as it was."""
+        return self.found.model.identity if self.layout is None else self.layout.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +105,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _Arranged:
-    """A layout as an arrangement; beside a body without its middle reflector, which looks like that."""
+    """A layout as an arrangement; without its middle reflector if the body covers that."""
 
     layout: Layout
     tag: Arrangement
@@ -101,11 +113,11 @@ class _Arranged:
     middle: bool
 
     @classmethod
-    def of(cls, layout: Layout, body: bool) -> _Arranged:
+    def of(cls, layout: Layout, covered: bool) -> _Arranged:
         whole = Arrangement.of_layout(layout.positions, layout.heights)
         out = whole.radius_m > _MIDDLE_M
-        tag = whole.of(np.flatnonzero(out)) if body else whole
-        return cls(layout, tag, float(whole.radius_m.max()), bool((~out).any()))
+        tag = whole.of(np.flatnonzero(out)) if covered else whole
+        return cls(layout, tag, float(whole.radius_m.max()), covered and bool((~out).any()))
 
     @property
     def rings(self) -> list[tuple[float, float]]:
@@ -113,6 +125,38 @@ class _Arranged:
         return [
             (round(float(r), 4), float(z)) for r, z in zip(self.tag.radius_m, self.tag.height_m, strict=True)
         ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Stand:
+    """An enrolled body in its pose.
+
+    Attributes:
+        x: (3,) parameters of the body.
+        echo: (F, V).
+        centres: of a tag as it is supposed, and of the body.
+        powers: under which reflectors are looked for.
+    """
+
+    body: EnrolledBody
+    x: Floats
+    echo: Complex
+    centres: tuple[complex, complex]
+    powers: Powers
+
+    @classmethod
+    def of(cls, spectra: Spectra, found: Found) -> _Stand:
+        """That of a hypothesis."""
+        assert isinstance(found.model, SignatureModel)
+        echo = found.model.at(spectra, found.x, slopes=False).values[:, 0]
+        centres = found.centre, complex(found.x[0], found.x[1])
+        powers = Powers(1e-2, found.powers.body)
+        return cls(found.model.body, found.x[:HEAD], echo, centres, powers)
+
+    def head(self, centre: complex) -> Floats:
+        """Parameters before those of reflectors about a centre."""
+        off = centre - self.centres[1]
+        return np.append(self.x, [off.real, off.imag])
 
 
 @dataclass(eq=False)
@@ -123,6 +167,7 @@ class Contest:
     layouts: Sequence[Layout]
     transfers: Sequence[Transfer] = TRANSFERS
     sheets: Sequence[Kind] = KINDS
+    enrolled: Sequence[EnrolledBody] = ()
     hypotheses: list[Hypothesis] = field(default_factory=list)
     _centres: list[complex] = field(default_factory=list)
     _tried: set[Found] = field(default_factory=set)
@@ -153,10 +198,13 @@ class Contest:
         shapes = [one.found.x[2:4] for one in bodies]
         starts: list[Candidate] = []
         for transfer in self.transfers:
-            starts += self._starts(transfer, near if transfer.body and known else centres, powers, shapes)
-        for enrolled in (True, False):
-            self._refine([one for one in starts if (one.layout is not None) == enrolled], powers)
+            model = Model(transfer, None, transfer.body, 0)
+            wide = 1 if transfer.body else 2
+            some = near if transfer.body and known else centres
+            starts += self._starts(model, some, powers, shapes, wide=wide)
+        self._refine(starts, powers)
         self._beside_others(shapes)
+        self._beside_enrolled()
         self._as_enrolled()
         self._hidden()
         self._one_less()
@@ -170,6 +218,10 @@ class Contest:
 
     def _refine(self, starts: list[Candidate], powers: Sequence[Powers]) -> None:
         """The best starts of every kind under the clutter that a body leaves; the best of those wholly."""
+        for enrolled in (True, False):
+            self._refined([one for one in starts if (one.layout is not None) == enrolled], powers)
+
+    def _refined(self, starts: list[Candidate], powers: Sequence[Powers]) -> None:
         ranked = sorted(starts, key=lambda one: -one.log)
         kinds: dict[tuple[str, str, int], Candidate] = {}
         for one in ranked:
@@ -228,10 +280,10 @@ class Contest:
                 continue
             self._tried.add(found)
             head = found.x[: model.head].copy()
-            # Of a sheet the centre is counted from its own.
+            # The centre is counted from that of a sheet or an enrolled body.
             origin = found.centre - complex(*head[model.about])
             for layout in self.layouts:
-                arranged = _Arranged.of(layout, model.transfer.body)
+                arranged = _Arranged.of(layout, model.covers_middle)
                 pose = _pose(arranged.tag, found.places)
                 if pose is None:
                     continue
@@ -280,7 +332,7 @@ class Contest:
     def _untagged(self) -> list[Hypothesis]:
         """Nothing, and a round body, with clutter of either disc."""
         model = Model(POINTS, None, True, 0)
-        starts = [np.array([c.real, c.imag, s.real, s.imag]) for c, s in POSES]
+        starts = [np.array([c.real, c.imag, s.real, s.imag]) for c, s in BODIES_M]
         values = [best_powers(self.spectra, model, x, 1e-2)[1] for x in starts]
         order = np.argsort(values)[::-1][:2]
         bodies = []
@@ -295,17 +347,31 @@ class Contest:
 
     def _starts(
         self,
-        transfer: Transfer,
+        model: Model,
         centres: Sequence[complex],
         powers: Sequence[Powers],
-        shapes: Sequence[Floats],
+        shapes: Sequence[Floats] = (ROUND, ROUND),
+        stand: _Stand | None = None,
+        wide: int = 0,
     ) -> list[Candidate]:
-        """Layouts at their best turns, and free arrangements, by tables of single reflectors."""
-        arranged = [_Arranged.of(one, transfer.body) for one in self.layouts]
-        wide = 1 if transfer.body else 2
+        """Layouts at their best turns, and free arrangements, by tables of single reflectors.
+
+        Args:
+            model: without reflectors.
+            stand: an enrolled body in its pose.
+            wide: centres and rings of free arrangements.
+        """
+        arranged = [_Arranged.of(one, model.covers_middle) for one in self.layouts]
         found: list[Candidate] = []
         for disc in (0, 1):
-            model = Model(transfer, None, transfer.body, disc)
+            model, shape = replace(model, disc=disc), shapes[disc]
+
+            def head(c: complex, shape: Floats = shape[: model.shapes]) -> Floats:
+                return np.r_[c.real, c.imag, shape] if stand is None else stand.head(c)
+
+            def echo(c: complex, shape: Floats = shape) -> Complex | None:
+                return _shaped(self.spectra, c, shape) if stand is None else stand.echo
+
             own = [one for one in arranged if disc_of(one.radius_m) == disc]
             free_m = [r for r in FREE_RINGS_M if disc_of(r) == disc]
             about = []
@@ -316,13 +382,11 @@ class Contest:
                 for one in own:
                     rings = tuple(dict.fromkeys(one.rings))
                     if rings not in tables:
-                        tables[rings] = search.tables(
-                            self.spectra, model, c, rings, powers[disc], shapes[disc]
-                        )
+                        tables[rings] = search.tables(self.spectra, model, c, rings, powers[disc], echo(c))
                     ring = np.array([rings.index(r) for r in one.rings])
                     for s in search.turned(tables[rings], ring, one.tag.angle, 2):
-                        x = np.r_[c.real, c.imag, shapes[disc][: model.shapes], s.angles[0], 0.0]
-                        start = Candidate(s.log, one.layout, replace(model, tag=one.tag), x, one.middle)
+                        x, tagged = np.r_[head(c), s.angles[0], 0.0], replace(model, tag=one.tag)
+                        start = Candidate(s.log, one.layout, tagged, x, one.middle)
                         enrolled[one.layout.name].append(start)
                         best = max(best, s.log)
                 about.append((best, c))
@@ -330,21 +394,72 @@ class Contest:
                 found += _unlike(some, 2)
             for _, c in sorted(about, key=lambda one: -one[0])[:wide]:
                 every = [
-                    search.tables(self.spectra, model, c, [(r, 0.0)], powers[disc], shapes[disc])
-                    for r in free_m
+                    search.tables(self.spectra, model, c, [(r, 0.0)], powers[disc], echo(c)) for r in free_m
                 ]
                 pairs = [search.free(table, 0, 2, 1)[-1].log for table in every]
                 for i in np.argsort(pairs)[::-1][:wide]:
                     for s in search.free(every[i], 0, MOST_REFLECTORS, 2):
-                        x = np.r_[c.real, c.imag, shapes[disc][: model.shapes], s.angles, 0.0]
-                        x[2 + model.shapes : -1] = 0.0
+                        x = np.r_[head(c), np.zeros(len(s.angles)), 0.0]
                         tag = Arrangement.ring(free_m[i], np.array(s.angles))
                         found.append(Candidate(s.log, None, replace(model, tag=tag), x, False))
         return found
 
+    def _beside_enrolled(self) -> None:
+        """Enrolled bodies and objects: alone, beside what the points have shown, and with any reflectors."""
+        guests = self._guests()
+        stands: list[_Stand] = []
+        for body in self.enrolled:
+            alone = SignatureModel.of(body, POINTS, disc_of(body.signature.radius_m))
+            poses = Poses(self.spectra, body, alone.disc)
+            own = [self._placed(None, alone, np.r_[one.head, 0.0, 0.0]) for one in poses.best(POSES)]
+            best = max(own, key=lambda one: one.log_z)
+            self._placed(None, alone.on_disc(1 - alone.disc), best.found.x)
+            if body.signature.kind == "object":
+                continue
+            for guest in guests:
+                (pose,) = poses.best(1, guest.found.beside(self.spectra))
+                own.append(self._placed(guest.layout, *alone.with_guest(guest.found, pose.head)))
+            stands += [_Stand.of(self.spectra, found) for found in _bodies_apart(own)]
+        if not stands:
+            return
+        likely = [max(one.log for one in starts) for starts in self._about(stands, ())]
+        stands = [stands[i] for i in np.argsort(likely)[::-1][:STANDS]]
+        self._refine([one for some in self._about(stands, _NEAR_M) for one in some], [stands[0].powers] * 2)
+
+    def _about(self, stands: Sequence[_Stand], near: Sequence[complex]) -> list[list[Candidate]]:
+        """Reflectors beside enrolled bodies in their poses, about centres near theirs, if any are given."""
+        found: list[list[Candidate]] = [[] for _ in stands]
+        for transfer in self.transfers:
+            for stand, starts in zip(stands, found, strict=True):
+                if transfer.body:
+                    model = SignatureModel.of(stand.body, transfer, 0)
+                    centres = _distinct(
+                        [*stand.centres, *(stand.centres[-1] + 2 * one for one in near)], 1e-3
+                    )
+                    starts += self._starts(
+                        model, centres, [stand.powers] * 2, stand=stand, wide=1 if near else 0
+                    )
+        return found
+
+    def _placed(self, layout: Layout | None, model: Model, x: Floats) -> Hypothesis:
+        return self.add(layout, refined(self.spectra, model, x, (1e-2, None)))
+
+    def _guests(self) -> list[Hypothesis]:
+        """The best layouts, and the best free arrangement."""
+        out: list[Hypothesis] = []
+        for one in sorted(self.hypotheses, key=lambda one: -one.log_z):
+            if one.tagged and all(one.layout is not other.layout for other in out):
+                out.append(one)
+        return out[:GUESTS]
+
     def _best(self, count: int, *, enrolled: bool) -> list[Hypothesis]:
         """The best hypotheses with reflectors, of layouts or of arrangements that are not enrolled."""
-        some = [one for one in self.hypotheses if one.tagged and (one.layout is not None) == enrolled]
+        some = [one for one in self.hypotheses if one.found.model.tag is not None]
+        some = [one for one in some if (one.layout is not None) == enrolled]
+        return sorted(some, key=lambda one: -one.log_z)[:count]
+
+    def _untagged_best(self, count: int) -> list[Hypothesis]:
+        some = [one for one in self.hypotheses if one.found.model.tag is None]
         return sorted(some, key=lambda one: -one.log_z)[:count]
 
     def _sheets(self) -> None:
@@ -358,7 +473,7 @@ class Contest:
     def _beside_odd(self) -> None:
         """The best of every kind beside odd scatterers, added while they pay."""
         kinds: tuple[tuple[list[Hypothesis], int], ...] = (
-            ([h for h in self.hypotheses if not h.tagged], MOST_ODD_UNTAGGED),
+            (self._untagged_best(6), MOST_ODD_UNTAGGED),
             (self._best(5, enrolled=True), MOST_ODD),
             (self._best(9, enrolled=False), MOST_ODD),
         )
@@ -374,9 +489,11 @@ class Contest:
             model = one.found.model.with_odd(one.found.model.odd + 1)
             x = np.r_[one.found.x, place.real, place.imag]
             found = refined(self.spectra, model, x, (None,), 8)
-            if found.log_z < one.found.log_z + 1:
+            more = found.log_z > one.found.log_z + 1
+            if more or model.identity != one.found.model.identity:
+                one = self.add(one.layout, found, one.middle, one.prior)
+            if not more:
                 break
-            one = self.add(one.layout, found, one.middle, one.prior)
         return one
 
     def _one_more(self) -> None:
@@ -403,9 +520,30 @@ def _distinct(places: Sequence[complex], apart_m: float) -> list[complex]:
     return out
 
 
+def _shaped(spectra: Spectra, centre: complex, shape: Floats) -> Complex:
+    """(F, V) echo of a body at a centre whose support function has a two-fold part."""
+    twice = 2 * spectra.direction
+    near = shape[0] * np.cos(twice) + shape[1] * np.sin(twice)
+    waves, _ = spectra.waves(np.array([centre]), np.zeros(1))
+    return np.asarray(waves[:, 0] * np.exp(1j * spectra.kappa[:, None] * near))
+
+
 def disc_of(radius_m: float) -> int:
     """Number of the clutter's disc for reflectors at a distance from the axis, m."""
     return 0 if radius_m < 0.08 else 1
+
+
+def _bodies_apart(some: Sequence[Hypothesis]) -> list[Found]:
+    """One enrolled body in all poses that differ."""
+    out: list[Found] = []
+    for found in (one.found for one in some):
+        if all(
+            abs(np.angle(np.exp(1j * (found.x[2] - other.x[2])))) > 0.05
+            or np.abs(found.x[:2] - other.x[:2]).max() > 2e-3
+            for other in out
+        ):
+            out.append(found)
+    return out
 
 
 def _pose(tag: Arrangement, places: Complex) -> tuple[complex, float] | None:

@@ -5,17 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tagid.imaging.types import BasebandScans
+from tagid.reading.bodies.signature import enrolled_in
 from tagid.reading.decision import Decision, decide
 from tagid.reading.hypotheses import Contest
-from tagid.reading.spectra import Spectra
+from tagid.reading.spectra import RADIUS_M, Spectra
+from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import Layout
 
 
-def read(scans: BasebandScans, layouts: Sequence[Layout], signatures: Sequence[object] = ()) -> Decision:
+def read(scans: BasebandScans, layouts: Sequence[Layout], signatures: Sequence[Signature] = ()) -> Decision:
     """Read the tag of a recording.
 
     Args:
         scans: made without a matched filter.
         layouts: the candidates.
+        signatures: enrolled bodies and objects; those of another band than the recording's take no part.
     """
-    return decide(Contest(Spectra.of(scans), layouts).run())
+    return decide(contest(scans, layouts, signatures).run())
+
+
+def contest(scans: BasebandScans, layouts: Sequence[Layout], signatures: Sequence[Signature] = ()) -> Contest:
+    """What competes in a recording; arguments as of `read`."""
+    enrolled = enrolled_in(scans, signatures)
+    radius_m = max([RADIUS_M, *(one.signature.radius_m for one in enrolled)])
+    kappa = enrolled[0].signature.wavenumbers if enrolled else None
+    return Contest(Spectra.of(scans, radius_m, kappa=kappa), layouts, enrolled=enrolled)

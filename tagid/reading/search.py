@@ -33,10 +33,6 @@ GROWN = 40
 """Best sets to which a further reflector is added."""
 
 
-ROUND = np.zeros(2)
-"""Shape of a round body."""
-
-
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """Columns of single reflectors, whitened.
@@ -188,7 +184,7 @@ def tables(
     centre: complex,
     rings: Sequence[tuple[float, float]],
     powers: Powers,
-    shape: Floats = ROUND,
+    body: Complex | None = None,
 ) -> Tables:
     """Tables of the reflectors of a model's transfer about a centre, x + jy, m.
 
@@ -196,12 +192,10 @@ def tables(
         model: transfer and disc are used.
         rings: radius and height of each, m.
         powers: of clutter and reflectors.
-        shape: parameters of the body's.
+        body: (F, V) echo of the body beside them; None: a point in the centre, if there is one.
     """
     make = _even if spectra.full_turn else _uneven
-    twice = 2 * spectra.direction
-    near = shape[0] * np.cos(twice) + shape[1] * np.sin(twice)
-    return make(spectra, model, centre, rings, powers, np.exp(1j * spectra.kappa[:, None] * near))
+    return make(spectra, model, centre, rings, powers, body)
 
 
 @lru_cache(maxsize=16)
@@ -235,15 +229,16 @@ def _even(
     centre: complex,
     rings: Sequence[tuple[float, float]],
     powers: Powers,
-    shaped: Complex,
+    body: Complex | None,
 ) -> Tables:
     views, transfer = spectra.views, model.transfer
     fractions, step = _steps(spectra)
     blocks, root = _turning(spectra, transfer, model.disc, tuple(rings), powers.clutter)
     w = blocks.columns
     undone = np.exp(1j * spectra.kappa[:, None] * (np.abs(spectra.antenna - centre) - spectra.distance_m))
-    room, body = (np.fft.fft(one, axis=-1) / np.sqrt(views) / root for one in (undone, shaped))
-    held_out, charge = _orthogonal([room, body] if transfer.body else [room], powers.body * spectra.moving)
+    echo = np.ones_like(undone) if body is None else body * undone
+    room, own = (np.fft.fft(one, axis=-1) / np.sqrt(views) / root for one in (undone, echo))
+    held_out, charge = _orthogonal([room, own] if transfer.body else [room], powers.body * spectra.moving)
     y = np.fft.fft(spectra.data * undone, axis=-1) / np.sqrt(views) / root
     y, base = _cleared(y, held_out)
     base -= 2 * float(np.log(root[:, 1:]).sum()) + (charge if transfer.body else 0.0)
@@ -271,7 +266,7 @@ def _uneven(
     centre: complex,
     rings: Sequence[tuple[float, float]],
     powers: Powers,
-    shaped: Complex,
+    body: Complex | None,
 ) -> Tables:
     transfer, whitener = model.transfer, spectra.whiteners[model.disc]
     angles = round(2 * np.pi / (1.5 * STEP_RAD))
@@ -289,10 +284,8 @@ def _uneven(
     held_out: list[Complex] = []
     charge = 0.0
     if transfer.body:
-        body, _ = spectra.waves(np.array([centre]), np.zeros(1))
-        held_out, charge = _orthogonal(
-            [whitener.apply(body * shaped[:, None])[:, 0] / root], powers.body * spectra.moving
-        )
+        echo = spectra.waves(np.array([centre]), np.zeros(1))[0] if body is None else body[:, None]
+        held_out, charge = _orthogonal([whitener.apply(echo)[:, 0] / root], powers.body * spectra.moving)
     y, base = _cleared(spectra.white[model.disc] / root, held_out)
     base -= 2 * float(np.log(root).sum()) + charge
     q = np.stack(held_out, axis=1) if held_out else np.zeros((f, 0, y.shape[1]))

@@ -145,6 +145,11 @@ class SheetModel(Model):
         return 0
 
     @property
+    def body_columns(self) -> int:
+        """Number of columns of the sheet."""
+        return OBLIQUITIES
+
+    @property
     def columns(self) -> int:
         """Number of columns."""
         return OBLIQUITIES + (self.tag is not None) + self.odd

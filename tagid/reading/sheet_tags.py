@@ -75,8 +75,7 @@ def explain(
     sheets = [(None, enter(None, found, 0 if i else ODD_ALONE)) for i, (_, found) in enumerate(sheets)]
     joint = []
     for layout, guest in _guests(before):
-        held = guest.model.at(spectra, guest.x, slopes=False).values
-        seeker = Seeker(spectra, held[:, _body(guest) : held.shape[1] - guest.model.odd])
+        seeker = Seeker(spectra, guest.beside(spectra))
         for kind in kinds:
             (start,) = seeker.best(kind, 1)
             model, x = start.begun(guest.model.disc)
@@ -131,12 +130,6 @@ def possible(spectra: Spectra, model: SheetModel, x: Floats) -> float:
 
 def _disc(half_m: float) -> int:
     return 0 if half_m < 0.07 else 1
-
-
-def _body(guest: Found) -> int:
-    if not guest.model.transfer.body:
-        return 0
-    return 3 if guest.model.oval else 1
 
 
 def _guests(before: Sequence[Entry]) -> list[tuple[Layout | None, Found]]:

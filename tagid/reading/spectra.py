@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 
 MODEL_ERROR = 0.05
 """Amplitude of what no hypothesis models, over the amplitude of the echo that changes over the views."""
+RADIUS_M = 0.13
+"""Of objects, unless a larger one is enrolled."""
 CLUTTER_RADII_M = (0.05, 0.10)
 """Radii of the discs over which the scatterers of the clutter are spread."""
 _DISC_RINGS = 24
@@ -44,6 +46,11 @@ class Whitener:
     variance: Floats
     basis: Complex | None
     every: Floats
+
+    def thinned(self, step: int) -> Whitener:
+        """The same of every so many-th frequency."""
+        basis = None if self.basis is None else self.basis[::step]
+        return Whitener(self.variance[::step], basis, self.every[::step])
 
     def apply(self, columns: Complex) -> Complex:
         """(F, n, M) of columns (F, n, V)."""
@@ -89,13 +96,20 @@ class Spectra:
     full_turn: bool
 
     @classmethod
-    def of(cls, scans: BasebandScans, radius_m: float = 0.13, model_error: float = MODEL_ERROR) -> Spectra:
+    def of(
+        cls,
+        scans: BasebandScans,
+        radius_m: float = RADIUS_M,
+        model_error: float = MODEL_ERROR,
+        kappa: Floats | None = None,
+    ) -> Spectra:
         """Spectra of scans made without a matched filter.
 
         Args:
             scans: (views, bins); many views of a turn are folded to what the radius needs.
             radius_m: of the object, m.
             model_error: see `MODEL_ERROR`.
+            kappa: (F,) to take, equally spaced, rad/m; those of enrolled signatures.
 
         Raises:
             DataError: fewer than 4 range bins lie in the window about the axis.
@@ -107,7 +121,7 @@ class Spectra:
         positions = scans.aperture.positions
         distance, taper = range_window(scans)
         offsets = np.linspace(-0.5, 0.5, FREQUENCIES) * BAND_SHARE * scans.bandwidth_hz
-        turn = 4 * np.pi / scans.wave_speed_m_s * offsets
+        turn = 4 * np.pi / scans.wave_speed_m_s * offsets if kappa is None else kappa - 2 * scans.wavenumber
         data = np.exp(-1j * turn[:, None] * (scans.ranges_m - distance)[None]) @ (scans.samples * taper).T
         data = data * np.exp(2j * scans.wavenumber * distance)
         height = np.ascontiguousarray(positions[:, 2])

@@ -1,0 +1,1 @@
+"""Bodies with an echo of their own shape: one file per kind."""

@@ -1,0 +1,270 @@
+"""An enrolled body, or an object enrolled with its tag: its measured echo, at any turn and place.
+
+The echo is that of `tagid.tags.bodies.signature`; two columns: the echo, whose amplitude at every frequency
+takes up another pulse, and its change from one frequency to the next, which takes up that the tail of another
+pulse is cut by the range window (`tagid.tags.bodies.pulse_tail`). The parameters of a model begin with those
+of the body: its centre x, y and its turn. Those of `tagid.reading.columns.Model` follow; their centre is that
+of the tag about the body's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.imaging.types import BasebandScans
+from tagid.reading.columns import CENTRE_SD_M, ODD_POWER, Columns, Model, table_of
+from tagid.reading.descent import TAG, Found
+from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.transfers.plain import POINTS
+from tagid.reading.transfers.transfer import Transfer
+from tagid.tags.bodies.enrolled import FREQUENCY_STEP_HZ
+from tagid.tags.bodies.pulse_tail import SLOPE
+from tagid.tags.bodies.signature import Signature, angular, near_field, same_wavenumbers
+
+HEAD = 3
+"""Parameters of the body."""
+OWN = 2
+"""Columns of the body."""
+EDGE = 0.02
+"""The edges of a recording's band are known to this, over the step of the frequencies of signatures."""
+TAG_SD_M = 5e-3
+"""Standard deviation of a tag's centre about the body's, m, which is where its first capture had the axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnrolledBody:
+    """A signature without what is only its noise.
+
+    Attributes:
+        signature: as enrolled.
+        harmonics: (F, 2 M + 1) its harmonics behind Wiener's filter, over the root of their energy.
+    """
+
+    signature: Signature
+    harmonics: Complex
+
+    @classmethod
+    def of(cls, signature: Signature) -> EnrolledBody:
+        """That of a signature."""
+        energy = np.abs(signature.harmonics) ** 2
+        kept = np.maximum(1 - signature.noise[:, None] / np.maximum(energy, 1e-300), 0)
+        harmonics = signature.harmonics * kept
+        size = np.sqrt((np.abs(harmonics) ** 2).sum(axis=1, keepdims=True))
+        return cls(signature, harmonics / np.maximum(size, 1e-300))
+
+    @property
+    def order(self) -> int:
+        """M, the largest harmonic."""
+        return self.signature.order
+
+    def at(self, spectra: Spectra) -> Complex:
+        """(F, 2 M + 1) harmonics as they arrive at the recording's distance."""
+        return self._harmonics(spectra.kappa) * near_field(spectra.kappa, self.order, spectra.distance_m)
+
+    def _harmonics(self, kappa: Floats) -> Complex:
+        every = np.abs(self.signature.wavenumbers - kappa[:, None]).argmin(axis=1)
+        return np.asarray(self.harmonics[every])
+
+
+@dataclass(frozen=True, eq=False)
+class SignatureModel(Model):
+    """A hypothesis with an enrolled body.
+
+    Attributes:
+        enrolled: the body.
+    """
+
+    enrolled: EnrolledBody | None = None
+
+    @classmethod
+    def of(cls, enrolled: EnrolledBody, transfer: Transfer, disc: int) -> SignatureModel:
+        """An untagged one."""
+        return cls(transfer, None, False, disc, enrolled=enrolled)
+
+    @property
+    def body(self) -> EnrolledBody:
+        """The enrolled body."""
+        assert self.enrolled is not None
+        return self.enrolled
+
+    @property
+    def head(self) -> int:
+        """Parameters before those of the reflectors."""
+        return HEAD + 2
+
+    @property
+    def about(self) -> slice:
+        """Parameters of the tag's centre about the body's."""
+        return slice(HEAD, HEAD + 2)
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return HEAD + super().parameters
+
+    @property
+    def body_columns(self) -> int:
+        """Number of columns of the body."""
+        return OWN
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return OWN + self.rest.columns
+
+    @property
+    def covers_middle(self) -> bool:
+        """What stands in the middle does not look like this body."""
+        return False
+
+    @property
+    def identity(self) -> str | None:
+        """Name of the object that was enrolled with its tag, as it was."""
+        own = self.body.signature
+        return own.name if own.kind == "object" and self.odd == 0 else None
+
+    @property
+    def tagged(self) -> bool:
+        """It has reflectors: at least those with which the object was enrolled."""
+        return self.tag is not None or self.body.signature.kind == "object"
+
+    @property
+    def odd_powers(self) -> tuple[float, ...]:
+        """What an object lacks or has too much is as strong as a reflector, whose power is not known."""
+        return TAG if self.tag is None and self.tagged else super().odd_powers
+
+    @property
+    def words(self) -> str:
+        """The body in words."""
+        return f"the enrolled {self.body.signature.kind} {self.body.signature.name}"
+
+    @cached_property
+    def rest(self) -> Model:
+        """What stands beside the body."""
+        return Model(_alone(self.transfer), self.tag, False, self.disc, self.odd, self.hidden)
+
+    def on_disc(self, disc: int) -> SignatureModel:
+        """The same beside clutter of another disc."""
+        return replace(self, disc=disc)
+
+    def with_guest(self, guest: Found, head: Floats) -> tuple[SignatureModel, Floats]:
+        """The body (3,) beside the reflectors of another hypothesis, and the parameters."""
+        model = guest.model
+        transfer = model.transfer if model.transfer.body else POINTS
+        centre, turn, stretch, _ = model.split(guest.x)
+        off = centre - complex(head[0], head[1])
+        own = replace(self, transfer=transfer, tag=model.tag, disc=model.disc)
+        return own, np.r_[head, off.real, off.imag, turn, stretch]
+
+    def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:
+        """Centre of the tag, turns, stretches and odd places of parameters."""
+        centre, turn, stretch, odd = super().split(x[HEAD:])
+        return complex(x[0], x[1]) + centre, turn, stretch, odd
+
+    def power(self, moving: Floats, body: float, tag: float, oval: float) -> Floats:
+        """(F, n) prior variances of the amplitudes."""
+        own = moving[:, None] * body * np.array([1.0, SLOPE**2])
+        rest = self.rest.power(moving, body, tag, oval)
+        if self.tag is None and self.tagged:
+            rest = rest * (tag / ODD_POWER)
+        return np.concatenate([own, rest], axis=1)
+
+    def _sds(self) -> Floats:
+        rest = super()._sds()
+        rest[:2] = TAG_SD_M
+        return np.concatenate([[CENTRE_SD_M, CENTRE_SD_M, 2 * np.pi / np.sqrt(12)], rest])
+
+    @cached_property
+    def _normal(self) -> NDArray[np.bool_]:
+        return np.concatenate([[True, True, False], super()._normal])
+
+    def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
+        """See `Model`."""
+        log, slope, hessian = super().log_prior(x)
+        return log - float(np.log(2 * np.pi)), slope, hessian
+
+    def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SignatureColumns:
+        """The columns at parameters x (P,)."""
+        beside = np.r_[x[:2] + x[HEAD : HEAD + 2], x[HEAD + 2 :]]
+        return SignatureColumns(self, spectra, x, Columns.of(self.rest, spectra, beside, slopes))
+
+
+@dataclass(frozen=True, eq=False)
+class SignatureColumns:
+    """Columns of an enrolled body and of what stands beside it, at some parameters."""
+
+    model: SignatureModel
+    spectra: Spectra
+    x: Floats
+    rest: Columns
+
+    @cached_property
+    def _carrier(self) -> tuple[Complex, Floats]:
+        waves, range_m = self.spectra.waves(np.array([self._centre]), np.zeros(1))
+        return waves[:, 0], range_m[0]
+
+    @property
+    def _centre(self) -> complex:
+        return complex(self.x[0], self.x[1])
+
+    @cached_property
+    def _patterns(self) -> tuple[Complex, Complex]:
+        """(F, V) the body's pattern and its slope over the aspect."""
+        body = self.model.body
+        aspect = np.angle(self.spectra.antenna - self._centre) - self.x[2]
+        basis, weights = angular(aspect, body.order).T, body.at(self.spectra)
+        return weights @ basis, (weights * (1j * np.arange(-body.order, body.order + 1))) @ basis
+
+    @cached_property
+    def values(self) -> Complex:
+        """(F, n, V)."""
+        echo = self._carrier[0] * self._patterns[0]
+        return np.concatenate([np.stack([echo, np.gradient(echo, axis=0)], axis=1), self.rest.values], axis=1)
+
+    def slopes(self, weights: Complex) -> Complex:
+        """(P, F, V) change of the sum of weights (F, n, 1 or V) times columns with the parameters."""
+        (carrier, range_m), (pattern, bent) = self._carrier, self._patterns
+        across = self.spectra.antenna - self._centre
+        echo, turned = carrier * pattern, carrier * bent
+        moved = echo * (-1j * self.spectra.kappa[:, None] - 2 / range_m) / -range_m
+        around = turned / np.abs(across) ** 2
+        own = np.stack(
+            [moved * across.real + around * across.imag, moved * across.imag - around * across.real, -turned]
+        )
+        own = own * weights[:, 0] + np.gradient(own, axis=1) * weights[:, 1]
+        beside = self.rest.slopes(weights[:, OWN:])
+        own[:2] += beside[:2]
+        return np.concatenate([own, beside])
+
+
+@lru_cache(maxsize=64)
+def _alone(transfer: Transfer) -> Transfer:
+    """The same transfer without the body's echo, which shares its tables."""
+    return replace(transfer, body=False, table=partial(_table, transfer))
+
+
+def _table(transfer: Transfer, kappa: Floats, radius_m: float) -> Complex:
+    return table_of(transfer, kappa.tobytes(), radius_m)
+
+
+def enrolled_in(scans: BasebandScans, signatures: Sequence[Signature]) -> tuple[EnrolledBody, ...]:
+    """The signatures of the band of a recording: those at all multiples of a step that lie in it."""
+    edges_hz = (scans.center_hz or scans.carrier_hz) + scans.bandwidth_hz * np.array([-0.5, 0.5])
+    low, high = edges_hz / FREQUENCY_STEP_HZ
+    found: list[EnrolledBody] = []
+    for one in signatures:
+        first, last = one.frequencies_hz[[0, -1]] / FREQUENCY_STEP_HZ
+        inside = -EDGE < first - low < 1 + EDGE and -EDGE < high - last < 1 + EDGE
+        if inside and (not found or same_wavenumbers(one.wavenumbers, found[0].signature.wavenumbers)):
+            found.append(_body(one))
+    return tuple(found)
+
+
+@lru_cache(maxsize=64)
+def _body(signature: Signature) -> EnrolledBody:
+    return EnrolledBody.of(signature)

@@ -1,0 +1,133 @@
+"""Enrolled bodies and objects: slopes of their columns, tags beside them, and what is not named by them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans
+from tagid.pipeline.identify import aspect_spectra
+from tagid.reading.bodies.signature import EnrolledBody, SignatureModel, enrolled_in
+from tagid.reading.columns import Arrangement
+from tagid.reading.decision import Decision, decide
+from tagid.reading.descent import _Numpy
+from tagid.reading.reader import contest
+from tagid.reading.signature_search import Poses
+from tagid.reading.spectra import Spectra
+from tagid.reading.transfers.plain import BARE, POINTS
+from tagid.reading.transfers.shade import SHADE
+from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.signature import Signature
+from tagid.tags.layouts.layout import builtin_layouts
+from tests.unit.bodies_synthetic import MUG, TAG, Thing, capture, ring
+
+LAYOUTS = builtin_layouts()
+PLACES = ((0.002 - 0.003j, 0.3), (-0.004 + 0.001j, 2.2), (0.001 + 0.005j, 4.4))
+
+
+@cache
+def enrolled(thing: Thing, name: str, kind: str) -> Signature:
+    captures = [
+        Named(f"{name}{i}", aspect_spectra(capture(thing, i, centre=centre, rotation=turn)))
+        for i, (centre, turn) in enumerate(PLACES)
+    ]
+    return enrol_signature(captures, name, kind).signature  # type: ignore[arg-type]
+
+
+def scans_of(thing: Thing, noise: float = 0.05) -> BasebandScans:
+    taken = capture(thing, 50, centre=0.004 - 0.004j, rotation=1.0, views=36, noise=noise)
+    return preprocess(taken, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+
+
+def read(thing: Thing, *signatures: Signature) -> Decision:
+    """The decision among hypotheses without sheets and walls, which none of these objects has."""
+    every = contest(scans_of(thing), list(LAYOUTS.values()), signatures)
+    every.transfers, every.sheets = (BARE, POINTS), ()
+    return decide(every.run())
+
+
+def mug() -> Signature:
+    return enrolled(MUG, "mug", "body")
+
+
+def mug_7() -> Signature:
+    return enrolled(MUG.plus(TAG), "mug-7", "object")
+
+
+def spectra_of(scans: BasebandScans) -> Spectra:
+    return Spectra.of(scans, kappa=mug().wavenumbers)
+
+
+def test_slopes_are_those_of_the_evidence() -> None:
+    layout = LAYOUTS["helmet-120"]
+    tag = Arrangement.of_layout(layout.positions, layout.heights)
+    model = replace(SignatureModel.of(EnrolledBody.of(mug()), SHADE, 1), tag=tag, odd=1)
+    likelihood = _Numpy(spectra_of(scans_of(MUG)), model)
+    x = np.array([3e-3, -2e-3, 0.5, 1e-3, 2e-3, 0.7, 5e-4, 0.03, 0.05])
+    powers = (10.0, 0.3, 1e-3)
+    _, slopes, _ = likelihood.expanded(x, powers, 1e-2)
+    ends = [
+        [likelihood.values(x + sign * step, [powers], [1e-2])[0, 0] for sign in (1, -1)]
+        for step in 1e-6 * np.eye(len(x))
+    ]
+    measured = -np.diff(ends, axis=1)[:, 0] / 2e-6
+    assert slopes == pytest.approx(measured, rel=1e-4, abs=1e-4 * np.abs(slopes).max())
+
+
+def test_a_body_is_found_where_it_stands_alone_and_beside_a_tag() -> None:
+    body = EnrolledBody.of(mug())
+    (alone,) = Poses(spectra_of(scans_of(MUG)), body, 0).best(1)
+    spectra = spectra_of(scans_of(MUG.plus(ring(100, 190, amplitude=3.0))))
+    places = 0.004 - 0.004j + 0.045 * np.exp(1j * (1.0 + np.deg2rad([100, 190])))
+    tag = spectra.waves(places, np.zeros(2))[0].sum(axis=1, keepdims=True)
+    (beside,) = Poses(spectra, body, 0).best(1, tag)
+    for pose in (alone, beside):
+        # The enrolment's first capture had the centre at 2, -3 mm, and was turned by 0.3.
+        assert pose.head[2] == pytest.approx(1.0 - 0.3, abs=0.06)
+
+
+def test_a_tag_on_an_enrolled_body_is_named() -> None:
+    thing = MUG.plus(TAG)
+    assert read(thing).status != "identified"
+    answer = read(thing, mug())
+    assert (answer.status, answer.name) == ("identified", "container-90")
+    assert answer.best is not None and answer.best.found.model.words == "the enrolled body mug"
+
+
+def test_an_untagged_body_has_no_tag() -> None:
+    answer = read(MUG, mug())
+    assert answer.status == "no_tag"
+    assert answer.reason == "the enrolled body mug without a tag"
+
+
+@pytest.mark.parametrize("other", [ring(10, 150), ring(200), ring(10, 100, 200)])
+def test_another_tag_on_an_enrolled_body_is_not_named(other: Thing) -> None:
+    answer = read(MUG.plus(other), mug())
+    assert answer.status == "unknown"
+    assert "on the enrolled body mug" in answer.reason
+
+
+def test_an_enrolled_object_is_named_with_and_without_its_body() -> None:
+    for signatures in ((mug_7(),), (mug(), mug_7())):
+        assert read(MUG.plus(TAG), *signatures).name == "mug-7"
+
+
+@pytest.mark.parametrize("other", [MUG, MUG.plus(ring(100)), MUG.plus(ring(100, 280))])
+def test_another_object_is_not_the_enrolled_one(other: Thing) -> None:
+    assert read(other, mug_7()).name is None
+
+
+def test_two_objects_that_look_alike_are_ambiguous() -> None:
+    answer = read(MUG.plus(TAG), mug_7(), replace(mug_7(), name="mug-8"))
+    assert answer.status == "ambiguous"
+    assert "mug-7" in answer.reason and "mug-8" in answer.reason
+
+
+def test_signatures_of_another_band_take_no_part() -> None:
+    own = mug()
+    other = replace(own, name="other", wavenumbers=own.wavenumbers * 1.1)
+    assert [one.signature.name for one in enrolled_in(scans_of(MUG), [other, own])] == ["mug"]
