@@ -1,6 +1,6 @@
 """Where sheets may be, and reflectors in and beside one: starts of the descent.
 
-All sizes, turns and centres of a sheet are tried. Its echo at every aspect is a table, which is kept; about
+All sizes, turns and centres of a sheet are tried. The harmonics of its echo are a table, which is kept; about
 another centre the data move instead.
 """
 
@@ -9,21 +9,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.fields.thin_shell import BoxShell, ShellField
+from tagid.fields.thin_shell import BoxShell
 from tagid.reading.columns import CLOSEST_M, REACH_M
 from tagid.reading.descent import Powers, variance
 from tagid.reading.search import Tables, dense, grown
-from tagid.reading.sheet import HEAD, STEP, Kind, SheetColumns, SheetModel
+from tagid.reading.sheet import HEAD, STEP, Kind, SheetColumns, SheetModel, quadrant
 from tagid.reading.spectra import Complex, Floats, Spectra
 
-ASPECTS = 720
-"""Of a table: half a step turns the harmonic 50 by 0.2 rad."""
-TURN_RAD = np.deg2rad(2.5)
-"""Turns of a sheet that are tried."""
+TURNED_RAD = 1.1
+"""Half a step between the turns that are tried turns the highest harmonic by less."""
+NEARER = 0.1
+"""Step between the logarithms of the distances of tables: the waves' curvature changes little."""
 LONGEST = 1.5
 """Ratio of the half axes of an ellipse, at most, in the search."""
 EVERY = 2
@@ -56,20 +57,26 @@ class Start:
         return SheetModel.of(self.kind, self.half_m, disc), x
 
 
-@lru_cache(maxsize=1024)
-def _aspects(kappa: bytes, distance_m: float, kind: Kind, half_m: tuple[float, float]) -> Complex:
-    """(F, ASPECTS) echo of a sheet from all sides."""
-    wavenumber = np.frombuffer(kappa) / 2
-    shell = kind.shell(*half_m, kind.strength_m)
-    orders = 2 * wavenumber[-1] * shell.radius_m
-    count = 8 * int(np.ceil((orders + 2 * orders ** (1 / 3) + 2) / 4))
-    cells = SheetModel.of(kind, half_m, 0).cells
-    field = ShellField.of(wavenumber, shell, cells)
-    echo = field.echo(distance_m * np.exp(2j * np.pi * np.arange(count) / count))
-    harmonics = np.zeros((len(wavenumber), ASPECTS), dtype=np.complex128)
-    m = np.fft.fftfreq(count, 1 / count).astype(np.intp)
-    harmonics[:, m] = np.fft.fft(echo, axis=1) / count
-    return np.asarray(np.fft.ifft(harmonics, axis=1) * ASPECTS / np.abs(echo).mean()).astype(np.complex64)
+@lru_cache(maxsize=4096)
+def _harmonics(kappa: bytes, distance_m: float, kind: Kind, half_m: tuple[float, float]) -> Complex:
+    """(F, M) of the echo of a sheet: it is the sum over m of these times cos(2 m phi), phi the aspect."""
+    wavenumber = np.frombuffer(kappa)
+    count = quadrant(wavenumber, kind.shell(*half_m, kind.strength_m))
+    aspect = np.pi / 2 * (np.arange(count) + 0.5) / count
+    around = Spectra(
+        np.zeros((len(wavenumber), count), dtype=np.complex128),
+        wavenumber,
+        distance_m * np.exp(1j * aspect),
+        np.zeros(count),
+        distance_m,
+        np.ones(len(wavenumber)),
+        False,
+    )
+    x = np.r_[np.zeros(3), np.log(np.array(half_m) / kind.size_m), np.zeros(HEAD - 3)]
+    echo = SheetColumns(SheetModel.of(kind, half_m, 0), around, x).values[:, 0]
+    found = echo @ np.cos(2 * np.arange(count) * aspect[:, None]) * (2 / count)
+    found[:, 0] /= 2
+    return np.asarray(found, dtype=np.complex64)
 
 
 class Seeker:
@@ -80,8 +87,9 @@ class Seeker:
     """
 
     def __init__(self, spectra: Spectra, held: Complex | None = None) -> None:
+        self._spectra = spectra
         self._kappa = np.ascontiguousarray(spectra.kappa[::EVERY])
-        self._distance = round(spectra.distance_m, 2)
+        self._distance = float(np.exp(round(np.log(spectra.distance_m) / NEARER) * NEARER))
         line = _GRID_M * np.arange(-_GRID, _GRID + 1)
         grid = (line[:, None] + 1j * line).ravel()
         self._centres = grid[np.abs(grid) < 2.3 * _GRID_M]
@@ -93,44 +101,94 @@ class Seeker:
         left = data - (basis @ (np.swapaxes(basis.conj(), 1, 2) @ data[..., None]))[..., 0]
         self._energy = (np.abs(left) ** 2).sum(axis=1)
         every = np.concatenate([left[:, :, None], basis], axis=2)
-        # (F, V, C (1 + J)) data and held columns about every centre.
-        seen = np.moveaxis(moved, 1, 2)[..., None] * every[:, :, None]
-        self._parts = seen.shape[3]
+        # (F, V, (1 + J) C) data and held columns about every centre.
+        seen = every[..., None] * np.swapaxes(moved, 1, 2)[:, :, None]
+        self._parts = every.shape[2]
         self._seen = seen.reshape(*seen.shape[:2], -1).astype(np.complex64)
-        self._antenna = np.rint(spectra.direction * ASPECTS / (2 * np.pi)).astype(np.intp)
-        self._views = spectra.views
+        self._turned: dict[tuple[int, int], tuple[Floats, Complex, NDArray[np.float32]]] = {}
 
-    def fitted(self, kind: Kind, half_m: tuple[float, float]) -> Start:
-        """The best turn and centre of a sheet."""
-        half_m = (round(half_m[0], 4), round(half_m[1], 4))
-        table = _aspects(self._kappa.tobytes(), self._distance, kind, half_m)
-        alike = 4 if kind.shell is BoxShell and half_m[0] == half_m[1] else 2
-        steps = np.rint(np.arange(0, 2 * np.pi / alike, TURN_RAD) * ASPECTS / (2 * np.pi)).astype(np.intp)
-        echo = table[:, (self._antenna - steps[:, None]) % ASPECTS]
-        inner = (echo.conj() @ self._seen).reshape(*echo.shape[:2], -1, self._parts)
-        power = np.abs(inner) ** 2
-        size = (np.abs(echo) ** 2).sum(axis=2)[..., None] - power[..., 1:].sum(axis=3)
-        share = power[..., 0] / np.maximum(size, 1e-4 * self._views) / self._energy[:, None, None]
-        score = -self._views * np.log(np.maximum(1 - share, 0) + _FLOOR).sum(axis=0)
-        t, c = np.unravel_index(int(score.argmax()), score.shape)
-        turn = float(steps[t]) * 2 * np.pi / ASPECTS
-        return Start(kind, half_m, float(score[t, c]) * EVERY, complex(self._centres[c]), turn)
+    def _turns(self, harmonics: int, alike: int) -> tuple[Floats, Complex, NDArray[np.float32]]:
+        """Turns (T,), inner products of harmonics with what is seen, and the harmonics as they are seen.
+
+        The products are (F, M, T, 1 + J, C), the harmonics (M, p, V) at p turns, after which their energy
+        comes again.
+        """
+        if (harmonics, alike) not in self._turned:
+            views, step = self._spectra.views, TURNED_RAD / harmonics
+            period = count = int(np.ceil(2 * np.pi / alike / step))
+            if self._spectra.full_turn:
+                period = int(np.ceil(2 * np.pi / views / step))
+                while period * views % alike:
+                    period += 1
+                count = period * views // alike
+            turn = 2 * np.pi / alike * np.arange(count) / count
+            m = 2 * np.arange(harmonics)[:, None]
+            here, there = m * self._spectra.direction, m * turn
+            cosine, sine = (f(here).astype(np.float32) @ self._seen for f in (np.cos, np.sin))
+            along, across = (f(there).astype(np.float32)[:, :, None] for f in (np.cos, np.sin))
+            inner = along * cosine[:, :, None] + across * sine[:, :, None]
+            inner = inner.reshape(*inner.shape[:3], self._parts, -1)
+            seen = np.cos(here[:, None] - there[:, :period, None]).astype(np.float32)
+            self._turned[harmonics, alike] = turn, inner, seen
+        return self._turned[harmonics, alike]
+
+    def fitted(self, kind: Kind, sizes: Sequence[tuple[float, float]]) -> list[Start]:
+        """The best turn and centre of every sheet."""
+        sizes = [(round(a, 4), round(b, 4)) for a, b in sizes]
+        found: list[Start] = []
+        for square in (True, False):
+            some = [one for one in sizes if (kind.shell is BoxShell and one[0] == one[1]) == square]
+            found += self._fitted(kind, some, 4 if square else 2) if some else []
+        return found
+
+    def _fitted(self, kind: Kind, sizes: Sequence[tuple[float, float]], alike: int) -> list[Start]:
+        kappa, views = self._kappa.tobytes(), self._spectra.views
+        each = [_harmonics(kappa, self._distance, kind, half_m) for half_m in sizes]
+        harmonics = max(one.shape[1] for one in each)
+        echo = np.zeros((len(self._kappa), len(each), harmonics), dtype=np.complex64)
+        for s, one in enumerate(each):
+            echo[:, s, : one.shape[1]] = one
+        turn, inner, seen = self._turns(harmonics, alike)
+        size = _power(echo @ seen.reshape(harmonics, -1)).reshape(*echo.shape[:2], -1, views).sum(axis=3)
+        size = size[..., np.arange(len(turn)) % size.shape[2], None]
+        rest = np.ones((len(each), len(turn), len(self._centres)), dtype=np.float32)
+        for f, some in enumerate(inner):
+            power = _power(echo[f].conj() @ some.reshape(harmonics, -1))
+            power = power.reshape(len(each), *some.shape[1:])
+            least = np.maximum(size[f] - power[:, :, 1:].sum(axis=2), 1e-4 * views)
+            rest *= np.maximum(1 - power[:, :, 0] / least / np.float32(self._energy[f]), 0) + _FLOOR
+        left = rest.reshape(len(each), -1)
+        best = left.argmin(axis=1)
+        return [
+            Start(
+                kind,
+                half_m,
+                -float(np.log(left[s, i])) * views * EVERY,
+                complex(self._centres[i % len(self._centres)]),
+                float(turn[i // len(self._centres)]),
+            )
+            for s, (half_m, i) in enumerate(zip(sizes, best, strict=True))
+        ]
 
     def best(self, kind: Kind, count: int) -> list[Start]:
         """The sheets that explain most, none of about the size of a better one."""
         sizes = kind.sizes_m
         if kind.shell is not BoxShell:
             pairs = [(a, b) for i, a in enumerate(sizes) for b in sizes[i:] if b < LONGEST * a]
-            return _unlike([self.fitted(kind, pair) for pair in pairs], count)
+            return _unlike(self.fitted(kind, pairs), count)
         # A square whose side is one of two of an oblong box explains the flashes of two of its walls.
-        found = [self.fitted(kind, (a, a)) for a in sizes]
+        found = self.fitted(kind, [(a, a) for a in sizes])
         sides = sorted(one.half_m[0] for one in _unlike(found, _KEPT))
-        found += [self.fitted(kind, (a, b)) for i, a in enumerate(sides) for b in sides[i + 1 :]]
+        found += self.fitted(kind, [(a, b) for i, a in enumerate(sides) for b in sides[i + 1 :]])
         for one in _unlike(found, 2):
             a, b = one.half_m
             near = ((a * STEP, b), (a / STEP, b), (a, b * STEP), (a, b / STEP))
-            found += [self.fitted(kind, pair) for pair in near]
+            found += self.fitted(kind, near)
         return _unlike(found, count)
+
+
+def _power(x: NDArray[Any]) -> NDArray[Any]:
+    return np.asarray(x.real**2 + x.imag**2)
 
 
 def _unlike(starts: Sequence[Start], count: int) -> list[Start]:
