@@ -46,8 +46,9 @@ class Bessel:
 
 def bessel(order: int, z: NDArray[np.number]) -> Bessel:
     """J and Y of the orders 0 to `order`, (..., order + 1), at arguments z (...), none of which is 0."""
-    first = first_kind(order + 1, z)
-    second = _second_kind(order + 1, np.asarray(z))
+    z = np.asarray(z)
+    every = _downwards(z, order + 1)
+    first, second = every[..., : order + 2], _second_kind(order + 1, z, every)
     return Bessel(first[..., :-1], second[..., :-1], _slopes(first), _slopes(second))
 
 
@@ -87,8 +88,8 @@ def _downwards(z: Values, order: int) -> Values:
     return found
 
 
-def _second_kind(order: int, z: Values) -> Values:
-    j = _downwards(z, order)
+def _second_kind(order: int, z: Values, j: Values) -> Values:
+    """Y of the orders 0 to `order`, from J of somewhat more."""
     k = np.arange(1, (j.shape[-1] - 1) // 2)
     sign = (-1.0) ** k
     logarithm = np.log(z / 2) + np.euler_gamma

@@ -14,7 +14,7 @@ Engineering Electromagnetics, 1989, sections 11.5 and 11.7.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,29 +60,39 @@ def reflection(
         shells: (S,) bodies.
         order: highest order.
     """
+    # What the polarisation does not change is found once.
+    bodies = [replace(one, polarisation="V") for one in shells]
+    alone = list(dict.fromkeys(bodies))
+    place = {one: i for i, one in enumerate(alone)}
+    at = np.array([place[one] for one in bodies])
     k = np.asarray(wavenumber, dtype=np.float64)[None, :]
-    outer = np.array([one.radius_m for one in shells])[:, None]
-    inner = outer - np.array([one.wall_m for one in shells])[:, None]
+    outer = np.array([one.radius_m for one in alone])[:, None]
+    inner = outer - np.array([one.wall_m for one in alone])[:, None]
     metal = np.array([one.metal for one in shells])[:, None, None]
     electric = np.array([one.polarisation == "V" for one in shells])[:, None, None]
-    permittivity = np.array([one.permittivity for one in shells])[:, None]
-    filling = np.array([one.filling for one in shells])[:, None]
-    inside = k * np.sqrt(filling)
-    core = bessel(order, inside * inner)
+    permittivity = np.array([one.permittivity for one in alone])[:, None]
+    filling = np.array([one.filling for one in alone])[:, None]
+    inside, q = k * np.sqrt(filling), k * np.sqrt(permittivity)
+    core, free = _of(bessel(order, inside * inner), at), _of(bessel(order, k * outer), at)
+    at_inner, at_outer = _of(bessel(order, q * inner), at), _of(bessel(order, q * outer), at)
+    inside, q, inner, outer, permittivity, filling = (
+        one[at] for one in (inside, q, inner, outer, permittivity, filling)
+    )
     # The pair of continuous quantities at the inner face: on metal E = 0 (TM) or dG/dr = 0 (TE).
     field = np.where(metal, np.where(electric, 0.0, 1.0), core.j)
     within = inside[..., None] / np.where(electric, 1.0, filling[..., None])
     slope = np.where(metal, np.where(electric, 1.0, 0.0) * k[..., None], core.dj * within)
     scale = np.maximum(np.maximum(np.abs(field), np.abs(slope / k[..., None])), 1e-250)
     field, slope = field / scale, slope / scale
-    q = k * np.sqrt(permittivity)
-    at_inner, at_outer = bessel(order, q * inner), bessel(order, q * outer)
     weight = np.where(electric, 1.0, permittivity[..., None])
     field, slope = _through(field, slope * weight / q[..., None], (q * inner)[..., None], at_inner, at_outer)
     slope = slope * q[..., None] / weight
-    free = bessel(order, k * outer)
     k = k[..., None]
     return np.asarray(-(slope * free.j - k * field * free.dj) / (slope * free.h2 - k * field * free.dh2))
+
+
+def _of(found: Bessel, index: NDArray[np.intp]) -> Bessel:
+    return Bessel(found.j[index], found.y[index], found.dj[index], found.dy[index])
 
 
 def _through(
@@ -119,18 +129,43 @@ def echoes(
     """
     if any(one.radius_m > radius_m for one in shells):
         raise DataError(f"a reflector {radius_m * 1e3:g} mm from the axis lies inside a shell")
+    order = orders(wavenumber, radius_m)
+    electric = np.array([one.polarisation == "V" for one in shells])
+    return responses(wavenumber, reflection(wavenumber, shells, order), electric, radius_m, angle_rad)
+
+
+def orders(wavenumber: NDArray[np.float64], radius_m: float) -> int:
+    """Highest order that the field at a distance from the axis, m, has."""
+    x = float(np.max(wavenumber)) * radius_m
+    return int(np.ceil(x + 4 * x ** (1 / 3) + 3))
+
+
+def responses(
+    wavenumber: NDArray[np.float64],
+    coefficients: NDArray[np.complex128],
+    electric: NDArray[np.bool_],
+    radius_m: float,
+    angle_rad: NDArray[np.float64],
+) -> NDArray[np.complex128]:
+    """See `echoes`: beside shells of coefficients (S, F, order + 1), upright where electric (S,)."""
     x = np.asarray(wavenumber, dtype=np.float64) * radius_m
-    order = int(np.ceil(x.max() + 4 * x.max() ** (1 / 3) + 3))
-    n = np.arange(order + 1)
-    away = bessel(order, x)
-    coefficients = reflection(wavenumber, shells, order)
+    n = np.arange(coefficients.shape[2])
+    away = bessel(len(n) - 1, x)
     turn = np.where(n == 0, 1, 2) * np.array([1, 1j, -1, -1j])[n % 4]
-    cosine, sine = np.cos(n[:, None] * angle_rad), -n[:, None] * np.sin(n[:, None] * angle_rad)
+    cosine: NDArray[np.float64] = np.cos(n[:, None] * angle_rad)
+    sine: NDArray[np.float64] = -n[:, None] * np.sin(n[:, None] * angle_rad)
     radial = (away.j + coefficients * away.h2) * turn
     # The axial field, and the other one, its curl over jk; both are of unit length far away.
-    axial = (radial @ cosine) ** 2
-    along = ((away.dj + coefficients * away.dh2) * turn) @ cosine
-    outward = (radial @ sine) / x[:, None]
+    axial = _summed(radial, cosine) ** 2
+    along = _summed((away.dj + coefficients * away.dh2) * turn, cosine)
+    outward = _summed(radial, sine) / x[:, None]
     across = -(along**2) - outward**2
-    upright = np.array([one.polarisation == "V" for one in shells])[:, None, None]
+    upright = electric[:, None, None]
     return np.stack([np.where(upright, axial, across), np.where(upright, across, axial)])
+
+
+def _summed(terms: NDArray[np.complex128], shapes: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Terms (S, F, N) times real shapes (N, P)."""
+    parts = np.concatenate([terms.real, terms.imag]).reshape(-1, len(shapes)) @ shapes
+    parts = parts.reshape(2, *terms.shape[:2], -1)
+    return np.asarray(parts[0] + 1j * parts[1])

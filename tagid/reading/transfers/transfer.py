@@ -52,6 +52,11 @@ def principal(members: NDArray[np.complexfloating], terms: int) -> NDArray[np.co
         members: (M, F, A) patterns of the class.
     """
     flat = np.swapaxes(members, 0, 1) / np.sqrt(len(members))
-    _, vectors = np.linalg.eigh(flat @ np.swapaxes(flat.conj(), 1, 2))
-    best = vectors[..., ::-1][..., :terms]
-    return np.ascontiguousarray(np.swapaxes(np.swapaxes(best.conj(), 1, 2) @ flat, 0, 1))
+    if flat.shape[1] < flat.shape[2]:
+        _, vectors = np.linalg.eigh(flat @ np.swapaxes(flat.conj(), 1, 2))
+        best = np.swapaxes(vectors[..., ::-1][..., :terms].conj(), 1, 2) @ flat
+    else:
+        values, vectors = np.linalg.eigh(np.swapaxes(flat, 1, 2) @ flat.conj())
+        best = vectors * np.sqrt(np.maximum(values, 0))[:, None]
+        best = np.swapaxes(best[..., ::-1][..., :terms], 1, 2)
+    return np.ascontiguousarray(np.swapaxes(best, 0, 1))

@@ -8,30 +8,28 @@ class of walls of any radius, thickness and permittivity has the principal patte
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.fields.shells import Shell, echoes
+from tagid.fields.shells import Shell, orders, reflection, responses
 from tagid.reading.transfers.transfer import ANGLES, Tables, Transfer, aspects, principal
 
-GAP_M, STEP_M = (6e-3, 28e-3), 2.5e-3
-"""From the wall to the reflectors' centres, m, and step between the members of a class."""
+GAP_M, STEP_M = (6e-3, 28e-3), 3e-3
+"""From the wall to the reflectors' centres, m, and step between the radii of the members of a class."""
 SMALLEST = 0.4
 """Radius of the smallest body, over that of the reflectors' ring."""
 STRENGTHS = ((0.5, 0.2), (0.2, 0.3))
 """Covariance of the strengths of both dipoles, electric first; a small metal sphere has them as 2 to 1."""
 RADIUS_SD_M = 4e-3
 """A ring that is glued to a body stands where the body's wall is."""
+_FAR_M = 0.14
+"""The fields of the members are found at once for rings up to multiples of this."""
 
-
-def gaps(radius_m: float) -> NDArray[np.float64]:
-    """Distances from reflectors on a ring to the walls that may stand inside, m."""
-    nearest = min(GAP_M[0], 0.2 * radius_m)
-    farthest = max(min(GAP_M[1], (1 - SMALLEST) * radius_m), nearest)
-    return np.linspace(nearest, farthest, int((farthest - nearest) / STEP_M) + 1)
+Field = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -41,43 +39,105 @@ class Walls:
     Attributes:
         wall_m, permittivity: of the members; thickness 0 is bare metal.
         metal: there is metal, or water, inside the wall.
-        polarisation: of the radar, "V" along the axis or "H" across it.
+        filling: relative permittivities of what fills the wall where there is no metal.
     """
 
     wall_m: tuple[float, ...]
     permittivity: tuple[float, ...]
     metal: bool = False
-    polarisation: str = "V"
+    filling: tuple[float, ...] = (1.0,)
 
-    def shells(self, radius_m: float) -> list[Shell]:
-        """Bodies that may carry reflectors at a distance from the axis, m."""
-        every = product(gaps(radius_m), self.wall_m, self.permittivity)
+    def shells(self, radius_m: float, polarisation: str) -> list[Shell]:
+        """The members of a radius, m."""
+        every = product(self.wall_m, self.permittivity, self.filling)
         return [
-            Shell(float(radius_m - gap), thick, permittivity, self.metal, self.polarisation)
-            for gap, thick, permittivity in every
+            Shell(radius_m, thick, permittivity, self.metal, polarisation, filling)
+            for thick, permittivity, filling in every
         ]
+
+    def table(self, polarisation: str, terms: int) -> Tables:
+        """Tables of reflectors beside a member of any radius that may carry them."""
+
+        def table(kappa: NDArray[np.float64], radius_m: float) -> Field:
+            k = kappa / 2
+            rings = int(np.ceil(radius_m / _FAR_M))
+            radii, either = _coefficients(k.tobytes(), self, rings)
+            coefficients = either["VH".index(polarisation)]
+            inside = (radii >= radius_m - farthest_m(radius_m)) & (radii <= radius_m - nearest_m(radius_m))
+            if not inside.any():
+                inside[np.argmin(np.abs(radii - radius_m + nearest_m(radius_m)))] = True
+            some = coefficients[inside].reshape(-1, *coefficients.shape[2:])
+            electric = np.full(len(some), polarisation == "V")
+            return patterns(k, some[..., : orders(k, radius_m) + 1], electric, radius_m, terms)
+
+        return table
+
+
+def nearest_m(radius_m: float) -> float:
+    """From reflectors on a ring to the nearest wall that may stand inside, m."""
+    return min(GAP_M[0], 0.2 * radius_m) - 1e-6
+
+
+def farthest_m(radius_m: float) -> float:
+    """From reflectors on a ring to the farthest wall, m."""
+    return min(GAP_M[1], (1 - SMALLEST) * radius_m) + 1e-6
+
+
+@lru_cache(maxsize=16)
+def _coefficients(wavenumber: bytes, walls: Walls, rings: int) -> tuple[NDArray[np.float64], Field]:
+    """Radii (R,), m, and coefficients (2, R, S, F, N) of the members for V and H; see `reflection`."""
+    k, reach_m = np.frombuffer(wavenumber), rings * _FAR_M
+    radii = np.arange(STEP_M, reach_m - STEP_M, STEP_M)
+    radii = radii[radii > max(walls.wall_m) + 1e-3]
+    shells = [one for p in "VH" for radius in radii for one in walls.shells(float(radius), p)]
+    found = reflection(k, shells, orders(k, reach_m))
+    return radii, found.reshape(2, len(radii), -1, *found.shape[1:])
 
 
 def beside(shells: Callable[[float], Sequence[Shell]], terms: int) -> Tables:
     """Tables of reflectors beside bodies that depend on the radius of their ring, m."""
-    # A pattern is the same to either side.
-    psi, mix = aspects()[: ANGLES // 2 + 1], np.linalg.cholesky(np.array(STRENGTHS))
 
-    def table(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
-        k = kappa / 2
-        free = np.exp(2j * k[:, None] * radius_m * np.cos(psi))
-        both = echoes(k, shells(radius_m), radius_m, psi) / free
-        mixed = np.sqrt(2) * np.tensordot(mix.T, both, 1)
-        half = principal(mixed.reshape(-1, *mixed.shape[2:]), terms)
-        return np.concatenate([half, half[..., -2:0:-1]], axis=2)
+    def table(kappa: NDArray[np.float64], radius_m: float) -> Field:
+        k, bodies = kappa / 2, shells(radius_m)
+        electric = np.array([one.polarisation == "V" for one in bodies])
+        return patterns(k, reflection(k, bodies, orders(k, radius_m)), electric, radius_m, terms)
 
     return table
 
 
-def wall(name: str, words: str, walls: Walls, terms: int) -> Transfer:
-    """The transfer of a class of walls."""
-    name = f"{name}, {walls.polarisation}"
-    return Transfer(name, words, True, (1.0,) * terms, beside(walls.shells, terms), RADIUS_SD_M)
+def patterns(
+    wavenumber: NDArray[np.float64],
+    coefficients: Field,
+    electric: NDArray[np.bool_],
+    radius_m: float,
+    terms: int,
+) -> Field:
+    """(terms, F, ANGLES) principal patterns beside equally likely bodies; arguments of `responses`."""
+    # A response holds twice the orders of the field, and is the same to either side.
+    steps = 2 * coefficients.shape[2]
+    both = responses(wavenumber, coefficients, electric, radius_m, np.pi * np.arange(steps + 1) / steps)
+    mixed = np.sqrt(2) * np.tensordot(np.linalg.cholesky(np.array(STRENGTHS)).T, both, 1)
+    once = np.sqrt(np.where(np.arange(steps + 1) % steps, 1.0, 0.5))
+    found = principal(mixed.reshape(-1, *mixed.shape[2:]) * once, terms) / once
+    psi = aspects()[: ANGLES // 2 + 1]
+    late = np.exp(-2j * wavenumber[:, None] * radius_m * np.cos(psi))
+    half = found @ _between(steps) * late
+    return np.concatenate([half, half[..., -2:0:-1]], axis=2)
+
+
+@lru_cache(maxsize=64)
+def _between(steps: int) -> NDArray[np.float64]:
+    """(steps + 1, ANGLES / 2 + 1) from angles pi i / steps to those of a table, by cosines."""
+    i = np.arange(steps + 1)
+    once = np.where(i % steps, 1.0, 0.5)
+    forward = 2 / steps * once[:, None] * np.cos(np.pi / steps * np.outer(i, i)) * once
+    return np.asarray(forward @ np.cos(np.outer(i, aspects()[: ANGLES // 2 + 1])))
+
+
+def wall(name: str, words: str, walls: Walls, terms: int, polarisation: str = "V") -> Transfer:
+    """The transfer of a class of walls to a radar of polarisation "V", along the axis, or "H", across it."""
+    name = f"{name}, {polarisation}"
+    return Transfer(name, words, True, (1.0,) * terms, walls.table(polarisation, terms), RADIUS_SD_M)
 
 
 METAL = Walls((0.0,), (1.0,), True)
@@ -87,8 +147,8 @@ WALLS = tuple(
     one
     for polarisation in ("V", "H")
     for one in (
-        wall("metal", "metal or a filled vessel", replace(METAL, polarisation=polarisation), 3),
-        wall("glass", "a wall of glass or ceramic", replace(GLASS, polarisation=polarisation), 5),
-        wall("plastic", "a wall of plastic", replace(PLASTIC, polarisation=polarisation), 3),
+        wall("metal", "metal or a filled vessel", METAL, 3, polarisation),
+        wall("glass", "a wall of glass or ceramic", GLASS, 5, polarisation),
+        wall("plastic", "a wall of plastic", PLASTIC, 3, polarisation),
     )
 )
