@@ -654,10 +654,34 @@ INLINE void field_at(const Sheet *g, const Work *w, double k, int64_t s)
     }
 }
 
-/* The column of a reflector: the square of the field at its place. */
+/* Adds what is seen of a reflector, and its slopes, to a column. */
+INLINE void put_seen(const Sheet *g, const Work *w, int64_t f, int64_t s, int64_t column)
+{
+    const int64_t V = PADDED(g->v);
+    const double *seen = w->seen, *along_x = seen + 2 * V, *along_y = along_x + 2 * V;
+    put(g, g->values, f, column, seen, 1.0);
+    if (!g->with_slopes)
+        return;
+    for (int64_t l = 2; l < SUMS; l++)
+        put_rate(g, l - 2, f, column, seen + 2 * (l + 1) * V, 1.0);
+    int64_t row = g->t - 2 * (g->sources - s);
+    double out_x = 1.0, out_y = 0.0;
+    if (s < g->k) {
+        const int64_t turn = HEAD + 2 + g->group[s], stretch = HEAD + 2 + g->turns + g->group[g->k + s];
+        const double facing = g->tag[g->k + s] + g->x[turn], radius = g->tag[s] + g->x[stretch];
+        out_x = cos(facing), out_y = sin(facing);
+        put_rate(g, 0, f, column, along_x, 1.0), put_rate(g, 1, f, column, along_y, 1.0);
+        put_rate(g, turn, f, column, along_x, -radius * out_y), put_rate(g, turn, f, column, along_y, radius * out_x);
+        put_rate(g, stretch, f, column, along_x, out_x), put_rate(g, stretch, f, column, along_y, out_y);
+        row = HEAD;
+    }
+    put_rate(g, row, f, column, along_x, 1.0), put_rate(g, row + 1, f, column, along_y, 1.0);
+}
+
+/* The columns of a reflector: the square of the field at its place. */
 INLINE void reflector_seen(const Sheet *g, const Work *w, int64_t f, int64_t s)
 {
-    const int64_t V = PADDED(g->v), column = SHAPES + (s < g->k ? 0 : (g->k > 0) + s - g->k);
+    const int64_t V = PADDED(g->v);
     const double k = g->wavenumber[f], c = cos(g->x[2]), n = sin(g->x[2]);
     const double *place = w->place + 5 * s, *source = w->source + 9 * s * V, *wave = w->near_wave + 4 * s * V;
     const double *sum = w->sum;
@@ -705,24 +729,14 @@ INLINE void reflector_seen(const Sheet *g, const Work *w, int64_t f, int64_t s)
         for (int64_t l = 0; l < SUMS; l++)
             seen[2 * (l + 1) * V + v] = slope[l][0], seen[(2 * l + 3) * V + v] = slope[l][1];
     }
-    put(g, g->values, f, column, seen, 1.0);
-    if (!g->with_slopes)
-        return;
-    const double *along_x = seen + 2 * V, *along_y = along_x + 2 * V;
-    for (int64_t l = 2; l < SUMS; l++)
-        put_rate(g, l - 2, f, column, seen + 2 * (l + 1) * V, 1.0);
-    int64_t row = g->t - 2 * (g->sources - s);
-    double out_x = 1.0, out_y = 0.0;
-    if (s < g->k) {
-        const int64_t turn = HEAD + 2 + g->group[s], stretch = HEAD + 2 + g->turns + g->group[g->k + s];
-        const double facing = g->tag[g->k + s] + g->x[turn], radius = g->tag[s] + g->x[stretch];
-        out_x = cos(facing), out_y = sin(facing);
-        put_rate(g, 0, f, column, along_x, 1.0), put_rate(g, 1, f, column, along_y, 1.0);
-        put_rate(g, turn, f, column, along_x, -radius * out_y), put_rate(g, turn, f, column, along_y, radius * out_x);
-        put_rate(g, stretch, f, column, along_x, out_x), put_rate(g, stretch, f, column, along_y, out_y);
-        row = HEAD;
+    const int64_t unlike = g->k > 1 ? g->k : 0;
+    if (s >= g->k)
+        put_seen(g, w, f, s, SHAPES + (g->k > 0) + unlike + s - g->k);
+    else {
+        put_seen(g, w, f, s, SHAPES);
+        if (unlike)
+            put_seen(g, w, f, s, SHAPES + 1 + s);
     }
-    put_rate(g, row, f, column, along_x, 1.0), put_rate(g, row + 1, f, column, along_y, 1.0);
 }
 
 WIDE static void compute(const Sheet *g, const Work *w)
@@ -789,7 +803,7 @@ static PyObject *columns(PyObject *self, PyObject *args)
         g.stretches = g.group[g.k + i] >= g.stretches ? g.group[g.k + i] + 1 : g.stretches;
     }
     g.sources = g.k + g.odd, g.t = HEAD + 2 + g.turns + g.stretches + 2 * g.odd;
-    g.columns = SHAPES + (g.k > 0) + g.odd;
+    g.columns = SHAPES + (g.k > 0) + (g.k > 1 ? g.k : 0) + g.odd;
     if (g.odd < 0 || g.q < UNIT || !(g.x = take(&held, o[6], 8 * g.t, 0)) || !(g.shape = take(&held, o[7], 48, 0)) ||
         !(g.values = take(&held, o[8], 16 * g.f * g.columns * g.v, 1)) || !(g.rates = take(&held, o[9], -1, 1))) {
         if (!PyErr_Occurred())

@@ -23,7 +23,9 @@ CENTRE_SD_M = 6e-3
 MOUNTING_SD_M = 1.5e-3
 """Standard deviation of a reflector's distance from the centre as enrolled, m."""
 CLOSEST_M, CLOSE_SD_M = 18e-3, 0.5e-3
-"""Two reflectors cannot stand in one place: nearer than this costs, by this standard deviation, m."""
+"""Nothing else stands in a reflector's place: nearer than this costs, by this standard deviation, m."""
+APART_M = 28e-3
+"""Two reflectors do not stand nearer: octahedra of 20 mm radius that touch with their edges."""
 SHAPE_M = 1e-3
 """Scale of the support function's two-fold part, m: most bodies are round, some are far from it."""
 REACH_M = 0.13
@@ -343,9 +345,9 @@ class Model:
         """Nats that points in one place cost, and rings of no tag and shapes of no convex body."""
         _, _, stretch, odd = self.split(x)
         places = np.concatenate([self.places(x), odd])
-        first, second, rise = self._pairs
+        first, second, rise, least = self._pairs
         apart = places[first] - places[second]
-        close = CLOSEST_M - np.sqrt(apart.real**2 + apart.imag**2 + rise)
+        close = least - np.sqrt(apart.real**2 + apart.imag**2 + rise)
         near = close[close > 0]
         crowded = float(near @ near)
         if self.tag is not None and self.tag.free.any():
@@ -358,11 +360,19 @@ class Model:
         return crowded / (2 * CLOSE_SD_M**2)
 
     @cached_property
-    def _pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
-        """Pairs of reflectors and odd scatterers, and their squared differences in height, m^2."""
+    def _pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
+        """Pairs of reflectors and odd scatterers, squared differences in height, m^2, least distances, m."""
         height = np.append(np.zeros(0) if self.tag is None else self.tag.height_m, np.zeros(self.odd))
         first, second = np.triu_indices(len(height), 1)
-        return first, second, (height[first] - height[second]) ** 2
+        rise = (height[first] - height[second]) ** 2
+        least = np.where(second < len(height) - self.odd, APART_M, CLOSEST_M)
+        if self.tag is not None and self.tag.count > 1:
+            # An enrolled tag stands as it was built.
+            places = self.tag.radius_m * np.exp(1j * self.tag.angle)
+            own = second < len(places)
+            built = np.hypot(np.abs(places[first[own]] - places[second[own]]), np.sqrt(rise[own]))
+            least[own] = APART_M if self.tag.turns > 1 else np.minimum(built, APART_M)
+        return first, second, rise, least
 
 
 def _log_factorial(n: int) -> float:

@@ -87,7 +87,7 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
     there = every[apart.argmin(axis=1)]
     if own.model.transfer in (BARE, POINTS):
         # Their echo is the same from all sides: the body's centre says nothing of the ring's.
-        return other.model.transfer not in (BARE, POINTS) or _off(nominal, there) < BUILT_M
+        return _off(nominal, there) < BUILT_M
     return _about(own.centre, nominal, there, max(SAME_M, 3 * own.model.transfer.radius_sd_m))
 
 

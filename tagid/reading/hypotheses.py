@@ -14,7 +14,7 @@ import numpy as np
 
 from tagid.reading import search, sheet_tags
 from tagid.reading.bodies.signature import HEAD, EnrolledBody, SignatureModel
-from tagid.reading.columns import Arrangement, Model
+from tagid.reading.columns import APART_M, Arrangement, Model
 from tagid.reading.descent import Found, Powers, best_powers, refined
 from tagid.reading.odd import OddMap
 from tagid.reading.sheet import KINDS, Kind
@@ -396,9 +396,10 @@ class Contest:
                 every = [
                     search.tables(self.spectra, model, c, [(r, 0.0)], powers[disc], echo(c)) for r in free_m
                 ]
-                pairs = [search.free(table, 0, 2, 1)[-1].log for table in every]
+                apart = [2 * float(np.arcsin(APART_M / 2 / r)) for r in free_m]
+                pairs = [search.free(t, 0, a, 2, 1)[-1].log for t, a in zip(every, apart, strict=True)]
                 for i in np.argsort(pairs)[::-1][:wide]:
-                    for s in search.free(every[i], 0, MOST_REFLECTORS, 2):
+                    for s in search.free(every[i], 0, apart[i], MOST_REFLECTORS, 2):
                         x = np.r_[head(c), np.zeros(len(s.angles)), 0.0]
                         tag = Arrangement.ring(free_m[i], np.array(s.angles))
                         found.append(Candidate(s.log, None, replace(model, tag=tag), x, False))

@@ -26,9 +26,7 @@ _sets = loop("tagid.reading._sets")
 STEP_RAD = np.deg2rad(3.0)
 """Reflectors of the tables are no farther apart."""
 COARSE = 2
-"""Every so many-th angle of the table is a start for free reflectors,"""
-APART_RAD = np.deg2rad(24.0)
-"""which stand at least so far apart on their ring."""
+"""Every so many-th angle of the table is a start for free reflectors."""
 GROWN = 40
 """Best sets to which a further reflector is added."""
 
@@ -364,12 +362,12 @@ def turned(table: Tables, ring: NDArray[np.intp], angle: Floats, count: int) -> 
     return [Start(float(scores[i]), (float(turn[i]),)) for i in best]
 
 
-def free(table: Tables, ring: int, most: int, kept: int) -> list[Start]:
-    """The best sets of one to `most` reflectors of a ring; `kept` of every number."""
+def free(table: Tables, ring: int, apart_rad: float, most: int, kept: int) -> list[Start]:
+    """The best sets of one to `most` reflectors of a ring, so far apart; `kept` of every number."""
     coarse = np.arange(0, table.angles, COARSE if table.angles >= 120 else 1)
     angle = np.asarray(coarse * table.step_rad, dtype=np.float64)
     ids = table.index(np.full(len(coarse), ring), angle)
-    least = max(round(APART_RAD / abs(angle[1] - angle[0])), 1)
+    least = max(round(apart_rad / abs(angle[1] - angle[0])), 1)
     gap = np.abs(np.subtract.outer(coarse, coarse)) // (coarse[1] - coarse[0])
     gap = np.minimum(gap, len(coarse) - gap)
     known = table.known.setdefault(ring, {})

@@ -94,7 +94,7 @@ def _kind(
 
 SHELL = _kind("shell", "a thin shell", EllipticShell, 0.072, 0.22, 3e-3, 0.05, 15)
 BOX = _kind("box", "a box of thin walls", BoxShell, 0.063, 0.5, 10e-3, 0.025, 35)
-METAL = _kind("metal box", "a box of metal", BoxShell, 0.045, 0.5, 3e-3, 0.02, 30, METAL_M)
+METAL = _kind("metal box", "a box of metal", BoxShell, 0.055, 0.5, 3e-3, 0.02, 39, METAL_M)
 CAN = _kind("metal can", "a body of metal", EllipticShell, 0.036, 0.35, MOUNTING_SD_M, 0.02, 22, METAL_M)
 CUP = _kind("cup", "a cup", EllipticShell, 0.037, 0.25, MOUNTING_SD_M, 0.025, 15, CERAMIC_M)
 KINDS = (SHELL, BOX, METAL, CAN, CUP)
@@ -140,11 +140,6 @@ class SheetModel(Model):
         return HEAD + super().parameters
 
     @property
-    def unlike(self) -> int:
-        """None: strengths are alike."""
-        return 0
-
-    @property
     def body_columns(self) -> int:
         """Number of columns of the sheet."""
         return OBLIQUITIES
@@ -152,7 +147,7 @@ class SheetModel(Model):
     @property
     def columns(self) -> int:
         """Number of columns."""
-        return OBLIQUITIES + (self.tag is not None) + self.odd
+        return OBLIQUITIES + (self.tag is not None) + self.unlike + self.odd
 
     def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:
         """Centre of the tag, turns, stretches and odd places of parameters."""
@@ -258,7 +253,7 @@ class SheetColumns:
         if len(tag) + len(odd):
             seen = _reflectors(view, self.spectra, x, np.concatenate([tag, odd]), model.heights)
             parts += [seen[:, : len(tag)].sum(axis=1, keepdims=True)] if len(tag) else []
-            parts.append(seen[:, len(tag) :])
+            parts.append(seen[:, 0 if model.unlike else len(tag) :])
         return np.concatenate(parts, axis=1)
 
     @cached_property
@@ -272,8 +267,8 @@ class SheetColumns:
         for i in range(HEAD):
             there = x.copy()
             there[i] += _STEP[i]
-            moved = self if i < 3 else SheetColumns(model, spectra, there)
-            seen = self._seen(_view(moved._field, spectra, there), there)
+            sheet = self if i < 3 else SheetColumns(model, spectra, there)
+            seen = self._seen(_view(sheet._field, spectra, there), there)
             out[i] = (seen - self.values) / _STEP[i]
         centre, turn, _, odd = model.split(x)
         every = np.concatenate([model.places(x), odd])
@@ -295,7 +290,10 @@ class SheetColumns:
                     (first + tag.turn[i], 1j * (every[i] - centre)),
                     (first + tag.turns + tag.stretch[i], outward[i]),
                 ):
-                    out[row, :, OBLIQUITIES] += along_x[:, i] * way.real + along_y[:, i] * way.imag
+                    moved = along_x[:, i] * way.real + along_y[:, i] * way.imag
+                    out[row, :, OBLIQUITIES] += moved
+                    if model.unlike:
+                        out[row, :, OBLIQUITIES + 1 + i] += moved
         for i in range(len(odd)):
             row, column = len(x) - 2 * len(odd) + 2 * i, i - len(odd)
             out[row, :, column], out[row + 1, :, column] = along_x[:, count + i], along_y[:, count + i]

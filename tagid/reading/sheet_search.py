@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.fields.thin_shell import BoxShell
-from tagid.reading.columns import CLOSEST_M, REACH_M
+from tagid.reading.columns import APART_M, REACH_M
 from tagid.reading.descent import Powers, variance
 from tagid.reading.search import Tables, dense, grown
 from tagid.reading.sheet import HEAD, STEP, Kind, SheetColumns, SheetModel, quadrant
@@ -273,6 +273,6 @@ def _grid(radius_m: float) -> Complex:
 def anywhere(found: Beside, most: int, kept: int) -> list[tuple[float, NDArray[np.int32]]]:
     """The best sets of one to `most` reflectors anywhere, `kept` of each number: log evidence and indices."""
     places = found.places[found.spots]
-    clear = np.abs(places[:, None] - places) >= CLOSEST_M
+    clear = np.abs(places[:, None] - places) >= APART_M
     sets = grown(found.table, found.spots, clear, clear, most, kept)
     return [(log, found.spots[chosen]) for log, chosen in sets]

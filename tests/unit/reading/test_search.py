@@ -80,6 +80,9 @@ def test_few_sets_are_scored_without_tables() -> None:
 def test_free_reflectors_are_found_where_they_stand() -> None:
     spectra = spectra_of("container-90", views=72)
     table = search.tables(spectra, Model(BARE, None, False, 0), 0j, [(0.045, 0.0)], POWERS)
-    pair = max((one for one in search.free(table, 0, 3, 1) if len(one.angles) == 2), key=lambda one: one.log)
+    pair = max(
+        (one for one in search.free(table, 0, np.deg2rad(24.0), 3, 1) if len(one.angles) == 2),
+        key=lambda one: one.log,
+    )
     apart = np.rad2deg(abs(np.angle(np.exp(1j * (pair.angles[1] - pair.angles[0])))))
     assert apart == pytest.approx(90, abs=6)
