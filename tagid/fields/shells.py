@@ -152,8 +152,8 @@ def responses(
     n = np.arange(coefficients.shape[2])
     away = bessel(len(n) - 1, x)
     turn = np.where(n == 0, 1, 2) * np.array([1, 1j, -1, -1j])[n % 4]
-    cosine: NDArray[np.float64] = np.cos(n[:, None] * angle_rad)
-    sine: NDArray[np.float64] = -n[:, None] * np.sin(n[:, None] * angle_rad)
+    around = np.multiply.outer(n, angle_rad)
+    cosine, sine = np.cos(around), np.asarray(-n[:, None] * np.sin(around), dtype=np.float64)
     radial = (away.j + coefficients * away.h2) * turn
     # The axial field, and the other one, its curl over jk; both are of unit length far away.
     axial = _summed(radial, cosine) ** 2

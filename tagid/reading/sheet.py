@@ -198,6 +198,8 @@ class SheetModel(Model):
 
     def overlap(self, x: Floats) -> float:
         """See `Model`: no reflector stands in the sheet, either."""
+        if self.tag is None and not self.odd:
+            return 0.0
         about = (self.places(x) - complex(x[0], x[1])) * np.exp(-1j * x[2])
         inside = np.maximum(CLEAR_M - np.abs(self.sheet(x).outside_m(about)), 0)
         return super().overlap(x) + float((inside**2).sum() / (2 * CLOSE_SD_M**2))

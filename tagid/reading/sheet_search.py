@@ -203,16 +203,16 @@ def _unlike(starts: Sequence[Start], count: int) -> list[Start]:
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """Single reflectors about a sheet: the first `len(rings)` times `RING` on rings, then those anywhere.
+    """Single reflectors about a sheet.
 
     Attributes:
-        table: as of other bodies.
-        places: (S,) x + jy, m; spots: (N,) indices of some that lie anywhere.
+        on_rings: tables as of other bodies, `RING` a ring.
+        spots: tables of some that lie anywhere; places: (N,) theirs, x + jy, m.
     """
 
-    table: Tables
+    on_rings: Tables
+    spots: Tables
     places: Complex
-    spots: NDArray[np.int32]
 
 
 def beside(
@@ -257,11 +257,16 @@ def beside(
     w = np.concatenate([seen(places, np.repeat([z for _, z in rings], RING)), w[:, chosen]], axis=1)
     # Tables of one place a block.
     held = (w @ np.swapaxes(q.conj(), 1, 2))[:, :, None]
-    table = dense(w[:, :, None], w.conj() @ y[..., None], held, power[None, :, 0], base, len(rings), RING)
-    spots = np.arange(len(places) + len(chosen), dtype=np.int32)
-    level = np.repeat([z == 0 for _, z in rings], RING) & (spots[: len(places)] % 2 == 0)
-    spots = np.concatenate([spots[: len(places)][level], spots[len(places) :]])
-    return Beside(table, np.concatenate([places, anywhere[chosen]]), spots)
+    right = w.conj() @ y[..., None]
+
+    def table(which: NDArray[np.intp], count: int) -> Tables:
+        return dense(w[:, which, None], right[:, which], held[:, which], power[None, :, 0], base, count, RING)
+
+    on_ring = np.arange(len(places))
+    level = np.repeat([z == 0 for _, z in rings], RING) & (on_ring % 2 == 0)
+    spots = np.concatenate([on_ring[level], len(places) + np.arange(len(chosen))])
+    every = np.concatenate([places, anywhere[chosen]])
+    return Beside(table(on_ring, len(rings)), table(spots, 1), every[spots])
 
 
 def _grid(radius_m: float) -> Complex:
@@ -270,9 +275,7 @@ def _grid(radius_m: float) -> Complex:
     return np.asarray(places[np.abs(places) <= min(radius_m, 1.5 * REACH_M)])
 
 
-def anywhere(found: Beside, most: int, kept: int) -> list[tuple[float, NDArray[np.int32]]]:
-    """The best sets of one to `most` reflectors anywhere, `kept` of each number: log evidence and indices."""
-    places = found.places[found.spots]
-    clear = np.abs(places[:, None] - places) >= APART_M
-    sets = grown(found.table, found.spots, clear, clear, most, kept)
-    return [(log, found.spots[chosen]) for log, chosen in sets]
+def anywhere(found: Beside, most: int, kept: int) -> list[tuple[float, NDArray[np.intp]]]:
+    """The best sets of one to `most` reflectors anywhere, `kept` of each number: log evidence and places."""
+    clear = np.abs(found.places[:, None] - found.places) >= APART_M
+    return grown(found.spots, np.arange(len(found.places), dtype=np.int32), clear, clear, most, kept)

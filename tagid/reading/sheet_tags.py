@@ -169,7 +169,7 @@ def _about(
         near = beside(spectra, model, x, rings, centre, powers)
         for layout, a, some in zip(layouts, arranged, own, strict=True):
             ring = np.array([rings.index(one) for one in some])
-            for one in search.turned(near.table, ring, a.angle, 2):
+            for one in search.turned(near.on_rings, ring, a.angle, 2):
                 yield one.log, layout, replace(model, tag=a), np.r_[head, one.angles[0], 0.0]
         for log, chosen in anywhere(near, MOST, 2):
             points: Complex = near.places[chosen] - sheet_centre
