@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,10 +164,8 @@ class SheetModel(Model):
     def sheet(self, x: Floats) -> ThinShell:
         """The sheet about its own centre and axes."""
         kind = self.kind
-        across, along = np.clip(kind.size_m * np.exp(x[3:5]), *HALF_M)
-        return kind.shell(
-            float(across), float(along), float(kind.strength_m * np.exp(np.clip(x[5], -WEAKEST, WEAKEST)))
-        )
+        across, along = (min(max(kind.size_m * exp(min(size, 9.0)), HALF_M[0]), HALF_M[1]) for size in x[3:5])
+        return kind.shell(across, along, kind.strength_m * exp(min(max(x[5], -WEAKEST), WEAKEST)))
 
     def shape(self, x: Floats) -> Floats:
         """(6,) half sizes and strength, m, and their slopes over their parameters, over the strength."""

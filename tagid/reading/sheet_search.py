@@ -32,6 +32,8 @@ EVERY = 2
 _GRID_M, _GRID = 4e-3, 2
 _FLOOR = 3e-3
 """Share of the echo that a right sheet leaves."""
+_FAINT, GROUPED = 1e-4, 2
+"""Share of an echo's energy in harmonics beyond the last one, whose number is a multiple of the second."""
 _KEPT = 5
 """Square boxes whose sides, and oblong ones whose neighbours, are tried."""
 RING = 72
@@ -59,7 +61,10 @@ class Start:
 
 @lru_cache(maxsize=4096)
 def _harmonics(kappa: bytes, distance_m: float, kind: Kind, half_m: tuple[float, float]) -> Complex:
-    """(F, M) of the echo of a sheet: it is the sum over m of these times cos(2 m phi), phi the aspect."""
+    """(F, M) of the echo of a sheet: the sum over m of these times cos(2 m phi), phi the aspect.
+
+    The highest, faint ones are left out.
+    """
     wavenumber = np.frombuffer(kappa)
     count = quadrant(wavenumber, kind.shell(*half_m, kind.strength_m))
     aspect = np.pi / 2 * (np.arange(count) + 0.5) / count
@@ -76,7 +81,9 @@ def _harmonics(kappa: bytes, distance_m: float, kind: Kind, half_m: tuple[float,
     echo = SheetColumns(SheetModel.of(kind, half_m, 0), around, x).values[:, 0]
     found = echo @ np.cos(2 * np.arange(count) * aspect[:, None]) * (2 / count)
     found[:, 0] /= 2
-    return np.asarray(found, dtype=np.complex64)
+    energy = np.cumsum(_power(found[:, ::-1]), axis=1)[:, ::-1]
+    strong = int((energy > _FAINT * energy[:, :1]).any(axis=0).sum())
+    return np.asarray(found[:, : -(-strong // GROUPED) * GROUPED], dtype=np.complex64)
 
 
 class Seeker:
@@ -135,29 +142,33 @@ class Seeker:
     def fitted(self, kind: Kind, sizes: Sequence[tuple[float, float]]) -> list[Start]:
         """The best turn and centre of every sheet."""
         sizes = [(round(a, 4), round(b, 4)) for a, b in sizes]
+        kappa = self._kappa.tobytes()
+        groups: dict[tuple[int, int], tuple[list[tuple[float, float]], list[Complex]]] = {}
+        for half_m in sizes:
+            echo = _harmonics(kappa, self._distance, kind, half_m)
+            alike = 4 if kind.shell is BoxShell and half_m[0] == half_m[1] else 2
+            some, echoes = groups.setdefault((echo.shape[1], alike), ([], []))
+            some.append(half_m)
+            echoes.append(echo)
         found: list[Start] = []
-        for square in (True, False):
-            some = [one for one in sizes if (kind.shell is BoxShell and one[0] == one[1]) == square]
-            found += self._fitted(kind, some, 4 if square else 2) if some else []
+        for (_, alike), (some, echoes) in groups.items():
+            found += self._fitted(kind, some, np.stack(echoes, axis=1), alike)
         return found
 
-    def _fitted(self, kind: Kind, sizes: Sequence[tuple[float, float]], alike: int) -> list[Start]:
-        kappa, views = self._kappa.tobytes(), self._spectra.views
-        each = [_harmonics(kappa, self._distance, kind, half_m) for half_m in sizes]
-        harmonics = max(one.shape[1] for one in each)
-        echo = np.zeros((len(self._kappa), len(each), harmonics), dtype=np.complex64)
-        for s, one in enumerate(each):
-            echo[:, s, : one.shape[1]] = one
+    def _fitted(
+        self, kind: Kind, sizes: Sequence[tuple[float, float]], echo: Complex, alike: int
+    ) -> list[Start]:
+        views, harmonics = self._spectra.views, echo.shape[2]
         turn, inner, seen = self._turns(harmonics, alike)
         size = _power(echo @ seen.reshape(harmonics, -1)).reshape(*echo.shape[:2], -1, views).sum(axis=3)
         size = size[..., np.arange(len(turn)) % size.shape[2], None]
-        rest = np.ones((len(each), len(turn), len(self._centres)), dtype=np.float32)
+        rest = np.ones((len(sizes), len(turn), len(self._centres)), dtype=np.float32)
         for f, some in enumerate(inner):
             power = _power(echo[f].conj() @ some.reshape(harmonics, -1))
-            power = power.reshape(len(each), *some.shape[1:])
+            power = power.reshape(len(sizes), *some.shape[1:])
             least = np.maximum(size[f] - power[:, :, 1:].sum(axis=2), 1e-4 * views)
             rest *= np.maximum(1 - power[:, :, 0] / least / np.float32(self._energy[f]), 0) + _FLOOR
-        left = rest.reshape(len(each), -1)
+        left = rest.reshape(len(sizes), -1)
         best = left.argmin(axis=1)
         return [
             Start(
