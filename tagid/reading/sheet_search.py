@@ -32,7 +32,7 @@ EVERY = 2
 _GRID_M, _GRID = 4e-3, 2
 _FLOOR = 3e-3
 """Share of the echo that a right sheet leaves."""
-_FAINT, GROUPED = 1e-4, 2
+_FAINT, GROUPED = 1e-4, 3
 """Share of an echo's energy in harmonics beyond the last one, whose number is a multiple of the second."""
 _KEPT = 5
 """Square boxes whose sides, and oblong ones whose neighbours, are tried."""
