@@ -17,8 +17,8 @@ from tagid.reading.sheet_search import Seeker, anywhere, beside
 from tagid.reading.spectra import MODEL_ERROR, Complex, Floats, Spectra
 from tagid.tags.layouts.layout import Layout
 
-GUESTS = 3
-"""Arrangements of other hypotheses beside which sheets are looked for."""
+GUESTS, FOLLOWED = 3, 9
+"""Arrangements of other hypotheses beside which sheets are looked for, and starts that are followed."""
 ALONE, SHEETS = 5, 2
 """Sheets that are fitted alone, and those about which reflectors are looked for."""
 LAYOUTS, FREE = 3, 3
@@ -83,8 +83,12 @@ def explain(
                 model, x = _with(model, x, guest)
                 joint.append((best_powers(spectra, model, x)[1], layout, model, x))
     alone_only = len(sheets)
-    for _, layout, model, x in sorted(joint, key=lambda one: -one[0])[:GUESTS]:
-        fitted(layout, model, x)
+    joint.sort(key=lambda one: -one[0])
+    nearer = [
+        (refined(thin, model, x, (1e-2,), 3), layout, model) for _, layout, model, x in joint[:FOLLOWED]
+    ]
+    for found, layout, model in sorted(nearer, key=lambda one: -one[0].log_z)[:GUESTS]:
+        fitted(layout, model, found.x)
     starts: list[tuple[float, Layout | None, SheetModel, Floats]] = []
     for _, found in sorted(sheets, key=lambda one: -one[1].log_z)[:SHEETS]:
         assert isinstance(found.model, SheetModel)
