@@ -62,10 +62,14 @@ class Arrangement:
     @classmethod
     def of_layout(cls, positions: Floats, heights: Floats | None) -> Arrangement:
         """That of a layout's positions (K, 2) and heights (K,), m."""
-        place = positions[:, 0] + 1j * positions[:, 1]
-        zero = np.zeros(len(place), dtype=np.intp)
-        up = np.zeros(len(place)) if heights is None else np.asarray(heights, dtype=float)
-        return cls(np.abs(place), np.angle(place), up, zero, zero, np.zeros(1, dtype=bool))
+        return cls.rigid(positions[:, 0] + 1j * positions[:, 1], heights)
+
+    @classmethod
+    def rigid(cls, places: Complex, heights: Floats | None = None) -> Arrangement:
+        """Reflectors at known places (K,), x + jy, and heights (K,), m, that turn together."""
+        zero = np.zeros(len(places), dtype=np.intp)
+        up = np.zeros(len(places)) if heights is None else np.asarray(heights, dtype=float)
+        return cls(np.abs(places), np.angle(places), up, zero, zero, np.zeros(1, dtype=bool))
 
     @classmethod
     def ring(cls, radius_m: float, angle: Floats) -> Arrangement:

@@ -45,13 +45,20 @@ class Decision:
 def decide(hypotheses: Sequence[Hypothesis], sure: float = SURE) -> Decision:
     """The decision over the hypotheses of one recording."""
     named = [one for one in hypotheses if one.name is not None]
-    if not named:
-        winner = max(hypotheses, key=lambda one: one.log_z)
-        return Decision("no_tag", None, -np.inf, words(winner), None, winner)
-    best = max(named, key=lambda one: one.log_z)
-    others = [one for one in hypotheses if not is_same(one, best)]
+    best = max(named, key=lambda one: one.log_z, default=None)
+    others = [one for one in hypotheses if best is None or not is_same(one, best)]
     rival = max(others, key=lambda one: one.log_z)
-    lead = best.log_z - rival.log_z
+    return settled(None if best is None else (best.log_z, best), (rival.log_z, rival), sure)
+
+
+def settled(
+    named: tuple[float, Hypothesis] | None, other: tuple[float, Hypothesis], sure: float = SURE
+) -> Decision:
+    """The decision between the best hypothesis that has a name and the best other, by their log evidences."""
+    rival = other[1]
+    if named is None:
+        return Decision("unknown" if rival.tagged else "no_tag", None, -np.inf, words(rival), None, rival)
+    best, lead = named[1], named[0] - other[0]
     if lead >= sure:
         return Decision("identified", best.name, lead, "", best, rival)
     winner = best if lead > 0 else rival

@@ -63,6 +63,14 @@ _MIDDLE_M = 5e-3
 """A reflector nearer to the axis is the middle one: beside a body it looks like that."""
 
 
+LOOKED_FOR = 4
+"""Bodies beside which an arrangement is looked for that another recording has shown, and starts of it."""
+RING_M = 2e-3
+"""Reflectors whose distances from the centre differ by less stand on a ring, m."""
+TURNS_RAD = tuple(np.deg2rad(np.arange(0, 360, 4)))
+"""At which it is looked for."""
+
+
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """One explanation of a recording.
@@ -284,7 +292,7 @@ class Contest:
             origin = found.centre - complex(*head[model.about])
             for layout in self.layouts:
                 arranged = _Arranged.of(layout, model.covers_middle)
-                pose = _pose(arranged.tag, found.places)
+                pose = pose_of(arranged.tag, found.places)
                 if pose is None:
                     continue
                 head[model.about] = (pose[0] - origin).real, (pose[0] - origin).imag
@@ -442,6 +450,46 @@ class Contest:
                     )
         return found
 
+    def look_for(self, layout: Layout | None, tag: Arrangement | None = None) -> Hypothesis:
+        """A layout, or a rigid arrangement that is not enrolled, beside the bodies that explain most."""
+        bodies: dict[object, Found] = {}
+        for one in sorted(self.hypotheses, key=lambda one: -one.log_z):
+            bodies.setdefault((type(one.found.model), one.found.model.transfer), one.found)
+        starts: list[Candidate] = []
+        for found in list(bodies.values())[:LOOKED_FOR]:
+            arranged = None if layout is None else _Arranged.of(layout, found.model.covers_middle)
+            own = tag if arranged is None else arranged.tag
+            assert own is not None
+            disc = disc_of(float(own.radius_m.max()))
+            model = replace(found.model, tag=own, odd=0, disc=disc)
+            for turn in TURNS_RAD:
+                x = np.r_[found.x[: model.head], turn, 0.0]
+                log = best_powers(self.spectra, model, x, 1e-2)[1]
+                starts.append(Candidate(log, layout, model, x, arranged is not None and arranged.middle))
+        starts.sort(key=lambda one: -one.log)
+        before = len(self.hypotheses)
+        for start in starts[:LOOKED_FOR]:
+            found = refined(self.spectra, start.model, start.x, (1e-2, None))
+            self._grow(self.add(layout, found, start.middle), MOST_ODD)
+        best = max(self.hypotheses[before:], key=lambda one: one.log_z)
+        # What another recording has shown is no hypothesis of this one.
+        del self.hypotheses[before:]
+        return best
+
+    def freed(self, one: Hypothesis) -> Hypothesis:
+        """The same reflectors with free angles, on a free ring or anywhere."""
+        found, model = one.found, one.found.model
+        assert model.tag is not None
+        places = found.places - found.centre
+        radius = float(np.abs(places).mean())
+        tag = Arrangement.points(places)
+        if np.ptp(np.abs(places)) < RING_M:
+            tag = Arrangement.ring(radius, np.angle(places))
+        odd = found.x[len(found.x) - 2 * model.odd :]
+        x = np.concatenate([found.x[: model.head], np.zeros(tag.turns + tag.stretches), odd])
+        freed = refined(self.spectra, replace(model, tag=tag), x, (None,))
+        return Hypothesis(None, freed, freed.log_z)
+
     def _placed(self, layout: Layout | None, model: Model, x: Floats) -> Hypothesis:
         return self.add(layout, refined(self.spectra, model, x, (1e-2, None)))
 
@@ -547,7 +595,7 @@ def _bodies_apart(some: Sequence[Hypothesis]) -> list[Found]:
     return out
 
 
-def _pose(tag: Arrangement, places: Complex) -> tuple[complex, float] | None:
+def pose_of(tag: Arrangement, places: Complex) -> tuple[complex, float] | None:
     """Centre and turn that lay a tag's reflectors on places (K,), x + jy, m; None where they are far off."""
     if tag.count != len(places) or tag.count < 2:
         return None

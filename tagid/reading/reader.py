@@ -1,4 +1,4 @@
-"""From a recording to a decision."""
+"""From recordings of one object to a decision."""
 
 from __future__ import annotations
 
@@ -6,22 +6,31 @@ from collections.abc import Sequence
 
 from tagid.imaging.types import BasebandScans
 from tagid.reading.bodies.signature import enrolled_in
-from tagid.reading.decision import Decision, decide
+from tagid.reading.decision import Decision
 from tagid.reading.hypotheses import Contest
+from tagid.reading.several import decide_together
 from tagid.reading.spectra import RADIUS_M, Spectra
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import Layout
 
 
-def read(scans: BasebandScans, layouts: Sequence[Layout], signatures: Sequence[Signature] = ()) -> Decision:
-    """Read the tag of a recording.
+def read(
+    scans: BasebandScans | Sequence[BasebandScans],
+    layouts: Sequence[Layout],
+    signatures: Sequence[Signature] = (),
+) -> Decision:
+    """Read the tag of an object.
 
     Args:
-        scans: made without a matched filter.
+        scans: of one recording, or of each of several, made without a matched filter.
         layouts: the candidates.
-        signatures: enrolled bodies and objects; those of another band than the recording's take no part.
+        signatures: enrolled bodies and objects; those of another band than a recording's take no part in it.
     """
-    return decide(contest(scans, layouts, signatures).run())
+    every = [scans] if isinstance(scans, BasebandScans) else list(scans)
+    contests = [contest(one, layouts, signatures) for one in every]
+    for one in contests:
+        one.run()
+    return decide_together(contests)
 
 
 def contest(scans: BasebandScans, layouts: Sequence[Layout], signatures: Sequence[Signature] = ()) -> Contest:

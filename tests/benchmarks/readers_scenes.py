@@ -1,8 +1,9 @@
 """Scenes of every yardstick of `readers.py`, of development seeds alone.
 
-y1 is `bodies.py`, y2 `reading_bodies.py`, y3 `unseen_bodies.py` (opened objects), all blind; y4 is
-`enrolled_bodies.py`, y5 `identification.py` from number 1000 on, null `train/population.py`. y3 requires
-solved objects in SOLVED: `unseen_objects.py` makes them, in about half a minute each.
+y1 is `bodies.py`, y2 `reading_bodies.py`, y3 `unseen_bodies.py` (opened objects), all blind; y2e is y2 with
+body or object enrolled, y4 `enrolled_bodies.py`, y5 `identification.py` from number 1000 on, null
+`train/population.py`. y3 requires solved objects in SOLVED: `unseen_objects.py` makes them, in about half a
+minute each.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import os
 import random
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -27,9 +28,10 @@ import unseen_scenes
 from tagid.capture import Capture
 from tagid.errors import TagidError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.pipeline.identify import enrolled_hypotheses
+from tagid.pipeline.identify import aspect_spectra, enrolled_hypotheses
 from tagid.pipeline.settings import ImagingSettings
-from tagid.tags.bodies.signature import Signature
+from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from train import population
 
@@ -106,6 +108,32 @@ def y2(turn: int) -> Draws:
         for cell in random.Random(f"{turn}/{stratum}").sample(cells, number):
             key = "/".join(map(str, ("y2", *asdict(cell).values(), FIRST_READING_BODIES + turn)))
             yield key, partial(_reading_bodies, key, cell, FIRST_READING_BODIES + turn)
+
+
+def y2e(turn: int) -> Draws:
+    """A sample of the same with the body, or the whole object, enrolled from captures of its own."""
+    strata: dict[tuple[str, ...], list[reading_bodies_scenes.Cell]] = {}
+    for cell in reading_bodies_scenes.cells(("own",)):
+        if cell.body != "none" and cell.snr_db in (20, 10, 5) and cell.views in (72, 36, 18):
+            strata.setdefault((cell.enrolled, cell.body, cell.group), []).append(cell)
+    for stratum, cells in strata.items():
+        number = 8 if stratum[2] == "tagged" else 3
+        for i, cell in enumerate(random.Random(f"{turn}/{stratum}").sample(cells, min(number, len(cells)))):
+            kind = ("body", "object")[i % 2]
+            key = "/".join(map(str, ("y2e", kind, *asdict(cell).values(), FIRST_READING_BODIES + turn)))
+            yield key, partial(_known_body, key, cell, FIRST_READING_BODIES + turn, kind)
+
+
+def _known_body(key: str, cell: reading_bodies_scenes.Cell, number: int, kind: SignatureKind) -> Scene | None:
+    scene = _reading_bodies(key, cell, number)
+    name = "body" if kind == "body" else scene.truth or "another"
+    try:
+        shown = reading_bodies_scenes.enrolment_captures(cell, "development", number, tagged=kind == "object")
+        captures = [Named(f"capture {i + 1}", aspect_spectra(capture)) for i, capture in enumerate(shown)]
+        signature = enrol_signature(captures, name, kind).signature
+    except TagidError:
+        return None
+    return replace(scene, group=f"{kind} enrolled, {cell.body}", signatures=(signature,))
 
 
 def _reading_bodies(key: str, cell: reading_bodies_scenes.Cell, number: int) -> Scene:
@@ -219,6 +247,7 @@ def _null(key: str, number: int) -> Scene | None:
 YARDSTICKS: dict[str, Callable[[int], Draws]] = {
     "y1": y1,
     "y2": y2,
+    "y2e": y2e,
     "y3": y3,
     "y4": y4,
     "y5": y5,

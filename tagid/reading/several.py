@@ -1,0 +1,102 @@
+"""Several recordings of one object: the log evidence of what they share adds.
+
+Every recording has its own pose, body, clutter and odd scatterers; the tag is the same. By the chain rule the
+evidence of an arrangement is that in the clearest recording, where its angles are free or a layout's mounting
+is, times that in the others, where its reflectors stand just so, up to a rigid motion: what the others add to
+the precision of the angles is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tagid.reading.columns import Arrangement
+from tagid.reading.decision import SURE, Decision, decide, is_same, settled
+from tagid.reading.hypotheses import Contest, Hypothesis, pose_of
+
+STRANGERS = 3
+"""Arrangements of every recording that are not enrolled, which are looked for in the others."""
+NAMES = 2
+"""Names whose mounting is the same in all recordings; others are supposed to lose with any."""
+REACH = 60.0
+"""Those that are worse than the best explanation of their recording by more are not, nats."""
+
+Joint = tuple[float, Hypothesis]
+"""Sum of the log evidence, and what it looks like in one of the recordings."""
+
+
+def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision:
+    """The decision over contests of one object that were run."""
+    if len(contests) == 1:
+        return decide(contests[0].hypotheses, sure)
+    untagged = _sum([_best(own, None) for own in contests])
+    named: dict[str, Joint] = {}
+    for layout in {
+        one.layout.name: one.layout for own in contests for one in own.hypotheses if one.layout
+    }.values():
+        known = [_best(own, layout.name) or own.look_for(layout) for own in contests]
+        named[layout.name] = _sum(known)
+    for name in {one.name for own in contests for one in own.hypotheses if one.name and not one.layout}:
+        objects = [_best(own, name) for own in contests]
+        if all(objects):
+            named[name] = _sum(objects)
+    if not named:
+        return settled(None, untagged, sure)
+    clearest = max(contests, key=_shows)
+    for name in sorted(named, key=lambda name: -named[name][0])[:NAMES]:
+        one = _best(clearest, name)
+        if one is not None and one.found.model.tag is not None:
+            named[name] = max(named[name], _chain(contests, clearest, one), key=lambda one: one[0])
+    best = max(named, key=lambda name: named[name][0])
+    others = [untagged, *(named[name] for name in named if name != best)]
+    same = _best(clearest, best)
+    for contest in contests:
+        for one in _shown(contest, best):
+            there = one if contest is clearest else clearest.freed(clearest.look_for(None, _rigid(one)))
+            if same is None or not is_same(there, same):
+                others.append(_chain(contests, clearest, there))
+    return settled(named[best], max(others, key=lambda one: one[0]), sure)
+
+
+def _shows(contest: Contest) -> float:
+    """Log evidence of there being reflectors."""
+    tagged = max((one.log_z for one in contest.hypotheses if one.tagged), default=-np.inf)
+    return float(tagged - max(one.log_z for one in contest.hypotheses if not one.tagged))
+
+
+def _chain(contests: Sequence[Contest], first: Contest, one: Hypothesis) -> Joint:
+    """What a recording has shown, and its reflectors just where they stand in the others."""
+    tag = _rigid(one)
+    return one.log_z + sum(own.look_for(None, tag).log_z for own in contests if own is not first), one
+
+
+def _rigid(one: Hypothesis) -> Arrangement:
+    tag = one.found.model.tag
+    return Arrangement.rigid(one.found.places - one.found.centre, None if tag is None else tag.height_m)
+
+
+def _best(contest: Contest, name: str | None) -> Hypothesis | None:
+    """The best hypothesis of a name; None: of what has no tag."""
+    some = [one for one in contest.hypotheses if one.name == name and (name or not one.tagged)]
+    return max(some, key=lambda one: one.log_z, default=None)
+
+
+def _sum(some: Sequence[Hypothesis | None]) -> Joint:
+    known = [one for one in some if one is not None]
+    return sum(one.log_z for one in known), max(known, key=lambda one: one.log_z)
+
+
+def _shown(contest: Contest, name: str) -> list[Hypothesis]:
+    """The best arrangements that a recording shows and that are not those of a name, each once."""
+    named = _best(contest, name)
+    limit = max(one.log_z for one in contest.hypotheses) - REACH
+    out: list[Hypothesis] = []
+    for one in sorted(contest.hypotheses, key=lambda one: -one.log_z):
+        strange = one.found.model.tag is not None and one.name is None and one.log_z > limit
+        if not strange or (named and is_same(one, named)):
+            continue
+        if all(pose_of(_rigid(other), one.found.places) is None for other in out):
+            out.append(one)
+    return out[:STRANGERS]
