@@ -345,23 +345,21 @@ class Model:
         log -= self.odd * np.log(np.pi * REACH_M**2) - _log_factorial(self.odd)
         return float(log - (np.log(SECTORS) if self.hidden[1] else 0.0))
 
-    def overlap(self, x: Floats) -> float:
-        """Nats that points in one place cost, and rings of no tag and shapes of no convex body."""
+    def crowding(self, x: Floats) -> Floats:
+        """(N,) by how many standard deviations points are too close, or rings and shapes are of no tag."""
         _, _, stretch, odd = self.split(x)
         places = np.concatenate([self.places(x), odd])
         first, second, rise, least = self._pairs
         apart = places[first] - places[second]
-        close = least - np.sqrt(apart.real**2 + apart.imag**2 + rise)
-        near = close[close > 0]
-        crowded = float(near @ near)
+        parts = [least - np.sqrt(apart.real**2 + apart.imag**2 + rise)]
         if self.tag is not None and self.tag.free.any():
             radius = (self.tag.radius_m + stretch[self.tag.stretch])[self.tag.free[self.tag.stretch]]
-            crowded += float((np.maximum(RING_M[0] - radius, radius - RING_M[1]).clip(0) ** 2).sum())
+            parts.append(np.maximum(RING_M[0] - radius, radius - RING_M[1]))
         if self.shapes:
             # A convex body inside the tag's ring has a radius of curvature everywhere.
             inside = REACH_M if self.tag is None else float(self.tag.radius_m.max())
-            crowded += max(3 * float(np.hypot(x[2], x[3])) - inside, 0.0) ** 2
-        return crowded / (2 * CLOSE_SD_M**2)
+            parts.append(np.array([3 * float(np.hypot(x[2], x[3])) - inside]))
+        return np.asarray(np.maximum(np.concatenate(parts), 0) / CLOSE_SD_M)
 
     @cached_property
     def _pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:

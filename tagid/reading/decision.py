@@ -10,7 +10,7 @@ import numpy as np
 from tagid.reading.columns import MOUNTING_SD_M
 from tagid.reading.hypotheses import Hypothesis
 from tagid.reading.spectra import Complex
-from tagid.reading.transfers.plain import BARE, POINTS
+from tagid.reading.transfers.plain import BARE, FACING, POINTS
 
 SURE = float(np.log(1000))
 """Lead from which a name is given, nats: one false in a thousand where the hypotheses are complete."""
@@ -92,7 +92,7 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
         return True
     nominal = tag.radius_m * np.exp(1j * tag.angle)
     there = every[apart.argmin(axis=1)]
-    if own.model.transfer in (BARE, POINTS):
+    if own.model.transfer in (BARE, FACING, POINTS):
         # Their echo is the same from all sides: the body's centre says nothing of the ring's.
         return _off(nominal, there) < BUILT_M
     return _about(own.centre, nominal, there, max(SAME_M, 3 * own.model.transfer.radius_sd_m))

@@ -22,6 +22,8 @@ BODY = (0.1, 3.0, 100.0, 3000.0)
 """Powers of a body that are tried, over the moving energy: what does not move is the room's."""
 OVAL = (1e-5, 1e-3, 1e-1)
 """Powers of a body's oval part that are tried, over the body's."""
+_CROWDED_M = 1e-5
+"""Finite differences of what crowds, m or rad."""
 _FAR_M = 0.03
 """No centre lies farther from the axis."""
 
@@ -128,7 +130,7 @@ def best_powers(
         i, j = divmod(int(values.argmax()), len(some))
         if values[i, j] > best:
             best, found = float(values[i, j]), Powers(sigmas[i], *some[j])
-    return found, best + model.log_prior(x)[0] - model.overlap(x)
+    return found, best + model.log_prior(x)[0] - 0.5 * float((model.crowding(x) ** 2).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,14 +146,13 @@ def _expanded(likelihood: Compiled | _Numpy, x: Floats, powers: Powers) -> _Here
     prior, slope, pull = model.log_prior(x)
     gradient = gradient + slope
     hessian = hessian + pull
-    overlap = model.overlap(x)
-    if overlap > 0:
-        for i in range(len(x)):
-            step = np.zeros(len(x))
-            step[i] = 1e-5
-            gradient[i] -= (model.overlap(x + step) - model.overlap(x - step)) / 2e-5
-            hessian[i, i] += 1 / 1e-3**2
-    return _Here(log + prior - overlap, gradient, hessian)
+    crowding = model.crowding(x)
+    if crowding.any():
+        ends = [[model.crowding(x + sign * step) for sign in (1, -1)] for step in _CROWDED_M * np.eye(len(x))]
+        slopes = np.array([there - back for there, back in ends]) / (2 * _CROWDED_M)
+        gradient = gradient - slopes @ crowding
+        hessian = hessian + slopes @ slopes.T
+    return _Here(log + prior - 0.5 * float(crowding @ crowding), gradient, hessian)
 
 
 def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: int) -> tuple[Floats, _Here]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import permutations, product
+from itertools import permutations
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from tagid.reading.odd import OddMap
 from tagid.reading.sheet import KINDS, Kind
 from tagid.reading.signature_search import Poses
 from tagid.reading.spectra import Complex, Floats, Spectra
-from tagid.reading.transfers.plain import BARE, POINTS
+from tagid.reading.transfers.plain import BARE, FACING, POINTS
 from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADE
 from tagid.reading.transfers.transfer import Transfer
@@ -42,6 +42,8 @@ SHAPES_M = tuple(r * np.exp(1j * np.pi / 3 * np.arange(6)) for r in (4e-3, 8e-3,
 """Two-fold parts of a body's support function that are tried, m."""
 BODIES_M = (*((c, 0j) for c in GRID_M), *((0j, complex(s)) for ring in SHAPES_M for s in ring))
 """Centres and shapes of a body that are tried."""
+STRAYS_M = (-9e-3, -4.5e-3, 0.0, 4.5e-3, 9e-3)
+"""A wall moves the apparent radius of a ring by about so much, m."""
 BESIDE = 3
 """Bodies beside which the best pose of every arrangement is refined."""
 ROUND = np.zeros(2)
@@ -243,15 +245,16 @@ class Contest:
             near.append((found.log_z, len(near), found))
             self._rough.append(Hypothesis(one.layout, found, found.log_z, one.middle))
         near.sort(key=lambda one: -one[0])
-        done: list[Found] = []
+        done: list[tuple[Layout | None, Found]] = []
         for _, i, rough in near:
             if len(done) == THEN:
                 break
-            if any(_same_place(rough, other) for other in done):
+            layout = starts[i].layout
+            if any(layout is other and _same_place(rough, there) for other, there in done):
                 continue
             found = refined(self.spectra, rough.model, rough.x, (1e-3, None))
-            done.append(found)
-            self.add(starts[i].layout, found, starts[i].middle)
+            done.append((layout, found))
+            self.add(layout, found, starts[i].middle)
 
     def _beside_others(self, shapes: Sequence[Floats]) -> None:
         """The best pose of every layout, and of free arrangements of every number, beside all bodies."""
@@ -262,22 +265,25 @@ class Contest:
                 best.setdefault((name, 0 if name else one.found.model.tag.count), one)
         for one in best.values():
             found, model = one.found, one.found.model
+            assert model.tag is not None
             starts = []
-            for transfer, disc in product(self.transfers, (0, 1)):
-                tag = model.tag
-                if one.layout is not None:
-                    tag = _Arranged.of(one.layout, transfer.body).tag
-                own = replace(model, transfer=transfer, tag=tag, oval=transfer.body, disc=disc)
-                shape = found.x[2:4] if model.shapes else shapes[disc]
+            for transfer in (*self.transfers, FACING):
+                covered = one.layout is not None and transfer.body
+                tag = model.tag if one.layout is None else _Arranged.of(one.layout, covered).tag
+                own = replace(model, transfer=transfer, tag=tag, oval=transfer.body)
+                shape = found.x[2:4] if model.shapes else shapes[model.disc]
                 x = np.r_[found.x[:2], shape[: own.shapes], found.x[model.head :]]
-                starts.append((best_powers(self.spectra, own, x, found.powers.clutter)[1], own, x))
+                outward = np.zeros(len(x))
+                outward[own.head + tag.turns :][: tag.stretches] = 1.0
+                radii = [x + stray * outward for stray in (STRAYS_M if one.layout is None else (0.0,))]
+                values = [best_powers(self.spectra, own, there, found.powers.clutter)[1] for there in radii]
+                likeliest = int(np.argmax(values))
+                starts.append((values[likeliest], own, radii[likeliest]))
             starts.sort(key=lambda one: -one[0])
             for _, own, x in starts[:BESIDE]:
                 again = refined(self.spectra, own, x, (1e-3, None))
-                if not any(
-                    _same_place(again, other.found) and other.found.model.disc == own.disc
-                    for other in self.hypotheses
-                ):
+                tried = [other.found for other in self.hypotheses if other.layout is one.layout]
+                if not any(_same_place(again, other) and other.model.disc == own.disc for other in tried):
                     self.add(one.layout, again, one.middle)
 
     def _as_enrolled(self) -> None:

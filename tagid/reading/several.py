@@ -23,6 +23,9 @@ NAMES = 2
 REACH = 60.0
 """Those that are worse than the best explanation of their recording by more are not, nats."""
 
+ANOTHER = float(np.log(1e-4))
+"""Log probability that a recording is of another object than the rest."""
+
 Joint = tuple[float, Hypothesis]
 """Sum of the log evidence, and what it looks like in one of the recordings."""
 
@@ -57,7 +60,20 @@ def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision
             there = one if contest is clearest else clearest.freed(clearest.look_for(None, _rigid(one)))
             if same is None or not is_same(there, same):
                 others.append(_chain(contests, clearest, there))
+    others += _mixed(contests, best)
     return settled(named[best], max(others, key=lambda one: one[0]), sure)
+
+
+def _mixed(contests: Sequence[Contest], name: str) -> list[Joint]:
+    """The recordings as of a name or, where they show something else clearly, of another object."""
+    total, another = 0.0, None
+    for contest in contests:
+        winner, named = max(contest.hypotheses, key=lambda one: one.log_z), _best(contest, name)
+        if named is None or winner.log_z + ANOTHER > named.log_z:
+            total, another = total + winner.log_z + ANOTHER, winner
+        else:
+            total += named.log_z
+    return [] if another is None else [(total, another)]
 
 
 def _shows(contest: Contest) -> float:

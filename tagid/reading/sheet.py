@@ -195,13 +195,11 @@ class SheetModel(Model):
         log, slope, hessian = super().log_prior(x)
         return log + float(np.log(4 / (2 * np.pi))), slope, hessian
 
-    def overlap(self, x: Floats) -> float:
+    def crowding(self, x: Floats) -> Floats:
         """See `Model`: no reflector stands in the sheet, either."""
-        if self.tag is None and not self.odd:
-            return 0.0
         about = (self.places(x) - complex(x[0], x[1])) * np.exp(-1j * x[2])
         inside = np.maximum(CLEAR_M - np.abs(self.sheet(x).outside_m(about)), 0)
-        return super().overlap(x) + float((inside**2).sum() / (2 * CLOSE_SD_M**2))
+        return np.concatenate([super().crowding(x), inside / CLOSE_SD_M])
 
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SheetColumns:
         """The columns at parameters x (P,)."""

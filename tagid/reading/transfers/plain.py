@@ -1,11 +1,14 @@
-"""Reflectors in free space, and beside a body that the waves pass."""
+"""Reflectors in free space, alike from all sides or not, and beside a body that the waves pass."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.reading.transfers.transfer import ANGLES, Transfer
+from tagid.reading.transfers.transfer import ANGLES, Transfer, aspects, principal
+
+BACKS, POWERS, TERMS = (0.2, 0.4, 0.6, 0.8, 1.0), (1, 2, 3), 3
+"""Amplitudes from behind over those from in front, powers of (1 + cos) / 2 between, and patterns kept."""
 
 
 def isotropic(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
@@ -13,5 +16,14 @@ def isotropic(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex
     return np.ones((1, len(kappa), ANGLES), dtype=np.complex128)
 
 
+def _facing(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
+    lit = ((1 + np.cos(aspects())) / 2)[None, None]
+    members = [back + (1 - back) * lit**power for back in BACKS for power in POWERS]
+    every = np.concatenate(members).astype(np.complex128)
+    return np.repeat(principal(every, TERMS), len(kappa), axis=1)
+
+
 BARE = Transfer("bare", "nothing that returns an echo", False, (1.0,), isotropic)
 POINTS = Transfer("points", "a body that the waves pass", True, (1.0,), isotropic)
+FACING = Transfer("facing", "nothing that returns an echo", False, (1.0,) * TERMS, _facing)
+"""Reflectors that return less from behind, with nothing beside them."""

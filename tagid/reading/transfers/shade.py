@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.reading.transfers.transfer import Transfer, aspects, principal
+from tagid.reading.transfers.wall import RADIUS_SD_M
 
 EDGES_DEG = (50, 65, 80, 90, 100, 115, 130)
 SOFT_DEG = (2, 10, 25)
@@ -26,4 +27,4 @@ def _table(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128
     return np.repeat(principal(_edges()[:, None], TERMS), len(kappa), axis=1)
 
 
-SHADE = Transfer("shade", "a body that hides them from behind", True, (1.0,) * TERMS, _table)
+SHADE = Transfer("shade", "a body that hides them from behind", True, (1.0,) * TERMS, _table, RADIUS_SD_M)
