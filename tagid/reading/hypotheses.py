@@ -13,11 +13,11 @@ from itertools import permutations
 import numpy as np
 
 from tagid.reading import search, sheet_tags
-from tagid.reading.bodies.signature import HEAD, EnrolledBody, SignatureModel
 from tagid.reading.columns import APART_M, Arrangement, Model
 from tagid.reading.descent import Found, Powers, best_powers, refined
 from tagid.reading.odd import OddMap
 from tagid.reading.sheet import KINDS, Kind
+from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
 from tagid.reading.signature_search import Poses
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import BARE, FACING, POINTS

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tagid.imaging.types import BasebandScans
-from tagid.reading.bodies.signature import enrolled_in
 from tagid.reading.decision import Decision
 from tagid.reading.hypotheses import Contest
 from tagid.reading.several import decide_together
+from tagid.reading.signature import enrolled_in
 from tagid.reading.spectra import RADIUS_M, Spectra
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import Layout

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tagid.reading.bodies.signature import EnrolledBody
 from tagid.reading.descent import BODY
+from tagid.reading.signature import EnrolledBody
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.tags.bodies.signature import angular
 

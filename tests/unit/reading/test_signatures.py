@@ -11,11 +11,11 @@ import pytest
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.pipeline.identify import aspect_spectra
-from tagid.reading.bodies.signature import EnrolledBody, SignatureModel, enrolled_in
 from tagid.reading.columns import Arrangement
 from tagid.reading.decision import Decision, decide
 from tagid.reading.descent import _Numpy
 from tagid.reading.reader import contest
+from tagid.reading.signature import EnrolledBody, SignatureModel, enrolled_in
 from tagid.reading.signature_search import Poses
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS

@@ -1,1 +1,0 @@
-"""Bodies with an echo of their own shape: one file per kind."""
