@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from reader_scenes import LAYOUTS, scans_at, scans_of
 
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.reading.decision import SURE, Decision, decide
 from tagid.reading.hypotheses import Contest
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
+from tagid.reading.transfers.wall import WALLS
 from tagid.tags.layouts.layout import Layout
+from train.population import draw
 
 
 def ring(*angles_deg: float, radius_m: float = 0.045) -> np.ndarray:
@@ -57,3 +60,11 @@ def test_a_stranger_is_described_and_not_named(kind: str) -> None:
 def test_more_signal_keeps_the_name() -> None:
     names = [bare(scans_of("container-180", snr_db=snr_db)).name for snr_db in (5.0, 15.0, 30.0)]
     assert names == ["container-180"] * 3
+
+
+def test_a_foreign_pair_on_an_oval_shell_is_not_named() -> None:
+    capture = draw(6_000_150).capture
+    scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+    answer = decide(Contest(Spectra.of(scans), LAYOUTS, (BARE, POINTS, WALLS[0]), ()).run())
+    assert answer.name is None
+    assert "an object without a tag" in answer.reason
