@@ -3,7 +3,7 @@
 The echo is that of `tagid.tags.bodies.signature`; two columns: the echo, whose amplitude at every frequency
 takes up another pulse, and its change from one frequency to the next, which takes up that the tail of another
 pulse is cut by the range window (`tagid.tags.bodies.pulse_tail`). The parameters of a model begin with those
-of the body: its centre x, y and its turn. Those of `tagid.reading.columns.Model` follow; their centre is that
+of the body: its centre x, y, its turn, and how uneven the turn was. Those of `tagid.reading.columns.Model` follow; their centre is that
 of the tag about the body's.
 """
 
@@ -26,7 +26,9 @@ from tagid.tags.bodies.enrolled import FREQUENCY_STEP_HZ
 from tagid.tags.bodies.pulse_tail import SLOPE
 from tagid.tags.bodies.signature import Signature, angular, near_field, same_wavenumbers
 
-HEAD = 3
+UNEVEN_RAD = (0.01, 0.005)
+"""Standard deviations of the error of the angles of one and of two cycles a turn, cosine and sine, rad."""
+HEAD = 3 + 2 * len(UNEVEN_RAD)
 """Parameters of the body."""
 OWN = 2
 """Columns of the body."""
@@ -177,11 +179,11 @@ class SignatureModel(Model):
     def _sds(self) -> Floats:
         rest = super()._sds()
         rest[:2] = TAG_SD_M
-        return np.concatenate([[CENTRE_SD_M, CENTRE_SD_M, 2 * np.pi / np.sqrt(12)], rest])
+        return np.concatenate([[CENTRE_SD_M, CENTRE_SD_M, 2 * np.pi / np.sqrt(12)], np.repeat(UNEVEN_RAD, 2), rest])
 
     @cached_property
     def _normal(self) -> NDArray[np.bool_]:
-        return np.concatenate([[True, True, False], super()._normal])
+        return np.concatenate([np.arange(HEAD) != 2, super()._normal])
 
     def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
         """See `Model`."""
@@ -212,11 +214,17 @@ class SignatureColumns:
     def _centre(self) -> complex:
         return complex(self.x[0], self.x[1])
 
+    @property
+    def _cycles(self) -> Floats:
+        """(2 K, V) cosine and sine of every cycle of the error of the angles."""
+        cycles = np.arange(1, len(UNEVEN_RAD) + 1)[:, None] * self.spectra.direction
+        return np.stack([np.cos(cycles), np.sin(cycles)], axis=1).reshape(-1, cycles.shape[1])
+
     @cached_property
     def _patterns(self) -> tuple[Complex, Complex]:
         """(F, V) the body's pattern and its slope over the aspect."""
         body = self.model.body
-        aspect = np.angle(self.spectra.antenna - self._centre) - self.x[2]
+        aspect = np.angle(self.spectra.antenna - self._centre) - self.x[2] - self.x[3:HEAD] @ self._cycles
         basis, weights = angular(aspect, body.order).T, body.at(self.spectra)
         return weights @ basis, (weights * (1j * np.arange(-body.order, body.order + 1))) @ basis
 
@@ -233,9 +241,8 @@ class SignatureColumns:
         echo, turned = carrier * pattern, carrier * bent
         moved = echo * (-1j * self.spectra.kappa[:, None] - 2 / range_m) / -range_m
         around = turned / np.abs(across) ** 2
-        own = np.stack(
-            [moved * across.real + around * across.imag, moved * across.imag - around * across.real, -turned]
-        )
+        placed = [moved * across.real + around * across.imag, moved * across.imag - around * across.real]
+        own = np.stack([*placed, -turned, *(-turned * cycle for cycle in self._cycles)])
         own = own * weights[:, 0] + np.gradient(own, axis=1) * weights[:, 1]
         beside = self.rest.slopes(weights[:, OWN:])
         own[:2] += beside[:2]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagid.reading.descent import BODY
-from tagid.reading.signature import EnrolledBody
+from tagid.reading.signature import HEAD, EnrolledBody
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.tags.bodies.signature import angular
 
@@ -28,7 +28,7 @@ class Pose:
 
     Attributes:
         score: log evidence up to what all poses share, nats.
-        head: (3,) its parameters: centre x, y, m, and turn, rad.
+        head: (HEAD,) its parameters, of an even turn.
     """
 
     score: float
@@ -96,6 +96,6 @@ class Poses:
                 for there, other in taken
             ):
                 taken.append((centre, turn))
-                yield Pose(float(score[i]), np.array([centre.real, centre.imag, turn]))
+                yield Pose(float(score[i]), np.append([centre.real, centre.imag, turn], np.zeros(HEAD - 3)))
             if len(taken) == count:
                 return
