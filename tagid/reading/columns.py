@@ -243,14 +243,18 @@ class Model:
         return self.tag is not None
 
     @property
+    def whole(self) -> bool:
+        """Its echo is that of an object with its tag: reflectors beside it are less or more of that."""
+        return False
+
+    @property
     def identity(self) -> str | None:
         """What an enrolled object stands for by itself."""
         return None
 
-    @property
-    def odd_powers(self) -> tuple[float, ...]:
-        """Prior powers that an odd scatterer may have, over the moving energy."""
-        return (ODD_POWER,)
+    def error(self, spectra: Spectra) -> Floats | float:
+        """(F, M) variance of what differs from an enrolled echo."""
+        return 0.0
 
     @property
     def words(self) -> str:

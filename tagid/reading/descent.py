@@ -79,8 +79,9 @@ class Found:
 
 
 def variance(spectra: Spectra, model: Model, clutter: float) -> Floats:
-    """(F, M) lambda: variance of noise and clutter."""
-    return np.asarray(1 + clutter * spectra.moving[:, None] * spectra.whiteners[model.disc].variance)
+    """(F, M) lambda: variance of noise, clutter and what differs from an enrolled echo."""
+    disc = spectra.moving[:, None] * spectra.whiteners[model.disc].variance
+    return np.asarray(1 + model.error(spectra) + clutter * disc)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +121,7 @@ def best_powers(
     likelihood = _likelihood(spectra, model)
     best, found = -np.inf, Powers(0.0)
     bodies = BODY if model.transfer.body else BODY[:1]
-    tags = TAG if model.tagged else TAG[1:2]
+    tags = TAG if model.tag is not None else TAG[1:2]
     sigmas = CLUTTER if clutter is None else (clutter,)
     for ovals in (OVAL[1:2], OVAL) if model.oval and model.transfer.body else (OVAL[1:2],):
         if len(ovals) > 1:

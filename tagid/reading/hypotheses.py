@@ -5,7 +5,7 @@ Every hypothesis ends as a `Hypothesis` with its log evidence; `decision` compar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import permutations
@@ -14,11 +14,11 @@ import numpy as np
 
 from tagid.reading import search, sheet_tags
 from tagid.reading.columns import APART_M, Arrangement, Model
-from tagid.reading.descent import Found, Powers, best_powers, refined
+from tagid.reading.descent import TAG, Found, Powers, best_powers, refined
 from tagid.reading.odd import OddMap
 from tagid.reading.sheet import KINDS, Kind
 from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
-from tagid.reading.signature_search import Poses
+from tagid.reading.signature_search import Poses, altered
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
 from tagid.reading.transfers.rod import RODS
@@ -50,6 +50,8 @@ ROUND = np.zeros(2)
 """Shape of a round body."""
 LOST = 0.01
 """Share of the tags that have lost a reflector."""
+MOST_ALTERED = 3
+"""Reflectors less or more than those of an enrolled object."""
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
 """Widths of hidden sectors."""
 FITS_M = 0.012
@@ -142,7 +144,7 @@ class _Stand:
     """An enrolled body in its pose.
 
     Attributes:
-        x: (3,) parameters of the body.
+        x: (HEAD,) parameters of the body.
         echo: (F, V).
         centres: of a tag as it is supposed, and of the body.
         powers: under which reflectors are looked for.
@@ -426,10 +428,16 @@ class Contest:
         for body in self.enrolled:
             alone = SignatureModel.of(body, POINTS, disc_of(body.signature.radius_m))
             poses = Poses(self.spectra, body, alone.disc)
-            own = [self._placed(None, alone, np.r_[one.head, 0.0, 0.0]) for one in poses.best(POSES)]
+            starts = [np.r_[one.head, 0.0, 0.0] for one in poses.best(POSES)]
+            if alone.whole:
+                rough = [refined(self.spectra, alone, x) for x in starts]
+                alone = alone.levelled(self.spectra, max(rough, key=lambda one: one.log_z).x)
+                starts = [one.x for one in rough]
+            own = [self._placed(None, alone, x) for x in starts]
             best = max(own, key=lambda one: one.log_z)
             self._placed(None, alone.on_disc(1 - alone.disc), best.found.x)
-            if body.signature.kind == "object":
+            if alone.whole:
+                self._altered(alone, best.found)
                 continue
             for guest in guests:
                 (pose,) = poses.best(1, guest.found.beside(self.spectra))
@@ -440,6 +448,18 @@ class Contest:
         likely = [max(one.log for one in starts) for starts in self._about(stands, ())]
         stands = [stands[i] for i in np.argsort(likely)[::-1][:STANDS]]
         self._refine([one for some in self._about(stands, _NEAR_M) for one in some], [stands[0].powers] * 2)
+
+    def _altered(self, alone: SignatureModel, found: Found) -> None:
+        """An enrolled object with reflectors less or more: then it is another one."""
+        models = [
+            (radius, replace(alone, transfer=transfer, disc=disc_of(radius)))
+            for transfer, radius in product(self.transfers, FREE_RINGS_M)
+            if transfer.body
+        ]
+        powers = Powers(1e-2, found.powers.body)
+        for model, x in altered(self.spectra, models, found.x, powers, MOST_ALTERED):
+            again = refined(self.spectra, model, x, (1e-2, None))
+            self.add(None, again, prior=float(np.log(LOST / len(TAG))))
 
     def _about(self, stands: Sequence[_Stand], near: Sequence[complex]) -> list[list[Candidate]]:
         """Reflectors beside enrolled bodies in their poses, about centres near theirs, if any are given."""
@@ -456,11 +476,21 @@ class Contest:
                     )
         return found
 
-    def look_for(self, layout: Layout | None, tag: Arrangement | None = None) -> Hypothesis:
-        """A layout, or a rigid arrangement that is not enrolled, beside the bodies that explain most."""
+    def look_for(
+        self,
+        layout: Layout | None,
+        tag: Arrangement | None = None,
+        same: Callable[[Hypothesis], bool] | None = None,
+    ) -> Hypothesis:
+        """A layout, or a rigid arrangement that is not enrolled, beside the bodies that explain most.
+
+        Args:
+            same: it is not, which it were with a body in its middle.
+        """
         bodies: dict[object, Found] = {}
         for one in sorted(self.hypotheses, key=lambda one: -one.log_z):
-            bodies.setdefault((type(one.found.model), one.found.model.transfer), one.found)
+            if not one.found.model.whole and (same is None or not one.found.model.covers_middle):
+                bodies.setdefault((type(one.found.model), one.found.model.transfer), one.found)
         starts: list[Candidate] = []
         for found in list(bodies.values())[:LOOKED_FOR]:
             arranged = None if layout is None else _Arranged.of(layout, found.model.covers_middle)
@@ -477,7 +507,8 @@ class Contest:
         for start in starts[:LOOKED_FOR]:
             found = refined(self.spectra, start.model, start.x, (1e-2, None))
             self._grow(self.add(layout, found, start.middle), MOST_ODD)
-        best = max(self.hypotheses[before:], key=lambda one: one.log_z)
+        some = [one for one in self.hypotheses[before:] if same is None or not same(one)]
+        best = max(some, key=lambda one: one.log_z)
         # What another recording has shown is no hypothesis of this one.
         del self.hypotheses[before:]
         return best
@@ -509,7 +540,7 @@ class Contest:
 
     def _best(self, count: int, *, enrolled: bool) -> list[Hypothesis]:
         """The best hypotheses with reflectors, of layouts or of arrangements that are not enrolled."""
-        some = [one for one in self.hypotheses if one.found.model.tag is not None]
+        some = [one for one in self.hypotheses if one.found.model.tag and not one.found.model.whole]
         some = [one for one in some if (one.layout is not None) == enrolled]
         return sorted(some, key=lambda one: -one.log_z)[:count]
 
@@ -545,8 +576,11 @@ class Contest:
             x = np.r_[one.found.x, place.real, place.imag]
             found = refined(self.spectra, model, x, (None,), 8)
             more = found.log_z > one.found.log_z + 1
-            if more or model.identity != one.found.model.identity:
-                one = self.add(one.layout, found, one.middle, one.prior)
+            other = model.identity != one.found.model.identity
+            if more or other:
+                # An odd scatterer is all that tells another object from the enrolled one.
+                prior = one.prior + (float(np.log(LOST)) if other else 0.0)
+                one = self.add(one.layout, found, one.middle, prior)
             if not more:
                 break
         return one

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.reading.columns import CLOSEST_M, REACH_M
+from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M
 from tagid.reading.descent import Found, variance
 from tagid.reading.spectra import Complex, Spectra
 
@@ -49,10 +49,8 @@ class OddMap:
         product = spots @ np.swapaxes(against.astype(np.complex64), 1, 2)
         product = product.real**2 + product.imag**2
         size = (energy @ (1 / lam).astype(np.float32)[..., None])[..., 0] - product[..., :-1].sum(axis=-1)
-        gain = np.full(len(places), -np.inf)
-        for prior in (p * spectra.moving[:, None] for p in model.odd_powers):
-            own = (product[..., -1] / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0)
-            gain = np.maximum(gain, own)
+        prior = (ODD_POWER * spectra.moving)[:, None]
+        gain = (product[..., -1] / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0)
         used = np.concatenate([found.places, found.odd])
         gain[(np.abs(places[:, None] - used) < CLOSEST_M).any(axis=1)] = -np.inf
         best = int(gain.argmax())

@@ -3,8 +3,9 @@
 The echo is that of `tagid.tags.bodies.signature`; two columns: the echo, whose amplitude at every frequency
 takes up another pulse, and its change from one frequency to the next, which takes up that the tail of another
 pulse is cut by the range window (`tagid.tags.bodies.pulse_tail`). The parameters of a model begin with those
-of the body: its centre x, y, its turn, and how uneven the turn was. Those of `tagid.reading.columns.Model` follow; their centre is that
-of the tag about the body's.
+of the body: its centre x, y, its turn, and how uneven the turn was. Those of `tagid.reading.columns.Model`
+follow; their centre is that of the tag about the body's. Every harmonic of an object may differ a little from
+the enrolled one, with a random phase: the variance of that is the same whichever way it is turned.
 """
 
 from __future__ import annotations
@@ -12,13 +13,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.imaging.types import BasebandScans
-from tagid.reading.columns import CENTRE_SD_M, ODD_POWER, Columns, Model, table_of
-from tagid.reading.descent import TAG, Found
+from tagid.reading.columns import CENTRE_SD_M, Columns, Model, table_of
+from tagid.reading.descent import Found
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import POINTS
 from tagid.reading.transfers.transfer import Transfer
@@ -28,6 +30,8 @@ from tagid.tags.bodies.signature import Signature, angular, near_field, same_wav
 
 UNEVEN_RAD = (0.01, 0.005)
 """Standard deviations of the error of the angles of one and of two cycles a turn, cosine and sine, rad."""
+ECHO_ERROR = 0.1
+"""Amplitude by which every harmonic of an echo differs from the enrolled one, over its own."""
 HEAD = 3 + 2 * len(UNEVEN_RAD)
 """Parameters of the body."""
 OWN = 2
@@ -59,6 +63,16 @@ class EnrolledBody:
         size = np.sqrt((np.abs(harmonics) ** 2).sum(axis=1, keepdims=True))
         return cls(signature, harmonics / np.maximum(size, 1e-300))
 
+    @cached_property
+    def error(self) -> Floats:
+        """(F, 2 M + 1) variance of the turning harmonics, over the energy of all."""
+        own = self.signature
+        energy = np.abs(own.harmonics) ** 2
+        noise = np.minimum(own.noise[:, None], energy)
+        error = ECHO_ERROR**2 * (energy - noise) + noise
+        error[:, self.order] = 0.0
+        return np.asarray(error / np.maximum((energy - noise).sum(axis=1, keepdims=True), 1e-300))
+
     @property
     def order(self) -> int:
         """M, the largest harmonic."""
@@ -66,11 +80,18 @@ class EnrolledBody:
 
     def at(self, spectra: Spectra) -> Complex:
         """(F, 2 M + 1) harmonics as they arrive at the recording's distance."""
-        return self._harmonics(spectra.kappa) * near_field(spectra.kappa, self.order, spectra.distance_m)
+        return self._nearest(self.harmonics, spectra.kappa) * near_field(
+            spectra.kappa, self.order, spectra.distance_m
+        )
 
-    def _harmonics(self, kappa: Floats) -> Complex:
+    def error_at(self, spectra: Spectra, disc: int) -> Floats:
+        """(F, M) variance of a unit echo in the basis of a clutter's disc, whichever way it is turned."""
+        basis = np.abs(spectra.whiteners[disc].apply(_harmonics(spectra, self.order))) ** 2
+        return np.asarray((self._nearest(self.error, spectra.kappa)[:, None] @ basis)[:, 0])
+
+    def _nearest(self, values: NDArray[Any], kappa: Floats) -> NDArray[Any]:
         every = np.abs(self.signature.wavenumbers - kappa[:, None]).argmin(axis=1)
-        return np.asarray(self.harmonics[every])
+        return np.asarray(values[every])
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +100,12 @@ class SignatureModel(Model):
 
     Attributes:
         enrolled: the body.
+        level: (F,) energy of its echo, by which what differs from the enrolled one is measured; None: nothing
+            differs.
     """
 
     enrolled: EnrolledBody | None = None
+    level: Floats | None = None
 
     @classmethod
     def of(cls, enrolled: EnrolledBody, transfer: Transfer, disc: int) -> SignatureModel:
@@ -125,20 +149,20 @@ class SignatureModel(Model):
         return False
 
     @property
+    def whole(self) -> bool:
+        """The object was enrolled with its tag."""
+        return self.body.signature.kind == "object"
+
+    @property
     def identity(self) -> str | None:
         """Name of the object that was enrolled with its tag, as it was."""
-        own = self.body.signature
-        return own.name if own.kind == "object" and self.odd == 0 else None
+        as_it_was = self.whole and self.tag is None and self.odd == 0
+        return self.body.signature.name if as_it_was else None
 
     @property
     def tagged(self) -> bool:
         """It has reflectors: at least those with which the object was enrolled."""
-        return self.tag is not None or self.body.signature.kind == "object"
-
-    @property
-    def odd_powers(self) -> tuple[float, ...]:
-        """What an object lacks or has too much is as strong as a reflector, whose power is not known."""
-        return TAG if self.tag is None and self.tagged else super().odd_powers
+        return self.tag is not None or self.whole
 
     @property
     def words(self) -> str:
@@ -154,8 +178,18 @@ class SignatureModel(Model):
         """The same beside clutter of another disc."""
         return replace(self, disc=disc)
 
+    def error(self, spectra: Spectra) -> Floats | float:
+        """(F, M) variance of what differs from the enrolled echo."""
+        return 0.0 if self.level is None else self.level[:, None] * _error(self.body, spectra, self.disc)
+
+    def levelled(self, spectra: Spectra, x: Floats) -> SignatureModel:
+        """The same with the level of the echo at parameters x (P,)."""
+        echo = spectra.whiteners[self.disc].apply(self.at(spectra, x, slopes=False).values[:, :1])[:, 0]
+        along = np.abs((echo.conj() * spectra.white[self.disc]).sum(axis=1))
+        return replace(self, level=(along / (np.abs(echo) ** 2).sum(axis=1)) ** 2)
+
     def with_guest(self, guest: Found, head: Floats) -> tuple[SignatureModel, Floats]:
-        """The body (3,) beside the reflectors of another hypothesis, and the parameters."""
+        """The body (HEAD,) beside the reflectors of another hypothesis, and the parameters."""
         model = guest.model
         transfer = model.transfer if model.transfer.body else POINTS
         centre, turn, stretch, _ = model.split(guest.x)
@@ -171,15 +205,14 @@ class SignatureModel(Model):
     def power(self, moving: Floats, body: float, tag: float, oval: float) -> Floats:
         """(F, n) prior variances of the amplitudes."""
         own = moving[:, None] * body * np.array([1.0, SLOPE**2])
-        rest = self.rest.power(moving, body, tag, oval)
-        if self.tag is None and self.tagged:
-            rest = rest * (tag / ODD_POWER)
-        return np.concatenate([own, rest], axis=1)
+        return np.concatenate([own, self.rest.power(moving, body, tag, oval)], axis=1)
 
     def _sds(self) -> Floats:
         rest = super()._sds()
         rest[:2] = TAG_SD_M
-        return np.concatenate([[CENTRE_SD_M, CENTRE_SD_M, 2 * np.pi / np.sqrt(12)], np.repeat(UNEVEN_RAD, 2), rest])
+        return np.concatenate(
+            [[CENTRE_SD_M, CENTRE_SD_M, 2 * np.pi / np.sqrt(12)], np.repeat(UNEVEN_RAD, 2), rest]
+        )
 
     @cached_property
     def _normal(self) -> NDArray[np.bool_]:
@@ -257,6 +290,17 @@ def _alone(transfer: Transfer) -> Transfer:
 
 def _table(transfer: Transfer, kappa: Floats, radius_m: float) -> Complex:
     return table_of(transfer, kappa.tobytes(), radius_m)
+
+
+@lru_cache(maxsize=64)
+def _error(body: EnrolledBody, spectra: Spectra, disc: int) -> Floats:
+    return body.error_at(spectra, disc)
+
+
+def _harmonics(spectra: Spectra, order: int) -> Complex:
+    """(F, 2 M + 1, V)."""
+    waves = angular(spectra.direction, order).T
+    return np.broadcast_to(waves, (len(spectra.kappa), *waves.shape))
 
 
 def enrolled_in(scans: BasebandScans, signatures: Sequence[Signature]) -> tuple[EnrolledBody, ...]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tagid.reading.descent import BODY
-from tagid.reading.signature import HEAD, EnrolledBody
+from tagid.reading import search
+from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
+from tagid.reading.columns import APART_M, Arrangement
+from tagid.reading.descent import BODY, Powers
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.tags.bodies.signature import angular
 
@@ -18,7 +20,7 @@ STEP_M, REACH_M = 3.5e-3, 0.0125
 """Step and reach of the centres that are tried, m: half a diagonal is a phase of 0.5 rad."""
 PER_ORDER = 8
 """Turns that are tried, over the largest harmonic."""
-APART_RAD, APART_M = np.deg2rad(20.0), 6e-3
+DIFFERENT_RAD, DIFFERENT_M = np.deg2rad(20.0), 6e-3
 """Poses that differ by less are one."""
 
 
@@ -92,10 +94,38 @@ class Poses:
             c, t = divmod(int(i), len(self._turns))
             centre, turn = complex(self._centres[c]), float(self._turns[t])
             if all(
-                abs(np.angle(np.exp(1j * (turn - other)))) > APART_RAD or abs(centre - there) > APART_M
+                abs(np.angle(np.exp(1j * (turn - other)))) > DIFFERENT_RAD
+                or abs(centre - there) > DIFFERENT_M
                 for there, other in taken
             ):
                 taken.append((centre, turn))
                 yield Pose(float(score[i]), np.append([centre.real, centre.imag, turn], np.zeros(HEAD - 3)))
             if len(taken) == count:
                 return
+
+
+def altered(
+    spectra: Spectra,
+    models: Sequence[tuple[float, SignatureModel]],
+    x: Floats,
+    powers: Powers,
+    most: int,
+) -> list[tuple[SignatureModel, Floats]]:
+    """Where one to `most` alike reflectors less or more than an enrolled object's stand most likely.
+
+    Args:
+        models: of the object alone, with the transfer of its reflectors and the radius of their ring, m.
+        x: (P,) parameters of the object alone.
+        powers: under which they are looked for.
+    """
+    best: dict[int, tuple[float, SignatureModel, Floats]] = {}
+    echo = models[0][1].at(spectra, x, slopes=False).values[:, 0]
+    for radius, model in models:
+        table = search.tables(spectra, model, complex(x[0], x[1]), [(radius, 0.0)], powers, echo)
+        for start in search.free(table, 0, 2 * float(np.arcsin(APART_M / 2 / radius)), most, 1):
+            count = len(start.angles)
+            if count not in best or start.log > best[count][0]:
+                own = replace(model, tag=Arrangement.ring(radius, np.array(start.angles)))
+                head = np.append(x[:HEAD], [0.0, 0.0])
+                best[count] = start.log, own, np.append(head, np.zeros(count + 1))
+    return [(model, x) for _, model, x in best.values()]
