@@ -82,7 +82,7 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
     if best.middle and other.model.transfer.body:
         target = np.append(target, other.centre) if bare else target
     alike = own.places
-    every = np.concatenate([alike, own.odd] + ([] if bare or not best.middle else [[own.centre]]))
+    every = np.concatenate([alike, own.odd] + ([] if bare or not has_middle(best) else [[own.centre]]))
     apart = np.abs(target[:, None] - every)
     stray = np.abs(alike[:, None] - target).min(axis=1) >= SAME_M
     if (apart.min(axis=1) >= SAME_M).any() or stray.any():
@@ -96,6 +96,12 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
         # Their echo is the same from all sides: the body's centre says nothing of the ring's.
         return _off(nominal, there) < BUILT_M
     return _about(own.centre, nominal, there, max(SAME_M, 3 * own.model.transfer.radius_sd_m))
+
+
+def has_middle(one: Hypothesis) -> bool:
+    """The layout has a reflector in the middle, which looks like a body."""
+    tag = one.found.model.tag
+    return one.middle or (tag is not None and bool((tag.radius_m < SAME_M).any()))
 
 
 def _about(centre: complex, nominal: Complex, places: Complex, slack_m: float) -> bool:
@@ -119,6 +125,8 @@ def words(one: Hypothesis) -> str:
     model = one.found.model
     odd = {0: "", 1: " and one odd scatterer"}.get(model.odd, f" and {model.odd} odd scatterers")
     where = f" on {model.words}" if model.transfer.body else ""
+    if model.whole:
+        where = f", less or more than on {model.words}"
     if one.layout is not None:
         return f"{one.layout.name}{where}{odd}"
     if model.tag is None and model.tagged:

@@ -9,11 +9,12 @@ the precision of the angles is left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from tagid.reading.columns import Arrangement
-from tagid.reading.decision import SURE, Decision, decide, is_same, settled
+from tagid.reading.decision import SURE, Decision, decide, has_middle, is_same, settled
 from tagid.reading.hypotheses import Contest, Hypothesis, pose_of
 
 STRANGERS = 3
@@ -59,7 +60,7 @@ def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision
         for one in _shown(contest, best):
             there = one if contest is clearest else clearest.freed(clearest.look_for(None, _rigid(one)))
             if same is None or not is_same(there, same):
-                others.append(_chain(contests, clearest, there))
+                others.append(_chain(contests, clearest, there, best))
     others += _mixed(contests, best)
     return settled(named[best], max(others, key=lambda one: one[0]), sure)
 
@@ -82,10 +83,20 @@ def _shows(contest: Contest) -> float:
     return float(tagged - max(one.log_z for one in contest.hypotheses if not one.tagged))
 
 
-def _chain(contests: Sequence[Contest], first: Contest, one: Hypothesis) -> Joint:
-    """What a recording has shown, and its reflectors just where they stand in the others."""
-    tag = _rigid(one)
-    return one.log_z + sum(own.look_for(None, tag).log_z for own in contests if own is not first), one
+def _chain(contests: Sequence[Contest], first: Contest, one: Hypothesis, other: str | None = None) -> Joint:
+    """What a recording has shown, and its reflectors just where they stand in the others.
+
+    Args:
+        other: name of a layout that it is not. Where that has a reflector in the middle and nothing stands
+            there in this recording, nothing does in the others.
+    """
+    tag, log = _rigid(one), one.log_z
+    for own in contests:
+        named = None if other is None else _best(own, other)
+        empty = named is not None and has_middle(named) and not one.found.model.covers_middle
+        if own is not first:
+            log += own.look_for(None, tag, partial(is_same, best=named) if empty and named else None).log_z
+    return log, one
 
 
 def _rigid(one: Hypothesis) -> Arrangement:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pytest
 from reader_scenes import LAYOUTS, scans_at
 
 from tagid.reading.decision import Decision, decide
@@ -38,9 +39,10 @@ def test_recordings_that_name_nothing_alone_name_the_tag_together() -> None:
     assert (joint.status, joint.name) == ("identified", "container-90")
 
 
-def test_more_recordings_lead_farther() -> None:
-    alone, joint = together(placed("helmet-120"), 5.0)
-    assert joint.name == "helmet-120"
+@pytest.mark.parametrize(("name", "snr_db"), [("helmet-120", 5.0), ("helmet-linear", 15.0)])
+def test_more_recordings_lead_farther(name: str, snr_db: float) -> None:
+    alone, joint = together(placed(name), snr_db)
+    assert joint.name == name
     assert joint.lead > max(one.lead for one in alone)
 
 
