@@ -21,7 +21,7 @@ typedef struct {
     const double *white;   /* (F, M) complex: whitened data */
     const double *basis;   /* (F, M, V); on a full even turn exp(-2 pi j m / V), (V,) complex */
     const double *tag;     /* (3, K) radius, angle, height */
-    const int64_t *group;  /* (3, K) turn, stretch, table */
+    const int64_t *group;  /* (4, K) turn, stretch, table, lift or -1 */
     const double *tables;  /* (tables, P, F, ANGLES) complex */
     const double *x;       /* (T,) parameters */
     const double *power;   /* (H, N) prior powers of the columns, over the moving energy */
@@ -29,12 +29,12 @@ typedef struct {
     const double *given, *rates; /* instead of points: columns (F, N, V) and slopes (T, F, N, V), complex */
     double *out;
     double distance;
-    int64_t v, f, m, k, t, n, h, g, body, p, odd, turns, stretches, head;
+    int64_t v, f, m, k, t, n, h, g, body, p, odd, spot, turns, stretches, lifts, head;
     int64_t even, rows, split, sources, blocks, more;
 } Problem;
 
 typedef struct {
-    double *range, *toward, *wave, *step; /* (S, V), (S, 2, V) */
+    double *range, *toward, *wave, *step; /* (S, V), (S, 3, V), (S, 2, V) */
     double *lower, *part;                 /* (K, V) where a table is read */
     double *pattern, *turned;             /* (K, P, 2, V) */
     double *oval;                         /* (2, V) */
@@ -60,7 +60,7 @@ static int64_t lay_out(const Problem *g, Work *w, double *base)
     double *at = base;
     const int64_t V = g->v, S = g->sources, most = g->blocks > g->more ? g->blocks : g->more, L = 2 * LANES;
     const int64_t tall = V > g->rows ? V : g->rows, wide = g->blocks + g->more;
-    w->range = room(&at, S * V), w->toward = room(&at, 2 * S * V);
+    w->range = room(&at, S * V), w->toward = room(&at, 3 * S * V);
     w->wave = room(&at, 2 * S * V), w->step = room(&at, 2 * S * V);
     w->lower = room(&at, g->k * V), w->part = room(&at, g->k * V);
     w->pattern = room(&at, 2 * g->k * g->p * V), w->turned = room(&at, 2 * g->k * g->p * V);
@@ -78,7 +78,7 @@ static int64_t lay_out(const Problem *g, Work *w, double *base)
 /* Places (S, 3) of the sources: body, reflectors, odd scatterers. */
 INLINE void place_all(const Problem *g, double *place)
 {
-    const double *x = g->x, *odd = x + g->head + g->turns + g->stretches;
+    const double *x = g->x, *lift = x + g->head + g->turns + g->stretches, *odd = lift + g->lifts;
     int64_t s = 0;
     if (g->body)
         place[0] = x[0], place[1] = x[1], place[2] = 0.0, s = 1;
@@ -88,9 +88,11 @@ INLINE void place_all(const Problem *g, double *place)
         place[3 * s] = x[0] + radius * cos(facing);
         place[3 * s + 1] = x[1] + radius * sin(facing);
         place[3 * s + 2] = g->tag[2 * g->k + k];
+        if (g->lifts)
+            place[3 * s + 2] += lift[g->group[3 * g->k + k]];
     }
-    for (int64_t i = 0; i < g->odd; i++, s++)
-        place[3 * s] = odd[2 * i], place[3 * s + 1] = odd[2 * i + 1], place[3 * s + 2] = 0.0;
+    for (int64_t i = 0; i < g->odd; i++, s++, odd += g->spot)
+        place[3 * s] = odd[0], place[3 * s + 1] = odd[1], place[3 * s + 2] = g->spot > 2 ? odd[2] : 0.0;
 }
 
 /* What holds at all frequencies. */
@@ -103,7 +105,7 @@ INLINE void prepare(const Problem *g, const Work *w)
     place_all(g, place);
     for (int64_t s = 0; s < g->sources; s++) {
         const double px = place[3 * s], py = place[3 * s + 1], pz = place[3 * s + 2];
-        double *restrict range = w->range + s * V, *restrict toward = w->toward + 2 * s * V;
+        double *restrict range = w->range + s * V, *restrict toward = w->toward + 3 * s * V;
         double *restrict wave = w->wave + 2 * s * V, *restrict step = w->step + 2 * s * V;
 #pragma omp simd
         for (int64_t v = 0; v < V; v++) {
@@ -111,7 +113,7 @@ INLINE void prepare(const Problem *g, const Work *w)
             const double r = sqrt(dx * dx + dy * dy + dz * dz), path = r - g->distance;
             const double loss = g->distance / r * (g->distance / r);
             double re, im;
-            range[v] = r, toward[v] = dx / r, toward[V + v] = dy / r;
+            range[v] = r, toward[v] = dx / r, toward[V + v] = dy / r, toward[2 * V + v] = -dz / r;
             wave_of(first * path, &re, &im);
             wave[v] = loss * re, wave[V + v] = loss * im;
             wave_of(between * path, &re, &im);
@@ -206,12 +208,11 @@ INLINE void columns_of(const Problem *g, const Work *w)
     memcpy(to, wave + 2 * g->k * V, (size_t)(2 * g->odd * V) * sizeof(double));
 }
 
-/* Slopes of a source whose patterns sum to `sum`, along x and y times the given shares, onto planes. */
-INLINE void add_slope(const Work *w, int64_t s, const double *restrict sum, double kappa, double along_x,
-                      double along_y, double *restrict out, int64_t V)
+/* Slopes of a source whose patterns sum to `sum`, along two axes times the given shares, onto planes. */
+INLINE void add_along(const Work *w, int64_t s, const double *restrict sum, double kappa, double along_x,
+                      double along_y, const double *restrict toward, double *restrict out, int64_t V)
 {
     const double *restrict wave = w->wave + 2 * s * V, *restrict range = w->range + s * V;
-    const double *restrict toward = w->toward + 2 * s * V;
 #pragma omp simd
     for (int64_t v = 0; v < V; v++) {
         const double re = sum[v] * wave[v] - sum[V + v] * wave[V + v];
@@ -220,6 +221,19 @@ INLINE void add_slope(const Work *w, int64_t s, const double *restrict sum, doub
         out[v] += share * (loss * re + kappa * im);
         out[V + v] += share * (loss * im - kappa * re);
     }
+}
+
+/* The same along x and y. */
+INLINE void add_slope(const Work *w, int64_t s, const double *sum, double kappa, double along_x,
+                      double along_y, double *out, int64_t V)
+{
+    add_along(w, s, sum, kappa, along_x, along_y, w->toward + 3 * s * V, out, V);
+}
+
+/* The same upward: along y and z. */
+INLINE void add_rise(const Work *w, int64_t s, const double *sum, double kappa, double *out, int64_t V)
+{
+    add_along(w, s, sum, kappa, 0.0, 1.0, w->toward + (3 * s + 1) * V, out, V);
 }
 
 /* Slopes (T, 2, V) of the sum of weights (N, 2, V) times columns; `scratch` (2, 2, V). */
@@ -265,12 +279,17 @@ INLINE void slopes_of(const Problem *g, const Work *w, int64_t f, const double *
         add_slope(w, s, sum, kappa, -radius * d, radius * c, spun, V);
         add_slope(w, s, sum, kappa, c, d, drawn, V);
         add_product(turned, w->wave + s * two, spun, V);
+        if (g->lifts)
+            add_rise(w, s, sum, kappa,
+                     out + (g->head + g->turns + g->stretches + g->group[3 * g->k + k]) * two, V);
     }
     weight += g->k ? (g->p + (g->k > 1 ? g->k : 0)) * two : 0;
-    out += (g->head + g->turns + g->stretches) * two;
-    for (int64_t i = 0; i < g->odd; i++, s++, weight += two, out += 2 * two) {
+    out += (g->head + g->turns + g->stretches + g->lifts) * two;
+    for (int64_t i = 0; i < g->odd; i++, s++, weight += two, out += g->spot * two) {
         add_slope(w, s, weight, kappa, 1.0, 0.0, out, V);
         add_slope(w, s, weight, kappa, 0.0, 1.0, out + two, V);
+        if (g->spot > 2)
+            add_rise(w, s, weight, kappa, out + 2 * two, V);
     }
 }
 

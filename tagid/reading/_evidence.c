@@ -458,11 +458,11 @@ static int taken_powers(Held *held, PyObject **o, Problem *g, int one)
 static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
 {
     PyObject *o[12];
-    long long body, patterns, odd;
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOOdLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
-                          o + 9, o + 10, o + 11, &g->distance, &body, &patterns, &odd))
+    long long body, patterns, odd, spot;
+    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOOdLLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
+                          o + 9, o + 10, o + 11, &g->distance, &body, &patterns, &odd, &spot))
         return 0;
-    g->body = body, g->p = patterns, g->odd = odd;
+    g->body = body, g->p = patterns, g->odd = odd, g->spot = spot;
     if (!(g->views = take(held, o[0], -1, 0)) || (g->v = taken(held) / 40) < 1)
         return refused("views");
     if (!taken_recording(held, o + 1, g))
@@ -472,18 +472,23 @@ static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
     g->k = taken(held) / 24;
     if (g->k && g->p < 1)
         return refused("patterns");
-    if (!(g->group = take(held, o[6], 24 * g->k, 0)) || !(g->tables = take(held, o[7], -1, 0)))
+    if (!(g->group = take(held, o[6], 32 * g->k, 0)) || !(g->tables = take(held, o[7], -1, 0)))
         return 0;
     const int64_t of_table = 16 * g->p * g->f * ANGLES, tables = g->k ? taken(held) / of_table : 0;
     for (int64_t k = 0; k < g->k; k++) {
         const int64_t turn = g->group[k], stretch = g->group[g->k + k], table = g->group[2 * g->k + k];
+        const int64_t lift = g->group[3 * g->k + k];
+        g->lifts = lift >= g->lifts ? lift + 1 : g->lifts;
         g->turns = turn >= g->turns ? turn + 1 : g->turns;
         g->stretches = stretch >= g->stretches ? stretch + 1 : g->stretches;
-        if (turn < 0 || stretch < 0 || table < 0 || table >= tables)
+        if (turn < 0 || stretch < 0 || table < 0 || table >= tables ||
+            lift < -1 || (lift < 0) != (g->group[3 * g->k] < 0))
             return refused("groups");
     }
+    if (spot != 2 && spot != 3)
+        return refused("odd scatterers");
     g->head = g->body > 1 ? 4 : 2;
-    g->t = g->head + g->turns + g->stretches + 2 * g->odd;
+    g->t = g->head + g->turns + g->stretches + g->lifts + g->spot * g->odd;
     g->n = g->body + (g->k ? g->p : 0) + (g->k > 1 ? g->k : 0) + g->odd;
     g->sources = (g->body > 0) + g->k + g->odd;
     if (g->body < 0 || g->body == 2 || g->body > 3 || g->odd < 0 || g->n >= MOST ||
@@ -555,7 +560,7 @@ static PyObject *given_expand(PyObject *self, PyObject *args)
 }
 
 #define ARGUMENTS_OF                                                                                         \
-    "views, kappa, clutter, white, basis, tag, group, tables, x, power, sigma, out, distance, body, p, odd"
+    "views, kappa, clutter, white, basis, tag, group, tables, x, power, sigma, out, distance, body, p, odd, spot"
 
 static PyMethodDef methods[] = {
     {"values", values, METH_VARARGS, "values(" ARGUMENTS_OF "): out (G, H) log likelihoods"},

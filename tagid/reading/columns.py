@@ -3,7 +3,8 @@
 A hypothesis is a product of small choices: a body or none, a transfer, an arrangement of reflectors or none,
 and odd scatterers. Its parameters are, in this order: the centre x, y; of an oval body the cosine and sine
 part of its support function, m; a turn for every group of reflectors that turns by itself; a stretch (m
-outward) for every group that moves outward by itself; x, y of every odd scatterer.
+outward) for every group that moves outward by itself; a lift (m upward) for every group that rises by itself,
+where heights show; x, y of every odd scatterer, and where the antenna stood at several heights its height.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ CENTRE_SD_M = 6e-3
 """Standard deviation of the object's centre about the axis, m."""
 MOUNTING_SD_M = 1.5e-3
 """Standard deviation of a reflector's distance from the centre as enrolled, m."""
+PLANE_SD_M, OWN_SD_M = 50e-3, 65e-3
+"""Standard deviation of the height of the object's plane over the stated one, and of a free point's, m."""
 CLOSEST_M, CLOSE_SD_M = 18e-3, 0.5e-3
 """Nothing else stands in a reflector's place: nearer than this costs, by this standard deviation, m."""
 APART_M = 28e-3
@@ -50,6 +53,8 @@ class Arrangement:
         radius_m, angle, height_m: (K,) places about the centre, before turn and stretch.
         turn, stretch: (K,) number of the turn and of the stretch that moves each.
         free: (S,) whether the radius is free that a stretch moves; otherwise it has the mounting's prior.
+        lift: (K,) number of the lift that raises each.
+        tall: its heights differ: then they show from one antenna height, too.
     """
 
     radius_m: Floats
@@ -58,6 +63,8 @@ class Arrangement:
     turn: NDArray[np.intp]
     stretch: NDArray[np.intp]
     free: NDArray[np.bool_]
+    lift: NDArray[np.intp]
+    tall: bool = False
 
     @classmethod
     def of_layout(cls, positions: Floats, heights: Floats | None) -> Arrangement:
@@ -69,22 +76,22 @@ class Arrangement:
         """Reflectors at known places (K,), x + jy, and heights (K,), m, that turn together."""
         zero = np.zeros(len(places), dtype=np.intp)
         up = np.zeros(len(places)) if heights is None else np.asarray(heights, dtype=float)
-        return cls(np.abs(places), np.angle(places), up, zero, zero, np.zeros(1, dtype=bool))
+        rigid = np.zeros(1, dtype=bool)
+        return cls(np.abs(places), np.angle(places), up, zero, zero, rigid, zero, bool(np.ptp(up) > 0))
 
     @classmethod
     def ring(cls, radius_m: float, angle: Floats) -> Arrangement:
         """Reflectors at any angles (K,), rad, of one free ring."""
         k = len(angle)
-        zero = np.zeros(k, dtype=np.intp)
-        return cls(
-            np.full(k, radius_m), np.asarray(angle), np.zeros(k), np.arange(k), zero, np.ones(1, dtype=bool)
-        )
+        each, zero, free = np.arange(k), np.zeros(k, dtype=np.intp), np.ones(1, dtype=bool)
+        return cls(np.full(k, radius_m), np.asarray(angle), np.zeros(k), each, zero, free, each)
 
     @classmethod
     def points(cls, places: Complex) -> Arrangement:
         """Reflectors anywhere (K,), x + jy, m."""
         k = np.arange(len(places))
-        return cls(np.abs(places), np.angle(places), np.zeros(len(k)), k, k, np.ones(len(k), dtype=bool))
+        free = np.ones(len(k), dtype=bool)
+        return cls(np.abs(places), np.angle(places), np.zeros(len(k)), k, k, free, k)
 
     @classmethod
     def about(cls, places: Complex) -> Arrangement:
@@ -97,7 +104,12 @@ class Arrangement:
     def of(self, which: NDArray[np.intp]) -> Arrangement:
         """Some of the reflectors."""
         places = self.radius_m[which], self.angle[which], self.height_m[which]
-        return Arrangement(*places, self.turn[which], self.stretch[which], self.free)
+        groups = self.turn[which], self.stretch[which]
+        return Arrangement(*places, *groups, self.free, self.lift[which], self.tall)
+
+    def raised(self) -> Arrangement:
+        """The same with any heights."""
+        return replace(self, lift=np.arange(self.count), tall=True)
 
     def and_one(self, place: complex) -> Arrangement:
         """One reflector more, anywhere, x + jy, m, with a turn and a stretch of its own."""
@@ -108,6 +120,8 @@ class Arrangement:
             np.append(self.turn, self.turns),
             np.append(self.stretch, self.stretches),
             np.append(self.free, True),
+            np.append(self.lift, self.lifts),
+            self.tall,
         )
 
     @cached_property
@@ -119,6 +133,11 @@ class Arrangement:
     def stretches(self) -> int:
         """Number of groups that move outward by themselves."""
         return int(self.stretch.max()) + 1
+
+    @cached_property
+    def lifts(self) -> int:
+        """Number of groups that rise by themselves."""
+        return int(self.lift.max()) + 1
 
     @property
     def count(self) -> int:
@@ -185,6 +204,8 @@ class Model:
         disc: number of the clutter's disc, see `CLUTTER_RADII_M`.
         odd: number of odd scatterers.
         hidden: start and width, rad, of a sector of directions that sees no reflector; width 0: none.
+        levels: heights at which the antenna stood. From one, a lift of all changes no echo but for its phase,
+            which the amplitudes have free: then there is none unless the heights of the tag differ.
     """
 
     transfer: Transfer
@@ -193,6 +214,7 @@ class Model:
     disc: int
     odd: int = 0
     hidden: tuple[float, float] = (0.0, 0.0)
+    levels: int = 1
 
     @property
     def head(self) -> int:
@@ -213,7 +235,17 @@ class Model:
     def parameters(self) -> int:
         """Number of parameters."""
         tag = 0 if self.tag is None else self.tag.turns + self.tag.stretches
-        return 2 + self.shapes + tag + 2 * self.odd
+        return 2 + self.shapes + tag + self.lifts + self.spot * self.odd
+
+    @property
+    def lifts(self) -> int:
+        """Parameters of the reflectors' heights."""
+        return self.tag.lifts if self.tag is not None and (self.levels > 1 or self.tag.tall) else 0
+
+    @property
+    def spot(self) -> int:
+        """Parameters of an odd scatterer."""
+        return 3 if self.levels > 1 else 2
 
     @property
     def columns(self) -> int:
@@ -274,8 +306,18 @@ class Model:
         t = 0 if self.tag is None else self.tag.turns
         s = 0 if self.tag is None else self.tag.stretches
         h = 2 + self.shapes
-        odd = x[h + t + s :].reshape(-1, 2)
+        odd = x[h + t + s + self.lifts :].reshape(-1, self.spot)
         return complex(x[0], x[1]), x[h : h + t], x[h + t : h + t + s], odd[:, 0] + 1j * odd[:, 1]
+
+    def heights_of(self, x: Floats) -> tuple[Floats, Floats]:
+        """(K,) of the reflectors and (m,) of the odd scatterers, m."""
+        up = np.zeros(self.odd)
+        if self.levels > 1:
+            up = x[len(x) - 3 * self.odd :][2::3]
+        if self.tag is None:
+            return np.zeros(0), up
+        first = self.head + self.tag.turns + self.tag.stretches
+        return self.tag.height_m + (x[first:][self.tag.lift] if self.lifts else 0.0), up
 
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> Seen:
         """The columns at parameters x (P,); slopes: those are wanted, too."""
@@ -311,15 +353,17 @@ class Model:
             sds += [2 * np.pi / np.sqrt(12)] * self.tag.turns
             mounting = float(np.hypot(MOUNTING_SD_M, self.transfer.radius_sd_m))
             sds += [np.ptp(RING_M) / np.sqrt(12) if free else mounting for free in self.tag.free]
-        return np.array(sds + [REACH_M / 2] * (2 * self.odd))
+            common = np.bincount(self.tag.lift) > 1
+            sds += [PLANE_SD_M if several else OWN_SD_M for several in common[: self.lifts]]
+        return np.array(sds + [REACH_M / 2, REACH_M / 2, OWN_SD_M][: self.spot] * self.odd)
 
     @cached_property
     def _normal(self) -> NDArray[np.bool_]:
         """(P,) which parameters have a Gaussian prior."""
         flags = [True, True] + [False] * self.shapes
         if self.tag is not None:
-            flags += [False] * self.tag.turns + [not free for free in self.tag.free]
-        return np.array(flags + [False] * (2 * self.odd))
+            flags += [False] * self.tag.turns + [not free for free in self.tag.free] + [True] * self.lifts
+        return np.array(flags + [False, False, True][: self.spot] * self.odd)
 
     def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
         """Log density, its slope (P,) and precision (P, P) of what pulls the parameters."""
@@ -399,6 +443,7 @@ class Columns:
     values: Complex
     waves: Complex
     toward: Complex
+    up: Floats
     range_m: Floats
     pattern: Complex | None
     turned: Complex | None
@@ -413,10 +458,10 @@ class Columns:
         places = np.concatenate([[centre] * body, model.places(x), odd])
         heights = np.zeros(len(places))
         k = 0 if tag is None else tag.count
-        if tag is not None:
-            heights[body : body + k] = tag.height_m
+        heights[body : body + k], heights[body + k :] = model.heights_of(x)
         waves, range_m = spectra.waves(places, heights)
         toward = (places[:, None] - spectra.antenna) / range_m
+        up = (heights[:, None] - spectra.height_m) / range_m
         parts, pattern, turned, oval = [], None, None, None
         if model.shapes:
             near = x[2] * np.cos(2 * spectra.direction) + x[3] * np.sin(2 * spectra.direction)
@@ -439,7 +484,7 @@ class Columns:
                 parts.append(np.moveaxis(pattern[:, 0], 0, 1) * waves[:, body : body + k])
         parts.append(waves[:, body + k :])
         values = np.concatenate(parts, axis=1)
-        return cls(model, spectra, x, values, waves, toward, range_m, pattern, turned, oval)
+        return cls(model, spectra, x, values, waves, toward, up, range_m, pattern, turned, oval)
 
     def _weighted(self, weights: Complex) -> tuple[Complex, Complex | None]:
         """(F, S, V) every source's patterns summed with weights (F, n, V or 1), and those of the slopes."""
@@ -502,7 +547,12 @@ class Columns:
                 out[row + model.tag.turn[i]] += spun[:, i]
                 out[row + model.tag.turns + model.tag.stretch[i]] += drawn[:, i]
             row += model.tag.turns + model.tag.stretches
-        for i in range(model.odd):
-            out[row + 2 * i] = along_x[:, first + k + i]
-            out[row + 2 * i + 1] = along_y[:, first + k + i]
+            for i in range(k if model.lifts else 0):
+                out[row + model.tag.lift[i]] += moved[:, first + i] * self.up[first + i]
+            row += model.lifts
+        for i in range(first + k, first + k + model.odd):
+            out[row : row + 2] = along_x[:, i], along_y[:, i]
+            if model.spot > 2:
+                out[row + 2] = moved[:, i] * self.up[i]
+            row += model.spot
         return out

@@ -33,12 +33,12 @@ class Compiled:
         self.model = model
         self._powers: dict[tuple[Amplitudes, ...], Floats] = {}
         k = 0 if tag is None else tag.count
-        reflectors, groups = np.zeros((3, k)), np.zeros((3, k), dtype=np.int64)
+        reflectors, groups = np.zeros((3, k)), np.zeros((4, k), dtype=np.int64)
         tables: Complex = np.zeros(0, dtype=np.complex128)
         if tag is not None:
             reflectors[:] = tag.radius_m, tag.angle, tag.height_m
             radii, index = np.unique([nearest_ring(r) for r in tag.radius_m], return_inverse=True)
-            groups[:] = tag.turn, tag.stretch, index
+            groups[:] = tag.turn, tag.stretch, index, tag.lift if model.lifts else np.full(k, -1)
             tables = _stacked(transfer, spectra.kappa.tobytes(), tuple(radii.tolist()))
         seen = model.seeing(spectra.direction)
         place = spectra.antenna.real, spectra.antenna.imag, spectra.height_m, spectra.direction
@@ -46,7 +46,7 @@ class Compiled:
         body = model.body_columns
         shared = kappa, clutter[model.disc], white[model.disc], bases[model.disc]
         self._before = (np.stack([*place, seen.astype(float)]), *shared, reflectors, groups, tables)
-        self._after = (spectra.distance_m, body, len(transfer.power), model.odd)
+        self._after = (spectra.distance_m, body, len(transfer.power), model.odd, model.spot)
 
     @staticmethod
     def of(spectra: Spectra, model: Model) -> Compiled | None:

@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 
 from tagid.reading import search, sheet_tags
-from tagid.reading.columns import APART_M, Arrangement, Model
+from tagid.reading.columns import APART_M, PLANE_SD_M, Arrangement, Model
 from tagid.reading.descent import TAG, Found, Powers, best_powers, refined
 from tagid.reading.odd import OddMap
 from tagid.reading.sheet import KINDS, Kind
@@ -210,7 +210,7 @@ class Contest:
         shapes = [one.found.x[2:4] for one in bodies]
         starts: list[Candidate] = []
         for transfer in self.transfers:
-            model = Model(transfer, None, transfer.body, 0)
+            model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels)
             wide = 1 if transfer.body else 2
             some = near if transfer.body and known else centres
             starts += self._starts(model, some, powers, shapes, wide=wide)
@@ -305,7 +305,8 @@ class Contest:
                     continue
                 head[model.about] = (pose[0] - origin).real, (pose[0] - origin).imag
                 own = replace(model, tag=arranged.tag, disc=disc_of(arranged.radius_m), odd=0)
-                best = refined(self.spectra, own, np.r_[head, pose[1], 0.0], (1e-2, None))
+                rise = [float(np.mean(model.heights_of(found.x)[0] - arranged.tag.height_m))] * own.lifts
+                best = refined(self.spectra, own, np.r_[head, pose[1], 0.0, rise], (1e-2, None))
                 self.add(layout, best, arranged.middle)
 
     def _as_free(self) -> None:
@@ -347,7 +348,8 @@ class Contest:
 
     def _untagged(self) -> list[Hypothesis]:
         """Nothing, and a round body, with clutter of either disc."""
-        model = Model(POINTS, None, True, 0)
+        levels = self.spectra.levels
+        model = Model(POINTS, None, True, 0, levels=levels)
         starts = [np.array([c.real, c.imag, s.real, s.imag]) for c, s in BODIES_M]
         values = [best_powers(self.spectra, model, x, 1e-2)[1] for x in starts]
         order = np.argsort(values)[::-1][:2]
@@ -358,7 +360,8 @@ class Contest:
             self._centres += [one.centre for one in found]
             bodies.append(self.add(None, max(found, key=lambda one: one.log_z)))
         for disc in (0, 1):
-            self.add(None, refined(self.spectra, Model(BARE, None, False, disc), np.zeros(2), (None,), 1))
+            model = Model(BARE, None, False, disc, levels=levels)
+            self.add(None, refined(self.spectra, model, np.zeros(2), (None,), 1))
         return bodies
 
     def _starts(
@@ -378,6 +381,7 @@ class Contest:
             wide: centres and rings of free arrangements.
         """
         arranged = [_Arranged.of(one, model.covers_middle) for one in self.layouts]
+        rises = self.spectra.rises(2 * PLANE_SD_M).tolist()
         found: list[Candidate] = []
         for disc in (0, 1):
             model, shape = replace(model, disc=disc), shapes[disc]
@@ -395,13 +399,15 @@ class Contest:
             for c in centres:
                 tables: dict[tuple[tuple[float, float], ...], search.Tables] = {}
                 best = -np.inf
-                for one in own:
-                    rings = tuple(dict.fromkeys(one.rings))
+                for one, rise in product(own, rises):
+                    raised = [(r, z + rise) for r, z in one.rings]
+                    rings = tuple(dict.fromkeys(raised))
                     if rings not in tables:
                         tables[rings] = search.tables(self.spectra, model, c, rings, powers[disc], echo(c))
-                    ring = np.array([rings.index(r) for r in one.rings])
+                    ring = np.array([rings.index(r) for r in raised])
                     for s in search.turned(tables[rings], ring, one.tag.angle, 2):
-                        x, tagged = np.r_[head(c), s.angles[0], 0.0], replace(model, tag=one.tag)
+                        tagged = replace(model, tag=one.tag)
+                        x = np.r_[head(c), s.angles[0], 0.0, [rise] * tagged.lifts]
                         start = Candidate(s.log, one.layout, tagged, x, one.middle)
                         enrolled[one.layout.name].append(start)
                         best = max(best, s.log)
@@ -409,16 +415,17 @@ class Contest:
             for some in enrolled.values():
                 found += _unlike(some, 2)
             for _, c in sorted(about, key=lambda one: -one[0])[:wide]:
-                every = [
-                    search.tables(self.spectra, model, c, [(r, 0.0)], powers[disc], echo(c)) for r in free_m
-                ]
-                apart = [2 * float(np.arcsin(APART_M / 2 / r)) for r in free_m]
+                free = list(product(free_m, rises))
+                every = [search.tables(self.spectra, model, c, [one], powers[disc], echo(c)) for one in free]
+                apart = [2 * float(np.arcsin(APART_M / 2 / r)) for r, _ in free]
                 pairs = [search.free(t, 0, a, 2, 1)[-1].log for t, a in zip(every, apart, strict=True)]
                 for i in np.argsort(pairs)[::-1][:wide]:
                     for s in search.free(every[i], 0, apart[i], MOST_REFLECTORS, 2):
-                        x = np.r_[head(c), np.zeros(len(s.angles)), 0.0]
-                        tag = Arrangement.ring(free_m[i], np.array(s.angles))
-                        found.append(Candidate(s.log, None, replace(model, tag=tag), x, False))
+                        tag = Arrangement.ring(free[i][0], np.array(s.angles))
+                        tagged = replace(model, tag=tag)
+                        rise = [free[i][1]] * tagged.lifts
+                        x = np.r_[head(c), np.zeros(tag.turns + tag.stretches), rise]
+                        found.append(Candidate(s.log, None, tagged, x, False))
         return found
 
     def _beside_enrolled(self) -> None:
@@ -426,7 +433,8 @@ class Contest:
         guests = self._guests()
         stands: list[_Stand] = []
         for body in self.enrolled:
-            alone = SignatureModel.of(body, POINTS, disc_of(body.signature.radius_m))
+            disc = disc_of(body.signature.radius_m)
+            alone = SignatureModel.of(body, POINTS, disc, self.spectra.levels)
             poses = Poses(self.spectra, body, alone.disc)
             starts = [np.r_[one.head, 0.0, 0.0] for one in poses.best(POSES)]
             if alone.whole:
@@ -467,7 +475,7 @@ class Contest:
         for transfer in self.transfers:
             for stand, starts in zip(stands, found, strict=True):
                 if transfer.body:
-                    model = SignatureModel.of(stand.body, transfer, 0)
+                    model = SignatureModel.of(stand.body, transfer, 0, self.spectra.levels)
                     centres = _distinct(
                         [*stand.centres, *(stand.centres[-1] + 2 * one for one in near)], 1e-3
                     )
@@ -499,7 +507,7 @@ class Contest:
             disc = disc_of(float(own.radius_m.max()))
             model = replace(found.model, tag=own, odd=0, disc=disc)
             for turn in TURNS_RAD:
-                x = np.r_[found.x[: model.head], turn, 0.0]
+                x = np.r_[found.x[: model.head], turn, 0.0, np.zeros(model.lifts)]
                 log = best_powers(self.spectra, model, x, 1e-2)[1]
                 starts.append(Candidate(log, layout, model, x, arranged is not None and arranged.middle))
         starts.sort(key=lambda one: -one.log)
@@ -517,14 +525,15 @@ class Contest:
         """The same reflectors with free angles, on a free ring or anywhere."""
         found, model = one.found, one.found.model
         assert model.tag is not None
-        places = found.places - found.centre
+        places, rise = found.places - found.centre, float(np.mean(model.heights_of(found.x)[0]))
         radius = float(np.abs(places).mean())
         tag = Arrangement.points(places)
         if np.ptp(np.abs(places)) < RING_M:
             tag = Arrangement.ring(radius, np.angle(places))
-        odd = found.x[len(found.x) - 2 * model.odd :]
-        x = np.concatenate([found.x[: model.head], np.zeros(tag.turns + tag.stretches), odd])
-        freed = refined(self.spectra, replace(model, tag=tag), x, (None,))
+        own = replace(model, tag=tag)
+        odd = found.x[len(found.x) - model.spot * model.odd :]
+        x = np.r_[found.x[: model.head], np.zeros(tag.turns + tag.stretches), own.lifts * [rise], odd]
+        freed = refined(self.spectra, own, x, (None,))
         return Hypothesis(None, freed, freed.log_z)
 
     def _placed(self, layout: Layout | None, model: Model, x: Floats) -> Hypothesis:
@@ -573,7 +582,7 @@ class Contest:
             if place is None:
                 break
             model = one.found.model.with_odd(one.found.model.odd + 1)
-            x = np.r_[one.found.x, place.real, place.imag]
+            x = np.r_[one.found.x, place]
             found = refined(self.spectra, model, x, (None,), 8)
             more = found.log_z > one.found.log_z + 1
             other = model.identity != one.found.model.identity
@@ -597,6 +606,8 @@ class Contest:
                 model = replace(found.model, tag=more, odd=0)
                 turns = model.head + tag.turns
                 x = np.r_[found.x[:turns], 0.0, found.x[turns : turns + tag.stretches], 0.0]
+                lifts = found.x[turns + tag.stretches :][: found.model.lifts]
+                x = np.r_[x, lifts, np.zeros(model.lifts - len(lifts))]
                 self._grow(self.add(None, refined(self.spectra, model, x, (None,)), one.middle), MOST_ODD)
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.reading.columns import CLOSEST_M, ODD_POWER, REACH_M
+from tagid.reading.columns import CLOSEST_M, ODD_POWER, OWN_SD_M, REACH_M
 from tagid.reading.descent import Found, variance
-from tagid.reading.spectra import Complex, Spectra
+from tagid.reading.spectra import Complex, Floats, Spectra
 
 GAIN = 5.0
 """Nats that a place must add before it is refined."""
@@ -27,14 +27,20 @@ class OddMap:
     def _whitened(self, disc: int) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
         """(F, Q, M) conjugate columns of the places in the basis of a clutter's disc, and their energy."""
         if disc not in self._spots:
-            waves, _ = self._spectra.waves(_places(), np.zeros(len(_places())))
+            waves, _ = self._spectra.waves(*self._spots_of)
             spots = self._spectra.whiteners[disc].apply(waves).conj().astype(np.complex64)
             self._spots[disc] = spots, spots.real**2 + spots.imag**2
         return self._spots[disc]
 
-    def likeliest(self, found: Found) -> complex | None:
-        """The place, x + jy, m, that adds most evidence to a hypothesis; None where none adds `GAIN`."""
-        spectra, model, places = self._spectra, found.model, _places()
+    @cached_property
+    def _spots_of(self) -> tuple[Complex, Floats]:
+        """(Q,) places of the map, x + jy, and their heights, m."""
+        rises = self._spectra.rises(2 * OWN_SD_M)
+        return np.tile(_places(), len(rises)), np.repeat(rises, len(_places()))
+
+    def likeliest(self, found: Found) -> Floats | None:
+        """The parameters that add most evidence to a hypothesis; None where none adds `GAIN`."""
+        spectra, model, (places, heights) = self._spectra, found.model, self._spots_of
         spots, energy = self._whitened(model.disc)
         lam = variance(spectra, model, found.powers.clutter)
         columns = spectra.whiteners[model.disc].apply(model.at(spectra, found.x, slopes=False).values)
@@ -54,7 +60,8 @@ class OddMap:
         used = np.concatenate([found.places, found.odd])
         gain[(np.abs(places[:, None] - used) < CLOSEST_M).any(axis=1)] = -np.inf
         best = int(gain.argmax())
-        return complex(places[best]) if gain[best] > GAIN else None
+        spot = np.array([places[best].real, places[best].imag, heights[best]])
+        return spot[: model.spot] if gain[best] > GAIN else None
 
 
 @cache

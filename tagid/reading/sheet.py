@@ -141,6 +141,11 @@ class SheetModel(Model):
         return HEAD + super().parameters
 
     @property
+    def lifts(self) -> int:
+        """A sheet's reflectors stand as they were enrolled."""
+        return 0
+
+    @property
     def body_columns(self) -> int:
         """Number of columns of the sheet."""
         return OBLIQUITIES

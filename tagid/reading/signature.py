@@ -108,9 +108,9 @@ class SignatureModel(Model):
     level: Floats | None = None
 
     @classmethod
-    def of(cls, enrolled: EnrolledBody, transfer: Transfer, disc: int) -> SignatureModel:
+    def of(cls, enrolled: EnrolledBody, transfer: Transfer, disc: int, levels: int = 1) -> SignatureModel:
         """An untagged one."""
-        return cls(transfer, None, False, disc, enrolled=enrolled)
+        return cls(transfer, None, False, disc, levels=levels, enrolled=enrolled)
 
     @property
     def body(self) -> EnrolledBody:
@@ -172,7 +172,7 @@ class SignatureModel(Model):
     @cached_property
     def rest(self) -> Model:
         """What stands beside the body."""
-        return Model(_alone(self.transfer), self.tag, False, self.disc, self.odd, self.hidden)
+        return Model(_alone(self.transfer), self.tag, False, self.disc, self.odd, self.hidden, self.levels)
 
     def on_disc(self, disc: int) -> SignatureModel:
         """The same beside clutter of another disc."""
@@ -195,7 +195,7 @@ class SignatureModel(Model):
         centre, turn, stretch, _ = model.split(guest.x)
         off = centre - complex(head[0], head[1])
         own = replace(self, transfer=transfer, tag=model.tag, disc=model.disc)
-        return own, np.r_[head, off.real, off.imag, turn, stretch]
+        return own, np.r_[head, off.real, off.imag, turn, stretch, np.zeros(own.lifts)]
 
     def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:
         """Centre of the tag, turns, stretches and odd places of parameters."""

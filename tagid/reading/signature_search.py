@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tagid.reading import search
-from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
 from tagid.reading.columns import APART_M, Arrangement
 from tagid.reading.descent import BODY, Powers
+from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.tags.bodies.signature import angular
 

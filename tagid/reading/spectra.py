@@ -153,6 +153,25 @@ class Spectra:
         return int(self.data.shape[1])
 
     @cached_property
+    def level(self) -> NDArray[np.intp]:
+        """(V,) number of the height at which the antenna stood."""
+        return np.asarray(np.unique(np.round(self.height_m, 4), return_inverse=True)[1])
+
+    @property
+    def levels(self) -> int:
+        """Number of those heights."""
+        return int(self.level.max()) + 1
+
+    def rises(self, most_m: float) -> Floats:
+        """Heights up to so much above and below that change the echo by 1 rad from one to the next, m.
+
+        That is the root mean square over the views, after a common phase.
+        """
+        slope = float(self.kappa.mean() * np.std(self.height_m) / self.distance_m)
+        count = min(round(most_m * slope), 6)
+        return np.arange(-count, count + 1) / max(slope, 1e-9)
+
+    @cached_property
     def direction(self) -> Floats:
         """(V,) of the antenna from the axis, rad."""
         return np.asarray(np.angle(self.antenna))

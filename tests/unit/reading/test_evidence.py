@@ -33,6 +33,9 @@ MODELS = {
     "layout": Model(SHADE, LAYOUT, True, 0, odd=2),
     "late": Model(RODS[0], LAYOUT, False, 1),
     "free": Model(SHADE, FREE, True, 0),
+    "plane": Model(SHADE, LAYOUT, True, 0, odd=1, levels=2),
+    "lifted": Model(BARE, FREE, False, 0, odd=2, levels=2),
+    "tall": Model(BARE, LAYOUT.raised(), False, 1, odd=1),
     "hidden": Model(BARE, FREE, False, 0, odd=1, hidden=(1.0, 2.0)),
 }
 POWERS = (100.0, 0.3, 1e-3)
@@ -44,7 +47,7 @@ def somewhere(model: Model) -> np.ndarray:
     turns = 0 if model.tag is None else model.tag.turns
     x[model.head : model.head + turns] = 0.3 + np.arange(turns)
     if model.odd:
-        x[-2 * model.odd :] = 0.09 * np.sin(2.0 + 2 * np.arange(2 * model.odd))
+        x[-model.spot * model.odd :] = 0.09 * np.sin(2.0 + 2 * np.arange(model.spot * model.odd))
     return x
 
 
@@ -67,7 +70,7 @@ def test_the_compiled_likelihood_is_that_of_numpy(turn: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("turn", SPECTRA)
-@pytest.mark.parametrize("kind", ["body", "layout", "free", "hidden"])
+@pytest.mark.parametrize("kind", ["body", "layout", "free", "hidden", "plane", "lifted", "tall"])
 @pytest.mark.parametrize("way", [compiled, _Numpy])
 def test_the_gradient_is_that_of_finite_differences(
     turn: str, kind: str, way: type[Compiled] | type[_Numpy]
