@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagid.reading.columns import MOUNTING_SD_M
-from tagid.reading.hypotheses import Hypothesis
+from tagid.reading.hypotheses import Hypothesis, differ_in_height
 from tagid.reading.spectra import Complex
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
 
@@ -79,6 +79,8 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
     own, other = one.found, best.found
     bare = not own.model.transfer.body
     target = other.places
+    if differ_in_height(own, other):
+        return False
     if best.middle and other.model.transfer.body:
         target = np.append(target, other.centre) if bare else target
     alike = own.places

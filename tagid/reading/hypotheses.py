@@ -16,7 +16,7 @@ from tagid.reading import search, sheet_tags
 from tagid.reading.columns import APART_M, PLANE_SD_M, Arrangement, Model
 from tagid.reading.descent import TAG, Found, Powers, best_powers, refined
 from tagid.reading.odd import OddMap
-from tagid.reading.sheet import KINDS, Kind
+from tagid.reading.sheet import KINDS, Kind, SheetModel
 from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
 from tagid.reading.signature_search import Poses, altered
 from tagid.reading.spectra import Complex, Floats, Spectra
@@ -52,6 +52,12 @@ LOST = 0.01
 """Share of the tags that have lost a reflector."""
 MOST_ALTERED = 3
 """Reflectors less or more than those of an enrolled object."""
+LEVEL_M = 0.02
+"""Heights that differ by less are the same, m."""
+RAISED = 0.01
+"""Share of the tags that have an enrolled plan and other heights."""
+ASIDE_M = (-0.06, 0.0, 0.06)
+"""Heights over the enrolled ones that are tried, m."""
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
 """Widths of hidden sectors."""
 FITS_M = 0.012
@@ -225,6 +231,7 @@ class Contest:
             self._sheets()
             self._as_enrolled()
         self._as_free()
+        self._raised()
         self._one_more()
         return sorted(self.hypotheses, key=lambda one: -one.log_z)
 
@@ -345,6 +352,27 @@ class Contest:
                 model = replace(found.model, tag=tag.of(np.delete(np.arange(tag.count), k)))
                 prior = float(np.log(LOST / tag.count))
                 self.add(None, refined(self.spectra, model, found.x, (None,)), prior=prior)
+
+    def _raised(self) -> None:
+        """The best layouts' plans with any heights, where heights are in question."""
+        if self.spectra.levels == 1 and not any(
+            Arrangement.of_layout(one.positions, one.heights).tall for one in self.layouts
+        ):
+            return
+        for one in self._best(3, enrolled=True):
+            model, found = one.found.model, one.found
+            if model.tag is None or isinstance(model, SheetModel):
+                continue
+            tag = model.tag.raised()
+            own = replace(model, tag=tag, odd=0)
+            first = model.head + model.tag.turns + model.tag.stretches
+            heights = model.heights_of(found.x)[0] - tag.height_m
+            rises = list(product(ASIDE_M, repeat=tag.count))
+            starts = [np.r_[found.x[:first], heights + rise] for rise in rises]
+            logs = [best_powers(self.spectra, own, x, 1e-2)[1] for x in starts]
+            for i in np.argsort(logs)[::-1][:2]:
+                best = refined(self.spectra, own, starts[i], (1e-2, None))
+                self._grow(self.add(None, best, one.middle, float(np.log(RAISED))), MOST_ODD)
 
     def _untagged(self) -> list[Hypothesis]:
         """Nothing, and a round body, with clutter of either disc."""
@@ -680,4 +708,21 @@ def _same_place(one: Found, other: Found) -> bool:
     """Both are of one model and stand at one place."""
     if one.model.transfer is not other.model.transfer or len(one.places) != len(other.places):
         return False
+    if differ_in_height(one, other):
+        return False
     return bool((np.abs(one.places[:, None] - other.places).min(axis=1) < 5e-3).all())
+
+
+def differ_in_height(one: Found, other: Found) -> bool:
+    """Whether reflectors of `one` stand at other heights than the nearest of `other`, or at any.
+
+    A height that is common to all is that of the object's plane.
+    """
+    tag = one.model.tag
+    if not (one.model.lifts or other.model.lifts) or tag is None or not len(other.places):
+        return False
+    if tag.tall and tag.lifts > 1:
+        return True
+    nearest = np.abs(one.places[:, None] - other.places).argmin(axis=1)
+    off = one.model.heights_of(one.x)[0] - other.model.heights_of(other.x)[0][nearest]
+    return bool(np.abs(off - off.mean()).max() > LEVEL_M)
