@@ -414,7 +414,9 @@ class Model:
         """Pairs of reflectors and odd scatterers, squared differences in height, m^2, least distances, m."""
         height = np.append(np.zeros(0) if self.tag is None else self.tag.height_m, np.zeros(self.odd))
         first, second = np.triu_indices(len(height), 1)
-        rise = (height[first] - height[second]) ** 2
+        # Only heights of one group are known: nothing stands above or below a reflector, its own row apart.
+        group = np.append([] if self.tag is None else self.tag.lift, -1 - np.arange(self.odd))
+        rise = np.where(group[first] == group[second], (height[first] - height[second]) ** 2, 0.0)
         least = np.where(second < len(height) - self.odd, APART_M, CLOSEST_M)
         if self.tag is not None and self.tag.count > 1:
             # An enrolled tag stands as it was built.
