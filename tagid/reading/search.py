@@ -274,8 +274,7 @@ def _uneven(
     parts = []
     for radius, height in rings:
         waves, _ = spectra.waves(centre + radius * np.exp(1j * facing), np.full(angles, height))
-        seen, _ = patterns(spectra, transfer, np.full(angles, radius), facing)
-        parts.append(waves[:, :, None] * np.moveaxis(seen, 2, 0))
+        parts.append(waves[:, :, None] * _seen(spectra, transfer, radius, angles))
     w = np.concatenate(parts, axis=1)
     f, count, p, v = w.shape
     w = (whitener.apply(w.reshape(f, count * p, v)) / root[:, None]).reshape(f, count, p, -1)
@@ -291,6 +290,14 @@ def _uneven(
     right = (w.conj() @ y[:, None, :, None])[..., 0]
     power = powers.tag * np.array(transfer.power)[:, None] * spectra.moving
     return dense(w, right, held, power, base, len(rings), angles)
+
+
+@lru_cache(maxsize=16)
+def _seen(spectra: Spectra, transfer: Transfer, radius_m: float, angles: int) -> Complex:
+    """(F, angles, P, V) patterns on a ring, about any centre and at any height."""
+    facing = np.asarray(2 * np.pi / angles * np.arange(angles), dtype=np.float64)
+    seen, _ = patterns(spectra, transfer, np.full(angles, radius_m), facing)
+    return np.ascontiguousarray(np.moveaxis(seen, 2, 0))
 
 
 def dense(

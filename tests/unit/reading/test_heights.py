@@ -25,7 +25,7 @@ FLAT = Layout("flat", PLAN)
 STRANGER = Layout("stranger", PLAN, heights=np.array([0.06, 0.06, 0.0]))
 
 
-def scan(layout: Layout, heights: tuple[float, ...], raised: float, views: int = 24) -> Capture:
+def scan(layout: Layout, heights: tuple[float, ...], raised: float, views: int = 20) -> Capture:
     """A turn at 20 dB from each height, of the layout rotated by 40 degrees, with a room at each height."""
     c, s = np.cos(0.7), np.sin(0.7)
     plane = layout.positions @ np.array([[c, s], [-s, c]]) + np.array([0.004, -0.002])
