@@ -26,6 +26,8 @@ RADIUS_M = 0.13
 """Of objects, unless a larger one is enrolled."""
 CLUTTER_RADII_M = (0.05, 0.10)
 """Radii of the discs over which the scatterers of the clutter are spread."""
+UPRIGHT_SD_M = 0.04
+"""Standard deviation of the height of the clutter's scatterers, m: from another height their sum differs."""
 _DISC_RINGS = 24
 
 
@@ -180,6 +182,7 @@ class Spectra:
     def whiteners(self) -> tuple[Whitener, ...]:
         """One for each of `CLUTTER_RADII_M`."""
         apart = 2 * np.abs(np.sin((self.direction[:, None] - self.direction) / 2))
+        risen = np.subtract.outer(self.height_m, self.height_m) / self.distance_m
         rooms = _rooms(self.height_m)
         found = []
         for radius in CLUTTER_RADII_M:
@@ -190,6 +193,7 @@ class Spectra:
                 found.append(Whitener(every[:, 1:], None, every))
                 continue
             covariance = _j0(self.kappa[:, None, None, None] * steps[:, None, None] * apart).mean(axis=1)
+            covariance *= np.exp(-0.5 * (self.kappa[:, None, None] * UPRIGHT_SD_M * risen) ** 2)
             free = np.linalg.svd(rooms)[2][len(rooms) :]
             values, vectors = np.linalg.eigh(free @ covariance @ free.T)
             basis = (np.swapaxes(vectors, 1, 2) @ free).astype(complex)
