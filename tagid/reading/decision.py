@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagid.reading.columns import MOUNTING_SD_M
-from tagid.reading.hypotheses import Hypothesis, differ_in_height
+from tagid.reading.hypothesis import Hypothesis, differ_in_height
 from tagid.reading.spectra import Complex
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
 

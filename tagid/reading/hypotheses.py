@@ -8,16 +8,29 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import permutations, product
+from itertools import product
 
 import numpy as np
 
 from tagid.reading import search, sheet_tags
 from tagid.reading.columns import APART_M, PLANE_SD_M, Arrangement, Model
 from tagid.reading.descent import TAG, Found, Powers, best_powers, refined
+from tagid.reading.hypothesis import (
+    Arranged,
+    Candidate,
+    Hypothesis,
+    Stand,
+    bodies_apart,
+    disc_of,
+    distinct,
+    pose_of,
+    same_place,
+    shaped,
+    unlike,
+)
 from tagid.reading.odd import OddMap
 from tagid.reading.sheet import KINDS, Kind, SheetModel
-from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
+from tagid.reading.signature import EnrolledBody, SignatureModel
 from tagid.reading.signature_search import Poses, altered
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
@@ -52,16 +65,12 @@ LOST = 0.01
 """Share of the tags that have lost a reflector."""
 MOST_ALTERED = 3
 """Reflectors less or more than those of an enrolled object."""
-LEVEL_M = 0.02
-"""Heights that differ by less are the same, m."""
 RAISED = 0.01
 """Share of the tags that have an enrolled plan and other heights."""
 ASIDE_M = (-0.06, 0.0, 0.06)
 """Heights over the enrolled ones that are tried, m."""
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
 """Widths of hidden sectors."""
-FITS_M = 0.012
-"""A layout is tried where a free arrangement differs from it by less, m."""
 GUESTS, POSES, STANDS = 3, 3, 2
 """Arrangements beside which an enrolled body is looked for, its poses that are refined, and poses of any
 enrolled bodies about which reflectors are looked for closely."""
@@ -69,8 +78,6 @@ _NEAR_M = tuple(2e-3 * np.exp(1j * np.pi / 3 * np.arange(6)))
 """Steps from a body's centre at which tags are looked for, too."""
 _KNOWN_M = 1.5e-3
 """A body's centre is known well enough for the search where its standard deviation is below."""
-_MIDDLE_M = 5e-3
-"""A reflector nearer to the axis is the middle one: beside a body it looks like that."""
 
 
 LOOKED_FOR = 4
@@ -79,102 +86,6 @@ RING_M = 2e-3
 """Reflectors whose distances from the centre differ by less stand on a ring, m."""
 TURNS_RAD = tuple(np.deg2rad(np.arange(0, 360, 4)))
 """At which it is looked for."""
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """One explanation of a recording.
-
-    Attributes:
-        layout: the enrolled one; None for none or an arrangement that is not enrolled.
-        found: the model at its most probable parameters.
-        log_z: log evidence, nats.
-        middle: the layout has a reflector in the middle, which looks like the body.
-        prior: log probability of it, in `log_z`.
-    """
-
-    layout: Layout | None
-    found: Found
-    log_z: float
-    middle: bool = False
-    prior: float = 0.0
-
-    @property
-    def tagged(self) -> bool:
-        """It has reflectors."""
-        return self.found.model.tagged
-
-    @property
-    def name(self) -> str | None:
-        """Of the layout, or of the enrolled object that stands there as it was."""
-        return self.found.model.identity if self.layout is None else self.layout.name
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A start of the descent and the log evidence that the tables give it."""
-
-    log: float
-    layout: Layout | None
-    model: Model
-    x: Floats
-    middle: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _Arranged:
-    """A layout as an arrangement; without its middle reflector if the body covers that."""
-
-    layout: Layout
-    tag: Arrangement
-    radius_m: float
-    middle: bool
-
-    @classmethod
-    def of(cls, layout: Layout, covered: bool) -> _Arranged:
-        whole = Arrangement.of_layout(layout.positions, layout.heights)
-        out = whole.radius_m > _MIDDLE_M
-        tag = whole.of(np.flatnonzero(out)) if covered else whole
-        return cls(layout, tag, float(whole.radius_m.max()), covered and bool((~out).any()))
-
-    @property
-    def rings(self) -> list[tuple[float, float]]:
-        """Radius and height of every reflector, m."""
-        return [
-            (round(float(r), 4), float(z)) for r, z in zip(self.tag.radius_m, self.tag.height_m, strict=True)
-        ]
-
-
-@dataclass(frozen=True, eq=False)
-class _Stand:
-    """An enrolled body in its pose.
-
-    Attributes:
-        x: (HEAD,) parameters of the body.
-        echo: (F, V).
-        centres: of a tag as it is supposed, and of the body.
-        powers: under which reflectors are looked for.
-    """
-
-    body: EnrolledBody
-    x: Floats
-    echo: Complex
-    centres: tuple[complex, complex]
-    powers: Powers
-
-    @classmethod
-    def of(cls, spectra: Spectra, found: Found) -> _Stand:
-        """That of a hypothesis."""
-        assert isinstance(found.model, SignatureModel)
-        echo = found.model.at(spectra, found.x, slopes=False).values[:, 0]
-        centres = found.centre, complex(found.x[0], found.x[1])
-        powers = Powers(1e-2, found.powers.body)
-        return cls(found.model.body, found.x[:HEAD], echo, centres, powers)
-
-    def head(self, centre: complex) -> Floats:
-        """Parameters before those of reflectors about a centre."""
-        off = centre - self.centres[1]
-        return np.append(self.x, [off.real, off.imag])
 
 
 @dataclass(eq=False)
@@ -210,7 +121,7 @@ class Contest:
         body = max(bodies, key=lambda one: one.log_z).found
         centres = [body.centre, *GRID_M]
         # A loud tag moves the centre that a body alone seems to have.
-        near = _distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
+        near = distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
         known = body.centre_sd_m < _KNOWN_M
         powers = [replace(one.found.powers, clutter=max(one.found.powers.clutter, 1e-3)) for one in bodies]
         shapes = [one.found.x[2:4] for one in bodies]
@@ -259,7 +170,7 @@ class Contest:
             if len(done) == THEN:
                 break
             layout = starts[i].layout
-            if any(layout is other and _same_place(rough, there) for other, there in done):
+            if any(layout is other and same_place(rough, there) for other, there in done):
                 continue
             found = refined(self.spectra, rough.model, rough.x, (1e-3, None))
             done.append((layout, found))
@@ -278,7 +189,7 @@ class Contest:
             starts = []
             for transfer in (*self.transfers, FACING):
                 covered = one.layout is not None and transfer.body
-                tag = model.tag if one.layout is None else _Arranged.of(one.layout, covered).tag
+                tag = model.tag if one.layout is None else Arranged.of(one.layout, covered).tag
                 own = replace(model, transfer=transfer, tag=tag, oval=transfer.body)
                 shape = found.x[2:4] if model.shapes else shapes[model.disc]
                 x = np.r_[found.x[:2], shape[: own.shapes], found.x[model.head :]]
@@ -292,7 +203,7 @@ class Contest:
             for _, own, x in starts[:BESIDE]:
                 again = refined(self.spectra, own, x, (1e-3, None))
                 tried = [other.found for other in self.hypotheses if other.layout is one.layout]
-                if not any(_same_place(again, other) and other.model.disc == own.disc for other in tried):
+                if not any(same_place(again, other) and other.model.disc == own.disc for other in tried):
                     self.add(one.layout, again, one.middle)
 
     def _as_enrolled(self) -> None:
@@ -306,7 +217,7 @@ class Contest:
             # The centre is counted from that of a sheet or an enrolled body.
             origin = found.centre - complex(*head[model.about])
             for layout in self.layouts:
-                arranged = _Arranged.of(layout, model.covers_middle)
+                arranged = Arranged.of(layout, model.covers_middle)
                 pose = pose_of(arranged.tag, found.places)
                 if pose is None:
                     continue
@@ -398,7 +309,7 @@ class Contest:
         centres: Sequence[complex],
         powers: Sequence[Powers],
         shapes: Sequence[Floats] = (ROUND, ROUND),
-        stand: _Stand | None = None,
+        stand: Stand | None = None,
         wide: int = 0,
     ) -> list[Candidate]:
         """Layouts at their best turns, and free arrangements, by tables of single reflectors.
@@ -408,7 +319,7 @@ class Contest:
             stand: an enrolled body in its pose.
             wide: centres and rings of free arrangements.
         """
-        arranged = [_Arranged.of(one, model.covers_middle) for one in self.layouts]
+        arranged = [Arranged.of(one, model.covers_middle) for one in self.layouts]
         rises = self.spectra.rises(2 * PLANE_SD_M).tolist()
         found: list[Candidate] = []
         for disc in (0, 1):
@@ -418,7 +329,7 @@ class Contest:
                 return np.r_[c.real, c.imag, shape] if stand is None else stand.head(c)
 
             def echo(c: complex, shape: Floats = shape) -> Complex | None:
-                return _shaped(self.spectra, c, shape) if stand is None else stand.echo
+                return shaped(self.spectra, c, shape) if stand is None else stand.echo
 
             own = [one for one in arranged if disc_of(one.radius_m) == disc]
             free_m = [r for r in FREE_RINGS_M if disc_of(r) == disc]
@@ -441,7 +352,7 @@ class Contest:
                         best = max(best, s.log)
                 about.append((best, c))
             for some in enrolled.values():
-                found += _unlike(some, 2)
+                found += unlike(some, 2)
             for _, c in sorted(about, key=lambda one: -one[0])[:wide]:
                 free = list(product(free_m, rises))
                 every = [search.tables(self.spectra, model, c, [one], powers[disc], echo(c)) for one in free]
@@ -459,7 +370,7 @@ class Contest:
     def _beside_enrolled(self) -> None:
         """Enrolled bodies and objects: alone, beside what the points have shown, and with any reflectors."""
         guests = self._guests()
-        stands: list[_Stand] = []
+        stands: list[Stand] = []
         for body in self.enrolled:
             disc = disc_of(body.signature.radius_m)
             alone = SignatureModel.of(body, POINTS, disc, self.spectra.levels)
@@ -478,7 +389,7 @@ class Contest:
             for guest in guests:
                 (pose,) = poses.best(1, guest.found.beside(self.spectra))
                 own.append(self._placed(guest.layout, *alone.with_guest(guest.found, pose.head)))
-            stands += [_Stand.of(self.spectra, found) for found in _bodies_apart(own)]
+            stands += [Stand.of(self.spectra, found) for found in bodies_apart(own)]
         if not stands:
             return
         likely = [max(one.log for one in starts) for starts in self._about(stands, ())]
@@ -497,16 +408,14 @@ class Contest:
             again = refined(self.spectra, model, x, (1e-2, None))
             self.add(None, again, prior=float(np.log(LOST / len(TAG))))
 
-    def _about(self, stands: Sequence[_Stand], near: Sequence[complex]) -> list[list[Candidate]]:
+    def _about(self, stands: Sequence[Stand], near: Sequence[complex]) -> list[list[Candidate]]:
         """Reflectors beside enrolled bodies in their poses, about centres near theirs, if any are given."""
         found: list[list[Candidate]] = [[] for _ in stands]
         for transfer in self.transfers:
             for stand, starts in zip(stands, found, strict=True):
                 if transfer.body:
                     model = SignatureModel.of(stand.body, transfer, 0, self.spectra.levels)
-                    centres = _distinct(
-                        [*stand.centres, *(stand.centres[-1] + 2 * one for one in near)], 1e-3
-                    )
+                    centres = distinct([*stand.centres, *(stand.centres[-1] + 2 * one for one in near)], 1e-3)
                     starts += self._starts(
                         model, centres, [stand.powers] * 2, stand=stand, wide=1 if near else 0
                     )
@@ -529,7 +438,7 @@ class Contest:
                 bodies.setdefault((type(one.found.model), one.found.model.transfer), one.found)
         starts: list[Candidate] = []
         for found in list(bodies.values())[:LOOKED_FOR]:
-            arranged = None if layout is None else _Arranged.of(layout, found.model.covers_middle)
+            arranged = None if layout is None else Arranged.of(layout, found.model.covers_middle)
             own = tag if arranged is None else arranged.tag
             assert own is not None
             disc = disc_of(float(own.radius_m.max()))
@@ -637,92 +546,3 @@ class Contest:
                 lifts = found.x[turns + tag.stretches :][: found.model.lifts]
                 x = np.r_[x, lifts, np.zeros(model.lifts - len(lifts))]
                 self._grow(self.add(None, refined(self.spectra, model, x, (None,)), one.middle), MOST_ODD)
-
-
-def _distinct(places: Sequence[complex], apart_m: float) -> list[complex]:
-    """Places x + jy, m, without those that stand nearer to one before them."""
-    out: list[complex] = []
-    for place in places:
-        if all(abs(place - other) > apart_m for other in out):
-            out.append(place)
-    return out
-
-
-def _shaped(spectra: Spectra, centre: complex, shape: Floats) -> Complex:
-    """(F, V) echo of a body at a centre whose support function has a two-fold part."""
-    twice = 2 * spectra.direction
-    near = shape[0] * np.cos(twice) + shape[1] * np.sin(twice)
-    waves, _ = spectra.waves(np.array([centre]), np.zeros(1))
-    return np.asarray(waves[:, 0] * np.exp(1j * spectra.kappa[:, None] * near))
-
-
-def disc_of(radius_m: float) -> int:
-    """Number of the clutter's disc for reflectors at a distance from the axis, m."""
-    return 0 if radius_m < 0.08 else 1
-
-
-def _bodies_apart(some: Sequence[Hypothesis]) -> list[Found]:
-    """One enrolled body in all poses that differ."""
-    out: list[Found] = []
-    for found in (one.found for one in some):
-        if all(
-            abs(np.angle(np.exp(1j * (found.x[2] - other.x[2])))) > 0.05
-            or np.abs(found.x[:2] - other.x[:2]).max() > 2e-3
-            for other in out
-        ):
-            out.append(found)
-    return out
-
-
-def pose_of(tag: Arrangement, places: Complex) -> tuple[complex, float] | None:
-    """Centre and turn that lay a tag's reflectors on places (K,), x + jy, m; None where they are far off."""
-    if tag.count != len(places) or tag.count < 2:
-        return None
-    flat = tag.radius_m * np.exp(1j * tag.angle)
-    best, found = FITS_M, None
-    for order in permutations(range(tag.count)):
-        p = places[list(order)]
-        turn = np.vdot(flat - flat.mean(), p - p.mean())
-        turn = turn / max(abs(turn), 1e-30)
-        off = np.abs((flat - flat.mean()) * turn - (p - p.mean())).max()
-        if off < best:
-            best, found = float(off), (complex(p.mean() - flat.mean() * turn), float(np.angle(turn)))
-    return found
-
-
-def _unlike(starts: list[Candidate], count: int) -> list[Candidate]:
-    """The best starts of one layout whose reflectors stand in other places."""
-    out: list[Candidate] = []
-    for one in sorted(starts, key=lambda one: -one.log):
-        places = one.model.places(one.x)
-        if all(
-            np.abs(places[:, None] - other.model.places(other.x)).min(axis=1).max() > 0.015 for other in out
-        ):
-            out.append(one)
-        if len(out) == count:
-            break
-    return out
-
-
-def _same_place(one: Found, other: Found) -> bool:
-    """Both are of one model and stand at one place."""
-    if one.model.transfer is not other.model.transfer or len(one.places) != len(other.places):
-        return False
-    if differ_in_height(one, other):
-        return False
-    return bool((np.abs(one.places[:, None] - other.places).min(axis=1) < 5e-3).all())
-
-
-def differ_in_height(one: Found, other: Found) -> bool:
-    """Whether reflectors of `one` stand at other heights than the nearest of `other`, or at any.
-
-    A height that is common to all is that of the object's plane.
-    """
-    tag = one.model.tag
-    if not (one.model.lifts or other.model.lifts) or tag is None or not len(other.places):
-        return False
-    if tag.tall and tag.lifts > 1:
-        return True
-    nearest = np.abs(one.places[:, None] - other.places).argmin(axis=1)
-    off = one.model.heights_of(one.x)[0] - other.model.heights_of(other.x)[0][nearest]
-    return bool(np.abs(off - off.mean()).max() > LEVEL_M)

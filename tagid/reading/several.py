@@ -15,7 +15,8 @@ import numpy as np
 
 from tagid.reading.columns import Arrangement
 from tagid.reading.decision import SURE, Decision, decide, has_middle, is_same, settled
-from tagid.reading.hypotheses import Contest, Hypothesis, pose_of
+from tagid.reading.hypotheses import Contest
+from tagid.reading.hypothesis import Hypothesis, pose_of
 
 STRANGERS = 3
 """Arrangements of every recording that are not enrolled, which are looked for in the others."""

@@ -13,7 +13,7 @@ from tagid.reading.columns import Arrangement, Model
 from tagid.reading.compiled import Compiled
 from tagid.reading.decision import decide
 from tagid.reading.descent import Found, _Numpy, refined
-from tagid.reading.hypotheses import Hypothesis
+from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.sheet import KINDS, SHELL, Kind, SheetColumns, SheetModel
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
