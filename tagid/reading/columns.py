@@ -37,6 +37,8 @@ RING_M = (0.02, 0.14)
 """A free ring has a radius between these, m."""
 UNLIKE = 0.2
 """Reflectors of one tag differ in strength by this standard deviation, over their mean."""
+STRONGEST = 0.5
+"""Power of a reflector of two or more, at most, over the moving energy: unlike ones differ from that."""
 TABLE_FROM_M, TABLE_STEP_M = 0.016, 0.003
 """Patterns are known for rings of this radius on, in steps of so much: they change slowly with it."""
 SECTORS = 36
@@ -338,7 +340,7 @@ class Model:
             parts += [body, body * oval, body * oval] if self.oval else [body]
         if self.tag is not None:
             parts += [tag * p for p in self.transfer.power]
-            parts += [tag * self.transfer.power[0] * UNLIKE**2] * self.unlike
+            parts += [min(tag, STRONGEST) * self.transfer.power[0] * UNLIKE**2] * self.unlike
         parts += [ODD_POWER] * self.odd
         return np.asarray(moving[:, None] * np.array(parts))
 

@@ -16,8 +16,8 @@ from tagid.reading.spectra import Floats, Spectra
 
 CLUTTER = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)
 """Powers of the clutter that are tried, over the moving energy."""
-TAG = (0.03, 0.15, 0.7)
-"""Powers of a reflector that are tried, over the moving energy, of which two or more have their shares."""
+TAG = (0.03, 0.25, 2.0)
+"""Powers of a reflector that are tried, over the moving energy: it may be seen from a few sides only."""
 BODY = (0.1, 3.0, 100.0, 3000.0)
 """Powers of a body that are tried, over the moving energy: what does not move is the room's."""
 OVAL = (1e-5, 1e-3, 1e-1)

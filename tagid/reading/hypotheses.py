@@ -65,7 +65,7 @@ LOST = 0.01
 """Share of the tags that have lost a reflector."""
 MOST_ALTERED = 3
 """Reflectors less or more than those of an enrolled object."""
-RAISED = 0.01
+RAISED = 1e-3
 """Share of the tags that have an enrolled plan and other heights."""
 ASIDE_M = (-0.06, 0.0, 0.06)
 """Heights over the enrolled ones that are tried, m."""
