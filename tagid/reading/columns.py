@@ -96,10 +96,10 @@ class Arrangement:
         return cls(np.abs(places), np.angle(places), np.zeros(len(k)), k, k, free, k)
 
     @classmethod
-    def about(cls, places: Complex) -> Arrangement:
-        """Free reflectors near places (K,), x + jy, m: of one ring where those are."""
+    def about(cls, places: Complex, apart_m: float = 2 * MOUNTING_SD_M) -> Arrangement:
+        """Free reflectors near places (K,), x + jy, m: of one ring where their radii differ by no more."""
         out = np.abs(places)
-        if np.ptp(out) > 2 * MOUNTING_SD_M:
+        if np.ptp(out) > apart_m:
             return cls.points(places)
         return cls.ring(float(out.mean()), np.angle(places))
 
@@ -219,9 +219,14 @@ class Model:
     levels: int = 1
 
     @property
+    def body_parameters(self) -> int:
+        """Parameters of a body with a centre of its own: they come first; the tag's centre is about that."""
+        return 0
+
+    @property
     def head(self) -> int:
         """Parameters before those of the reflectors."""
-        return 2 + self.shapes
+        return self.body_parameters + 2 + self.shapes
 
     @property
     def shapes(self) -> int:
@@ -231,13 +236,13 @@ class Model:
     @property
     def about(self) -> slice:
         """Parameters of the tag's centre."""
-        return slice(0, 2)
+        return slice(self.body_parameters, self.body_parameters + 2)
 
     @property
     def parameters(self) -> int:
         """Number of parameters."""
         tag = 0 if self.tag is None else self.tag.turns + self.tag.stretches
-        return 2 + self.shapes + tag + self.lifts + self.spot * self.odd
+        return self.head + tag + self.lifts + self.spot * self.odd
 
     @property
     def lifts(self) -> int:
@@ -307,9 +312,10 @@ class Model:
         """Centre, turns, stretches and odd places of parameters."""
         t = 0 if self.tag is None else self.tag.turns
         s = 0 if self.tag is None else self.tag.stretches
-        h = 2 + self.shapes
+        h = self.head
+        centre = complex(*x[self.about]) + (complex(x[0], x[1]) if self.body_parameters else 0)
         odd = x[h + t + s + self.lifts :].reshape(-1, self.spot)
-        return complex(x[0], x[1]), x[h : h + t], x[h + t : h + t + s], odd[:, 0] + 1j * odd[:, 1]
+        return centre, x[h : h + t], x[h + t : h + t + s], odd[:, 0] + 1j * odd[:, 1]
 
     def heights_of(self, x: Floats) -> tuple[Floats, Floats]:
         """(K,) of the reflectors and (m,) of the odd scatterers, m."""

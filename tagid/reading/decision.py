@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagid.reading.columns import MOUNTING_SD_M
-from tagid.reading.hypothesis import Hypothesis, differ_in_height
+from tagid.reading.hypothesis import Hypothesis, Joint, differ_in_height
 from tagid.reading.spectra import Complex
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
 
@@ -48,17 +48,16 @@ def decide(hypotheses: Sequence[Hypothesis], sure: float = SURE) -> Decision:
     best = max(named, key=lambda one: one.log_z, default=None)
     others = [one for one in hypotheses if best is None or not is_same(one, best)]
     rival = max(others, key=lambda one: one.log_z)
-    return settled(None if best is None else (best.log_z, best), (rival.log_z, rival), sure)
+    named_best = None if best is None else Joint(best.log_z, best)
+    return settled(named_best, Joint(rival.log_z, rival), sure)
 
 
-def settled(
-    named: tuple[float, Hypothesis] | None, other: tuple[float, Hypothesis], sure: float = SURE
-) -> Decision:
+def settled(named: Joint | None, other: Joint, sure: float = SURE) -> Decision:
     """The decision between the best hypothesis that has a name and the best other, by their log evidences."""
-    rival = other[1]
+    rival = other.shown
     if named is None:
         return Decision("unknown" if rival.tagged else "no_tag", None, -np.inf, words(rival), None, rival)
-    best, lead = named[1], named[0] - other[0]
+    best, lead = named.shown, named.log_z - other.log_z
     if lead >= sure:
         return Decision("identified", best.name, lead, "", best, rival)
     winner = best if lead > 0 else rival

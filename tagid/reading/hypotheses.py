@@ -25,7 +25,6 @@ from tagid.reading.hypothesis import (
     distinct,
     pose_of,
     same_place,
-    shaped,
     unlike,
 )
 from tagid.reading.odd import OddMap
@@ -67,7 +66,7 @@ MOST_ALTERED = 3
 """Reflectors less or more than those of an enrolled object."""
 RAISED = 1e-3
 """Share of the tags that have an enrolled plan and other heights."""
-ASIDE_M = (-0.06, 0.0, 0.06)
+RAISED_M = (-0.06, 0.0, 0.06)
 """Heights over the enrolled ones that are tried, m."""
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
 """Widths of hidden sectors."""
@@ -82,7 +81,7 @@ _KNOWN_M = 1.5e-3
 
 LOOKED_FOR = 4
 """Bodies beside which an arrangement is looked for that another recording has shown, and starts of it."""
-RING_M = 2e-3
+ON_RING_M = 2e-3
 """Reflectors whose distances from the centre differ by less stand on a ring, m."""
 TURNS_RAD = tuple(np.deg2rad(np.arange(0, 360, 4)))
 """At which it is looked for."""
@@ -278,7 +277,7 @@ class Contest:
             own = replace(model, tag=tag, odd=0)
             first = model.head + model.tag.turns + model.tag.stretches
             heights = model.heights_of(found.x)[0] - tag.height_m
-            rises = list(product(ASIDE_M, repeat=tag.count))
+            rises = list(product(RAISED_M, repeat=tag.count))
             starts = [np.r_[found.x[:first], heights + rise] for rise in rises]
             logs = [best_powers(self.spectra, own, x, 1e-2)[1] for x in starts]
             for i in np.argsort(logs)[::-1][:2]:
@@ -328,9 +327,9 @@ class Contest:
             def head(c: complex, shape: Floats = shape[: model.shapes]) -> Floats:
                 return np.r_[c.real, c.imag, shape] if stand is None else stand.head(c)
 
-            def echo(c: complex, shape: Floats = shape) -> Complex | None:
-                return shaped(self.spectra, c, shape) if stand is None else stand.echo
-
+            bodies: dict[complex, Complex | None] = dict.fromkeys(centres, stand.echo if stand else None)
+            if stand is None and model.transfer.body:
+                bodies = {c: model.at(self.spectra, head(c), slopes=False).values[:, 0] for c in centres}
             own = [one for one in arranged if disc_of(one.radius_m) == disc]
             free_m = [r for r in FREE_RINGS_M if disc_of(r) == disc]
             about = []
@@ -342,7 +341,7 @@ class Contest:
                     raised = [(r, z + rise) for r, z in one.rings]
                     rings = tuple(dict.fromkeys(raised))
                     if rings not in tables:
-                        tables[rings] = search.tables(self.spectra, model, c, rings, powers[disc], echo(c))
+                        tables[rings] = search.tables(self.spectra, model, c, rings, powers[disc], bodies[c])
                     ring = np.array([rings.index(r) for r in raised])
                     for s in search.turned(tables[rings], ring, one.tag.angle, 2):
                         tagged = replace(model, tag=one.tag)
@@ -355,7 +354,9 @@ class Contest:
                 found += unlike(some, 2)
             for _, c in sorted(about, key=lambda one: -one[0])[:wide]:
                 free = list(product(free_m, rises))
-                every = [search.tables(self.spectra, model, c, [one], powers[disc], echo(c)) for one in free]
+                every = [
+                    search.tables(self.spectra, model, c, [one], powers[disc], bodies[c]) for one in free
+                ]
                 apart = [2 * float(np.arcsin(APART_M / 2 / r)) for r, _ in free]
                 pairs = [search.free(t, 0, a, 2, 1)[-1].log for t, a in zip(every, apart, strict=True)]
                 for i in np.argsort(pairs)[::-1][:wide]:
@@ -382,7 +383,7 @@ class Contest:
                 starts = [one.x for one in rough]
             own = [self._placed(None, alone, x) for x in starts]
             best = max(own, key=lambda one: one.log_z)
-            self._placed(None, alone.on_disc(1 - alone.disc), best.found.x)
+            self._placed(None, replace(alone, disc=1 - alone.disc), best.found.x)
             if alone.whole:
                 self._altered(alone, best.found)
                 continue
@@ -463,10 +464,7 @@ class Contest:
         found, model = one.found, one.found.model
         assert model.tag is not None
         places, rise = found.places - found.centre, float(np.mean(model.heights_of(found.x)[0]))
-        radius = float(np.abs(places).mean())
-        tag = Arrangement.points(places)
-        if np.ptp(np.abs(places)) < RING_M:
-            tag = Arrangement.ring(radius, np.angle(places))
+        tag = Arrangement.about(places, ON_RING_M)
         own = replace(model, tag=tag)
         odd = found.x[len(found.x) - model.spot * model.odd :]
         x = np.r_[found.x[: model.head], np.zeros(tag.turns + tag.stretches), own.lifts * [rise], odd]

@@ -52,6 +52,19 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
+class Joint:
+    """An explanation of one recording or of several.
+
+    Attributes:
+        log_z: log evidence over all of them, nats.
+        shown: what it looks like in one of them.
+    """
+
+    log_z: float
+    shown: Hypothesis
+
+
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """A start of the descent and the log evidence that the tables give it."""
 
@@ -125,14 +138,6 @@ def distinct(places: Sequence[complex], apart_m: float) -> list[complex]:
         if all(abs(place - other) > apart_m for other in out):
             out.append(place)
     return out
-
-
-def shaped(spectra: Spectra, centre: complex, shape: Floats) -> Complex:
-    """(F, V) echo of a body at a centre whose support function has a two-fold part."""
-    twice = 2 * spectra.direction
-    near = shape[0] * np.cos(twice) + shape[1] * np.sin(twice)
-    waves, _ = spectra.waves(np.array([centre]), np.zeros(1))
-    return np.asarray(waves[:, 0] * np.exp(1j * spectra.kappa[:, None] * near))
 
 
 def disc_of(radius_m: float) -> int:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
 from tagid.reading.columns import Arrangement
 from tagid.reading.decision import SURE, Decision, decide, has_middle, is_same, settled
 from tagid.reading.hypotheses import Contest
-from tagid.reading.hypothesis import Hypothesis, pose_of
+from tagid.reading.hypothesis import Hypothesis, Joint, pose_of
 
 STRANGERS = 3
 """Arrangements of every recording that are not enrolled, which are looked for in the others."""
@@ -28,8 +29,7 @@ REACH = 60.0
 ANOTHER = float(np.log(1e-4))
 """Log probability that a recording is of another object than the rest."""
 
-Joint = tuple[float, Hypothesis]
-"""Sum of the log evidence, and what it looks like in one of the recordings."""
+_log_z = attrgetter("log_z")
 
 
 def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision:
@@ -50,11 +50,11 @@ def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision
     if not named:
         return settled(None, untagged, sure)
     clearest = max(contests, key=_shows)
-    for name in sorted(named, key=lambda name: -named[name][0])[:NAMES]:
+    for name in sorted(named, key=lambda name: -named[name].log_z)[:NAMES]:
         one = _best(clearest, name)
         if one is not None and one.found.model.tag is not None:
-            named[name] = max(named[name], _chain(contests, clearest, one), key=lambda one: one[0])
-    best = max(named, key=lambda name: named[name][0])
+            named[name] = max(named[name], _chain(contests, clearest, one), key=_log_z)
+    best = max(named, key=lambda name: named[name].log_z)
     others = [untagged, *(named[name] for name in named if name != best)]
     same = _best(clearest, best)
     for contest in contests:
@@ -63,7 +63,7 @@ def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision
             if same is None or not is_same(there, same):
                 others.append(_chain(contests, clearest, there, best))
     others += _mixed(contests, best)
-    return settled(named[best], max(others, key=lambda one: one[0]), sure)
+    return settled(named[best], max(others, key=_log_z), sure)
 
 
 def _mixed(contests: Sequence[Contest], name: str) -> list[Joint]:
@@ -75,7 +75,7 @@ def _mixed(contests: Sequence[Contest], name: str) -> list[Joint]:
             total, another = total + winner.log_z + ANOTHER, winner
         else:
             total += named.log_z
-    return [] if another is None else [(total, another)]
+    return [] if another is None else [Joint(total, another)]
 
 
 def _shows(contest: Contest) -> float:
@@ -97,7 +97,7 @@ def _chain(contests: Sequence[Contest], first: Contest, one: Hypothesis, other: 
         empty = named is not None and has_middle(named) and not one.found.model.covers_middle
         if own is not first:
             log += own.look_for(None, tag, partial(is_same, best=named) if empty and named else None).log_z
-    return log, one
+    return Joint(log, one)
 
 
 def _rigid(one: Hypothesis) -> Arrangement:
@@ -108,12 +108,12 @@ def _rigid(one: Hypothesis) -> Arrangement:
 def _best(contest: Contest, name: str | None) -> Hypothesis | None:
     """The best hypothesis of a name; None: of what has no tag."""
     some = [one for one in contest.hypotheses if one.name == name and (name or not one.tagged)]
-    return max(some, key=lambda one: one.log_z, default=None)
+    return max(some, key=_log_z, default=None)
 
 
 def _sum(some: Sequence[Hypothesis | None]) -> Joint:
     known = [one for one in some if one is not None]
-    return sum(one.log_z for one in known), max(known, key=lambda one: one.log_z)
+    return Joint(sum(one.log_z for one in known), max(known, key=_log_z))
 
 
 def _shown(contest: Contest, name: str) -> list[Hypothesis]:

@@ -121,24 +121,14 @@ class SheetModel(Model):
         return cls(kind.transfer, None, True, disc, kind=kind, cells=cells)
 
     @property
-    def head(self) -> int:
-        """Parameters before those of the reflectors."""
-        return HEAD + 2
+    def body_parameters(self) -> int:
+        """Parameters of the body."""
+        return HEAD
 
     @property
     def shapes(self) -> int:
         """None: the sheet has its own."""
         return 0
-
-    @property
-    def about(self) -> slice:
-        """Parameters of the tag's centre about the sheet's."""
-        return slice(HEAD, HEAD + 2)
-
-    @property
-    def parameters(self) -> int:
-        """Number of parameters."""
-        return HEAD + super().parameters
 
     @property
     def lifts(self) -> int:
@@ -154,11 +144,6 @@ class SheetModel(Model):
     def columns(self) -> int:
         """Number of columns."""
         return OBLIQUITIES + (self.tag is not None) + self.unlike + self.odd
-
-    def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:
-        """Centre of the tag, turns, stretches and odd places of parameters."""
-        centre, turn, stretch, odd = super().split(x[HEAD:])
-        return complex(x[0], x[1]) + centre, turn, stretch, odd
 
     @property
     def heights(self) -> Floats:

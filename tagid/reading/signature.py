@@ -119,19 +119,9 @@ class SignatureModel(Model):
         return self.enrolled
 
     @property
-    def head(self) -> int:
-        """Parameters before those of the reflectors."""
-        return HEAD + 2
-
-    @property
-    def about(self) -> slice:
-        """Parameters of the tag's centre about the body's."""
-        return slice(HEAD, HEAD + 2)
-
-    @property
-    def parameters(self) -> int:
-        """Number of parameters."""
-        return HEAD + super().parameters
+    def body_parameters(self) -> int:
+        """Parameters of the body."""
+        return HEAD
 
     @property
     def body_columns(self) -> int:
@@ -174,10 +164,6 @@ class SignatureModel(Model):
         """What stands beside the body."""
         return Model(_alone(self.transfer), self.tag, False, self.disc, self.odd, self.hidden, self.levels)
 
-    def on_disc(self, disc: int) -> SignatureModel:
-        """The same beside clutter of another disc."""
-        return replace(self, disc=disc)
-
     def error(self, spectra: Spectra) -> Floats | float:
         """(F, M) variance of what differs from the enrolled echo."""
         return 0.0 if self.level is None else self.level[:, None] * _error(self.body, spectra, self.disc)
@@ -196,11 +182,6 @@ class SignatureModel(Model):
         off = centre - complex(head[0], head[1])
         own = replace(self, transfer=transfer, tag=model.tag, disc=model.disc)
         return own, np.r_[head, off.real, off.imag, turn, stretch, np.zeros(own.lifts)]
-
-    def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:
-        """Centre of the tag, turns, stretches and odd places of parameters."""
-        centre, turn, stretch, odd = super().split(x[HEAD:])
-        return complex(x[0], x[1]) + centre, turn, stretch, odd
 
     def power(self, moving: Floats, body: float, tag: float, oval: float) -> Floats:
         """(F, n) prior variances of the amplitudes."""

@@ -8,11 +8,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from tagid.capture import Capture
 from tagid.geometry import Aperture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.pipeline.identify import identify
-from tagid.pipeline.join import join
 from tagid.pipeline.prepared import PreparedCapture, prepare
 from tagid.tags.layouts.capacity import capacity
 from tagid.tags.layouts.codebook import all_distances, height_weight, in_space, rotational_distance
@@ -23,29 +21,12 @@ from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.heights import without_bodies
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.views import fold_views
-from tests.unit.imaging_scenes import record, turn
+from tests.unit.heights_scenes import DOWN, FLAT, OTHER, PLAN, UP, scan
+from tests.unit.imaging_scenes import turn
 
-PLAN = np.array([[0.1, 0.0], [-0.02, 0.08], [-0.05, -0.09]])
 HEIGHTS = (0.0, 0.1, 0.2)
-UP = Layout("up", PLAN, heights=np.array([0.0, 0.06, 0.0]))
-DOWN = Layout("down", PLAN, heights=np.array([0.0, -0.06, 0.0]))
-OTHER = Layout("other", PLAN, heights=np.array([0.06, 0.0, 0.0]))
-FLAT = Layout("flat", PLAN)
 ALL = [UP, DOWN, OTHER, FLAT]
 OBJECT = TaggedObject("two-rows", "other", (Row(0.1), Row(0.1, 0.06)))
-
-
-def scan(layout: Layout, heights: tuple[float, ...], raised: float = 0.0, views: int = 36) -> Capture:
-    """A turn at 20 dB from each height, of the layout rotated by 40 degrees, with a room at each height."""
-    c, s = np.cos(0.7), np.sin(0.7)
-    plane = layout.positions @ np.array([[c, s], [-s, c]]) + np.array([0.004, -0.002])
-    points = np.column_stack([plane, np.asarray(layout.heights) + raised])
-    parts = []
-    for number, height in enumerate(heights):
-        one = record(points, [1, 1, 1], turn(views, 1.0, height), start_m=0.5, noise=0.1, seed=number)
-        room = 2 * np.sin(np.arange(one.bins) * (0.5 + 0.1 * number))
-        parts.append(replace(one, samples=(one.samples + room).astype(np.float32)))
-    return join(parts) if len(parts) > 1 else parts[0]
 
 
 def test_a_higher_point_is_nearer_to_a_higher_antenna() -> None:
