@@ -28,8 +28,8 @@ typedef struct {
     const double *sigma;   /* (G,) powers of the clutter */
     const double *given, *rates; /* instead of points: columns (F, N, V) and slopes (T, F, N, V), complex */
     double *out;
-    double distance;
-    int64_t v, f, m, k, t, n, h, g, body, p, odd, spot, turns, stretches, lifts, head;
+    double distance, bounce_m, touch_m; /* of the antenna; see `bounce` */
+    int64_t v, f, m, k, t, n, h, g, body, p, bounces, odd, spot, turns, stretches, lifts, head;
     int64_t even, rows, split, sources, blocks, more;
 } Problem;
 
@@ -37,6 +37,8 @@ typedef struct {
     double *range, *toward, *wave, *step; /* (S, V), (S, 3, V), (S, 2, V) */
     double *lower, *part;                 /* (K, V) where a table is read */
     double *pattern, *turned;             /* (K, P, 2, V) */
+    double *half, *half_step, *back;      /* (K, 2, V) what passes between reflectors, half way; to each */
+    double *apart, *pair, *drawn;         /* (K, K, 4) x, y, z and length, (K, K, 2) and its slope */
     double *oval;                         /* (2, V) */
     double *columns;                      /* (N, 2, V) columns, then weights */
     double *slopes;                       /* (T, 2, V) */
@@ -64,6 +66,10 @@ static int64_t lay_out(const Problem *g, Work *w, double *base)
     w->wave = room(&at, 2 * S * V), w->step = room(&at, 2 * S * V);
     w->lower = room(&at, g->k * V), w->part = room(&at, g->k * V);
     w->pattern = room(&at, 2 * g->k * g->p * V), w->turned = room(&at, 2 * g->k * g->p * V);
+    const int64_t bouncing = g->bounces ? g->k : 0;
+    w->half = room(&at, 2 * bouncing * V), w->half_step = room(&at, 2 * bouncing * V);
+    w->back = room(&at, 2 * bouncing * V), w->apart = room(&at, 4 * bouncing * bouncing);
+    w->pair = room(&at, 2 * bouncing * bouncing), w->drawn = room(&at, 2 * bouncing * bouncing);
     w->oval = room(&at, 2 * V), w->columns = room(&at, 2 * (g->n + 1) * V);
     w->slopes = room(&at, 2 * g->t * V);
     w->scale = room(&at, g->rows);
@@ -95,6 +101,99 @@ INLINE void place_all(const Problem *g, double *place)
         place[3 * s] = odd[0], place[3 * s + 1] = odd[1], place[3 * s + 2] = g->spot > 2 ? odd[2] : 0.0;
 }
 
+/* Half the waves of the reflectors, and what lies between them, from places (K, 3). */
+INLINE void prepare_bounces(const Problem *g, const Work *w, const double *place)
+{
+    const int64_t V = g->v, body = g->body > 0;
+    const double first = g->kappa[0] / 2, between = g->f > 1 ? (g->kappa[1] - g->kappa[0]) / 2 : 0.0;
+    const double *seen = g->views + 4 * V;
+    for (int64_t k = 0; k < g->k; k++) {
+        const double *restrict range = w->range + (body + k) * V;
+        double *restrict half = w->half + 2 * k * V, *restrict step = w->half_step + 2 * k * V;
+        for (int64_t v = 0; v < V; v++) {
+            const double path = range[v] - g->distance, loss = seen[v] * g->distance / range[v];
+            double re, im;
+            wave_of(first * path, &re, &im);
+            half[v] = loss * re, half[V + v] = loss * im;
+            wave_of(between * path, &re, &im);
+            step[v] = re, step[V + v] = im;
+        }
+        for (int64_t j = 0; j < g->k; j++) {
+            double *apart = w->apart + 4 * (k * g->k + j);
+            for (int64_t i = 0; i < 3; i++)
+                apart[i] = place[3 * k + i] - place[3 * j + i];
+            apart[3] = sqrt(apart[0] * apart[0] + apart[1] * apart[1] + apart[2] * apart[2] + g->touch_m * g->touch_m);
+        }
+    }
+}
+
+/* What reaches every reflector from the others at frequency f, after f - 1. */
+INLINE void bounces_at(const Problem *g, const Work *w, int64_t f)
+{
+    const int64_t V = g->v, K = g->k;
+    const double half_kappa = g->kappa[f] / 2;
+    for (int64_t k = 0; f > 0 && k < K; k++) {
+        double *restrict half = w->half + 2 * k * V;
+        const double *restrict step = w->half_step + 2 * k * V;
+#pragma omp simd
+        for (int64_t v = 0; v < V; v++) {
+            const double re = half[v], im = half[V + v];
+            half[v] = re * step[v] - im * step[V + v];
+            half[V + v] = re * step[V + v] + im * step[v];
+        }
+    }
+    memset(w->back, 0, (size_t)(2 * K * V) * sizeof(double));
+    for (int64_t k = 0; k < K; k++)
+        for (int64_t j = 0; j < K; j++) {
+            const double far = w->apart[4 * (k * K + j) + 3], *restrict other = w->half + 2 * j * V;
+            double *pair = w->pair + 2 * (k * K + j), *drawn = w->drawn + 2 * (k * K + j);
+            double *restrict back = w->back + 2 * k * V, re, im;
+            pair[0] = pair[1] = drawn[0] = drawn[1] = 0.0;
+            if (j == k)
+                continue;
+            wave_of(half_kappa * far, &re, &im);
+            pair[0] = g->bounce_m / far * re, pair[1] = g->bounce_m / far * im;
+            drawn[0] = (pair[1] * half_kappa - pair[0] / far) / far;
+            drawn[1] = (-pair[0] * half_kappa - pair[1] / far) / far;
+#pragma omp simd
+            for (int64_t v = 0; v < V; v++) {
+                back[v] += pair[0] * other[v] - pair[1] * other[V + v];
+                back[V + v] += pair[0] * other[V + v] + pair[1] * other[v];
+            }
+        }
+}
+
+/* Slope of the bounces times weights, as reflector k moves by (x, y, z), onto planes. */
+INLINE void add_bounce(const Problem *g, const Work *w, int64_t k, const double *restrict weight, double kappa,
+                       const double by[3], double *restrict out)
+{
+    const int64_t V = g->v, K = g->k, s = (g->body > 0) + k;
+    const double *restrict range = w->range + s * V, *restrict toward = w->toward + 3 * s * V;
+    const double *restrict half = w->half + 2 * k * V, *restrict back = w->back + 2 * k * V;
+    for (int64_t j = 0; j < K; j++) {
+        const double *apart = w->apart + 4 * (k * K + j), *drawn = w->drawn + 2 * (k * K + j);
+        const double *restrict other = w->half + 2 * j * V;
+        const double along = by[0] * apart[0] + by[1] * apart[1] + by[2] * apart[2];
+        const double c = along * drawn[0], d = along * drawn[1];
+        for (int64_t v = 0; j != k && v < V; v++) {
+            const double re = half[v] * other[v] - half[V + v] * other[V + v];
+            const double im = half[v] * other[V + v] + half[V + v] * other[v];
+            const double moved = c * re - d * im, spun = c * im + d * re;
+            out[v] += weight[v] * moved - weight[V + v] * spun;
+            out[V + v] += weight[v] * spun + weight[V + v] * moved;
+        }
+    }
+    for (int64_t v = 0; v < V; v++) {
+        const double share = by[0] * toward[v] + by[1] * toward[V + v] + by[2] * toward[2 * V + v];
+        const double re = half[v] * back[v] - half[V + v] * back[V + v];
+        const double im = half[v] * back[V + v] + half[V + v] * back[v];
+        const double moved = share * (0.5 * kappa * im - re / range[v]);
+        const double spun = share * (-0.5 * kappa * re - im / range[v]);
+        out[v] += weight[v] * moved - weight[V + v] * spun;
+        out[V + v] += weight[v] * spun + weight[V + v] * moved;
+    }
+}
+
 /* What holds at all frequencies. */
 INLINE void prepare(const Problem *g, const Work *w)
 {
@@ -120,6 +219,8 @@ INLINE void prepare(const Problem *g, const Work *w)
             step[v] = re, step[V + v] = im;
         }
     }
+    if (g->bounces)
+        prepare_bounces(g, w, place + 3 * (g->body > 0));
     for (int64_t k = 0; k < g->k; k++) {
         const double facing = g->tag[g->k + k] + g->x[g->head + g->group[k]];
         for (int64_t v = 0; v < V; v++) {
@@ -156,6 +257,8 @@ INLINE void at_frequency(const Problem *g, const Work *w, int64_t f, int with_sl
             wave[V + v] = re * step[V + v] + im * step[v];
         }
     }
+    if (g->bounces)
+        bounces_at(g, w, f);
     for (int64_t k = 0; k < g->k; k++)
         for (int64_t p = 0; p < g->p; p++) {
             const double *table = g->tables + 2 * (((g->group[2 * g->k + k] * g->p + p) * g->f + f) * ANGLES);
@@ -202,9 +305,13 @@ INLINE void columns_of(const Problem *g, const Work *w)
         for (int64_t p = 0; p < g->p; p++)
             add_product(w->pattern + 2 * (k * g->p + p) * V, wave + 2 * k * V, to + 2 * p * V, V);
         if (g->k > 1)
-            add_product(w->pattern + 2 * k * g->p * V, wave + 2 * k * V, to + 2 * (g->p + k) * V, V);
+            add_product(w->pattern + 2 * k * g->p * V, wave + 2 * k * V, to + 2 * (g->p + g->bounces + k) * V, V);
+        if (g->bounces)
+            add_product(w->half + 2 * k * V, w->back + 2 * k * V, to + 2 * g->p * V, V);
     }
-    to += g->k ? 2 * (g->p + (g->k > 1 ? g->k : 0)) * V : 0;
+    for (int64_t v = 0; g->bounces && v < 2 * V; v++)
+        to[2 * g->p * V + v] *= 0.5; /* there and back are one path */
+    to += g->k ? 2 * (g->p + g->bounces + (g->k > 1 ? g->k : 0)) * V : 0;
     memcpy(to, wave + 2 * g->k * V, (size_t)(2 * g->odd * V) * sizeof(double));
 }
 
@@ -267,7 +374,7 @@ INLINE void slopes_of(const Problem *g, const Work *w, int64_t f, const double *
         const double radius = g->tag[k] + g->x[g->head + g->turns + stretch];
         memset(scratch, 0, (size_t)(2 * two) * sizeof(double));
         for (int64_t p = 0; p < g->p + (g->k > 1); p++) {
-            const int64_t of = (k * g->p + (p < g->p ? p : 0)) * two, from = (p < g->p ? p : p + k) * two;
+            const int64_t of = (k * g->p + (p < g->p ? p : 0)) * two, from = (p < g->p ? p : p + g->bounces + k) * two;
             add_product(w->pattern + of, weight + from, sum, V);
             add_product(w->turned + of, weight + from, turned, V);
         }
@@ -279,11 +386,20 @@ INLINE void slopes_of(const Problem *g, const Work *w, int64_t f, const double *
         add_slope(w, s, sum, kappa, -radius * d, radius * c, spun, V);
         add_slope(w, s, sum, kappa, c, d, drawn, V);
         add_product(turned, w->wave + s * two, spun, V);
+        double *risen = out + (g->head + g->turns + g->stretches + g->group[3 * g->k + k]) * two;
         if (g->lifts)
-            add_rise(w, s, sum, kappa,
-                     out + (g->head + g->turns + g->stretches + g->group[3 * g->k + k]) * two, V);
+            add_rise(w, s, sum, kappa, risen, V);
+        if (g->bounces) {
+            const double *bounce = weight + g->p * two;
+            add_bounce(g, w, k, bounce, kappa, (const double[3]){1.0, 0.0, 0.0}, out);
+            add_bounce(g, w, k, bounce, kappa, (const double[3]){0.0, 1.0, 0.0}, out + two);
+            add_bounce(g, w, k, bounce, kappa, (const double[3]){-radius * d, radius * c, 0.0}, spun);
+            add_bounce(g, w, k, bounce, kappa, (const double[3]){c, d, 0.0}, drawn);
+            if (g->lifts)
+                add_bounce(g, w, k, bounce, kappa, (const double[3]){0.0, 0.0, 1.0}, risen);
+        }
     }
-    weight += g->k ? (g->p + (g->k > 1 ? g->k : 0)) * two : 0;
+    weight += g->k ? (g->p + g->bounces + (g->k > 1 ? g->k : 0)) * two : 0;
     out += (g->head + g->turns + g->stretches + g->lifts) * two;
     for (int64_t i = 0; i < g->odd; i++, s++, weight += two, out += g->spot * two) {
         add_slope(w, s, weight, kappa, 1.0, 0.0, out, V);

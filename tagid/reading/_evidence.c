@@ -458,11 +458,11 @@ static int taken_powers(Held *held, PyObject **o, Problem *g, int one)
 static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
 {
     PyObject *o[12];
-    long long body, patterns, odd, spot;
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOOdLLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
-                          o + 9, o + 10, o + 11, &g->distance, &body, &patterns, &odd, &spot))
+    long long body, patterns, bounces, odd, spot;
+    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOOdddLLLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
+                          o + 9, o + 10, o + 11, &g->distance, &g->bounce_m, &g->touch_m, &body, &patterns, &bounces, &odd, &spot))
         return 0;
-    g->body = body, g->p = patterns, g->odd = odd, g->spot = spot;
+    g->body = body, g->p = patterns, g->bounces = bounces, g->odd = odd, g->spot = spot;
     if (!(g->views = take(held, o[0], -1, 0)) || (g->v = taken(held) / 40) < 1)
         return refused("views");
     if (!taken_recording(held, o + 1, g))
@@ -472,6 +472,8 @@ static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
     g->k = taken(held) / 24;
     if (g->k && g->p < 1)
         return refused("patterns");
+    if (g->bounces < 0 || g->bounces > (g->k > 1))
+        return refused("bounces");
     if (!(g->group = take(held, o[6], 32 * g->k, 0)) || !(g->tables = take(held, o[7], -1, 0)))
         return 0;
     const int64_t of_table = 16 * g->p * g->f * ANGLES, tables = g->k ? taken(held) / of_table : 0;
@@ -489,7 +491,7 @@ static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
         return refused("odd scatterers");
     g->head = g->body > 1 ? 4 : 2;
     g->t = g->head + g->turns + g->stretches + g->lifts + g->spot * g->odd;
-    g->n = g->body + (g->k ? g->p : 0) + (g->k > 1 ? g->k : 0) + g->odd;
+    g->n = g->body + (g->k ? g->p : 0) + g->bounces + (g->k > 1 ? g->k : 0) + g->odd;
     g->sources = (g->body > 0) + g->k + g->odd;
     if (g->body < 0 || g->body == 2 || g->body > 3 || g->odd < 0 || g->n >= MOST ||
         g->t > MOST || g->sources > MOST)
@@ -560,7 +562,7 @@ static PyObject *given_expand(PyObject *self, PyObject *args)
 }
 
 #define ARGUMENTS_OF                                                                                         \
-    "views, kappa, clutter, white, basis, tag, group, tables, x, power, sigma, out, distance, body, p, odd, spot"
+    "views, kappa, clutter, white, basis, tag, group, tables, x, power, sigma, out, distance, bounce_m, touch_m, body, p, bounces, odd, spot"
 
 static PyMethodDef methods[] = {
     {"values", values, METH_VARARGS, "values(" ARGUMENTS_OF "): out (G, H) log likelihoods"},

@@ -16,6 +16,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.reading.bounce import BOUNCE, bounced
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.transfer import ANGLES, Transfer
 
@@ -258,13 +259,20 @@ class Model:
     def columns(self) -> int:
         """Number of columns."""
         return (
-            self.body_columns + (0 if self.tag is None else len(self.transfer.power) + self.unlike) + self.odd
+            self.body_columns
+            + (0 if self.tag is None else len(self.transfer.power) + self.bounces + self.unlike)
+            + self.odd
         )
 
     @property
     def body_columns(self) -> int:
         """Number of columns of the body."""
         return (3 if self.oval else 1) if self.transfer.body else 0
+
+    @property
+    def bounces(self) -> int:
+        """Number of columns for what passes from one reflector to another."""
+        return 1 if self.tag is not None and self.tag.count > 1 and self.transfer.open else 0
 
     @property
     def unlike(self) -> int:
@@ -346,6 +354,7 @@ class Model:
             parts += [body, body * oval, body * oval] if self.oval else [body]
         if self.tag is not None:
             parts += [tag * p for p in self.transfer.power]
+            parts += [tag * BOUNCE**2] * self.bounces
             parts += [min(tag, STRONGEST) * self.transfer.power[0] * UNLIKE**2] * self.unlike
         parts += [ODD_POWER] * self.odd
         return np.asarray(moving[:, None] * np.array(parts))
@@ -458,6 +467,7 @@ class Columns:
     pattern: Complex | None
     turned: Complex | None
     oval: Floats | None
+    bounce: Complex | None
 
     @classmethod
     def of(cls, model: Model, spectra: Spectra, x: Floats, slopes: bool = True) -> Columns:
@@ -472,7 +482,7 @@ class Columns:
         waves, range_m = spectra.waves(places, heights)
         toward = (places[:, None] - spectra.antenna) / range_m
         up = (heights[:, None] - spectra.height_m) / range_m
-        parts, pattern, turned, oval = [], None, None, None
+        parts, pattern, turned, oval, bounce = [], None, None, None, None
         if model.shapes:
             near = x[2] * np.cos(2 * spectra.direction) + x[3] * np.sin(2 * spectra.direction)
             waves[:, 0] *= np.exp(1j * spectra.kappa[:, None] * near)
@@ -490,11 +500,16 @@ class Columns:
                 pattern = pattern * seen
                 turned = turned if turned is None else turned * seen
             parts.append(np.einsum("kpfv,fkv->fpv", pattern, waves[:, body : body + k]))
+            if model.bounces:
+                own = slice(body, body + k)
+                there = places[own], heights[own], range_m[own], toward[own], up[own]
+                value, bounce = bounced(spectra, *there, model.seeing(spectra.direction))
+                parts.append(value[:, None])
             if model.unlike:
                 parts.append(np.moveaxis(pattern[:, 0], 0, 1) * waves[:, body : body + k])
         parts.append(waves[:, body + k :])
         values = np.concatenate(parts, axis=1)
-        return cls(model, spectra, x, values, waves, toward, up, range_m, pattern, turned, oval)
+        return cls(model, spectra, x, values, waves, toward, up, range_m, pattern, turned, oval, bounce)
 
     def _weighted(self, weights: Complex) -> tuple[Complex, Complex | None]:
         """(F, S, V) every source's patterns summed with weights (F, n, V or 1), and those of the slopes."""
@@ -517,6 +532,7 @@ class Columns:
             body += p
             if self.turned is not None:
                 turned = np.einsum("kpfv,fpv->fkv", self.turned, w)
+            body += model.bounces
             if model.unlike:
                 own = weights[:, body : body + k]
                 out[:, first : first + k] += np.moveaxis(self.pattern[:, 0], 0, 1) * own
@@ -535,10 +551,14 @@ class Columns:
         model, x = self.model, self.x
         sources, turned = self._weighted(weights)
         moved = sources * self.waves * (-1j * self.spectra.kappa[:, None, None] - 2 / self.range_m)
-        along_x, along_y = moved * self.toward.real, moved * self.toward.imag
-        out = np.zeros((model.parameters, *self.spectra.data.shape), dtype=np.complex128)
+        along_x, along_y, upward = moved * self.toward.real, moved * self.toward.imag, moved * self.up
         first = 1 if model.transfer.body else 0
         k = 0 if model.tag is None else model.tag.count
+        if self.bounce is not None:
+            column = model.body_columns + len(model.transfer.power)
+            for along, more in zip((along_x, along_y, upward), self.bounce, strict=True):
+                along[:, first : first + k] += more * weights[:, None, column]
+        out = np.zeros((model.parameters, *self.spectra.data.shape), dtype=np.complex128)
         out[0] = along_x[:, : first + k].sum(axis=1)
         out[1] = along_y[:, : first + k].sum(axis=1)
         if model.shapes and self.oval is not None:
@@ -558,11 +578,11 @@ class Columns:
                 out[row + model.tag.turns + model.tag.stretch[i]] += drawn[:, i]
             row += model.tag.turns + model.tag.stretches
             for i in range(k if model.lifts else 0):
-                out[row + model.tag.lift[i]] += moved[:, first + i] * self.up[first + i]
+                out[row + model.tag.lift[i]] += upward[:, first + i]
             row += model.lifts
         for i in range(first + k, first + k + model.odd):
             out[row : row + 2] = along_x[:, i], along_y[:, i]
             if model.spot > 2:
-                out[row + 2] = moved[:, i] * self.up[i]
+                out[row + 2] = upward[:, i]
             row += model.spot
         return out

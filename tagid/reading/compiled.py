@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.loops import loop
+from tagid.reading.bounce import BOUNCE_M, TOUCH_M
 from tagid.reading.columns import Model, nearest_ring, table_of
 from tagid.reading.sheet import SheetModel
 from tagid.reading.spectra import Complex, Floats, Spectra
@@ -46,7 +47,8 @@ class Compiled:
         body = model.body_columns
         shared = kappa, clutter[model.disc], white[model.disc], bases[model.disc]
         self._before = (np.stack([*place, seen.astype(float)]), *shared, reflectors, groups, tables)
-        self._after = (spectra.distance_m, body, len(transfer.power), model.odd, model.spot)
+        numbers = body, len(transfer.power), model.bounces, model.odd, model.spot
+        self._after = (spectra.distance_m, BOUNCE_M, TOUCH_M, *numbers)
 
     @staticmethod
     def of(spectra: Spectra, model: Model) -> Compiled | None:

@@ -23,7 +23,7 @@ def _facing(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex12
     return np.repeat(principal(every, TERMS), len(kappa), axis=1)
 
 
-BARE = Transfer("bare", "nothing that returns an echo", False, (1.0,), isotropic)
-POINTS = Transfer("points", "a body that the waves pass", True, (1.0,), isotropic)
-FACING = Transfer("facing", "nothing that returns an echo", False, (1.0,) * TERMS, _facing)
+BARE = Transfer("bare", "nothing that returns an echo", False, (1.0,), isotropic, open=True)
+POINTS = Transfer("points", "a body that the waves pass", True, (1.0,), isotropic, open=True)
+FACING = Transfer("facing", "nothing that returns an echo", False, (1.0,) * TERMS, _facing, open=True)
 """Reflectors that return less from behind, with nothing beside them."""

@@ -26,6 +26,7 @@ class Transfer:
         table: function of wavenumbers kappa (F,), rad/m, and distance from the axis, m, that gives the
             patterns (P, F, ANGLES) at angles 2 pi i / ANGLES between outward direction and antenna.
         radius_sd_m: standard deviation of the ring's apparent radius, beyond the mounting's.
+        open: waves pass from one reflector to another.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Transfer:
     power: tuple[float, ...]
     table: Tables
     radius_sd_m: float = 0.0
+    open: bool = False
 
 
 def aspects() -> NDArray[np.float64]:

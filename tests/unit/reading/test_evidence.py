@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from reader_scenes import LAYOUTS, spectra_of
 
+from tagid.reading.bounce import BOUNCE_M
 from tagid.reading.columns import Arrangement, Columns, Model
 from tagid.reading.compiled import Compiled
 from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, _Numpy, variance
@@ -112,3 +113,20 @@ def test_models_of_other_columns_are_left_to_numpy() -> None:
 
     assert Compiled.of(SPECTRA["even"], Other(BARE, None, False, 0)) is None
     assert Compiled.of(SPECTRA["even"], Model(BARE, None, False, 0, odd=40)) is None
+
+
+def test_a_wave_between_reflectors_is_as_late_as_its_path_is_long() -> None:
+    """By single scattering at each of two points: antenna, one, the other, antenna (Foldy 1945)."""
+    spectra, places = SPECTRA["even"], np.array([0.05 + 0.01j, -0.02 + 0.04j])
+    expected = np.zeros(spectra.data.shape, dtype=complex)
+    ranges = np.hypot(np.abs(spectra.antenna - places[:, None]), spectra.height_m)
+    apart = abs(places[0] - places[1])
+    for f, kappa in enumerate(spectra.kappa):
+        wavenumber = kappa / 2
+        path = ranges[0] + apart + ranges[1] - 2 * spectra.distance_m
+        loss = spectra.distance_m**2 / (ranges[0] * ranges[1]) * BOUNCE_M / apart
+        expected[f] = loss * np.exp(-1j * wavenumber * path)
+    tag = Arrangement.points(places)
+    model = Model(BARE, tag, False, 0)
+    column = Columns.of(model, spectra, np.zeros(model.parameters)).values[:, len(BARE.power)]
+    np.testing.assert_allclose(column, expected, rtol=2e-3)
