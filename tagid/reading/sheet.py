@@ -66,6 +66,7 @@ class Kind:
         tag_sd_m: standard deviation of a tag's centre about the sheet's, m.
         sizes_m: half sizes that are searched, m.
         strength_m: mean (eps - 1) d, m.
+        tagged_m: radii at which reflectors are looked for about it, m, where its own echo hardly tells one.
     """
 
     transfer: Transfer
@@ -75,6 +76,7 @@ class Kind:
     tag_sd_m: float
     sizes_m: tuple[float, ...]
     strength_m: float
+    tagged_m: tuple[float, ...] = ()
 
 
 def _kind(
@@ -87,16 +89,28 @@ def _kind(
     least_m: float,
     count: int,
     strength_m: float = THIN_M,
+    tagged_m: tuple[float, ...] = (),
 ) -> Kind:
     transfer = Transfer(name, words, True, (1.0,), POINTS.table)
     sizes_m = tuple(least_m * STEP**i for i in range(count))
-    return Kind(transfer, shell, size_m, size_sd, tag_sd_m, sizes_m, strength_m)
+    return Kind(transfer, shell, size_m, size_sd, tag_sd_m, sizes_m, strength_m, tagged_m)
 
 
 SHELL = _kind("shell", "a thin shell", EllipticShell, 0.072, 0.22, 3e-3, 0.05, 15)
 BOX = _kind("box", "a box of thin walls", BoxShell, 0.063, 0.5, 10e-3, 0.025, 35)
 METAL = _kind("metal box", "a box of metal", BoxShell, 0.055, 0.5, 3e-3, 0.02, 39, METAL_M)
-CAN = _kind("metal can", "a body of metal", EllipticShell, 0.036, 0.35, MOUNTING_SD_M, 0.02, 22, METAL_M)
+CAN = _kind(
+    "metal can",
+    "a body of metal",
+    EllipticShell,
+    0.036,
+    0.35,
+    MOUNTING_SD_M,
+    0.02,
+    22,
+    METAL_M,
+    (0.032, 0.04),
+)
 CUP = _kind("cup", "a cup", EllipticShell, 0.037, 0.25, MOUNTING_SD_M, 0.025, 15, CERAMIC_M)
 KINDS = (SHELL, BOX, METAL, CAN, CUP)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from tagid.reading import search
 from tagid.reading.columns import Arrangement
-from tagid.reading.descent import BODY, OVAL, Found, best_powers, refined
+from tagid.reading.descent import BODY, OVAL, Found, Powers, best_powers, refined
 from tagid.reading.evidence import log_evidence
 from tagid.reading.sheet import HEAD, Kind, SheetModel
 from tagid.reading.sheet_search import Seeker, anywhere, beside
@@ -25,9 +25,8 @@ LAYOUTS, FREE = 3, 3
 """Layouts and free arrangements that are fitted about sheets."""
 ODD_ALONE, ODD_TAGGED, GROWN = 5, 2, 2
 """Odd scatterers beside the best sheet alone, and beside so many best layouts and free arrangements."""
-MOST = 3
+MOST = 4
 """Reflectors anywhere about a sheet."""
-
 
 Enter = Callable[[Layout | None, Found, int], Found]
 
@@ -92,7 +91,11 @@ def explain(
     starts: list[tuple[float, Layout | None, SheetModel, Floats]] = []
     for _, found in sorted(sheets, key=lambda one: -one[1].log_z)[:SHEETS]:
         assert isinstance(found.model, SheetModel)
-        starts += _about(spectra, layouts, replace(found.model, tag=None, odd=0), found)
+        bare = replace(found.model, tag=None, odd=0)
+        starts += _about(spectra, layouts, bare, found.x, found.centre, found.powers)
+    for model, x in _round(kinds, sheets):
+        powers, _ = best_powers(spectra, model, x, 1e-2)
+        starts += _about(spectra, layouts, model, x, complex(x[0], x[1]), powers)
     starts.sort(key=lambda one: -one[0])
     for kept in (
         [one for one in starts if one[1] is not None][:LAYOUTS],
@@ -107,6 +110,7 @@ def explain(
     if tagged:
         # The sheet that a tag has shown, with anything else about it.
         found = tagged[0][1]
+        assert isinstance(found.model, SheetModel)
         bare = replace(found.model, tag=None, odd=0)
         enter(None, refined(spectra, bare, np.r_[found.x[:HEAD], 0.0, 0.0], (None,), 4), ODD_ALONE)
 
@@ -132,6 +136,20 @@ def possible(spectra: Spectra, model: SheetModel, x: Floats) -> float:
     return float(cost - noise * (columns.shape[2] - columns.shape[1] - 1))
 
 
+def _round(
+    kinds: Sequence[Kind], sheets: Sequence[tuple[Layout | None, Found]]
+) -> Iterator[tuple[SheetModel, Floats]]:
+    """Round sheets of usual sizes where the best one stands: a round echo hardly tells the size."""
+    if not sheets:
+        return
+    best = max((found for _, found in sheets), key=lambda one: one.log_z)
+    for kind in kinds:
+        for half_m in kind.tagged_m:
+            size = float(np.log(half_m / kind.size_m))
+            x = np.r_[best.x[:2], 0.0, size, size, 0.0, 0.0, 0.0]
+            yield SheetModel.of(kind, (half_m, half_m), _disc(half_m)), x
+
+
 def _disc(half_m: float) -> int:
     return 0 if half_m < 0.07 else 1
 
@@ -155,21 +173,26 @@ def _with(model: SheetModel, x: Floats, guest: Found) -> tuple[SheetModel, Float
 
 
 def _about(
-    spectra: Spectra, layouts: Sequence[Layout], model: SheetModel, found: Found
+    spectra: Spectra, layouts: Sequence[Layout], model: SheetModel, x: Floats, middle: complex, powers: Powers
 ) -> Iterator[tuple[float, Layout | None, SheetModel, Floats]]:
-    """Reflectors about one sheet, by its tables: log evidence, layout, model and parameters."""
+    """Reflectors about one sheet, by its tables: log evidence, layout, model and parameters.
+
+    Args:
+        x: parameters of the sheet, first.
+        middle: supposed centre of reflectors, x + jy, m.
+    """
     arranged = [Arrangement.of_layout(one.positions, one.heights) for one in layouts]
     own = [list(zip(np.round(a.radius_m, 4), a.height_m, strict=True)) for a in arranged]
     rings = sorted({one for some in own for one in some})
-    x = np.r_[found.x[:HEAD], 0.0, 0.0]
+    x = np.r_[x[:HEAD], 0.0, 0.0]
     sheet_centre = complex(x[0], x[1])
     centres = [sheet_centre]
-    if abs(found.centre - sheet_centre) > 4e-3:
-        centres.append(found.centre)
+    if abs(middle - sheet_centre) > 4e-3:
+        centres.append(middle)
     for centre in centres:
         off = centre - sheet_centre
         head = np.r_[x[:HEAD], off.real, off.imag]
-        powers = replace(found.powers, clutter=1e-2, tag=0.3)
+        powers = replace(powers, clutter=1e-2, tag=0.3)
         near = beside(spectra, model, x, rings, centre, powers)
         for layout, a, some in zip(layouts, arranged, own, strict=True):
             ring = np.array([rings.index(one) for one in some])
