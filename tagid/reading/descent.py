@@ -24,7 +24,7 @@ OVAL = (1e-5, 1e-3, 1e-1)
 """Powers of a body's oval part that are tried, over the body's."""
 _CROWDED_M = 1e-5
 """Finite differences of what crowds, m or rad."""
-_FAR_M = 0.03
+FAR_M = 0.03
 """No centre lies farther from the axis."""
 
 
@@ -168,7 +168,7 @@ def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: i
         promised = float(step @ here.gradient)
         if promised < 0.02:
             break
-        there = _expanded(likelihood, trial, powers) if np.hypot(trial[0], trial[1]) < _FAR_M else None
+        there = _expanded(likelihood, trial, powers) if np.hypot(trial[0], trial[1]) < FAR_M else None
         if there is not None and there.log > here.log:
             gained = there.log - here.log
             x, here = trial, there

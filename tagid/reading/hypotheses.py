@@ -13,8 +13,8 @@ from itertools import product
 import numpy as np
 
 from tagid.reading import search, sheet_tags
-from tagid.reading.columns import APART_M, PLANE_SD_M, Arrangement, Model
-from tagid.reading.descent import TAG, Found, Powers, best_powers, refined
+from tagid.reading.columns import APART_M, PLANE_SD_M, RING_M, Arrangement, Model
+from tagid.reading.descent import FAR_M, TAG, Found, Powers, best_powers, refined
 from tagid.reading.hypothesis import (
     Arranged,
     Candidate,
@@ -23,6 +23,7 @@ from tagid.reading.hypothesis import (
     bodies_apart,
     disc_of,
     distinct,
+    middle_of,
     pose_of,
     same_place,
     unlike,
@@ -139,7 +140,8 @@ class Contest:
         self._beside_odd()
         if self.sheets:
             self._sheets()
-            self._as_enrolled()
+        self._about_own_middle()
+        self._as_enrolled()
         self._as_free()
         self._raised()
         self._one_more()
@@ -544,3 +546,25 @@ class Contest:
                 lifts = found.x[turns + tag.stretches :][: found.model.lifts]
                 x = np.r_[x, lifts, np.zeros(model.lifts - len(lifts))]
                 self._grow(self.add(None, refined(self.spectra, model, x, (None,)), one.middle), MOST_ODD)
+
+    def _about_own_middle(self) -> None:
+        """The best layout and an odd scatterer as one tag about their own middle: loud ones move a body's."""
+        one = max(self.hypotheses, key=lambda one: one.log_z)
+        found = one.found
+        if one.layout is None or found.model.tag is None:
+            return
+        for odd in found.odd:
+            points = np.append(found.places, odd)
+            centre = middle_of(points)
+            radius = float(np.abs(points - centre).mean())
+            if abs(centre) > FAR_M or not RING_M[0] < radius < RING_M[1]:
+                continue
+            tag = Arrangement.ring(radius, np.angle(points - centre))
+            starts = []
+            for transfer in self.transfers:
+                model = Model(transfer, tag, transfer.body, disc_of(radius), levels=self.spectra.levels)
+                x = np.zeros(model.parameters)
+                x[:2] = centre.real, centre.imag
+                starts.append((best_powers(self.spectra, model, x, 1e-2)[1], model, x))
+            for _, model, x in sorted(starts, key=lambda one: -one[0])[:2]:
+                self._grow(self._placed(None, model, x), MOST_ODD)

@@ -174,6 +174,13 @@ def pose_of(tag: Arrangement, places: Complex) -> tuple[complex, float] | None:
     return found
 
 
+def middle_of(places: Complex) -> complex:
+    """Centre of the circle nearest to three places or more (K,), x + jy, m."""
+    rows = np.stack([places.real, places.imag, np.ones(len(places))], axis=1)
+    across, along, _ = np.linalg.lstsq(rows, np.abs(places) ** 2, rcond=None)[0]
+    return complex(across, along) / 2
+
+
 def unlike(starts: list[Candidate], count: int) -> list[Candidate]:
     """The best starts of one layout whose reflectors stand in other places."""
     out: list[Candidate] = []
