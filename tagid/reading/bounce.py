@@ -7,8 +7,11 @@ from numpy.typing import NDArray
 
 from tagid.reading.spectra import Complex, Floats, Spectra
 
-BOUNCE, BOUNCE_M = 0.3, 0.06
-"""Echo by way of a second reflector over the direct one, both ways, at so much between the two, m."""
+BOUNCE, BOUNCE_M = 0.1, 0.06
+"""Echo by way of a second reflector over the direct one, both ways, at so much between the two, m.
+
+Twice the scattering amplitude over the distance: 0.08 of octahedra of 20 mm, 0.5 of 40 mm at 4 GHz.
+"""
 TOUCH_M = 1e-3
 """Keeps the bounce between two points finite in one place, m."""
 
