@@ -11,8 +11,8 @@ from tagid.reading.columns import CLOSEST_M, ODD_POWER, OWN_SD_M, REACH_M
 from tagid.reading.descent import Found, variance
 from tagid.reading.spectra import Complex, Floats, Spectra
 
-GAIN = 5.0
-"""Nats that a place must add before it is refined."""
+GAIN = -3.0
+"""Nats that a place adds at least before it is refined: the map is coarse, and its clutter not yet less."""
 _OUT_M, _ALONG_M = 0.007, 0.008
 """Steps of the map outward and along its rings."""
 

@@ -9,6 +9,8 @@ from tagid.reading.transfers.transfer import ANGLES, Transfer, aspects, principa
 
 BACKS, POWERS, TERMS = (0.2, 0.4, 0.6, 0.8, 1.0), (1, 2, 3), 3
 """Amplitudes from behind over those from in front, powers of (1 + cos) / 2 between, and patterns kept."""
+MIDDLE_M = 0.016
+"""A reflector nearer to the axis has no outward side: it is seen from everywhere as others from in front."""
 
 
 def isotropic(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
@@ -19,8 +21,10 @@ def isotropic(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex
 def _facing(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
     lit = ((1 + np.cos(aspects())) / 2)[None, None]
     members = [back + (1 - back) * lit**power for back in BACKS for power in POWERS]
-    every = np.concatenate(members).astype(np.complex128)
-    return np.repeat(principal(every, TERMS), len(kappa), axis=1)
+    every = principal(np.concatenate(members).astype(np.complex128), TERMS)
+    if radius_m <= MIDDLE_M:
+        every = np.broadcast_to(every[..., :1], every.shape)
+    return np.repeat(every, len(kappa), axis=1)
 
 
 BARE = Transfer("bare", "nothing that returns an echo", False, (1.0,), isotropic, open=True)
