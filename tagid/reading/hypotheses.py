@@ -521,14 +521,11 @@ class Contest:
             model = one.found.model.with_odd(one.found.model.odd + 1)
             x = np.r_[one.found.x, place]
             found = refined(self.spectra, model, x, (None,), 8)
-            more = found.log_z > one.found.log_z + 1
-            other = model.identity != one.found.model.identity
-            if more or other:
-                # An odd scatterer is all that tells another object from the enrolled one.
-                prior = one.prior + (float(np.log(LOST)) if other else 0.0)
-                one = self.add(one.layout, found, one.middle, prior)
-            if not more:
+            if found.log_z < one.found.log_z + 1:
                 break
+            other = model.identity != one.found.model.identity
+            # An odd scatterer is all that tells another object from the enrolled one.
+            one = self.add(one.layout, found, one.middle, one.prior + (float(np.log(LOST)) if other else 0.0))
         return one
 
     def _one_more(self) -> None:
