@@ -16,14 +16,13 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.reading.arrangement import MOUNTING_SD_M, Arrangement
 from tagid.reading.bounce import BOUNCE, bounced
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.transfer import ANGLES, Transfer
 
 CENTRE_SD_M = 6e-3
 """Standard deviation of the object's centre about the axis, m."""
-MOUNTING_SD_M = 1.5e-3
-"""Standard deviation of a reflector's distance from the centre as enrolled, m."""
 PLANE_SD_M, OWN_SD_M = 50e-3, 65e-3
 """Standard deviation of the height of the object's plane over the stated one, and of a free point's, m."""
 CLOSEST_M, CLOSE_SD_M = 18e-3, 0.5e-3
@@ -46,106 +45,6 @@ SECTORS = 36
 """Sectors, starts times widths, of which one may be hidden."""
 ODD_POWER = 0.1
 """Prior power of an odd scatterer, over the moving energy."""
-
-
-@dataclass(frozen=True, eq=False)
-class Arrangement:
-    """Reflectors of one tag, alike but for their transfer.
-
-    Attributes:
-        radius_m, angle, height_m: (K,) places about the centre, before turn and stretch.
-        turn, stretch: (K,) number of the turn and of the stretch that moves each.
-        free: (S,) whether the radius is free that a stretch moves; otherwise it has the mounting's prior.
-        lift: (K,) number of the lift that raises each.
-        tall: its heights differ: then they show from one antenna height, too.
-    """
-
-    radius_m: Floats
-    angle: Floats
-    height_m: Floats
-    turn: NDArray[np.intp]
-    stretch: NDArray[np.intp]
-    free: NDArray[np.bool_]
-    lift: NDArray[np.intp]
-    tall: bool = False
-
-    @classmethod
-    def of_layout(cls, positions: Floats, heights: Floats | None) -> Arrangement:
-        """That of a layout's positions (K, 2) and heights (K,), m."""
-        return cls.rigid(positions[:, 0] + 1j * positions[:, 1], heights)
-
-    @classmethod
-    def rigid(cls, places: Complex, heights: Floats | None = None) -> Arrangement:
-        """Reflectors at known places (K,), x + jy, and heights (K,), m, that turn together."""
-        zero = np.zeros(len(places), dtype=np.intp)
-        up = np.zeros(len(places)) if heights is None else np.asarray(heights, dtype=float)
-        rigid = np.zeros(1, dtype=bool)
-        return cls(np.abs(places), np.angle(places), up, zero, zero, rigid, zero, bool(np.ptp(up) > 0))
-
-    @classmethod
-    def ring(cls, radius_m: float, angle: Floats) -> Arrangement:
-        """Reflectors at any angles (K,), rad, of one free ring."""
-        k = len(angle)
-        each, zero, free = np.arange(k), np.zeros(k, dtype=np.intp), np.ones(1, dtype=bool)
-        return cls(np.full(k, radius_m), np.asarray(angle), np.zeros(k), each, zero, free, each)
-
-    @classmethod
-    def points(cls, places: Complex) -> Arrangement:
-        """Reflectors anywhere (K,), x + jy, m."""
-        k = np.arange(len(places))
-        free = np.ones(len(k), dtype=bool)
-        return cls(np.abs(places), np.angle(places), np.zeros(len(k)), k, k, free, k)
-
-    @classmethod
-    def about(cls, places: Complex, apart_m: float = 2 * MOUNTING_SD_M) -> Arrangement:
-        """Free reflectors near places (K,), x + jy, m: of one ring where their radii differ by no more."""
-        out = np.abs(places)
-        if np.ptp(out) > apart_m:
-            return cls.points(places)
-        return cls.ring(float(out.mean()), np.angle(places))
-
-    def of(self, which: NDArray[np.intp]) -> Arrangement:
-        """Some of the reflectors."""
-        places = self.radius_m[which], self.angle[which], self.height_m[which]
-        groups = self.turn[which], self.stretch[which]
-        return Arrangement(*places, *groups, self.free, self.lift[which], self.tall)
-
-    def raised(self) -> Arrangement:
-        """The same with any heights."""
-        return replace(self, lift=np.arange(self.count), tall=True)
-
-    def and_one(self, place: complex) -> Arrangement:
-        """One reflector more, anywhere, x + jy, m, with a turn and a stretch of its own."""
-        return Arrangement(
-            np.append(self.radius_m, abs(place)),
-            np.append(self.angle, np.angle(place)),
-            np.append(self.height_m, 0.0),
-            np.append(self.turn, self.turns),
-            np.append(self.stretch, self.stretches),
-            np.append(self.free, True),
-            np.append(self.lift, self.lifts),
-            self.tall,
-        )
-
-    @cached_property
-    def turns(self) -> int:
-        """Number of groups that turn by themselves."""
-        return int(self.turn.max()) + 1
-
-    @cached_property
-    def stretches(self) -> int:
-        """Number of groups that move outward by themselves."""
-        return int(self.stretch.max()) + 1
-
-    @cached_property
-    def lifts(self) -> int:
-        """Number of groups that rise by themselves."""
-        return int(self.lift.max()) + 1
-
-    @property
-    def count(self) -> int:
-        """Number of reflectors."""
-        return len(self.radius_m)
 
 
 def nearest_ring(radius_m: float) -> float:
@@ -379,7 +278,8 @@ class Model:
         """(P,) which parameters have a Gaussian prior."""
         flags = [True, True] + [False] * self.shapes
         if self.tag is not None:
-            flags += [False] * self.tag.turns + [not free for free in self.tag.free] + [True] * self.lifts
+            own = [not (free or self.tag.glued) for free in self.tag.free]
+            flags += [False] * self.tag.turns + own + [True] * self.lifts
         return np.array(flags + [False, False, True][: self.spot] * self.odd)
 
     def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
@@ -393,7 +293,17 @@ class Model:
             log += float(np.log(SHAPE_M / (2 * np.pi)) - 1.5 * np.log(size))
             slope[shape] -= 3 * x[shape] / size
             hessian[[2, 3], [2, 3]] += 3 / size
+        if self.tag is not None and self.tag.glued:
+            own = slice(self.head, self.head + 2 * self.tag.count)
+            slope[own] -= self._glue[1] @ x[own]
+            log += 0.5 * float(slope[own] @ x[own])
+            hessian[own, own] += self._glue[1]
         return log, slope, hessian
+
+    @cached_property
+    def _glue(self) -> tuple[float, Floats]:
+        assert self.tag is not None
+        return self.tag.glue(float(np.hypot(MOUNTING_SD_M, self.transfer.radius_sd_m)))
 
     @cached_property
     def _pull(self) -> Floats:
@@ -404,7 +314,9 @@ class Model:
     def _log_at_mean(self) -> float:
         """The largest log density of the prior."""
         log = 0.5 * float(np.log(self.precision[self._normal] / (2 * np.pi)).sum())
-        if self.tag is not None:
+        if self.tag is not None and self.tag.glued:
+            log += self._glue[0]
+        elif self.tag is not None:
             log -= self.tag.turns * np.log(2 * np.pi)
             log -= self.tag.free.sum() * np.log(np.ptp(RING_M)) - _log_factorial(self.tag.turns)
         log -= self.odd * np.log(np.pi * REACH_M**2) - _log_factorial(self.odd)
@@ -440,7 +352,7 @@ class Model:
             places = self.tag.radius_m * np.exp(1j * self.tag.angle)
             own = second < len(places)
             built = np.hypot(np.abs(places[first[own]] - places[second[own]]), np.sqrt(rise[own]))
-            least[own] = APART_M if self.tag.turns > 1 else np.minimum(built, APART_M)
+            least[own] = APART_M if self.tag.turns > 1 and not self.tag.glued else np.minimum(built, APART_M)
         return first, second, rise, least
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tagid.reading.columns import MOUNTING_SD_M
+from tagid.reading.arrangement import MOUNTING_SD_M
 from tagid.reading.hypothesis import Hypothesis, Joint, differ_in_height
 from tagid.reading.spectra import Complex
 from tagid.reading.transfers.plain import BARE, FACING, POINTS

@@ -13,7 +13,8 @@ from itertools import product
 import numpy as np
 
 from tagid.reading import search, sheet_tags
-from tagid.reading.columns import APART_M, PLANE_SD_M, RING_M, Arrangement, Model
+from tagid.reading.arrangement import Arrangement
+from tagid.reading.columns import APART_M, PLANE_SD_M, RING_M, Model
 from tagid.reading.descent import FAR_M, TAG, Found, Powers, best_powers, refined
 from tagid.reading.hypothesis import (
     Arranged,
@@ -145,6 +146,7 @@ class Contest:
         self._as_free()
         self._raised()
         self._one_more()
+        self._by_hand()
         return sorted(self.hypotheses, key=lambda one: -one.log_z)
 
     def _refine(self, starts: list[Candidate], powers: Sequence[Powers]) -> None:
@@ -565,3 +567,15 @@ class Contest:
                 starts.append((best_powers(self.spectra, model, x, 1e-2)[1], model, x))
             for _, model, x in sorted(starts, key=lambda one: -one[0])[:2]:
                 self._grow(self._placed(None, model, x), MOST_ODD)
+
+    def _by_hand(self) -> None:
+        """The best layouts with every reflector a little off its place, as they were glued."""
+        for one in self._best(3, enrolled=True):
+            model, found = one.found.model, one.found
+            assert model.tag is not None
+            tag = model.tag.by_hand()
+            turn, stretch, *rest = found.x[model.head :]
+            model = replace(model, tag=replace(tag, angle=tag.angle + turn))
+            x = np.r_[found.x[: model.head], np.zeros(tag.count), np.full(tag.count, stretch), rest]
+            best = self.add(one.layout, refined(self.spectra, model, x, (None,)), one.middle)
+            self._grow(best, MOST_ODD - model.odd)

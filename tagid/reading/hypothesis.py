@@ -8,7 +8,8 @@ from itertools import permutations
 
 import numpy as np
 
-from tagid.reading.columns import Arrangement, Model
+from tagid.reading.arrangement import Arrangement
+from tagid.reading.columns import Model
 from tagid.reading.descent import Found, Powers
 from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
 from tagid.reading.spectra import Complex, Floats, Spectra

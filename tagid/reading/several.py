@@ -14,7 +14,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from tagid.reading.columns import Arrangement
+from tagid.reading.arrangement import Arrangement
 from tagid.reading.decision import SURE, Decision, decide, has_middle, is_same, settled
 from tagid.reading.hypotheses import Contest
 from tagid.reading.hypothesis import Hypothesis, Joint, pose_of

@@ -25,7 +25,8 @@ from tagid.fields.thin_shell import (
     line_source_table,
 )
 from tagid.loops import loop
-from tagid.reading.columns import CENTRE_SD_M, CLOSE_SD_M, MOUNTING_SD_M, Model
+from tagid.reading.arrangement import MOUNTING_SD_M
+from tagid.reading.columns import CENTRE_SD_M, CLOSE_SD_M, Model
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import POINTS
 from tagid.reading.transfers.transfer import Transfer

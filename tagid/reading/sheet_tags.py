@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from tagid.reading import search
-from tagid.reading.columns import Arrangement
+from tagid.reading.arrangement import Arrangement
 from tagid.reading.descent import BODY, OVAL, Found, Powers, best_powers, refined
 from tagid.reading.evidence import log_evidence
 from tagid.reading.sheet import HEAD, Kind, SheetModel

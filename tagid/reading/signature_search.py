@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tagid.reading import search
-from tagid.reading.columns import APART_M, Arrangement
+from tagid.reading.arrangement import Arrangement
+from tagid.reading.columns import APART_M
 from tagid.reading.descent import BODY, Powers
 from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
 from tagid.reading.spectra import Complex, Floats, Spectra

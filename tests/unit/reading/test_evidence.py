@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from reader_scenes import LAYOUTS, spectra_of
 
+from tagid.reading.arrangement import Arrangement
 from tagid.reading.bounce import BOUNCE_M
-from tagid.reading.columns import Arrangement, Columns, Model
+from tagid.reading.columns import Columns, Model
 from tagid.reading.compiled import Compiled
 from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, _Numpy, variance
 from tagid.reading.spectra import Spectra
@@ -37,6 +38,7 @@ MODELS = {
     "plane": Model(SHADE, LAYOUT, True, 0, odd=1, levels=2),
     "lifted": Model(BARE, FREE, False, 0, odd=2, levels=2),
     "tall": Model(BARE, LAYOUT.raised(), False, 1, odd=1),
+    "glued": Model(SHADE, LAYOUT.by_hand(), True, 0, odd=1),
     "hidden": Model(BARE, FREE, False, 0, odd=1, hidden=(1.0, 2.0)),
 }
 POWERS = (100.0, 0.3, 1e-3)
@@ -71,7 +73,7 @@ def test_the_compiled_likelihood_is_that_of_numpy(turn: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("turn", SPECTRA)
-@pytest.mark.parametrize("kind", ["body", "layout", "free", "hidden", "plane", "lifted", "tall"])
+@pytest.mark.parametrize("kind", ["body", "layout", "free", "glued", "hidden", "plane", "lifted", "tall"])
 @pytest.mark.parametrize("way", [compiled, _Numpy])
 def test_the_gradient_is_that_of_finite_differences(
     turn: str, kind: str, way: type[Compiled] | type[_Numpy]
@@ -130,3 +132,25 @@ def test_a_wave_between_reflectors_is_as_late_as_its_path_is_long() -> None:
     model = Model(BARE, tag, False, 0)
     column = Columns.of(model, spectra, np.zeros(model.parameters)).values[:, len(BARE.power)]
     np.testing.assert_allclose(column, expected, rtol=2e-3)
+
+
+@pytest.mark.parametrize("kind", ["layout", "free", "glued", "lifted"])
+def test_the_slopes_of_the_prior_are_those_of_finite_differences(kind: str) -> None:
+    model, step = MODELS[kind], 1e-7
+    x = 0.001 * np.cos(1.0 + 3 * np.arange(model.parameters))
+    _, slopes, precision = model.log_prior(x)
+    ends = [[model.log_prior(x + sign * step * unit) for sign in (1, -1)] for unit in np.eye(len(x))]
+    np.testing.assert_allclose([(a[0] - b[0]) / (2 * step) for a, b in ends], slopes, rtol=1e-5, atol=1e-4)
+    if not model.shapes:
+        bent = [(b[1] - a[1]) / (2 * step) for a, b in ends]
+        np.testing.assert_allclose(bent, precision, rtol=1e-5, atol=1e-4 * np.abs(precision).max())
+
+
+def test_a_tag_that_was_glued_by_hand_has_a_density_that_sums_to_one() -> None:
+    tag = Arrangement.of_layout(LAYOUTS[0].positions[:2], None).by_hand()
+    log, precision = tag.glue(2e-3)
+    # Over the difference of the turns, any turn of both, and the two stretches.
+    apart = np.linspace(-0.5, 0.5, 4001)
+    turned = np.exp(-0.5 * precision[1, 1] * apart**2).sum() * (apart[1] - apart[0]) * 2 * np.pi
+    outward = 2 * np.pi / np.sqrt(np.linalg.det(precision[2:, 2:]))
+    assert np.exp(log) * turned * outward == pytest.approx(1.0, rel=1e-6)

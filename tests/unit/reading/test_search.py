@@ -7,7 +7,8 @@ import pytest
 from reader_scenes import spectra_of
 
 from tagid.reading import search
-from tagid.reading.columns import Arrangement, Columns, Model
+from tagid.reading.arrangement import Arrangement
+from tagid.reading.columns import Columns, Model
 from tagid.reading.descent import Powers, variance
 from tagid.reading.evidence import log_evidence
 from tagid.reading.hypothesis import middle_of

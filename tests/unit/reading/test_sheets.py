@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tagid.reading import sheet, sheet_tags
-from tagid.reading.columns import Arrangement, Model
+from tagid.reading.arrangement import Arrangement
+from tagid.reading.columns import Model
 from tagid.reading.compiled import Compiled
 from tagid.reading.decision import decide
 from tagid.reading.descent import Found, _Numpy, refined

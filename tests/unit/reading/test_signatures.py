@@ -11,7 +11,7 @@ import pytest
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.pipeline.identify import aspect_spectra
-from tagid.reading.columns import Arrangement
+from tagid.reading.arrangement import Arrangement
 from tagid.reading.decision import Decision, decide
 from tagid.reading.descent import _Numpy
 from tagid.reading.reader import contest
