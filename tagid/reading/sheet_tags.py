@@ -17,12 +17,12 @@ from tagid.reading.sheet_search import Seeker, anywhere, beside
 from tagid.reading.spectra import MODEL_ERROR, Complex, Floats, Spectra
 from tagid.tags.layouts.layout import Layout
 
-GUESTS, FOLLOWED = 3, 9
+GUESTS, FOLLOWED = 2, 9
 """Arrangements of other hypotheses beside which sheets are looked for, and starts that are followed."""
 ALONE, SHEETS = 5, 2
 """Sheets that are fitted alone, and those about which reflectors are looked for."""
-LAYOUTS, FREE = 3, 3
-"""Layouts and free arrangements that are fitted about sheets."""
+FITTED, FITTED_USUAL = (3, 3), (1, 2)
+"""Layouts and free arrangements that are fitted about sheets as they were found, and about usual ones."""
 ODD_ALONE, ODD_TAGGED, GROWN = 5, 2, 2
 """Odd scatterers beside the best sheet alone, and beside so many best layouts and free arrangements."""
 MOST = 4
@@ -93,15 +93,14 @@ def explain(
         assert isinstance(found.model, SheetModel)
         bare = replace(found.model, tag=None, odd=0)
         starts += _about(spectra, layouts, bare, found.x, found.centre, found.powers)
+    usual: list[tuple[float, Layout | None, SheetModel, Floats]] = []
     for model, x in _round(kinds, sheets):
         powers, _ = best_powers(spectra, model, x, 1e-2)
-        starts += _about(spectra, layouts, model, x, complex(x[0], x[1]), powers)
-    starts.sort(key=lambda one: -one[0])
-    for kept in (
-        [one for one in starts if one[1] is not None][:LAYOUTS],
-        [one for one in starts if one[1] is None][:FREE],
-    ):
-        for _, layout, model, x in kept:
+        usual += _about(spectra, layouts, model, x, complex(x[0], x[1]), powers)
+    for some, (named, free) in ((starts, FITTED), (usual, FITTED_USUAL)):
+        some.sort(key=lambda one: -one[0])
+        kept = [one for one in some if one[1] is not None][:named]
+        for _, layout, model, x in kept + [one for one in some if one[1] is None][:free]:
             fitted(layout, model, x)
     tagged = sorted(sheets[alone_only:], key=lambda one: -one[1].log_z)
     for named in (True, False):
@@ -155,14 +154,16 @@ def _disc(half_m: float) -> int:
 
 
 def _guests(before: Sequence[Entry]) -> list[tuple[Layout | None, Found]]:
-    """The best layouts, and the best free arrangement."""
-    out: list[tuple[Layout | None, Found]] = []
+    """The best layouts, and the best free arrangements of different numbers."""
+    out: dict[tuple[Layout | None, int], Found] = {}
     for one in sorted(before, key=lambda one: -one.log_z):
-        if one.found.model.tag is None or len(out) == GUESTS:
-            continue
-        if all(one.layout is not layout for layout, _ in out):
-            out.append((one.layout, one.found))
-    return out
+        if one.found.model.tag is not None:
+            count = 0 if one.layout is not None else one.found.model.tag.count
+            out.setdefault((one.layout, count), one.found)
+    kept = list(out.items())
+    named = [(layout, found) for (layout, _), found in kept if layout is not None]
+    free = [(layout, found) for (layout, _), found in kept if layout is None]
+    return named[:GUESTS] + free[:GUESTS]
 
 
 def _with(model: SheetModel, x: Floats, guest: Found) -> tuple[SheetModel, Floats]:
