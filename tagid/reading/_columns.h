@@ -8,6 +8,7 @@
 #define LANES 8
 #define MOST 32 /* columns or parameters, at most */
 #define UNIT 4  /* doubles of a vector */
+#define LIMITS 6 /* doubles before those of the pairs */
 
 typedef double Four __attribute__((vector_size(8 * UNIT), aligned(16)));
 typedef struct {
@@ -26,10 +27,13 @@ typedef struct {
     const double *x;       /* (T,) parameters */
     const double *power;   /* (H, N) prior powers of the columns, over the moving energy */
     const double *sigma;   /* (G,) powers of the clutter */
+    const double *pull;    /* (T + 1, T) precision of the prior that pulls, and of all parameters apart */
+    const int64_t *near;   /* (K,) whether a radius is free, then (2, pairs) points that may be too close */
+    const double *least;   /* (LIMITS,) see `prior`, then (2, pairs) squared difference in height and distance */
     const double *given, *rates; /* instead of points: columns (F, N, V) and slopes (T, F, N, V), complex */
     double *out;
     double distance, bounce_m, touch_m; /* of the antenna; see `bounce` */
-    int64_t v, f, m, k, t, n, h, g, body, p, bounces, odd, spot, turns, stretches, lifts, head;
+    int64_t pairs, v, f, m, k, t, n, h, g, body, p, bounces, odd, spot, turns, stretches, lifts, head;
     int64_t even, rows, split, sources, blocks, more;
 } Problem;
 

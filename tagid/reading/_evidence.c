@@ -9,6 +9,8 @@
 #include "_columns.h"
 #include <stdlib.h>
 
+#define NEARLY 0.1 /* standard deviations before a limit from which on its slopes may set in */
+
 /* Planes of so many columns to lanes (blocks, V), and back. */
 INLINE void to_lanes(const double *planes, int64_t count, int64_t V, Lanes *lanes)
 {
@@ -410,6 +412,163 @@ WIDE static void expanded(const Problem *g, const Work *w)
             hessian[u * T + t] = hessian[t * T + u];
 }
 
+/* Adds share (2,) times the slopes of a point, reflector or odd scatterer, to (T,). */
+static void add_place(const Problem *g, int64_t i, double along_x, double along_y, double *slope)
+{
+    if (i < g->k) {
+        const int64_t turn = g->head + g->group[i], stretch = g->head + g->turns + g->group[g->k + i];
+        const double facing = g->tag[g->k + i] + g->x[turn], radius = g->tag[i] + g->x[stretch];
+        slope[0] += along_x, slope[1] += along_y;
+        slope[turn] += radius * (along_y * cos(facing) - along_x * sin(facing));
+        slope[stretch] += along_x * cos(facing) + along_y * sin(facing);
+    } else {
+        double *own = slope + g->t - g->spot * (g->odd - (i - g->k));
+        own[0] += along_x, own[1] += along_y;
+    }
+}
+
+/* Half the square of what a limit is passed by; lowers the gradient and raises the Hessian by its slopes, which
+ * set in over a step: central differences of `tagid.reading.columns` do the same. */
+static double limited(const Problem *g, double by, double *slope, double *gradient, double *hessian)
+{
+    const double over = by > 0.0 ? by : 0.0;
+    for (int64_t t = 0; gradient && t < g->t; t++) {
+        const double rise = 1e-5 * slope[t], there = by + rise, back = by - rise;
+        slope[t] = ((there > 0.0 ? there : 0.0) - (back > 0.0 ? back : 0.0)) / 2e-5;
+    }
+    for (int64_t t = 0; gradient && t < g->t; t++) {
+        gradient[t] -= slope[t] * over;
+        for (int64_t u = 0; u < g->t; u++)
+            hessian[t * g->t + u] += slope[t] * slope[u];
+    }
+    return 0.5 * over * over;
+}
+
+/* The log density of the parameters, with what crowds; adds its slopes where there is a gradient.
+ *
+ * The limits: largest log density, scale of shapes or 0, the bound of three times their size, both of the radii
+ * of free rings, and the standard deviation of all. */
+static double prior(const Problem *g, double *gradient, double *hessian)
+{
+    const int64_t T = g->t;
+    const double *x = g->x, *limit = g->least, unit = 1.0 / limit[5];
+    double log_density = limit[0], slope[MOST], place[3 * MOST];
+    for (int64_t t = 0; t < T; t++) {
+        double pulled = 0.0;
+        for (int64_t u = 0; u < T; u++)
+            pulled += g->pull[t * T + u] * x[u];
+        log_density -= 0.5 * pulled * x[t];
+        if (gradient)
+            gradient[t] -= pulled;
+        for (int64_t u = 0; gradient && u < T; u++)
+            hessian[t * T + u] += g->pull[t * T + u];
+    }
+    if (limit[1] > 0.0) {
+        const double square = x[2] * x[2] + x[3] * x[3], size = limit[1] * limit[1] + square, far = sqrt(square);
+        const double by = unit * (3.0 * far - limit[2]);
+        log_density += log(limit[1] / 6.283185307179586) - 1.5 * log(size);
+        for (int64_t t = 2; gradient && t < 4; t++)
+            gradient[t] -= 3.0 * x[t] / size, hessian[t * T + t] += 3.0 / size;
+        if (by > -NEARLY) {
+            memset(slope, 0, sizeof slope);
+            slope[2] = 3.0 * unit * x[2] / far, slope[3] = 3.0 * unit * x[3] / far;
+            log_density -= limited(g, by, slope, gradient, hessian);
+        }
+    }
+    for (int64_t k = 0; k < g->k; k++) {
+        const int64_t stretch = g->head + g->turns + g->group[g->k + k];
+        const double radius = g->tag[k] + x[stretch], way = radius < limit[3] ? -1.0 : 1.0;
+        const double by = unit * (radius < limit[3] ? limit[3] - radius : radius - limit[4]);
+        if (!g->near[k] || by <= -NEARLY)
+            continue;
+        memset(slope, 0, sizeof slope);
+        slope[stretch] = way * unit;
+        log_density -= limited(g, by, slope, gradient, hessian);
+    }
+    place_all(g, place);
+    for (int64_t i = 0; i < g->pairs; i++) {
+        const int64_t one = g->near[g->k + i], other = g->near[g->k + g->pairs + i], body = g->body > 0;
+        const double *p = place + 3 * (one + body), *q = place + 3 * (other + body), dx = p[0] - q[0], dy = p[1] - q[1];
+        const double apart = sqrt(dx * dx + dy * dy + limit[LIMITS + i]);
+        const double by = unit * (limit[LIMITS + g->pairs + i] - apart), along = unit / (apart > 1e-9 ? apart : 1e-9);
+        if (by <= -NEARLY)
+            continue;
+        memset(slope, 0, sizeof slope);
+        add_place(g, one, -dx * along, -dy * along, slope);
+        add_place(g, other, dx * along, dy * along, slope);
+        log_density -= limited(g, by, slope, gradient, hessian);
+    }
+    return log_density;
+}
+
+/* Solves a (T, T) step = b, both overwritten, by pivots of the largest size in their column. */
+static void solve_step(double *a, double *b, int64_t T)
+{
+    for (int64_t c = 0; c < T; c++) {
+        int64_t best = c;
+        for (int64_t i = c + 1; i < T; i++)
+            best = fabs(a[i * T + c]) > fabs(a[best * T + c]) ? i : best;
+        for (int64_t j = 0; j <= T; j++) {
+            double *one = j < T ? a + c * T + j : b + c, *two = j < T ? a + best * T + j : b + best, held = *one;
+            *one = *two, *two = held;
+        }
+        for (int64_t i = c + 1; i < T; i++) {
+            const double share = a[i * T + c] / a[c * T + c];
+            for (int64_t j = c; j < T; j++)
+                a[i * T + j] -= share * a[c * T + j];
+            b[i] -= share * b[c];
+        }
+    }
+    for (int64_t c = T - 1; c >= 0; c--) {
+        for (int64_t j = c + 1; j < T; j++)
+            b[c] -= a[c * T + j] * b[j];
+        b[c] /= a[c * T + c];
+    }
+}
+
+static void expand_at(Problem *g, const Work *w, const double *x, double *out)
+{
+    g->x = x, g->out = out;
+    expanded(g, w);
+    out[0] += prior(g, out + 1, out + 1 + g->t);
+}
+
+/* Levenberg and Marquardt's method, as of `tagid.reading.descent.descend`: results are x, and the expansion. */
+static void descend_all(Problem *g, const Work *w, int64_t rounds, double far, double enough, double *room)
+{
+    const int64_t T = g->t, size = 1 + T + T * T;
+    const double *precision = g->pull + T * T;
+    double *x = g->out, *here = x + T, *there = room, *a = there + size, *trial = a + T * T, *step = trial + T;
+    double damping = 1e-2;
+    memcpy(x, g->x, (size_t)T * sizeof(double));
+    expand_at(g, w, x, here);
+    for (int64_t round = 0; round < rounds; round++) {
+        const double *gradient = here + 1, *hessian = gradient + T;
+        double promised = 0.0;
+        memcpy(a, hessian, (size_t)(T * T) * sizeof(double));
+        memcpy(step, gradient, (size_t)T * sizeof(double));
+        for (int64_t t = 0; t < T; t++)
+            a[t * T + t] += damping * (hessian[t * T + t] + precision[t]);
+        solve_step(a, step, T);
+        for (int64_t t = 0; t < T; t++)
+            trial[t] = x[t] + step[t], promised += step[t] * gradient[t];
+        if (!(promised >= enough))
+            break;
+        const int inside = hypot(trial[0], trial[1]) < far;
+        if (inside)
+            expand_at(g, w, trial, there);
+        if (inside && there[0] > here[0]) {
+            const double gained = there[0] - here[0];
+            memcpy(x, trial, (size_t)T * sizeof(double));
+            memcpy(here, there, (size_t)size * sizeof(double));
+            damping /= 5.0;
+            if (gained < enough)
+                break;
+        } else if ((damping *= 10.0) > 1e6)
+            break;
+    }
+}
+
 /* Frequencies, variance, data and basis of a recording. On a full even turn the basis says the views V. */
 static int taken_recording(Held *held, PyObject **o, Problem *g)
 {
@@ -439,7 +598,8 @@ static int taken_powers(Held *held, PyObject **o, Problem *g, int one)
         !(g->out = take(held, o[2], -1, 1)))
         return refused("powers");
     g->h = one ? 1 : taken(held) / 8 / g->g; /* without columns their powers do not say */
-    if (taken(held) != 8 * (one ? 1 + g->t + g->t * g->t : g->g * g->h) || powers != g->h * g->n ||
+    const int64_t results = one ? 1 + (one > 1 ? 2 : 1) * g->t + g->t * g->t : g->g * g->h;
+    if (taken(held) != 8 * results || powers != g->h * g->n ||
         (one && g->g > 1))
         return refused("sizes of powers and results");
     for (g->split = 1; (g->split + 1) * (g->split + 1) <= g->v;) {
@@ -454,13 +614,20 @@ static int taken_powers(Held *held, PyObject **o, Problem *g, int one)
     return 1;
 }
 
+typedef struct {
+    long long rounds;
+    double far, enough;
+} Descent;
+
 /* Problem and buffers from Python; 0 with an error set. */
-static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
+static int taken_problem(PyObject *args, Held *held, Problem *g, int one, Descent *way)
 {
-    PyObject *o[12];
+    PyObject *o[15];
     long long body, patterns, bounces, odd, spot;
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOOdddLLLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
-                          o + 9, o + 10, o + 11, &g->distance, &g->bounce_m, &g->touch_m, &body, &patterns, &bounces, &odd, &spot))
+    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOOOOOdddLLLLL|Ldd", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7,
+                          o + 8, o + 9, o + 10, o + 11, o + 12, o + 13, o + 14, &g->distance, &g->bounce_m,
+                          &g->touch_m, &body, &patterns, &bounces, &odd, &spot, &way->rounds, &way->far,
+                          &way->enough))
         return 0;
     g->body = body, g->p = patterns, g->bounces = bounces, g->odd = odd, g->spot = spot;
     if (!(g->views = take(held, o[0], -1, 0)) || (g->v = taken(held) / 40) < 1)
@@ -496,7 +663,16 @@ static int taken_problem(PyObject *args, Held *held, Problem *g, int one)
     if (g->body < 0 || g->body == 2 || g->body > 3 || g->odd < 0 || g->n >= MOST ||
         g->t > MOST || g->sources > MOST)
         return refused("the model has too many columns or parameters");
-    return (g->x = take(held, o[8], 8 * g->t, 0)) && taken_powers(held, o + 9, g, one);
+    if (!(g->pull = take(held, o[8], 8 * (g->t + 1) * g->t, 0)) || !(g->near = take(held, o[9], -1, 0)))
+        return 0;
+    g->pairs = (taken(held) / 8 - g->k) / 2;
+    if (taken(held) != 8 * (g->k + 2 * g->pairs) ||
+        !(g->least = take(held, o[10], 8 * (LIMITS + 2 * g->pairs), 0)))
+        return refused("pairs");
+    for (int64_t i = g->k; i < g->k + 2 * g->pairs; i++)
+        if (g->near[i] < 0 || g->near[i] >= g->k + g->odd)
+            return refused("pairs");
+    return (g->x = take(held, o[11], 8 * g->t, 0)) && taken_powers(held, o + 12, g, one);
 }
 
 /* The same of columns that are given. */
@@ -523,16 +699,25 @@ static PyObject *computed(PyObject *args, int one, int given)
     Problem g = {0};
     Work w;
     Held held = {0};
-    if (!(given ? taken_given : taken_problem)(args, &held, &g, one))
+    Descent way = {0};
+    if (!(given ? taken_given(args, &held, &g, one) : taken_problem(args, &held, &g, one, &way)))
         return finished(&held);
-    double *base = malloc((size_t)lay_out(&g, &w, NULL) * sizeof(double));
+    const int64_t size = lay_out(&g, &w, NULL);
+    double *base = malloc((size_t)(size + 1 + 3 * g.t + 2 * g.t * g.t) * sizeof(double));
     if (!base) {
         release(&held);
         return PyErr_NoMemory();
     }
     lay_out(&g, &w, base);
-    Py_BEGIN_ALLOW_THREADS if (one) expanded(&g, &w);
-    else all_values(&g, &w);
+    Py_BEGIN_ALLOW_THREADS if (one > 1) descend_all(&g, &w, way.rounds, way.far, way.enough, base + size);
+    else if (given) (one ? expanded : all_values)(&g, &w);
+    else if (one) expand_at(&g, &w, g.x, g.out);
+    else {
+        all_values(&g, &w);
+        const double own = prior(&g, NULL, NULL);
+        for (int64_t i = 0; i < g.g * g.h; i++)
+            g.out[i] += own;
+    }
     Py_END_ALLOW_THREADS free(base);
     return finished(&held);
 }
@@ -549,6 +734,12 @@ static PyObject *expand(PyObject *self, PyObject *args)
     return computed(args, 1, 0);
 }
 
+static PyObject *descend(PyObject *self, PyObject *args)
+{
+    (void)self;
+    return computed(args, 2, 0);
+}
+
 static PyObject *given_values(PyObject *self, PyObject *args)
 {
     (void)self;
@@ -562,11 +753,14 @@ static PyObject *given_expand(PyObject *self, PyObject *args)
 }
 
 #define ARGUMENTS_OF                                                                                         \
-    "views, kappa, clutter, white, basis, tag, group, tables, x, power, sigma, out, distance, bounce_m, touch_m, body, p, bounces, odd, spot"
+    "views, kappa, clutter, white, basis, tag, group, tables, pull, near, least, x, power, sigma, out, "           \
+    "distance, bounce_m, touch_m, body, p, bounces, odd, spot"
 
 static PyMethodDef methods[] = {
-    {"values", values, METH_VARARGS, "values(" ARGUMENTS_OF "): out (G, H) log likelihoods"},
+    {"values", values, METH_VARARGS, "values(" ARGUMENTS_OF "): out (G, H) log densities"},
     {"expand", expand, METH_VARARGS, "expand(" ARGUMENTS_OF "): out (1 + T + T T,) value, gradient, Hessian"},
+    {"descend", descend, METH_VARARGS,
+     "descend(" ARGUMENTS_OF ", rounds, far, enough): out (T + 1 + T + T T,) parameters and expansion"},
     {"given_values", given_values, METH_VARARGS,
      "given_values(kappa, clutter, white, basis, columns, rates, power, sigma, out): as `values`"},
     {"given_expand", given_expand, METH_VARARGS,
@@ -574,4 +768,4 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-MODULE(_evidence, "Log likelihoods of models of points, or of any columns, with slopes.", methods, 2)
+MODULE(_evidence, "Log likelihoods of models of points, or of any columns, with slopes.", methods, 3)

@@ -130,7 +130,7 @@ static PyObject *scores(PyObject *self, PyObject *args)
     Held buffers = {0};
     const int64_t triangle = p * (p + 1) / 2;
     g.own = take(&buffers, own, 16 * b * triangle * f, 0);
-    g.pair = g.own ? take(&buffers, pair, 16 * b * b * v * triangle * f, 0) : NULL;
+    g.pair = g.own ? take(&buffers, pair, k > 1 ? 16 * b * b * v * triangle * f : 0, 0) : NULL;
     g.held = g.pair ? take(&buffers, held, 16 * b * v * p * j * f, 0) : NULL;
     g.right = g.held ? take(&buffers, right, 16 * b * v * p * f, 0) : NULL;
     g.power = g.right ? take(&buffers, power, 8 * p * f, 0) : NULL;
@@ -147,9 +147,150 @@ static PyObject *scores(PyObject *self, PyObject *args)
     Py_END_ALLOW_THREADS return finished(&buffers);
 }
 
+/* Fourier transforms of V rows of lanes, in two steps of A and V / A, by exp(-2 pi j i / V). */
+typedef struct {
+    int64_t v, a;
+    const double *turn; /* (V, 2) */
+    Four *in, *mid, *out; /* (V, 2) */
+} Fourier;
+
+INLINE void sum_of(const Fourier *w, const Four *in, int64_t count, int64_t stride, int64_t at, int64_t step,
+                   Four *out)
+{
+    Four re = {0}, im = {0};
+    for (int64_t i = 0; i < count; i++, in += 2 * stride) {
+        const double c = w->turn[2 * at], s = w->turn[2 * at + 1];
+        re += in[0] * c - in[1] * s, im += in[0] * s + in[1] * c;
+        at += step;
+        at -= at >= w->v ? w->v : 0;
+    }
+    out[0] = re, out[1] = im;
+}
+
+INLINE void transform(const Fourier *w)
+{
+    const int64_t V = w->v, A = w->a, B = V / A;
+    for (int64_t j = 0; j < B; j++)
+        for (int64_t m = 0; m < A; m++)
+            sum_of(w, w->in + 2 * j, A, B, m * j, m * B, w->mid + 2 * (j * A + m));
+    for (int64_t m = 0; m < A; m++)
+        for (int64_t n = 0; n < B; n++)
+            sum_of(w, w->mid + 2 * m, B, A, 0, n * A, w->out + 2 * (m + A * n));
+}
+
+/* Columns and vectors are planes (.., V, 2, F). */
+typedef struct {
+    const double *columns, *vectors; /* (B, P, ..), (C, J, ..) */
+    double *out; /* (C, B V, P, J, 2, F), or (B, B, V, T, 2, F) */
+    int64_t f, b, p, c, j;
+    Fourier w;
+} Turns;
+
+/* <vector, column shifted by n views> = sum over m of conj(vector) column exp(-2 pi j m n / V). */
+WIDE static void all_against(const Turns *g)
+{
+    const int64_t F = g->f, V = g->w.v, P = g->p, J = g->j, row = 2 * V * F;
+    for (int64_t c = 0; c < g->c; c++)
+        for (int64_t b = 0; b < g->b; b++)
+            for (int64_t i = 0; i < P * J; i++) {
+                const double *x = g->columns + (b * P + i / J) * row, *y = g->vectors + (c * J + i % J) * row;
+                for (int64_t f = 0; f < F; f += UNIT) {
+                    for (int64_t m = 0; m < V; m++) {
+                        const Four xr = FOUR(x + 2 * m * F + f), xi = FOUR(x + 2 * m * F + F + f);
+                        const Four yr = FOUR(y + 2 * m * F + f), yi = FOUR(y + 2 * m * F + F + f);
+                        g->w.in[2 * m] = xr * yr + xi * yi, g->w.in[2 * m + 1] = xi * yr - xr * yi;
+                    }
+                    transform(&g->w);
+                    double *to = g->out + ((c * g->b + b) * V * P * J + i) * 2 * F + f;
+                    for (int64_t n = 0; n < V; n++, to += P * J * 2 * F)
+                        *(Four *)to = g->w.out[2 * n], *(Four *)(to + F) = g->w.out[2 * n + 1];
+                }
+            }
+}
+
+/* A block with another turned by n views, and the other with the first: the transform of what is reversed. */
+WIDE static void all_pairs(const Turns *g)
+{
+    const int64_t F = g->f, V = g->w.v, P = g->p, T = P * (P + 1) / 2, row = 2 * V * F;
+    for (int64_t a = 0; a < g->b; a++)
+        for (int64_t b = a; b < g->b; b++)
+            for (int64_t p = 0; p < P; p++)
+                for (int64_t q = 0; q <= p; q++)
+                    for (int64_t f = 0; f < F; f += UNIT) {
+                        const double *ap = g->columns + (a * P + p) * row + f, *aq = ap + (q - p) * row;
+                        const double *bp = g->columns + (b * P + p) * row + f, *bq = bp + (q - p) * row;
+                        for (int64_t m = 0; m < V; m++) {
+                            const int64_t i = 2 * m * F, k = 2 * (m ? V - m : 0) * F;
+                            g->w.in[2 * m] = FOUR(ap + i) * FOUR(bq + i) + FOUR(ap + i + F) * FOUR(bq + i + F) +
+                                             FOUR(bp + k) * FOUR(aq + k) + FOUR(bp + k + F) * FOUR(aq + k + F);
+                            g->w.in[2 * m + 1] =
+                                FOUR(ap + i) * FOUR(bq + i + F) - FOUR(ap + i + F) * FOUR(bq + i) +
+                                FOUR(bp + k) * FOUR(aq + k + F) - FOUR(bp + k + F) * FOUR(aq + k);
+                        }
+                        transform(&g->w);
+                        for (int64_t n = 0; n < V; n++) {
+                            const int64_t t = (BELOW(p, q)) * 2 * F + f, back = n ? V - n : 0;
+                            double *to = g->out + ((a * g->b + b) * V + n) * T * 2 * F + t;
+                            double *other = g->out + ((b * g->b + a) * V + back) * T * 2 * F + t;
+                            *(Four *)to = *(Four *)other = g->w.out[2 * n];
+                            *(Four *)(to + F) = *(Four *)(other + F) = g->w.out[2 * n + 1];
+                        }
+                    }
+}
+
+static PyObject *turned(PyObject *args, int pairs)
+{
+    PyObject *columns, *vectors = NULL, *turn, *out;
+    Turns g = {0};
+    Held buffers = {0};
+    long long f, b, p, c = 0, j = 0;
+    if (!(pairs ? PyArg_ParseTuple(args, "OOOLLL", &columns, &turn, &out, &f, &b, &p)
+                : PyArg_ParseTuple(args, "OOOOLLLLL", &columns, &vectors, &turn, &out, &f, &b, &p, &c, &j)))
+        return NULL;
+    g.f = f, g.b = b, g.p = p, g.c = c, g.j = j;
+    if (f < 1 || f % UNIT || b < 1 || p < 1 || c < 0 || j < 0 || !(g.w.turn = take(&buffers, turn, -1, 0)) ||
+        (g.w.v = taken(&buffers) / 16) < 1) {
+        refused("sizes of the tables");
+        return finished(&buffers);
+    }
+    const int64_t v = g.w.v, results = pairs ? b * b * v * p * (p + 1) / 2 : c * b * v * p * j;
+    for (int64_t a = 1; a * a <= v; a++)
+        g.w.a = v % a ? g.w.a : a;
+    g.columns = take(&buffers, columns, 16 * b * p * v * f, 0);
+    g.vectors = g.columns && !pairs ? take(&buffers, vectors, 16 * c * j * v * f, 0) : g.columns;
+    g.out = g.vectors ? take(&buffers, out, 16 * results * f, 1) : NULL;
+    if (!g.out)
+        return finished(&buffers);
+    g.w.in = malloc((size_t)(6 * v) * sizeof(Four));
+    if (!g.w.in) {
+        release(&buffers);
+        return PyErr_NoMemory();
+    }
+    g.w.mid = g.w.in + 2 * v, g.w.out = g.w.mid + 2 * v;
+    Py_BEGIN_ALLOW_THREADS if (pairs) all_pairs(&g);
+    else all_against(&g);
+    Py_END_ALLOW_THREADS free(g.w.in);
+    return finished(&buffers);
+}
+
+static PyObject *pairs(PyObject *self, PyObject *args)
+{
+    (void)self;
+    return turned(args, 1);
+}
+
+static PyObject *against(PyObject *self, PyObject *args)
+{
+    (void)self;
+    return turned(args, 0);
+}
+
 static PyMethodDef methods[] = {
+    {"pairs", pairs, METH_VARARGS, "pairs(columns, turn, out, f, b, p): the table of `scores`, on an even turn"},
+    {"against", against, METH_VARARGS,
+     "against(columns, vectors, turn, out, f, b, p, c, j): products of vectors with all turns"},
     {"scores", scores, METH_VARARGS, "scores(own, pair, held, right, power, sets, out, f, b, v, p, j, h, k)"},
     {NULL, NULL, 0, NULL},
 };
 
-MODULE(_sets, "Log Bayes factors of sets of reflectors.", methods, 2)
+MODULE(_sets, "Log Bayes factors of sets of reflectors.", methods, 3)

@@ -43,6 +43,8 @@ TABLE_FROM_M, TABLE_STEP_M = 0.016, 0.003
 """Patterns are known for rings of this radius on, in steps of so much: they change slowly with it."""
 SECTORS = 36
 """Sectors, starts times widths, of which one may be hidden."""
+_CROWDED_M = 1e-5
+"""Finite differences of what crowds, m or rad."""
 ODD_POWER = 0.1
 """Prior power of an odd scatterer, over the moving energy."""
 
@@ -217,12 +219,24 @@ class Model:
 
     def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:
         """Centre, turns, stretches and odd places of parameters."""
-        t = 0 if self.tag is None else self.tag.turns
-        s = 0 if self.tag is None else self.tag.stretches
-        h = self.head
-        centre = complex(*x[self.about]) + (complex(x[0], x[1]) if self.body_parameters else 0)
-        odd = x[h + t + s + self.lifts :].reshape(-1, self.spot)
-        return centre, x[h : h + t], x[h + t : h + t + s], odd[:, 0] + 1j * odd[:, 1]
+        turn, stretch, _ = self._cuts
+        return complex(self._centre(x)), x[turn], x[stretch], self._spots(x)
+
+    def _centre(self, x: Floats) -> Complex:
+        a = self.body_parameters
+        own = x[..., a] + 1j * x[..., a + 1]
+        return np.asarray(own + (x[..., 0] + 1j * x[..., 1]) if a else own)
+
+    def _spots(self, x: Floats) -> Complex:
+        odd = x[..., self._cuts[2]]
+        return np.asarray(odd[..., :: self.spot] + 1j * odd[..., 1 :: self.spot])
+
+    @cached_property
+    def _cuts(self) -> tuple[slice, slice, slice]:
+        """Parameters of the turns, the stretches and the odd scatterers."""
+        t = self.head + (0 if self.tag is None else self.tag.turns)
+        s = t + (0 if self.tag is None else self.tag.stretches)
+        return slice(self.head, t), slice(t, s), slice(s + self.lifts, None)
 
     def heights_of(self, x: Floats) -> tuple[Floats, Floats]:
         """(K,) of the reflectors and (m,) of the odd scatterers, m."""
@@ -239,12 +253,18 @@ class Model:
         return Columns.of(self, spectra, x, slopes)
 
     def places(self, x: Floats) -> Complex:
-        """(K,) of the reflectors, x + jy, m."""
+        """(.., K) of the reflectors, x + jy, m, at parameters (.., P)."""
         if self.tag is None:
-            return np.zeros(0, dtype=complex)
-        centre, turn, stretch, _ = self.split(x)
-        facing = self.tag.angle + turn[self.tag.turn]
-        return np.asarray(centre + (self.tag.radius_m + stretch[self.tag.stretch]) * np.exp(1j * facing))
+            return np.zeros((*x.shape[:-1], 0), dtype=complex)
+        turn, stretch = self._moved
+        out = (self.tag.radius_m + x[..., stretch]) * np.exp(1j * (self.tag.angle + x[..., turn]))
+        return np.asarray(self._centre(x)[..., None] + out)
+
+    @cached_property
+    def _moved(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """(K,) parameters that turn every reflector and move it outward."""
+        assert self.tag is not None
+        return self.tag.turn + self._cuts[0].start, self.tag.stretch + self._cuts[1].start
 
     def power(self, moving: Floats, body: float, tag: float, oval: float) -> Floats:
         """(F, n) prior variances of the amplitudes."""
@@ -282,10 +302,19 @@ class Model:
             flags += [False] * self.tag.turns + own + [True] * self.lifts
         return np.array(flags + [False, False, True][: self.spot] * self.odd)
 
-    def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
-        """Log density, its slope (P,) and precision (P, P) of what pulls the parameters."""
-        pull = self._pull
-        log, slope, hessian = self._log_at_mean - 0.5 * float(pull @ x**2), -pull * x, np.diag(pull)
+    def log_prior(self, x: Floats, *, slopes: bool = False) -> tuple[float, Floats, Floats]:
+        """Log density less what crowds, its slope (P,) and precision (P, P) of what pulls the parameters."""
+        log, slope, hessian = self._log_prior(x)
+        crowding = self.crowding(x)
+        if slopes and crowding.any():
+            step = _CROWDED_M * np.eye(len(x))
+            rise = (self.crowding(x + step) - self.crowding(x - step)) / (2 * _CROWDED_M)
+            slope, hessian = slope - rise @ crowding, hessian + rise @ rise.T
+        return log - 0.5 * float(crowding @ crowding), slope, hessian
+
+    def _log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
+        slope, hessian = -self.pull @ x, self.pull.copy()
+        log = self.log_at_mean + 0.5 * float(slope @ x)
         if self.shapes:
             # Cauchy's distribution in two dimensions.
             shape = slice(2, 4)
@@ -293,11 +322,6 @@ class Model:
             log += float(np.log(SHAPE_M / (2 * np.pi)) - 1.5 * np.log(size))
             slope[shape] -= 3 * x[shape] / size
             hessian[[2, 3], [2, 3]] += 3 / size
-        if self.tag is not None and self.tag.glued:
-            own = slice(self.head, self.head + 2 * self.tag.count)
-            slope[own] -= self._glue[1] @ x[own]
-            log += 0.5 * float(slope[own] @ x[own])
-            hessian[own, own] += self._glue[1]
         return log, slope, hessian
 
     @cached_property
@@ -306,12 +330,16 @@ class Model:
         return self.tag.glue(float(np.hypot(MOUNTING_SD_M, self.transfer.radius_sd_m)))
 
     @cached_property
-    def _pull(self) -> Floats:
-        """(P,) inverse variances of the Gaussian priors, 0 of flat ones."""
-        return np.where(self._normal, self.precision, 0.0)
+    def pull(self) -> Floats:
+        """(P, P) precision of the Gaussian priors."""
+        pull = np.diag(np.where(self._normal, self.precision, 0.0))
+        if self.tag is not None and self.tag.glued:
+            own = slice(self.head, self.head + 2 * self.tag.count)
+            pull[own, own] = self._glue[1]
+        return pull
 
     @cached_property
-    def _log_at_mean(self) -> float:
+    def log_at_mean(self) -> float:
         """The largest log density of the prior."""
         log = 0.5 * float(np.log(self.precision[self._normal] / (2 * np.pi)).sum())
         if self.tag is not None and self.tag.glued:
@@ -323,37 +351,40 @@ class Model:
         return float(log - (np.log(SECTORS) if self.hidden[1] else 0.0))
 
     def crowding(self, x: Floats) -> Floats:
-        """(N,) by how many standard deviations points are too close, or rings and shapes are of no tag."""
-        _, _, stretch, odd = self.split(x)
-        places = np.concatenate([self.places(x), odd])
-        first, second, rise, least = self._pairs
-        apart = places[first] - places[second]
-        parts = [least - np.sqrt(apart.real**2 + apart.imag**2 + rise)]
+        """(.., N) standard deviations by which points are too close, or rings and shapes are of no tag."""
+        first, second, rise, least = pairs(self.tag, self.odd)
+        parts = [np.zeros((*x.shape[:-1], 0))]
+        if len(first):
+            places = np.concatenate([self.places(x), self._spots(x)], axis=-1)
+            apart = places[..., first] - places[..., second]
+            parts.append(least - np.sqrt(apart.real**2 + apart.imag**2 + rise))
         if self.tag is not None and self.tag.free.any():
-            radius = (self.tag.radius_m + stretch[self.tag.stretch])[self.tag.free[self.tag.stretch]]
+            free = self.tag.free[self.tag.stretch]
+            radius = self.tag.radius_m[free] + x[..., self._moved[1][free]]
             parts.append(np.maximum(RING_M[0] - radius, radius - RING_M[1]))
         if self.shapes:
             # A convex body inside the tag's ring has a radius of curvature everywhere.
             inside = REACH_M if self.tag is None else float(self.tag.radius_m.max())
-            parts.append(np.array([3 * float(np.hypot(x[2], x[3])) - inside]))
-        return np.asarray(np.maximum(np.concatenate(parts), 0) / CLOSE_SD_M)
+            parts.append(3 * np.hypot(x[..., 2:3], x[..., 3:4]) - inside)
+        return np.asarray(np.maximum(np.concatenate(parts, axis=-1), 0) / CLOSE_SD_M)
 
-    @cached_property
-    def _pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
-        """Pairs of reflectors and odd scatterers, squared differences in height, m^2, least distances, m."""
-        height = np.append(np.zeros(0) if self.tag is None else self.tag.height_m, np.zeros(self.odd))
-        first, second = np.triu_indices(len(height), 1)
-        # Only heights of one group are known: nothing stands above or below a reflector, its own row apart.
-        group = np.append([] if self.tag is None else self.tag.lift, -1 - np.arange(self.odd))
-        rise = np.where(group[first] == group[second], (height[first] - height[second]) ** 2, 0.0)
-        least = np.where(second < len(height) - self.odd, APART_M, CLOSEST_M)
-        if self.tag is not None and self.tag.count > 1:
-            # An enrolled tag stands as it was built.
-            places = self.tag.radius_m * np.exp(1j * self.tag.angle)
-            own = second < len(places)
-            built = np.hypot(np.abs(places[first[own]] - places[second[own]]), np.sqrt(rise[own]))
-            least[own] = APART_M if self.tag.turns > 1 and not self.tag.glued else np.minimum(built, APART_M)
-        return first, second, rise, least
+
+@lru_cache(maxsize=256)
+def pairs(tag: Arrangement | None, odd: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
+    """Pairs of reflectors and odd scatterers, squared differences in height, m^2, least distances, m."""
+    height = np.append(np.zeros(0) if tag is None else tag.height_m, np.zeros(odd))
+    first, second = np.triu_indices(len(height), 1)
+    # Only heights of one group are known: nothing stands above or below a reflector, its own row apart.
+    group = np.append([] if tag is None else tag.lift, -1 - np.arange(odd))
+    rise = np.where(group[first] == group[second], (height[first] - height[second]) ** 2, 0.0)
+    least = np.where(second < len(height) - odd, APART_M, CLOSEST_M)
+    if tag is not None and tag.count > 1:
+        # An enrolled tag stands as it was built.
+        places = tag.radius_m * np.exp(1j * tag.angle)
+        own = second < len(places)
+        built = np.hypot(np.abs(places[first[own]] - places[second[own]]), np.sqrt(rise[own]))
+        least[own] = APART_M if tag.turns > 1 and not tag.glued else np.minimum(built, APART_M)
+    return first, second, rise, least
 
 
 def _log_factorial(n: int) -> float:

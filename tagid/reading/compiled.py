@@ -1,4 +1,4 @@
-"""The log likelihood of a model of points by the compiled loop: `columns` and `evidence` at once."""
+"""The posterior density of a model of points by the compiled loop: `columns` and `evidence` at once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tagid.loops import loop
 from tagid.reading.bounce import BOUNCE_M, TOUCH_M
-from tagid.reading.columns import Model, nearest_ring, table_of
+from tagid.reading.columns import CLOSE_SD_M, REACH_M, RING_M, SHAPE_M, Model, nearest_ring, pairs, table_of
 from tagid.reading.sheet import SheetModel
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.transfer import Transfer
@@ -19,34 +19,37 @@ _evidence = loop("tagid.reading._evidence")
 
 Amplitudes = tuple[float, float, float]
 """Prior powers of body and reflectors, over the moving energy, and of oval tangents, over the body's."""
+_POWERS: dict[tuple[object, tuple[Amplitudes, ...]], Floats] = {}
+"""Prior powers (H, n) of the columns of a kind of model: few kinds and few sets of powers are tried."""
+_KEPT = 2
+"""Steps of a descent whose columns are kept beside the last."""
 _MOST = 32
 """Columns or parameters that the compiled loop takes, at most."""
 
 
 class Compiled:
-    """Log likelihood of one recording over the parameters x (P,) of a model.
-
-    The amplitudes are integrated out.
-    """
+    """Log density of one recording and of the parameters x (P,) of a model, amplitudes integrated out."""
 
     def __init__(self, spectra: Spectra, model: Model) -> None:
         tag, transfer = model.tag, model.transfer
         self.model = model
-        self._powers: dict[tuple[Amplitudes, ...], Floats] = {}
         k = 0 if tag is None else tag.count
         reflectors, groups = np.zeros((3, k)), np.zeros((4, k), dtype=np.int64)
         tables: Complex = np.zeros(0, dtype=np.complex128)
         if tag is not None:
             reflectors[:] = tag.radius_m, tag.angle, tag.height_m
-            radii, index = np.unique([nearest_ring(r) for r in tag.radius_m], return_inverse=True)
+            rings = [nearest_ring(r) for r in tag.radius_m]
+            radii = sorted(set(rings))
+            index = [radii.index(r) for r in rings]
             groups[:] = tag.turn, tag.stretch, index, tag.lift if model.lifts else np.full(k, -1)
-            tables = _stacked(transfer, spectra.kappa.tobytes(), tuple(radii.tolist()))
+            tables = _stacked(transfer, spectra.kappa.tobytes(), tuple(radii))
         seen = model.seeing(spectra.direction)
         place = spectra.antenna.real, spectra.antenna.imag, spectra.height_m, spectra.direction
         kappa, clutter, white, bases = _recording(spectra)
         body = model.body_columns
         shared = kappa, clutter[model.disc], white[model.disc], bases[model.disc]
-        self._before = (np.stack([*place, seen.astype(float)]), *shared, reflectors, groups, tables)
+        prior = np.concatenate([model.pull, model.precision[None]]), *_limits(model)
+        self._before = (np.stack([*place, seen.astype(float)]), *shared, reflectors, groups, tables, *prior)
         numbers = body, len(transfer.power), model.bounces, model.odd, model.spot
         self._after = (spectra.distance_m, BOUNCE_M, TOUCH_M, *numbers)
 
@@ -55,22 +58,29 @@ class Compiled:
         """That of a model; None where numpy is to do it: without the compiled loop, or for other columns."""
         if _evidence is None or max(model.columns + 1, model.parameters) > _MOST:
             return None
-        if isinstance(model, SheetModel):
-            return Given(spectra, model)
-        return _of(spectra, model) if type(model) is Model else None
+        return _of(spectra, model) if type(model) in (Model, SheetModel) else None
 
     def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
-        """(G, H) log likelihoods under G powers of the clutter and H of the others."""
+        """(G, H) log densities under G powers of the clutter and H of the others."""
         out = np.empty((len(clutter), len(some)))
         self._run(_evidence.values, x, tuple(some), clutter, out)
         return out
 
     def expanded(self, x: Floats, powers: Amplitudes, clutter: float) -> tuple[float, Floats, Floats]:
-        """Log likelihood, its gradient (P,), and the Gauss-Newton Hessian (P, P) of minus it."""
+        """Log density, its gradient (P,), and the Gauss-Newton Hessian (P, P) of minus it."""
         p = len(x)
         out = np.empty(1 + p + p * p)
         self._run(_evidence.expand, x, (powers,), (clutter,), out)
         return float(out[0]), out[1 : 1 + p], out[1 + p :].reshape(p, p)
+
+    def descended(
+        self, x: Floats, powers: Amplitudes, clutter: float, rounds: int, far_m: float, enough: float
+    ) -> tuple[Floats, float, Floats, Floats]:
+        """The parameters that `descent.descend` ends at, and what `expanded` gives there."""
+        p = len(x)
+        out = np.empty(p + 1 + p + p * p)
+        self._run(_evidence.descend, x, (powers,), (clutter,), out, rounds, far_m, enough)
+        return out[:p], float(out[p]), out[p + 1 : 2 * p + 1], out[2 * p + 1 :].reshape(p, p)
 
     def _run(
         self,
@@ -79,14 +89,31 @@ class Compiled:
         some: tuple[Amplitudes, ...],
         clutter: Sequence[float],
         out: Floats,
+        *more: float,
     ) -> None:
-        power = self._powers.get(some)
+        x = np.ascontiguousarray(x, dtype=np.float64)
+        function(*self._before, x, self._power(some), np.array(clutter), out, *self._after, *more)
+
+    def _power(self, some: tuple[Amplitudes, ...]) -> Floats:
+        model = self.model
+        kind = (
+            type(model),
+            model.transfer.power,
+            model.body_columns,
+            model.unlike,
+            model.odd,
+            model.bounces,
+            model.tagged,
+        )
+        power = _POWERS.get((kind, some))
         if power is None:
             unit = np.ones(1)
-            power = np.concatenate([self.model.power(unit, *one) for one in some])
-            self._powers[some] = power
-        x = np.ascontiguousarray(x, dtype=np.float64)
-        function(*self._before, x, power, np.array(clutter), out, *self._after)
+            power = np.concatenate([model.power(unit, *one) for one in some])
+            _POWERS[kind, some] = power
+        return power
+
+    def foresee(self, x: Floats) -> None:
+        """A descent begins here."""
 
 
 class Given(Compiled):
@@ -96,21 +123,39 @@ class Given(Compiled):
 
     def __init__(self, spectra: Spectra, model: SheetModel) -> None:
         self.model, self._spectra = model, spectra
+        self._last: list[tuple[bytes, Complex, Complex | None]] = []
 
     def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
         """See `Compiled.values`."""
         out = np.empty((len(clutter), len(some)))
-        columns = self.model.at(self._spectra, x).values
+        columns, _ = self.columns(x, slopes=False)
         self._given(_evidence.given_values, columns, np.zeros(0), tuple(some), clutter, out)
-        return out
+        return out + self.model.log_prior(x)[0]
 
     def expanded(self, x: Floats, powers: Amplitudes, clutter: float) -> tuple[float, Floats, Floats]:
         """See `Compiled.expanded`."""
         p = len(x)
         out = np.empty(1 + p + p * p)
-        columns = self.model.at(self._spectra, x).expanded
-        self._given(_evidence.given_expand, *columns, (powers,), (clutter,), out)
-        return float(out[0]), out[1 : 1 + p], out[1 + p :].reshape(p, p)
+        columns, rates = self.columns(x, slopes=True)
+        assert rates is not None
+        self._given(_evidence.given_expand, columns, rates, (powers,), (clutter,), out)
+        log, slope, pull = self.model.log_prior(x, slopes=True)
+        return float(out[0]) + log, out[1 : 1 + p] + slope, out[1 + p :].reshape(p, p) + pull
+
+    def columns(self, x: Floats, *, slopes: bool) -> tuple[Complex, Complex | None]:
+        """Columns and rates, see `SheetColumns`; a descent asks for those of its last steps again."""
+        place = x.tobytes()
+        for at, values, rates in self._last:
+            if at == place and not (slopes and rates is None):
+                return values, rates
+        here = self.model.at(self._spectra, x)
+        found = here.expanded if slopes else (here.values, None)
+        self._last = [(place, *found), *self._last[:_KEPT]]
+        return found
+
+    def foresee(self, x: Floats) -> None:
+        """See `Compiled.foresee`: the columns come with slopes at once."""
+        self.columns(x, slopes=True)
 
     def _given(
         self,
@@ -122,16 +167,24 @@ class Given(Compiled):
         out: Floats,
     ) -> None:
         kappa, variance, white, bases = _recording(self._spectra)
-        disc, unit = self.model.disc, np.ones(1)
-        power = np.concatenate([self.model.power(unit, *one) for one in some])
-        pack = np.ascontiguousarray
+        disc = self.model.disc
         shared = kappa, variance[disc], white[disc], bases[disc]
-        function(*shared, pack(values), pack(rates), power, np.array(clutter), out)
+        pack = np.ascontiguousarray
+        function(*shared, pack(values), pack(rates), self._power(some), np.array(clutter), out)
+
+
+def _limits(model: Model) -> tuple[NDArray[np.int64], Floats]:
+    """What `Model.crowding` and the prior of shapes need, see `prior` in `_evidence.c`."""
+    first, second, rise, least = pairs(model.tag, model.odd)
+    free = np.zeros(0) if model.tag is None else model.tag.free[model.tag.stretch]
+    inside = REACH_M if model.tag is None else float(model.tag.radius_m.max())
+    bounds = [model.log_at_mean, SHAPE_M if model.shapes else 0.0, inside, *RING_M, CLOSE_SD_M]
+    return np.concatenate([free, first, second]).astype(np.int64), np.concatenate([bounds, rise, least])
 
 
 @lru_cache(maxsize=8)
 def _of(spectra: Spectra, model: Model) -> Compiled:
-    return Compiled(spectra, model)
+    return Given(spectra, model) if isinstance(model, SheetModel) else Compiled(spectra, model)
 
 
 @lru_cache(maxsize=2)

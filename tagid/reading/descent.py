@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.reading.columns import Model
-from tagid.reading.compiled import Amplitudes, Compiled
+from tagid.reading.compiled import Amplitudes, Compiled, Given
 from tagid.reading.evidence import fit, log_evidence
 from tagid.reading.spectra import Floats, Spectra
 
@@ -22,8 +22,8 @@ BODY = (0.1, 3.0, 100.0, 3000.0)
 """Powers of a body that are tried, over the moving energy: what does not move is the room's."""
 OVAL = (1e-5, 1e-3, 1e-1)
 """Powers of a body's oval part that are tried, over the body's."""
-_CROWDED_M = 1e-5
-"""Finite differences of what crowds, m or rad."""
+_ENOUGH = 0.02
+"""Nats that a step of the descent gains at least, or it is the last."""
 FAR_M = 0.03
 """No centre lies farther from the axis."""
 
@@ -96,7 +96,11 @@ class _Numpy:
         columns = spectra.whiteners[model.disc].apply(model.at(spectra, x, slopes=False).values)
         power = np.stack([model.power(spectra.moving, *one) for one in some])
         variances = [variance(spectra, model, sigma)[None] for sigma in clutter]
-        return np.stack([log_evidence(columns, spectra.white[model.disc], lam, power) for lam in variances])
+        logs = [log_evidence(columns, spectra.white[model.disc], lam, power) for lam in variances]
+        return np.stack(logs) + model.log_prior(x)[0]
+
+    def foresee(self, x: Floats) -> None:
+        pass
 
     def expanded(self, x: Floats, powers: Amplitudes, clutter: float) -> tuple[float, Floats, Floats]:
         spectra, model = self.spectra, self.model
@@ -107,7 +111,8 @@ class _Numpy:
         gradient = 2 * columns.slopes(back.conj()).sum(axis=(1, 2)).real
         moved = np.swapaxes(columns.slopes(found.amplitudes[..., None]), 0, 1)
         hessian = found.curvature(whitener.apply(moved) / np.sqrt(lam)[:, None])
-        return found.log, gradient, hessian
+        log, slope, pull = model.log_prior(x, slopes=True)
+        return found.log + log, gradient + slope, hessian + pull
 
 
 def _likelihood(spectra: Spectra, model: Model) -> Compiled | _Numpy:
@@ -131,7 +136,7 @@ def best_powers(
         i, j = divmod(int(values.argmax()), len(some))
         if values[i, j] > best:
             best, found = float(values[i, j]), Powers(sigmas[i], *some[j])
-    return found, best + model.log_prior(x)[0] - 0.5 * float((model.crowding(x) ** 2).sum())
+    return found, best
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,39 +146,28 @@ class _Here:
     hessian: Floats
 
 
-def _expanded(likelihood: Compiled | _Numpy, x: Floats, powers: Powers) -> _Here:
-    model = likelihood.model
-    log, gradient, hessian = likelihood.expanded(x, (powers.body, powers.tag, powers.oval), powers.clutter)
-    prior, slope, pull = model.log_prior(x)
-    gradient = gradient + slope
-    hessian = hessian + pull
-    crowding = model.crowding(x)
-    if crowding.any():
-        ends = [[model.crowding(x + sign * step) for sign in (1, -1)] for step in _CROWDED_M * np.eye(len(x))]
-        slopes = np.array([there - back for there, back in ends]) / (2 * _CROWDED_M)
-        gradient = gradient - slopes @ crowding
-        hessian = hessian + slopes @ slopes.T
-    return _Here(log + prior - 0.5 * float(crowding @ crowding), gradient, hessian)
-
-
 def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: int) -> tuple[Floats, _Here]:
     """Levenberg and Marquardt's method from x at fixed powers."""
-    likelihood = _likelihood(spectra, model)
-    here = _expanded(likelihood, x, powers)
+    likelihood, own = _likelihood(spectra, model), ((powers.body, powers.tag, powers.oval), powers.clutter)
+    if isinstance(likelihood, Compiled) and not isinstance(likelihood, Given):
+        x, log, gradient, hessian = likelihood.descended(x, *own, rounds, FAR_M, _ENOUGH)
+        return x, _Here(log, gradient, hessian)
+    here = _Here(*likelihood.expanded(x, *own))
     damping = 1e-2
     for _ in range(rounds):
         size = np.diag(here.hessian) + model.precision
         step = np.linalg.solve(here.hessian + damping * np.diag(size), here.gradient)
         trial = x + step
         promised = float(step @ here.gradient)
-        if promised < 0.02:
+        if promised < _ENOUGH:
             break
-        there = _expanded(likelihood, trial, powers) if np.hypot(trial[0], trial[1]) < FAR_M else None
+        inside = np.hypot(trial[0], trial[1]) < FAR_M
+        there = _Here(*likelihood.expanded(trial, *own)) if inside else None
         if there is not None and there.log > here.log:
             gained = there.log - here.log
             x, here = trial, there
             damping /= 5
-            if gained < 0.02:
+            if gained < _ENOUGH:
                 break
         else:
             damping *= 10
@@ -196,6 +190,7 @@ def refined(
         rounds: of every stage.
     """
     x = np.asarray(x, dtype=float)
+    _likelihood(spectra, model).foresee(x)
     for clutter in stages:
         powers, _ = best_powers(spectra, model, x, clutter)
         x, here = descend(spectra, model, x, powers, rounds)

@@ -33,7 +33,7 @@ from tagid.reading.odd import OddMap
 from tagid.reading.sheet import KINDS, Kind, SheetModel
 from tagid.reading.signature import EnrolledBody, SignatureModel
 from tagid.reading.signature_search import Poses, altered
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Floats, Spectra
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
 from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADE
@@ -331,45 +331,45 @@ class Contest:
             def head(c: complex, shape: Floats = shape[: model.shapes]) -> Floats:
                 return np.r_[c.real, c.imag, shape] if stand is None else stand.head(c)
 
-            bodies: dict[complex, Complex | None] = dict.fromkeys(centres, stand.echo if stand else None)
             if stand is None and model.transfer.body:
-                bodies = {c: model.at(self.spectra, head(c), slopes=False).values[:, 0] for c in centres}
-            own = [one for one in arranged if disc_of(one.radius_m) == disc]
-            free_m = [r for r in FREE_RINGS_M if disc_of(r) == disc]
-            about = []
-            enrolled: dict[str, list[Candidate]] = {one.layout.name: [] for one in own}
-            for c in centres:
-                tables: dict[tuple[tuple[float, float], ...], search.Tables] = {}
-                best = -np.inf
-                for one, rise in product(own, rises):
-                    raised = [(r, z + rise) for r, z in one.rings]
-                    rings = tuple(dict.fromkeys(raised))
-                    if rings not in tables:
-                        tables[rings] = search.tables(self.spectra, model, c, rings, powers[disc], bodies[c])
-                    ring = np.array([rings.index(r) for r in raised])
-                    for s in search.turned(tables[rings], ring, one.tag.angle, 2):
-                        tagged = replace(model, tag=one.tag)
-                        x = np.r_[head(c), s.angles[0], 0.0, [rise] * tagged.lifts]
-                        start = Candidate(s.log, one.layout, tagged, x, one.middle)
-                        enrolled[one.layout.name].append(start)
-                        best = max(best, s.log)
-                about.append((best, c))
+                echoes = [model.at(self.spectra, head(c), slopes=False).values[:, 0] for c in centres]
+            else:
+                echoes = [self.spectra.data if stand is None else stand.echo] * len(centres)
+            echo = np.stack(echoes)
+            own = list(product([one for one in arranged if disc_of(one.radius_m) == disc], rises))
+            tagged = [replace(model, tag=one.tag) for one, _ in own]
+            about = np.full(len(centres), -np.inf)
+            enrolled: dict[str, list[Candidate]] = {one.layout.name: [] for one, _ in own}
+            groups = [one.group(rise) for one, rise in own]
+            tables = search.tables(self.spectra, model, centres, groups, powers[disc], echo) if own else []
+            for i, (c, table) in enumerate(zip(centres, tables, strict=False)):
+                before = head(c)
+                for (one, rise), with_tag, starts in zip(own, tagged, search.turned(table, 2), strict=True):
+                    for s in starts:
+                        x = np.concatenate([before, [s.angles[0], 0.0], [rise] * with_tag.lifts])
+                        enrolled[one.layout.name].append(
+                            Candidate(s.log, one.layout, with_tag, x, one.middle)
+                        )
+                        about[i] = max(about[i], s.log)
             for some in enrolled.values():
                 found += unlike(some, 2)
-            for _, c in sorted(about, key=lambda one: -one[0])[:wide]:
-                free = list(product(free_m, rises))
-                every = [
-                    search.tables(self.spectra, model, c, [one], powers[disc], bodies[c]) for one in free
-                ]
-                apart = [2 * float(np.arcsin(APART_M / 2 / r)) for r, _ in free]
-                pairs = [search.free(t, 0, a, 2, 1)[-1].log for t, a in zip(every, apart, strict=True)]
+            free = list(product([r for r in FREE_RINGS_M if disc_of(r) == disc], rises))
+            groups = [((r, 0.0, z),) for r, z in free]
+            apart = [2 * float(np.arcsin(APART_M / 2 / r)) for r, _ in free]
+            for k in np.argsort(-about, kind="stable")[:wide]:
+                c = centres[k]
+                (all_rings,) = search.tables(
+                    self.spectra, model, [c], groups, powers[disc], echo[k : k + 1], search.COARSE_RAD
+                )
+                every = all_rings.each
+                pairs = [search.free(t, a, 2, 1)[-1].log for t, a in zip(every, apart, strict=True)]
                 for i in np.argsort(pairs)[::-1][:wide]:
-                    for s in search.free(every[i], 0, apart[i], MOST_REFLECTORS, 2):
+                    for s in search.free(every[i], apart[i], MOST_REFLECTORS, 2):
                         tag = Arrangement.ring(free[i][0], np.array(s.angles))
-                        tagged = replace(model, tag=tag)
-                        rise = [free[i][1]] * tagged.lifts
+                        on_ring = replace(model, tag=tag)
+                        rise = [free[i][1]] * on_ring.lifts
                         x = np.r_[head(c), np.zeros(tag.turns + tag.stretches), rise]
-                        found.append(Candidate(s.log, None, tagged, x, False))
+                        found.append(Candidate(s.log, None, on_ring, x, False))
         return found
 
     def _beside_enrolled(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import permutations
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import Model
 from tagid.reading.descent import Found, Powers
+from tagid.reading.search import Group
 from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.tags.layouts.layout import Layout
@@ -86,18 +88,18 @@ class Arranged:
     middle: bool
 
     @classmethod
+    @lru_cache(maxsize=256)
     def of(cls, layout: Layout, covered: bool) -> Arranged:
         whole = Arrangement.of_layout(layout.positions, layout.heights)
         out = whole.radius_m > MIDDLE_M
         tag = whole.of(np.flatnonzero(out)) if covered else whole
         return cls(layout, tag, float(whole.radius_m.max()), covered and bool((~out).any()))
 
-    @property
-    def rings(self) -> list[tuple[float, float]]:
-        """Radius and height of every reflector, m."""
-        return [
-            (round(float(r), 4), float(z)) for r, z in zip(self.tag.radius_m, self.tag.height_m, strict=True)
-        ]
+    def group(self, rise_m: float) -> Group:
+        """Radius, m, angle, rad, and height, m, of every reflector, risen by so much."""
+        tag = self.tag
+        places = zip(tag.radius_m.tolist(), tag.angle.tolist(), tag.height_m.tolist(), strict=True)
+        return tuple((radius, angle, height + rise_m) for radius, angle, height in places)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ class OddMap:
     def __init__(self, spectra: Spectra) -> None:
         self._spectra = spectra
         self._spots: dict[int, tuple[NDArray[np.complex64], NDArray[np.float32]]] = {}
+        self._sizes: dict[tuple[int, bytes], NDArray[np.float32]] = {}
 
     def _whitened(self, disc: int) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
         """(F, Q, M) conjugate columns of the places in the basis of a clutter's disc, and their energy."""
@@ -31,6 +32,14 @@ class OddMap:
             spots = self._spectra.whiteners[disc].apply(waves).conj().astype(np.complex64)
             self._spots[disc] = spots, spots.real**2 + spots.imag**2
         return self._spots[disc]
+
+    def _size(self, disc: int, lam: Floats) -> NDArray[np.float32]:
+        """(F, Q) energy of the columns under variances (F, M)."""
+        key = disc, lam.tobytes()
+        if key not in self._sizes:
+            energy = self._whitened(disc)[1]
+            self._sizes[key] = (energy @ (1 / lam).astype(np.float32)[..., None])[..., 0]
+        return self._sizes[key]
 
     @cached_property
     def _spots_of(self) -> tuple[Complex, Floats]:
@@ -41,7 +50,7 @@ class OddMap:
     def likeliest(self, found: Found) -> Floats | None:
         """The parameters that add most evidence to a hypothesis; None where none adds `GAIN`."""
         spectra, model, (places, heights) = self._spectra, found.model, self._spots_of
-        spots, energy = self._whitened(model.disc)
+        spots, _ = self._whitened(model.disc)
         lam = variance(spectra, model, found.powers.clutter)
         columns = spectra.whiteners[model.disc].apply(model.at(spectra, found.x, slopes=False).values)
         columns = columns / np.sqrt(lam)[:, None]
@@ -54,7 +63,7 @@ class OddMap:
         against = np.concatenate([held.conj(), left[:, None]], axis=1) / np.sqrt(lam)[:, None]
         product = spots @ np.swapaxes(against.astype(np.complex64), 1, 2)
         product = product.real**2 + product.imag**2
-        size = (energy @ (1 / lam).astype(np.float32)[..., None])[..., 0] - product[..., :-1].sum(axis=-1)
+        size = self._size(model.disc, lam) - product[..., :-1].sum(axis=-1)
         prior = (ODD_POWER * spectra.moving)[:, None]
         gain = (product[..., -1] / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0)
         used = np.concatenate([found.places, found.odd])

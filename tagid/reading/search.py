@@ -8,7 +8,7 @@ moves the phase of every view. On other turns the tables are made column by colu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import combinations
 
@@ -23,28 +23,58 @@ from tagid.reading.transfers.transfer import Transfer
 
 _sets = loop("tagid.reading._sets")
 
-STEP_RAD = np.deg2rad(3.0)
-"""Reflectors of the tables are no farther apart."""
+STEP_RAD, COARSE_RAD = np.deg2rad(3.0), np.deg2rad(6.0)
+"""Turns of the tables are no farther apart, and starts of free reflectors."""
 COARSE = 2
-"""Every so many-th angle of the table is a start for free reflectors."""
+"""Every so many-th angle of a fine table is a start for free reflectors."""
 GROWN = 40
 """Best sets to which a further reflector is added."""
+
+Group = tuple[tuple[float, float, float], ...]
+"""Radius, m, angle, rad, and height, m, of reflectors that turn together."""
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Columns of single reflectors, whitened.
+    """Columns of groups of reflectors, whitened.
 
     Real and imaginary parts of tables are apart, and the frequencies last, filled up to F, a multiple of 4.
 
     Attributes:
-        columns: (F, B, P, M) of every block of reflectors.
-        shifts: V of an even turn, by which the reflectors of a block are apart in Fourier vectors; otherwise
-            1, the number of reflectors of a block.
+        columns: (F, B, P, M) of every block.
+        shifts: V of an even turn, by which the turns of a block are apart in Fourier vectors; otherwise 1.
+        count: of blocks of a group.
     """
 
     columns: Complex
     shifts: int
+    count: int
+
+    @cached_property
+    def each(self) -> list[Blocks]:
+        """Those of every group alone."""
+        parts = np.split(self.columns, self.columns.shape[1] // self.count, axis=1)
+        return [Blocks(part, self.shifts, self.count) for part in parts]
+
+    @cached_property
+    def planes(self) -> Floats:
+        """(B, P, M, 2, F) of the columns."""
+        return _apart(self.columns)
+
+    def against(self, vectors: Complex) -> Floats:
+        """(C, B V, P, J, 2, F) inner products of vectors (F, C, J, M) with all turns of the blocks."""
+        f, b, p, m = self.columns.shape
+        if self.shifts == 1:
+            product = self.columns[:, None] @ np.swapaxes(vectors.conj(), 2, 3)[:, :, None]
+            return _apart(product)
+        shape = (vectors.shape[1], b * m, p, vectors.shape[2], 2, -(-f // 4) * 4)
+        if _sets is None:
+            # <q, w shifted by n> = sum over m of conj(q) w exp(-2 pi j m n / V).
+            product = self.columns[:, None, :, :, None] * vectors.conj()[:, :, None, None]
+            return _apart(np.moveaxis(np.fft.fft(product, axis=-1), 5, 3)).reshape(shape)
+        out = np.empty(shape)
+        _sets.against(self.planes, _apart(vectors), _turn(m), out, shape[-1], b, p, shape[0], shape[3])
+        return out
 
     @cached_property
     def pair(self) -> Floats:
@@ -52,24 +82,31 @@ class Blocks:
         w = self.columns
         f, b, p, m = w.shape
         row, column = np.tril_indices(p)
-        if self.shifts > 1:
+        out = np.zeros((b, b, self.shifts, len(row), 2, -(-f // 4) * 4))
+        if self.shifts > 1 and _sets is not None:
+            _sets.pairs(self.planes, _turn(m), out, out.shape[-1], b, p)
+        elif self.shifts > 1:
             first, second = w[:, :, row].conj(), w[:, :, column]
             back = -np.arange(m) % m
             # a with b turned by n views, and b with a: the second is the transform of what is reversed.
             product = first[:, :, None] * second[:, None]
             product += second[:, :, None][..., back] * first[:, None][..., back]
-            return _apart(np.moveaxis(np.fft.fft(product, axis=-1), 4, 3))
-        out = np.zeros((b, b, 1, len(row), 2, -(-f // 4) * 4))
-        for t, (i, j) in enumerate(zip(row, column, strict=True)):
-            product = w[:, :, i].conj() @ np.swapaxes(w[:, :, j], 1, 2)
-            out[:, :, 0, t, :, :f] = _apart(product + np.swapaxes(product, 1, 2))[..., :f]
+            out = _apart(np.moveaxis(np.fft.fft(product, axis=-1), 4, 3))
+        else:
+            for t, (i, j) in enumerate(zip(row, column, strict=True)):
+                if i == j:
+                    real = np.concatenate([w[:, :, i].real, w[:, :, i].imag], axis=2)
+                    out[:, :, 0, t, 0, :f] = np.moveaxis(2 * real @ np.swapaxes(real, 1, 2), 0, -1)
+                    continue
+                product = w[:, :, i].conj() @ np.swapaxes(w[:, :, j], 1, 2)
+                out[:, :, 0, t, :, :f] = _apart(product + np.swapaxes(product, 1, 2))[..., :f]
         return out
 
     @cached_property
     def own(self) -> Floats:
         """(B, T, 2, F), see `_sets.c`."""
-        each = np.arange(self.columns.shape[1])
-        return np.asarray(self.pair[each, each, 0] / 2)
+        row, column = np.tril_indices(self.columns.shape[2])
+        return _apart((self.columns.conj() @ np.swapaxes(self.columns, 2, 3))[:, :, row, column])
 
     def below(self, sets: NDArray[np.int32]) -> Complex:
         """(H, F, T) inner products of sets of reflectors."""
@@ -80,27 +117,18 @@ class Blocks:
             below = below + _joined(self.pair[block[:, a], block[:, c], (shift[:, c] - shift[:, a]) % v])
         return below
 
-    def summed(self, sets: NDArray[np.int32]) -> Complex:
-        """The same of one reflector a block, from the columns themselves: less for few sets."""
-        f, _, p, _ = self.columns.shape
-        w = self.columns[:, sets].sum(axis=2)
-        row, column = np.tril_indices(p)
-        out = np.zeros((len(sets), -(-f // 4) * 4, len(row)), dtype=np.complex128)
-        out[:, :f] = np.swapaxes((w.conj() @ np.swapaxes(w, 2, 3))[:, :, row, column], 0, 1)
-        return out
-
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """Inner products of the columns of single reflectors on rings, whitened, without room and body.
+    """Inner products of the columns of groups of reflectors about a centre, whitened, without room and body.
 
     Attributes:
         blocks: the columns.
         right: (B V, P, 2, F), held: (B V, P, J, 2, F), with the data, and with what is held out.
         power: (P, F) prior variances.
         base: log evidence without reflectors, up to what all centres share, nats.
-        rings: number of rings; angles: of every ring, `step_rad` apart; fractions: blocks of a ring.
-        known: of rings, scores of all single reflectors and pairs, once they are known.
+        angles: turns of every group, `step_rad` apart.
+        known: scores of all single reflectors and pairs, once they are known.
     """
 
     blocks: Blocks
@@ -108,18 +136,25 @@ class Tables:
     held: Floats
     power: Floats
     base: float
-    rings: int
     angles: int
-    fractions: int
     step_rad: float
-    known: dict[int, dict[int, Floats]] = field(default_factory=dict)
+    known: dict[int, Floats] = field(default_factory=dict)
 
-    def index(self, ring: NDArray[np.intp], angle: Floats) -> NDArray[np.int32]:
-        """Indices of reflectors at angles, rad, of rings."""
-        i = np.rint(np.asarray(angle) / self.step_rad).astype(np.intp) % self.angles
-        shifts = self.angles // self.fractions
-        block = ring * self.fractions + i % self.fractions
-        return np.asarray(block * shifts + i // self.fractions, dtype=np.int32)
+    def every(self, step: int = 1) -> NDArray[np.int32]:
+        """(G, angles) indices of all turns of the groups, or of every so many-th."""
+        i, shifts, count = np.arange(0, self.angles, step), self.blocks.shifts, self.blocks.count
+        group = np.arange(self.blocks.columns.shape[1] // count)[:, None]
+        return np.asarray((group * count + i % count) * shifts + i // count, dtype=np.int32)
+
+    @property
+    def each(self) -> list[Tables]:
+        """Those of every group alone."""
+        blocks = self.blocks.each
+        right, held = np.split(self.right, len(blocks)), np.split(self.held, len(blocks))
+        return [
+            replace(self, blocks=b, right=r, held=h, known={})
+            for b, r, h in zip(blocks, right, held, strict=True)
+        ]
 
     def scores(self, sets: NDArray[np.int32]) -> Floats:
         """(H,) log evidences of sets (H, K) of indices."""
@@ -127,13 +162,12 @@ class Tables:
             return np.zeros(0)
         blocks, chosen = self.blocks, np.ascontiguousarray(sets, dtype=np.int32)
         b, v = blocks.columns.shape[1], blocks.shifts
-        if v == 1 and len(sets) <= b and "pair" not in vars(blocks):
-            return self.base + self._scored(chosen, blocks.summed(chosen))
         if _sets is None:
             return self.base + self._scored(chosen, blocks.below(chosen))
         out = np.empty(len(sets))
         p, j, _, f = self.held.shape[1:]
-        parts = blocks.own, blocks.pair, self.held, self.right, self.power
+        pair = blocks.pair if chosen.shape[1] > 1 else np.zeros(0)
+        parts = blocks.own, pair, self.held, self.right, self.power
         _sets.scores(*parts, chosen, out, f, b, v, p, j, *chosen.shape)
         return self.base + out
 
@@ -153,6 +187,11 @@ class Tables:
         diagonal = np.einsum("hfpp->hfp", factor).real
         gain = (np.abs(half) ** 2).sum(axis=(1, 2)) - 2 * np.log(diagonal).sum(axis=(1, 2))
         return np.asarray(gain - np.log(self.power).sum())
+
+
+@lru_cache(maxsize=4)
+def _turn(views: int) -> Complex:
+    return np.asarray(np.exp(-2j * np.pi * np.arange(views) / views))
 
 
 def _apart(values: Complex) -> Floats:
@@ -179,170 +218,170 @@ def _filled(power: Floats) -> Floats:
 def tables(
     spectra: Spectra,
     model: Model,
-    centre: complex,
-    rings: Sequence[tuple[float, float]],
+    centres: Sequence[complex],
+    groups: Sequence[Group],
     powers: Powers,
-    body: Complex | None = None,
-) -> Tables:
-    """Tables of the reflectors of a model's transfer about a centre, x + jy, m.
+    bodies: Complex | None = None,
+    step_rad: float = STEP_RAD,
+) -> list[Tables]:
+    """Tables of groups of reflectors of a model's transfer about every centre, x + jy, m.
 
     Args:
         model: transfer and disc are used.
-        rings: radius and height of each, m.
         powers: of clutter and reflectors.
-        body: (F, V) echo of the body beside them; None: a point in the centre, if there is one.
+        bodies: (C, F, V) echo of the body beside them; None: a point in the centre, if there is one.
+        step_rad: turns are no farther apart on an even turn.
     """
     make = _even if spectra.full_turn else _uneven
-    return make(spectra, model, centre, rings, powers, body)
+    if bodies is None:
+        bodies = np.moveaxis(spectra.waves(np.array(centres), np.zeros(len(centres)))[0], 1, 0)
+    return make(spectra, model, np.array(centres), tuple(groups), powers, bodies, step_rad)
+
+
+def _columns(
+    spectra: Spectra,
+    transfer: Transfer,
+    groups: Sequence[Group],
+    turns: int,
+    step_rad: float,
+    centre: complex = 0,
+) -> Complex:
+    """(F, G T, P, V) of groups about a centre at so many turns."""
+    out = []
+    for group in groups:
+        radius, facing, height = _turned(group, turns, step_rad)
+        waves, _ = spectra.waves(centre + radius * np.exp(1j * facing), height)
+        columns = waves[:, :, None] * _seen(spectra, transfer, group, turns, step_rad)
+        out.append(columns.reshape(len(columns), len(group), turns, *columns.shape[2:]).sum(axis=1))
+    return np.concatenate(out, axis=1)
+
+
+def _turned(group: Group, turns: int, step_rad: float) -> Floats:
+    """(3, K T) radius, angle and height at so many turns."""
+    places = np.repeat(np.array(group).T, turns, axis=1)
+    places[1] += np.tile(step_rad * np.arange(turns), len(group))
+    return places
+
+
+@lru_cache(maxsize=16)
+def _seen(spectra: Spectra, transfer: Transfer, group: Group, turns: int, step_rad: float) -> Complex:
+    """(F, K T, P, V) patterns of a group about any centre."""
+    radius, facing, _ = _turned(group, turns, step_rad)
+    return np.ascontiguousarray(np.moveaxis(patterns(spectra, transfer, radius, facing)[0], 2, 0))
 
 
 @lru_cache(maxsize=16)
 def _turning(
-    spectra: Spectra, transfer: Transfer, disc: int, rings: tuple[tuple[float, float], ...], clutter: float
-) -> tuple[Blocks, Floats]:
-    """Reflectors on rings of an even turn, about any centre: Fourier vectors behind a root (F, V)."""
+    spectra: Spectra,
+    transfer: Transfer,
+    disc: int,
+    groups: tuple[Group, ...],
+    clutter: float,
+    step_rad: float,
+) -> tuple[Blocks, Floats, float]:
+    """Groups of an even turn, about any centre: Fourier vectors behind a root (F, V), and the step, rad."""
     views = spectra.views
-    fractions, step = _steps(spectra)
-    root = np.sqrt(1 + clutter * spectra.moving[:, None] * spectra.whiteners[disc].every)
-    columns = []
-    for radius, height in rings:
-        facing = np.asarray(step * np.arange(fractions), dtype=np.float64)
-        waves, _ = spectra.waves(radius * np.exp(1j * facing), np.full(fractions, height))
-        seen, _ = patterns(spectra, transfer, np.full(fractions, radius), facing)
-        columns.append(waves[:, :, None] * np.moveaxis(seen, 2, 0))
-    w = np.fft.fft(np.concatenate(columns, axis=1), axis=-1) / np.sqrt(views) / root[:, None, None]
-    return Blocks(w, views), root
-
-
-def _steps(spectra: Spectra) -> tuple[int, float]:
-    """Blocks of a ring, and the angle between them, rad, in the sense of the turn."""
-    fractions = int(np.ceil(2 * np.pi / spectra.views / STEP_RAD - 1e-9))
+    fractions = int(np.ceil(2 * np.pi / views / step_rad - 1e-9))
     sense = np.sign(np.angle(spectra.antenna[1] / spectra.antenna[0]))
-    return fractions, float(sense * 2 * np.pi / (spectra.views * fractions))
+    step = float(sense * 2 * np.pi / (views * fractions))
+    root = np.sqrt(1 + clutter * spectra.moving[:, None] * spectra.whiteners[disc].every)
+    columns = _columns(spectra, transfer, groups, fractions, step)
+    w = np.fft.fft(columns, axis=-1) / np.sqrt(views) / root[:, None, None]
+    return Blocks(w, views, fractions), root, step
 
 
 def _even(
     spectra: Spectra,
     model: Model,
-    centre: complex,
-    rings: Sequence[tuple[float, float]],
+    centres: Complex,
+    groups: tuple[Group, ...],
     powers: Powers,
-    body: Complex | None,
-) -> Tables:
-    views, transfer = spectra.views, model.transfer
-    fractions, step = _steps(spectra)
-    blocks, root = _turning(spectra, transfer, model.disc, tuple(rings), powers.clutter)
-    w = blocks.columns
-    undone = np.exp(1j * spectra.kappa[:, None] * (np.abs(spectra.antenna - centre) - spectra.distance_m))
-    echo = np.ones_like(undone) if body is None else body * undone
-    room, own = (np.fft.fft(one, axis=-1) / np.sqrt(views) / root for one in (undone, echo))
-    held_out, charge = _orthogonal([room, own] if transfer.body else [room], powers.body * spectra.moving)
-    y = np.fft.fft(spectra.data * undone, axis=-1) / np.sqrt(views) / root
-    y, base = _cleared(y, held_out)
+    bodies: Complex,
+    step_rad: float,
+) -> list[Tables]:
+    transfer = model.transfer
+    blocks, root, step = _turning(spectra, transfer, model.disc, groups, powers.clutter, step_rad)
+    away = np.abs(spectra.antenna - centres[:, None]) - spectra.distance_m
+    undone = np.exp(1j * spectra.kappa[:, None] * away[:, None])
+    seen = np.stack([undone, bodies * undone, spectra.data * undone])
+    room, own, y = np.fft.fft(seen, axis=-1) / np.sqrt(spectra.views) / root
+    held, charge = _orthogonal([room, own] if transfer.body else [room], powers.body * spectra.moving)
+    y, base = _cleared(y, held)
     base -= 2 * float(np.log(root[:, 1:]).sum()) + (charge if transfer.body else 0.0)
-    # <q, w shifted by n> = sum over m of conj(q) w exp(-2 pi j m n / V); with the data, its conjugate.
-    against = np.stack([y, *held_out], axis=1).conj()
-    product = np.fft.fft(w[:, :, :, None] * against[:, None, None], axis=-1)
-    f, b, p, j, _ = product.shape
-    product = np.moveaxis(product, 4, 2).reshape(f, b * views, p, j)
-    return Tables(
-        blocks,
-        _apart(product[..., 0].conj()),
-        _apart(product[..., 1:]),
-        _filled(powers.tag * np.array(transfer.power)[:, None] * spectra.moving),
-        base,
-        len(rings),
-        views * fractions,
-        fractions,
-        step,
-    )
+    power = powers.tag * np.array(transfer.power)[:, None] * spectra.moving
+    return about(blocks, y, np.stack(held, axis=2), power, base, step)
+
+
+def about(
+    blocks: Blocks, data: Complex, held: Complex, power: Floats, base: Floats, step_rad: float
+) -> list[Tables]:
+    """Tables about C centres, of data (C, F, M) and of what is held out (C, F, J, M); others as `Tables`."""
+    right, out = (blocks.against(np.swapaxes(one, 0, 1)) for one in (data[:, :, None], held))
+    right = right[:, :, :, 0] * np.array([[1.0], [-1.0]])
+    angles = blocks.shifts * blocks.count
+    return [
+        Tables(blocks, r, h, _filled(power), float(b), angles, step_rad)
+        for r, h, b in zip(right, out, base, strict=True)
+    ]
 
 
 def _uneven(
     spectra: Spectra,
     model: Model,
-    centre: complex,
-    rings: Sequence[tuple[float, float]],
+    centres: Complex,
+    groups: tuple[Group, ...],
     powers: Powers,
-    body: Complex | None,
-) -> Tables:
+    bodies: Complex,
+    step_rad: float,
+) -> list[Tables]:
     transfer, whitener = model.transfer, spectra.whiteners[model.disc]
+    root = np.sqrt(1 + powers.clutter * spectra.moving[:, None] * whitener.variance)
     angles = round(2 * np.pi / (1.5 * STEP_RAD))
     step = 2 * np.pi / angles
-    root = np.sqrt(1 + powers.clutter * spectra.moving[:, None] * whitener.variance)
-    facing = np.asarray(step * np.arange(angles), dtype=np.float64)
-    parts = []
-    for radius, height in rings:
-        waves, _ = spectra.waves(centre + radius * np.exp(1j * facing), np.full(angles, height))
-        parts.append(waves[:, :, None] * _seen(spectra, transfer, radius, angles))
-    w = np.concatenate(parts, axis=1)
-    f, count, p, v = w.shape
-    w = (whitener.apply(w.reshape(f, count * p, v)) / root[:, None]).reshape(f, count, p, -1)
-    held_out: list[Complex] = []
-    charge = 0.0
-    if transfer.body:
-        echo = spectra.waves(np.array([centre]), np.zeros(1))[0] if body is None else body[:, None]
-        held_out, charge = _orthogonal([whitener.apply(echo)[:, 0] / root], powers.body * spectra.moving)
-    y, base = _cleared(spectra.white[model.disc] / root, held_out)
-    base -= 2 * float(np.log(root).sum()) + charge
-    q = np.stack(held_out, axis=1) if held_out else np.zeros((f, 0, y.shape[1]))
-    held = w @ np.swapaxes(q.conj(), 1, 2)[:, None]
-    right = (w.conj() @ y[:, None, :, None])[..., 0]
-    power = powers.tag * np.array(transfer.power)[:, None] * spectra.moving
-    return dense(w, right, held, power, base, len(rings), angles)
+    out: list[Tables] = []
+    for centre, body in zip(centres, bodies, strict=True):
+        w = _columns(spectra, transfer, groups, angles, step, complex(centre))
+        f, count, p, v = w.shape
+        w = (whitener.apply(w.reshape(f, count * p, v)) / root[:, None]).reshape(f, count, p, -1)
+        held: list[Complex] = []
+        charge = np.zeros(1)
+        if transfer.body:
+            echo = whitener.apply(body[:, None])[None, :, 0] / root
+            held, charge = _orthogonal([echo], powers.body * spectra.moving)
+        y, base = _cleared(spectra.white[model.disc][None] / root, held)
+        base -= 2 * float(np.log(root).sum()) + charge
+        q = np.stack(held, axis=2) if held else np.zeros((1, f, 0, w.shape[3]), dtype=np.complex128)
+        power = powers.tag * np.array(transfer.power)[:, None] * spectra.moving
+        out += about(Blocks(w, 1, angles), y, q, power, base, step)
+    return out
 
 
-@lru_cache(maxsize=16)
-def _seen(spectra: Spectra, transfer: Transfer, radius_m: float, angles: int) -> Complex:
-    """(F, angles, P, V) patterns on a ring, about any centre and at any height."""
-    facing = np.asarray(2 * np.pi / angles * np.arange(angles), dtype=np.float64)
-    seen, _ = patterns(spectra, transfer, np.full(angles, radius_m), facing)
-    return np.ascontiguousarray(np.moveaxis(seen, 2, 0))
-
-
-def dense(
-    w: Complex, right: Complex, held: Complex, power: Floats, base: float, rings: int, angles: int
-) -> Tables:
-    """Tables of reflectors whose columns are no shifted copies of each other.
-
-    Args:
-        w: (F, B, P, M) columns; the first are those of rings, at equally spaced angles.
-        right: (F, B, P), held: (F, B, P, J) with the data, and with what is held out.
-        power: (P, F) prior variances.
-        base: see `Tables`.
-    """
-    step = 2 * np.pi / angles
-    return Tables(
-        Blocks(w, 1), _apart(right), _apart(held), _filled(power), base, rings, angles, angles, step
-    )
-
-
-def _orthogonal(vectors: Sequence[Complex], power: Floats) -> tuple[list[Complex], float]:
-    """Vectors (F, M) made orthogonal, each scaled so that y - q q^H y is y without it as far as its power is.
+def _orthogonal(vectors: Sequence[Complex], power: Floats) -> tuple[list[Complex], Floats]:
+    """Vectors (C, F, M) made orthogonal, scaled so that y - q q^H y is y without each as far as its power is.
 
     Returns:
-        The vectors, and the log determinant that the last of them adds.
+        The vectors, and the log determinant (C,) that the last of them adds.
     """
     out: list[Complex] = []
-    strength = np.zeros((len(power), 1))
+    strength = np.zeros((1, len(power), 1))
     units: list[Complex] = []
     for vector in vectors:
         rest = vector
         for unit in units:
-            rest = rest - (unit.conj() * rest).sum(axis=1, keepdims=True) * unit
-        size = (np.abs(rest) ** 2).sum(axis=1, keepdims=True)
+            rest = rest - (unit.conj() * rest).sum(axis=2, keepdims=True) * unit
+        size = (np.abs(rest) ** 2).sum(axis=2, keepdims=True)
         units.append(rest / np.sqrt(np.maximum(size, 1e-30)))
         strength = power[:, None] * size
         out.append(units[-1] * np.sqrt(strength / (1 + strength)))
-    return out, float(np.log1p(strength).sum())
+    return out, np.asarray(np.log1p(strength).sum(axis=(1, 2)))
 
 
-def _cleared(y: Complex, held_out: Sequence[Complex]) -> tuple[Complex, float]:
-    """y (F, M) without what is held out, and -y^H C^-1 y."""
+def _cleared(y: Complex, held_out: Sequence[Complex]) -> tuple[Complex, Floats]:
+    """y (C, F, M) without what is held out, and -y^H C^-1 y (C,)."""
     rest = y
     for q in held_out:
-        rest = rest - (q.conj() * y).sum(axis=1, keepdims=True) * q
-    return rest, -float((y.conj() * rest).sum().real)
+        rest = rest - (q.conj() * y).sum(axis=2, keepdims=True) * q
+    return rest, -(y.conj() * rest).sum(axis=(1, 2)).real
 
 
 @dataclass(frozen=True)
@@ -353,32 +392,28 @@ class Start:
     angles: tuple[float, ...]
 
 
-def turned(table: Tables, ring: NDArray[np.intp], angle: Floats, count: int) -> list[Start]:
-    """The best turns of a layout whose reflectors stand at angles of rings.
-
-    Args:
-        count: number of turns, which are local maxima.
-    """
-    turn = table.step_rad * np.arange(table.angles)
-    sets = np.stack(
-        [table.index(np.full(table.angles, r), turn + a) for r, a in zip(ring, angle, strict=True)], axis=1
-    )
-    scores = table.scores(sets)
-    peaks = np.flatnonzero((scores >= np.roll(scores, 1)) & (scores >= np.roll(scores, -1)))
-    best = peaks[np.argsort(-scores[peaks])][:count]
-    return [Start(float(scores[i]), (float(turn[i]),)) for i in best]
+def turned(table: Tables, count: int) -> list[list[Start]]:
+    """The best turns of every group: so many local maxima."""
+    ids = table.every()
+    scores = table.scores(ids.reshape(-1, 1)).reshape(ids.shape)
+    peaks = (scores >= np.roll(scores, 1, axis=1)) & (scores >= np.roll(scores, -1, axis=1))
+    scores = np.where(peaks, scores, -np.inf)
+    best = np.argsort(-scores, axis=1)[:, :count]
+    return [
+        [Start(float(own[i]), (float(table.step_rad * i),)) for i in which if own[i] > -np.inf]
+        for own, which in zip(scores, best, strict=True)
+    ]
 
 
-def free(table: Tables, ring: int, apart_rad: float, most: int, kept: int) -> list[Start]:
-    """The best sets of one to `most` reflectors of a ring, so far apart; `kept` of every number."""
-    coarse = np.arange(0, table.angles, COARSE if table.angles >= 120 else 1)
-    angle = np.asarray(coarse * table.step_rad, dtype=np.float64)
-    ids = table.index(np.full(len(coarse), ring), angle)
+def free(table: Tables, apart_rad: float, most: int, kept: int) -> list[Start]:
+    """The best sets of one to `most` of a table's reflectors, so far apart; `kept` of every number."""
+    step = COARSE if table.angles >= 120 else 1
+    (ids,) = table.every(step)
+    angle = table.step_rad * step * np.arange(len(ids), dtype=np.float64)
     least = max(round(apart_rad / abs(angle[1] - angle[0])), 1)
-    gap = np.abs(np.subtract.outer(coarse, coarse)) // (coarse[1] - coarse[0])
-    gap = np.minimum(gap, len(coarse) - gap)
-    known = table.known.setdefault(ring, {})
-    sets = grown(table, ids, gap >= least, gap >= max(least // 2, 1), most, kept, known)
+    gap = np.abs(np.subtract.outer(np.arange(len(ids)), np.arange(len(ids))))
+    gap = np.minimum(gap, len(ids) - gap)
+    sets = grown(table, ids, gap >= least, gap >= max(least // 2, 1), most, kept, table.known)
     return [Start(log, tuple(float(a) for a in angle[chosen])) for log, chosen in sets]
 
 
@@ -416,13 +451,14 @@ def grown(
         if number < 3:
             known[number] = scores
         order = np.argsort(-scores)
-        taken: list[NDArray[np.intp]] = []
-        for i in order:
-            if len(taken) == kept:
+        left = np.ones(len(sets), dtype=bool)
+        for _ in range(kept):
+            i = int(order[left[order].argmax()])
+            if not left[i]:
                 break
-            if all(unlike[np.ix_(sets[i], other)].all(axis=1).any() for other in taken):
-                taken.append(sets[i])
-                best.append((float(scores[i]), sets[i]))
+            best.append((float(scores[i]), sets[i]))
+            if kept > 1:
+                left &= unlike[sets[:, :, None], sets[i]].all(axis=2).any(axis=1)
     return best
 
 

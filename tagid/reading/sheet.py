@@ -12,6 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import exp
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -195,16 +197,21 @@ class SheetModel(Model):
     def _normal(self) -> NDArray[np.bool_]:
         return np.concatenate([[True, True, False, True, True, True], super()._normal])
 
-    def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
+    def _log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
         """See `Model`: four turns and exchanges of axes are one sheet."""
-        log, slope, hessian = super().log_prior(x)
+        log, slope, hessian = super()._log_prior(x)
         return log + float(np.log(4 / (2 * np.pi))), slope, hessian
 
     def crowding(self, x: Floats) -> Floats:
         """See `Model`: no reflector stands in the sheet, either."""
-        about = (self.places(x) - complex(x[0], x[1])) * np.exp(-1j * x[2])
-        inside = np.maximum(CLEAR_M - np.abs(self.sheet(x).outside_m(about)), 0)
-        return np.concatenate([super().crowding(x), inside / CLOSE_SD_M])
+        if self.tag is None:
+            return super().crowding(x)
+        about = self.places(x) - (x[..., :1] + 1j * x[..., 1:2])
+        halves = np.clip(self.kind.size_m * np.exp(np.minimum(x[..., 3:5], 9.0)), *HALF_M)
+        sheets: Any = SimpleNamespace(across_m=halves[..., :1], along_m=halves[..., 1:])
+        outside = self.kind.shell.outside_m(sheets, about * np.exp(-1j * x[..., 2:3]))
+        inside = np.maximum(CLEAR_M - np.abs(outside), 0)
+        return np.concatenate([super().crowding(x), inside / CLOSE_SD_M], axis=-1)
 
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SheetColumns:
         """The columns at parameters x (P,)."""

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.fields.thin_shell import BoxShell
+from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import APART_M, REACH_M
 from tagid.reading.descent import Powers, variance
-from tagid.reading.search import Tables, dense, grown
+from tagid.reading.search import Blocks, Tables, about, grown
 from tagid.reading.sheet import HEAD, STEP, Kind, SheetColumns, SheetModel, quadrant
 from tagid.reading.spectra import Complex, Floats, Spectra
 
@@ -117,7 +118,7 @@ class Seeker:
     def _turns(self, harmonics: int, alike: int) -> tuple[Floats, Complex, NDArray[np.float32]]:
         """Turns (T,), inner products of harmonics with what is seen, and the harmonics as they are seen.
 
-        The products are (F, M, T, 1 + J, C), the harmonics (M, p, V) at p turns, after which their energy
+        The products are (F, M, 1 + J, T, C), the harmonics (M, p, V) at p turns, after which their energy
         comes again.
         """
         if (harmonics, alike) not in self._turned:
@@ -132,9 +133,9 @@ class Seeker:
             m = 2 * np.arange(harmonics)[:, None]
             here, there = m * self._spectra.direction, m * turn
             cosine, sine = (f(here).astype(np.float32) @ self._seen for f in (np.cos, np.sin))
-            along, across = (f(there).astype(np.float32)[:, :, None] for f in (np.cos, np.sin))
-            inner = along * cosine[:, :, None] + across * sine[:, :, None]
-            inner = inner.reshape(*inner.shape[:3], self._parts, -1)
+            along, across = (f(there).astype(np.float32)[:, None, :, None] for f in (np.cos, np.sin))
+            shape = *cosine.shape[:2], self._parts, 1, -1
+            inner = along * cosine.reshape(shape) + across * sine.reshape(shape)
             seen = np.cos(here[:, None] - there[:, :period, None]).astype(np.float32)
             self._turned[harmonics, alike] = turn, inner, seen
         return self._turned[harmonics, alike]
@@ -162,12 +163,12 @@ class Seeker:
         turn, inner, seen = self._turns(harmonics, alike)
         size = _power(echo @ seen.reshape(harmonics, -1)).reshape(*echo.shape[:2], -1, views).sum(axis=3)
         size = size[..., np.arange(len(turn)) % size.shape[2], None]
-        rest = np.ones((len(sizes), len(turn), len(self._centres)), dtype=np.float32)
-        for f, some in enumerate(inner):
-            power = _power(echo[f].conj() @ some.reshape(harmonics, -1))
-            power = power.reshape(len(sizes), *some.shape[1:])
-            least = np.maximum(size[f] - power[:, :, 1:].sum(axis=2), 1e-4 * views)
-            rest *= np.maximum(1 - power[:, :, 0] / least / np.float32(self._energy[f]), 0) + _FLOOR
+        # (F, S, 1 + J, T, C)
+        power = _power(echo.conj() @ inner.reshape(len(echo), harmonics, -1))
+        power = power.reshape(*echo.shape[:2], *inner.shape[2:])
+        least = np.maximum(size - power[:, :, 1:].sum(axis=2), 1e-4 * views)
+        share = power[:, :, 0] / least / self._energy.astype(np.float32)[:, None, None, None]
+        rest = (np.maximum(1 - share, 0) + _FLOOR).prod(axis=0)
         left = rest.reshape(len(sizes), -1)
         best = left.argmin(axis=1)
         return [
@@ -217,11 +218,11 @@ class Beside:
     """Single reflectors about a sheet.
 
     Attributes:
-        on_rings: tables as of other bodies, `RING` a ring.
+        layouts: tables of layouts, in `RING` turns.
         spots: tables of some that lie anywhere; places: (N,) theirs, x + jy, m.
     """
 
-    on_rings: Tables
+    layouts: Tables
     spots: Tables
     places: Complex
 
@@ -230,7 +231,7 @@ def beside(
     spectra: Spectra,
     model: SheetModel,
     x: Floats,
-    rings: Sequence[tuple[float, float]],
+    tags: Sequence[Arrangement],
     centre: complex,
     powers: Powers,
 ) -> Beside:
@@ -238,20 +239,24 @@ def beside(
 
     Args:
         x: parameters of the untagged model.
-        rings: radius and height of each, m, about a centre x + jy, m.
+        tags: of the layouts, about a centre x + jy, m.
     """
+    own = [list(zip(np.round(tag.radius_m, 4), tag.height_m, strict=True)) for tag in tags]
+    rings = sorted({one for some in own for one in some})
     columns = SheetColumns(model, spectra, x)
     whitener = spectra.whiteners[model.disc]
     root = np.sqrt(variance(spectra, model, powers.clutter))
     body = whitener.apply(columns.values) / root[:, None]
-    own = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
-    factor = np.linalg.cholesky(body @ np.swapaxes(body.conj(), 1, 2) + np.eye(own.shape[1]) / own[:, None])
+    prior = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
+    factor = np.linalg.cholesky(
+        body @ np.swapaxes(body.conj(), 1, 2) + np.eye(prior.shape[1]) / prior[:, None]
+    )
     # What the sheet leaves of w is w - q q^H w, in inner products with anything.
     q = np.linalg.solve(factor, body)
     data = spectra.white[model.disc] / root
     y = data - (np.swapaxes(q, 1, 2) @ (q.conj() @ data[..., None]))[..., 0]
     base = -float((data.conj() * y).sum().real) - 2 * float(np.log(root).sum())
-    base -= float(np.log(np.einsum("fnn->fn", factor).real ** 2 * own).sum())
+    base -= float(np.log(np.einsum("fnn->fn", factor).real ** 2 * prior).sum())
 
     def seen(places: Complex, heights: Floats) -> Complex:
         return np.asarray(whitener.apply(columns.reflectors(places, heights)) / root[:, None])
@@ -265,19 +270,21 @@ def beside(
     right = (w.conj() @ y[..., None])[..., 0]
     gain = (np.abs(right) ** 2 / (1 / power + size) - np.log1p(power * size)).sum(axis=0)
     chosen = np.argsort(-gain)[:SPOTS]
-    w = np.concatenate([seen(places, np.repeat([z for _, z in rings], RING)), w[:, chosen]], axis=1)
-    # Tables of one place a block.
-    held = (w @ np.swapaxes(q.conj(), 1, 2))[:, :, None]
-    right = w.conj() @ y[..., None]
+    ring = seen(places, np.repeat([z for _, z in rings], RING))
 
-    def table(which: NDArray[np.intp], count: int) -> Tables:
-        return dense(w[:, which, None], right[:, which], held[:, which], power[None, :, 0], base, count, RING)
+    def table(columns: Complex, turns: int) -> Tables:
+        step = 2 * np.pi / turns
+        blocks = Blocks(columns[:, :, None], 1, turns)
+        return about(blocks, y[None], np.asarray(q)[None], power[None, :, 0], np.array([base]), step)[0]
 
-    on_ring = np.arange(len(places))
-    level = np.repeat([z == 0 for _, z in rings], RING) & (on_ring % 2 == 0)
-    spots = np.concatenate([on_ring[level], len(places) + np.arange(len(chosen))])
-    every = np.concatenate([places, anywhere[chosen]])
-    return Beside(table(on_ring, len(rings)), table(spots, 1), every[spots])
+    turned = []
+    for tag, some in zip(tags, own, strict=True):
+        steps = np.rint(tag.angle / (2 * np.pi / RING)).astype(np.intp) + np.arange(RING)[:, None]
+        turned.append(ring[:, np.array([rings.index(one) for one in some]) * RING + steps % RING].sum(axis=2))
+    level = np.repeat([z == 0 for _, z in rings], RING) & (np.arange(len(places)) % 2 == 0)
+    spots = np.concatenate([ring[:, level], w[:, chosen]], axis=1)
+    every = np.concatenate([places[level], anywhere[chosen]])
+    return Beside(table(np.concatenate(turned, axis=1), RING), table(spots, len(every)), every)
 
 
 def _grid(radius_m: float) -> Complex:

@@ -160,10 +160,9 @@ def _guests(before: Sequence[Entry]) -> list[tuple[Layout | None, Found]]:
         if one.found.model.tag is not None:
             count = 0 if one.layout is not None else one.found.model.tag.count
             out.setdefault((one.layout, count), one.found)
-    kept = list(out.items())
-    named = [(layout, found) for (layout, _), found in kept if layout is not None]
-    free = [(layout, found) for (layout, _), found in kept if layout is None]
-    return named[:GUESTS] + free[:GUESTS]
+    kept = [(layout, found) for (layout, _), found in out.items()]
+    named = [one for one in kept if one[0] is not None]
+    return named[:GUESTS] + [one for one in kept if one[0] is None][:GUESTS]
 
 
 def _with(model: SheetModel, x: Floats, guest: Found) -> tuple[SheetModel, Floats]:
@@ -183,8 +182,6 @@ def _about(
         middle: supposed centre of reflectors, x + jy, m.
     """
     arranged = [Arrangement.of_layout(one.positions, one.heights) for one in layouts]
-    own = [list(zip(np.round(a.radius_m, 4), a.height_m, strict=True)) for a in arranged]
-    rings = sorted({one for some in own for one in some})
     x = np.r_[x[:HEAD], 0.0, 0.0]
     sheet_centre = complex(x[0], x[1])
     centres = [sheet_centre]
@@ -194,10 +191,9 @@ def _about(
         off = centre - sheet_centre
         head = np.r_[x[:HEAD], off.real, off.imag]
         powers = replace(powers, clutter=1e-2, tag=0.3)
-        near = beside(spectra, model, x, rings, centre, powers)
-        for layout, a, some in zip(layouts, arranged, own, strict=True):
-            ring = np.array([rings.index(one) for one in some])
-            for one in search.turned(near.on_rings, ring, a.angle, 2):
+        near = beside(spectra, model, x, arranged, centre, powers)
+        for layout, a, turns in zip(layouts, arranged, search.turned(near.layouts, 2), strict=True):
+            for one in turns:
                 yield one.log, layout, replace(model, tag=a), np.r_[head, one.angles[0], 0.0]
         for log, chosen in anywhere(near, MOST, 2):
             points: Complex = near.places[chosen] - sheet_centre

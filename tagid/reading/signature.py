@@ -199,9 +199,9 @@ class SignatureModel(Model):
     def _normal(self) -> NDArray[np.bool_]:
         return np.concatenate([np.arange(HEAD) != 2, super()._normal])
 
-    def log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
+    def _log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
         """See `Model`."""
-        log, slope, hessian = super().log_prior(x)
+        log, slope, hessian = super()._log_prior(x)
         return log - float(np.log(2 * np.pi)), slope, hessian
 
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SignatureColumns:

@@ -122,8 +122,10 @@ def altered(
     best: dict[int, tuple[float, SignatureModel, Floats]] = {}
     echo = models[0][1].at(spectra, x, slopes=False).values[:, 0]
     for radius, model in models:
-        table = search.tables(spectra, model, complex(x[0], x[1]), [(radius, 0.0)], powers, echo)
-        for start in search.free(table, 0, 2 * float(np.arcsin(APART_M / 2 / radius)), most, 1):
+        group = ((radius, 0.0, 0.0),)
+        centre = [complex(x[0], x[1])]
+        (table,) = search.tables(spectra, model, centre, [group], powers, echo[None], search.COARSE_RAD)
+        for start in search.free(table, 2 * float(np.arcsin(APART_M / 2 / radius)), most, 1):
             count = len(start.angles)
             if count not in best or start.log > best[count][0]:
                 own = replace(model, tag=Arrangement.ring(radius, np.array(start.angles)))

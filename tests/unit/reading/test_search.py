@@ -19,6 +19,8 @@ from tagid.reading.transfers.transfer import Transfer
 
 POWERS = Powers(1e-3, body=3.0)
 CENTRE = 0.002 + 0.001j
+PAIR = (0.045, 0.0, 0.0), (0.045, np.pi / 2, 0.0)
+RINGS = [((0.11, 0.0, 0.0),), ((0.09, 0.3, 0.0),)]
 
 
 def exact(spectra: Spectra, transfer: Transfer, angles: np.ndarray) -> float:
@@ -41,9 +43,8 @@ def exact(spectra: Spectra, transfer: Transfer, angles: np.ndarray) -> float:
 def test_tables_of_an_even_turn_give_the_evidence_of_the_columns(transfer: Transfer, views: int) -> None:
     spectra = spectra_of("container-90", views=views, offset_m=0.002)
     model = Model(transfer, None, transfer.body, 0)
-    table = search.tables(spectra, model, CENTRE, [(0.045, 0.0)], POWERS)
-    ring = np.zeros(2, dtype=np.intp)
-    best = search.turned(table, ring, np.array([0.0, np.pi / 2]), 1)[0]
+    (table,) = search.tables(spectra, model, [CENTRE], [PAIR], POWERS)
+    ((best,),) = search.turned(table, 1)
     # Centring moves phases only: parallax and the room's share are off by some nats of some hundred.
     assert best.log == pytest.approx(
         exact(spectra, transfer, best.angles[0] + np.array([0, np.pi / 2])), abs=3.0
@@ -55,35 +56,60 @@ def test_tables_of_part_of_a_turn_are_exact(transfer: Transfer) -> None:
     spectra = spectra_of("container-90", views=36, turns=0.75, offset_m=0.002)
     assert not spectra.full_turn
     model = Model(transfer, None, transfer.body, 0)
-    table = search.tables(spectra, model, CENTRE, [(0.045, 0.0)], POWERS)
-    best = search.turned(table, np.zeros(2, dtype=np.intp), np.array([0.0, np.pi / 2]), 1)[0]
+    (table,) = search.tables(spectra, model, [CENTRE], [PAIR], POWERS)
+    ((best,),) = search.turned(table, 1)
     assert best.log == pytest.approx(
         exact(spectra, transfer, best.angles[0] + np.array([0, np.pi / 2])), abs=0.3
     )
 
 
-def test_the_compiled_scores_are_those_of_numpy() -> None:
+def both_ways(monkeypatch: pytest.MonkeyPatch, turns: float) -> tuple[search.Tables, search.Tables]:
+    """Tables of two rings by the compiled loop and by numpy."""
+    spectra = spectra_of("helmet-120", views=36, turns=turns)
+    model = Model(SHADE, None, True, 1)
+    (compiled,) = search.tables(spectra, model, [CENTRE], RINGS, POWERS)
+    assert compiled.blocks.pair.size  # made before the loop is taken away
+    monkeypatch.setattr(search, "_sets", None)
+    search._turning.cache_clear()
+    (numpy,) = search.tables(spectra, model, [CENTRE], RINGS, POWERS)
+    return compiled, numpy
+
+
+@pytest.mark.parametrize("turns", [1.0, 0.75])
+def test_the_compiled_tables_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch, turns: float) -> None:
+    compiled, numpy = both_ways(monkeypatch, turns)
+    for one, other in (
+        (compiled.right, numpy.right),
+        (compiled.held, numpy.held),
+        (compiled.blocks.pair, numpy.blocks.pair),
+    ):
+        assert one == pytest.approx(other, rel=1e-9, abs=1e-9 * np.abs(other).max())
+
+
+@pytest.mark.parametrize("turns", [1.0, 0.75])
+def test_the_compiled_scores_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch, turns: float) -> None:
+    sets = np.array([[0, 40, 80], [3, 100, 150], [10, 60, 110]], dtype=np.int32)
+    with monkeypatch.context() as patched:
+        compiled, numpy = both_ways(patched, turns)
+        expected = numpy.scores(sets)
+    assert compiled.scores(sets) == pytest.approx(expected, rel=1e-9)
+
+
+def test_groups_alone_score_as_they_do_together() -> None:
     spectra = spectra_of("helmet-120", views=36)
-    table = search.tables(spectra, Model(SHADE, None, True, 1), 0j, [(0.11, 0.0), (0.09, 0.0)], POWERS)
-    sets = np.array([[0, 40, 80], [3, 200, 150], [10, 60, 110]], dtype=np.int32)
-    numpy = table.base + table._scored(sets, table.blocks.below(sets))
-    assert table.scores(sets) == pytest.approx(numpy, rel=1e-9)
-
-
-def test_few_sets_are_scored_without_tables() -> None:
-    spectra = spectra_of("helmet-120", views=36, turns=0.75)
-    table = search.tables(spectra, Model(SHADE, None, True, 1), 0j, [(0.11, 0.0)], POWERS)
-    sets = np.array([[0, 20, 40], [3, 50, 70], [10, 60, 30]], dtype=np.int32)
-    few = table.scores(sets)
-    assert table.blocks.below(sets) == pytest.approx(table.blocks.summed(sets), rel=1e-9)
-    assert table.scores(sets) == pytest.approx(few, rel=1e-9)
+    (table,) = search.tables(spectra, Model(SHADE, None, True, 1), [0j], RINGS, POWERS)
+    together = table.every()[1, [3, 50, 70]]
+    alone = table.each[1]
+    assert alone.scores(alone.every()[:, [3, 50, 70]]) == pytest.approx(
+        table.scores(together[None]), rel=1e-9
+    )
 
 
 def test_free_reflectors_are_found_where_they_stand() -> None:
     spectra = spectra_of("container-90", views=72)
-    table = search.tables(spectra, Model(BARE, None, False, 0), 0j, [(0.045, 0.0)], POWERS)
+    (table,) = search.tables(spectra, Model(BARE, None, False, 0), [0j], [PAIR[:1]], POWERS)
     pair = max(
-        (one for one in search.free(table, 0, np.deg2rad(24.0), 3, 1) if len(one.angles) == 2),
+        (one for one in search.free(table, np.deg2rad(24.0), 3, 1) if len(one.angles) == 2),
         key=lambda one: one.log,
     )
     apart = np.rad2deg(abs(np.angle(np.exp(1j * (pair.angles[1] - pair.angles[0])))))
