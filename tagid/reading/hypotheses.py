@@ -129,7 +129,7 @@ class Contest:
         starts: list[Candidate] = []
         for transfer in self.transfers:
             model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels)
-            wide = 1 if transfer.body else 2
+            wide = 2
             some = near if transfer.body and known else centres
             starts += self._starts(model, some, powers, shapes, wide=wide)
         self._refine(starts, powers)
