@@ -111,7 +111,7 @@ def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: floa
         layout = builtin_layouts()[truth]
         places = layout.positions[:, 0] + 1j * layout.positions[:, 1]
     else:
-        places = _foreign(rng, body)
+        places = foreign(rng, body)
     radius = _wall(rng, body, places)
     distance = rng.uniform(0.8, 1.2)
     angles = np.arange(views) * 2 * np.pi / views
@@ -136,7 +136,7 @@ def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: floa
     return Specimen(capture, truth, body, clutter, places, views, snr)
 
 
-def _foreign(rng: np.random.Generator, body: str) -> NDArray[np.complex128]:
+def foreign(rng: np.random.Generator, body: str) -> NDArray[np.complex128]:
     """Places of 0 to 5 alike reflectors in no enrolled arrangement, m."""
     count = int(rng.choice([0, 1, 2, 2, 2, 3, 3, 4, 5]))
     radius = rng.uniform(0.035, 0.07) if body in ("can", "handle", "oval") else rng.uniform(0.035, 0.125)

@@ -2,8 +2,8 @@
 
 y1 is `bodies.py`, y2 `reading_bodies.py`, y3 `unseen_bodies.py` (opened objects), all blind; y2e is y2 with
 body or object enrolled, y4 `enrolled_bodies.py`, y5 `identification.py` from number 1000 on, null
-`train/population.py`. y3 requires solved objects in SOLVED: `unseen_objects.py` makes them, in about half a
-minute each.
+`train/population.py`, volume `train/volume_objects.py`, on which nothing is chosen. y3 requires solved
+objects in SOLVED: `unseen_objects.py` makes them, in about half a minute each.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from tagid.pipeline.settings import ImagingSettings
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout, builtin_layouts
-from train import population
+from train import population, volume_objects
 
 ROOT = Path(__file__).resolve().parents[2]
 SOLVED = Path(os.environ.get("TAGID_SOLVED", ROOT / "build" / "unseen"))
 BUILTIN = tuple(builtin_layouts().values())
 FIRST_NULL, FIRST_READING_BODIES, FIRST_IDENTIFICATION = 6_000_000, 500, 1000
-NULLS, DRAWN = 300, 100
+NULLS, DRAWN, VOLUMES = 300, 100, 60
 """Scenes per round."""
 HARD = ((36, 10), (36, 0), (12, 10), (18, 0))
 READ = f"{enrolled_bodies.POPULATIONS['development']}/read"
@@ -244,6 +244,17 @@ def _null(key: str, number: int) -> Scene | None:
     )
 
 
+def volume(turn: int) -> Draws:
+    """Drawn objects of every body, solved by cells; no constant of the reader is chosen on them."""
+    for seed in volume_objects.DEVELOPMENT[VOLUMES * turn : VOLUMES * (turn + 1)]:
+        yield f"volume/{seed}", partial(_volume, f"volume/{seed}", seed)
+
+
+def _volume(key: str, seed: int) -> Scene:
+    drawn = volume_objects.draw(seed)
+    return Scene(key, drawn.body, drawn.body, drawn.truth, BUILTIN, drawn.capture)
+
+
 YARDSTICKS: dict[str, Callable[[int], Draws]] = {
     "y1": y1,
     "y2": y2,
@@ -252,6 +263,7 @@ YARDSTICKS: dict[str, Callable[[int], Draws]] = {
     "y4": y4,
     "y5": y5,
     "null": null,
+    "volume": volume,
 }
 
 

@@ -1,0 +1,103 @@
+"""The solver by cells against exact series of line sources, and the population that is solved with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tagid.constants import SPEED_OF_LIGHT
+from tagid.fields.bessel import bessel
+from tagid.simulate.multipole import Layer, Multipoles
+from tagid.tags.layouts.layout import builtin_layouts
+from train import volume, volume_objects
+from train.volume import METAL, Cells, ellipse, metal, wall
+
+F = np.linspace(2.8e9, 5.2e9, 9)
+K = 2 * np.pi * F / SPEED_OF_LIGHT
+NEAR_M = 0.3
+
+
+def exact(*layers: Layer) -> np.ndarray:
+    """(F,) S of a cylinder about z = 0 for a line antenna at NEAR_M."""
+    reflected = Multipoles.of(K, layers).reflected
+    n = np.arange(reflected.shape[1])
+    wave = bessel(len(n) - 1, K * NEAR_M).h2
+    return np.asarray((reflected * np.where(n == 0, 1, 2) * (wave / wave[:, :1]) ** 2).sum(axis=1))
+
+
+def rod(radius_m: float, permittivity: complex, cell_m: float) -> Cells:
+    return wall(ellipse(radius_m / 2, radius_m / 2), radius_m, permittivity, cell_m)
+
+
+PLASTIC = wall(ellipse(0.03375, 0.03375), 2.5e-3, 2.5, 2.5e-3)
+OIL = 2.5 - 0.12j
+
+
+@pytest.mark.parametrize(
+    ("cells", "layers", "most_db", "most_deg"),
+    [
+        (metal(ellipse(0.035, 0.035)), (Layer(0.035, METAL),), 0.01, 0.1),
+        (Cells.of(np.zeros(1, complex), 5e-5, METAL), (Layer(5e-5, METAL),), 0.01, 0.1),
+        (rod(0.030, 2.5, 2.4e-3), (Layer(0.030, 2.5),), 0.2, 4.0),
+        (PLASTIC, (Layer(0.0325), Layer(0.035, 2.5)), 0.2, 1.0),
+        (wall(ellipse(0.038, 0.038), 4e-3, 6.0, 1.35e-3), (Layer(0.036), Layer(0.040, 6.0)), 0.5, 3.0),
+        (PLASTIC + rod(0.0325, OIL, 2.4e-3), (Layer(0.0325, OIL), Layer(0.035, 2.5)), 0.2, 3.0),
+        (rod(0.020, 75 - 15j, 1.5e-3), (Layer(0.020, 75 - 15j),), 0.5, 1.5),
+    ],
+    ids=["can", "wire", "powder", "empty bottle", "ceramic cup", "bottle of oil", "water"],
+)
+def test_a_cylinder_is_that_of_the_exact_series(
+    cells: Cells, layers: tuple[Layer, ...], most_db: float, most_deg: float
+) -> None:
+    ratio = volume.echo(cells, F, np.array([NEAR_M * np.exp(0.7j)]))[:, 0] / exact(*layers)
+    assert np.abs(20 * np.log10(np.abs(ratio))).max() < most_db
+    assert np.abs(np.angle(ratio, deg=True)).max() < most_deg
+
+
+def test_only_the_place_of_the_antenna_in_the_object_s_frame_matters() -> None:
+    target = volume_objects.target(7)
+    cells, antenna, by, turn = target.body + target.tag, 0.5 * np.exp(0.4j), 0.02 - 0.01j, 2.0
+    moved = antenna * np.exp(1j * turn) + by
+    waves = [bessel(0, K * abs(at)).h2[:, 0] ** 2 for at in (antenna, moved)]
+    here = volume.echo(cells, F, np.array([antenna]))[:, 0] * waves[0]
+    there = volume.echo(cells.moved(by, turn), F, np.array([moved]))[:, 0] * waves[1]
+    assert np.abs(here - there).max() < 1e-4 * np.abs(here).max()
+
+
+def test_nothing_of_an_object_stands_in_another_part_of_it() -> None:
+    for seed in range(360):
+        target = volume_objects.target(seed)
+        wires = np.concatenate([target.tag.centre_m, target.odd.centre_m])
+        assert np.abs(wires[:, None] - target.body.centre_m).min(initial=1.0) > 2.5e-3, seed
+        apart = np.abs(wires[:, None] - wires) + np.eye(len(wires))
+        assert apart.min(initial=1.0) > 0.015, seed
+
+
+def test_tags_are_those_that_the_truth_names_or_foreign_ones() -> None:
+    kinds = set()
+    for seed in range(0, 360, 7):
+        target = volume_objects.target(seed)
+        kinds.add((target.kind == "carton", target.truth is None, len(target.tag.centre_m) > 0))
+        if target.truth:
+            at = builtin_layouts()[target.truth].positions
+            assert np.abs(target.tag.centre_m - at @ [1, 1j]).max() < 7e-3
+        else:
+            assert len(target.tag.centre_m) in (0, 2, 3, 4)
+    assert len(kinds) == 6
+
+
+def test_a_response_has_the_phase_of_the_way_to_the_reflector() -> None:
+    place, antenna = 0.08 + 0.05j, 1.004 * np.exp(2.2j)
+    one = volume_objects.solved("one", Cells.of(np.array([place]), 5e-5, METAL), 1.0)
+    centred = volume_objects.solved("centred", Cells.of(np.zeros(1, complex), 5e-5, METAL), 1.0)
+    at = np.array([[antenna.real, antenna.imag, 0.0]])
+    ratio = (one.seen_from(at) / centred.seen_from(at))[0]
+    path = abs(antenna - place) - abs(antenna)
+    assert np.abs(np.angle(ratio * np.exp(2j * one.wavenumber * path))).max() < 0.01
+    assert np.abs(np.abs(ratio) - abs(antenna) / abs(antenna - place)).max() < 0.01
+
+
+def test_a_seed_is_a_recording() -> None:
+    first, again = volume_objects.draw(1), volume_objects.draw(1)
+    assert np.array_equal(first.capture.samples, again.capture.samples)
+    assert first.capture.views == first.views and first.capture.samples.std() > 0
