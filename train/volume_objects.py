@@ -38,6 +38,8 @@ BODIES = (
     *("bare", "empty bottle", *FILLINGS, "ceramic cup", "ceramic cup with a handle"),
     *("can", "can with a handle", "helmet", "carton"),
 )
+TAGS = ("enrolled", "foreign", "enrolled", "none", "enrolled")
+"""What the objects of one round of bodies carry."""
 WIRE_M = 5e-5
 """Radius of a reflector's wire."""
 FREQUENCY_HZ = np.linspace(2.8e9, 5.2e9, 21)
@@ -67,9 +69,9 @@ class Target:
 
 
 def target(seed: int) -> Target:
-    """The object of a seed; seeds that differ by a multiple of the number of `BODIES` have the same kind."""
+    """The object of a seed: `BODIES` in turn, `TAGS` round after round."""
     rng, kind = np.random.default_rng([seed, 11]), BODIES[seed % len(BODIES)]
-    truth, places = _tag(rng, kind)
+    truth, places = _tag(rng, kind, TAGS[seed // len(BODIES) % len(TAGS)])
     body, empty, radius = _body(rng, kind, places)
     sigma = rng.uniform(0.5e-3, 1.5e-3)
     placed = places + sigma * (rng.standard_normal(len(places)) + 1j * rng.standard_normal(len(places)))
@@ -128,9 +130,8 @@ def solved(name: str, cells: Cells, distance_m: float, reflectors_m: Complex | N
     return Response(name, FREQUENCY_HZ, rings, shaped, np.column_stack([at.real, at.imag]))
 
 
-def _tag(rng: np.random.Generator, kind: str) -> tuple[str | None, Complex]:
+def _tag(rng: np.random.Generator, kind: str, what: str) -> tuple[str | None, Complex]:
     """Name of an enrolled layout and its places; or None and those of a foreign tag, or of none."""
-    what = rng.choice(("enrolled", "foreign", "none"), p=(0.5, 0.3, 0.2))
     if what == "enrolled":
         fits = {"bare": "", "carton": "", "helmet": "helmet"}.get(kind, "container")
         name = str(rng.choice([name for name in builtin_layouts() if name.startswith(fits)]))

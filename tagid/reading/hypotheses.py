@@ -129,9 +129,8 @@ class Contest:
         starts: list[Candidate] = []
         for transfer in self.transfers:
             model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels)
-            wide = 2
             some = near if transfer.body and known else centres
-            starts += self._starts(model, some, powers, shapes, wide=wide)
+            starts += self._starts(model, some, powers, shapes, wide=2)
         self._refine(starts, powers)
         self._beside_others(shapes)
         self._beside_enrolled()

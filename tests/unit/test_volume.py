@@ -74,21 +74,21 @@ def test_nothing_of_an_object_stands_in_another_part_of_it() -> None:
 
 
 def test_tags_are_those_that_the_truth_names_or_foreign_ones() -> None:
-    kinds = set()
-    for seed in range(0, 360, 7):
-        target = volume_objects.target(seed)
-        kinds.add((target.kind == "carton", target.truth is None, len(target.tag.centre_m) > 0))
+    rounds = len(volume_objects.BODIES), len(volume_objects.TAGS)
+    for seed in range(2 * rounds[0] * rounds[1]):
+        target, what = volume_objects.target(seed), volume_objects.TAGS[seed // rounds[0] % rounds[1]]
+        assert (target.truth is not None) == (what == "enrolled")
         if target.truth:
             at = builtin_layouts()[target.truth].positions
             assert np.abs(target.tag.centre_m - at @ [1, 1j]).max() < 7e-3
         else:
-            assert len(target.tag.centre_m) in (0, 2, 3, 4)
-    assert len(kinds) == 6
+            assert len(target.tag.centre_m) in ((0,) if what == "none" else (2, 3, 4))
 
 
 def test_a_response_has_the_phase_of_the_way_to_the_reflector() -> None:
     place, antenna = 0.08 + 0.05j, 1.004 * np.exp(2.2j)
-    one = volume_objects.solved("one", Cells.of(np.array([place]), 5e-5, METAL), 1.0)
+    one = volume_objects.solved("one", Cells.of(np.array([place]), 5e-5, METAL), 1.0, np.array([place]))
+    assert one.reflectors_m.tolist() == [[place.real, place.imag]]
     centred = volume_objects.solved("centred", Cells.of(np.zeros(1, complex), 5e-5, METAL), 1.0)
     at = np.array([[antenna.real, antenna.imag, 0.0]])
     ratio = (one.seen_from(at) / centred.seen_from(at))[0]
