@@ -19,9 +19,9 @@ from tagid.tags.layouts.layout import Layout
 
 GUESTS, FOLLOWED = 2, 9
 """Arrangements of other hypotheses beside which sheets are looked for, and starts that are followed."""
-ALONE, SHEETS = 5, 2
-"""Sheets that are fitted alone, and those about which reflectors are looked for."""
-FITTED, FITTED_USUAL = (3, 3), (1, 2)
+SHEETS, ALONE, ABOUT = 3, 8, 8
+"""Sheets of every kind, those that are fitted alone, and those about which reflectors are looked for."""
+FITTED, FITTED_USUAL = (3, 4), (1, 2)
 """Layouts and free arrangements that are fitted about sheets as they were found, and about usual ones."""
 ODD_ALONE, ODD_TAGGED, GROWN = 5, 2, 2
 """Odd scatterers beside the best sheet alone, and beside so many best layouts and free arrangements."""
@@ -89,7 +89,7 @@ def explain(
     for found, layout, model in sorted(nearer, key=lambda one: -one[0].log_z)[:GUESTS]:
         fitted(layout, model, found.x)
     starts: list[tuple[float, Layout | None, SheetModel, Floats]] = []
-    for _, found in sorted(sheets, key=lambda one: -one[1].log_z)[:SHEETS]:
+    for _, found in sorted(sheets, key=lambda one: -one[1].log_z)[:ABOUT]:
         assert isinstance(found.model, SheetModel)
         bare = replace(found.model, tag=None, odd=0)
         starts += _about(spectra, layouts, bare, found.x, found.centre, found.powers)
