@@ -102,6 +102,10 @@ class Contest:
     _centres: list[complex] = field(default_factory=list)
     _tried: set[Found] = field(default_factory=set)
     _rough: list[Hypothesis] = field(default_factory=list)
+    _planes: list[float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._planes = self.spectra.rises(2 * PLANE_SD_M).tolist()
 
     @cached_property
     def _odd(self) -> OddMap:
@@ -131,6 +135,10 @@ class Contest:
             model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels)
             some = near if transfer.body and known else centres
             starts += self._starts(model, some, powers, shapes, wide=2)
+            if transfer.body and len(self._planes) > 2:
+                # Waves that pass tell the height of the plane well enough for what a body does to them.
+                best = max((one for one in starts if one.model.lifts), key=lambda one: one.log)
+                self._planes = list(dict.fromkeys([0.0, float(best.x[-1])]))
         self._refine(starts, powers)
         self._beside_others(shapes)
         self._beside_enrolled()
@@ -322,7 +330,6 @@ class Contest:
             wide: centres and rings of free arrangements.
         """
         arranged = [Arranged.of(one, model.covers_middle) for one in self.layouts]
-        rises = self.spectra.rises(2 * PLANE_SD_M).tolist()
         found: list[Candidate] = []
         for disc in (0, 1):
             model, shape = replace(model, disc=disc), shapes[disc]
@@ -335,7 +342,7 @@ class Contest:
             else:
                 echoes = [self.spectra.data if stand is None else stand.echo] * len(centres)
             echo = np.stack(echoes)
-            own = list(product([one for one in arranged if disc_of(one.radius_m) == disc], rises))
+            own = list(product([one for one in arranged if disc_of(one.radius_m) == disc], self._planes))
             tagged = [replace(model, tag=one.tag) for one, _ in own]
             about = np.full(len(centres), -np.inf)
             enrolled: dict[str, list[Candidate]] = {one.layout.name: [] for one, _ in own}
@@ -352,7 +359,7 @@ class Contest:
                         about[i] = max(about[i], s.log)
             for some in enrolled.values():
                 found += unlike(some, 2)
-            free = list(product([r for r in FREE_RINGS_M if disc_of(r) == disc], rises))
+            free = list(product([r for r in FREE_RINGS_M if disc_of(r) == disc], self._planes))
             groups = [((r, 0.0, z),) for r, z in free]
             apart = [2 * float(np.arcsin(APART_M / 2 / r)) for r, _ in free]
             for k in np.argsort(-about, kind="stable")[:wide]:
@@ -366,8 +373,8 @@ class Contest:
                     for s in search.free(every[i], apart[i], MOST_REFLECTORS, 2):
                         tag = Arrangement.ring(free[i][0], np.array(s.angles))
                         on_ring = replace(model, tag=tag)
-                        rise = [free[i][1]] * on_ring.lifts
-                        x = np.r_[head(c), np.zeros(tag.turns + tag.stretches), rise]
+                        lifts = [free[i][1]] * on_ring.lifts
+                        x = np.r_[head(c), np.zeros(tag.turns + tag.stretches), lifts]
                         found.append(Candidate(s.log, None, on_ring, x, False))
         return found
 
