@@ -131,21 +131,28 @@ INLINE void prepare_bounces(const Problem *g, const Work *w, const double *place
     }
 }
 
+/* So many waves (count, 2, V) at the next frequency: each times its step. */
+INLINE void advance(double *waves, const double *steps, int64_t count, int64_t V)
+{
+    for (int64_t i = 0; i < count; i++) {
+        double *restrict wave = waves + 2 * i * V;
+        const double *restrict step = steps + 2 * i * V;
+#pragma omp simd
+        for (int64_t v = 0; v < V; v++) {
+            const double re = wave[v], im = wave[V + v];
+            wave[v] = re * step[v] - im * step[V + v];
+            wave[V + v] = re * step[V + v] + im * step[v];
+        }
+    }
+}
+
 /* What reaches every reflector from the others at frequency f, after f - 1. */
 INLINE void bounces_at(const Problem *g, const Work *w, int64_t f)
 {
     const int64_t V = g->v, K = g->k;
     const double half_kappa = g->kappa[f] / 2;
-    for (int64_t k = 0; f > 0 && k < K; k++) {
-        double *restrict half = w->half + 2 * k * V;
-        const double *restrict step = w->half_step + 2 * k * V;
-#pragma omp simd
-        for (int64_t v = 0; v < V; v++) {
-            const double re = half[v], im = half[V + v];
-            half[v] = re * step[v] - im * step[V + v];
-            half[V + v] = re * step[V + v] + im * step[v];
-        }
-    }
+    if (f > 0)
+        advance(w->half, w->half_step, K, V);
     memset(w->back, 0, (size_t)(2 * K * V) * sizeof(double));
     for (int64_t k = 0; k < K; k++)
         for (int64_t j = 0; j < K; j++) {
@@ -251,16 +258,8 @@ INLINE void at_frequency(const Problem *g, const Work *w, int64_t f, int with_sl
 {
     const int64_t V = g->v;
     const double *seen = g->views + 4 * V, per_angle = ANGLES / 6.283185307179586;
-    for (int64_t s = 0; f > 0 && s < g->sources; s++) {
-        double *restrict wave = w->wave + 2 * s * V;
-        const double *restrict step = w->step + 2 * s * V;
-#pragma omp simd
-        for (int64_t v = 0; v < V; v++) {
-            const double re = wave[v], im = wave[V + v];
-            wave[v] = re * step[v] - im * step[V + v];
-            wave[V + v] = re * step[V + v] + im * step[v];
-        }
-    }
+    if (f > 0)
+        advance(w->wave, w->step, g->sources, V);
     if (g->bounces)
         bounces_at(g, w, f);
     for (int64_t k = 0; k < g->k; k++)

@@ -82,39 +82,28 @@ class Kind:
     tagged_m: tuple[float, ...] = ()
 
 
-def _kind(
-    name: str,
-    words: str,
-    shell: type[ThinShell],
-    size_m: float,
-    size_sd: float,
-    tag_sd_m: float,
-    least_m: float,
-    count: int,
-    strength_m: float = THIN_M,
-    tagged_m: tuple[float, ...] = (),
-) -> Kind:
-    transfer = Transfer(name, words, True, (1.0,), POINTS.table)
-    sizes_m = tuple(least_m * STEP**i for i in range(count))
-    return Kind(transfer, shell, size_m, size_sd, tag_sd_m, sizes_m, strength_m, tagged_m)
+def _transfer(name: str, words: str) -> Transfer:
+    return Transfer(name, words, True, (1.0,), POINTS.table)
 
 
-SHELL = _kind("shell", "a thin shell", EllipticShell, 0.072, 0.22, 3e-3, 0.05, 15)
-BOX = _kind("box", "a box of thin walls", BoxShell, 0.063, 0.5, 10e-3, 0.025, 35)
-METAL = _kind("metal box", "a box of metal", BoxShell, 0.055, 0.5, 3e-3, 0.02, 39, METAL_M)
-CAN = _kind(
-    "metal can",
-    "a body of metal",
+def _sizes(least_m: float, count: int) -> tuple[float, ...]:
+    return tuple(least_m * STEP**i for i in range(count))
+
+
+SHELL = Kind(_transfer("shell", "a thin shell"), EllipticShell, 0.072, 0.22, 3e-3, _sizes(0.05, 15), THIN_M)
+BOX = Kind(_transfer("box", "a box of thin walls"), BoxShell, 0.063, 0.5, 10e-3, _sizes(0.025, 35), THIN_M)
+METAL = Kind(_transfer("metal box", "a box of metal"), BoxShell, 0.055, 0.5, 3e-3, _sizes(0.02, 39), METAL_M)
+CAN = Kind(
+    _transfer("metal can", "a body of metal"),
     EllipticShell,
-    0.036,
-    0.35,
-    MOUNTING_SD_M,
-    0.02,
-    22,
-    METAL_M,
-    (0.032, 0.04),
+    size_m=0.036,
+    size_sd=0.35,
+    tag_sd_m=MOUNTING_SD_M,
+    sizes_m=_sizes(0.02, 22),
+    strength_m=METAL_M,
+    tagged_m=(0.032, 0.04),
 )
-CUP = _kind("cup", "a cup", EllipticShell, 0.037, 0.25, MOUNTING_SD_M, 0.025, 15, CERAMIC_M)
+CUP = Kind(_transfer("cup", "a cup"), EllipticShell, 0.037, 0.25, MOUNTING_SD_M, _sizes(0.025, 15), CERAMIC_M)
 KINDS = (SHELL, BOX, METAL, CAN, CUP)
 
 

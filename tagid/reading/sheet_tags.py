@@ -90,9 +90,7 @@ def explain(
         fitted(layout, model, found.x)
     starts: list[tuple[float, Layout | None, SheetModel, Floats]] = []
     for _, found in sorted(sheets, key=lambda one: -one[1].log_z)[:ABOUT]:
-        assert isinstance(found.model, SheetModel)
-        bare = replace(found.model, tag=None, odd=0)
-        starts += _about(spectra, layouts, bare, found.x, found.centre, found.powers)
+        starts += _about(spectra, layouts, _bare(found), found.x, found.centre, found.powers)
     usual: list[tuple[float, Layout | None, SheetModel, Floats]] = []
     for model, x in _round(kinds, sheets):
         powers, _ = best_powers(spectra, model, x, 1e-2)
@@ -109,9 +107,13 @@ def explain(
     if tagged:
         # The sheet that a tag has shown, with anything else about it.
         found = tagged[0][1]
-        assert isinstance(found.model, SheetModel)
-        bare = replace(found.model, tag=None, odd=0)
-        enter(None, refined(spectra, bare, np.r_[found.x[:HEAD], 0.0, 0.0], (None,), 4), ODD_ALONE)
+        enter(None, refined(spectra, _bare(found), np.r_[found.x[:HEAD], 0.0, 0.0], (None,), 4), ODD_ALONE)
+
+
+def _bare(found: Found) -> SheetModel:
+    """The sheet of a hypothesis, alone."""
+    assert isinstance(found.model, SheetModel)
+    return replace(found.model, tag=None, odd=0)
 
 
 def _same(one: Found, other: Found) -> bool:
