@@ -94,6 +94,19 @@ class Seen(Protocol):
         """(P, F, V) change of the sum of weights (F, n, 1 or V) times columns with the parameters."""
 
 
+@dataclass(frozen=True)
+class Priors:
+    """What is known of an object before it is seen.
+
+    Attributes:
+        centre_m: standard deviation of its centre about the axis, per coordinate, m.
+        mounting_m: standard deviation of a reflector's distance from the centre as enrolled, m.
+    """
+
+    centre_m: float = CENTRE_SD_M
+    mounting_m: float = MOUNTING_SD_M
+
+
 @dataclass(frozen=True, eq=False)
 class Model:
     """A hypothesis of points: what the columns are functions of.
@@ -110,6 +123,7 @@ class Model:
         hidden: start and width, rad, of a sector of directions that sees no reflector; width 0: none.
         levels: heights at which the antenna stood. From one, a lift of all changes no echo but for its phase,
             which the amplitudes have free: then there is none unless the heights of the tag differ.
+        priors: of centre and mounting.
     """
 
     transfer: Transfer
@@ -119,6 +133,7 @@ class Model:
     odd: int = 0
     hidden: tuple[float, float] = (0.0, 0.0)
     levels: int = 1
+    priors: Priors = Priors()
 
     @property
     def body_parameters(self) -> int:
@@ -183,7 +198,7 @@ class Model:
     @property
     def covers_middle(self) -> bool:
         """A reflector in the middle looks like the body."""
-        return self.transfer.body
+        return self.transfer.body and not self.transfer.clear
 
     @property
     def tagged(self) -> bool:
@@ -284,10 +299,10 @@ class Model:
         return np.asarray(self._sds() ** -2.0)
 
     def _sds(self) -> Floats:
-        sds = [CENTRE_SD_M, CENTRE_SD_M] + [3 * SHAPE_M] * self.shapes
+        sds = [self.priors.centre_m] * 2 + [3 * SHAPE_M] * self.shapes
         if self.tag is not None:
             sds += [2 * np.pi / np.sqrt(12)] * self.tag.turns
-            mounting = float(np.hypot(MOUNTING_SD_M, self.transfer.radius_sd_m))
+            mounting = float(np.hypot(self.priors.mounting_m, self.transfer.radius_sd_m))
             sds += [np.ptp(RING_M) / np.sqrt(12) if free else mounting for free in self.tag.free]
             common = np.bincount(self.tag.lift) > 1
             sds += [PLANE_SD_M if several else OWN_SD_M for several in common[: self.lifts]]
@@ -327,7 +342,7 @@ class Model:
     @cached_property
     def _glue(self) -> tuple[float, Floats]:
         assert self.tag is not None
-        return self.tag.glue(float(np.hypot(MOUNTING_SD_M, self.transfer.radius_sd_m)))
+        return self.tag.glue(float(np.hypot(self.priors.mounting_m, self.transfer.radius_sd_m)))
 
     @cached_property
     def pull(self) -> Floats:

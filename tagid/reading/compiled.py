@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tagid.loops import loop
 from tagid.reading.bounce import BOUNCE_M, TOUCH_M
 from tagid.reading.columns import CLOSE_SD_M, REACH_M, RING_M, SHAPE_M, Model, nearest_ring, pairs, table_of
-from tagid.reading.sheet import SheetModel
+from tagid.reading.sheet import SheetColumns, SheetModel
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.transfer import Transfer
 
@@ -25,6 +25,11 @@ _KEPT = 2
 """Steps of a descent whose columns are kept beside the last."""
 _MOST = 32
 """Columns or parameters that the compiled loop takes, at most."""
+
+
+def fits(model: Model) -> bool:
+    """Whether the compiled loop is present and takes a model of its size."""
+    return _evidence is not None and max(model.columns + 1, model.parameters) <= _MOST
 
 
 class Compiled:
@@ -56,9 +61,8 @@ class Compiled:
     @staticmethod
     def of(spectra: Spectra, model: Model) -> Compiled | None:
         """That of a model; None where numpy is to do it: without the compiled loop, or for other columns."""
-        if _evidence is None or max(model.columns + 1, model.parameters) > _MOST:
-            return None
-        return _of(spectra, model) if type(model) in (Model, SheetModel) else None
+        own = type(model) in (Model, SheetModel) and fits(model)
+        return _of(spectra, model) if own else None
 
     def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
         """(G, H) log densities under G powers of the clutter and H of the others."""
@@ -117,11 +121,9 @@ class Compiled:
 
 
 class Given(Compiled):
-    """The same of a model whose columns are given: of a sheet."""
+    """The same of a model whose columns are given: of a sheet, and values alone of any other."""
 
-    model: SheetModel
-
-    def __init__(self, spectra: Spectra, model: SheetModel) -> None:
+    def __init__(self, spectra: Spectra, model: Model) -> None:
         self.model, self._spectra = model, spectra
         self._last: list[tuple[bytes, Complex, Complex | None]] = []
 
@@ -148,8 +150,8 @@ class Given(Compiled):
         for at, values, rates in self._last:
             if at == place and not (slopes and rates is None):
                 return values, rates
-        here = self.model.at(self._spectra, x)
-        found = here.expanded if slopes else (here.values, None)
+        here = self.model.at(self._spectra, x, slopes)
+        found = here.expanded if isinstance(here, SheetColumns) and slopes else (here.values, None)
         self._last = [(place, *found), *self._last[:_KEPT]]
         return found
 

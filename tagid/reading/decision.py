@@ -48,24 +48,25 @@ def decide(hypotheses: Sequence[Hypothesis], sure: float = SURE) -> Decision:
     best = max(named, key=lambda one: one.log_z, default=None)
     others = [one for one in hypotheses if best is None or not is_same(one, best)]
     rival = max(others, key=lambda one: one.log_z)
+    untagged = max((one for one in hypotheses if not one.tagged), key=lambda one: one.log_z)
     named_best = None if best is None else Joint(best.log_z, best)
-    return settled(named_best, Joint(rival.log_z, rival), sure)
+    return settled(named_best, Joint(rival.log_z, rival), Joint(untagged.log_z, untagged), sure)
 
 
-def settled(named: Joint | None, other: Joint, sure: float = SURE) -> Decision:
-    """The decision between the best hypothesis that has a name and the best other, by their log evidences."""
+def settled(named: Joint | None, other: Joint, untagged: Joint, sure: float = SURE) -> Decision:
+    """The decision by the log evidences of the best with a name, the best other and the best untagged."""
     rival = other.shown
-    if named is None:
-        return Decision("unknown" if rival.tagged else "no_tag", None, -np.inf, words(rival), None, rival)
-    best, lead = named.shown, named.log_z - other.log_z
-    if lead >= sure:
+    best, lead = (None, -np.inf) if named is None else (named.shown, named.log_z - other.log_z)
+    if best is not None and lead >= sure:
         return Decision("identified", best.name, lead, "", best, rival)
-    winner = best if lead > 0 else rival
-    if not winner.tagged:
-        return Decision("no_tag", None, lead, words(winner), best, rival)
+    winner = named if named is not None and lead > 0 else other
+    if winner.log_z - untagged.log_z < sure:
+        return Decision("no_tag", None, lead, words(untagged.shown), best, rival)
+    if best is None:
+        return Decision("unknown", None, lead, words(rival), None, rival)
     if rival.name is not None:
         return Decision("ambiguous", None, lead, f"{words(best)}, or {words(rival)}", best, rival)
-    reason = words(rival) if winner is rival else f"{words(best)}, or nearly as likely: {words(rival)}"
+    reason = words(rival) if winner is other else f"{words(best)}, or nearly as likely: {words(rival)}"
     return Decision("unknown", None, lead, reason, best, rival)
 
 
@@ -76,14 +77,14 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
     if one.found.model.tag is None or best.layout is None:
         return False
     own, other = one.found, best.found
-    bare = not own.model.transfer.body
+    empty = not own.model.transfer.body or own.model.transfer.clear
     target = other.places
     if differ_in_height(own, other):
         return False
-    if best.middle and other.model.transfer.body:
-        target = np.append(target, other.centre) if bare else target
+    if best.middle and empty:
+        target = np.append(target, other.centre)
     alike = own.places
-    every = np.concatenate([alike, own.odd] + ([] if bare or not has_middle(best) else [[own.centre]]))
+    every = np.concatenate([alike, own.odd] + ([] if empty or not has_middle(best) else [[own.centre]]))
     apart = np.abs(target[:, None] - every)
     stray = np.abs(alike[:, None] - target).min(axis=1) >= SAME_M
     if (apart.min(axis=1) >= SAME_M).any() or stray.any():
@@ -133,7 +134,7 @@ def words(one: Hypothesis) -> str:
     if model.tag is None and model.tagged:
         return model.words + odd
     if model.tag is None:
-        body = "an object" if model.transfer is POINTS and model.covers_middle else model.words
+        body = "an object" if model.transfer is POINTS and not model.body_parameters else model.words
         return (f"{body} without a tag" if model.transfer.body else "nothing but clutter") + odd
     places = one.found.places - one.found.centre
     count = len(places)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.reading.columns import Model
-from tagid.reading.compiled import Amplitudes, Compiled, Given
+from tagid.reading.compiled import Amplitudes, Compiled, Given, fits
 from tagid.reading.evidence import fit, log_evidence
 from tagid.reading.spectra import Floats, Spectra
 
@@ -115,8 +115,16 @@ class _Numpy:
         return found.log + log, gradient + slope, hessian + pull
 
 
+class _OwnColumns(_Numpy):
+    """The same with values by the compiled loop, from columns by numpy."""
+
+    def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
+        return Given(self.spectra, self.model).values(x, some, clutter)
+
+
 def _likelihood(spectra: Spectra, model: Model) -> Compiled | _Numpy:
-    return Compiled.of(spectra, model) or _Numpy(spectra, model)
+    plain = fits(model) and np.ndim(model.error(spectra)) == 0
+    return Compiled.of(spectra, model) or (_OwnColumns if plain else _Numpy)(spectra, model)
 
 
 def best_powers(

@@ -14,7 +14,7 @@ import numpy as np
 
 from tagid.reading import search, sheet_tags
 from tagid.reading.arrangement import Arrangement
-from tagid.reading.columns import APART_M, PLANE_SD_M, RING_M, Model
+from tagid.reading.columns import APART_M, PLANE_SD_M, RING_M, Model, Priors
 from tagid.reading.descent import FAR_M, TAG, Found, Powers, best_powers, refined
 from tagid.reading.hypothesis import (
     Arranged,
@@ -30,18 +30,20 @@ from tagid.reading.hypothesis import (
     unlike,
 )
 from tagid.reading.odd import OddMap
+from tagid.reading.remainder import anywhere
 from tagid.reading.sheet import KINDS, Kind, SheetModel
 from tagid.reading.signature import EnrolledBody, SignatureModel
 from tagid.reading.signature_search import Poses, altered
+from tagid.reading.smooth import smoothed
 from tagid.reading.spectra import Floats, Spectra
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
 from tagid.reading.transfers.rod import RODS
-from tagid.reading.transfers.shade import SHADE
+from tagid.reading.transfers.shade import SHADES
 from tagid.reading.transfers.transfer import Transfer
 from tagid.reading.transfers.wall import WALLS
 from tagid.tags.layouts.layout import Layout
 
-TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, *WALLS, *RODS, SHADE)
+TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, *WALLS, *RODS, *SHADES)
 MOST_ODD, MOST_ODD_UNTAGGED = 2, 5
 """Odd scatterers beside a tag, and where there is none."""
 MOST_REFLECTORS = 4
@@ -66,8 +68,8 @@ LOST = 0.01
 """Share of the tags that have lost a reflector."""
 MOST_ALTERED = 3
 """Reflectors less or more than those of an enrolled object."""
-RAISED = 1e-3
-"""Share of the tags that have an enrolled plan and other heights."""
+RAISED = 1e-4
+"""Share of the tags that have an enrolled plan and other heights: a plan is one by chance as rarely."""
 RAISED_M = (-0.06, 0.0, 0.06)
 """Heights over the enrolled ones that are tried, m."""
 HIDDEN_RAD = tuple(np.deg2rad([90.0, 120.0, 150.0]))
@@ -79,8 +81,6 @@ _NEAR_M = tuple(2e-3 * np.exp(1j * np.pi / 3 * np.arange(6)))
 """Steps from a body's centre at which tags are looked for, too."""
 _KNOWN_M = 1.5e-3
 """A body's centre is known well enough for the search where its standard deviation is below."""
-
-
 LOOKED_FOR = 4
 """Bodies beside which an arrangement is looked for that another recording has shown, and starts of it."""
 ON_RING_M = 2e-3
@@ -98,6 +98,9 @@ class Contest:
     transfers: Sequence[Transfer] = TRANSFERS
     sheets: Sequence[Kind] = KINDS
     enrolled: Sequence[EnrolledBody] = ()
+    priors: Priors = field(default_factory=Priors)
+    most_odd: int = MOST_ODD
+    most_reflectors: int = MOST_REFLECTORS
     hypotheses: list[Hypothesis] = field(default_factory=list)
     _centres: list[complex] = field(default_factory=list)
     _tried: set[Found] = field(default_factory=set)
@@ -127,13 +130,12 @@ class Contest:
         centres = [body.centre, *GRID_M]
         # A loud tag moves the centre that a body alone seems to have.
         near = distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
-        known = body.centre_sd_m < _KNOWN_M
         powers = [replace(one.found.powers, clutter=max(one.found.powers.clutter, 1e-3)) for one in bodies]
         shapes = [one.found.x[2:4] for one in bodies]
         starts: list[Candidate] = []
         for transfer in self.transfers:
-            model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels)
-            some = near if transfer.body and known else centres
+            model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels, priors=self.priors)
+            some = near if transfer.body and body.centre_sd_m < _KNOWN_M else centres
             starts += self._starts(model, some, powers, shapes, wide=2)
             if transfer.body and len(self._planes) > 2:
                 # Waves that pass tell the height of the plane well enough for what a body does to them.
@@ -146,6 +148,7 @@ class Contest:
         self._hidden()
         self._one_less()
         self._beside_odd()
+        self._anywhere()
         if self.sheets:
             self._sheets()
         self._about_own_middle()
@@ -154,7 +157,8 @@ class Contest:
         self._raised()
         self._one_more()
         self._by_hand()
-        return sorted(self.hypotheses, key=lambda one: -one.log_z)
+        self.hypotheses = smoothed(self.spectra, self.hypotheses)
+        return self.hypotheses
 
     def _refine(self, starts: list[Candidate], powers: Sequence[Powers]) -> None:
         """The best starts of every kind under the clutter that a body leaves; the best of those wholly."""
@@ -198,9 +202,11 @@ class Contest:
             assert model.tag is not None
             starts = []
             for transfer in (*self.transfers, FACING):
-                covered = one.layout is not None and transfer.body
-                tag = model.tag if one.layout is None else Arranged.of(one.layout, covered).tag
-                own = replace(model, transfer=transfer, tag=tag, oval=transfer.body)
+                own, tag, middle = replace(model, transfer=transfer, oval=transfer.body), model.tag, False
+                if one.layout is not None:
+                    arranged = Arranged.of(one.layout, own.covers_middle)
+                    tag, middle = arranged.tag, arranged.middle
+                own = replace(own, tag=tag)
                 shape = found.x[2:4] if model.shapes else shapes[model.disc]
                 x = np.r_[found.x[:2], shape[: own.shapes], found.x[model.head :]]
                 outward = np.zeros(len(x))
@@ -208,13 +214,13 @@ class Contest:
                 radii = [x + stray * outward for stray in (STRAYS_M if one.layout is None else (0.0,))]
                 values = [best_powers(self.spectra, own, there, found.powers.clutter)[1] for there in radii]
                 likeliest = int(np.argmax(values))
-                starts.append((values[likeliest], own, radii[likeliest]))
+                starts.append((values[likeliest], own, radii[likeliest], middle))
             starts.sort(key=lambda one: -one[0])
-            for _, own, x in starts[:BESIDE]:
+            for _, own, x, middle in starts[:BESIDE]:
                 again = refined(self.spectra, own, x, (1e-3, None))
                 tried = [other.found for other in self.hypotheses if other.layout is one.layout]
                 if not any(same_place(again, other) and other.model.disc == own.disc for other in tried):
-                    self.add(one.layout, again, one.middle)
+                    self.add(one.layout, again, middle)
 
     def _as_enrolled(self) -> None:
         """Layouts where the best free arrangements stand, if they are about the same."""
@@ -248,7 +254,7 @@ class Contest:
                 head[model.about] = 0.0
             own = replace(model, tag=Arrangement.about(found.places - complex(found.x[0], found.x[1])), odd=0)
             best = refined(self.spectra, own, np.r_[head, np.zeros(own.parameters - model.head)], (None,), 8)
-            self._grow(self.add(None, best), MOST_ODD)
+            self._grow(self.add(None, best), self.most_odd)
 
     def _hidden(self) -> None:
         """The best bare tags, not seen from a sector of directions: behind a post or a hand."""
@@ -289,16 +295,16 @@ class Contest:
             first = model.head + model.tag.turns + model.tag.stretches
             heights = model.heights_of(found.x)[0] - tag.height_m
             rises = list(product(RAISED_M, repeat=tag.count))
-            starts = [np.r_[found.x[:first], heights + rise] for rise in rises]
+            starts = [np.append(found.x[:first], heights + rise) for rise in rises]
             logs = [best_powers(self.spectra, own, x, 1e-2)[1] for x in starts]
             for i in np.argsort(logs)[::-1][:2]:
                 best = refined(self.spectra, own, starts[i], (1e-2, None))
-                self._grow(self.add(None, best, one.middle, float(np.log(RAISED))), MOST_ODD)
+                self._grow(self.add(None, best, one.middle, float(np.log(RAISED))), self.most_odd)
 
     def _untagged(self) -> list[Hypothesis]:
         """Nothing, and a round body, with clutter of either disc."""
         levels = self.spectra.levels
-        model = Model(POINTS, None, True, 0, levels=levels)
+        model = Model(POINTS, None, True, 0, levels=levels, priors=self.priors)
         starts = [np.array([c.real, c.imag, s.real, s.imag]) for c, s in BODIES_M]
         values = [best_powers(self.spectra, model, x, 1e-2)[1] for x in starts]
         order = np.argsort(values)[::-1][:2]
@@ -309,7 +315,7 @@ class Contest:
             self._centres += [one.centre for one in found]
             bodies.append(self.add(None, max(found, key=lambda one: one.log_z)))
         for disc in (0, 1):
-            model = Model(BARE, None, False, disc, levels=levels)
+            model = Model(BARE, None, False, disc, levels=levels, priors=self.priors)
             self.add(None, refined(self.spectra, model, np.zeros(2), (None,), 1))
         return bodies
 
@@ -333,29 +339,28 @@ class Contest:
         found: list[Candidate] = []
         for disc in (0, 1):
             model, shape = replace(model, disc=disc), shapes[disc]
-
-            def head(c: complex, shape: Floats = shape[: model.shapes]) -> Floats:
-                return np.r_[c.real, c.imag, shape] if stand is None else stand.head(c)
-
+            bodies = [(c, shape[: model.shapes]) for c in centres]
+            if model.shapes and stand is None:
+                # A tag that is seen in part looks like an oval body about another centre.
+                bodies += [(c, ROUND) for c in GRID_M[::2]]
+            places = [c for c, _ in bodies]
+            heads = [np.array([c.real, c.imag, *s]) if stand is None else stand.head(c) for c, s in bodies]
+            echoes = [self.spectra.data if stand is None else stand.echo] * len(bodies)
             if stand is None and model.transfer.body:
-                echoes = [model.at(self.spectra, head(c), slopes=False).values[:, 0] for c in centres]
-            else:
-                echoes = [self.spectra.data if stand is None else stand.echo] * len(centres)
+                echoes = [model.at(self.spectra, x, slopes=False).values[:, 0] for x in heads]
             echo = np.stack(echoes)
             own = list(product([one for one in arranged if disc_of(one.radius_m) == disc], self._planes))
             tagged = [replace(model, tag=one.tag) for one, _ in own]
-            about = np.full(len(centres), -np.inf)
+            about = np.full(len(places), -np.inf)
             enrolled: dict[str, list[Candidate]] = {one.layout.name: [] for one, _ in own}
             groups = [one.group(rise) for one, rise in own]
-            tables = search.tables(self.spectra, model, centres, groups, powers[disc], echo) if own else []
-            for i, (c, table) in enumerate(zip(centres, tables, strict=False)):
-                before = head(c)
+            tables = search.tables(self.spectra, model, places, groups, powers[disc], echo) if own else []
+            for i, (before, table) in enumerate(zip(heads, tables, strict=False)):
                 for (one, rise), with_tag, starts in zip(own, tagged, search.turned(table, 2), strict=True):
                     for s in starts:
                         x = np.concatenate([before, [s.angles[0], 0.0], [rise] * with_tag.lifts])
-                        enrolled[one.layout.name].append(
-                            Candidate(s.log, one.layout, with_tag, x, one.middle)
-                        )
+                        some = enrolled[one.layout.name]
+                        some.append(Candidate(s.log, one.layout, with_tag, x, one.middle))
                         about[i] = max(about[i], s.log)
             for some in enrolled.values():
                 found += unlike(some, 2)
@@ -363,18 +368,16 @@ class Contest:
             groups = [((r, 0.0, z),) for r, z in free]
             apart = [2 * float(np.arcsin(APART_M / 2 / r)) for r, _ in free]
             for k in np.argsort(-about, kind="stable")[:wide]:
-                c = centres[k]
-                (all_rings,) = search.tables(
-                    self.spectra, model, [c], groups, powers[disc], echo[k : k + 1], search.COARSE_RAD
-                )
-                every = all_rings.each
-                pairs = [search.free(t, a, 2, 1)[-1].log for t, a in zip(every, apart, strict=True)]
+                here = [places[k]], groups, powers[disc], echo[k : k + 1], search.COARSE_RAD
+                (all_rings,) = search.tables(self.spectra, model, *here)
+                rings = all_rings.each
+                pairs = [search.free(t, a, 2, 1)[-1].log for t, a in zip(rings, apart, strict=True)]
                 for i in np.argsort(pairs)[::-1][:wide]:
-                    for s in search.free(every[i], apart[i], MOST_REFLECTORS, 2):
+                    for s in search.free(rings[i], apart[i], self.most_reflectors, 2):
                         tag = Arrangement.ring(free[i][0], np.array(s.angles))
                         on_ring = replace(model, tag=tag)
                         lifts = [free[i][1]] * on_ring.lifts
-                        x = np.r_[head(c), np.zeros(tag.turns + tag.stretches), lifts]
+                        x = np.concatenate([heads[k], np.zeros(tag.turns + tag.stretches), lifts])
                         found.append(Candidate(s.log, None, on_ring, x, False))
         return found
 
@@ -384,7 +387,7 @@ class Contest:
         stands: list[Stand] = []
         for body in self.enrolled:
             disc = disc_of(body.signature.radius_m)
-            alone = SignatureModel.of(body, POINTS, disc, self.spectra.levels)
+            alone = SignatureModel.of(body, POINTS, disc, self.spectra.levels, self.priors)
             poses = Poses(self.spectra, body, alone.disc)
             starts = [np.r_[one.head, 0.0, 0.0] for one in poses.best(POSES)]
             if alone.whole:
@@ -403,7 +406,7 @@ class Contest:
             stands += [Stand.of(self.spectra, found) for found in bodies_apart(own)]
         if not stands:
             return
-        likely = [max(one.log for one in starts) for starts in self._about(stands, ())]
+        likely = [max((one.log for one in some), default=-np.inf) for some in self._about(stands, ())]
         stands = [stands[i] for i in np.argsort(likely)[::-1][:STANDS]]
         self._refine([one for some in self._about(stands, _NEAR_M) for one in some], [stands[0].powers] * 2)
 
@@ -425,7 +428,7 @@ class Contest:
         for transfer in self.transfers:
             for stand, starts in zip(stands, found, strict=True):
                 if transfer.body:
-                    model = SignatureModel.of(stand.body, transfer, 0, self.spectra.levels)
+                    model = SignatureModel.of(stand.body, transfer, 0, self.spectra.levels, self.priors)
                     centres = distinct([*stand.centres, *(stand.centres[-1] + 2 * one for one in near)], 1e-3)
                     starts += self._starts(
                         model, centres, [stand.powers] * 2, stand=stand, wide=1 if near else 0
@@ -455,19 +458,18 @@ class Contest:
             disc = disc_of(float(own.radius_m.max()))
             model = replace(found.model, tag=own, odd=0, disc=disc)
             for turn in TURNS_RAD:
-                x = np.r_[found.x[: model.head], turn, 0.0, np.zeros(model.lifts)]
+                x = np.concatenate([found.x[: model.head], [turn, 0.0], np.zeros(model.lifts)])
                 log = best_powers(self.spectra, model, x, 1e-2)[1]
                 starts.append(Candidate(log, layout, model, x, arranged is not None and arranged.middle))
         starts.sort(key=lambda one: -one.log)
         before = len(self.hypotheses)
         for start in starts[:LOOKED_FOR]:
             found = refined(self.spectra, start.model, start.x, (1e-2, None))
-            self._grow(self.add(layout, found, start.middle), MOST_ODD)
+            self._grow(self.add(layout, found, start.middle), self.most_odd)
         some = [one for one in self.hypotheses[before:] if same is None or not same(one)]
-        best = max(some, key=lambda one: one.log_z)
         # What another recording has shown is no hypothesis of this one.
         del self.hypotheses[before:]
-        return best
+        return smoothed(self.spectra, some)[0]
 
     def freed(self, one: Hypothesis) -> Hypothesis:
         """The same reflectors with free angles, on a free ring or anywhere."""
@@ -479,7 +481,7 @@ class Contest:
         odd = found.x[len(found.x) - model.spot * model.odd :]
         x = np.r_[found.x[: model.head], np.zeros(tag.turns + tag.stretches), own.lifts * [rise], odd]
         freed = refined(self.spectra, own, x, (None,))
-        return Hypothesis(None, freed, freed.log_z)
+        return smoothed(self.spectra, [Hypothesis(None, freed, freed.log_z)])[0]
 
     def _placed(self, layout: Layout | None, model: Model, x: Floats) -> Hypothesis:
         return self.add(layout, refined(self.spectra, model, x, (1e-2, None)))
@@ -508,18 +510,26 @@ class Contest:
         def enter(layout: Layout | None, found: Found, odd: int) -> Found:
             return self._grow(self.add(layout, found), odd).found
 
-        sheet_tags.explain(self.spectra, self.layouts, self.sheets, tuple(self.hypotheses), enter)
+        sheet_tags.explain(
+            self.spectra, self.layouts, self.sheets, tuple(self.hypotheses), enter, self.priors
+        )
 
     def _beside_odd(self) -> None:
         """The best of every kind beside odd scatterers, added while they pay."""
         kinds: tuple[tuple[list[Hypothesis], int], ...] = (
             (self._untagged_best(6), MOST_ODD_UNTAGGED),
-            (self._best(5, enrolled=True), MOST_ODD),
-            (self._best(9, enrolled=False), MOST_ODD),
+            (self._best(5, enrolled=True), self.most_odd),
+            (self._best(9, enrolled=False), self.most_odd),
         )
         for some, most in kinds:
             for one in some:
                 self._grow(one, most)
+
+    def _anywhere(self) -> None:
+        """Alike reflectors on no ring, in the open or before a body, and beside what is loudest."""
+        for rough in anywhere(self.spectra, self.hypotheses, self._planes[-1], self.most_reflectors):
+            best = self.add(None, refined(self.spectra, rough.model, rough.x, (None,)))
+            self._grow(best, self.most_odd - rough.model.odd)
 
     def _grow(self, one: Hypothesis, most: int) -> Hypothesis:
         for _ in range(most):
@@ -527,7 +537,7 @@ class Contest:
             if place is None:
                 break
             model = one.found.model.with_odd(one.found.model.odd + 1)
-            x = np.r_[one.found.x, place]
+            x = np.append(one.found.x, place)
             found = refined(self.spectra, model, x, (None,), 8)
             if found.log_z < one.found.log_z + 1:
                 break
@@ -550,7 +560,8 @@ class Contest:
                 x = np.r_[found.x[:turns], 0.0, found.x[turns : turns + tag.stretches], 0.0]
                 lifts = found.x[turns + tag.stretches :][: found.model.lifts]
                 x = np.r_[x, lifts, np.zeros(model.lifts - len(lifts))]
-                self._grow(self.add(None, refined(self.spectra, model, x, (None,)), one.middle), MOST_ODD)
+                best = refined(self.spectra, model, x, (None,))
+                self._grow(self.add(None, best, one.middle), self.most_odd)
 
     def _about_own_middle(self) -> None:
         """The best layout and an odd scatterer as one tag about their own middle: loud ones move a body's."""
@@ -567,12 +578,13 @@ class Contest:
             tag = Arrangement.ring(radius, np.angle(points - centre))
             starts = []
             for transfer in self.transfers:
-                model = Model(transfer, tag, transfer.body, disc_of(radius), levels=self.spectra.levels)
+                levels, disc = self.spectra.levels, disc_of(radius)
+                model = Model(transfer, tag, transfer.body, disc, levels=levels, priors=self.priors)
                 x = np.zeros(model.parameters)
                 x[:2] = centre.real, centre.imag
                 starts.append((best_powers(self.spectra, model, x, 1e-2)[1], model, x))
             for _, model, x in sorted(starts, key=lambda one: -one[0])[:2]:
-                self._grow(self._placed(None, model, x), MOST_ODD)
+                self._grow(self._placed(None, model, x), self.most_odd)
 
     def _by_hand(self) -> None:
         """The best layouts with every reflector a little off its place, as they were glued."""
@@ -584,4 +596,4 @@ class Contest:
             model = replace(model, tag=replace(tag, angle=tag.angle + turn))
             x = np.r_[found.x[: model.head], np.zeros(tag.count), np.full(tag.count, stretch), rest]
             best = self.add(one.layout, refined(self.spectra, model, x, (None,)), one.middle)
-            self._grow(best, MOST_ODD - model.odd)
+            self._grow(best, self.most_odd - model.odd)

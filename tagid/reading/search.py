@@ -1,8 +1,8 @@
 """Where reflectors may stand: log evidences of arrangements on rings, from tables of single reflectors.
 
 On an even turn a reflector at another angle is the same column, shifted by views: inner products depend on
-the difference of the angles, and a Fourier transform gives them all. The recording is centred before, which
-moves the phase of every view. On other turns the tables are made column by column.
+the difference of the angles, and a Fourier transform gives them all; on other turns columns are made for all
+angles. About another centre the recording moves, which moves the phase of every view.
 """
 
 from __future__ import annotations
@@ -29,6 +29,10 @@ COARSE = 2
 """Every so many-th angle of a fine table is a start for free reflectors."""
 GROWN = 40
 """Best sets to which a further reflector is added."""
+FIRST = 1000
+"""Best sets of which unlike ones are kept."""
+ROOM = 1e3
+"""Amplitude of a room's echo, of which nothing is left then."""
 
 Group = tuple[tuple[float, float, float], ...]
 """Radius, m, angle, rad, and height, m, of reflectors that turn together."""
@@ -230,47 +234,29 @@ def tables(
         model: transfer and disc are used.
         powers: of clutter and reflectors.
         bodies: (C, F, V) echo of the body beside them; None: a point in the centre, if there is one.
-        step_rad: turns are no farther apart on an even turn.
+        step_rad: turns are no farther apart.
     """
-    make = _even if spectra.full_turn else _uneven
-    if bodies is None:
-        bodies = np.moveaxis(spectra.waves(np.array(centres), np.zeros(len(centres)))[0], 1, 0)
-    return make(spectra, model, np.array(centres), tuple(groups), powers, bodies, step_rad)
+    transfer, points, views = model.transfer, np.append(centres, 0), spectra.views
+    blocks, root, step = _turning(spectra, transfer, model.disc, tuple(groups), powers.clutter, step_rad)
+    waves, range_m = spectra.waves(points, np.zeros(len(points)))
+    # (C, F, V) by which the recording moves, instead of the reflectors.
+    moved = np.exp(1j * spectra.kappa[:, None] * (range_m[:-1] - range_m[-1])[:, None])
+    seen = [ROOM * moved * room for room in spectra.rooms]
+    if transfer.body:
+        seen.append(moved * (np.moveaxis(waves[:, :-1], 1, 0) if bodies is None else bodies))
+    every = np.stack([*seen, moved * spectra.data]).transpose(2, 0, 1, 3)
+    white = spectra.whole[model.disc].apply(every.reshape(len(every), -1, views)) / root[:, None]
+    *own, y = white.reshape(every.shape).transpose(1, 2, 0, 3)
+    held, charge = _orthogonal(own, powers.body * spectra.moving)
+    y, base = _cleared(y, held)
+    variance = spectra.whiteners[model.disc].variance
+    base -= float(np.log1p(powers.clutter * spectra.moving[:, None] * variance).sum())
+    base -= charge if transfer.body else 0.0
+    power = powers.tag * np.array(transfer.power)[:, None] * spectra.moving
+    return about(blocks, y, np.stack(held, axis=2), power, base, step)
 
 
-def _columns(
-    spectra: Spectra,
-    transfer: Transfer,
-    groups: Sequence[Group],
-    turns: int,
-    step_rad: float,
-    centre: complex = 0,
-) -> Complex:
-    """(F, G T, P, V) of groups about a centre at so many turns."""
-    out = []
-    for group in groups:
-        radius, facing, height = _turned(group, turns, step_rad)
-        waves, _ = spectra.waves(centre + radius * np.exp(1j * facing), height)
-        columns = waves[:, :, None] * _seen(spectra, transfer, group, turns, step_rad)
-        out.append(columns.reshape(len(columns), len(group), turns, *columns.shape[2:]).sum(axis=1))
-    return np.concatenate(out, axis=1)
-
-
-def _turned(group: Group, turns: int, step_rad: float) -> Floats:
-    """(3, K T) radius, angle and height at so many turns."""
-    places = np.repeat(np.array(group).T, turns, axis=1)
-    places[1] += np.tile(step_rad * np.arange(turns), len(group))
-    return places
-
-
-@lru_cache(maxsize=16)
-def _seen(spectra: Spectra, transfer: Transfer, group: Group, turns: int, step_rad: float) -> Complex:
-    """(F, K T, P, V) patterns of a group about any centre."""
-    radius, facing, _ = _turned(group, turns, step_rad)
-    return np.ascontiguousarray(np.moveaxis(patterns(spectra, transfer, radius, facing)[0], 2, 0))
-
-
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def _turning(
     spectra: Spectra,
     transfer: Transfer,
@@ -279,37 +265,36 @@ def _turning(
     clutter: float,
     step_rad: float,
 ) -> tuple[Blocks, Floats, float]:
-    """Groups of an even turn, about any centre: Fourier vectors behind a root (F, V), and the step, rad."""
-    views = spectra.views
-    fractions = int(np.ceil(2 * np.pi / views / step_rad - 1e-9))
-    sense = np.sign(np.angle(spectra.antenna[1] / spectra.antenna[0]))
-    step = float(sense * 2 * np.pi / (views * fractions))
-    root = np.sqrt(1 + clutter * spectra.moving[:, None] * spectra.whiteners[disc].every)
-    columns = _columns(spectra, transfer, groups, fractions, step)
-    w = np.fft.fft(columns, axis=-1) / np.sqrt(views) / root[:, None, None]
-    return Blocks(w, views, fractions), root, step
+    """Groups at all turns about any centre, behind a root (F, V), and the step of the turns, rad."""
+    views, whole = spectra.views, spectra.whole[disc]
+    shifts = views if spectra.full_turn else 1
+    fractions = int(np.ceil(2 * np.pi / shifts / step_rad - 1e-9))
+    # An even turn goes from one view to the next.
+    sense = np.sign(np.angle(spectra.antenna[1] / spectra.antenna[0])) if spectra.full_turn else 1
+    step = float(sense * 2 * np.pi / (shifts * fractions))
+    root = np.sqrt(1 + clutter * spectra.moving[:, None] * whole.variance)
+    columns = np.concatenate([_columns(spectra, transfer, one, fractions, step) for one in groups], axis=1)
+    w = whole.apply(columns.reshape(len(columns), -1, views)) / root[:, None]
+    return Blocks(w.reshape(columns.shape), shifts, fractions), root, step
 
 
-def _even(
-    spectra: Spectra,
-    model: Model,
-    centres: Complex,
-    groups: tuple[Group, ...],
-    powers: Powers,
-    bodies: Complex,
-    step_rad: float,
-) -> list[Tables]:
-    transfer = model.transfer
-    blocks, root, step = _turning(spectra, transfer, model.disc, groups, powers.clutter, step_rad)
-    away = np.abs(spectra.antenna - centres[:, None]) - spectra.distance_m
-    undone = np.exp(1j * spectra.kappa[:, None] * away[:, None])
-    seen = np.stack([undone, bodies * undone, spectra.data * undone])
-    room, own, y = np.fft.fft(seen, axis=-1) / np.sqrt(spectra.views) / root
-    held, charge = _orthogonal([room, own] if transfer.body else [room], powers.body * spectra.moving)
-    y, base = _cleared(y, held)
-    base -= 2 * float(np.log(root[:, 1:]).sum()) + (charge if transfer.body else 0.0)
-    power = powers.tag * np.array(transfer.power)[:, None] * spectra.moving
-    return about(blocks, y, np.stack(held, axis=2), power, base, step)
+def _columns(spectra: Spectra, transfer: Transfer, group: Group, turns: int, step_rad: float) -> Complex:
+    """(F, T, P, V) of a group about the axis at so many turns."""
+    parts = []
+    for radius, angle, height in group:
+        places = radius * np.exp(1j * (angle + step_rad * np.arange(turns)))
+        waves, _ = spectra.waves(places, np.full(turns, height))
+        parts.append(waves[:, :, None] * _seen(spectra, transfer, radius, angle, turns, step_rad))
+    return np.asarray(sum(parts[1:], parts[0]))
+
+
+@lru_cache(maxsize=8)
+def _seen(
+    spectra: Spectra, transfer: Transfer, radius_m: float, angle: float, turns: int, step_rad: float
+) -> Complex:
+    """(F, T, P, V) patterns of a reflector at any height, at so many turns."""
+    facing = np.asarray(angle + step_rad * np.arange(turns), dtype=np.float64)
+    return np.moveaxis(patterns(spectra, transfer, np.full(turns, radius_m), facing)[0], 2, 0)
 
 
 def about(
@@ -323,37 +308,6 @@ def about(
         Tables(blocks, r, h, _filled(power), float(b), angles, step_rad)
         for r, h, b in zip(right, out, base, strict=True)
     ]
-
-
-def _uneven(
-    spectra: Spectra,
-    model: Model,
-    centres: Complex,
-    groups: tuple[Group, ...],
-    powers: Powers,
-    bodies: Complex,
-    step_rad: float,
-) -> list[Tables]:
-    transfer, whitener = model.transfer, spectra.whiteners[model.disc]
-    root = np.sqrt(1 + powers.clutter * spectra.moving[:, None] * whitener.variance)
-    angles = round(2 * np.pi / (1.5 * STEP_RAD))
-    step = 2 * np.pi / angles
-    out: list[Tables] = []
-    for centre, body in zip(centres, bodies, strict=True):
-        w = _columns(spectra, transfer, groups, angles, step, complex(centre))
-        f, count, p, v = w.shape
-        w = (whitener.apply(w.reshape(f, count * p, v)) / root[:, None]).reshape(f, count, p, -1)
-        held: list[Complex] = []
-        charge = np.zeros(1)
-        if transfer.body:
-            echo = whitener.apply(body[:, None])[None, :, 0] / root
-            held, charge = _orthogonal([echo], powers.body * spectra.moving)
-        y, base = _cleared(spectra.white[model.disc][None] / root, held)
-        base -= 2 * float(np.log(root).sum()) + charge
-        q = np.stack(held, axis=2) if held else np.zeros((1, f, 0, w.shape[3]), dtype=np.complex128)
-        power = powers.tag * np.array(transfer.power)[:, None] * spectra.moving
-        out += about(Blocks(w, 1, angles), y, q, power, base, step)
-    return out
 
 
 def _orthogonal(vectors: Sequence[Complex], power: Floats) -> tuple[list[Complex], Floats]:
@@ -450,15 +404,15 @@ def grown(
         scores = known[number] if number in known else table.scores(ids[sets])
         if number < 3:
             known[number] = scores
-        order = np.argsort(-scores)
-        left = np.ones(len(sets), dtype=bool)
+        order = np.argpartition(-scores, FIRST)[:FIRST] if len(scores) > FIRST else np.arange(len(scores))
+        order = order[np.argsort(-scores[order])]
+        left = order
         for _ in range(kept):
-            i = int(order[left[order].argmax()])
-            if not left[i]:
+            if not len(left):
                 break
-            best.append((float(scores[i]), sets[i]))
+            best.append((float(scores[left[0]]), sets[left[0]]))
             if kept > 1:
-                left &= unlike[sets[:, :, None], sets[i]].all(axis=2).any(axis=1)
+                left = left[unlike[sets[left][:, :, None], sets[left[0]]].all(axis=2).any(axis=1)]
     return best
 
 

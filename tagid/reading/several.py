@@ -48,7 +48,7 @@ def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision
         if all(objects):
             named[name] = _sum(objects)
     if not named:
-        return settled(None, untagged, sure)
+        return settled(None, untagged, untagged, sure)
     clearest = max(contests, key=_shows)
     for name in sorted(named, key=lambda name: -named[name].log_z)[:NAMES]:
         one = _best(clearest, name)
@@ -63,7 +63,7 @@ def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision
             if same is None or not is_same(there, same):
                 others.append(_chain(contests, clearest, there, best))
     others += _mixed(contests, best)
-    return settled(named[best], max(others, key=_log_z), sure)
+    return settled(named[best], max(others, key=_log_z), untagged, sure)
 
 
 def _mixed(contests: Sequence[Contest], name: str) -> list[Joint]:

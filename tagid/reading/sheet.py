@@ -28,7 +28,7 @@ from tagid.fields.thin_shell import (
 )
 from tagid.loops import loop
 from tagid.reading.arrangement import MOUNTING_SD_M
-from tagid.reading.columns import CENTRE_SD_M, CLOSE_SD_M, Model
+from tagid.reading.columns import CLOSE_SD_M, Model
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import POINTS
 from tagid.reading.transfers.transfer import Transfer
@@ -82,16 +82,20 @@ class Kind:
     tagged_m: tuple[float, ...] = ()
 
 
-def _transfer(name: str, words: str) -> Transfer:
-    return Transfer(name, words, True, (1.0,), POINTS.table)
+def _transfer(name: str, words: str, clear: bool = False) -> Transfer:
+    return Transfer(name, words, True, (1.0,), POINTS.table, clear=clear)
 
 
 def _sizes(least_m: float, count: int) -> tuple[float, ...]:
     return tuple(least_m * STEP**i for i in range(count))
 
 
-SHELL = Kind(_transfer("shell", "a thin shell"), EllipticShell, 0.072, 0.22, 3e-3, _sizes(0.05, 15), THIN_M)
-BOX = Kind(_transfer("box", "a box of thin walls"), BoxShell, 0.063, 0.5, 10e-3, _sizes(0.025, 35), THIN_M)
+SHELL = Kind(
+    _transfer("shell", "a thin shell", True), EllipticShell, 0.072, 0.22, 3e-3, _sizes(0.05, 15), THIN_M
+)
+BOX = Kind(
+    _transfer("box", "a box of thin walls", True), BoxShell, 0.063, 0.5, 10e-3, _sizes(0.025, 35), THIN_M
+)
 METAL = Kind(_transfer("metal box", "a box of metal"), BoxShell, 0.055, 0.5, 3e-3, _sizes(0.02, 39), METAL_M)
 CAN = Kind(
     _transfer("metal can", "a body of metal"),
@@ -103,7 +107,9 @@ CAN = Kind(
     strength_m=METAL_M,
     tagged_m=(0.032, 0.04),
 )
-CUP = Kind(_transfer("cup", "a cup"), EllipticShell, 0.037, 0.25, MOUNTING_SD_M, _sizes(0.025, 15), CERAMIC_M)
+CUP = Kind(
+    _transfer("cup", "a cup", True), EllipticShell, 0.037, 0.25, MOUNTING_SD_M, _sizes(0.025, 15), CERAMIC_M
+)
 KINDS = (SHELL, BOX, METAL, CAN, CUP)
 
 
@@ -180,7 +186,7 @@ class SheetModel(Model):
         size, rest = self.kind.size_sd, super()._sds()
         rest[:2] = self.kind.tag_sd_m
         turn = 2 * np.pi / np.sqrt(12)
-        return np.concatenate([[CENTRE_SD_M, CENTRE_SD_M, turn, size, size, STRENGTH_SD], rest])
+        return np.concatenate([[self.priors.centre_m] * 2, [turn, size, size, STRENGTH_SD], rest])
 
     @cached_property
     def _normal(self) -> NDArray[np.bool_]:

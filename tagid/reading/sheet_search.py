@@ -7,7 +7,7 @@ another centre the data move instead.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from tagid.fields.thin_shell import BoxShell
 from tagid.reading.arrangement import Arrangement
-from tagid.reading.columns import APART_M, REACH_M
-from tagid.reading.descent import Powers, variance
-from tagid.reading.search import Blocks, Tables, about, grown
+from tagid.reading.columns import REACH_M, Priors
+from tagid.reading.descent import Powers
+from tagid.reading.remainder import Remainder, grid
+from tagid.reading.search import Tables
 from tagid.reading.sheet import HEAD, STEP, Kind, SheetColumns, SheetModel, quadrant
 from tagid.reading.spectra import Complex, Floats, Spectra
 
@@ -39,8 +40,6 @@ _KEPT = 5
 """Square boxes whose sides, and oblong ones whose neighbours, are tried."""
 RING = 72
 """Places on a ring about a sheet."""
-SPOTS, SPOT_M = 96, 7e-3
-"""Places anywhere about a sheet, and the grid from which they are chosen, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +52,11 @@ class Start:
     centre: complex
     turn: float
 
-    def begun(self, disc: int) -> tuple[SheetModel, Floats]:
+    def begun(self, disc: int, priors: Priors = Priors()) -> tuple[SheetModel, Floats]:
         """The model and its parameters."""
         size = np.log(np.array(self.half_m) / self.kind.size_m)
         x = np.r_[self.centre.real, self.centre.imag, self.turn, size, np.zeros(HEAD - 3)]
-        return SheetModel.of(self.kind, self.half_m, disc), x
+        return replace(SheetModel.of(self.kind, self.half_m, disc), priors=priors), x
 
 
 @lru_cache(maxsize=4096)
@@ -244,56 +243,18 @@ def beside(
     own = [list(zip(np.round(tag.radius_m, 4), tag.height_m, strict=True)) for tag in tags]
     rings = sorted({one for some in own for one in some})
     columns = SheetColumns(model, spectra, x)
-    whitener = spectra.whiteners[model.disc]
-    root = np.sqrt(variance(spectra, model, powers.clutter))
-    body = whitener.apply(columns.values) / root[:, None]
-    prior = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
-    factor = np.linalg.cholesky(
-        body @ np.swapaxes(body.conj(), 1, 2) + np.eye(prior.shape[1]) / prior[:, None]
-    )
-    # What the sheet leaves of w is w - q q^H w, in inner products with anything.
-    q = np.linalg.solve(factor, body)
-    data = spectra.white[model.disc] / root
-    y = data - (np.swapaxes(q, 1, 2) @ (q.conj() @ data[..., None]))[..., 0]
-    base = -float((data.conj() * y).sum().real) - 2 * float(np.log(root).sum())
-    base -= float(np.log(np.einsum("fnn->fn", factor).real ** 2 * prior).sum())
-
-    def seen(places: Complex, heights: Floats) -> Complex:
-        return np.asarray(whitener.apply(columns.reflectors(places, heights)) / root[:, None])
-
+    left = Remainder.of(spectra, model, columns.values, powers)
     turns = np.exp(2j * np.pi * np.arange(RING) / RING)
     places = np.concatenate([centre + r * turns for r, _ in rings])
-    anywhere = complex(x[0], x[1]) + _grid(max(model.sheet(x).radius_m * 1.2, 0.05))
-    w = seen(anywhere, np.zeros(len(anywhere)))
-    power = spectra.moving[:, None] * powers.tag
-    size = (np.abs(w) ** 2).sum(axis=2) - (np.abs(w @ np.swapaxes(q.conj(), 1, 2)) ** 2).sum(axis=2)
-    right = (w.conj() @ y[..., None])[..., 0]
-    gain = (np.abs(right) ** 2 / (1 / power + size) - np.log1p(power * size)).sum(axis=0)
-    chosen = np.argsort(-gain)[:SPOTS]
-    ring = seen(places, np.repeat([z for _, z in rings], RING))
-
-    def table(columns: Complex, turns: int) -> Tables:
-        step = 2 * np.pi / turns
-        blocks = Blocks(columns[:, :, None], 1, turns)
-        return about(blocks, y[None], np.asarray(q)[None], power[None, :, 0], np.array([base]), step)[0]
-
+    ring = left.whitened(columns.reflectors(places, np.repeat([z for _, z in rings], RING)))
+    anywhere = complex(x[0], x[1]) + grid(min(max(model.sheet(x).radius_m * 1.2, 0.05), 1.5 * REACH_M))
+    spots = left.whitened(columns.reflectors(anywhere, np.zeros(len(anywhere))))
+    chosen = left.likeliest(spots)
     turned = []
     for tag, some in zip(tags, own, strict=True):
         steps = np.rint(tag.angle / (2 * np.pi / RING)).astype(np.intp) + np.arange(RING)[:, None]
         turned.append(ring[:, np.array([rings.index(one) for one in some]) * RING + steps % RING].sum(axis=2))
     level = np.repeat([z == 0 for _, z in rings], RING) & (np.arange(len(places)) % 2 == 0)
-    spots = np.concatenate([ring[:, level], w[:, chosen]], axis=1)
+    spots = np.concatenate([ring[:, level], spots[:, chosen]], axis=1)
     every = np.concatenate([places[level], anywhere[chosen]])
-    return Beside(table(np.concatenate(turned, axis=1), RING), table(spots, len(every)), every)
-
-
-def _grid(radius_m: float) -> Complex:
-    line = np.arange(-radius_m, radius_m + SPOT_M / 2, SPOT_M)
-    places = (line[:, None] + 1j * line).ravel()
-    return np.asarray(places[np.abs(places) <= min(radius_m, 1.5 * REACH_M)])
-
-
-def anywhere(found: Beside, most: int, kept: int) -> list[tuple[float, NDArray[np.intp]]]:
-    """The best sets of one to `most` reflectors anywhere, `kept` of each number: log evidence and places."""
-    clear = np.abs(found.places[:, None] - found.places) >= APART_M
-    return grown(found.spots, np.arange(len(found.places), dtype=np.int32), clear, clear, most, kept)
+    return Beside(left.tables(np.concatenate(turned, axis=1), RING), left.tables(spots, len(every)), every)

@@ -10,15 +10,18 @@ import numpy as np
 
 from tagid.reading import search
 from tagid.reading.arrangement import Arrangement
+from tagid.reading.columns import Priors
 from tagid.reading.descent import BODY, OVAL, Found, Powers, best_powers, refined
 from tagid.reading.evidence import log_evidence
+from tagid.reading.remainder import sets
 from tagid.reading.sheet import HEAD, Kind, SheetModel
-from tagid.reading.sheet_search import Seeker, anywhere, beside
-from tagid.reading.spectra import MODEL_ERROR, Complex, Floats, Spectra
+from tagid.reading.sheet_search import Seeker, beside
+from tagid.reading.spectra import MODEL_ERROR, Floats, Spectra
 from tagid.tags.layouts.layout import Layout
 
-GUESTS, FOLLOWED = 2, 9
-"""Arrangements of other hypotheses beside which sheets are looked for, and starts that are followed."""
+GUESTS, FOLLOWED, JOINT = 2, 9, 3
+"""Arrangements of other hypotheses beside which sheets are looked for, starts that are followed, and those of
+them that are fitted."""
 SHEETS, ALONE, ABOUT = 3, 8, 8
 """Sheets of every kind, those that are fitted alone, and those about which reflectors are looked for."""
 FITTED, FITTED_USUAL = (3, 4), (1, 2)
@@ -45,7 +48,12 @@ class Entry(Protocol):
 
 
 def explain(
-    spectra: Spectra, layouts: Sequence[Layout], kinds: Sequence[Kind], before: Sequence[Entry], enter: Enter
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    kinds: Sequence[Kind],
+    before: Sequence[Entry],
+    enter: Enter,
+    priors: Priors = Priors(),
 ) -> None:
     """Enter sheets at their most probable parameters, alone and with reflectors about them.
 
@@ -53,6 +61,7 @@ def explain(
         kinds: of sheets.
         before: hypotheses of points.
         enter: enters a hypothesis beside up to so many odd scatterers, and gives the best of them.
+        priors: of centre and mounting.
     """
     best = max(one.log_z for one in before)
     thin = spectra.thinned(2)
@@ -67,7 +76,7 @@ def explain(
     alone = Seeker(spectra)
     likely = [start for kind in kinds for start in alone.best(kind, SHEETS)]
     for start in sorted(likely, key=lambda one: -one.score)[:ALONE]:
-        model, x = start.begun(_disc(max(start.half_m)))
+        model, x = start.begun(_disc(max(start.half_m)), priors)
         if possible(spectra, model, x) > best:
             fitted(None, model, x)
     sheets.sort(key=lambda one: -one[1].log_z)
@@ -77,7 +86,7 @@ def explain(
         seeker = Seeker(spectra, guest.beside(spectra))
         for kind in kinds:
             (start,) = seeker.best(kind, 1)
-            model, x = start.begun(guest.model.disc)
+            model, x = start.begun(guest.model.disc, priors)
             if possible(spectra, model, x) > best:
                 model, x = _with(model, x, guest)
                 joint.append((best_powers(spectra, model, x)[1], layout, model, x))
@@ -86,7 +95,7 @@ def explain(
     nearer = [
         (refined(thin, model, x, (1e-2,), 3), layout, model) for _, layout, model, x in joint[:FOLLOWED]
     ]
-    for found, layout, model in sorted(nearer, key=lambda one: -one[0].log_z)[:GUESTS]:
+    for found, layout, model in sorted(nearer, key=lambda one: -one[0].log_z)[:JOINT]:
         fitted(layout, model, found.x)
     starts: list[tuple[float, Layout | None, SheetModel, Floats]] = []
     for _, found in sorted(sheets, key=lambda one: -one[1].log_z)[:ABOUT]:
@@ -197,7 +206,6 @@ def _about(
         for layout, a, turns in zip(layouts, arranged, search.turned(near.layouts, 2), strict=True):
             for one in turns:
                 yield one.log, layout, replace(model, tag=a), np.r_[head, one.angles[0], 0.0]
-        for log, chosen in anywhere(near, MOST, 2):
-            points: Complex = near.places[chosen] - sheet_centre
-            tag = Arrangement.points(points)
-            yield log, None, replace(model, tag=tag), np.r_[x, np.zeros(2 * len(points))]
+        for log, places in sets(near.spots, near.places, MOST):
+            tag = Arrangement.points(places - sheet_centre)
+            yield log, None, replace(model, tag=tag), np.r_[x, np.zeros(2 * tag.count)]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.imaging.types import BasebandScans
-from tagid.reading.columns import CENTRE_SD_M, Columns, Model, table_of
+from tagid.reading.columns import Columns, Model, Priors, table_of
 from tagid.reading.descent import Found
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import POINTS
@@ -108,9 +108,11 @@ class SignatureModel(Model):
     level: Floats | None = None
 
     @classmethod
-    def of(cls, enrolled: EnrolledBody, transfer: Transfer, disc: int, levels: int = 1) -> SignatureModel:
+    def of(
+        cls, enrolled: EnrolledBody, transfer: Transfer, disc: int, levels: int = 1, priors: Priors = Priors()
+    ) -> SignatureModel:
         """An untagged one."""
-        return cls(transfer, None, False, disc, levels=levels, enrolled=enrolled)
+        return cls(transfer, None, False, disc, levels=levels, priors=priors, enrolled=enrolled)
 
     @property
     def body(self) -> EnrolledBody:
@@ -192,7 +194,7 @@ class SignatureModel(Model):
         rest = super()._sds()
         rest[:2] = TAG_SD_M
         return np.concatenate(
-            [[CENTRE_SD_M, CENTRE_SD_M, 2 * np.pi / np.sqrt(12)], np.repeat(UNEVEN_RAD, 2), rest]
+            [[self.priors.centre_m] * 2, [2 * np.pi / np.sqrt(12)], np.repeat(UNEVEN_RAD, 2), rest]
         )
 
     @cached_property
@@ -206,7 +208,7 @@ class SignatureModel(Model):
 
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SignatureColumns:
         """The columns at parameters x (P,)."""
-        beside = np.r_[x[:2] + x[HEAD : HEAD + 2], x[HEAD + 2 :]]
+        beside = np.append(x[:2] + x[HEAD : HEAD + 2], x[HEAD + 2 :])
         return SignatureColumns(self, spectra, x, Columns.of(self.rest, spectra, beside, slopes))
 
 

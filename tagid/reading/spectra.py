@@ -33,32 +33,31 @@ _DISC_RINGS = 24
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """The clutter's covariance over the views, diagonal in a basis that is free of the room.
+    """The clutter's covariance over the views, diagonal in a basis of all echoes, or of all but the room's.
 
-    The room is one constant per antenna height. Scatterers spread evenly over a disc about the axis have the
+    Scatterers spread evenly over a disc about the axis have the
     covariance of J0(2 kappa r sin(dphi / 2)) averaged over the disc. On a full even turn at one height its
     eigenvectors are the Fourier vectors.
 
     Attributes:
         variance: (F, M) of the clutter in the basis, mean 1 over the views for unit power.
-        basis: (F, M, V) rows of the basis; None: the Fourier vectors without the constant one.
-        every: (F, V) the variance of all Fourier vectors; empty with another basis.
+        basis: (F, M, V) rows of the basis; None: the last M Fourier vectors.
     """
 
     variance: Floats
     basis: Complex | None
-    every: Floats
 
     def thinned(self, step: int) -> Whitener:
         """The same of every so many-th frequency."""
         basis = None if self.basis is None else self.basis[::step]
-        return Whitener(self.variance[::step], basis, self.every[::step])
+        return Whitener(self.variance[::step], basis)
 
     def apply(self, columns: Complex) -> Complex:
         """(F, n, M) of columns (F, n, V)."""
         if self.basis is None:
             views = columns.shape[-1]
-            return np.asarray(np.fft.fft(columns, axis=-1)[..., 1:] / np.sqrt(views))
+            kept = slice(views - self.variance.shape[1], None)
+            return np.asarray(np.fft.fft(columns, axis=-1)[..., kept] / np.sqrt(views))
         return np.asarray(columns @ np.swapaxes(self.basis, 1, 2))
 
     def adjoint(self, columns: Complex) -> Complex:
@@ -179,25 +178,37 @@ class Spectra:
         return np.asarray(np.angle(self.antenna))
 
     @cached_property
+    def rooms(self) -> Floats:
+        """(H, V) what the room may add: one constant per antenna height, orthonormal."""
+        return _rooms(self.height_m)
+
+    @cached_property
     def whiteners(self) -> tuple[Whitener, ...]:
-        """One for each of `CLUTTER_RADII_M`."""
+        """One for each of `CLUTTER_RADII_M`, free of the room."""
+        return self._whiteners(np.linalg.svd(self.rooms)[2][len(self.rooms) :])
+
+    @cached_property
+    def whole(self) -> tuple[Whitener, ...]:
+        """The same of all echoes."""
+        return self._whiteners(np.eye(self.views))
+
+    def _whiteners(self, rows: Floats) -> tuple[Whitener, ...]:
+        """Those of echoes that lie in the span of orthonormal rows (M, V)."""
         apart = 2 * np.abs(np.sin((self.direction[:, None] - self.direction) / 2))
         risen = np.subtract.outer(self.height_m, self.height_m) / self.distance_m
-        rooms = _rooms(self.height_m)
         found = []
         for radius in CLUTTER_RADII_M:
             steps = radius * np.sqrt((np.arange(_DISC_RINGS) + 0.5) / _DISC_RINGS)
             if self.full_turn:
                 row = _j0(self.kappa[:, None, None] * steps[None, :, None] * apart[0]).mean(axis=1)
                 every = np.maximum(np.fft.fft(row, axis=1).real, 0)
-                found.append(Whitener(every[:, 1:], None, every))
+                found.append(Whitener(every[:, self.views - len(rows) :], None))
                 continue
             covariance = _j0(self.kappa[:, None, None, None] * steps[:, None, None] * apart).mean(axis=1)
             covariance *= np.exp(-0.5 * (self.kappa[:, None, None] * UPRIGHT_SD_M * risen) ** 2)
-            free = np.linalg.svd(rooms)[2][len(rooms) :]
-            values, vectors = np.linalg.eigh(free @ covariance @ free.T)
-            basis = (np.swapaxes(vectors, 1, 2) @ free).astype(complex)
-            found.append(Whitener(np.maximum(values, 0), basis, np.zeros((len(values), 0))))
+            values, vectors = np.linalg.eigh(rows @ covariance @ rows.T)
+            basis = (np.swapaxes(vectors, 1, 2) @ rows).astype(complex)
+            found.append(Whitener(np.maximum(values, 0), basis))
         return tuple(found)
 
     @cached_property
@@ -225,7 +236,7 @@ class Spectra:
 
 def _rooms(height_m: Floats) -> Floats:
     """(H, V) orthonormal: one constant per antenna height."""
-    levels = np.unique(np.round(height_m, 4))
+    levels = sorted(set(np.round(height_m, 4).tolist()))
     rows = np.stack([np.isclose(height_m, level, atol=1e-4) for level in levels]).astype(float)
     return np.asarray(rows / np.sqrt(rows.sum(axis=1, keepdims=True)))
 

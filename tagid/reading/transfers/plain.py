@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.reading.transfers.transfer import ANGLES, Transfer, aspects, principal
+from tagid.reading.transfers.transfer import ANGLES, MIDDLE_M, Transfer, aspects, principal
 
 BACKS, POWERS, TERMS = (0.2, 0.4, 0.6, 0.8, 1.0), (1, 2, 3), 3
 """Amplitudes from behind over those from in front, powers of (1 + cos) / 2 between, and patterns kept."""
-MIDDLE_M = 0.016
-"""A reflector nearer to the axis has no outward side: it is seen from everywhere as others from in front."""
 
 
 def isotropic(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex128]:
@@ -28,6 +26,6 @@ def _facing(kappa: NDArray[np.float64], radius_m: float) -> NDArray[np.complex12
 
 
 BARE = Transfer("bare", "nothing that returns an echo", False, (1.0,), isotropic, open=True)
-POINTS = Transfer("points", "a body that the waves pass", True, (1.0,), isotropic, open=True)
+POINTS = Transfer("points", "a body that the waves pass", True, (1.0,), isotropic, open=True, clear=True)
 FACING = Transfer("facing", "nothing that returns an echo", False, (1.0,) * TERMS, _facing, open=True)
 """Reflectors that return less from behind, with nothing beside them."""

@@ -7,6 +7,6 @@ from __future__ import annotations
 
 from tagid.reading.transfers.wall import Walls, wall
 
-FILLED = Walls((2e-3,), (2.5,), False, (2.0, 2.3, 2.6, 3.0, 3.5))
+FILLED = Walls((2e-3,), (2.5,), filling=(2.0, 2.3, 2.6, 3.0, 3.5))
 """Relative permittivities of fillings: oil and powder 2 to 3, rice and granulate more."""
 RODS = tuple(wall("rod", "a filled vessel", FILLED, 4, polarisation) for polarisation in ("V", "H"))

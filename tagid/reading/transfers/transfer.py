@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 ANGLES = 256
 """Aspects of a table, between which patterns are interpolated."""
+MIDDLE_M = 0.016
+"""A reflector nearer to the axis has no outward side: it is the same from all sides."""
 
 Tables = Callable[[NDArray[np.float64], float], NDArray[np.complex128]]
 
@@ -27,6 +29,7 @@ class Transfer:
             patterns (P, F, ANGLES) at angles 2 pi i / ANGLES between outward direction and antenna.
         radius_sd_m: standard deviation of the ring's apparent radius, beyond the mounting's.
         open: waves pass from one reflector to another.
+        clear: a reflector in the middle of the body shows as one in front does.
     """
 
     name: str
@@ -36,6 +39,7 @@ class Transfer:
     table: Tables
     radius_sd_m: float = 0.0
     open: bool = False
+    clear: bool = False
 
 
 def aspects() -> NDArray[np.float64]:
@@ -48,7 +52,8 @@ def principal(members: NDArray[np.complexfloating], terms: int) -> NDArray[np.co
 
     The amplitude has any phase, so that a pattern of the class has mean zero and a second moment over the
     aspects; its principal vectors, each as long as the root of its share of the mean energy, need powers of
-    one (Karhunen and Loeve's expansion).
+    one (Karhunen and Loeve's expansion). Their phases are those of the members: the shares of the members in
+    a pattern have the same phase at neighbouring frequencies, and their sum has none at the first.
 
     Args:
         members: (M, F, A) patterns of the class.
@@ -61,4 +66,7 @@ def principal(members: NDArray[np.complexfloating], terms: int) -> NDArray[np.co
         values, vectors = np.linalg.eigh(np.swapaxes(flat, 1, 2) @ flat.conj())
         best = vectors * np.sqrt(np.maximum(values, 0))[:, None]
         best = np.swapaxes(best[..., ::-1][..., :terms], 1, 2)
+    shares = best.conj() @ members.transpose(1, 2, 0)
+    turns = np.concatenate([shares[:1].sum(2), (shares[1:] * shares[:-1].conj()).sum(2)])
+    best = best * np.exp(1j * np.cumsum(np.angle(turns), axis=0))[..., None]
     return np.ascontiguousarray(np.swapaxes(best, 0, 1))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.fields.shells import Shell, orders, reflection, responses
-from tagid.reading.transfers.transfer import ANGLES, Tables, Transfer, aspects, principal
+from tagid.reading.transfers.transfer import ANGLES, MIDDLE_M, Tables, Transfer, aspects, principal
 
 GAP_M, STEP_M = (6e-3, 28e-3), 3e-3
 """From the wall to the reflectors' centres, m, and step between the radii of the members of a class."""
@@ -39,12 +39,14 @@ class Walls:
     Attributes:
         wall_m, permittivity: of the members; thickness 0 is bare metal.
         metal: there is metal, or water, inside the wall.
+        clear: the waves pass the wall as if it were not there.
         filling: relative permittivities of what fills the wall where there is no metal.
     """
 
     wall_m: tuple[float, ...]
     permittivity: tuple[float, ...]
     metal: bool = False
+    clear: bool = False
     filling: tuple[float, ...] = (1.0,)
 
     def shells(self, radius_m: float, polarisation: str) -> list[Shell]:
@@ -59,6 +61,11 @@ class Walls:
         """Tables of reflectors beside a member of any radius that may carry them."""
 
         def table(kappa: NDArray[np.float64], radius_m: float) -> Field:
+            if self.clear and radius_m <= MIDDLE_M:
+                # The first pattern is that of all members in front, up to what the walls change.
+                middle = np.zeros((terms, len(kappa), ANGLES), dtype=np.complex128)
+                middle[0] = np.sqrt(np.sum(STRENGTHS))
+                return middle
             k = kappa / 2
             rings = int(np.ceil(radius_m / _FAR_M))
             radii, either = _coefficients(k.tobytes(), self, rings)
@@ -137,12 +144,13 @@ def _between(steps: int) -> NDArray[np.float64]:
 def wall(name: str, words: str, walls: Walls, terms: int, polarisation: str = "V") -> Transfer:
     """The transfer of a class of walls to a radar of polarisation "V", along the axis, or "H", across it."""
     name = f"{name}, {polarisation}"
-    return Transfer(name, words, True, (1.0,) * terms, walls.table(polarisation, terms), RADIUS_SD_M)
+    table = walls.table(polarisation, terms)
+    return Transfer(name, words, True, (1.0,) * terms, table, RADIUS_SD_M, clear=walls.clear)
 
 
 METAL = Walls((0.0,), (1.0,), True)
 GLASS = Walls((2e-3, 3e-3, 4.2e-3), (4.0, 5.5, 7.5))
-PLASTIC = Walls((0.8e-3, 1.6e-3, 2.5e-3, 3.5e-3), (2.5,))
+PLASTIC = Walls((0.8e-3, 1.6e-3, 2.5e-3, 3.5e-3), (2.5,), clear=True)
 WALLS = tuple(
     one
     for polarisation in ("V", "H")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
@@ -10,9 +12,21 @@ from tagid.reading.spectra import Spectra
 from tagid.simulate.acquisition import Acquisition, Placement
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_layout
+from tagid.simulate.scattering import Points, Returns
 from tagid.tags.layouts.layout import builtin_layouts
 
 LAYOUTS = tuple(builtin_layouts().values())
+
+
+class Shaded(Points):
+    """Reflectors that are seen within 65 degrees of their outward side alone."""
+
+    def returns(self, antennas: np.ndarray) -> Returns:
+        assert self.facing_rad is not None
+        seen = super().returns(antennas)
+        apart = antennas[:, None, :2] - self.positions[None, :, :2]
+        away = np.angle(np.exp(1j * (np.arctan2(apart[..., 1], apart[..., 0]) - self.facing_rad)))
+        return Returns(seen.points, np.where(np.abs(away) > np.deg2rad(65), 0.0, seen.amplitudes))
 
 
 def scans_at(
@@ -24,10 +38,14 @@ def scans_at(
     offset_m: float = 0.003,
     height_m: float = 0.0,
     seed: int = 3,
+    shaded: bool = False,
 ) -> BasebandScans:
     """A recording of reflectors at places (K, 2), m, whose middle stands off the axis."""
     space = np.concatenate([places_m, np.zeros((len(places_m), 1))], axis=1)
     scene = scene_from_layout(space, "tag", seed)
+    if shaded:
+        parts = (Shaded(**vars(p)) if isinstance(p, Points) else p for p in scene.object)
+        scene = replace(scene, object=tuple(parts))
     acquisition = Acquisition(
         views=views,
         snr_db=snr_db,

@@ -12,6 +12,7 @@ from tagid.reading.decision import SURE, Decision, decide
 from tagid.reading.hypotheses import Contest
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
+from tagid.reading.transfers.shade import SHADES
 from tagid.reading.transfers.wall import WALLS
 from tagid.tags.layouts.layout import Layout
 from train.population import draw
@@ -45,6 +46,7 @@ STRANGERS = {
     "one more": (np.concatenate([ring(0, 90), [[-0.09, -0.02]]]), "3 reflectors"),
     "one less": (ring(0, 120, radius_m=0.11), "2 reflectors 120 degrees apart, 1"),
     "one": (ring(0), "one reflector"),
+    "on no ring": (np.array([[0.09, 0.03], [-0.05, 0.03], [0.02, -0.05], [-0.03, -0.11]]), "4 reflectors"),
 }
 
 
@@ -57,6 +59,20 @@ def test_a_stranger_is_described_and_not_named(kind: str) -> None:
     assert words in answer.reason
 
 
+def test_a_tag_without_its_middle_on_a_body_that_waves_pass_is_not_named() -> None:
+    answer = bare(scans_at(ring(0, 180, radius_m=0.09), offset_m=0.007))
+    assert answer.name is None
+    assert "2 reflectors 180 degrees apart, 90 mm from the centre on a body" in answer.reason
+
+
+def test_a_tag_that_an_opaque_body_hides_beyond_an_edge_is_named() -> None:
+    (layout,) = (one for one in LAYOUTS if one.name == "helmet-120")
+    scans = scans_at(layout.positions, shaded=True, offset_m=0.004)
+    answer = decide(Contest(Spectra.of(scans), LAYOUTS, (POINTS, SHADES[0], WALLS[0]), ()).run())
+    assert answer.name == "helmet-120"
+    assert answer.best is not None and answer.best.found.model.transfer is SHADES[0]
+
+
 def test_more_signal_keeps_the_name() -> None:
     names = [bare(scans_of("container-180", snr_db=snr_db)).name for snr_db in (5.0, 15.0, 30.0)]
     assert names == ["container-180"] * 3
@@ -67,4 +83,4 @@ def test_a_foreign_pair_on_an_oval_shell_is_not_named() -> None:
     scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
     answer = decide(Contest(Spectra.of(scans), LAYOUTS, (BARE, POINTS, WALLS[0]), ()).run())
     assert answer.name is None
-    assert "an object without a tag" in answer.reason
+    assert "2 reflectors 132 degrees apart, 116 mm" in answer.reason

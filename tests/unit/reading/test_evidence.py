@@ -18,7 +18,7 @@ from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, Powers, _Numpy, desc
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE
 from tagid.reading.transfers.rod import RODS
-from tagid.reading.transfers.shade import SHADE
+from tagid.reading.transfers.shade import SHADES
 
 SPECTRA = {
     "even": spectra_of("container-90", views=36),
@@ -32,14 +32,14 @@ FREE = Arrangement.points(np.array([0.04, 0.05j, -0.03 - 0.03j])).and_one(-0.09j
 MODELS = {
     "nothing": Model(BARE, None, False, 0),
     "round": Model(BARE, LAYOUT, False, 1),
-    "body": Model(SHADE, None, True, 0, odd=1),
-    "layout": Model(SHADE, LAYOUT, True, 0, odd=2),
+    "body": Model(SHADES[1], None, True, 0, odd=1),
+    "layout": Model(SHADES[1], LAYOUT, True, 0, odd=2),
     "late": Model(RODS[0], LAYOUT, False, 1),
-    "free": Model(SHADE, FREE, True, 0),
-    "plane": Model(SHADE, LAYOUT, True, 0, odd=1, levels=2),
+    "free": Model(SHADES[1], FREE, True, 0),
+    "plane": Model(SHADES[1], LAYOUT, True, 0, odd=1, levels=2),
     "lifted": Model(BARE, FREE, False, 0, odd=2, levels=2),
     "tall": Model(BARE, LAYOUT.raised(), False, 1, odd=1),
-    "glued": Model(SHADE, LAYOUT.by_hand(), True, 0, odd=1),
+    "glued": Model(SHADES[1], LAYOUT.by_hand(), True, 0, odd=1),
     "hidden": Model(BARE, FREE, False, 0, odd=1, hidden=(1.0, 2.0)),
 }
 POWERS = (100.0, 0.3, 1e-3)

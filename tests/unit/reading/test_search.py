@@ -14,7 +14,7 @@ from tagid.reading.evidence import log_evidence
 from tagid.reading.hypothesis import middle_of
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE
-from tagid.reading.transfers.shade import SHADE
+from tagid.reading.transfers.shade import SHADES
 from tagid.reading.transfers.transfer import Transfer
 
 POWERS = Powers(1e-3, body=3.0)
@@ -38,7 +38,7 @@ def exact(spectra: Spectra, transfer: Transfer, angles: np.ndarray) -> float:
     return float(log_evidence(columns, spectra.white[0], lam[None], power[None])[0])
 
 
-@pytest.mark.parametrize("transfer", [BARE, SHADE], ids=lambda one: one.name)
+@pytest.mark.parametrize("transfer", [BARE, SHADES[1]], ids=lambda one: one.name)
 @pytest.mark.parametrize("views", [36, 72])
 def test_tables_of_an_even_turn_give_the_evidence_of_the_columns(transfer: Transfer, views: int) -> None:
     spectra = spectra_of("container-90", views=views, offset_m=0.002)
@@ -51,7 +51,7 @@ def test_tables_of_an_even_turn_give_the_evidence_of_the_columns(transfer: Trans
     )
 
 
-@pytest.mark.parametrize("transfer", [BARE, SHADE], ids=lambda one: one.name)
+@pytest.mark.parametrize("transfer", [BARE, SHADES[1]], ids=lambda one: one.name)
 def test_tables_of_part_of_a_turn_are_exact(transfer: Transfer) -> None:
     spectra = spectra_of("container-90", views=36, turns=0.75, offset_m=0.002)
     assert not spectra.full_turn
@@ -66,7 +66,7 @@ def test_tables_of_part_of_a_turn_are_exact(transfer: Transfer) -> None:
 def both_ways(monkeypatch: pytest.MonkeyPatch, turns: float) -> tuple[search.Tables, search.Tables]:
     """Tables of two rings by the compiled loop and by numpy."""
     spectra = spectra_of("helmet-120", views=36, turns=turns)
-    model = Model(SHADE, None, True, 1)
+    model = Model(SHADES[1], None, True, 1)
     (compiled,) = search.tables(spectra, model, [CENTRE], RINGS, POWERS)
     assert compiled.blocks.pair.size  # made before the loop is taken away
     monkeypatch.setattr(search, "_sets", None)
@@ -96,7 +96,7 @@ def test_the_compiled_scores_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch,
 
 def test_groups_alone_score_as_they_do_together() -> None:
     spectra = spectra_of("helmet-120", views=36)
-    (table,) = search.tables(spectra, Model(SHADE, None, True, 1), [0j], RINGS, POWERS)
+    (table,) = search.tables(spectra, Model(SHADES[1], None, True, 1), [0j], RINGS, POWERS)
     together = table.every()[1, [3, 50, 70]]
     alone = table.each[1]
     assert alone.scores(alone.every()[:, [3, 50, 70]]) == pytest.approx(

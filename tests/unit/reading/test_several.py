@@ -34,7 +34,7 @@ def together(places: tuple[tuple[float, float], ...], snr_db: float) -> tuple[li
 
 
 def test_recordings_that_name_nothing_alone_name_the_tag_together() -> None:
-    alone, joint = together(placed("container-90"), 0.0)
+    alone, joint = together(placed("container-90"), -1.5)
     assert [one.name for one in alone] == [None] * 3
     assert (joint.status, joint.name) == ("identified", "container-90")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -13,13 +14,14 @@ from tagid.imaging.types import BasebandScans
 from tagid.pipeline.identify import aspect_spectra
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.decision import Decision, decide
-from tagid.reading.descent import _Numpy
+from tagid.reading.descent import BODY, CLUTTER, OVAL, _likelihood, _Numpy
+from tagid.reading.descent import TAG as POWERS
 from tagid.reading.reader import contest
 from tagid.reading.signature import EnrolledBody, SignatureModel, enrolled_in
 from tagid.reading.signature_search import Poses
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
-from tagid.reading.transfers.shade import SHADE
+from tagid.reading.transfers.shade import SHADES
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
@@ -62,13 +64,24 @@ def spectra_of(scans: BasebandScans) -> Spectra:
     return Spectra.of(scans, kappa=mug().wavenumbers)
 
 
-def test_slopes_are_those_of_the_evidence() -> None:
+def beside_a_tag() -> tuple[SignatureModel, np.ndarray]:
+    """A model with all kinds of columns, and parameters of it."""
     layout = LAYOUTS["helmet-120"]
     tag = Arrangement.of_layout(layout.positions, layout.heights)
-    model = replace(SignatureModel.of(EnrolledBody.of(mug()), SHADE, 1), tag=tag, odd=1)
-    model = replace(model, level=np.ones(9))
-    likelihood = _Numpy(spectra_of(scans_of(MUG)), model)
-    x = np.array([3e-3, -2e-3, 0.5, 0.02, -0.01, 5e-3, 1e-2, 1e-3, 2e-3, 0.7, 5e-4, 0.03, 0.05])
+    model = replace(SignatureModel.of(EnrolledBody.of(mug()), SHADES[1], 1), tag=tag, odd=1)
+    return model, np.array([3e-3, -2e-3, 0.5, 0.02, -0.01, 5e-3, 1e-2, 1e-3, 2e-3, 0.7, 5e-4, 0.03, 0.05])
+
+
+def test_compiled_values_are_those_of_numpy() -> None:
+    (model, x), spectra = beside_a_tag(), spectra_of(scans_of(MUG))
+    some = list(product(BODY, POWERS, OVAL[1:2]))
+    one, other = (way(spectra, model).values(x, some, CLUTTER) for way in (_likelihood, _Numpy))
+    np.testing.assert_allclose(one, other, rtol=1e-9)
+
+
+def test_slopes_are_those_of_the_evidence() -> None:
+    model, x = beside_a_tag()
+    likelihood = _Numpy(spectra_of(scans_of(MUG)), replace(model, level=np.ones(9)))
     powers = (10.0, 0.3, 1e-3)
     _, slopes, _ = likelihood.expanded(x, powers, 1e-2)
     ends = [
@@ -108,8 +121,8 @@ def test_an_untagged_body_has_no_tag() -> None:
 @pytest.mark.parametrize("other", [ring(10, 150), ring(200), ring(10, 100, 200)])
 def test_another_tag_on_an_enrolled_body_is_not_named(other: Thing) -> None:
     answer = read(MUG.plus(other), mug())
-    assert answer.status == "unknown"
-    assert "on the enrolled body mug" in answer.reason
+    assert answer.status in ("unknown", "no_tag") and answer.name is None
+    assert "the enrolled body mug" in answer.reason
 
 
 def test_an_enrolled_object_is_named_with_and_without_its_body() -> None:

@@ -1,0 +1,110 @@
+"""The evidence of hypotheses whose reflectors return nearly one amplitude at all frequencies.
+
+The pulse is short, and its delay is that of the axis distance, the same for all hypotheses. The amplitudes of
+reflectors, free at every frequency for the search, are a Gaussian process of mean range d and short spread
+s, beside a share w that is free:
+
+    E a_f conj(a_g) = sqrt(S_f S_g) ((1 - w) exp(-(s q)^2 / 2 - j d q) + w [f = g]),    q = kappa_f - kappa_g
+
+Bodies, odd scatterers of any size and objects as they were enrolled keep free amplitudes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tagid.reading.descent import Found, variance
+from tagid.reading.hypothesis import Hypothesis
+from tagid.reading.spectra import Complex, Floats, Spectra
+
+DELAYS_M = tuple(0.015 * i for i in range(-3, 4))
+"""Errors d of the axis distance that are tried, m."""
+SPREAD_M = 0.015
+"""Standard deviation s of the range within an echo, m: 0.1 ns."""
+FREE = (0.1, 0.3, 1.0)
+"""Shares w that are free at every frequency, equally likely."""
+REACH, MOST = 30.0, 40
+"""Hypotheses that are scored: those worse than the best by less, nats, and so many."""
+
+
+def smoothed(spectra: Spectra, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The hypotheses with smooth amplitudes of their reflectors, at the delay of the likeliest; best first.
+
+    Those that are not scored have the part of the evidence where all is free.
+    """
+    every = sorted(hypotheses, key=lambda one: -one.log_z)
+    root = roots(spectra.kappa)
+    likely = [one for one in _firsts(every) if one.log_z > every[0].log_z - REACH][:MOST]
+    scored = {one: gains(spectra, one.found, root) for one in likely}
+    if not scored:
+        return every
+    delay = int(np.max([one.log_z + gain for one, gain in scored.items()], axis=0).argmax())
+    out = []
+    for one in every:
+        gain = scored[one][delay] if one in scored else -np.log(len(FREE)) * (one.found.model.tag is not None)
+        out.append(replace(one, log_z=one.log_z + float(gain)))
+    return sorted(out, key=lambda one: -one.log_z)
+
+
+def _firsts(every: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The best with reflectors of every kind."""
+    firsts: dict[object, Hypothesis] = {}
+    for one in every:
+        tag, model = one.found.model.tag, one.found.model
+        if tag is not None:
+            firsts.setdefault((one.layout, type(model), model.transfer, model.odd, tag.count), one)
+    return list(firsts.values())
+
+
+def gains(spectra: Spectra, found: Found, root: Complex) -> Floats:
+    """(D,) what a fitted model with reflectors gains for every delay, nats."""
+    model, powers = found.model, found.powers
+    columns = spectra.whiteners[model.disc].apply(model.at(spectra, found.x, slopes=False).values)
+    power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
+    lam = variance(spectra, model, powers.clutter)
+    own = slice(model.body_columns, model.columns - model.odd)
+    logs = [log_evidence(columns, spectra.white[model.disc], lam, power, own, root, free) for free in FREE]
+    return np.asarray(np.logaddexp.reduce(logs, axis=0) - logs[-1] - np.log(len(FREE)))
+
+
+def roots(kappa: Floats) -> Complex:
+    """(D, F, R) of the covariance over frequency at every delay, which is R R^H."""
+    offset = kappa - kappa.mean()
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * (SPREAD_M * np.subtract.outer(offset, offset)) ** 2))
+    large = values > 1e-5 * values[-1]
+    root = vectors[:, large] * np.sqrt(values[large])
+    return np.asarray(root * np.exp(-1j * np.outer(DELAYS_M, offset))[..., None])
+
+
+def log_evidence(
+    columns: Complex, data: Complex, lam: Floats, power: Floats, own: slice, root: Complex, free: float
+) -> Floats:
+    """(D,) log Z; columns (F, n, M), data, lam and power as of `evidence.fit`.
+
+    Args:
+        own: columns whose amplitudes are smooth.
+        root: (D, F, R) of their covariance over frequency.
+        free: share of them that is free.
+    """
+    scaled, y = columns / np.sqrt(lam)[:, None], data / np.sqrt(lam)
+    loose = power.copy()
+    loose[:, own] *= free
+    gram = scaled.conj() @ np.swapaxes(scaled, 1, 2)
+    right = scaled.conj() @ y[..., None]
+    inverse = np.linalg.inv(gram + np.eye(power.shape[1]) / loose[:, None])
+    # Behind all that is free: of the columns' own Gram matrix and products with the data.
+    held = gram @ inverse
+    log = (right.conj() * (inverse @ right)).sum().real + np.linalg.slogdet(inverse)[1].sum()
+    log -= np.log(loose).sum() + (np.abs(y) ** 2).sum() + np.log(lam).sum()
+    size = np.sqrt((1 - free) * power[:, own])
+    inner = (gram - held @ gram)[:, own, own] * size[:, :, None] * size[:, None]
+    outer = (right - held @ right)[:, own, 0] * size
+    count = size.shape[1] * root.shape[2]
+    joint = np.einsum("dfr,fij,dfs->dirjs", root.conj(), inner, root, optimize=True).reshape(-1, count, count)
+    factor = np.linalg.cholesky(joint + np.eye(count))
+    half = np.linalg.solve(factor, np.einsum("dfr,fi->dir", root.conj(), outer).reshape(-1, count, 1))
+    volume = 2 * np.log(np.einsum("dii->di", factor).real).sum(axis=1)
+    return np.asarray(log + (np.abs(half) ** 2).sum(axis=(1, 2)) - volume)
