@@ -74,20 +74,31 @@ class StationHttp(H11Protocol):
 
         Those of paired clients are the last, those of the address with most connections the first; among
         equals it is the one that has waited longest, of its address one that does not wait for its turn. So
-        while there are fewer addresses than places, each address has one.
+        while there are fewer addresses than places, each address has one: where all of a crowd are answered
+        just now, one of them goes when the next connection comes.
         """
         kept = [item for item in self.connections if isinstance(item, StationHttp) and not item._aborted]
-        crowd = Counter(item._address for item in kept)
-        waiting = sorted(
-            (item for item in kept if item._waits),
-            key=lambda item: (item._state.get("paired", False), -crowd[item._address], item._waits_since),
-        )
-        victim = min(
-            (item for item in waiting if item._address == waiting[0]._address),
-            key=lambda item: (item._state.get("paired", False), item._state.get("queued", False)),
-        )
-        victim._aborted = True
-        victim.transport.abort()
+        while len(kept) > _places():
+            crowd = Counter(item._address for item in kept)
+            waiting = sorted(
+                (item for item in kept if item._waits),
+                key=lambda item: (item._state.get("paired", False), -crowd[item._address], item._waits_since),
+            )
+            if not waiting:
+                return
+            victim = min(
+                (item for item in waiting if item._address == waiting[0]._address),
+                key=lambda item: (item._state.get("paired", False), item._state.get("queued", False)),
+            )
+            answered = any(
+                crowd[item._address] > 1 and not (item._waits or item._state.get("paired", False))
+                for item in kept
+            )
+            if crowd[victim._address] == 1 and answered and len(kept) <= _places() + _BATCH:
+                return
+            victim._aborted = True
+            victim.transport.abort()
+            kept.remove(victim)
 
     @property
     def _address(self) -> str:
