@@ -22,8 +22,8 @@ from tagid.reading.spectra import Complex, Floats, Spectra
 
 DELAYS_M = tuple(0.015 * i for i in range(-3, 4))
 """Errors d of the axis distance that are tried, m."""
-SPREAD_M = 0.015
-"""Standard deviation s of the range within an echo, m: 0.1 ns."""
+SPREAD_M = 0.0075
+"""Standard deviation s of the range within an echo, m: 0.05 ns."""
 FREE = (0.1, 0.3, 1.0)
 """Shares w that are free at every frequency, equally likely."""
 REACH, MOST = 30.0, 40
