@@ -66,11 +66,11 @@ class StationHttp(H11Protocol):
         self.loop.call_later(HEADER_S, self._expire, None)
         # A closed connection is listed until the loop runs on; it takes no place any more.
         gone = sum(isinstance(item, StationHttp) and item._aborted for item in self.connections)
-        if len(self.connections) - gone > _places():
-            self._make_room()
+        for surplus in range(len(self.connections) - gone - _places(), 0, -1):
+            self._make_room(surplus)
 
-    def _make_room(self) -> None:
-        """Close a connection that waits; it may be this one, which is the newest.
+    def _make_room(self, surplus: int) -> None:
+        """Close a connection that waits, of so many too many; it may be this one, which is the newest.
 
         Those of paired clients are the last, those of the address with most connections the first; among
         equals it is the one that has waited longest, of its address one that does not wait for its turn. So
@@ -78,27 +78,25 @@ class StationHttp(H11Protocol):
         just now, one of them goes when the next connection comes.
         """
         kept = [item for item in self.connections if isinstance(item, StationHttp) and not item._aborted]
-        while len(kept) > _places():
-            crowd = Counter(item._address for item in kept)
-            waiting = sorted(
-                (item for item in kept if item._waits),
-                key=lambda item: (item._state.get("paired", False), -crowd[item._address], item._waits_since),
-            )
-            if not waiting:
-                return
-            victim = min(
-                (item for item in waiting if item._address == waiting[0]._address),
-                key=lambda item: (item._state.get("paired", False), item._state.get("queued", False)),
-            )
-            answered = any(
-                crowd[item._address] > 1 and not (item._waits or item._state.get("paired", False))
-                for item in kept
-            )
-            if crowd[victim._address] == 1 and answered and len(kept) <= _places() + _BATCH:
-                return
-            victim._aborted = True
-            victim.transport.abort()
-            kept.remove(victim)
+        crowd = Counter(item._address for item in kept)
+        waiting = sorted(
+            (item for item in kept if item._waits),
+            key=lambda item: (item._state.get("paired", False), -crowd[item._address], item._waits_since),
+        )
+        if not waiting:
+            return
+        victim = min(
+            (item for item in waiting if item._address == waiting[0]._address),
+            key=lambda item: (item._state.get("paired", False), item._state.get("queued", False)),
+        )
+        answered = any(
+            crowd[item._address] > 1 and not (item._waits or item._state.get("paired", False))
+            for item in kept
+        )
+        if crowd[victim._address] == 1 and answered and surplus <= _BATCH:
+            return
+        victim._aborted = True
+        victim.transport.abort()
 
     @property
     def _address(self) -> str:

@@ -266,6 +266,19 @@ def test_connections_that_ask_for_nothing_keep_nobody_out(
         client.close()
 
 
+def test_pages_count_among_the_connections(serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "HEADER_S", 600.0)  # none is closed for its age
+    monkeypatch.setattr(server, "MAX_SOCKETS", 4)
+    one = serve()
+    pages = [joined(one.port)[0] for _ in range(3)]
+    silent = [socket.create_connection(("127.0.0.1", one.port), WAIT_S) for _ in range(3)]
+    for client in silent[:2]:
+        with suppress(ConnectionResetError):
+            assert client.recv(1) == b"", "its place was needed"
+    for client in (*silent, *pages):
+        client.close()
+
+
 def test_connections_of_paired_clients_are_the_last_to_go(serve, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "KEPT_S", 0.0)
     monkeypatch.setattr(server, "MAX_SOCKETS", 4)
