@@ -52,10 +52,10 @@ class Remainder:
         factor = np.linalg.cholesky(within)
         q = np.asarray(np.linalg.solve(factor, columns))
         data = spectra.white[model.disc] / root
-        left = data - (np.swapaxes(q, 1, 2) @ (q.conj() @ data[..., None]))[..., 0]
-        base = -float((data.conj() * left).sum().real) - 2 * float(np.log(root).sum())
+        residual = data - (np.swapaxes(q, 1, 2) @ (q.conj() @ data[..., None]))[..., 0]
+        base = -float((data.conj() * residual).sum().real) - 2 * float(np.log(root).sum())
         base -= float(np.log(np.einsum("fnn->fn", factor).real ** 2 * prior).sum())
-        return cls(whitener, root, left, q, spectra.moving * powers.tag, base)
+        return cls(whitener, root, residual, q, spectra.moving * powers.tag, base)
 
     def whitened(self, values: Complex) -> Complex:
         """(F, N, M) of columns (F, N, V)."""
@@ -64,8 +64,8 @@ class Remainder:
     def likeliest(self, columns: Complex) -> NDArray[np.intp]:
         """Numbers of the `SPOTS` whitened columns (F, N, M) that add most alone."""
         power = self.power[:, None]
-        known = np.abs(columns @ np.swapaxes(self.held.conj(), 1, 2)) ** 2
-        size = (np.abs(columns) ** 2).sum(axis=2) - known.sum(axis=2)
+        explained = np.abs(columns @ np.swapaxes(self.held.conj(), 1, 2)) ** 2
+        size = (np.abs(columns) ** 2).sum(axis=2) - explained.sum(axis=2)
         right = (columns.conj() @ self.data[..., None])[..., 0]
         gain = (np.abs(right) ** 2 / (1 / power + size) - np.log1p(power * size)).sum(axis=0)
         return np.asarray(np.argsort(-gain)[:SPOTS])
@@ -91,8 +91,8 @@ def sets(table: Tables, places: Complex, most: int) -> list[tuple[float, Complex
         table: of reflectors at places (N,), x + jy, m.
     """
     clear = np.abs(places[:, None] - places) >= APART_M
-    found = grown(table, np.arange(len(places), dtype=np.int32), clear, clear, most, KEPT)
-    return [(log, places[chosen]) for log, chosen in found]
+    best = grown(table, np.arange(len(places), dtype=np.int32), clear, clear, most, KEPT)
+    return [(log, places[chosen]) for log, chosen in best]
 
 
 def anywhere(spectra: Spectra, before: Sequence[Hypothesis], height_m: float, most: int) -> list[Found]:
@@ -103,21 +103,22 @@ def anywhere(spectra: Spectra, before: Sequence[Hypothesis], height_m: float, mo
         height_m: of the reflectors.
     """
     bodies: dict[tuple[Transfer, int], Found] = {}
-    for one in (one.found for one in sorted(before, key=lambda one: -one.log_z)):
-        model = one.model
+    for hypothesis in sorted(before, key=lambda hypothesis: -hypothesis.log_z):
+        model = hypothesis.found.model
         if type(model) is Model and model.tag is None and model.odd < 2:
-            bodies.setdefault((model.transfer, model.odd), one)
-    found, places = [], grid(REACH_M)
-    waves, _ = spectra.waves(places, np.full(len(places), height_m))
+            bodies.setdefault((model.transfer, model.odd), hypothesis.found)
+    fitted, nodes = [], grid(REACH_M)
+    waves, _ = spectra.waves(nodes, np.full(len(nodes), height_m))
     for body in bodies.values():
         model = body.model
         values = model.at(spectra, body.x, slopes=False).values
-        left = Remainder.of(spectra, model, values, replace(body.powers, clutter=1e-2, tag=0.3))
-        spots = left.whitened(waves)
-        chosen = left.likeliest(spots)
-        for _, points in sets(left.tables(spots[:, chosen], len(chosen)), places[chosen], most):
-            own = replace(model, tag=Arrangement.points(points - body.centre))
-            moved = np.r_[np.zeros(2 * len(points)), [height_m] * own.lifts]
+        remainder = Remainder.of(spectra, model, values, replace(body.powers, clutter=1e-2, tag=0.3))
+        spots = remainder.whitened(waves)
+        chosen = remainder.likeliest(spots)
+        table = remainder.tables(spots[:, chosen], len(chosen))
+        for _, points in sets(table, nodes[chosen], most):
+            tagged = replace(model, tag=Arrangement.points(points - body.centre))
+            moved = np.r_[np.zeros(2 * len(points)), [height_m] * tagged.lifts]
             x = np.r_[body.x[: model.head], moved, body.x[model.head :]]
-            found.append(refined(spectra, own, x, (1e-2,), 4))
-    return sorted(found, key=lambda one: -one.log_z)[:FITTED]
+            fitted.append(refined(spectra, tagged, x, (1e-2,), 4))
+    return sorted(fitted, key=lambda fit: -fit.log_z)[:FITTED]

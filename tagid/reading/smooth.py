@@ -35,27 +35,30 @@ def smoothed(spectra: Spectra, hypotheses: Sequence[Hypothesis]) -> list[Hypothe
 
     Those that are not scored have the part of the evidence where all is free.
     """
-    every = sorted(hypotheses, key=lambda one: -one.log_z)
+    ranked = sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_z)
     root = roots(spectra.kappa)
-    likely = [one for one in _firsts(every) if one.log_z > every[0].log_z - REACH][:MOST]
-    scored = {one: gains(spectra, one.found, root) for one in likely}
+    likely = [first for first in _firsts(ranked) if first.log_z > ranked[0].log_z - REACH][:MOST]
+    scored = {first: gains(spectra, first.found, root) for first in likely}
     if not scored:
-        return every
-    delay = int(np.max([one.log_z + gain for one, gain in scored.items()], axis=0).argmax())
+        return ranked
+    delay = int(np.max([first.log_z + gain for first, gain in scored.items()], axis=0).argmax())
+    free = -np.log(len(FREE))
     out = []
-    for one in every:
-        gain = scored[one][delay] if one in scored else -np.log(len(FREE)) * (one.found.model.tag is not None)
-        out.append(replace(one, log_z=one.log_z + float(gain)))
-    return sorted(out, key=lambda one: -one.log_z)
+    for hypothesis in ranked:
+        tagged = hypothesis.found.model.tag is not None
+        gain = scored[hypothesis][delay] if hypothesis in scored else free * tagged
+        out.append(replace(hypothesis, log_z=hypothesis.log_z + float(gain)))
+    return sorted(out, key=lambda hypothesis: -hypothesis.log_z)
 
 
-def _firsts(every: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _firsts(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The best with reflectors of every kind."""
     firsts: dict[object, Hypothesis] = {}
-    for one in every:
-        tag, model = one.found.model.tag, one.found.model
-        if tag is not None:
-            firsts.setdefault((one.layout, type(model), model.transfer, model.odd, tag.count), one)
+    for hypothesis in ranked:
+        model = hypothesis.found.model
+        if model.tag is not None:
+            kind = hypothesis.layout, type(model), model.transfer, model.odd, model.tag.count
+            firsts.setdefault(kind, hypothesis)
     return list(firsts.values())
 
 

@@ -28,16 +28,16 @@ CLUTTER_RADII_M = (0.05, 0.10)
 """Radii of the discs over which the scatterers of the clutter are spread."""
 UPRIGHT_SD_M = 0.04
 """Standard deviation of the height of the clutter's scatterers, m: from another height their sum differs."""
-_DISC_RINGS = 24
+_RINGS = np.sqrt((np.arange(24) + 0.5) / 24)
+"""Radii of rings of equal area over that of their disc."""
 
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
     """The clutter's covariance over the views, diagonal in a basis of all echoes, or of all but the room's.
 
-    Scatterers spread evenly over a disc about the axis have the
-    covariance of J0(2 kappa r sin(dphi / 2)) averaged over the disc. On a full even turn at one height its
-    eigenvectors are the Fourier vectors.
+    Scatterers spread evenly over a disc about the axis have the covariance of J0(2 kappa r sin(dphi / 2))
+    averaged over the disc. On a full even turn at one height its eigenvectors are the Fourier vectors.
 
     Attributes:
         variance: (F, M) of the clutter in the basis, mean 1 over the views for unit power.
@@ -185,31 +185,32 @@ class Spectra:
     @cached_property
     def whiteners(self) -> tuple[Whitener, ...]:
         """One for each of `CLUTTER_RADII_M`, free of the room."""
-        return self._whiteners(np.linalg.svd(self.rooms)[2][len(self.rooms) :])
+        if self.full_turn:
+            return tuple(Whitener(one.variance[:, 1:], None) for one in self.whole)
+        free = np.linalg.svd(self.rooms)[2][len(self.rooms) :]
+        return tuple(_diagonal(covariance, free) for covariance in self._covariances)
 
     @cached_property
     def whole(self) -> tuple[Whitener, ...]:
         """The same of all echoes."""
-        return self._whiteners(np.eye(self.views))
+        if not self.full_turn:
+            return tuple(_diagonal(covariance, np.eye(self.views)) for covariance in self._covariances)
+        apart, found = 2 * np.abs(np.sin((self.direction[0] - self.direction) / 2)), []
+        for radius in CLUTTER_RADII_M:
+            row = _j0(self.kappa[:, None, None] * (radius * _RINGS)[None, :, None] * apart).mean(axis=1)
+            found.append(Whitener(np.maximum(np.fft.fft(row, axis=1).real, 0), None))
+        return tuple(found)
 
-    def _whiteners(self, rows: Floats) -> tuple[Whitener, ...]:
-        """Those of echoes that lie in the span of orthonormal rows (M, V)."""
+    @cached_property
+    def _covariances(self) -> tuple[Floats, ...]:
+        """(F, V, V) of the clutter of every disc, of unit power."""
         apart = 2 * np.abs(np.sin((self.direction[:, None] - self.direction) / 2))
         risen = np.subtract.outer(self.height_m, self.height_m) / self.distance_m
-        found = []
-        for radius in CLUTTER_RADII_M:
-            steps = radius * np.sqrt((np.arange(_DISC_RINGS) + 0.5) / _DISC_RINGS)
-            if self.full_turn:
-                row = _j0(self.kappa[:, None, None] * steps[None, :, None] * apart[0]).mean(axis=1)
-                every = np.maximum(np.fft.fft(row, axis=1).real, 0)
-                found.append(Whitener(every[:, self.views - len(rows) :], None))
-                continue
-            covariance = _j0(self.kappa[:, None, None, None] * steps[:, None, None] * apart).mean(axis=1)
-            covariance *= np.exp(-0.5 * (self.kappa[:, None, None] * UPRIGHT_SD_M * risen) ** 2)
-            values, vectors = np.linalg.eigh(rows @ covariance @ rows.T)
-            basis = (np.swapaxes(vectors, 1, 2) @ rows).astype(complex)
-            found.append(Whitener(np.maximum(values, 0), basis))
-        return tuple(found)
+        upright = np.exp(-0.5 * (self.kappa[:, None, None] * UPRIGHT_SD_M * risen) ** 2)
+        kappa, rings = self.kappa[:, None, None, None], _RINGS[:, None, None]
+        return tuple(
+            _j0(kappa * (radius * rings) * apart).mean(axis=1) * upright for radius in CLUTTER_RADII_M
+        )
 
     @cached_property
     def white(self) -> tuple[Complex, ...]:
@@ -232,6 +233,13 @@ class Spectra:
         for f in range(1, len(out)):
             np.multiply(out[f - 1], step, out=out[f])
         return out, range_m
+
+
+def _diagonal(covariance: Floats, rows: Floats) -> Whitener:
+    """A covariance (F, V, V) in the span of orthonormal rows (M, V), in the basis of its eigenvectors."""
+    values, vectors = np.linalg.eigh(rows @ covariance @ rows.T)
+    basis = (np.swapaxes(vectors, 1, 2) @ rows).astype(complex)
+    return Whitener(np.maximum(values, 0), basis)
 
 
 def _rooms(height_m: Floats) -> Floats:
