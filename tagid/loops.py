@@ -13,7 +13,7 @@ LOOPS = {
     "tagid.imaging._kernel": 3,
     "tagid.imaging.ats._field": 1,
     "tagid.reading._evidence": 3,
-    "tagid.reading._sets": 3,
+    "tagid.reading._sets": 4,
     "tagid.reading._sheet": 1,
     "tagid.tags.bodies._arrangements": 1,
     "tagid.tags.bodies._cylinders": 2,

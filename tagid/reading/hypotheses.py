@@ -44,6 +44,8 @@ from tagid.reading.transfers.wall import WALLS
 from tagid.tags.layouts.layout import Layout
 
 TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, *WALLS, *RODS, *SHADES)
+SEARCHED = frozenset((BARE, POINTS, *WALLS[:4], RODS[0], SHADES[1]))
+"""Behind which arrangements are looked for; what is found is tried behind the others, too."""
 MOST_ODD, MOST_ODD_UNTAGGED = 2, 5
 """Odd scatterers beside a tag, and where there is none."""
 MOST_REFLECTORS = 4
@@ -62,8 +64,6 @@ STRAYS_M = (-9e-3, -4.5e-3, 0.0, 4.5e-3, 9e-3)
 """A wall moves the apparent radius of a ring by about so much, m."""
 BESIDE = 3
 """Bodies beside which the best pose of every arrangement is refined."""
-ROUND = np.zeros(2)
-"""Shape of a round body."""
 LOST = 0.01
 """Share of the tags that have lost a reflector."""
 MOST_ALTERED = 3
@@ -133,7 +133,7 @@ class Contest:
         powers = [replace(one.found.powers, clutter=max(one.found.powers.clutter, 1e-3)) for one in bodies]
         shapes = [one.found.x[2:4] for one in bodies]
         starts: list[Candidate] = []
-        for transfer in self.transfers:
+        for transfer in [one for one in self.transfers if one in SEARCHED] or self.transfers:
             model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels, priors=self.priors)
             some = near if transfer.body and body.centre_sd_m < _KNOWN_M else centres
             starts += self._starts(model, some, powers, shapes, wide=2)
@@ -324,7 +324,7 @@ class Contest:
         model: Model,
         centres: Sequence[complex],
         powers: Sequence[Powers],
-        shapes: Sequence[Floats] = (ROUND, ROUND),
+        shapes: Sequence[Floats] = (np.zeros(2), np.zeros(2)),
         stand: Stand | None = None,
         wide: int = 0,
     ) -> list[Candidate]:
@@ -342,7 +342,7 @@ class Contest:
             bodies = [(c, shape[: model.shapes]) for c in centres]
             if model.shapes and stand is None:
                 # A tag that is seen in part looks like an oval body about another centre.
-                bodies += [(c, ROUND) for c in GRID_M[::2]]
+                bodies += [(c, np.zeros(2)) for c in GRID_M[::2]]
             places = [c for c, _ in bodies]
             heads = [np.array([c.real, c.imag, *s]) if stand is None else stand.head(c) for c, s in bodies]
             echoes = [self.spectra.data if stand is None else stand.echo] * len(bodies)

@@ -12,11 +12,11 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import APART_M, REACH_M, Model
 from tagid.reading.descent import Found, Powers, refined, variance
 from tagid.reading.hypothesis import Hypothesis
-from tagid.reading.search import Blocks, Tables, about, grown
+from tagid.reading.search import Blocks, Tables, about, held_in
 from tagid.reading.spectra import Complex, Floats, Spectra, Whitener
 from tagid.reading.transfers.transfer import Transfer
 
-SPOTS, SPOT_M = 200, 7e-3
+SPOTS, SPOT_M = 110, 7e-3
 """Places that are combined, and the grid from which they are chosen, m."""
 KEPT, FITTED = 2, 4
 """The best sets of every number of reflectors, and those of all numbers that are fitted."""
@@ -72,7 +72,7 @@ class Remainder:
 
     def tables(self, columns: Complex, turns: int) -> Tables:
         """Tables of whitened columns (F, N, M), those of a group one after the other."""
-        blocks, step = Blocks(columns[:, :, None], 1, turns), 2 * np.pi / turns
+        blocks, step = Blocks(columns[: held_in(len(columns)), :, None], 1, turns), 2 * np.pi / turns
         base = np.array([self.base])
         return about(blocks, self.data[None], self.held[None], self.power[None], base, step)[0]
 
@@ -91,7 +91,7 @@ def sets(table: Tables, places: Complex, most: int) -> list[tuple[float, Complex
         table: of reflectors at places (N,), x + jy, m.
     """
     clear = np.abs(places[:, None] - places) >= APART_M
-    best = grown(table, np.arange(len(places), dtype=np.int32), clear, clear, most, KEPT)
+    best = table.grown(np.arange(len(places), dtype=np.int32), clear, clear, most, KEPT)
     return [(log, places[chosen]) for log, chosen in best]
 
 

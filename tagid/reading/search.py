@@ -27,12 +27,14 @@ STEP_RAD, COARSE_RAD = np.deg2rad(3.0), np.deg2rad(6.0)
 """Turns of the tables are no farther apart, and starts of free reflectors."""
 COARSE = 2
 """Every so many-th angle of a fine table is a start for free reflectors."""
-GROWN = 40
+GROWN = 24
 """Best sets to which a further reflector is added."""
-FIRST = 1000
-"""Best sets of which unlike ones are kept."""
+UNIT = 8
+"""Frequencies of a vector of the compiled loop; what is left over of full vectors is left out."""
 ROOM = 1e3
 """Amplitude of a room's echo, of which nothing is left then."""
+
+Parts = NDArray[np.float32]
 
 Group = tuple[tuple[float, float, float], ...]
 """Radius, m, angle, rad, and height, m, of reflectors that turn together."""
@@ -42,7 +44,8 @@ Group = tuple[tuple[float, float, float], ...]
 class Blocks:
     """Columns of groups of reflectors, whitened.
 
-    Real and imaginary parts of tables are apart, and the frequencies last, filled up to F, a multiple of 4.
+    Real and imaginary parts of tables are apart, in single precision, and the frequencies last, filled up to
+    F, a multiple of 8.
 
     Attributes:
         columns: (F, B, P, M) of every block.
@@ -61,32 +64,32 @@ class Blocks:
         return [Blocks(part, self.shifts, self.count) for part in parts]
 
     @cached_property
-    def planes(self) -> Floats:
+    def planes(self) -> Parts:
         """(B, P, M, 2, F) of the columns."""
         return _apart(self.columns)
 
-    def against(self, vectors: Complex) -> Floats:
+    def against(self, vectors: Complex) -> Parts:
         """(C, B V, P, J, 2, F) inner products of vectors (F, C, J, M) with all turns of the blocks."""
         f, b, p, m = self.columns.shape
         if self.shifts == 1:
             product = self.columns[:, None] @ np.swapaxes(vectors.conj(), 2, 3)[:, :, None]
             return _apart(product)
-        shape = (vectors.shape[1], b * m, p, vectors.shape[2], 2, -(-f // 4) * 4)
+        shape = (vectors.shape[1], b * m, p, vectors.shape[2], 2, _lanes(f))
         if _sets is None:
             # <q, w shifted by n> = sum over m of conj(q) w exp(-2 pi j m n / V).
             product = self.columns[:, None, :, :, None] * vectors.conj()[:, :, None, None]
             return _apart(np.moveaxis(np.fft.fft(product, axis=-1), 5, 3)).reshape(shape)
-        out = np.empty(shape)
+        out = np.empty(shape, dtype=np.float32)
         _sets.against(self.planes, _apart(vectors), _turn(m), out, shape[-1], b, p, shape[0], shape[3])
         return out
 
     @cached_property
-    def pair(self) -> Floats:
+    def pair(self) -> Parts:
         """(B, B, V, T, 2, F), see `_sets.c`."""
         w = self.columns
         f, b, p, m = w.shape
         row, column = np.tril_indices(p)
-        out = np.zeros((b, b, self.shifts, len(row), 2, -(-f // 4) * 4))
+        out = np.zeros((b, b, self.shifts, len(row), 2, _lanes(f)), dtype=np.float32)
         if self.shifts > 1 and _sets is not None:
             _sets.pairs(self.planes, _turn(m), out, out.shape[-1], b, p)
         elif self.shifts > 1:
@@ -107,7 +110,7 @@ class Blocks:
         return out
 
     @cached_property
-    def own(self) -> Floats:
+    def own(self) -> Parts:
         """(B, T, 2, F), see `_sets.c`."""
         row, column = np.tril_indices(self.columns.shape[2])
         return _apart((self.columns.conj() @ np.swapaxes(self.columns, 2, 3))[:, :, row, column])
@@ -132,17 +135,19 @@ class Tables:
         power: (P, F) prior variances.
         base: log evidence without reflectors, up to what all centres share, nats.
         angles: turns of every group, `step_rad` apart.
-        known: scores of all single reflectors and pairs, once they are known.
+        share: of the frequencies that the tables hold.
+        pairs: log evidences (N, N) of all pairs of N places, once they are known.
     """
 
     blocks: Blocks
-    right: Floats
-    held: Floats
-    power: Floats
+    right: Parts
+    held: Parts
+    power: Parts
     base: float
     angles: int
     step_rad: float
-    known: dict[int, Floats] = field(default_factory=dict)
+    share: float = 1.0
+    pairs: list[Floats] = field(default_factory=list)
 
     def every(self, step: int = 1) -> NDArray[np.int32]:
         """(G, angles) indices of all turns of the groups, or of every so many-th."""
@@ -156,7 +161,7 @@ class Tables:
         blocks = self.blocks.each
         right, held = np.split(self.right, len(blocks)), np.split(self.held, len(blocks))
         return [
-            replace(self, blocks=b, right=r, held=h, known={})
+            replace(self, blocks=b, right=r, held=h, pairs=[])
             for b, r, h in zip(blocks, right, held, strict=True)
         ]
 
@@ -164,16 +169,90 @@ class Tables:
         """(H,) log evidences of sets (H, K) of indices."""
         if not len(sets):
             return np.zeros(0)
-        blocks, chosen = self.blocks, np.ascontiguousarray(sets, dtype=np.int32)
-        b, v = blocks.columns.shape[1], blocks.shifts
+        chosen = np.ascontiguousarray(sets, dtype=np.int32)
         if _sets is None:
-            return self.base + self._scored(chosen, blocks.below(chosen))
+            return self._whole(self._scored(chosen, self.blocks.below(chosen)))
         out = np.empty(len(sets))
+        _sets.scores(*self._parts(chosen.shape[1]), chosen, out, *self._sizes, *chosen.shape)
+        return self._whole(out)
+
+    def _whole(self, gain: Floats) -> Floats:
+        """Log evidences: the frequencies that are left out are supposed to tell as much as the others."""
+        return np.asarray(self.base + gain / self.share)
+
+    def _parts(self, members: int) -> tuple[Parts, ...]:
+        """What the compiled loop takes for sets of so many."""
+        pair = self.blocks.pair if members > 1 else np.zeros(0, dtype=np.float32)
+        return self.blocks.own, pair, self.held, self.right, self.power
+
+    @property
+    def _sizes(self) -> tuple[int, ...]:
         p, j, _, f = self.held.shape[1:]
-        pair = blocks.pair if chosen.shape[1] > 1 else np.zeros(0)
-        parts = blocks.own, pair, self.held, self.right, self.power
-        _sets.scores(*parts, chosen, out, f, b, v, p, j, *chosen.shape)
-        return self.base + out
+        return f, self.blocks.columns.shape[1], self.blocks.shifts, p, j
+
+    def grown(
+        self,
+        ids: NDArray[np.int32],
+        clear: NDArray[np.bool_],
+        unlike: NDArray[np.bool_],
+        most: int,
+        kept: int,
+    ) -> list[tuple[float, NDArray[np.intp]]]:
+        """The best sets of one to `most` reflectors, grown one by one; `kept` of every number.
+
+        Args:
+            ids: (N,) indices of the places.
+            clear: (N, N) places in both of which a reflector may stand.
+            unlike: (N, N) places so far apart that sets which differ in them alone are two.
+            most: 4 or fewer.
+
+        Returns:
+            Log evidences, and positions (K,) among the places.
+        """
+        if _sets is None:
+            return self._grown(ids, clear, unlike, most, kept)
+        known = bool(self.pairs)
+        pairs = self.pairs[0] if known else np.empty((len(ids), len(ids)))
+        best, chosen = np.full((most, kept), -np.inf), np.zeros((most, kept, most), dtype=np.int32)
+        before = *self._parts(most), ids, clear, unlike, pairs, best, chosen
+        _sets.grow(*before, *self._sizes, most, kept, GROWN, known)
+        if most > 1:
+            self.pairs[:] = [pairs]
+        logs = self._whole(best)
+        return [
+            (float(logs[k, i]), chosen[k, i, : k + 1].astype(np.intp))
+            for k in range(most)
+            for i in range(kept)
+            if best[k, i] > -np.inf
+        ]
+
+    def _grown(
+        self,
+        ids: NDArray[np.int32],
+        clear: NDArray[np.bool_],
+        unlike: NDArray[np.bool_],
+        most: int,
+        kept: int,
+    ) -> list[tuple[float, NDArray[np.intp]]]:
+        """The same with numpy."""
+        best: list[tuple[float, NDArray[np.intp]]] = []
+        sets, order = np.arange(len(ids))[:, None], np.zeros(0, dtype=np.intp)
+        for number in range(1, most + 1):
+            if number == 2:
+                sets = np.argwhere(np.triu(clear, 1))
+            elif number > 2:
+                sets = _more(sets[order[:GROWN]], clear)
+            if not len(sets):
+                break
+            scores = self.scores(ids[sets])
+            left = order = np.argsort(-scores, kind="stable")
+            for _ in range(kept):
+                if not len(left):
+                    break
+                best.append((float(scores[left[0]]), sets[left[0]]))
+                if kept > 1:
+                    left = left[unlike[sets[left][:, :, None], sets[left[0]]].all(axis=2).any(axis=1)]
+        return best
 
     def _scored(self, sets: NDArray[np.int32], below: Complex) -> Floats:
         """The same with numpy, from inner products of the sets (H, F, T)."""
@@ -194,27 +273,36 @@ class Tables:
 
 
 @lru_cache(maxsize=4)
-def _turn(views: int) -> Complex:
-    return np.asarray(np.exp(-2j * np.pi * np.arange(views) / views))
+def _turn(views: int) -> NDArray[np.complex64]:
+    return np.asarray(np.exp(-2j * np.pi * np.arange(views) / views), dtype=np.complex64)
 
 
-def _apart(values: Complex) -> Floats:
-    """(.., 2, F) parts of values (F, ..), with zeros up to a multiple of 4."""
+def held_in(frequencies: int) -> int:
+    """How many of the frequencies the tables hold: full vectors, if there is one."""
+    return frequencies // UNIT * UNIT or frequencies
+
+
+def _lanes(frequencies: int) -> int:
+    return -(-frequencies // UNIT) * UNIT
+
+
+def _apart(values: Complex) -> Parts:
+    """(.., 2, F) parts of values (F, ..), with zeros up to full vectors."""
     f = len(values)
-    out = np.zeros((*values.shape[1:], 2, -(-f // 4) * 4))
+    out = np.zeros((*values.shape[1:], 2, _lanes(f)), dtype=np.float32)
     last = np.moveaxis(values, 0, -1)
     out[..., 0, :f], out[..., 1, :f] = last.real, last.imag
     return out
 
 
-def _joined(parts: Floats) -> Complex:
+def _joined(parts: Parts) -> Complex:
     """Values (H, F, ..) of parts (H, .., 2, F)."""
     return np.asarray(np.moveaxis(parts[..., 0, :] + 1j * parts[..., 1, :], -1, 1))
 
 
-def _filled(power: Floats) -> Floats:
+def _filled(power: Floats) -> Parts:
     """(P, F) prior variances; of what the frequencies are filled up with, one."""
-    out = np.ones((len(power), -(-power.shape[1] // 4) * 4))
+    out = np.ones((len(power), _lanes(power.shape[1])), dtype=np.float32)
     out[:, : power.shape[1]] = power
     return out
 
@@ -275,7 +363,7 @@ def _turning(
     root = np.sqrt(1 + clutter * spectra.moving[:, None] * whole.variance)
     columns = np.concatenate([_columns(spectra, transfer, one, fractions, step) for one in groups], axis=1)
     w = whole.apply(columns.reshape(len(columns), -1, views)) / root[:, None]
-    return Blocks(w.reshape(columns.shape), shifts, fractions), root, step
+    return Blocks(w.reshape(columns.shape)[: held_in(len(w))], shifts, fractions), root, step
 
 
 def _columns(spectra: Spectra, transfer: Transfer, group: Group, turns: int, step_rad: float) -> Complex:
@@ -301,11 +389,12 @@ def about(
     blocks: Blocks, data: Complex, held: Complex, power: Floats, base: Floats, step_rad: float
 ) -> list[Tables]:
     """Tables about C centres, of data (C, F, M) and of what is held out (C, F, J, M); others as `Tables`."""
-    right, out = (blocks.against(np.swapaxes(one, 0, 1)) for one in (data[:, :, None], held))
-    right = right[:, :, :, 0] * np.array([[1.0], [-1.0]])
-    angles = blocks.shifts * blocks.count
+    some = len(blocks.columns)
+    right, out = (blocks.against(np.swapaxes(one[:, :some], 0, 1)) for one in (data[:, :, None], held))
+    right = right[:, :, :, 0] * np.array([[1.0], [-1.0]], dtype=np.float32)
+    angles, filled, share = blocks.shifts * blocks.count, _filled(power[:, :some]), some / power.shape[1]
     return [
-        Tables(blocks, r, h, _filled(power), float(b), angles, step_rad)
+        Tables(blocks, r, h, filled, float(b), angles, step_rad, share)
         for r, h, b in zip(right, out, base, strict=True)
     ]
 
@@ -367,53 +456,8 @@ def free(table: Tables, apart_rad: float, most: int, kept: int) -> list[Start]:
     least = max(round(apart_rad / abs(angle[1] - angle[0])), 1)
     gap = np.abs(np.subtract.outer(np.arange(len(ids)), np.arange(len(ids))))
     gap = np.minimum(gap, len(ids) - gap)
-    sets = grown(table, ids, gap >= least, gap >= max(least // 2, 1), most, kept, table.known)
+    sets = table.grown(ids, gap >= least, gap >= max(least // 2, 1), most, kept)
     return [Start(log, tuple(float(a) for a in angle[chosen])) for log, chosen in sets]
-
-
-def grown(
-    table: Tables,
-    ids: NDArray[np.int32],
-    clear: NDArray[np.bool_],
-    unlike: NDArray[np.bool_],
-    most: int,
-    kept: int,
-    known: dict[int, Floats] | None = None,
-) -> list[tuple[float, NDArray[np.intp]]]:
-    """The best sets of one to `most` reflectors, grown one by one; `kept` of every number.
-
-    Args:
-        ids: (N,) indices of the places.
-        clear: (N, N) places in both of which a reflector may stand.
-        unlike: (N, N) places so far apart that sets which differ in them alone are two.
-        known: scores of all single reflectors and of all pairs, by their number; kept for the next call.
-
-    Returns:
-        Log evidences, and positions (K,) among the places.
-    """
-    known = {} if known is None else known
-    best: list[tuple[float, NDArray[np.intp]]] = []
-    sets, order = np.arange(len(ids))[:, None], np.zeros(0, dtype=np.intp)
-    for number in range(1, most + 1):
-        if number == 2:
-            sets = np.argwhere(np.triu(clear))
-        elif number > 2:
-            sets = _more(sets[order[:GROWN]], clear)
-        if not len(sets):
-            break
-        scores = known[number] if number in known else table.scores(ids[sets])
-        if number < 3:
-            known[number] = scores
-        order = np.argpartition(-scores, FIRST)[:FIRST] if len(scores) > FIRST else np.arange(len(scores))
-        order = order[np.argsort(-scores[order])]
-        left = order
-        for _ in range(kept):
-            if not len(left):
-                break
-            best.append((float(scores[left[0]]), sets[left[0]]))
-            if kept > 1:
-                left = left[unlike[sets[left][:, :, None], sets[left[0]]].all(axis=2).any(axis=1)]
-    return best
 
 
 def _more(sets: NDArray[np.intp], clear: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -31,7 +31,7 @@ LONGEST = 1.5
 """Ratio of the half axes of an ellipse, at most, in the search."""
 EVERY = 2
 """Every so many-th frequency is used."""
-_GRID_M, _GRID = 4e-3, 2
+_GRID_M, _GRID = 5e-3, 2
 _FLOOR = 3e-3
 """Share of the echo that a right sheet leaves."""
 _FAINT, GROUPED = 1e-4, 3
@@ -99,7 +99,7 @@ class Seeker:
         self._distance = float(np.exp(round(np.log(spectra.distance_m) / NEARER) * NEARER))
         line = _GRID_M * np.arange(-_GRID, _GRID + 1)
         grid = (line[:, None] + 1j * line).ravel()
-        self._centres = grid[np.abs(grid) < 2.3 * _GRID_M]
+        self._centres = grid[np.abs(grid) < 2.1 * _GRID_M]
         data = spectra.data[::EVERY]
         from_centre = np.abs(spectra.antenna - self._centres[:, None])
         moved = np.exp(1j * self._kappa[:, None, None] * (from_centre - spectra.distance_m))

@@ -22,7 +22,7 @@ from tagid.tags.layouts.layout import Layout
 GUESTS, FOLLOWED, JOINT = 2, 9, 3
 """Arrangements of other hypotheses beside which sheets are looked for, starts that are followed, and those of
 them that are fitted."""
-SHEETS, ALONE, ABOUT = 3, 8, 8
+SHEETS, ALONE, ABOUT = 3, 5, 5
 """Sheets of every kind, those that are fitted alone, and those about which reflectors are looked for."""
 FITTED, FITTED_USUAL = (3, 4), (1, 2)
 """Layouts and free arrangements that are fitted about sheets as they were found, and about usual ones."""
@@ -83,7 +83,7 @@ def explain(
     sheets = [(None, enter(None, found, 0 if i else ODD_ALONE)) for i, (_, found) in enumerate(sheets)]
     joint = []
     for layout, guest in _guests(before):
-        seeker = Seeker(spectra, guest.beside(spectra))
+        seeker = Seeker(spectra, guest.beside(spectra)[:, : len(guest.model.transfer.power)])
         for kind in kinds:
             (start,) = seeker.best(kind, 1)
             model, x = start.begun(guest.model.disc, priors)
