@@ -8,7 +8,7 @@
 #define LANES 8
 #define MOST 32 /* columns or parameters, at most */
 #define UNIT 4  /* doubles of a vector */
-#define LIMITS 6 /* doubles before those of the pairs */
+#define LIMITS 7 /* doubles before those of the pairs */
 
 typedef double Four __attribute__((vector_size(8 * UNIT), aligned(16)));
 typedef struct {

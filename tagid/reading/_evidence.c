@@ -447,7 +447,7 @@ static double limited(const Problem *g, double by, double *slope, double *gradie
 /* The log density of the parameters, with what crowds; adds its slopes where there is a gradient.
  *
  * The limits: largest log density, scale of shapes or 0, the bound of three times their size, both of the radii
- * of free rings, and the standard deviation of all. */
+ * of free rings, the standard deviation of all, and how far out an odd scatterer may stand. */
 static double prior(const Problem *g, double *gradient, double *hessian)
 {
     const int64_t T = g->t;
@@ -486,6 +486,14 @@ static double prior(const Problem *g, double *gradient, double *hessian)
         log_density -= limited(g, by, slope, gradient, hessian);
     }
     place_all(g, place);
+    for (int64_t i = g->k; i < g->k + g->odd; i++) {
+        const double *p = place + 3 * (i + (g->body > 0)), far = hypot(p[0], p[1]), by = unit * (far - limit[6]);
+        if (by <= -NEARLY)
+            continue;
+        memset(slope, 0, sizeof slope);
+        add_place(g, i, unit * p[0] / far, unit * p[1] / far, slope);
+        log_density -= limited(g, by, slope, gradient, hessian);
+    }
     for (int64_t i = 0; i < g->pairs; i++) {
         const int64_t one = g->near[g->k + i], other = g->near[g->k + g->pairs + i], body = g->body > 0;
         const double *p = place + 3 * (one + body), *q = place + 3 * (other + body), dx = p[0] - q[0], dy = p[1] - q[1];

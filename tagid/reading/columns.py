@@ -366,9 +366,10 @@ class Model:
         return float(log - (np.log(SECTORS) if self.hidden[1] else 0.0))
 
     def crowding(self, x: Floats) -> Floats:
-        """(.., N) standard deviations by which points are too close, or rings and shapes are of no tag."""
+        """(.., N) standard deviations by which points are too close or far, or rings, shapes of no tag."""
         first, second, rise, least = pairs(self.tag, self.odd)
-        parts = [np.zeros((*x.shape[:-1], 0))]
+        # Nothing odd stands farther out: a scatterer that is worth nothing would be free to leave.
+        parts = [np.abs(self._spots(x)) - REACH_M]
         if len(first):
             places = np.concatenate([self.places(x), self._spots(x)], axis=-1)
             apart = places[..., first] - places[..., second]

@@ -12,7 +12,7 @@ from reader_scenes import LAYOUTS, spectra_of
 from tagid.reading import descent
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.bounce import BOUNCE_M
-from tagid.reading.columns import Columns, Model
+from tagid.reading.columns import CLOSE_SD_M, REACH_M, Columns, Model
 from tagid.reading.compiled import Compiled
 from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, Powers, _Numpy, descend, variance
 from tagid.reading.spectra import Spectra
@@ -104,6 +104,19 @@ def test_the_compiled_descent_is_that_of_numpy(kind: str, monkeypatch: pytest.Mo
     np.testing.assert_allclose(x, expected, atol=1e-6)
     assert here.log == pytest.approx(there.log, abs=1e-4)
     np.testing.assert_allclose(here.gradient, there.gradient, atol=1e-4 * np.abs(there.gradient).max())
+
+
+@pytest.mark.parametrize("kind", ["body", "plane"])
+def test_an_odd_scatterer_stays_within_reach(kind: str) -> None:
+    spectra, model = SPECTRA["even"], MODELS[kind]
+    x = somewhere(model)
+    x[len(x) - model.spot :][:2] = 0.8 * (REACH_M + 1e-3), 0.6 * (REACH_M + 1e-3)
+    one, other = (way(spectra, model).expanded(x, POWERS, 1e-3) for way in (compiled, _Numpy))
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6 * np.abs(b).max())
+    assert model.crowding(x).max() == pytest.approx(1e-3 / CLOSE_SD_M)
+    end, _ = descend(spectra, model, x, Powers(1e-2), 20)
+    assert np.hypot(*end[len(x) - model.spot :][:2]) < REACH_M + 2 * CLOSE_SD_M
 
 
 @pytest.mark.parametrize("turn", SPECTRA)
