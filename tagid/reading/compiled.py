@@ -198,7 +198,7 @@ def _recording(spectra: Spectra) -> tuple[Floats, list[Floats], list[Complex], l
         np.stack([spectra.kappa, spectra.moving]),
         [pack(one.variance) for one in spectra.whiteners],
         [pack(one) for one in spectra.white],
-        [turn if one.basis is None else pack(one.basis.real) for one in spectra.whiteners],
+        [turn if one.basis is None else pack(one.basis) for one in spectra.whiteners],
     )
 
 

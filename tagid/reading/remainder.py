@@ -72,7 +72,8 @@ class Remainder:
 
     def tables(self, columns: Complex, turns: int) -> Tables:
         """Tables of whitened columns (F, N, M), those of a group one after the other."""
-        blocks, step = Blocks(columns[: held_in(len(columns)), :, None], 1, turns), 2 * np.pi / turns
+        columns = columns[: held_in(len(columns)), :, None].astype(np.complex64)
+        blocks, step = Blocks(columns, 1, turns), 2 * np.pi / turns
         base = np.array([self.base])
         return about(blocks, self.data[None], self.held[None], self.power[None], base, step)[0]
 

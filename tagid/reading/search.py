@@ -72,7 +72,8 @@ class Blocks:
         """(C, B V, P, J, 2, F) inner products of vectors (F, C, J, M) with all turns of the blocks."""
         f, b, p, m = self.columns.shape
         if self.shifts == 1:
-            product = self.columns[:, None] @ np.swapaxes(vectors.conj(), 2, 3)[:, :, None]
+            single = vectors.astype(np.complex64)
+            product = self.columns[:, None] @ np.swapaxes(single.conj(), 2, 3)[:, :, None]
             return _apart(product)
         shape = (vectors.shape[1], b * m, p, vectors.shape[2], 2, _lanes(f))
         if _sets is None:
@@ -361,8 +362,9 @@ def _turning(
     sense = np.sign(np.angle(spectra.antenna[1] / spectra.antenna[0])) if spectra.full_turn else 1
     step = float(sense * 2 * np.pi / (shifts * fractions))
     root = np.sqrt(1 + clutter * spectra.moving[:, None] * whole.variance)
-    columns = np.concatenate([_columns(spectra, transfer, one, fractions, step) for one in groups], axis=1)
-    w = whole.apply(columns.reshape(len(columns), -1, views)) / root[:, None]
+    parts = [_columns(spectra, transfer, one, fractions, step) for one in groups]
+    columns = np.concatenate(parts, axis=1, dtype=np.complex64, casting="same_kind")
+    w = whole.apply(columns.reshape(len(columns), -1, views)) / root[:, None].astype(np.float32)
     return Blocks(w.reshape(columns.shape)[: held_in(len(w))], shifts, fractions), root, step
 
 

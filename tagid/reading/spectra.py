@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from math import sqrt
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ from tagid.imaging.whitening import whitened
 from tagid.tags.bodies.spectra import BAND_SHARE, FREQUENCIES, range_window
 from tagid.tags.reading.views import fold_views
 
+AnyComplex = TypeVar("AnyComplex", np.complex64, np.complex128)
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
 
@@ -45,20 +48,31 @@ class Whitener:
     """
 
     variance: Floats
-    basis: Complex | None
+    basis: Floats | None
 
     def thinned(self, step: int) -> Whitener:
         """The same of every so many-th frequency."""
         basis = None if self.basis is None else self.basis[::step]
         return Whitener(self.variance[::step], basis)
 
-    def apply(self, columns: Complex) -> Complex:
-        """(F, n, M) of columns (F, n, V)."""
+    def apply(self, columns: NDArray[AnyComplex]) -> NDArray[AnyComplex]:
+        """(F, n, M) of columns (F, n, V), in their precision."""
         if self.basis is None:
             views = columns.shape[-1]
             kept = slice(views - self.variance.shape[1], None)
-            return np.asarray(np.fft.fft(columns, axis=-1)[..., kept] / np.sqrt(views))
-        return np.asarray(columns @ np.swapaxes(self.basis, 1, 2))
+            turned = np.fft.fft(columns, axis=-1)[..., kept] / sqrt(views)
+            return np.asarray(turned, dtype=columns.dtype)
+        real = self.basis if columns.dtype == np.complex128 else self._single
+        # Real times real: half of what complex numbers would cost.
+        parts = np.concatenate([columns.real, columns.imag], axis=1) @ np.swapaxes(real, 1, 2)
+        found = np.empty((*columns.shape[:2], real.shape[1]), dtype=columns.dtype)
+        found.real, found.imag = parts[:, : columns.shape[1]], parts[:, columns.shape[1] :]
+        return found
+
+    @cached_property
+    def _single(self) -> NDArray[np.float32]:
+        assert self.basis is not None
+        return self.basis.astype(np.float32)
 
     def adjoint(self, columns: Complex) -> Complex:
         """(F, n, V) of columns (F, n, M): the Hermitian transpose of `apply`."""
@@ -67,7 +81,7 @@ class Whitener:
             full = np.zeros((*columns.shape[:-1], views), dtype=np.complex128)
             full[..., 1:] = columns
             return np.asarray(np.fft.ifft(full, axis=-1) * np.sqrt(views))
-        return np.asarray(columns @ self.basis.conj())
+        return np.asarray(columns @ self.basis)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,8 +252,7 @@ class Spectra:
 def _diagonal(covariance: Floats, rows: Floats) -> Whitener:
     """A covariance (F, V, V) in the span of orthonormal rows (M, V), in the basis of its eigenvectors."""
     values, vectors = np.linalg.eigh(rows @ covariance @ rows.T)
-    basis = (np.swapaxes(vectors, 1, 2) @ rows).astype(complex)
-    return Whitener(np.maximum(values, 0), basis)
+    return Whitener(np.maximum(values, 0), np.swapaxes(vectors, 1, 2) @ rows)
 
 
 def _rooms(height_m: Floats) -> Floats:
