@@ -9,7 +9,7 @@
 #include <string.h>
 
 #define MOST 8    /* columns of a reflector, at most */
-#define MEMBERS 4 /* reflectors of a set that is grown, at most */
+#define MEMBERS 5 /* reflectors of a set that is grown, at most */
 #define GROWN 64  /* sets to which one more is added, at most */
 #define UNIT 8    /* frequencies of a vector */
 #define BELOW(p, q) ((p) * ((p) + 1) / 2 + (q)) /* of a lower triangle */

@@ -104,6 +104,11 @@ class Arrangement:
         )
         return float(log + 0.5 * np.linalg.slogdet(out / (2 * np.pi))[1]), precision
 
+    def resized(self, radius_m: float) -> Arrangement:
+        """The same angles at any distance from the centre, about so much at most, m."""
+        scaled = self.radius_m * (radius_m / self.radius_m.max())
+        return replace(self, radius_m=scaled, free=np.ones(len(self.free), dtype=bool))
+
     def raised(self) -> Arrangement:
         """The same with any heights."""
         return replace(self, lift=np.arange(self.count), tall=True)

@@ -5,7 +5,7 @@ Every hypothesis ends as a `Hypothesis` with its log evidence; `decision` compar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -31,6 +31,7 @@ from tagid.reading.hypothesis import (
 )
 from tagid.reading.odd import OddMap
 from tagid.reading.remainder import anywhere
+from tagid.reading.resized import resized
 from tagid.reading.sheet import KINDS, Kind, SheetModel
 from tagid.reading.signature import EnrolledBody, SignatureModel
 from tagid.reading.signature_search import Poses, altered
@@ -48,7 +49,7 @@ SEARCHED = frozenset((BARE, POINTS, *WALLS[:4], RODS[0], SHADES[1]))
 """Behind which arrangements are looked for; what is found is tried behind the others, too."""
 MOST_ODD, MOST_ODD_UNTAGGED = 2, 5
 """Odd scatterers beside a tag, and where there is none."""
-MOST_REFLECTORS = 4
+MOST_REFLECTORS = 5
 """Reflectors of an arrangement that is not enrolled."""
 FREE_RINGS_M = (0.028, 0.036, 0.045, 0.054, 0.063, 0.072, 0.082, 0.09, 0.1, 0.11)
 """Radii of rings on which an arrangement that is not enrolled is looked for."""
@@ -62,6 +63,10 @@ BODIES_M = (*((c, 0j) for c in GRID_M), *((0j, complex(s)) for ring in SHAPES_M 
 """Centres and shapes of a body that are tried."""
 STRAYS_M = (-9e-3, -4.5e-3, 0.0, 4.5e-3, 9e-3)
 """A wall moves the apparent radius of a ring by about so much, m."""
+ELSEWHERE_M = 3e-3
+"""Reflectors are looked for again where a loud tag has hidden that the centre is farther off than this, m."""
+RESIZED = 3
+"""Layouts that are tried at other distances from the centre, and starts of each."""
 BESIDE = 3
 """Bodies beside which the best pose of every arrangement is refined."""
 LOST = 0.01
@@ -81,12 +86,6 @@ _NEAR_M = tuple(2e-3 * np.exp(1j * np.pi / 3 * np.arange(6)))
 """Steps from a body's centre at which tags are looked for, too."""
 _KNOWN_M = 1.5e-3
 """A body's centre is known well enough for the search where its standard deviation is below."""
-LOOKED_FOR = 4
-"""Bodies beside which an arrangement is looked for that another recording has shown, and starts of it."""
-ON_RING_M = 2e-3
-"""Reflectors whose distances from the centre differ by less stand on a ring, m."""
-TURNS_RAD = tuple(np.deg2rad(np.arange(0, 360, 4)))
-"""At which it is looked for."""
 
 
 @dataclass(eq=False)
@@ -132,17 +131,14 @@ class Contest:
         near = distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
         powers = [replace(one.found.powers, clutter=max(one.found.powers.clutter, 1e-3)) for one in bodies]
         shapes = [one.found.x[2:4] for one in bodies]
-        starts: list[Candidate] = []
-        for transfer in [one for one in self.transfers if one in SEARCHED] or self.transfers:
-            model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels, priors=self.priors)
-            some = near if transfer.body and body.centre_sd_m < _KNOWN_M else centres
-            starts += self._starts(model, some, powers, shapes, wide=2)
-            if transfer.body and len(self._planes) > 2:
-                # Waves that pass tell the height of the plane well enough for what a body does to them.
-                best = max((one for one in starts if one.model.lifts), key=lambda one: one.log)
-                self._planes = list(dict.fromkeys([0.0, float(best.x[-1])]))
-        self._refine(starts, powers)
+        known = body.centre_sd_m < _KNOWN_M
+        self._look(centres, near if known else centres, powers, shapes, GRID_M[::2])
         self._beside_others(shapes)
+        best = max(self.hypotheses, key=lambda one: one.log_z).found
+        if known and min(abs(best.centre - one) for one in near) > ELSEWHERE_M:
+            clear = replace(best.powers, clutter=max(best.powers.clutter, 1e-3))
+            self._look([best.centre], [best.centre], [clear] * 2, [np.zeros(2)] * 2)
+        self._resized()
         self._beside_enrolled()
         self._as_enrolled()
         self._hidden()
@@ -159,6 +155,38 @@ class Contest:
         self._by_hand()
         self.hypotheses = smoothed(self.spectra, self.hypotheses)
         return self.hypotheses
+
+    @property
+    def _searched(self) -> Sequence[Transfer]:
+        return [one for one in self.transfers if one in SEARCHED] or self.transfers
+
+    def _look(
+        self,
+        open_centres: Sequence[complex],
+        centres: Sequence[complex],
+        powers: Sequence[Powers],
+        shapes: Sequence[Floats],
+        others: Sequence[complex] = (),
+    ) -> None:
+        """Reflectors in the open and beside bodies about centres, and beside round ones about others."""
+        starts: list[Candidate] = []
+        for transfer in self._searched:
+            model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels, priors=self.priors)
+            some = centres if transfer.body else open_centres
+            starts += self._starts(model, some, powers, shapes, others, wide=2)
+            if transfer.body and len(self._planes) > 2:
+                # Waves that pass tell the height of the plane well enough for what a body does to them.
+                best = max((one for one in starts if one.model.lifts), key=lambda one: one.log)
+                self._planes = list(dict.fromkeys([0.0, float(best.x[-1])]))
+        self._refine(starts, powers)
+
+    def _resized(self) -> None:
+        """The best layouts at other distances from the centre."""
+        layouts = {one.layout: one for one in reversed(self._best(9, enrolled=True))}
+        for one in list(layouts.values())[-RESIZED:]:
+            starts = resized(self.spectra, self._searched, FREE_RINGS_M, one)
+            for start in sorted(starts, key=lambda start: -start.log)[:RESIZED]:
+                self.grow(self._placed(None, start.model, start.x), self.most_odd)
 
     def _refine(self, starts: list[Candidate], powers: Sequence[Powers]) -> None:
         """The best starts of every kind under the clutter that a body leaves; the best of those wholly."""
@@ -254,7 +282,7 @@ class Contest:
                 head[model.about] = 0.0
             own = replace(model, tag=Arrangement.about(found.places - complex(found.x[0], found.x[1])), odd=0)
             best = refined(self.spectra, own, np.r_[head, np.zeros(own.parameters - model.head)], (None,), 8)
-            self._grow(self.add(None, best), self.most_odd)
+            self.grow(self.add(None, best), self.most_odd)
 
     def _hidden(self) -> None:
         """The best bare tags, not seen from a sector of directions: behind a post or a hand."""
@@ -299,7 +327,7 @@ class Contest:
             logs = [best_powers(self.spectra, own, x, 1e-2)[1] for x in starts]
             for i in np.argsort(logs)[::-1][:2]:
                 best = refined(self.spectra, own, starts[i], (1e-2, None))
-                self._grow(self.add(None, best, one.middle, float(np.log(RAISED))), self.most_odd)
+                self.grow(self.add(None, best, one.middle, float(np.log(RAISED))), self.most_odd)
 
     def _untagged(self) -> list[Hypothesis]:
         """Nothing, and a round body, with clutter of either disc."""
@@ -325,6 +353,7 @@ class Contest:
         centres: Sequence[complex],
         powers: Sequence[Powers],
         shapes: Sequence[Floats] = (np.zeros(2), np.zeros(2)),
+        others: Sequence[complex] = (),
         stand: Stand | None = None,
         wide: int = 0,
     ) -> list[Candidate]:
@@ -332,6 +361,8 @@ class Contest:
 
         Args:
             model: without reflectors.
+            others: centres of bodies that are supposed round: a tag that is seen in part looks like an oval
+                body about another centre.
             stand: an enrolled body in its pose.
             wide: centres and rings of free arrangements.
         """
@@ -340,9 +371,7 @@ class Contest:
         for disc in (0, 1):
             model, shape = replace(model, disc=disc), shapes[disc]
             bodies = [(c, shape[: model.shapes]) for c in centres]
-            if model.shapes and stand is None:
-                # A tag that is seen in part looks like an oval body about another centre.
-                bodies += [(c, np.zeros(2)) for c in GRID_M[::2]]
+            bodies += [(c, np.zeros(2)) for c in others if model.shapes]
             places = [c for c, _ in bodies]
             heads = [np.array([c.real, c.imag, *s]) if stand is None else stand.head(c) for c, s in bodies]
             echoes = [self.spectra.data if stand is None else stand.echo] * len(bodies)
@@ -435,54 +464,6 @@ class Contest:
                     )
         return found
 
-    def look_for(
-        self,
-        layout: Layout | None,
-        tag: Arrangement | None = None,
-        same: Callable[[Hypothesis], bool] | None = None,
-    ) -> Hypothesis:
-        """A layout, or a rigid arrangement that is not enrolled, beside the bodies that explain most.
-
-        Args:
-            same: it is not, which it were with a body in its middle.
-        """
-        bodies: dict[object, Found] = {}
-        for one in sorted(self.hypotheses, key=lambda one: -one.log_z):
-            if not one.found.model.whole and (same is None or not one.found.model.covers_middle):
-                bodies.setdefault((type(one.found.model), one.found.model.transfer), one.found)
-        starts: list[Candidate] = []
-        for found in list(bodies.values())[:LOOKED_FOR]:
-            arranged = None if layout is None else Arranged.of(layout, found.model.covers_middle)
-            own = tag if arranged is None else arranged.tag
-            assert own is not None
-            disc = disc_of(float(own.radius_m.max()))
-            model = replace(found.model, tag=own, odd=0, disc=disc)
-            for turn in TURNS_RAD:
-                x = np.concatenate([found.x[: model.head], [turn, 0.0], np.zeros(model.lifts)])
-                log = best_powers(self.spectra, model, x, 1e-2)[1]
-                starts.append(Candidate(log, layout, model, x, arranged is not None and arranged.middle))
-        starts.sort(key=lambda one: -one.log)
-        before = len(self.hypotheses)
-        for start in starts[:LOOKED_FOR]:
-            found = refined(self.spectra, start.model, start.x, (1e-2, None))
-            self._grow(self.add(layout, found, start.middle), self.most_odd)
-        some = [one for one in self.hypotheses[before:] if same is None or not same(one)]
-        # What another recording has shown is no hypothesis of this one.
-        del self.hypotheses[before:]
-        return smoothed(self.spectra, some)[0]
-
-    def freed(self, one: Hypothesis) -> Hypothesis:
-        """The same reflectors with free angles, on a free ring or anywhere."""
-        found, model = one.found, one.found.model
-        assert model.tag is not None
-        places, rise = found.places - found.centre, float(np.mean(model.heights_of(found.x)[0]))
-        tag = Arrangement.about(places, ON_RING_M)
-        own = replace(model, tag=tag)
-        odd = found.x[len(found.x) - model.spot * model.odd :]
-        x = np.r_[found.x[: model.head], np.zeros(tag.turns + tag.stretches), own.lifts * [rise], odd]
-        freed = refined(self.spectra, own, x, (None,))
-        return smoothed(self.spectra, [Hypothesis(None, freed, freed.log_z)])[0]
-
     def _placed(self, layout: Layout | None, model: Model, x: Floats) -> Hypothesis:
         return self.add(layout, refined(self.spectra, model, x, (1e-2, None)))
 
@@ -508,7 +489,7 @@ class Contest:
         """Thin sheets, alone, beside what the points have shown, and with all that their tables show."""
 
         def enter(layout: Layout | None, found: Found, odd: int) -> Found:
-            return self._grow(self.add(layout, found), odd).found
+            return self.grow(self.add(layout, found), odd).found
 
         sheet_tags.explain(
             self.spectra, self.layouts, self.sheets, tuple(self.hypotheses), enter, self.priors
@@ -523,15 +504,16 @@ class Contest:
         )
         for some, most in kinds:
             for one in some:
-                self._grow(one, most)
+                self.grow(one, most)
 
     def _anywhere(self) -> None:
         """Alike reflectors on no ring, in the open or before a body, and beside what is loudest."""
         for rough in anywhere(self.spectra, self.hypotheses, self._planes[-1], self.most_reflectors):
             best = self.add(None, refined(self.spectra, rough.model, rough.x, (None,)))
-            self._grow(best, self.most_odd - rough.model.odd)
+            self.grow(best, self.most_odd - rough.model.odd)
 
-    def _grow(self, one: Hypothesis, most: int) -> Hypothesis:
+    def grow(self, one: Hypothesis, most: int) -> Hypothesis:
+        """The best of a hypothesis beside up to so many odd scatterers, added while they pay."""
         for _ in range(most):
             place = self._odd.likeliest(one.found)
             if place is None:
@@ -561,7 +543,7 @@ class Contest:
                 lifts = found.x[turns + tag.stretches :][: found.model.lifts]
                 x = np.r_[x, lifts, np.zeros(model.lifts - len(lifts))]
                 best = refined(self.spectra, model, x, (None,))
-                self._grow(self.add(None, best, one.middle), self.most_odd)
+                self.grow(self.add(None, best, one.middle), self.most_odd)
 
     def _about_own_middle(self) -> None:
         """The best layout and an odd scatterer as one tag about their own middle: loud ones move a body's."""
@@ -584,7 +566,7 @@ class Contest:
                 x[:2] = centre.real, centre.imag
                 starts.append((best_powers(self.spectra, model, x, 1e-2)[1], model, x))
             for _, model, x in sorted(starts, key=lambda one: -one[0])[:2]:
-                self._grow(self._placed(None, model, x), self.most_odd)
+                self.grow(self._placed(None, model, x), self.most_odd)
 
     def _by_hand(self) -> None:
         """The best layouts with every reflector a little off its place, as they were glued."""
@@ -596,4 +578,4 @@ class Contest:
             model = replace(model, tag=replace(tag, angle=tag.angle + turn))
             x = np.r_[found.x[: model.head], np.zeros(tag.count), np.full(tag.count, stretch), rest]
             best = self.add(one.layout, refined(self.spectra, model, x, (None,)), one.middle)
-            self._grow(best, self.most_odd - model.odd)
+            self.grow(best, self.most_odd - model.odd)

@@ -8,7 +8,8 @@ the precision of the angles is left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from operator import attrgetter
 
@@ -16,8 +17,11 @@ import numpy as np
 
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.decision import SURE, Decision, decide, has_middle, is_same, settled
+from tagid.reading.descent import Found, best_powers, refined
 from tagid.reading.hypotheses import Contest
-from tagid.reading.hypothesis import Hypothesis, Joint, pose_of
+from tagid.reading.hypothesis import Arranged, Candidate, Hypothesis, Joint, disc_of, pose_of
+from tagid.reading.smooth import smoothed
+from tagid.tags.layouts.layout import Layout
 
 STRANGERS = 3
 """Arrangements of every recording that are not enrolled, which are looked for in the others."""
@@ -28,6 +32,13 @@ REACH = 60.0
 
 ANOTHER = float(np.log(1e-4))
 """Log probability that a recording is of another object than the rest."""
+
+LOOKED_FOR = 4
+"""Bodies beside which an arrangement is looked for that another recording has shown, and starts of it."""
+ON_RING_M = 2e-3
+"""Reflectors whose distances from the centre differ by less stand on a ring, m."""
+TURNS_RAD = tuple(np.deg2rad(np.arange(0, 360, 4)))
+"""At which it is looked for."""
 
 _log_z = attrgetter("log_z")
 
@@ -41,7 +52,7 @@ def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision
     for layout in {
         one.layout.name: one.layout for own in contests for one in own.hypotheses if one.layout
     }.values():
-        known = [_best(own, layout.name) or own.look_for(layout) for own in contests]
+        known = [_best(own, layout.name) or look_for(own, layout) for own in contests]
         named[layout.name] = _sum(known)
     for name in {one.name for own in contests for one in own.hypotheses if one.name and not one.layout}:
         objects = [_best(own, name) for own in contests]
@@ -59,7 +70,7 @@ def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision
     same = _best(clearest, best)
     for contest in contests:
         for one in _shown(contest, best):
-            there = one if contest is clearest else clearest.freed(clearest.look_for(None, _rigid(one)))
+            there = one if contest is clearest else freed(clearest, look_for(clearest, None, _rigid(one)))
             if same is None or not is_same(there, same):
                 others.append(_chain(contests, clearest, there, best))
     others += _mixed(contests, best)
@@ -96,7 +107,7 @@ def _chain(contests: Sequence[Contest], first: Contest, one: Hypothesis, other: 
         named = None if other is None else _best(own, other)
         empty = named is not None and has_middle(named) and not one.found.model.covers_middle
         if own is not first:
-            log += own.look_for(None, tag, partial(is_same, best=named) if empty and named else None).log_z
+            log += look_for(own, None, tag, partial(is_same, best=named) if empty and named else None).log_z
     return Joint(log, one)
 
 
@@ -128,3 +139,53 @@ def _shown(contest: Contest, name: str) -> list[Hypothesis]:
         if all(pose_of(_rigid(other), one.found.places) is None for other in out):
             out.append(one)
     return out[:STRANGERS]
+
+
+def look_for(
+    contest: Contest,
+    layout: Layout | None,
+    tag: Arrangement | None = None,
+    same: Callable[[Hypothesis], bool] | None = None,
+) -> Hypothesis:
+    """A layout, or a rigid arrangement that is not enrolled, beside the bodies that explain most.
+
+    Args:
+        same: it is not, which it were with a body in its middle.
+    """
+    bodies: dict[object, Found] = {}
+    for one in sorted(contest.hypotheses, key=lambda one: -one.log_z):
+        if not one.found.model.whole and (same is None or not one.found.model.covers_middle):
+            bodies.setdefault((type(one.found.model), one.found.model.transfer), one.found)
+    starts: list[Candidate] = []
+    for found in list(bodies.values())[:LOOKED_FOR]:
+        arranged = None if layout is None else Arranged.of(layout, found.model.covers_middle)
+        own = tag if arranged is None else arranged.tag
+        assert own is not None
+        disc = disc_of(float(own.radius_m.max()))
+        model = replace(found.model, tag=own, odd=0, disc=disc)
+        for turn in TURNS_RAD:
+            x = np.concatenate([found.x[: model.head], [turn, 0.0], np.zeros(model.lifts)])
+            log = best_powers(contest.spectra, model, x, 1e-2)[1]
+            starts.append(Candidate(log, layout, model, x, arranged is not None and arranged.middle))
+    starts.sort(key=lambda one: -one.log)
+    before = len(contest.hypotheses)
+    for start in starts[:LOOKED_FOR]:
+        found = refined(contest.spectra, start.model, start.x, (1e-2, None))
+        contest.grow(contest.add(layout, found, start.middle), contest.most_odd)
+    some = [one for one in contest.hypotheses[before:] if same is None or not same(one)]
+    # What another recording has shown is no hypothesis of this one.
+    del contest.hypotheses[before:]
+    return smoothed(contest.spectra, some)[0]
+
+
+def freed(contest: Contest, one: Hypothesis) -> Hypothesis:
+    """The same reflectors with free angles, on a free ring or anywhere."""
+    found, model = one.found, one.found.model
+    assert model.tag is not None
+    places, rise = found.places - found.centre, float(np.mean(model.heights_of(found.x)[0]))
+    tag = Arrangement.about(places, ON_RING_M)
+    own = replace(model, tag=tag)
+    odd = found.x[len(found.x) - model.spot * model.odd :]
+    x = np.r_[found.x[: model.head], np.zeros(tag.turns + tag.stretches), own.lifts * [rise], odd]
+    freed = refined(contest.spectra, own, x, (None,))
+    return smoothed(contest.spectra, [Hypothesis(None, freed, freed.log_z)])[0]

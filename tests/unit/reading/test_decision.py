@@ -44,7 +44,7 @@ STRANGERS = {
     "another angle": (ring(0, 130), "2 reflectors"),
     "another radius": (ring(0, 180, radius_m=0.07), "2 reflectors 1"),
     "one more": (np.concatenate([ring(0, 90), [[-0.09, -0.02]]]), "3 reflectors"),
-    "one less": (ring(0, 120, radius_m=0.11), "2 reflectors 120 degrees apart, 1"),
+    "one less": (ring(0, 120, radius_m=0.11), "2 reflectors 1"),
     "one": (ring(0), "one reflector"),
     "on no ring": (np.array([[0.09, 0.03], [-0.05, 0.03], [0.02, -0.05], [-0.03, -0.11]]), "4 reflectors"),
 }
