@@ -16,7 +16,8 @@ typedef struct {
 } Lanes;
 
 typedef struct {
-    const double *views;   /* (5, V) antenna x, y, height, direction, and 0 where reflectors are hidden */
+    const double *views;   /* (5 + odd, V) antenna x, y, height, direction, 0 where reflectors are hidden, and how
+                              much is seen of every odd scatterer */
     const double *kappa;   /* (2, F) kappa and moving energy */
     const double *clutter; /* (F, M) variance of unit clutter */
     const double *white;   /* (F, M) complex: whitened data */
@@ -213,7 +214,9 @@ INLINE void prepare(const Problem *g, const Work *w)
     const double first = g->kappa[0], between = g->f > 1 ? g->kappa[1] - g->kappa[0] : 0.0;
     double place[3 * MOST];
     place_all(g, place);
+    const int64_t first_odd = g->sources - g->odd;
     for (int64_t s = 0; s < g->sources; s++) {
+        const double *seen = g->views + (s < first_odd ? 0 : 5 + s - first_odd) * V;
         const double px = place[3 * s], py = place[3 * s + 1], pz = place[3 * s + 2];
         double *restrict range = w->range + s * V, *restrict toward = w->toward + 3 * s * V;
         double *restrict wave = w->wave + 2 * s * V, *restrict step = w->step + 2 * s * V;
@@ -221,7 +224,7 @@ INLINE void prepare(const Problem *g, const Work *w)
         for (int64_t v = 0; v < V; v++) {
             const double dx = px - ax[v], dy = py - ay[v], dz = az[v] - pz;
             const double r = sqrt(dx * dx + dy * dy + dz * dz), path = r - g->distance;
-            const double loss = g->distance / r * (g->distance / r);
+            const double loss = g->distance / r * (g->distance / r) * (s < first_odd ? 1.0 : seen[v]);
             double re, im;
             range[v] = r, toward[v] = dx / r, toward[V + v] = dy / r, toward[2 * V + v] = -dz / r;
             wave_of(first * path, &re, &im);

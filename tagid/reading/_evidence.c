@@ -638,7 +638,8 @@ static int taken_problem(PyObject *args, Held *held, Problem *g, int one, Descen
                           &way->enough))
         return 0;
     g->body = body, g->p = patterns, g->bounces = bounces, g->odd = odd, g->spot = spot;
-    if (!(g->views = take(held, o[0], -1, 0)) || (g->v = taken(held) / 40) < 1)
+    if (!(g->views = take(held, o[0], -1, 0)) || (g->v = odd < 0 ? 0 : taken(held) / (40 + 8 * odd)) < 1 ||
+        taken(held) != (40 + 8 * odd) * g->v)
         return refused("views");
     if (!taken_recording(held, o + 1, g))
         return 0;

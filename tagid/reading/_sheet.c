@@ -25,7 +25,7 @@
 typedef double Four __attribute__((vector_size(8 * UNIT), aligned(8)));
 
 typedef struct {
-    const double *views;      /* (3, V) antenna x, y, height */
+    const double *views;      /* (3 + odd, V) antenna x, y, height, and how much is seen of odd scatterers */
     const double *wavenumber; /* (F,) equally spaced */
     const double *unit;       /* (2, N) the first quadrant of the contour, over the half sizes */
     const double *table;      /* (entries, 2) G at equally spaced arguments */
@@ -316,7 +316,9 @@ INLINE void prepare_reflectors(const Sheet *g, const Work *w)
             const int64_t of = v < g->v ? v : 0;
             const double dx = g->views[of] - to[0], dy = g->views[g->v + of] - to[1];
             const double dz = g->views[2 * g->v + of] - to[2], flat = sqrt(dx * dx + dy * dy);
-            const double whole = sqrt(flat * flat + dz * dz), loss = g->distance / whole * (g->distance / whole);
+            const double seen = k < g->k ? 1.0 : g->views[(3 + k - g->k) * g->v + of];
+            const double whole = sqrt(flat * flat + dz * dz);
+            const double loss = g->distance / whole * (g->distance / whole) * seen;
             double re, im;
             source[v] = flat, source[V + v] = dx / flat, source[2 * V + v] = dy / flat, source[3 * V + v] = whole;
             wave_of(2.0 * g->wavenumber[0] * (whole - g->distance), &re, &im);
@@ -783,7 +785,8 @@ static PyObject *columns(PyObject *self, PyObject *args)
                           o + 9, &g.distance, &g.aspect_m, &g.from, &g.step, &round, &odd, &aspects))
         return NULL;
     g.round = round, g.odd = odd, g.q = PADDED(aspects);
-    if (!(g.views = take(&held, o[0], -1, 0)) || (g.v = taken(&held) / 24) < 1 ||
+    if (!(g.views = take(&held, o[0], -1, 0)) || (g.v = odd < 0 ? 0 : taken(&held) / (24 + 8 * odd)) < 1 ||
+        taken(&held) != (24 + 8 * odd) * g.v ||
         !(g.wavenumber = take(&held, o[1], -1, 0)) || (g.f = taken(&held) / 8) < 1 ||
         !(g.unit = take(&held, o[2], -1, 0)) || (g.n = taken(&held) / 16) < 1 || g.n > MOST_CELLS ||
         !(g.table = take(&held, o[3], -1, 0)) || (g.entries = taken(&held) / 16) < 2 ||

@@ -45,8 +45,19 @@ SECTORS = 36
 """Sectors, starts times widths, of which one may be hidden."""
 _CROWDED_M = 1e-5
 """Finite differences of what crowds, m or rad."""
-ODD_POWER = 0.1
-"""Prior power of an odd scatterer, over the moving energy."""
+ODD_POWER, FACE_POWER = 0.1, 1.0
+"""Prior powers of an odd scatterer and of a face, which is loud where it is seen, over the moving energy."""
+FACES = 0.25
+"""Share of the odd scatterers that are faces of a width."""
+
+Face = tuple[float, float]
+"""Direction from which a face is seen best, and standard deviation of those from which it is seen, rad."""
+
+
+def seen_of(face: Face, direction: Floats) -> Floats:
+    """How much of a face is seen from directions, rad."""
+    off = np.angle(np.exp(1j * (direction - face[0])))
+    return np.asarray(np.exp(-0.5 * (off / face[1]) ** 2))
 
 
 def nearest_ring(radius_m: float) -> float:
@@ -124,6 +135,7 @@ class Model:
         levels: heights at which the antenna stood. From one, a lift of all changes no echo but for its phase,
             which the amplitudes have free: then there is none unless the heights of the tag differ.
         priors: of centre and mounting.
+        faces: of the odd scatterers that are seen from a side alone: a flat wall, a handle.
     """
 
     transfer: Transfer
@@ -134,6 +146,7 @@ class Model:
     hidden: tuple[float, float] = (0.0, 0.0)
     levels: int = 1
     priors: Priors = Priors()
+    faces: tuple[Face | None, ...] = ()
 
     @property
     def body_parameters(self) -> int:
@@ -228,9 +241,22 @@ class Model:
         """(V,) whether the reflectors are seen from directions (V,), rad."""
         return np.mod(direction - self.hidden[0], 2 * np.pi) >= self.hidden[1]
 
-    def with_odd(self, count: int) -> Self:
-        """The same beside so many odd scatterers."""
-        return replace(self, odd=count)
+    def and_odd(self, face: Face | None = None) -> Self:
+        """The same beside one odd scatterer more."""
+        return replace(self, odd=self.odd + 1, faces=(*self._faces, face))
+
+    @property
+    def _faces(self) -> tuple[Face | None, ...]:
+        """One for each odd scatterer."""
+        return (self.faces + (None,) * self.odd)[: self.odd]
+
+    def windows(self, direction: Floats) -> Floats:
+        """(odd, V) how much of every odd scatterer is seen from directions (V,), rad."""
+        seen = np.ones((self.odd, len(direction)))
+        for row, face in zip(seen, self._faces, strict=True):
+            if face is not None:
+                row[:] = seen_of(face, direction)
+        return seen
 
     def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:
         """Centre, turns, stretches and odd places of parameters."""
@@ -290,7 +316,7 @@ class Model:
             parts += [tag * p for p in self.transfer.power]
             parts += [tag * BOUNCE**2] * self.bounces
             parts += [min(tag, STRONGEST) * self.transfer.power[0] * UNLIKE**2] * self.unlike
-        parts += [ODD_POWER] * self.odd
+        parts += [ODD_POWER if face is None else FACE_POWER for face in self._faces]
         return np.asarray(moving[:, None] * np.array(parts))
 
     @cached_property
@@ -363,6 +389,7 @@ class Model:
             log -= self.tag.turns * np.log(2 * np.pi)
             log -= self.tag.free.sum() * np.log(np.ptp(RING_M)) - _log_factorial(self.tag.turns)
         log -= self.odd * np.log(np.pi * REACH_M**2) - _log_factorial(self.odd)
+        log += float(np.log(FACES)) * sum(face is not None for face in self._faces)
         return float(log - (np.log(SECTORS) if self.hidden[1] else 0.0))
 
     def crowding(self, x: Floats) -> Floats:
@@ -439,6 +466,7 @@ class Columns:
         k = 0 if tag is None else tag.count
         heights[body : body + k], heights[body + k :] = model.heights_of(x)
         waves, range_m = spectra.waves(places, heights)
+        waves[:, body + k :] *= model.windows(spectra.direction)
         toward = (places[:, None] - spectra.antenna) / range_m
         up = (heights[:, None] - spectra.height_m) / range_m
         parts, pattern, turned, oval, bounce = [], None, None, None, None

@@ -54,7 +54,8 @@ class Compiled:
         body = model.body_columns
         shared = kappa, clutter[model.disc], white[model.disc], bases[model.disc]
         prior = np.concatenate([model.pull, model.precision[None]]), *_limits(model)
-        self._before = (np.stack([*place, seen.astype(float)]), *shared, reflectors, groups, tables, *prior)
+        views = np.concatenate([np.stack([*place, seen.astype(float)]), model.windows(spectra.direction)])
+        self._before = (views, *shared, reflectors, groups, tables, *prior)
         numbers = body, len(transfer.power), model.bounces, model.odd, model.spot
         self._after = (spectra.distance_m, BOUNCE_M, TOUCH_M, *numbers)
 
@@ -105,6 +106,7 @@ class Compiled:
             model.transfer.power,
             model.body_columns,
             model.unlike,
+            tuple(face is None for face in model.faces[: model.odd]),
             model.odd,
             model.bounces,
             model.tagged,

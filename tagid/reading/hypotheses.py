@@ -515,10 +515,11 @@ class Contest:
     def grow(self, one: Hypothesis, most: int) -> Hypothesis:
         """The best of a hypothesis beside up to so many odd scatterers, added while they pay."""
         for _ in range(most):
-            place = self._odd.likeliest(one.found)
-            if place is None:
+            likeliest = self._odd.likeliest(one.found)
+            if likeliest is None:
                 break
-            model = one.found.model.with_odd(one.found.model.odd + 1)
+            place, face = likeliest
+            model = one.found.model.and_odd(face)
             x = np.append(one.found.x, place)
             found = refined(self.spectra, model, x, (None,), 8)
             if found.log_z < one.found.log_z + 1:

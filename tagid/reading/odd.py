@@ -1,4 +1,7 @@
-"""Where an odd scatterer stands most likely beside a hypothesis: a handle, a seam, a screw, dirt."""
+"""Where an odd scatterer stands most likely beside a hypothesis: a handle, a seam, a flat wall, dirt.
+
+A face is seen from about its normal alone, which is supposed to point away from the axis.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.reading.columns import CLOSEST_M, ODD_POWER, OWN_SD_M, REACH_M
+from tagid.reading.columns import CLOSEST_M, FACE_POWER, FACES, ODD_POWER, OWN_SD_M, REACH_M, Face, seen_of
 from tagid.reading.descent import Found, variance
 from tagid.reading.spectra import Complex, Floats, Spectra
 
@@ -15,6 +18,10 @@ GAIN = -3.0
 """Nats that a place adds at least before it is refined: the map is coarse, and its clutter not yet less."""
 _OUT_M, _ALONG_M = 0.007, 0.008
 """Steps of the map outward and along its rings."""
+WIDTHS_RAD = (0.12, 0.3)
+"""Widths of faces that are tried."""
+_FACES_FROM_M = 0.015
+"""Nearer to the axis no face is looked for."""
 
 
 class OddMap:
@@ -29,6 +36,9 @@ class OddMap:
         """(F, Q, M) conjugate columns of the places in the basis of a clutter's disc, and their energy."""
         if disc not in self._spots:
             waves, _ = self._spectra.waves(*self._spots_of)
+            for i, face in enumerate(self._faces):
+                if face is not None:
+                    waves[:, i] *= seen_of(face, self._spectra.direction)
             spots = self._spectra.whiteners[disc].apply(waves).conj().astype(np.complex64)
             self._spots[disc] = spots, spots.real**2 + spots.imag**2
         return self._spots[disc]
@@ -43,12 +53,19 @@ class OddMap:
 
     @cached_property
     def _spots_of(self) -> tuple[Complex, Floats]:
-        """(Q,) places of the map, x + jy, and their heights, m."""
-        rises = self._spectra.rises(2 * OWN_SD_M)
-        return np.tile(_places(), len(rises)), np.repeat(rises, len(_places()))
+        """(Q,) places of the map, x + jy, and their heights, m: of points, then of faces of every width."""
+        rises, faces = self._spectra.rises(2 * OWN_SD_M), np.tile(_outside(), len(WIDTHS_RAD))
+        places = np.concatenate([np.tile(_places(), len(rises)), faces])
+        return places, np.append(np.repeat(rises, len(_places())), np.zeros(len(faces)))
 
-    def likeliest(self, found: Found) -> Floats | None:
-        """The parameters that add most evidence to a hypothesis; None where none adds `GAIN`."""
+    @cached_property
+    def _faces(self) -> list[Face | None]:
+        """One for every place of the map."""
+        points = len(self._spots_of[0]) - len(WIDTHS_RAD) * len(_outside())
+        return [None] * points + [(float(np.angle(one)), width) for width in WIDTHS_RAD for one in _outside()]
+
+    def likeliest(self, found: Found) -> tuple[Floats, Face | None] | None:
+        """The parameters and the face that add most evidence to a hypothesis; None where none adds `GAIN`."""
         spectra, model, (places, heights) = self._spectra, found.model, self._spots_of
         spots, _ = self._whitened(model.disc)
         lam = variance(spectra, model, found.powers.clutter)
@@ -64,13 +81,22 @@ class OddMap:
         product = spots @ np.swapaxes(against.astype(np.complex64), 1, 2)
         product = product.real**2 + product.imag**2
         size = self._size(model.disc, lam) - product[..., :-1].sum(axis=-1)
-        prior = (ODD_POWER * spectra.moving)[:, None]
+        is_face = np.array([face is not None for face in self._faces])
+        prior = np.where(is_face, FACE_POWER, ODD_POWER) * spectra.moving[:, None]
         gain = (product[..., -1] / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0)
+        gain += np.log(FACES) * is_face
         used = np.concatenate([found.places, found.odd])
         gain[(np.abs(places[:, None] - used) < CLOSEST_M).any(axis=1)] = -np.inf
         best = int(gain.argmax())
         spot = np.array([places[best].real, places[best].imag, heights[best]])
-        return spot[: model.spot] if gain[best] > GAIN else None
+        return (spot[: model.spot], self._faces[best]) if gain[best] > GAIN else None
+
+
+@cache
+def _outside() -> Complex:
+    """Those of the map at which faces are looked for, every other one: they are wide along their rings."""
+    places = _places()
+    return np.asarray(places[np.abs(places) > _FACES_FROM_M][::2])
 
 
 @cache

@@ -259,6 +259,7 @@ class SheetColumns:
         if len(tag) + len(odd):
             seen = _reflectors(view, self.spectra, x, np.concatenate([tag, odd]), model.heights)
             parts += [seen[:, : len(tag)].sum(axis=1, keepdims=True)] if len(tag) else []
+            seen[:, len(tag) :] *= model.windows(self.spectra.direction)
             parts.append(seen[:, 0 if model.unlike else len(tag) :])
         return np.concatenate(parts, axis=1)
 
@@ -300,9 +301,11 @@ class SheetColumns:
                     out[row, :, OBLIQUITIES] += moved
                     if model.unlike:
                         out[row, :, OBLIQUITIES + 1 + i] += moved
+        windows = model.windows(spectra.direction)
         for i in range(len(odd)):
             row, column = len(x) - 2 * len(odd) + 2 * i, i - len(odd)
-            out[row, :, column], out[row + 1, :, column] = along_x[:, count + i], along_y[:, count + i]
+            out[row, :, column] = along_x[:, count + i] * windows[i]
+            out[row + 1, :, column] = along_y[:, count + i] * windows[i]
         return out
 
     def slopes(self, weights: Complex) -> Complex:
@@ -320,7 +323,8 @@ def _handed(spectra: Spectra, model: SheetModel) -> tuple[tuple[object, ...], tu
     if model.tag is not None:
         tag[:] = model.tag.radius_m, model.tag.angle, model.tag.height_m
         groups[:] = model.tag.turn, model.tag.stretch
-    views = np.stack([spectra.antenna.real, spectra.antenna.imag, spectra.height_m])
+    place = np.stack([spectra.antenna.real, spectra.antenna.imag, spectra.height_m])
+    views = np.concatenate([place, model.windows(spectra.direction)])
     away = float(np.abs(spectra.antenna).mean())
     before = views, spectra.kappa / 2, np.stack([unit.real, unit.imag]), table, tag, groups
     is_round = int(model.kind.shell is EllipticShell)

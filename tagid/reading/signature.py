@@ -164,7 +164,16 @@ class SignatureModel(Model):
     @cached_property
     def rest(self) -> Model:
         """What stands beside the body."""
-        return Model(_alone(self.transfer), self.tag, False, self.disc, self.odd, self.hidden, self.levels)
+        return Model(
+            _alone(self.transfer),
+            self.tag,
+            False,
+            self.disc,
+            self.odd,
+            self.hidden,
+            self.levels,
+            faces=self.faces,
+        )
 
     def error(self, spectra: Spectra) -> Floats | float:
         """(F, M) variance of what differs from the enrolled echo."""

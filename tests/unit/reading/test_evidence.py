@@ -14,7 +14,8 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.bounce import BOUNCE_M
 from tagid.reading.columns import CLOSE_SD_M, REACH_M, Columns, Model
 from tagid.reading.compiled import Compiled
-from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, Powers, _Numpy, descend, variance
+from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, Powers, _Numpy, descend, refined, variance
+from tagid.reading.odd import OddMap
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE
 from tagid.reading.transfers.rod import RODS
@@ -40,6 +41,7 @@ MODELS = {
     "lifted": Model(BARE, FREE, False, 0, odd=2, levels=2),
     "tall": Model(BARE, LAYOUT.raised(), False, 1, odd=1),
     "glued": Model(SHADES[1], LAYOUT.by_hand(), True, 0, odd=1),
+    "face": Model(SHADES[1], LAYOUT, True, 0, odd=2, faces=(None, (0.7, 0.3))),
     "hidden": Model(BARE, FREE, False, 0, odd=1, hidden=(1.0, 2.0)),
 }
 POWERS = (100.0, 0.3, 1e-3)
@@ -75,7 +77,9 @@ def test_the_compiled_likelihood_is_that_of_numpy(turn: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("turn", SPECTRA)
-@pytest.mark.parametrize("kind", ["body", "layout", "free", "glued", "hidden", "plane", "lifted", "tall"])
+@pytest.mark.parametrize(
+    "kind", ["body", "layout", "free", "glued", "face", "hidden", "plane", "lifted", "tall"]
+)
 @pytest.mark.parametrize("way", [compiled, _Numpy])
 def test_the_gradient_is_that_of_finite_differences(
     turn: str, kind: str, way: type[Compiled] | type[_Numpy]
@@ -183,3 +187,23 @@ def test_a_tag_that_was_glued_by_hand_has_a_density_that_sums_to_one() -> None:
     turned = np.exp(-0.5 * precision[1, 1] * apart**2).sum() * (apart[1] - apart[0]) * 2 * np.pi
     outward = 2 * np.pi / np.sqrt(np.linalg.det(precision[2:, 2:]))
     assert np.exp(log) * turned * outward == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_flat_wall_is_found_as_a_face() -> None:
+    empty = spectra_of("container-90", views=36)
+    wall = Model(BARE, None, False, 0, odd=1, faces=((0.8, 0.2),))
+    place = 0.05 * np.exp(0.8j)
+    column = wall.at(empty, np.array([0.0, 0.0, place.real, place.imag]), slopes=False).values[:, 0]
+    assert np.abs(column[0, np.abs(empty.direction - 0.8) > 1.0]).max() < 1e-3
+    rng = np.random.default_rng(1)
+    noise = rng.standard_normal((2, *column.shape))
+    data = 20 * column + (noise[0] + 1j * noise[1]) / np.sqrt(2)
+    spectra = replace(empty, data=data - data.mean(axis=1, keepdims=True))
+    nothing = refined(spectra, Model(BARE, None, False, 0), np.zeros(2), (None,))
+    spot, face = OddMap(spectra).likeliest(nothing) or (np.zeros(2), None)
+    assert face is not None and face[0] == pytest.approx(0.8, abs=0.2)
+    found = refined(spectra, nothing.model.and_odd(face), np.append(nothing.x, spot), (None,))
+    # How far out it lies shows in the phases alone, and hardly: amplitudes are free at every frequency.
+    assert np.angle(found.odd[0]) == pytest.approx(0.8, abs=0.1)
+    point = refined(spectra, nothing.model.and_odd(), np.append(nothing.x, spot), (None,))
+    assert found.log_z > point.log_z + 50

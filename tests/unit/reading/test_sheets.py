@@ -48,9 +48,10 @@ def explained(folder: str, name: str) -> tuple[Hypothesis, ...]:
 TAGGED = replace(
     SheetModel.of(SHELL, (0.07, 0.08), 1),
     tag=Arrangement.of_layout(LAYOUTS["helmet-120"].positions, LAYOUTS["helmet-120"].heights),
-    odd=1,
+    odd=2,
+    faces=((1.0, 0.3), None),
 )
-X = np.array([8e-3, -6e-3, 0.3, -0.05, 0.1, 0.05, 1e-3, 2e-3, 0.7, 5e-4, 0.03, 0.05])
+X = np.array([8e-3, -6e-3, 0.3, -0.05, 0.1, 0.05, 1e-3, 2e-3, 0.7, 5e-4, 0.06, 0.09, 0.03, 0.05])
 
 
 @pytest.mark.parametrize("compiled", [True, False])
