@@ -112,10 +112,12 @@ class Priors:
     Attributes:
         centre_m: standard deviation of its centre about the axis, per coordinate, m.
         mounting_m: standard deviation of a reflector's distance from the centre as enrolled, m.
+        reach_m: odd scatterers stand within this of the axis, m.
     """
 
     centre_m: float = CENTRE_SD_M
     mounting_m: float = MOUNTING_SD_M
+    reach_m: float = REACH_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,7 +334,8 @@ class Model:
             sds += [np.ptp(RING_M) / np.sqrt(12) if free else mounting for free in self.tag.free]
             common = np.bincount(self.tag.lift) > 1
             sds += [PLANE_SD_M if several else OWN_SD_M for several in common[: self.lifts]]
-        return np.array(sds + [REACH_M / 2, REACH_M / 2, OWN_SD_M][: self.spot] * self.odd)
+        spot = [self.priors.reach_m / 2, self.priors.reach_m / 2, OWN_SD_M][: self.spot]
+        return np.array(sds + spot * self.odd)
 
     @cached_property
     def _normal(self) -> NDArray[np.bool_]:
@@ -388,7 +391,7 @@ class Model:
         elif self.tag is not None:
             log -= self.tag.turns * np.log(2 * np.pi)
             log -= self.tag.free.sum() * np.log(np.ptp(RING_M)) - _log_factorial(self.tag.turns)
-        log -= self.odd * np.log(np.pi * REACH_M**2) - _log_factorial(self.odd)
+        log -= self.odd * np.log(np.pi * self.priors.reach_m**2) - _log_factorial(self.odd)
         log += float(np.log(FACES)) * sum(face is not None for face in self._faces)
         return float(log - (np.log(SECTORS) if self.hidden[1] else 0.0))
 
@@ -396,7 +399,7 @@ class Model:
         """(.., N) standard deviations by which points are too close or far, or rings, shapes of no tag."""
         first, second, rise, least = pairs(self.tag, self.odd)
         # Nothing odd stands farther out: a scatterer that is worth nothing would be free to leave.
-        parts = [np.abs(self._spots(x)) - REACH_M]
+        parts = [np.abs(self._spots(x)) - self.priors.reach_m]
         if len(first):
             places = np.concatenate([self.places(x), self._spots(x)], axis=-1)
             apart = places[..., first] - places[..., second]

@@ -182,7 +182,8 @@ def _limits(model: Model) -> tuple[NDArray[np.int64], Floats]:
     first, second, rise, least = pairs(model.tag, model.odd)
     free = np.zeros(0) if model.tag is None else model.tag.free[model.tag.stretch]
     inside = REACH_M if model.tag is None else float(model.tag.radius_m.max())
-    bounds = [model.log_at_mean, SHAPE_M if model.shapes else 0.0, inside, *RING_M, CLOSE_SD_M, REACH_M]
+    scale, reach = SHAPE_M if model.shapes else 0.0, model.priors.reach_m
+    bounds = [model.log_at_mean, scale, inside, *RING_M, CLOSE_SD_M, reach]
     return np.concatenate([free, first, second]).astype(np.int64), np.concatenate([bounds, rise, least])
 
 

@@ -172,6 +172,7 @@ class SignatureModel(Model):
             self.odd,
             self.hidden,
             self.levels,
+            priors=self.priors,
             faces=self.faces,
         )
 
