@@ -54,15 +54,22 @@ class OddMap:
     @cached_property
     def _spots_of(self) -> tuple[Complex, Floats]:
         """(Q,) places of the map, x + jy, and their heights, m: of points, then of faces of every width."""
-        rises, faces = self._spectra.rises(2 * OWN_SD_M), np.tile(_outside(), len(WIDTHS_RAD))
+        rises, faces = self._spectra.rises(2 * OWN_SD_M), np.tile(_outside(), len(self._widths))
         places = np.concatenate([np.tile(_places(), len(rises)), faces])
         return places, np.append(np.repeat(rises, len(_places())), np.zeros(len(faces)))
 
     @cached_property
     def _faces(self) -> list[Face | None]:
         """One for every place of the map."""
-        points = len(self._spots_of[0]) - len(WIDTHS_RAD) * len(_outside())
-        return [None] * points + [(float(np.angle(one)), width) for width in WIDTHS_RAD for one in _outside()]
+        points = len(self._spots_of[0]) - len(self._widths) * len(_outside())
+        angles = np.angle(_outside()).tolist()
+        return [None] * points + [(angle, width) for width in self._widths for angle in angles]
+
+    @cached_property
+    def _widths(self) -> list[float]:
+        """Those of faces that are half seen over more than views are apart: one alone may be anything."""
+        apart = float(np.median(np.diff(np.sort(self._spectra.direction))))
+        return [width for width in WIDTHS_RAD if 2 * np.sqrt(2 * np.log(2)) * width > apart]
 
     def likeliest(self, found: Found) -> tuple[Floats, Face | None] | None:
         """The parameters and the face that add most evidence to a hypothesis; None where none adds `GAIN`."""
