@@ -514,17 +514,24 @@ class Contest:
 
     def grow(self, one: Hypothesis, most: int) -> Hypothesis:
         """The best of a hypothesis beside up to so many odd scatterers, added while they pay."""
+        best = self._grown(one, most)
+        if any(best.found.model.faces[one.found.model.odd :]):
+            # A face that pays most at first may stand where several points pay more.
+            best = max(best, self._grown(one, most, faces=False), key=lambda one: one.log_z)
+        return best
+
+    def _grown(self, one: Hypothesis, most: int, *, faces: bool = True) -> Hypothesis:
         for _ in range(most):
-            likeliest = self._odd.likeliest(one.found)
-            if likeliest is None:
-                break
-            place, face = likeliest
-            model = one.found.model.and_odd(face)
-            x = np.append(one.found.x, place)
-            found = refined(self.spectra, model, x, (None,), 8)
+            some = [
+                refined(
+                    self.spectra, one.found.model.and_odd(face), np.append(one.found.x, place), (None,), 8
+                )
+                for place, face in self._odd.likeliest(one.found, faces=faces)
+            ]
+            found = max(some, key=lambda found: found.log_z, default=one.found)
             if found.log_z < one.found.log_z + 1:
                 break
-            other = model.identity != one.found.model.identity
+            other = found.model.identity != one.found.model.identity
             # An odd scatterer is all that tells another object from the enrolled one.
             one = self.add(one.layout, found, one.middle, one.prior + (float(np.log(LOST)) if other else 0.0))
         return one

@@ -16,9 +16,11 @@ from tagid.reading.spectra import Complex, Floats, Spectra
 
 GAIN = -3.0
 """Nats that a place adds at least before it is refined: the map is coarse, and its clutter not yet less."""
+CLOSE = 20.0
+"""Nats by which the map tells a point from a face."""
 _OUT_M, _ALONG_M = 0.007, 0.008
 """Steps of the map outward and along its rings."""
-WIDTHS_RAD = (0.12, 0.3)
+WIDTHS_RAD = (0.12, 0.3, 0.8)
 """Widths of faces that are tried."""
 _FACES_FROM_M = 0.015
 """Nearer to the axis no face is looked for."""
@@ -71,8 +73,11 @@ class OddMap:
         apart = float(np.median(np.diff(np.sort(self._spectra.direction))))
         return [width for width in WIDTHS_RAD if 2 * np.sqrt(2 * np.log(2)) * width > apart]
 
-    def likeliest(self, found: Found) -> tuple[Floats, Face | None] | None:
-        """The parameters and the face that add most evidence to a hypothesis; None where none adds `GAIN`."""
+    def likeliest(self, found: Found, *, faces: bool = True) -> list[tuple[Floats, Face | None]]:
+        """Parameters of the point and of the face that add most evidence to a hypothesis, the better first.
+
+        What adds less than `GAIN` is left out, and what adds less than the other by `CLOSE`.
+        """
         spectra, model, (places, heights) = self._spectra, found.model, self._spots_of
         spots, _ = self._whitened(model.disc)
         lam = variance(spectra, model, found.powers.clutter)
@@ -94,9 +99,14 @@ class OddMap:
         gain += np.log(FACES) * is_face
         used = np.concatenate([found.places, found.odd])
         gain[(np.abs(places[:, None] - used) < CLOSEST_M).any(axis=1)] = -np.inf
-        best = int(gain.argmax())
-        spot = np.array([places[best].real, places[best].imag, heights[best]])
-        return (spot[: model.spot], self._faces[best]) if gain[best] > GAIN else None
+        kinds = (is_face, ~is_face) if faces else (~is_face,)
+        some = [int(np.where(which, gain, -np.inf).argmax()) for which in kinds]
+        least = max(GAIN, max(float(gain[i]) for i in some) - CLOSE)
+        return [
+            (np.array([places[i].real, places[i].imag, heights[i]])[: model.spot], self._faces[i])
+            for i in sorted(some, key=lambda i: -gain[i])
+            if gain[i] > least
+        ]
 
 
 @cache

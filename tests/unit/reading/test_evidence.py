@@ -200,7 +200,7 @@ def test_a_flat_wall_is_found_as_a_face() -> None:
     data = 20 * column + (noise[0] + 1j * noise[1]) / np.sqrt(2)
     spectra = replace(empty, data=data - data.mean(axis=1, keepdims=True))
     nothing = refined(spectra, Model(BARE, None, False, 0), np.zeros(2), (None,))
-    spot, face = OddMap(spectra).likeliest(nothing) or (np.zeros(2), None)
+    spot, face = OddMap(spectra).likeliest(nothing)[0]
     assert face is not None and face[0] == pytest.approx(0.8, abs=0.2)
     found = refined(spectra, nothing.model.and_odd(face), np.append(nothing.x, spot), (None,))
     # How far out it lies shows in the phases alone, and hardly: amplitudes are free at every frequency.
