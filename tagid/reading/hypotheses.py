@@ -182,8 +182,10 @@ class Contest:
 
     def _resized(self) -> None:
         """The best layouts at other distances from the centre."""
-        layouts = {one.layout: one for one in reversed(self._best(9, enrolled=True))}
-        for one in list(layouts.values())[-RESIZED:]:
+        layouts: dict[Layout | None, Hypothesis] = {}
+        for one in self._best(9, enrolled=True):
+            layouts.setdefault(one.layout, one)
+        for one in list(layouts.values())[:RESIZED]:
             starts = resized(self.spectra, self._searched, FREE_RINGS_M, one)
             for start in sorted(starts, key=lambda start: -start.log)[:RESIZED]:
                 self.grow(self._placed(None, start.model, start.x), self.most_odd)

@@ -84,3 +84,19 @@ def test_a_foreign_pair_on_an_oval_shell_is_not_named() -> None:
     answer = decide(Contest(Spectra.of(scans), LAYOUTS, (BARE, POINTS, WALLS[0]), ()).run())
     assert answer.name is None
     assert "2 reflectors 132 degrees apart, 116 mm" in answer.reason
+
+
+@pytest.mark.parametrize(
+    ("seed", "words"),
+    [
+        # A box and something beside it, at 12 views: a pair at any distance from the centre fits as well.
+        (300_186, "2 reflectors 180 degrees apart, 6"),
+        # A loud tag moves the centre that its body seems to have.
+        (300_146, "4 reflectors"),
+    ],
+)
+def test_a_stranger_beside_a_body_is_not_named(seed: int, words: str) -> None:
+    scans = preprocess(draw(seed).capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+    answer = decide(Contest(Spectra.of(scans), LAYOUTS, sheets=()).run())
+    assert answer.name is None and answer.lead < 0
+    assert words in answer.reason
