@@ -20,7 +20,7 @@ CLOSE = 20.0
 """Nats by which the map tells a point from a face."""
 _OUT_M, _ALONG_M = 0.007, 0.008
 """Steps of the map outward and along its rings."""
-WIDTHS_RAD = (0.12, 0.3, 0.8)
+WIDTHS_RAD = (0.12, 0.3)
 """Widths of faces that are tried."""
 _FACES_FROM_M = 0.015
 """Nearer to the axis no face is looked for."""
