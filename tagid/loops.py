@@ -12,9 +12,9 @@ from typing import Any
 LOOPS = {
     "tagid.imaging._kernel": 3,
     "tagid.imaging.ats._field": 1,
-    "tagid.reading._evidence": 3,
+    "tagid.reading._evidence": 4,
     "tagid.reading._sets": 4,
-    "tagid.reading._sheet": 1,
+    "tagid.reading._sheet": 2,
     "tagid.tags.bodies._arrangements": 1,
     "tagid.tags.bodies._cylinders": 2,
     "tagid.tags.bodies._points": 2,

@@ -777,4 +777,4 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-MODULE(_evidence, "Log likelihoods of models of points, or of any columns, with slopes.", methods, 3)
+MODULE(_evidence, "Log likelihoods of models of points, or of any columns, with slopes.", methods, 4)

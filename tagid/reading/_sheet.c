@@ -836,4 +836,4 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-MODULE(_sheet, "Columns of a thin sheet and of reflectors about it, with slopes.", methods, 1)
+MODULE(_sheet, "Columns of a thin sheet and of reflectors about it, with slopes.", methods, 2)
