@@ -54,10 +54,10 @@ Face = tuple[float, float]
 """Direction from which a face is seen best, and standard deviation of those from which it is seen, rad."""
 
 
-def seen_of(face: Face, direction: Floats) -> Floats:
-    """How much of a face is seen from directions, rad."""
-    off = np.angle(np.exp(1j * (direction - face[0])))
-    return np.asarray(np.exp(-0.5 * (off / face[1]) ** 2))
+def seen_of(toward: Floats | float, width: Floats | float, direction: Floats) -> Floats:
+    """How much of faces is seen from directions, see `Face`, rad."""
+    off = np.angle(np.exp(1j * (direction - toward)))
+    return np.asarray(np.exp(-0.5 * (off / width) ** 2))
 
 
 def nearest_ring(radius_m: float) -> float:
@@ -257,7 +257,7 @@ class Model:
         seen = np.ones((self.odd, len(direction)))
         for row, face in zip(seen, self._faces, strict=True):
             if face is not None:
-                row[:] = seen_of(face, direction)
+                row[:] = seen_of(*face, direction)
         return seen
 
     def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:

@@ -38,9 +38,8 @@ class OddMap:
         """(F, Q, M) conjugate columns of the places in the basis of a clutter's disc, and their energy."""
         if disc not in self._spots:
             waves, _ = self._spectra.waves(*self._spots_of)
-            for i, face in enumerate(self._faces):
-                if face is not None:
-                    waves[:, i] *= seen_of(face, self._spectra.direction)
+            toward, width = self._faces
+            waves[:, self._points :] *= seen_of(toward[:, None], width[:, None], self._spectra.direction)
             spots = self._spectra.whiteners[disc].apply(waves).conj().astype(np.complex64)
             self._spots[disc] = spots, spots.real**2 + spots.imag**2
         return self._spots[disc]
@@ -61,11 +60,15 @@ class OddMap:
         return places, np.append(np.repeat(rises, len(_places())), np.zeros(len(faces)))
 
     @cached_property
-    def _faces(self) -> list[Face | None]:
-        """One for every place of the map."""
-        points = len(self._spots_of[0]) - len(self._widths) * len(_outside())
-        angles = np.angle(_outside()).tolist()
-        return [None] * points + [(angle, width) for width in self._widths for angle in angles]
+    def _faces(self) -> tuple[Floats, Floats]:
+        """Directions and widths of the faces."""
+        outside = np.angle(_outside())
+        return np.tile(outside, len(self._widths)), np.repeat(self._widths, len(outside))
+
+    @cached_property
+    def _points(self) -> int:
+        """Number of the places that are points: they come first."""
+        return len(self._spots_of[0]) - len(self._faces[0])
 
     @cached_property
     def _widths(self) -> list[float]:
@@ -93,20 +96,29 @@ class OddMap:
         product = spots @ np.swapaxes(against.astype(np.complex64), 1, 2)
         product = product.real**2 + product.imag**2
         size = self._size(model.disc, lam) - product[..., :-1].sum(axis=-1)
-        is_face = np.array([face is not None for face in self._faces])
-        prior = np.where(is_face, FACE_POWER, ODD_POWER) * spectra.moving[:, None]
+        points = self._points
+        prior = np.full((len(spectra.moving), len(places)), ODD_POWER)
+        prior[:, points:] = FACE_POWER
+        prior *= spectra.moving[:, None]
         gain = (product[..., -1] / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0)
-        gain += np.log(FACES) * is_face
+        gain[points:] += np.log(FACES)
         used = np.concatenate([found.places, found.odd])
         gain[(np.abs(places[:, None] - used) < CLOSEST_M).any(axis=1)] = -np.inf
-        kinds = (is_face, ~is_face) if faces else (~is_face,)
-        some = [int(np.where(which, gain, -np.inf).argmax()) for which in kinds]
-        least = max(GAIN, max(float(gain[i]) for i in some) - CLOSE)
+        best = [int(gain[:points].argmax())]
+        if faces and points < len(gain):
+            best.insert(0, points + int(gain[points:].argmax()))
+        least = max(GAIN, float(gain[best].max()) - CLOSE)
         return [
-            (np.array([places[i].real, places[i].imag, heights[i]])[: model.spot], self._faces[i])
-            for i in sorted(some, key=lambda i: -gain[i])
+            (np.array([places[i].real, places[i].imag, heights[i]])[: model.spot], self._face(i))
+            for i in sorted(best, key=lambda i: -gain[i])
             if gain[i] > least
         ]
+
+    def _face(self, place: int) -> Face | None:
+        """That of a place of the map, by its number; None for a point."""
+        toward, width = self._faces
+        face = place - self._points
+        return None if face < 0 else (float(toward[face]), float(width[face]))
 
 
 @cache

@@ -12,7 +12,7 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import APART_M, REACH_M, Model
 from tagid.reading.descent import Found, Powers, refined, variance
 from tagid.reading.hypothesis import Hypothesis
-from tagid.reading.search import Blocks, Tables, about, held_in
+from tagid.reading.search import Blocks, Choice, Tables, about, held_in
 from tagid.reading.spectra import Complex, Floats, Spectra, Whitener
 from tagid.reading.transfers.transfer import Transfer
 
@@ -92,7 +92,8 @@ def sets(table: Tables, places: Complex, most: int) -> list[tuple[float, Complex
         table: of reflectors at places (N,), x + jy, m.
     """
     clear = np.abs(places[:, None] - places) >= APART_M
-    best = table.grown(np.arange(len(places), dtype=np.int32), clear, clear, most, KEPT)
+    choice = Choice(np.arange(len(places), dtype=np.int32), clear, clear)
+    best = table.grown(choice, most, KEPT)
     return [(log, places[chosen]) for log, chosen in best]
 
 

@@ -16,15 +16,15 @@ from tagid.reading.transfers.transfer import Transfer
 
 
 def resized(
-    spectra: Spectra, transfers: Sequence[Transfer], radii_m: Sequence[float], one: Hypothesis
+    spectra: Spectra, transfers: Sequence[Transfer], radii_m: Sequence[float], hypothesis: Hypothesis
 ) -> Iterator[Candidate]:
     """A layout's angles on rings of other radii, at their best turns about the centre where it stands.
 
     Args:
-        one: hypothesis of a layout.
+        hypothesis: of a layout.
     """
-    assert one.layout is not None
-    found, own = one.found, one.found.model
+    assert hypothesis.layout is not None
+    found, own = hypothesis.found, hypothesis.found.model
     powers = Powers(max(found.powers.clutter, 1e-3), found.powers.body)
     rise = float(own.heights_of(found.x)[0].min())
     for transfer in transfers:
@@ -33,7 +33,7 @@ def resized(
             model = Model(transfer, None, transfer.body, disc, levels=own.levels, priors=own.priors)
             shape = found.x[2:4] if own.shapes else np.zeros(2)
             head = np.r_[found.centre.real, found.centre.imag, shape[: model.shapes]]
-            arranged = Arranged.of(one.layout, model.covers_middle)
+            arranged = Arranged.of(hypothesis.layout, model.covers_middle)
             rings = [replace(arranged, tag=arranged.tag.resized(radius)) for radius in radii]
             echo = model.at(spectra, head, slopes=False).values[:, 0] if transfer.body else spectra.data
             groups = [ring.group(rise) for ring in rings]

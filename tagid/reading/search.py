@@ -127,6 +127,21 @@ class Blocks:
 
 
 @dataclass(frozen=True, eq=False)
+class Choice:
+    """Places from which sets of reflectors are chosen.
+
+    Attributes:
+        ids: (N,) their indices in the tables.
+        clear: (N, N) places in both of which a reflector may stand.
+        unlike: (N, N) places so far apart that sets which differ in them alone are two.
+    """
+
+    ids: NDArray[np.int32]
+    clear: NDArray[np.bool_]
+    unlike: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
 class Tables:
     """Inner products of the columns of groups of reflectors about a centre, whitened, without room and body.
 
@@ -191,31 +206,18 @@ class Tables:
         p, j, _, f = self.held.shape[1:]
         return f, self.blocks.columns.shape[1], self.blocks.shifts, p, j
 
-    def grown(
-        self,
-        ids: NDArray[np.int32],
-        clear: NDArray[np.bool_],
-        unlike: NDArray[np.bool_],
-        most: int,
-        kept: int,
-    ) -> list[tuple[float, NDArray[np.intp]]]:
-        """The best sets of one to `most` reflectors, grown one by one; `kept` of every number.
-
-        Args:
-            ids: (N,) indices of the places.
-            clear: (N, N) places in both of which a reflector may stand.
-            unlike: (N, N) places so far apart that sets which differ in them alone are two.
-            most: 4 or fewer.
+    def grown(self, choice: Choice, most: int, kept: int) -> list[tuple[float, NDArray[np.intp]]]:
+        """The best sets of one to `most` reflectors, 5 or fewer, grown one by one; `kept` of every number.
 
         Returns:
-            Log evidences, and positions (K,) among the places.
+            Log evidences, and positions (K,) among the places of the choice.
         """
         if _sets is None:
-            return self._grown(ids, clear, unlike, most, kept)
+            return self._grown(choice, most, kept)
         known = bool(self.pairs)
-        pairs = self.pairs[0] if known else np.empty((len(ids), len(ids)))
+        pairs = self.pairs[0] if known else np.empty(choice.clear.shape)
         best, chosen = np.full((most, kept), -np.inf), np.zeros((most, kept, most), dtype=np.int32)
-        before = *self._parts(most), ids, clear, unlike, pairs, best, chosen
+        before = *self._parts(most), choice.ids, choice.clear, choice.unlike, pairs, best, chosen
         _sets.grow(*before, *self._sizes, most, kept, GROWN, known)
         if most > 1:
             self.pairs[:] = [pairs]
@@ -227,15 +229,9 @@ class Tables:
             if best[k, i] > -np.inf
         ]
 
-    def _grown(
-        self,
-        ids: NDArray[np.int32],
-        clear: NDArray[np.bool_],
-        unlike: NDArray[np.bool_],
-        most: int,
-        kept: int,
-    ) -> list[tuple[float, NDArray[np.intp]]]:
+    def _grown(self, choice: Choice, most: int, kept: int) -> list[tuple[float, NDArray[np.intp]]]:
         """The same with numpy."""
+        ids, clear, unlike = choice.ids, choice.clear, choice.unlike
         best: list[tuple[float, NDArray[np.intp]]] = []
         sets, order = np.arange(len(ids))[:, None], np.zeros(0, dtype=np.intp)
         for number in range(1, most + 1):
@@ -458,7 +454,7 @@ def free(table: Tables, apart_rad: float, most: int, kept: int) -> list[Start]:
     least = max(round(apart_rad / abs(angle[1] - angle[0])), 1)
     gap = np.abs(np.subtract.outer(np.arange(len(ids)), np.arange(len(ids))))
     gap = np.minimum(gap, len(ids) - gap)
-    sets = table.grown(ids, gap >= least, gap >= max(least // 2, 1), most, kept)
+    sets = table.grown(Choice(ids, gap >= least, gap >= max(least // 2, 1)), most, kept)
     return [Start(log, tuple(float(a) for a in angle[chosen])) for log, chosen in sets]
 
 

@@ -65,9 +65,9 @@ class Whitener:
         real = self.basis if columns.dtype == np.complex128 else self._single
         # Real times real: half of what complex numbers would cost.
         parts = np.concatenate([columns.real, columns.imag], axis=1) @ np.swapaxes(real, 1, 2)
-        found = np.empty((*columns.shape[:2], real.shape[1]), dtype=columns.dtype)
-        found.real, found.imag = parts[:, : columns.shape[1]], parts[:, columns.shape[1] :]
-        return found
+        out = np.empty((*columns.shape[:2], real.shape[1]), dtype=columns.dtype)
+        out.real, out.imag = parts[:, : columns.shape[1]], parts[:, columns.shape[1] :]
+        return out
 
     @cached_property
     def _single(self) -> NDArray[np.float32]:

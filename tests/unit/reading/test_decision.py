@@ -59,6 +59,14 @@ def test_a_stranger_is_described_and_not_named(kind: str) -> None:
     assert words in answer.reason
 
 
+def test_two_of_three_reflectors_are_found_where_they_stand() -> None:
+    """Their angle depends on the centre, which little but the prior tells; their distance does not."""
+    answer = bare(scans_at(STRANGERS["one less"][0]))
+    assert answer.rival is not None
+    one, other = answer.rival.found.places
+    assert abs(one - other) == pytest.approx(2 * 0.11 * np.sin(np.pi / 3), abs=2e-3)
+
+
 def test_a_tag_without_its_middle_on_a_body_that_waves_pass_is_not_named() -> None:
     answer = bare(scans_at(ring(0, 180, radius_m=0.09), offset_m=0.007))
     assert answer.name is None

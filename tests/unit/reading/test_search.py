@@ -110,9 +110,10 @@ def test_the_compiled_loop_grows_the_sets_of_numpy(monkeypatch: pytest.MonkeyPat
         (ids, *_) = numpy.every(4)
         gap = np.abs(np.subtract.outer(np.arange(len(ids)), np.arange(len(ids))))
         gap = np.minimum(gap, len(ids) - gap)
-        expected = numpy.grown(ids, gap >= 2, gap >= 1, 4, 2)
+        choice = search.Choice(ids, gap >= 2, gap >= 1)
+        expected = numpy.grown(choice, 4, 2)
     for _ in range(2):  # with pairs that are not known yet, and with known ones
-        found = compiled.grown(ids, gap >= 2, gap >= 1, 4, 2)
+        found = compiled.grown(choice, 4, 2)
         assert [one.tolist() for _, one in found] == [one.tolist() for _, one in expected]
         assert [log for log, _ in found] == pytest.approx([log for log, _ in expected], rel=1e-5)
 
