@@ -104,6 +104,11 @@ class Arrangement:
         )
         return float(log + 0.5 * np.linalg.slogdet(out / (2 * np.pi))[1]), precision
 
+    def unbound(self, turn: Floats) -> Arrangement:
+        """The same reflectors turned by (K,), rad, every one free to go anywhere."""
+        each, free = np.arange(self.count), np.ones(self.count, dtype=bool)
+        return replace(self, angle=self.angle + turn, turn=each, stretch=each, free=free, glued=False)
+
     def resized(self, radius_m: float) -> Arrangement:
         """The same angles at any distance from the centre, about so much at most, m."""
         scaled = self.radius_m * (radius_m / self.radius_m.max())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -61,6 +61,15 @@ class Found:
         model = self.model
         values = model.at(spectra, self.x, slopes=False).values
         return values[:, model.body_columns : model.columns - model.odd]
+
+    def unbound(self) -> tuple[Model, Floats]:
+        """The model with every reflector free to go anywhere, and its parameters where they stand."""
+        model, x = self.model, self.x
+        assert model.tag is not None
+        tag, rest = model.tag, x[model.head :]
+        turns, stretches, rest = np.split(rest, [tag.turns, tag.turns + tag.stretches])
+        free = replace(model, tag=tag.unbound(turns[tag.turn]))
+        return free, np.r_[x[: model.head], np.zeros(tag.count), stretches[tag.stretch], rest]
 
     @property
     def places(self) -> NDArray[np.complex128]:

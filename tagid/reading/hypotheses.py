@@ -153,6 +153,7 @@ class Contest:
         self._raised()
         self._one_more()
         self._by_hand()
+        self._unbound()
         self.hypotheses = smoothed(self.spectra, self.hypotheses)
         return self.hypotheses
 
@@ -589,3 +590,10 @@ class Contest:
             x = np.r_[found.x[: model.head], np.zeros(tag.count), np.full(tag.count, stretch), rest]
             best = self.add(one.layout, refined(self.spectra, model, x, (None,)), one.middle)
             self.grow(best, self.most_odd - model.odd)
+
+    def _unbound(self) -> None:
+        """The best layouts' reflectors as free ones: far from their places they are another tag."""
+        for one in self._best(RESIZED, enrolled=True):
+            own, start = one.found.unbound()
+            best = self.add(None, refined(self.spectra, own, start, (None,)))
+            self.grow(best, self.most_odd - own.odd)

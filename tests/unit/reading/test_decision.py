@@ -108,3 +108,11 @@ def test_a_stranger_beside_a_body_is_not_named(seed: int, words: str) -> None:
     answer = decide(Contest(Spectra.of(scans), LAYOUTS, sheets=()).run())
     assert answer.name is None and answer.lead < 0
     assert words in answer.reason
+
+
+def test_a_layout_far_from_its_places_is_another_tag() -> None:
+    """A can with a handle and a pair: 89 degrees apart fits, but 18 and 8 mm from where the layout has it."""
+    specimen = draw(340_353, views=36)
+    scans = preprocess(specimen.capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+    answer = decide(Contest(Spectra.of(scans), LAYOUTS, sheets=()).run())
+    assert answer.name is None and answer.lead < -20
