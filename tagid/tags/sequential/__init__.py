@@ -1,0 +1,1 @@
+"""Ending a scan before the turn does: readings at fixed shares of a turn, and their calibration."""
