@@ -120,6 +120,9 @@ _MOVED = {
     "tagid.radar.links": "Link",
     "tagid.radar.status": "RadarStatus",
     "tagid.recording.session": "Session",
+    "tagid.reading.calibration": "Bound",
+    "tagid.reading.reading": "Explanation Kind LayoutScore Reading",
+    "tagid.reading.verdict": "Code",
     "tagid.result": "Problem",
     "tagid.simulate.acquisition": "Placement RangeWindow Recording Wobble",
     "tagid.simulate.capture": "Truth",
@@ -127,17 +130,11 @@ _MOVED = {
     "tagid.simulate.scattering": "Body Points Returns",
     "tagid.simulate.scene": "StaticReturns Tag",
     "tagid.simulate.snr": "EchoLevels Snr",
-    "tagid.tags.bodies.body_reading": "BodyReading",
-    "tagid.tags.bodies.calibration": "Bound",
-    "tagid.tags.bodies.hypothesis": "Explanation Kind",
     "tagid.tags.bodies.signature": "Signature",
     "tagid.tags.enrolling.registry": "RegistryChange RegistryContents Restored",
-    "tagid.tags.matching.reading": "LayoutScore Reading",
     "tagid.tags.network.detector": "Detection",
     "tagid.tags.network.second_look": "Opinion SecondLook",
-    "tagid.tags.reading.decision": "Evidence",
     "tagid.tags.reading.reflectors": "Reflector",
-    "tagid.tags.verdicts.verdict": "Code",
 }
 """Module -> its names that this version still gives here, with a warning."""
 

@@ -98,34 +98,22 @@ SETTINGS: tuple[Setting, ...] = (
     ),
     Setting("imaging.pixels", int, 128, "pixels per side", 16, 1024),
     Setting(
-        "tags.false_accept", float, 1e-3, "probability of naming an object without an enrolled tag", 1e-9, 0.5
+        "tags.false_accept", float, 5e-3, "probability of naming an object without an enrolled tag", 1e-9, 0.5
     ),
     Setting(
         "tags.centre_sigma_m",
         float,
-        8e-3,
-        "offset of a body from the axis: standard deviation per coordinate, m",
+        6e-3,
+        "offset of an object from the axis: standard deviation per coordinate, m",
         5e-4,
         0.03,
     ),
     Setting(
         "tags.radius_sigma_m",
         float,
-        12e-3,
-        "apparent minus nominal radius of reflectors on a body: standard deviation, m",
+        1.5e-3,
+        "distance of reflectors from the centre, as mounted: standard deviation, m",
         5e-4,
-        0.05,
-    ),
-    Setting("tags.radius_inside_m", float, 18e-3, "how far inside that radius it may seem to be, m", 0, 0.05),
-    Setting(
-        "tags.radius_outside_m", float, 27e-3, "how far outside that radius it may seem to be, m", 0, 0.05
-    ),
-    Setting(
-        "tags.offset_range_m",
-        float,
-        24e-3,
-        "largest range offset (error of the axis distance) of a tag without a body, m",
-        4e-3,
         0.05,
     ),
     Setting(

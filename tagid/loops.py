@@ -15,12 +15,8 @@ LOOPS = {
     "tagid.reading._evidence": 4,
     "tagid.reading._sets": 4,
     "tagid.reading._sheet": 2,
-    "tagid.tags.bodies._arrangements": 1,
-    "tagid.tags.bodies._cylinders": 2,
-    "tagid.tags.bodies._points": 2,
-    "tagid.tags.bodies._walls": 1,
-    "tagid.tags.reading._coarse": 3,
-    "tagid.tags.reading._matched": 3,
+    "tagid.tags.reading._coarse": 4,
+    "tagid.tags.reading._matched": 4,
 }
 """Modules, and the number of their arguments' version (`ARGUMENTS` in their source)."""
 

@@ -44,6 +44,10 @@ _PROSE = frozenset(
 """Fields of documents that hold sentences of this program."""
 
 
+NO_NAMES = ("no_tag", "unknown", "ambiguous", "failed")
+"""Answers that name nothing."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """An error as documents state it.

@@ -28,7 +28,7 @@ from typing import Any
 
 IMPORTS = (
     "tagid.cli.app", "tagid.pipeline.identify", "tagid.pipeline.load", "tagid.pipeline.reconstruct",
-    "tagid.simulate", "tagid.storage.hdf5", "tagid.storage.importers", "tagid.tags.matching.matcher",
+    "tagid.simulate", "tagid.storage.hdf5", "tagid.storage.importers", "tagid.reading.reader",
     "PIL.Image", "pydantic", "rich.console", "rich.progress", "rich.table", "sqlite3",
 )  # fmt: skip
 """What most commands import. None of it starts a thread, or reads what a test changes in the environment."""

@@ -1,11 +1,9 @@
-"""Calibrate the decision about tags on bodies: scores of objects that carry no enrolled tag.
+"""Calibrate the reader: leads of objects that carry no enrolled tag, by the function that answers.
 
-Run `python -m train.calibrate --first 200000 --count 4000 --jobs 2 --scores scores.jsonl`, as often and on as
-many machines as wanted, then `python -m train.calibrate --write tagid/tags/bodies/calibration.json FILES` to
-make the file that the package ships. Seeds from SEALED on are not for this.
-
-With --only bare both commands calibrate names without a body alone, 3,000 objects in 12 minutes of one core;
-the rest of the file stays as it is.
+Run `python -m train.calibrate --first 320000 --count 1000 --views 12 --jobs 2 --rows rows.jsonl` for every
+stratum, as often and on as many machines as wanted, then `python -m train.calibrate --write
+tagid/reading/calibration.json rows.jsonl ..` to make the file that the package ships. Seeds from SEALED on
+are not for this.
 """
 
 from __future__ import annotations
@@ -13,143 +11,99 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Final, TypedDict
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import numpy as np
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from tagid import processes
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
+from tagid.reading.calibration import Calibration, Stratum, largest, worth
+from tagid.reading.decision import decide
+from tagid.reading.reader import contest
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching.matcher import null_evidence_of
-from train.population import STATEMENT, Specimen, draw
+from train.population import STATEMENT, draw
 
-SEALED = 9_000_000
+SEALED: Final = 9_000_000
 """Seeds from here on are drawn once, for the report."""
-VIEWS = (12, 24, 361)
-SNRS_DB = (-np.inf, np.inf)
-LONGEST_GAP = 1000
+VIEWS: Final = (12, 18, 24, 361)
+"""Limits of the strata."""
+LONGEST_GAP: Final = 1000
 """Seeds farther apart belong to two runs."""
-REFUSED = "refused"
-KEPT = 60
-"""Scores kept of each stratum: p-values up to 60 / n are exact."""
 
 
-def one(seed: int, bodies: bool = True) -> dict[str, float | int | str]:
-    """The scores of the object of a seed, on a round body and without one."""
-    return _scored(seed, draw(seed), bodies)
+class Row(TypedDict):
+    """An object that carries no enrolled tag, and what the lead of its likeliest layout counts, nats."""
+
+    seed: int
+    views: int
+    lead: float
 
 
-def _foreign(seed: int, bodies: bool, views: tuple[int, ...]) -> dict[str, float | int | str] | None:
-    """The same; None for what was drawn as a foreign object and is an enrolled pair."""
+def lead_of(seed: int, views: Sequence[int] = ()) -> Row | None:
+    """The row of a seed; None for what was drawn as a foreign object and is an enrolled pair.
+
+    Args:
+        views: of the objects, in turn; none: as drawn.
+    """
     specimen = draw(seed, views=views[seed % len(views)] if views else None)
-    return None if specimen.is_enrolled_pair else _scored(seed, specimen, bodies)
-
-
-def _scored(seed: int, specimen: Specimen, bodies: bool) -> dict[str, float | int | str]:
+    if specimen.is_enrolled_pair:
+        return None
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
     scans = preprocess(specimen.capture, settings=settings)
-    found = null_evidence_of(scans, list(builtin_layouts().values()), bodies=bodies)
-    leads = {Basis.BARE: found.bare}
-    if bodies:
-        leads |= {Basis.BODY: max(found.round, found.wall)}
-    row: dict[str, float | int | str] = {"seed": seed, "views": specimen.views, "snr_db": found.snr_db}
-    return row | {kind.value: lead if np.isfinite(lead) else REFUSED for kind, lead in leads.items()}
+    known = contest(scans, list(builtin_layouts().values()))
+    decision = decide(known.run())
+    return Row(seed=seed, views=specimen.views, lead=worth(decision.lead, decision.bare))
 
 
-def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[Stratum, ...]:
-    """Scores by views and SNR, of every kind of evidence that the rows have."""
+def strata(rows: Sequence[Row], views: Sequence[int] = VIEWS) -> tuple[Stratum, ...]:
+    """The rows by views."""
     found = []
     for low, high in pairwise(views):
-        for weak, strong in pairwise(SNRS_DB):
-            own = [r for r in rows if low <= float(r["views"]) < high and weak <= float(r["snr_db"]) < strong]
-            scores = {}
-            for kind in Basis:
-                leads = [
-                    None if r[kind.value] == REFUSED else float(r[kind.value]) for r in own if kind.value in r
-                ]
-                if leads:
-                    scores[kind] = Scores.of(leads, KEPT)
-            found.append(Stratum(low, high, float(weak), float(strong), scores))
+        leads = [row["lead"] for row in rows if low <= row["views"] < high]
+        found.append(Stratum(low, high, len(leads), largest(leads)))
     return tuple(found)
 
 
 def ranges(seeds: list[int]) -> tuple[tuple[int, int], ...]:
-    """[first, last) of every run of seeds, which --only-views thins."""
+    """[first, last) of every run of seeds."""
     starts = [0, *(i for i, (a, b) in enumerate(pairwise(seeds), 1) if b - a > LONGEST_GAP), len(seeds)]
     return tuple((seeds[a], seeds[b - 1] + 1) for a, b in pairwise(starts))
 
 
-def replaced(known: Calibration, drawn: tuple[Stratum, ...], seeds: list[int], kind: Basis) -> Calibration:
-    """A calibration with one kind of evidence of other strata, which may have limits of their own."""
-    kept = [
-        replace(old, scores={k: v for k, v in old.scores.items() if k is not kind}) for old in known.strata
-    ]
-    fresh = [replace(new, scores={kind: new.scores.get(kind, Scores())}) for new in drawn]
-    merged = {one.name: one for one in kept if one.scores}
-    for new in fresh:
-        old = merged.get(new.name, new)
-        merged[new.name] = replace(old, scores={**old.scores, **new.scores})
-    return replace(known, strata=tuple(merged.values()), seeds={**known.seeds, kind: ranges(seeds)})
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("files", nargs="*", type=Path, help="scores to make the calibration of")
+    parser.add_argument("files", nargs="*", type=Path, help="rows to make the calibration of")
     parser.add_argument("--write", type=Path, help="calibration file to write")
-    parser.add_argument("--first", type=int, default=200_000)
+    parser.add_argument("--first", type=int, default=320_000)
     parser.add_argument("--count", type=int, default=0)
-    parser.add_argument("--only-views", type=int, nargs="*", help="only objects with so many views")
     parser.add_argument(
-        "--draw-views",
-        type=int,
-        nargs="*",
-        default=(),
-        help="views of the objects, in turn; else drawn",
+        "--views", type=int, nargs="*", default=(), help="of the objects, in turn; else drawn"
     )
-    parser.add_argument(
-        "--views", type=int, nargs="*", default=VIEWS, help="limits of the strata; each needs 999 objects"
-    )
-    parser.add_argument("--only", type=Basis, choices=list(Basis), help="one kind of evidence")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--scores", type=Path, default=Path("scores.jsonl"))
+    parser.add_argument("--rows", type=Path, default=Path("rows.jsonl"))
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.count)
     if any(seed >= SEALED for seed in seeds):
         parser.error(f"seeds from {SEALED} on are sealed")
     if arguments.count:
-        only = arguments.only_views
-        chosen = [s for s in seeds if not only or draw(s).views in only]
-        with (
-            processes.spawn_context().Pool(arguments.jobs) as pool,
-            arguments.scores.open("a") as file,
-        ):
-            for row in pool.imap_unordered(
-                partial(_foreign, bodies=arguments.only is not Basis.BARE, views=tuple(arguments.draw_views)),
-                chosen,
-                chunksize=4,
-            ):
+        one = partial(lead_of, views=tuple(arguments.views))
+        with processes.spawn_context().Pool(arguments.jobs) as pool, arguments.rows.open("a") as file:
+            for row in pool.imap_unordered(one, seeds, chunksize=4):
                 if row is not None:
                     file.write(json.dumps(row) + "\n")
                     file.flush()
     if arguments.write:
-        rows = {}
+        rows: dict[int, Row] = {}
         for path in arguments.files:
-            for line in path.read_text().splitlines():
-                row = json.loads(line)
-                rows[row["seed"]] = row
-        drawn = strata(list(rows.values()), arguments.views)
-        if arguments.only:
-            known = Calibration.from_json(arguments.write.read_text("utf-8"))
-            made = replace(replaced(known, drawn, sorted(rows), arguments.only), population=STATEMENT)
-        else:
-            made = Calibration(STATEMENT, drawn, dict.fromkeys(Basis, ranges(sorted(rows))))
-        arguments.write.write_text(made.to_json())
+            known: list[Row] = [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+            rows |= {row["seed"]: row for row in known}
+        made = Calibration(STATEMENT, ranges(sorted(rows)), strata(list(rows.values())))
+        arguments.write.write_text(made.to_json(), "utf-8")
 
 
 if __name__ == "__main__":

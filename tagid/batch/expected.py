@@ -20,7 +20,7 @@ from tagid.batch.inputs import Source, is_url
 from tagid.errors import UsageError, displayable
 from tagid.proportion import wilson
 from tagid.report.records import ItemRecord
-from tagid.tags.verdicts.verdict import NO_NAMES
+from tagid.result import NO_NAMES
 
 MAX_BYTES = 64 << 20
 NO_LAYOUT = tuple(answer for answer in NO_NAMES if answer != "failed")

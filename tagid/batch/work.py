@@ -25,10 +25,10 @@ from tagid.pipeline.answer import Identification
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import Stopwatch
+from tagid.reading.reading import Kind
 from tagid.report.records import ItemRecord, Thumbnails
 from tagid.report.thumbnails import draw_pictures
 from tagid.storage.history import utc_text
-from tagid.tags.bodies.hypothesis import Kind
 
 RECORD_VERSION = 1
 """Version of an item's record; it changes only if a field is removed or changes its meaning."""

@@ -261,8 +261,8 @@ def _record_and_read(
     from tagid.operate.turn import read, record_turn
     from tagid.operate.words import ending_words
     from tagid.pipeline.turn import resolve_turn
+    from tagid.reading.looks import SPENT
     from tagid.recording.recorder import Watch
-    from tagid.tags.sequential.looks import SPENT
 
     setup = place.setup(as_recorded=True)
     enrolled = setup.enrolled

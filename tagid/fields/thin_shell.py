@@ -53,11 +53,6 @@ class ThinShell(ABC):
             raise DataError(f"a shell has half axes of {self.across_m} and {self.along_m} m")
 
     @property
-    def alike(self) -> int:
-        """Turns at which it looks the same, evenly spaced over a revolution."""
-        return 2
-
-    @property
     @abstractmethod
     def radius_m(self) -> float:
         """Largest distance of the contour from its centre, m."""
@@ -110,11 +105,6 @@ class EllipticShell(ThinShell):
 @dataclass(frozen=True)
 class BoxShell(ThinShell):
     """Four thin upright walls, as those of a carton or a crate."""
-
-    @property
-    def alike(self) -> int:
-        """A square one after a quarter of a turn."""
-        return 4 if self.across_m == self.along_m else 2
 
     @property
     def radius_m(self) -> float:

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from tagid.imaging.types import BasebandScans
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.aspect import Aspect, outward
+from tagid.tags.reading.chance import EXPLAINED_SHARE, PLACES_PER_METRE, nats_needed
 from tagid.tags.reading.coarse import CoarseDisc, CoarseImage, CoarseValues
-from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, nats_needed
+from tagid.tags.reading.coarse_grid import CoarseGrid, SearchSettings
 from tagid.tags.reading.field import RangeProfiles
-from tagid.tags.reading.hypotheses import CoarseGrid, SearchSettings
 
 FEWEST_VIEWS = 6
 """With fewer views, every layout explains the scans."""
@@ -32,7 +32,7 @@ class LayoutEvidence:
     Attributes:
         layout: its name.
         share: 0..1, part of the moving echo's energy above noise that it explains.
-        needed_share: smallest share with which the reader names a layout.
+        needed_share: smallest share of tags without a body.
         nats: explained energy divided by the noise energy.
         needed_nats: value that noise alone, over all positions of the search, reaches with the false-accept
         probability.
@@ -56,18 +56,18 @@ class GrowingEvidence:
     Args:
         layouts: the enrolled ones, at least one.
         search: the reader's search; its coarse stage is used.
-        decision: the reader's thresholds.
+        false_accept: probability that noise alone reaches `needed_nats`.
     """
 
     def __init__(
         self,
         layouts: Sequence[Layout],
         search: SearchSettings | None = None,
-        decision: DecisionSettings | None = None,
+        false_accept: float = 1e-3,
     ) -> None:
         self._layouts = layouts
         self._search = search or SearchSettings()
-        self._decision = decision or DecisionSettings()
+        self._false_accept = false_accept
         self._radius = max(one.radius_m for one in layouts) + self._search.centre_range_m * np.sqrt(2)
         self._grids = [CoarseGrid.of(layout, self._search) for layout in layouts]
         places = sum(2 * np.pi * one.radius_m / one.symmetry for one in layouts) * PLACES_PER_METRE
@@ -138,9 +138,9 @@ class GrowingEvidence:
                 LayoutEvidence(
                     layout.name,
                     float(np.clip(explained / signal, 0, 1)),
-                    self._decision.explained_share,
+                    EXPLAINED_SHARE,
                     float(explained / noise) if noise > 0 else 0.0,
-                    nats_needed(layout.size, self._places, self._decision.false_accept),
+                    nats_needed(layout.size, self._places, self._false_accept),
                 )
             )
         return tuple(found)

@@ -1,8 +1,7 @@
 """Ends a scan before the turn does, once the answer is certain.
 
-The scans are read at fixed shares of the turn (`tagid.tags.sequential`) in a separate thread. Two successive
-looks have to name the same layout, with a score that the calibration bears out, and the bodies must not
-contradict it.
+The scans are read at fixed shares of the turn (`tagid.reading.looks`) in a separate thread. Two successive
+looks have to name the same layout, with a lead that the calibration bears out.
 """
 
 from __future__ import annotations
@@ -22,12 +21,10 @@ from tagid.live.views import capture_so_far
 from tagid.metadata import Ending
 from tagid.motion.device import Motion
 from tagid.pipeline.coverage import SURE
-from tagid.pipeline.identify import enrolled_hypotheses
+from tagid.reading.ending import EndingCalibration
+from tagid.reading.looks import LEAST_REFLECTORS, LOOKS, Look, agreed, look, part_of_turn
 from tagid.recording.recorder import Watch
 from tagid.secret import MotionUrl
-from tagid.tags.bodies.hypothesis import Kind
-from tagid.tags.sequential.calibration import EndingCalibration
-from tagid.tags.sequential.looks import LEAST_REFLECTORS, LOOKS, Look, agreed, look, part_of_turn
 from tagid.workers import Worker
 
 if TYPE_CHECKING:
@@ -165,8 +162,7 @@ class EarlyEnding:
             # No calibration bears out an ending, so the reading would not matter.
             return Look(share, part.views)
         settings = self._settings
-        enrolled = enrolled_hypotheses(part, settings.signatures, settings.imaging)
-        return look(part, settings.layouts, share, enrolled)
+        return look(part, settings.layouts, share, settings.signatures)
 
     def _decided(self) -> Ending | None:
         """Why the looks so far are enough; None if they are not."""
@@ -176,10 +172,5 @@ class EarlyEnding:
         newest = self._looks[-1]
         bound = self._calibration.bound(self._looks, self._settings.imaging.false_accept)
         if not (bound.reachable and bound.kept):
-            return None
-        reading = newest.contested()
-        if reading is None or reading.status != "identified":
-            return None
-        if reading.layout != name or reading.kind is not Kind.BARE:
             return None
         return Ending(SURE, newest.share, name, bound.p_value, bound.objects)

@@ -21,7 +21,6 @@ from tagid.live.image import GrowingImage
 from tagid.metadata import RadarInfo
 from tagid.pipeline.settings import ImagingSettings
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.reading.decision import DecisionSettings
 
 if TYPE_CHECKING:
     from tagid.radar.assembler import Scan
@@ -56,8 +55,8 @@ class GrowingViews:
 
     def _clear(self) -> None:
         self._image = GrowingImage(self._grid)
-        decision = DecisionSettings(false_accept=self._imaging.false_accept)
-        self._evidence = GrowingEvidence(self._layouts, decision=decision) if self._layouts else None
+        rate = self._imaging.false_accept
+        self._evidence = GrowingEvidence(self._layouts, false_accept=rate) if self._layouts else None
         self._taken = 0
         self._scan_angles = np.zeros(0)
         self._open: list[int] = []
@@ -188,7 +187,7 @@ def whole_evidence(
     if not layouts:
         return ()
     part = average_into_views(capture, MAX_VIEWS) if capture.views > MAX_VIEWS else capture
-    found = GrowingEvidence(layouts, decision=DecisionSettings(false_accept=imaging.false_accept))
+    found = GrowingEvidence(layouts, false_accept=imaging.false_accept)
     plain = imaging.preprocessing(matched_filter=False)
     found.add(preprocess(part, settings=replace(plain, background="none")))
     return found.judged(preprocess(part, settings=replace(plain, background="mean")))

@@ -18,23 +18,13 @@ if TYPE_CHECKING:
     from tagid.imaging.region import Region
     from tagid.pipeline.answer import Identification
     from tagid.pipeline.reconstruct import Reconstruction
-    from tagid.tags.bodies.calibration import Bound
-    from tagid.tags.matching.reading import Reading
+    from tagid.reading.calibration import Bound
+    from tagid.reading.reading import Reading
 
 SUBTRACTED = {
     True: "the echo of the body is subtracted from the image",
     False: "no body was found: nothing is subtracted from the image",
 }
-HYPOTHESES = {
-    "no_tag": "a round body without a tag",
-    "bare": "a tag without a body",
-    "round": "a tag on a round body",
-    "shell": "a tag on a helmet shell",
-    "box": "a tag in or on a thin box",
-    "body": "a tag on an enrolled body",
-    "object": "an enrolled object",
-}
-"""Kinds of hypotheses in words."""
 
 
 def headline(answer: Identification) -> str:
@@ -105,27 +95,16 @@ def bound_words(bound: Bound) -> str:
 
 
 def hypothesis_words(reading: Reading) -> str:
-    """The best hypothesis, its body's centre and the share of the moving echo that it does not explain.
+    """The hypothesis that won, its centre and the share of the moving echo that it does not explain.
 
     Empty if the scans hold no echo that any hypothesis could explain.
     """
-    from tagid.tags.bodies.hypothesis import Kind
-
-    kind, won = reading.kind, reading.explained_by
-    if kind is Kind.BARE and reading.status == "no_tag":
+    won = reading.explained_by
+    if won is None or reading.code == "no_echo":
         return ""
-    words = HYPOTHESES[kind]
-    if won is None:
-        return words
-    if kind is Kind.NO_TAG and won.name:
-        words = "an enrolled body without a tag"
-    if won.name and kind is not Kind.OBJECT:
-        words = words.replace("an enrolled body", f"the body {won.name}")
-    x, y = (round(value * 1e3) for value in won.pose.centre_m)
-    # A layout without a body has a centre of its own, which a name states with its rotation.
-    where = "" if kind is Kind.BARE else f", centre ({x}, {y}) mm"
+    x, y = (round(value * 1e3) for value in won.centre_m)
     percent = 100 * won.left
-    return f"{words}{where}, {percent:.{0 if percent >= 9.95 else 1}f} % unexplained"
+    return f"{won.words}, centre ({x}, {y}) mm, {percent:.{0 if percent >= 9.95 else 1}f} % unexplained"
 
 
 def nearest_words(answer: Identification) -> str:

@@ -125,9 +125,6 @@ class Workplace:
             priors=TagPriors(
                 centre_sigma_m=config["tags.centre_sigma_m"],
                 radius_sigma_m=config["tags.radius_sigma_m"],
-                radius_inside_m=config["tags.radius_inside_m"],
-                radius_outside_m=config["tags.radius_outside_m"],
-                offset_range_m=config["tags.offset_range_m"],
             ),
             pulse=config["imaging.pulse"],
             ats=AtsSettings(**parse_settings([config["imaging.ats"]])),

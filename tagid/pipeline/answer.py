@@ -6,13 +6,14 @@ Commands, batch runs and the history share it, so that its JSON form is defined 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from tagid import __version__
 from tagid.result import Problem
 
 if TYPE_CHECKING:
-    from tagid.tags.matching.reading import Reading
+    from tagid.reading.reading import Reading
     from tagid.tags.network.second_look import SecondLook
 
 
@@ -88,6 +89,8 @@ class Identification:
             "label": self.label,
             "score": r.score if r else 0.0,
             "margin": r.margin if r else 0.0,
+            "lead": r.lead if r else None,
+            "lead_needed": (r.needed if isfinite(r.needed) else None) if r else None,
             "rotation_deg": r.rotation_deg if r and r.layout else None,
             "centre_m": list(r.centre_m) if r and r.layout else None,
             "reflectors": self._reflectors(),
@@ -132,15 +135,16 @@ class Identification:
         }
 
     def _hypotheses(self) -> list[dict[str, Any]]:
-        """Every fitted hypothesis, with its residual and its position of the body."""
+        """The best hypothesis of every kind, with its log evidence and its residual."""
         return [
             {
                 "kind": one.kind.value,
                 "name": one.name,
                 "layout": one.layout,
+                "words": one.words,
+                "log_evidence": one.log_evidence,
                 "unexplained": one.left,
-                "unexplained_beyond_body": one.beyond_body,
-                "centre_m": list(one.pose.centre_m),
+                "centre_m": list(one.centre_m),
                 "radius_m": one.radius_m,
             }
             for one in (self.reading.hypotheses if self.reading else ())

@@ -12,13 +12,13 @@ from tagid.capture import Capture
 from tagid.metadata import Ending
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.standstill import stopped_words
+from tagid.reading.calibration import Bound
+from tagid.reading.reading import Reading
+from tagid.reading.verdict import Code
 from tagid.signal import median
-from tagid.tags.bodies.calibration import Bound
-from tagid.tags.matching.reading import Reading
-from tagid.tags.verdicts.verdict import Code
 
 if TYPE_CHECKING:
-    from tagid.tags.sequential.calibration import EndingCalibration
+    from tagid.reading.ending import EndingCalibration
 
 SURE = "sure"
 """`Ending.reason` of a scan that ended because the answer was certain."""
@@ -139,8 +139,8 @@ def ended_answer(
     reading = answer.reading
     if ending is None or ending.reason != SURE or reading is None:
         return answer
-    from tagid.tags.sequential.calibration import EndingCalibration
-    from tagid.tags.sequential.looks import SPENT
+    from tagid.reading.ending import EndingCalibration
+    from tagid.reading.looks import SPENT
 
     if answer.status == "identified" and reading.layout == ending.layout:
         known = calibration or EndingCalibration.shipped()

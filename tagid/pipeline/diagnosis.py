@@ -1,6 +1,6 @@
 """Diagnosis of objects that were not named: the likely cause in the recording, and its remedy.
 
-A verdict (`tagid.tags.verdicts`) states which test failed. This module searches for the cause: a wrong
+The answer says which hypothesis won. This module searches for the cause: a wrong
 speed, a turn that stopped, lost scans, a partial revolution, a wrong axis distance, an object off the axis. A
 cause is stated only if the scans confirm it; it never changes the answer.
 """
@@ -19,13 +19,13 @@ from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.circling import Circling, circling
 from tagid.pipeline.coverage import WHOLE_TURN, ended_early, widest_gap
-from tagid.pipeline.elsewhere import Elsewhere, recentred
+from tagid.pipeline.elsewhere import named_in, recentred
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.resolve import one_of, speed_contradiction
 from tagid.pipeline.standstill import REMEDY, stopped_words
+from tagid.reading.verdict import ADVICE, Code
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.reflectors import Reflector
-from tagid.tags.verdicts.verdict import ADVICE, Code
 
 _LOSS = int(ViewFlag.AFTER_LOSS | ViewFlag.AFTER_GAP)
 _ALIKE_DB = 10.0
@@ -36,7 +36,7 @@ _FITS_M = 0.008
 _FARTHEST_M = 0.12
 _PLACES = 3
 """Centres off the axis that are compared."""
-_AXIS_TRIES, _PLACE_TRIES = 2, 1
+_AXIS_TRIES, _PLACE_TRIES = 1, 1
 """Axis distances, and places, that are read in full, the best first."""
 _CIRCLE_M, _CIRCLE_SHARE = 0.025, 0.8
 """Largest spread of the strongest echo about its circle, m, and the least share of views that follow it."""
@@ -48,10 +48,7 @@ _CIRCLES_M = 0.006
 _TOLD_M = 0.020
 """From here on the width of the circle is that of the body's place to within 5 mm."""
 _CENTRE_IT = "Place the object's axis within 10 mm of the rotation axis."
-_CENTRE_FIRST = {
-    code: f"{_CENTRE_IT} If it is there: {ADVICE[Code.UNEXPLAINED if code is Code.BODY else code]}"
-    for code in (Code.BODY, Code.UNEXPLAINED, Code.ELSEWHERE, Code.OTHER)
-}
+_CENTRE_FIRST = {code: f"{_CENTRE_IT} If it is there: {ADVICE[code]}" for code in (Code.NO_TAG, Code.OTHER)}
 """Advice in the place of the reader's, which lets the body be enrolled, where it may stand off the axis."""
 _AXIS_M = 0.01
 """An axis distance wrong by less is no cause: the reader looks for that itself."""
@@ -118,16 +115,13 @@ def with_causes(
     if answer.status in ("identified", "failed") or answer.reading is None:
         return answer
     causes = [*_of_the_turn(prepared.given)]
-    # Where the answer itself says so, a place farther out that explains the scans as well is none.
-    says_so = answer.reading.code is Code.OFF_CENTRE
     found = circling(prepared.given)
-    circle = None if says_so else _off_the_axis(found)
-    elsewhere = Elsewhere(prepared, layouts)
+    circle = _off_the_axis(found)
     if not any(cause.code == "speed" for cause in causes):
         beside = None if circle is None else _of_a_round_body(circle)
-        causes += _of_the_axis(elsewhere) if beside is None else [beside]
-    if not causes and not says_so:
-        causes += _of_the_place(elsewhere, answer.reading.reflectors, circle)
+        causes += _of_the_axis(prepared, layouts) if beside is None else [beside]
+    if not causes:
+        causes += _of_the_place(prepared, layouts, answer.reading.reflectors, circle)
     advice = "" if _centred(found) else _CENTRE_FIRST.get(answer.reading.code, "")
     return replace(answer, causes=tuple(causes), advice=advice)
 
@@ -174,17 +168,17 @@ def _stopped(capture: Capture) -> Cause | None:
     return Cause("turn_stopped", stopped_words(resolved.standstill), REMEDY)
 
 
-def _of_the_axis(elsewhere: Elsewhere) -> list[Cause]:
+def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[Cause]:
     """A different axis distance, if the reader names the object with it."""
-    capture = elsewhere.prepared.capture
+    capture = prepared.capture
     given = capture.axis_distance_m
     if given is None or capture.angles_rad is None:
         return []
-    offsets = bright_offsets(capture, elsewhere.prepared.settings.background)
-    tries = [replace(capture, axis_distance_m=given + offset) for offset in offsets]
-    for i in elsewhere.clearer(tries)[:_AXIS_TRIES]:
-        if (found := elsewhere.named(tries[i])) is not None:
-            best = given + offsets[i] + found.offset_m
+    offsets = bright_offsets(capture, prepared.settings.background)
+    for offset in offsets[:_AXIS_TRIES]:
+        moved = replace(capture, axis_distance_m=given + offset)
+        if (found := named_in(prepared, moved, layouts)) is not None:
+            best = given + offset + found.offset_m
             if abs(best - given) < _AXIS_M:
                 continue
             return [
@@ -201,19 +195,21 @@ def _of_the_axis(elsewhere: Elsewhere) -> list[Cause]:
 
 
 def _of_the_place(
-    elsewhere: Elsewhere, reflectors: Sequence[Reflector], circle: Circling | None
+    prepared: PreparedCapture,
+    layouts: Sequence[Layout],
+    reflectors: Sequence[Reflector],
+    circle: Circling | None,
 ) -> list[Cause]:
     """A position of the object off the axis, if the reader names it after the scans are moved there."""
-    capture = elsewhere.prepared.capture
+    capture = prepared.capture
     if capture.angles_rad is None or capture.axis_distance_m is None:
         return []
-    centres = _other_centres(reflectors, elsewhere.layouts)
+    centres = _other_centres(reflectors, layouts)
     if circle is not None and _followed(circle):
         centres = [circle.centre_m, *centres]
-    moved = [recentred(capture, centre) for centre in centres]
-    for i in elsewhere.clearer(moved)[:_PLACE_TRIES]:
-        if (found := elsewhere.named(moved[i])) is not None:
-            away = np.add(centres[i], found.centre_m) * 1e3
+    for centre in centres[:_PLACE_TRIES]:
+        if (found := named_in(prepared, recentred(capture, centre), layouts)) is not None:
+            away = np.add(centre, found.centre_m) * 1e3
             return [
                 Cause(
                     "off_centre",

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,62 +12,23 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
-from tagid.pipeline.reading import reader_settings
+from tagid.reading.reading import Reading
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.matching.reading import Reading
-
-_CLEARER = 1.125
-"""Where the object really is, its layout explains so much more, as points, than where the reader looked: in
-69 of 70 simulated objects whose axis a reading elsewhere found, and in 3 of 8 for which it was wrong by 30 to
-113 mm. Of 200 other objects a fifth have such a place at all."""
 
 
-@dataclass(frozen=True, eq=False)
-class Elsewhere:
-    """An object that was not named, and where else it may be.
+def named_in(prepared: PreparedCapture, capture: Capture, layouts: Sequence[Layout]) -> Reading | None:
+    """The reading of the same scans elsewhere if it names the object.
 
-    Attributes:
-        prepared: the capture of the answer.
+    Args:
+        prepared: the capture of the answer, for its settings.
+        capture: the scans elsewhere.
         layouts: the enrolled ones.
     """
-
-    prepared: PreparedCapture
-    layouts: Sequence[Layout]
-
-    def clearer(self, tries: Sequence[Capture]) -> list[int]:
-        """Indices of the captures in which a layout explains clearly more than in this one, the best first.
-
-        Points are compared without a body: a layout's own echo tells where its axis is, and it takes a
-        twentieth of a reading.
-
-        Args:
-            tries: the same scans elsewhere.
-        """
-        energies = [self._explained(self.prepared.elsewhere(one)) for one in tries]
-        return [int(i) for i in np.argsort(energies)[::-1] if energies[i] > _CLEARER * self._here]
-
-    def named(self, elsewhere: Capture) -> Reading | None:
-        """The reading of the scans elsewhere if it names the object."""
-        try:
-            found = identify(self.prepared.elsewhere(elsewhere), self.layouts)
-        except DataError:
-            return None
-        return found.reading if found.status == "identified" else None
-
-    @cached_property
-    def _here(self) -> float:
-        """What a layout explains where the reader looked."""
-        return self._explained(self.prepared)
-
-    def _explained(self, prepared: PreparedCapture) -> float:
-        """Most energy that a layout explains as points; 0 where the scans do not hold the object's range."""
-        from tagid.tags.matching.matcher import MatchedScan
-
-        try:
-            scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
-            return MatchedScan(scans, self.layouts, reader_settings(prepared.settings)).charged
-        except DataError:
-            return 0.0
+    try:
+        found = identify(prepared.elsewhere(capture), layouts)
+    except DataError:
+        return None
+    return found.reading if found.status == "identified" else None
 
 
 def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:

@@ -20,13 +20,12 @@ from tagid.pipeline.reading import reader_settings
 from tagid.pipeline.settings import ImagingSettings, Stopwatch, TagPriors
 
 if TYPE_CHECKING:
-    from tagid.tags.bodies.body_reading import BodyReading
-    from tagid.tags.bodies.hypothesis import Enrolled
+    from tagid.reading.hypothesis import Hypothesis
+    from tagid.reading.reading import Reading
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.bodies.spectra import Spectra
     from tagid.tags.enrolling.averaging import Sighting
     from tagid.tags.layouts.layout import Layout
-    from tagid.tags.matching.reading import Reading
     from tagid.tags.network.second_look import SecondLook
 
 _FEWEST_VIEWS = 3
@@ -45,8 +44,7 @@ def identify(
 ) -> Identification:
     """Name the object of a prepared capture.
 
-    The tag is read in the scans and not in an image, whose artefacts could mislead it. The reader itself
-    finds an error of the axis distance, as a range offset.
+    The tag is read in the scans and not in an image, whose artefacts could mislead it.
 
     Args:
         capture: the result of `prepare`, or a `PreparedCapture`, which has its own settings.
@@ -62,15 +60,14 @@ def identify(
             waveform in the assumed band.
         RegistryError: no layout is enrolled.
     """
-    from tagid.tags.matching.matcher import read_tag
+    from tagid.reading.reader import read
 
     prepared = as_prepared(capture, settings)
     _check_views(prepared)
     watch = Stopwatch()
     scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
     with watch.stage("read"):
-        enrolled = enrolled_hypotheses(prepared.given, signatures, prepared.settings)
-        reading = read_tag(scans, layouts, reader_settings(prepared.settings, spent), enrolled)
+        reading = read(scans, layouts, reader_settings(prepared.settings, spent), signatures)
         reading = of_the_part(reading, [prepared.given])
     with watch.stage("look again"):
         reading, second = _looked_at_again(prepared, reading)
@@ -99,19 +96,18 @@ def without_body(prepared: PreparedCapture, answer: Identification) -> PreparedC
 
     Returns the capture unchanged if no body hypothesis was selected.
     """
-    from tagid.tags.bodies import subtract
+    from tagid.reading.subtract import without_body as subtracted
 
     body = None if answer.reading is None else _selected_body(answer.reading)
     if body is None:
         return prepared
-    return PreparedCapture(subtract.without_body(prepared.given, body), prepared.settings)
+    return PreparedCapture(subtracted(prepared.given, body), prepared.settings)
 
 
-def _selected_body(reading: Reading) -> BodyReading | None:
-    """The body whose echo is no part of the tag; None if no body hypothesis was selected."""
-    from tagid.tags.bodies.hypothesis import Kind
-
-    return None if reading.kind is Kind.BARE else reading.body
+def _selected_body(reading: Reading) -> Hypothesis | None:
+    """The hypothesis that won if it has a body, whose echo is no part of the tag; else None."""
+    winner = reading.winner
+    return None if winner is None or not winner.found.model.body_columns else winner
 
 
 def identify_together(
@@ -121,11 +117,11 @@ def identify_together(
     registry_version: int | None = None,
     signatures: Sequence[Signature] = (),
 ) -> tuple[Identification, list[Identification]]:
-    """Name the object of several captures jointly, and of each alone (see `tags.matching.vote`).
+    """Name the object of several captures jointly, and of each alone (see `tagid.reading.several`).
 
     Arguments and errors are those of `identify`; prepared captures have the same settings.
     """
-    from tagid.tags.matching.vote import read_together
+    from tagid.reading.reader import read_together
 
     watch = Stopwatch()
     prepared = [as_prepared(capture, settings) for capture in given]
@@ -135,8 +131,7 @@ def identify_together(
         _check_views(one)
     recordings = [one.scans(settings.preprocessing(matched_filter=False)) for one in prepared]
     with watch.stage("read"):
-        enrolled = enrolled_hypotheses(captures[0], signatures, settings)
-        joint, alone = read_together(recordings, layouts, reader_settings(settings), enrolled)
+        joint, alone = read_together(recordings, layouts, reader_settings(settings), signatures)
         alone = [of_the_part(own, [one.given]) for own, one in zip(alone, prepared, strict=True)]
         joint = of_the_part(joint, captures)
     labels = _labels(layouts, signatures)
@@ -161,26 +156,13 @@ def identify_together(
     return answer(joint, captures, looked[0][1] if len(captures) == 1 else None), each
 
 
-def enrolled_hypotheses(
-    capture: Capture, signatures: Sequence[Signature], settings: ImagingSettings
-) -> Enrolled | None:
-    """Enrolled bodies and objects as hypotheses; None if there are none of the capture's band."""
-    if not signatures or capture.angles_rad is None:
-        return None
-    from tagid.tags.bodies.enrolled import hypotheses, signature_wavenumbers
-
-    wavenumbers = signature_wavenumbers(capture.center_frequency_hz, capture.bandwidth_hz)
-    return hypotheses(signatures, wavenumbers, direction_known=settings.direction_known)
-
-
 def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) -> Spectra:
     """Spectra of a prepared capture from which the signature of its object can be estimated.
 
     Raises DataError as `identify` does, and for free antenna positions.
     """
     from tagid.imaging.whitening import whitened
-    from tagid.tags.bodies.enrolled import signature_wavenumbers
-    from tagid.tags.bodies.signature import MAX_RADIUS_M
+    from tagid.tags.bodies.signature import MAX_RADIUS_M, signature_wavenumbers
     from tagid.tags.bodies.spectra import Spectra
     from tagid.tags.reading.views import fold_views
 
@@ -235,14 +217,11 @@ def _check_views(prepared: PreparedCapture) -> None:
 
 
 def _looked_at_again(prepared: PreparedCapture, reading: Reading) -> tuple[Reading, SecondLook | None]:
-    """The reading, with a note on what speaks against its name or its bound, and what the network says."""
-    second = _second_look(prepared, reading)
-    if reading.status != "identified":
-        return reading, second
-    notes = [reading.note, "" if second is None else second.disagrees]
-    if reading.bound is not None and prepared.settings.priors != TagPriors():
-        notes.append("the bound on false accept was calibrated with the default priors (tags.*_m)")
-    return replace(reading, note="; ".join(filter(None, notes))), second
+    """The reading, with a note where its bound does not hold, and what the network says."""
+    if reading.status == "identified" and reading.bound and prepared.settings.priors != TagPriors():
+        note = "the bound on false accept was calibrated with the default priors (tags.*_m)"
+        reading = replace(reading, note=note)
+    return reading, _second_look(prepared, reading)
 
 
 def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | None:
@@ -250,13 +229,13 @@ def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | No
 
     None for free antenna positions.
     """
-    from tagid.tags.bodies import subtract
+    from tagid.reading.subtract import without_body as subtracted
     from tagid.tags.network.planes import GRID
     from tagid.tags.network.second_look import look_again
 
     if prepared.given.angles_rad is None:
         return None
     if (body := _selected_body(reading)) is not None:
-        prepared = prepared.elsewhere(subtract.without_body(prepared.capture, body))
+        prepared = prepared.elsewhere(subtracted(prepared.capture, body))
     matched = PreprocessSettings(prepared.settings.background, matched_filter=True, extent_m=GRID.extent)
     return look_again(prepared.scans(matched), reading.reflectors, reading.offset_m)

@@ -31,27 +31,18 @@ MOST_FREE_PIXELS = 512
 class TagPriors:
     """What is known of a tag's place before the scans, m. The defaults are those of the calibration.
 
-    On a body the range offset has no prior: amplitudes are free at every frequency there.
-
     Attributes:
-        centre_sigma_m: standard deviation of a body's centre about the rotation axis, per coordinate.
-        radius_sigma_m: standard deviation of the apparent radius of reflectors on a body about the nominal
-            one, to which the bounce between wall and reflector adds; not beside a wall of known waves, where
-            it is 4 mm.
-        radius_inside_m, radius_outside_m: limits of that difference.
-        offset_range_m: half-width of the range offsets, alike probable, of a tag without a body.
+        centre_sigma_m: standard deviation of an object's centre about the rotation axis, per coordinate.
+        radius_sigma_m: standard deviation of a reflector's distance from the centre about the enrolled one;
+            what a wall adds to it is the wall's.
     """
 
-    centre_sigma_m: float = 8e-3
-    radius_sigma_m: float = 12e-3
-    radius_inside_m: float = 18e-3
-    radius_outside_m: float = 27e-3
-    offset_range_m: float = 24e-3
+    centre_sigma_m: float = 6e-3
+    radius_sigma_m: float = 1.5e-3
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            limit = name in ("radius_inside_m", "radius_outside_m")
-            if not (np.isfinite(value) and (value >= 0 if limit else value > 0) and value <= MOST_PRIOR_M):
+            if not (np.isfinite(value) and 0 < value <= MOST_PRIOR_M):
                 raise UsageError(
                     f"the prior {name} is {value} m", f"Give metres, up to {MOST_PRIOR_M:g}, above 0."
                 )
@@ -83,7 +74,7 @@ class ImagingSettings:
         pulse: "auto", the pulse of the capture or else the nominal one of its band; "nominal"; or "estimate",
             estimated from the scans if that fits them better (`tagid.imaging.pulsefit`).
         false_accept: probability of identifying an object without an enrolled tag.
-        direction_known: see `tags.matcher.ReaderSettings`.
+        direction_known: see `tagid.reading.reader.ReaderSettings`.
         priors: on the place of a tag.
     """
 
@@ -103,7 +94,7 @@ class ImagingSettings:
     free_pixels: bool = False
     ats: AtsSettings = field(default_factory=AtsSettings)
     pulse: str = "auto"
-    false_accept: float = 1e-3
+    false_accept: float = 5e-3
     direction_known: bool = True
     priors: TagPriors = field(default_factory=TagPriors)
 

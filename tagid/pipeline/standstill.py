@@ -17,7 +17,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion, Standstill
 from tagid.pipeline.resolve import clock_of
-from tagid.tags.verdicts.verdict import ADVICE, Code
+from tagid.reading.verdict import ADVICE, Code
 
 if TYPE_CHECKING:
     from tagid.motion.device import Motion

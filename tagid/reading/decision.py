@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tagid.reading.arrangement import MOUNTING_SD_M
-from tagid.reading.hypothesis import Hypothesis, Joint, differ_in_height
+from tagid.reading.arrangement import MOUNTING_SD_M, Arrangement
+from tagid.reading.hypothesis import Hypothesis, Joint, differ_in_height, pose_of
 from tagid.reading.spectra import Complex
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
+from tagid.reading.verdict import Code
 
 SURE = float(np.log(1000))
 """Lead from which a name is given, nats: one false in a thousand where the hypotheses are complete."""
@@ -18,8 +19,23 @@ SAME_M = 8e-3
 """Reflectors nearer than this are the same ones."""
 ASIDE_M = 3 * MOUNTING_SD_M
 """On a body, reflectors that stand farther aside along their ring are another tag."""
+ALIKE_RAD = float(np.deg2rad(8.0))
+"""Reflectors of another radius stand in the same directions where they differ by less."""
 BUILT_M = MOUNTING_SD_M
 """Where nothing stands beside them, reflectors that are off by more are another tag."""
+
+
+@dataclass(frozen=True)
+class Needed:
+    """Leads from which a name is given, nats; inf where none is.
+
+    Attributes:
+        lead: of any hypothesis of that name.
+        bare: of one without a body: fewer strangers look like it.
+    """
+
+    lead: float = SURE
+    bare: float = SURE
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +46,11 @@ class Decision:
         status: "identified", "ambiguous", "no_tag" or "unknown".
         name: of the layout or enrolled object, where one is identified.
         lead: Lambda, log evidence of the best that has a name over the best other, nats.
+        bare: the same of that name's best hypothesis without a body, nats; -inf where there is none.
         reason: the winning hypothesis in words.
         best, rival: the best hypothesis that has a name and the best that is not it.
+        winner: the one of the two that explains more, or the best untagged one where that is what shows.
+        code: why nothing is named, for programs.
     """
 
     status: str
@@ -39,35 +58,88 @@ class Decision:
     lead: float
     reason: str
     best: Hypothesis | None
-    rival: Hypothesis | None
+    rival: Hypothesis
+    winner: Hypothesis
+    code: Code = Code.NONE
+    bare: float = -np.inf
 
 
-def decide(hypotheses: Sequence[Hypothesis], sure: float = SURE) -> Decision:
+def decide(hypotheses: Sequence[Hypothesis], needed: Needed = Needed()) -> Decision:
     """The decision over the hypotheses of one recording."""
     named = [one for one in hypotheses if one.name is not None]
     best = max(named, key=lambda one: one.log_z, default=None)
     others = [one for one in hypotheses if best is None or not is_same(one, best)]
     rival = max(others, key=lambda one: one.log_z)
     untagged = max((one for one in hypotheses if not one.tagged), key=lambda one: one.log_z)
-    named_best = None if best is None else Joint(best.log_z, best)
-    return settled(named_best, Joint(rival.log_z, rival), Joint(untagged.log_z, untagged), sure)
+    if best is None:
+        return settled(None, Joint(rival.log_z, rival), Joint(untagged.log_z, untagged), needed)
+    alike = [one.log_z for one in named if one.name == best.name and not one.found.model.body_columns]
+    named_best = Joint(best.log_z, best, bare=max(alike, default=-np.inf))
+    return settled(named_best, Joint(rival.log_z, rival), Joint(untagged.log_z, untagged), needed)
 
 
-def settled(named: Joint | None, other: Joint, untagged: Joint, sure: float = SURE) -> Decision:
+def settled(named: Joint | None, other: Joint, untagged: Joint, needed: Needed = Needed()) -> Decision:
     """The decision by the log evidences of the best with a name, the best other and the best untagged."""
     rival = other.shown
-    best, lead = (None, -np.inf) if named is None else (named.shown, named.log_z - other.log_z)
-    if best is not None and lead >= sure:
-        return Decision("identified", best.name, lead, "", best, rival)
+    best, lead, bare = None, -np.inf, -np.inf
+    if named is not None:
+        best, lead, bare = named.shown, named.log_z - other.log_z, named.bare - other.log_z
+    if best is not None and (lead >= needed.lead or bare >= needed.bare):
+        return Decision("identified", best.name, lead, "", best, rival, best, bare=bare)
+
+    def refused(status: str, reason: str, winner: Hypothesis, code: Code) -> Decision:
+        return Decision(status, None, lead, reason, best, rival, winner, code, bare)
+
     winner = named if named is not None and lead > 0 else other
-    if winner.log_z - untagged.log_z < sure:
-        return Decision("no_tag", None, lead, words(untagged.shown), best, rival)
+    if other.mixed and winner is other:
+        return refused("unknown", f"one of the recordings shows {words(rival)}", rival, Code.DISAGREE)
+    if winner.log_z - untagged.log_z < SURE:
+        return refused("no_tag", words(untagged.shown), untagged.shown, _without_tag(untagged.shown))
     if best is None:
-        return Decision("unknown", None, lead, words(rival), None, rival)
+        return refused("unknown", words(rival), rival, Code.OTHER)
     if rival.name is not None:
-        return Decision("ambiguous", None, lead, f"{words(best)}, or {words(rival)}", best, rival)
-    reason = words(rival) if winner is other else f"{words(best)}, or nearly as likely: {words(rival)}"
-    return Decision("unknown", None, lead, reason, best, rival)
+        return refused("ambiguous", f"{words(best)}, or {words(rival)}", winner.shown, Code.AMBIGUOUS)
+    if winner is other:
+        return refused("unknown", words(rival), rival, _difference(rival, best))
+    code = Code.WEAK if np.isfinite(needed.lead) else Code.UNCALIBRATED
+    return refused("unknown", f"{words(best)}, or nearly as likely: {words(rival)}", best, code)
+
+
+def _without_tag(one: Hypothesis) -> Code:
+    """Whether an untagged hypothesis is that nothing turns there but noise."""
+    silent = not one.found.model.transfer.body and not one.found.model.odd and not one.found.powers.clutter
+    return Code.NO_ECHO if silent else Code.NO_TAG
+
+
+def _difference(one: Hypothesis, best: Hypothesis) -> Code:
+    """How an arrangement that is not enrolled differs from the likeliest layout."""
+    if best.layout is None or one.found.model.tag is None:
+        return Code.OTHER
+    target, places = best.found.places, one.found.places
+    if best.middle and not one.found.model.covers_middle:
+        target = np.append(target, best.found.centre)
+    apart = np.abs(target[:, None] - places)
+    kept = int((apart.min(axis=1) < SAME_M).sum())
+    if kept == len(target) < len(places):
+        return Code.EXTRA
+    if len(places) < len(target) and (apart.min(axis=0) < SAME_M).all():
+        return Code.MISSING
+    if len(places) == len(target):
+        pose = pose_of(Arrangement.rigid(target - best.found.centre), places)
+        if pose is not None or 2 * kept >= len(target):
+            return Code.DISPLACED
+        if _turned_alike(target - best.found.centre, places - one.found.centre):
+            return Code.RADIUS
+    return Code.OTHER
+
+
+def _turned_alike(target: Complex, places: Complex) -> bool:
+    """Whether reflectors about their centres stand in the same directions, at other distances."""
+    gaps = [
+        np.sort(np.diff(np.sort(np.angle(some)), append=np.angle(some).min() + 2 * np.pi))
+        for some in (target, places)
+    ]
+    return bool(np.abs(gaps[0] - gaps[1]).max() < ALIKE_RAD)
 
 
 def is_same(one: Hypothesis, best: Hypothesis) -> bool:

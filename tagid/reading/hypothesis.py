@@ -61,10 +61,14 @@ class Joint:
     Attributes:
         log_z: log evidence over all of them, nats.
         shown: what it looks like in one of them.
+        mixed: the recordings are not all of one object.
+        bare: log evidence of the best of its name without a body, nats; -inf where there is none.
     """
 
     log_z: float
     shown: Hypothesis
+    mixed: bool = False
+    bare: float = float("-inf")
 
 
 @dataclass(frozen=True, eq=False)

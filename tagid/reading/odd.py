@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tagid.reading.columns import CLOSEST_M, FACE_POWER, FACES, ODD_POWER, OWN_SD_M, REACH_M, Face, seen_of
 from tagid.reading.descent import Found, variance
 from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.signal import median
 
 GAIN = -3.0
 """Nats that a place adds at least before it is refined: the map is coarse, and its clutter not yet less."""
@@ -73,7 +74,7 @@ class OddMap:
     @cached_property
     def _widths(self) -> list[float]:
         """Those of faces that are half seen over more than views are apart: one alone may be anything."""
-        apart = float(np.median(np.diff(np.sort(self._spectra.direction))))
+        apart = float(median(np.diff(np.sort(self._spectra.direction))))
         return [width for width in WIDTHS_RAD if 2 * np.sqrt(2 * np.log(2)) * width > apart]
 
     def likeliest(self, found: Found, *, faces: bool = True) -> list[tuple[Floats, Face | None]]:

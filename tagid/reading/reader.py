@@ -1,41 +1,235 @@
-"""From recordings of one object to a decision."""
+"""From recordings of one object to what they show."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import exp
 
+import numpy as np
+
+from tagid.counting import counted
+from tagid.errors import DataError, RegistryError
 from tagid.imaging.types import BasebandScans
-from tagid.reading.decision import Decision
+from tagid.reading.calibration import Calibration, worth
+from tagid.reading.columns import Priors
+from tagid.reading.decision import SURE, Decision, Needed, has_middle
+from tagid.reading.explain import Explained, explanations, kind_of
 from tagid.reading.hypotheses import Contest
-from tagid.reading.several import decide_together
+from tagid.reading.hypothesis import Hypothesis
+from tagid.reading.reading import LayoutScore, Reading
+from tagid.reading.several import best_of, clearest, decide_together
 from tagid.reading.signature import enrolled_in
 from tagid.reading.spectra import RADIUS_M, Spectra
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import Layout
 
+MOST_RECORDINGS = 100
+MOST_VIEWS = 360
+"""More views than these tell no more of an object, and count as so many for the calibration: those of several
+antenna heights, or of a wide image."""
 
-def read(
-    scans: BasebandScans | Sequence[BasebandScans],
+
+@dataclass(frozen=True)
+class ReaderSettings:
+    """What a person may set.
+
+    Attributes:
+        false_accept: probability of naming an object without an enrolled tag.
+        priors: of centre and mounting.
+        direction_known: whether angles rise as the object turns counter-clockwise. Where that is not known,
+            a layout may be seen as its mirror image.
+        calibration: None for the package's own.
+    """
+
+    false_accept: float = 5e-3
+    priors: Priors = field(default_factory=Priors)
+    direction_known: bool = True
+    calibration: Calibration | None = None
+
+
+def contest(
+    scans: BasebandScans,
     layouts: Sequence[Layout],
     signatures: Sequence[Signature] = (),
-) -> Decision:
-    """Read the tag of an object.
-
-    Args:
-        scans: of one recording, or of each of several, made without a matched filter.
-        layouts: the candidates.
-        signatures: enrolled bodies and objects; those of another band than a recording's take no part in it.
-    """
-    every = [scans] if isinstance(scans, BasebandScans) else list(scans)
-    contests = [contest(one, layouts, signatures) for one in every]
-    for one in contests:
-        one.run()
-    return decide_together(contests)
-
-
-def contest(scans: BasebandScans, layouts: Sequence[Layout], signatures: Sequence[Signature] = ()) -> Contest:
+    priors: Priors | None = None,
+) -> Contest:
     """What competes in a recording; arguments as of `read`."""
     enrolled = enrolled_in(scans, signatures)
     radius_m = max([RADIUS_M, *(one.signature.radius_m for one in enrolled)])
     kappa = enrolled[0].signature.wavenumbers if enrolled else None
-    return Contest(Spectra.of(scans, radius_m, kappa=kappa), layouts, enrolled=enrolled)
+    spectra = Spectra.of(scans, radius_m, kappa=kappa)
+    return Contest(spectra, layouts, enrolled=enrolled, priors=priors or Priors())
+
+
+def read(
+    scans: BasebandScans,
+    layouts: Sequence[Layout],
+    settings: ReaderSettings | None = None,
+    signatures: Sequence[Signature] = (),
+) -> Reading:
+    """Read the tag of an object.
+
+    Args:
+        scans: made without a matched filter.
+        layouts: the candidates.
+        settings: None for the defaults.
+        signatures: enrolled bodies and objects; those of another band than the recording's take no part.
+
+    Raises:
+        RegistryError: no layouts. DataError: the scans do not hold the object's range.
+    """
+    return read_together([scans], layouts, settings, signatures)[0]
+
+
+def read_together(
+    recordings: Sequence[BasebandScans],
+    layouts: Sequence[Layout],
+    settings: ReaderSettings | None = None,
+    signatures: Sequence[Signature] = (),
+) -> tuple[Reading, list[Reading]]:
+    """Read the tag of an object of which there are several recordings, each in another pose.
+
+    Arguments and errors are those of `read`.
+
+    Returns:
+        The joint reading, with turn, place and reflectors of the recording that shows them most clearly; and
+        what each recording says alone.
+    """
+    if not 1 <= len(recordings) <= MOST_RECORDINGS:
+        raise DataError(
+            f"{counted(len(recordings), 'recording')} of one object", f"Give 1 to {MOST_RECORDINGS}."
+        )
+    if not layouts and not any(one.kind == "object" for one in signatures):
+        raise RegistryError("no layout is enrolled", "Enrol one with `tagid enroll`.")
+    settings = settings or ReaderSettings()
+    candidates = list(layouts)
+    if not settings.direction_known:
+        candidates += [one.mirrored() for one in layouts]
+    contests = [contest(one, candidates, signatures, settings.priors) for one in recordings]
+    for one in contests:
+        one.run()
+    views = [min(len(one.samples), MOST_VIEWS) for one in recordings]
+    alone = [
+        _reading(decide_together([own], _needed(settings, count)), own, settings, count)
+        for own, count in zip(contests, views, strict=True)
+    ]
+    if len(contests) == 1:
+        return alone[0], alone
+    fewest = min(views)
+    decision = decide_together(contests, _needed(settings, fewest))
+    shown, winner = _shown(contests, decision.winner)
+    return _reading(replace(decision, winner=winner), shown, settings, fewest), alone
+
+
+def _shown(contests: Sequence[Contest], winner: Hypothesis) -> tuple[Contest, Hypothesis]:
+    """The recording in which a hypothesis of several is shown, and what it is there."""
+    for own in contests:
+        if winner in own.hypotheses:
+            return own, winner
+    own = clearest(contests)
+    return own, (best_of(own, winner.name) if winner.name else None) or winner
+
+
+def _calibration(settings: ReaderSettings) -> Calibration:
+    return settings.calibration or Calibration.shipped()
+
+
+def _needed(settings: ReaderSettings, views: int) -> Needed:
+    return _calibration(settings).needed(views, settings.false_accept)
+
+
+def _reading(decision: Decision, contest: Contest, settings: ReaderSettings, views: int) -> Reading:
+    """A decision as an answer, with what a recording shows of it."""
+    spectra, winner = contest.spectra, _plainest(contest, decision.winner)
+    best = best_of(contest, decision.best.name) if decision.best is not None and decision.best.name else None
+    explained = Explained.of(spectra, winner)
+    scores = _scores(contest)
+    nearest = (best.name if best is not None else None) or (scores[0].name if scores else "")
+    named = decision.status == "identified"
+    layout = nearest if decision.status in ("identified", "ambiguous") else None
+    rotation, centre = (0.0, (winner.found.centre.real, winner.found.centre.imag))
+    if best is not None and best.layout is not None and layout is not None:
+        rotation, centre = _pose(best)
+    bound = None
+    if named:
+        reached = worth(decision.lead, decision.bare)
+        bound = _calibration(settings).bound(reached, views, settings.false_accept)
+    share = 0.0 if decision.status == "no_tag" or best is None else 1 - Explained.of(spectra, best).left
+    reflectors = explained.reflectors(spectra)
+    if winner.layout is None:
+        reflectors = tuple(replace(one, matched=False) for one in reflectors)
+    expected = 0 if best is None or best.layout is None else best.layout.size
+    if best is not None and winner.found.model.covers_middle:
+        expected -= has_middle(best)
+    count = len(winner.found.places)
+    differs = not named and decision.status == "unknown" and count > 0
+    return Reading(
+        decision.status,
+        decision.reason,
+        layout,
+        nearest,
+        float(decision.lead) if np.isfinite(decision.lead) else 0.0,
+        _lead_needed(decision, _needed(settings, views)),
+        share,
+        float(np.clip(1 - exp(-max(decision.lead, 0.0)), 0, 1)),
+        rotation,
+        centre,
+        explained.offset_m(spectra),
+        reflectors,
+        max(expected - count, 0) if differs else 0,
+        max(count - expected, 0) if differs else 0,
+        scores,
+        decision.code,
+        kind_of(winner),
+        explanations(spectra, contest.hypotheses, winner),
+        bound,
+        winner,
+    )
+
+
+def _plainest(contest: Contest, winner: Hypothesis) -> Hypothesis:
+    """The winner, or the best of its name beside no body where a body does not show."""
+    bare = [
+        one
+        for one in contest.hypotheses
+        if winner.name and one.name == winner.name and not one.found.model.body_columns
+    ]
+    best = max(bare, key=lambda one: one.log_z, default=winner)
+    return best if best.log_z > winner.log_z - SURE else winner
+
+
+def _lead_needed(decision: Decision, needed: Needed) -> float:
+    """The lead from which this object would have its name: less where no body shows beside it."""
+    return min(needed.lead, needed.bare + max(decision.lead - decision.bare, 0.0))
+
+
+def _scores(contest: Contest) -> tuple[LayoutScore, ...]:
+    """Every layout by its best hypothesis, best first."""
+    untagged = max(one.log_z for one in contest.hypotheses if not one.tagged)
+    best: dict[str, Hypothesis] = {}
+    for one in sorted(contest.hypotheses, key=lambda one: -one.log_z):
+        if one.layout is not None:
+            best.setdefault(one.layout.name, one)
+    return tuple(
+        LayoutScore(name, untagged - one.log_z, 1 - Explained.of(contest.spectra, one).left)
+        for name, one in best.items()
+    )
+
+
+def _pose(best: Hypothesis) -> tuple[float, tuple[float, float]]:
+    """Rotation of a layout within its symmetry, deg, and where its origin lies, m."""
+    assert best.layout is not None and best.found.model.tag is not None
+    tag, places = best.found.model.tag, best.found.places
+    flat = tag.radius_m * np.exp(1j * tag.angle)
+    own = best.layout.positions[:, 0] + 1j * best.layout.positions[:, 1]
+    # By hand, turns are in the angles: the layout's own say by how much.
+    if len(own) == len(flat):
+        flat = own
+    elif best.middle:
+        flat = own[np.abs(own) > 5e-3]
+    turn = np.vdot(flat - flat.mean(), places - places.mean())
+    turn = turn / max(abs(turn), 1e-30)
+    centre = complex(places.mean() - turn * flat.mean())
+    period = 360 / best.layout.symmetry
+    return float(np.rad2deg(np.angle(turn)) % period), (centre.real, centre.imag)

@@ -16,7 +16,7 @@ from operator import attrgetter
 import numpy as np
 
 from tagid.reading.arrangement import Arrangement
-from tagid.reading.decision import SURE, Decision, decide, has_middle, is_same, settled
+from tagid.reading.decision import Decision, Needed, decide, has_middle, is_same, settled
 from tagid.reading.descent import Found, best_powers, refined
 from tagid.reading.hypotheses import Contest
 from tagid.reading.hypothesis import Arranged, Candidate, Hypothesis, Joint, disc_of, pose_of
@@ -43,50 +43,56 @@ TURNS_RAD = tuple(np.deg2rad(np.arange(0, 360, 4)))
 _log_z = attrgetter("log_z")
 
 
-def decide_together(contests: Sequence[Contest], sure: float = SURE) -> Decision:
+def decide_together(contests: Sequence[Contest], needed: Needed = Needed()) -> Decision:
     """The decision over contests of one object that were run."""
     if len(contests) == 1:
-        return decide(contests[0].hypotheses, sure)
-    untagged = _sum([_best(own, None) for own in contests])
+        return decide(contests[0].hypotheses, needed)
+    untagged = _sum([best_of(own, None) for own in contests])
     named: dict[str, Joint] = {}
     for layout in {
         one.layout.name: one.layout for own in contests for one in own.hypotheses if one.layout
     }.values():
-        known = [_best(own, layout.name) or look_for(own, layout) for own in contests]
+        known = [best_of(own, layout.name) or look_for(own, layout) for own in contests]
         named[layout.name] = _sum(known)
     for name in {one.name for own in contests for one in own.hypotheses if one.name and not one.layout}:
-        objects = [_best(own, name) for own in contests]
+        objects = [best_of(own, name) for own in contests]
         if all(objects):
             named[name] = _sum(objects)
     if not named:
-        return settled(None, untagged, untagged, sure)
-    clearest = max(contests, key=_shows)
+        return settled(None, untagged, untagged, needed)
+    first = clearest(contests)
     for name in sorted(named, key=lambda name: -named[name].log_z)[:NAMES]:
-        one = _best(clearest, name)
+        one = best_of(first, name)
         if one is not None and one.found.model.tag is not None:
-            named[name] = max(named[name], _chain(contests, clearest, one), key=_log_z)
+            named[name] = max(named[name], _chain(contests, first, one), key=_log_z)
     best = max(named, key=lambda name: named[name].log_z)
     others = [untagged, *(named[name] for name in named if name != best)]
-    same = _best(clearest, best)
+    same = best_of(first, best)
     for contest in contests:
         for one in _shown(contest, best):
-            there = one if contest is clearest else freed(clearest, look_for(clearest, None, _rigid(one)))
+            there = one if contest is first else freed(first, look_for(first, None, _rigid(one)))
             if same is None or not is_same(there, same):
-                others.append(_chain(contests, clearest, there, best))
+                others.append(_chain(contests, first, there, best))
     others += _mixed(contests, best)
-    return settled(named[best], max(others, key=_log_z), untagged, sure)
+    joint = replace(named[best], bare=sum(_bare(own, best) for own in contests))
+    return settled(joint, max(others, key=_log_z), untagged, needed)
 
 
 def _mixed(contests: Sequence[Contest], name: str) -> list[Joint]:
     """The recordings as of a name or, where they show something else clearly, of another object."""
     total, another = 0.0, None
     for contest in contests:
-        winner, named = max(contest.hypotheses, key=lambda one: one.log_z), _best(contest, name)
+        winner, named = max(contest.hypotheses, key=lambda one: one.log_z), best_of(contest, name)
         if named is None or winner.log_z + ANOTHER > named.log_z:
             total, another = total + winner.log_z + ANOTHER, winner
         else:
             total += named.log_z
-    return [] if another is None else [Joint(total, another)]
+    return [] if another is None else [Joint(total, another, mixed=True)]
+
+
+def clearest(contests: Sequence[Contest]) -> Contest:
+    """The recording that shows reflectors most clearly."""
+    return max(contests, key=_shows)
 
 
 def _shows(contest: Contest) -> float:
@@ -104,7 +110,7 @@ def _chain(contests: Sequence[Contest], first: Contest, one: Hypothesis, other: 
     """
     tag, log = _rigid(one), one.log_z
     for own in contests:
-        named = None if other is None else _best(own, other)
+        named = None if other is None else best_of(own, other)
         empty = named is not None and has_middle(named) and not one.found.model.covers_middle
         if own is not first:
             log += look_for(own, None, tag, partial(is_same, best=named) if empty and named else None).log_z
@@ -116,10 +122,16 @@ def _rigid(one: Hypothesis) -> Arrangement:
     return Arrangement.rigid(one.found.places - one.found.centre, None if tag is None else tag.height_m)
 
 
-def _best(contest: Contest, name: str | None) -> Hypothesis | None:
+def best_of(contest: Contest, name: str | None) -> Hypothesis | None:
     """The best hypothesis of a name; None: of what has no tag."""
     some = [one for one in contest.hypotheses if one.name == name and (name or not one.tagged)]
     return max(some, key=_log_z, default=None)
+
+
+def _bare(contest: Contest, name: str) -> float:
+    """Log evidence of the best hypothesis of a name without a body, nats; -inf where there is none."""
+    bare = (one for one in contest.hypotheses if one.name == name and not one.found.model.body_columns)
+    return max((one.log_z for one in bare), default=-np.inf)
 
 
 def _sum(some: Sequence[Hypothesis | None]) -> Joint:
@@ -129,7 +141,7 @@ def _sum(some: Sequence[Hypothesis | None]) -> Joint:
 
 def _shown(contest: Contest, name: str) -> list[Hypothesis]:
     """The best arrangements that a recording shows and that are not those of a name, each once."""
-    named = _best(contest, name)
+    named = best_of(contest, name)
     limit = max(one.log_z for one in contest.hypotheses) - REACH
     out: list[Hypothesis] = []
     for one in sorted(contest.hypotheses, key=lambda one: -one.log_z):

@@ -88,8 +88,7 @@ class BesideShell:
     """A thin shell, as that of a helmet, or the walls of a carton.
 
     It leaves 4 to 7 % of the echo of tags on solved helmet shells with one amplitude per frequency, where a
-    round wall as far away as the shell leaves 14 to 16 % and no shell 18 to 28 %
-    (`tests/benchmarks/helmet_tags.py`).
+    round wall as far away as the shell leaves 14 to 16 % and no shell 18 to 28 %.
 
     Attributes:
         shell: about the object's axis.

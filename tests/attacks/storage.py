@@ -331,7 +331,7 @@ def _(folder: Path) -> Outcome:
     "F16b",
     "two alike objects that are enrolled at once are both stored",
     before="both stored, no conflict",
-    test="tests/unit/test_bodies_enrolled.py::test_alike_objects_enrolled_at_once_are_seen",
+    test="tests/unit/test_signature_storage.py::test_alike_objects_enrolled_at_once_are_seen",
 )
 def _(folder: Path) -> Outcome:
     import numpy as np

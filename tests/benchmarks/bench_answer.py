@@ -1,9 +1,9 @@
 """Time from the last scan to the answer: 36 views, four layouts, nothing enrolled, without torch.
 
-Tags are those of `reading_bodies` on every body at 20 and 10 dB, up to 10 mm off the axis; the others are
-drawn from the population on which `tags.false_accept` rests (`train.population`): untagged bodies, and
-foreign tags on them. A recording is prepared and read as `tagid scan` does it, once everything is loaded; of
-two readings the faster counts. Causes are looked for where nothing is named; `tagid scan --live` shows the
+Tags are those of `reading_bodies_scenes.py` on every body at 20 and 10 dB, up to 10 mm off the axis; the
+others are drawn from the population on which `tags.false_accept` rests (`train.population`): untagged bodies,
+and foreign tags on them. A recording is prepared and read as `tagid scan` does it, once everything is loaded;
+of two readings the faster counts. Causes are looked for where nothing is named; `tagid scan --live` shows the
 answer before that. Times are of the wall clock; BLAS may use both cores.
 
     python tests/benchmarks/bench_answer.py --write docs/results

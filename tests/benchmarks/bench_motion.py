@@ -47,11 +47,11 @@ from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.memory import MemoryLink
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
+from tagid.reading.reader import read
 from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.recorder import Watch, record
 from tagid.simulate import Acquisition, TurningScene, scene_from_name
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching.matcher import read_tag
 
 FOLDER = Path(tempfile.mkdtemp(prefix="bench-motion-"))
 AXIS_M = 1.0
@@ -276,8 +276,10 @@ def read_once(name: str, robot: bool, seed: int, snr_db: float) -> str | None:
             capture = replace(capture, angles_rad=found.angles_rad, angle_sigma_rad=found.sigma_rad)
         else:
             capture = resolve_turn(capture, "free")
-        scans = preprocess(one_turn(capture, 360), settings=PreprocessSettings(extent_m=0.5))
-        return read_tag(scans, LAYOUTS).layout
+        scans = preprocess(
+            one_turn(capture, 360), settings=PreprocessSettings(matched_filter=False, extent_m=0.5)
+        )
+        return read(scans, LAYOUTS).layout
     except TagidError:
         return None
 

@@ -19,15 +19,18 @@ from functools import cache
 from types import ModuleType
 
 import numpy as np
-from enrolled_scenes import DISTANCE_M, recorded, scene_maker
+from enrolled_scenes import DISTANCE_M, ENROLMENT_VIEWS, POPULATION, recorded, scene_maker
 from identification_scenes import SETS
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
+from tagid.pipeline.identify import aspect_spectra
 from tagid.simulate import Acquisition, Placement, ReflectorSpec, parse_body, simulate_capture
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
+from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
 
@@ -238,3 +241,14 @@ def _own(
         placement=Placement((place.real, place.imag), rng.uniform(0, 2 * np.pi)),
     )
     return simulate_capture(scene, acquisition, int(rng.integers(2**32)))[0]
+
+
+def enrolled_carrier(number: int) -> Signature:
+    """Signature of a body of the designed layouts from three captures without a tag."""
+    carrier = CARRIERS[number]
+    captures = []
+    for i in range(3):
+        key, size_mm = f"{POPULATION}/enrol/{i}", carrier.sizes_mm[0]
+        shown = capture_of(carrier, None, size_mm, key, 20, 2 + 2 * i, ENROLMENT_VIEWS)
+        captures.append(Named(f"{carrier.name} {i}", aspect_spectra(shown)))
+    return enrol_signature(captures, carrier.name, "body").signature

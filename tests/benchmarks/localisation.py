@@ -29,7 +29,6 @@ from tagid.simulate.scattering import Cylinder, Points
 from tagid.simulate.scene import Scene
 from tagid.tags.enrolling.precision import position_covariances
 from tagid.tags.layouts.codebook import best_pairing
-from tagid.tags.reading.aspect import TRANSPARENT, Appearance
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.reflectors import refine_positions
 from tagid.tags.reading.views import fold_views
@@ -94,7 +93,7 @@ def errors(one: Recording) -> Errors:
     scans, _ = focus_axis_distance(recorded.scans, ImageGrid(0.5, 128), 0.03)
     field = MatchedField(fold_views(scans, RADIUS_M), RADIUS_M)
     truth = recorded.positions[:, :2]
-    found = refine_positions(field, truth, Appearance(TRANSPARENT, np.zeros(2)))[0]
+    found, _ = refine_positions(field, truth)
     assert scene.points is not None
     object_frame = scene.points.positions[:, :2]
     pair = best_pairing(found, object_frame)

@@ -1,85 +1,171 @@
-"""Write `tagid/planning/rates.json`, the measured rates of the reader that `tagid plan` interpolates.
+"""The rates of the reader that `tagid plan` interpolates, by body, views and SNR.
 
-It reads the published tables of docs/results, so that plan and pages never differ:
+Bare tags are scenes of `identification_scenes.py` with the paper's four layouts; tags on bodies are those of
+`reading_bodies_scenes.py`, 36 views per turn, with nothing enrolled and with the untagged body enrolled from
+three captures. Offsets from the axis and pulses are taken in turn. Per cent with 95 % Wilson intervals.
 
-    python tests/benchmarks/planning_rates.py
+    python tests/benchmarks/planning_rates.py --jobs 2 --write docs/results
 
-Run it again whenever one of the tables is measured anew.
+Every reading becomes a line of --work, so that a run can be stopped and continued. With --write it makes
+`tagid/planning/rates.json`, too, whose sources name the page.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-import re
+import multiprocessing
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-RESULTS = ROOT / "docs" / "results"
-OUT = ROOT / "tagid" / "planning" / "rates.json"
-BARE = (RESULTS / "identification.md", "The paper's four layouts")
-BODIES = RESULTS / "reader-bodies-after.md"
-MODES = {"bodies": "Our simulator, blind", "enrolled": "Our simulator, enrolled"}
-BODY_VIEWS = 36
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+import identification_scenes as bare_scenes
+import reading_bodies_scenes as body_scenes
+from provenance import ROOT, commit, page, publish
 
-def section(page: str, heading: str) -> str:
-    match = re.search(rf"^## {re.escape(heading)}\n(.*?)(?=^## |\Z)", page, re.M | re.S)
-    if match is None:
-        raise SystemExit(f"there is no section {heading!r}")
-    return match[1]
+from tagid.errors import TagidError
+from tagid.pipeline.identify import aspect_spectra, identify
+from tagid.planning.rates import Measured
+from tagid.proportion import wilson
+from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.signature import Signature
 
-
-def tables(text: str) -> list[list[dict[str, str]]]:
-    """Every Markdown table of a text, a dict per row."""
-    found = []
-    for block in re.findall(r"(?:^\|.*\|\n)+", text + "\n", re.M):
-        rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in block.strip().split("\n")]
-        found.append([dict(zip(rows[0], row, strict=True)) for row in rows[2:]])
-    return found
-
-
-def count(cell: str, scenes: int) -> int:
-    """Scenes behind a rate such as '97.5 (87.1..99.6)'."""
-    return round(float(cell.split()[0]) / 100 * scenes)
+RATES = ROOT / "tagid" / "planning" / "rates.json"
+PAGE = "planning-rates.md"
+FIRST_BARE, FIRST_BODY = 2000, 700
+"""Numbers of scenes that no other benchmark reads."""
+SNRS_DB = (20, 10, 5, 0)
+BARE_VIEWS, BODY_VIEWS = (36, 18, 12), 36
+TITLES = {"none": "Bare tags", "bodies": "Tags on bodies", "enrolled": "Tags on enrolled bodies"}
+CELLS = tuple(product(body_scenes.OFFSETS_MM, body_scenes.PULSES))
 
 
-def row(entry: dict[str, str], body: str, views: int, enrolled: bool = False) -> dict[str, Any]:
-    scenes = int(entry["scenes"])
-    named, wrong = count(entry["correct"], scenes), count(entry["wrong"], scenes)
-    return {
-        "body": body,
-        "views": views,
-        "snr_db": float(entry["SNR dB"]),
-        "scenes": scenes,
-        "named": named,
-        "wrong": wrong,
-        "enrolled": enrolled,
-    }
+@dataclass(frozen=True)
+class Task:
+    """One reading of a tagged object.
+
+    Attributes:
+        mode: one of TITLES.
+        body, views, snr_db: a row of the table.
+        number: of its scenes.
+    """
+
+    mode: str
+    body: str
+    views: int
+    snr_db: int
+    number: int
+
+    @property
+    def key(self) -> str:
+        """In the file of --work."""
+        return "/".join(map(str, asdict(self).values()))
+
+
+def tasks(bare: int, rounds: int) -> Iterator[Task]:
+    """All readings, in the order of the tables."""
+    for views, snr, number in product(BARE_VIEWS, SNRS_DB, range(bare)):
+        yield Task("none", "none", views, snr, number)
+    bodies = [body for body in body_scenes.BODIES if body != "none"]
+    for mode, body, snr in product(("bodies", "enrolled"), bodies, SNRS_DB):
+        for number in range(rounds * len(CELLS)):
+            yield Task(mode, body, BODY_VIEWS, snr, number)
+
+
+def outcome(task: Task) -> str:
+    """Named, wrong or refused."""
+    try:
+        return _named(task)
+    except TagidError:
+        return "refused"
+
+
+def _named(task: Task) -> str:
+    signatures: Sequence[Signature] = ()
+    if task.mode == "none":
+        condition = bare_scenes.Condition("tagged", "paper", task.views, task.snr_db)
+        recorded = bare_scenes.record(condition, FIRST_BARE + task.number)
+        capture, name, layouts = recorded.capture, recorded.name, bare_scenes.SETS["paper"]
+    else:
+        turn, at = divmod(task.number, len(CELLS))
+        offset_mm, pulse = CELLS[at]
+        cell = body_scenes.Cell(
+            "own", "tagged", "paper", task.body, offset_mm, task.snr_db, task.views, pulse
+        )
+        drawn = body_scenes.draw(cell, "development", FIRST_BODY + turn)
+        capture, name, layouts = drawn.capture, drawn.name, drawn.layouts
+        if task.mode == "enrolled":
+            shown = body_scenes.enrolment_captures(cell, "development", FIRST_BODY + turn, tagged=False)
+            captures = [Named(f"capture {i}", aspect_spectra(own)) for i, own in enumerate(shown)]
+            signatures = [enrol_signature(captures, "body", "body").signature]
+    answer = identify(capture, layouts, signatures=signatures)
+    if answer.status != "identified" or answer.reading is None:
+        return "refused"
+    return "named" if answer.reading.layout == name else "wrong"
+
+
+def rows(outcomes: dict[Task, str]) -> list[Measured]:
+    """The rows of the tables."""
+    made = []
+    for key in dict.fromkeys((t.mode, t.body, t.views, t.snr_db) for t in outcomes):
+        own = [o for t, o in outcomes.items() if (t.mode, t.body, t.views, t.snr_db) == key]
+        mode, body, views, snr_db = key
+        counts = len(own), own.count("named"), own.count("wrong")
+        made.append(Measured(body, views, float(snr_db), *counts, enrolled=mode == "enrolled"))
+    return made
+
+
+def table(mode: str, outcomes: dict[Task, str]) -> list[str]:
+    """The section of a mode."""
+    lines = [f"## {TITLES[mode]}", "", "| body | views | SNR dB | scenes | named | wrong |", "|---" * 6 + "|"]
+    for row in rows({task: own for task, own in outcomes.items() if task.mode == mode}):
+        cells = [row.body, str(row.views), f"{row.snr_db:g}", str(row.scenes)]
+        for count in (row.named, row.wrong):
+            interval = wilson(count / row.scenes, row.scenes)
+            share, low, high = (100 * rate for rate in (count / row.scenes, interval.low, interval.high))
+            cells.append(f"{share:.1f} ({low:.1f}..{high:.1f})")
+        lines.append(f"| {' | '.join(cells)} |")
+    return [*lines, ""]
 
 
 def main() -> None:
-    rows: list[dict[str, Any]] = []
-    path, heading = BARE
-    page = path.read_text()
-    sources = {"none": source(path, heading, page)}
-    for table in tables(section(page, heading)):
-        if {"views", "SNR dB", "correct"} <= set(table[0]):
-            rows += [row(entry, "none", int(entry["views"])) for entry in table]
-    page = BODIES.read_text()
-    for mode, heading in MODES.items():
-        sources[mode] = source(BODIES, heading, page)
-        for table in tables(section(page, heading)):
-            if {"body", "SNR dB", "correct"} <= set(table[0]) and "enrolled" not in table[0]:
-                kept = [entry for entry in table if entry["body"] != "none"]
-                rows += [row(entry, entry["body"], BODY_VIEWS, mode == "enrolled") for entry in kept]
-    OUT.write_text(json.dumps({"format": 1, "sources": sources, "rows": rows}, indent=1) + "\n")
-    print(f"{len(rows)} rows in {OUT.relative_to(ROOT)}")
-
-
-def source(path: Path, heading: str, page: str) -> str:
-    commit = re.search(r"Commit: (\w{7,40})", page)
-    return f"docs/results/{path.name}, {heading}" + (f", commit {commit[1]}" if commit else "")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--bare", type=int, default=100, help="scenes a row of bare tags")
+    parser.add_argument("--rounds", type=int, default=2, help="rounds of tags on bodies, 8 scenes a row each")
+    parser.add_argument("--modes", nargs="*", choices=tuple(TITLES), default=tuple(TITLES))
+    parser.add_argument("--most", type=int, help="only the first so many readings, for a check")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--work", type=Path, default=ROOT / "build" / "planning-rates.jsonl")
+    parser.add_argument("--write", type=Path, help="folder for the page; makes rates.json, too")
+    given = parser.parse_args()
+    given.work.parent.mkdir(parents=True, exist_ok=True)
+    lines = given.work.read_text().splitlines() if given.work.is_file() else []
+    known = dict(json.loads(line) for line in lines)
+    wanted = [one for one in tasks(given.bare, given.rounds) if one.mode in given.modes][: given.most]
+    missing = [task for task in wanted if task.key not in known]
+    with multiprocessing.get_context("fork").Pool(given.jobs) as pool, given.work.open("a") as file:
+        for task, own in zip(missing, pool.imap(outcome, missing), strict=True):
+            known[task.key] = own
+            file.write(json.dumps([task.key, own]) + "\n")
+            file.flush()
+    outcomes = {task: known[task.key] for task in wanted}
+    seeds = f"numbers from {FIRST_BARE} (bare tags) and from {FIRST_BODY} (bodies, development) on"
+    text = page("Rates of the reader, for `tagid plan`", seeds, __doc__)
+    for mode in given.modes:
+        text += table(mode, outcomes)
+    publish(text, given.write, PAGE)
+    if given.write:
+        sources = {mode: f"docs/results/{PAGE}, {title}, commit {commit()}" for mode, title in TITLES.items()}
+        made = {"format": 1, "sources": sources, "rows": [asdict(row) for row in rows(outcomes)]}
+        RATES.write_text(json.dumps(made, indent=1) + "\n")
+        print(f"{RATES.relative_to(ROOT)} written")
 
 
 if __name__ == "__main__":

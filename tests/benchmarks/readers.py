@@ -1,36 +1,47 @@
-"""Any yardstick read with the rules, with the evidence, or with both, and one table that compares them.
+"""How often the reader names tags rightly, and other objects at all, on every yardstick.
 
-    python tests/benchmarks/readers.py y1 y5 null --readers rules evidence
+Each yardstick of `readers_scenes.py` is a set of simulated or solved recordings of development seeds, read by
+`tagid.reading.reader.read` as the commands do, with the default settings. A tagged object is right where the
+name is that of its layout; "others" carry no enrolled tag, so that every name is wrong. "rules (before)" are
+the stored answers to the same scenes of the reader that this one replaced (answers_of_the_rules.jsonl, keyed
+by scene); its columns count the scenes that it had read. Intervals are 95 % (Wilson), in per cent. Seconds
+are of the processor, on one core.
 
-The yardsticks are those of `readers_scenes.py`. Both readers get the same scans, prepared as by `bodies.py`.
-The answers of the rules are kept in answers_of_the_rules.jsonl and not read again, those of the evidence only
-with --keep. --dump FOLDER writes each scene as a pickled dictionary, FOLDER/YARDSTICK/NNNN.pkl, in an order
-of which every k-th is a fair sample; --bank FOLDER reads such files instead of drawing the scenes.
+    python tests/benchmarks/readers.py y1 y5 null --jobs 2
+    python tests/benchmarks/readers.py --jobs 2 --keep build/readers.jsonl --write docs/results
+
+A run with --keep can be stopped and continued. --dump FOLDER writes each scene as a pickled dictionary,
+FOLDER/YARDSTICK/NNNN.pkl, in an order of which every k-th is a fair sample; --bank FOLDER reads such files
+instead of drawing the scenes.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
+import math
 import multiprocessing
 import os
 import pickle
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
-from readers_scenes import YARDSTICKS, drawn
+from provenance import page, publish
+from readers_scenes import SEEDS, YARDSTICKS, drawn
 
 from tagid.errors import TagidError
+from tagid.proportion import wilson
+from tagid.reading.reader import read
 
 RULES = Path(__file__).with_name("answers_of_the_rules.jsonl")
 Prepared = dict[str, Any]
@@ -39,7 +50,15 @@ Prepared = dict[str, Any]
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of one scene: `outcome` is right, wrong, or what was answered instead of a name."""
+    """What became of one scene.
+
+    Attributes:
+        key, group, truth: of the scene.
+        outcome: right, wrong, or the code of what was answered instead of a name.
+        name: given, if any.
+        seconds: of the processor.
+        lead: of the likeliest layout, nats; None where there is none.
+    """
 
     key: str
     group: str
@@ -47,46 +66,36 @@ class Answer:
     outcome: str
     name: str | None
     seconds: float
+    lead: float | None = None
 
 
-def rules(scene: Prepared) -> tuple[str, str | None]:
-    """Status and name of `read_tag`, the code of a refusal for its status."""
-    read_tag = importlib.import_module("tagid.tags.matching.matcher").read_tag
-    reading = read_tag(scene["scans"], scene["layouts"], None, scene["enrolled"])
-    return reading.code.value or reading.status, reading.layout
-
-
-def evidence(scene: Prepared) -> tuple[str, str | None]:
-    """Status and name of the reader of `tagid.reading`."""
-    read = importlib.import_module("tagid.reading.reader").read
-    answer = read(scene["scans"], scene["layouts"], signatures=scene["signatures"])
-    return answer.status, answer.name
-
-
-READERS: dict[str, Callable[[Prepared], tuple[str, str | None]]] = {"rules": rules, "evidence": evidence}
-
-
-def answer(reader: str, scene: Prepared) -> Answer:
-    """The answer of a reader to a scene."""
+def answer(scene: Prepared) -> Answer:
+    """The reader's answer to a scene."""
     start = time.process_time()
+    lead, name = None, None
     try:
-        outcome, name = READERS[reader](scene)
+        reading = read(scene["scans"], scene["layouts"], signatures=scene["signatures"])
+        outcome = reading.code.value or reading.status
+        if math.isfinite(reading.lead):
+            lead = round(reading.lead, 2)
     except TagidError as error:
-        outcome, name = f"failed: {error.code}", None
+        outcome = f"failed: {error.code}"
+    else:
+        if reading.status == "identified":
+            name = reading.layout
+            right = scene["truth"] is not None and name in (scene["truth"], scene["alias"])
+            outcome = "right" if right else "wrong"
     seconds = round(time.process_time() - start, 2)
-    if outcome == "identified":
-        right = scene["truth"] is not None and name in (scene["truth"], scene["alias"])
-        outcome = "right" if right else "wrong"
-    return Answer(scene["key"], scene["group"], scene["truth"], outcome, name, seconds)
+    return Answer(scene["key"], scene["group"], scene["truth"], outcome, name, seconds, lead)
 
 
 class Answers:
-    """Answers of one reader; kept in a file if a path is given."""
+    """Answers by scene; kept in a file if a path is given."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
         lines = path.read_text().splitlines() if path and path.is_file() else []
-        self.by_key = {found["key"]: Answer(**found) for found in map(json.loads, lines)}
+        self.by_key = {row["key"]: Answer(**row) for row in map(json.loads, lines)}
 
     def add(self, answer: Answer) -> None:
         """Keep another one."""
@@ -105,13 +114,13 @@ class Task:
         key: of the scene.
         make: draws or loads it; None where there is no such scene.
         path: of its dump; None for none.
-        readers: which are to read it.
+        wanted: whether it is to be read.
     """
 
     key: str
     make: Callable[[], Prepared | None]
     path: Path | None
-    readers: tuple[str, ...]
+    wanted: bool
 
 
 def prepared(draw: Callable[[], Any]) -> Prepared | None:
@@ -125,20 +134,20 @@ def load(path: Path) -> Prepared:
     return pickle.loads(path.read_bytes())
 
 
-def done(task: Task) -> dict[str, Answer] | None:
-    """The answers to a scene; None if there is no such scene."""
+def done(task: Task) -> tuple[bool, Answer | None]:
+    """Whether there is such a scene, and the answer to it, if it is wanted."""
     scene = task.make()
     if scene is None:
-        return None
+        return False, None
     if task.path is not None:
         task.path.parent.mkdir(parents=True, exist_ok=True)
         part = task.path.with_suffix(".part")
         part.write_bytes(pickle.dumps(scene, protocol=5))
         part.rename(task.path)
-    return {reader: answer(reader, scene) for reader in task.readers}
+    return True, answer(scene) if task.wanted else None
 
 
-def tasks(yardstick: str, given: argparse.Namespace, kept: dict[str, Answers]) -> Iterator[Task]:
+def tasks(yardstick: str, given: argparse.Namespace, kept: Answers) -> Iterator[Task]:
     """What is to be done for a yardstick; a scene that is dumped and answered has nothing to do."""
     if given.bank:
         paths = sorted((given.bank / yardstick).glob("*.pkl"))
@@ -147,64 +156,85 @@ def tasks(yardstick: str, given: argparse.Namespace, kept: dict[str, Answers]) -
         scenes = [(key, partial(prepared, draw)) for key, draw in drawn(yardstick, given.rounds)]
     for i, (key, make) in enumerate(scenes[: given.most]):
         path = given.dump / yardstick / f"{i:04d}.pkl" if given.dump else None
-        readers = tuple(reader for reader in given.readers if key not in kept[reader].by_key)
-        yield Task(key, make, None if path is None or path.exists() else path, readers)
+        path = None if path is None or path.exists() else path
+        yield Task(key, make, path, key not in kept.by_key)
 
 
-def table(yardstick: str, answers: dict[str, list[Answer]]) -> list[str]:
+def share(count: int, total: int) -> str:
+    """A count with the interval of its rate, per cent."""
+    if not total:
+        return "-"
+    interval = wilson(count / total, total)
+    return f"{count} ({100 * interval.low:.0f} to {100 * interval.high:.0f})"
+
+
+def table(found: Sequence[Answer], before: dict[str, Answer]) -> list[str]:
     """Groups against readers: of tagged scenes right and wrong, of others how many were named."""
-    head = "".join(f" {r}: right | wrong | others named |" for r in answers)
-    lines = [f"| {yardstick} | tagged | others |{head}", "|---" * (3 + 3 * len(answers)) + "|"]
-    every = next(iter(answers.values()), [])
-    for group in (*sorted({a.group for a in every}), "all"):
-        size = [a.truth is None for a in every if group in (a.group, "all")]
-        cells = [group, str(size.count(False)), str(size.count(True))]
-        for own in answers.values():
-            some = [a for a in own if group in (a.group, "all")]
-            cells += [str(sum(a.outcome == "right" for a in some))]
-            for none in (False, True):
-                cells += [str(sum(a.outcome == "wrong" and (a.truth is None) == none for a in some))]
+    lines = [
+        "| scenes | tagged | right | wrong | others | named | rules (before): tagged | right | wrong "
+        "| others | named |",
+        "|---" * 11 + "|",
+    ]
+    for group in (*sorted({a.group for a in found}), "all"):
+        cells = [group]
+        own = [a for a in found if group in (a.group, "all")]
+        for some in (own, [before[a.key] for a in own if a.key in before]):
+            tagged = [a.outcome for a in some if a.truth is not None]
+            others = [a.outcome for a in some if a.truth is None]
+            cells += [str(len(tagged)), share(tagged.count("right"), len(tagged)), str(tagged.count("wrong"))]
+            cells += [str(len(others)), share(others.count("wrong"), len(others))]
         lines.append("| " + " | ".join(cells) + " |")
-    for reader, own in answers.items():
-        seconds = [a.seconds for a in own] or [0.0]
-        lines.append(
-            f"\n{reader}: CPU seconds of a reading: median {np.median(seconds):.2f}, "
-            f"95 % under {np.quantile(seconds, 0.95):.2f}, most {max(seconds):.2f}."
-        )
-    return lines
+    seconds = [a.seconds for a in found] or [0.0]
+    middle, late = np.quantile(seconds, [0.5, 0.95])
+    words = f"Seconds of a reading: median {middle:.2f}, 95 % under {late:.2f}, most {max(seconds):.2f}."
+    return [*lines, "", words]
+
+
+def failures(found: Sequence[Answer]) -> list[str]:
+    """Each tagged scene that was not right, and each name of another."""
+    return [
+        f"- {a.key}: {a.truth or 'nothing'}, answered {a.outcome} {a.name or ''}".rstrip()
+        for a in found
+        if a.outcome != "right" and (a.truth or a.outcome == "wrong")
+    ]
+
+
+def section(yardstick: str, given: argparse.Namespace, kept: Answers, before: Answers) -> list[str]:
+    """The lines of a yardstick, whose scenes are read where no answer is kept."""
+    todo = list(tasks(yardstick, given, kept))
+    missing = 0
+    with multiprocessing.get_context("fork").Pool(given.jobs) as pool:
+        for there, one in pool.imap(done, [t for t in todo if t.path or t.wanted]):
+            missing += not there
+            if one is not None:
+                kept.add(one)
+    found = [kept.by_key[t.key] for t in todo if t.key in kept.by_key]
+    words = " ".join(str(YARDSTICKS[yardstick].__doc__).split())
+    lines = [f"## {yardstick}", "", words, "", *table(found, before.by_key)]
+    if missing:
+        lines.append(f"\n{missing} scenes left out: not solved, or drawn as foreign and an enrolled pair.")
+    if given.list:
+        lines += ["", *failures(found)]
+    return [*lines, ""]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("yardsticks", nargs="*", choices=[*YARDSTICKS, []], help="default: all")
-    parser.add_argument("--readers", nargs="*", choices=tuple(READERS), default=["rules"])
     parser.add_argument("--rounds", type=int, default=1, help="rounds of scenes, each of other seeds")
     parser.add_argument("--most", type=int, help="only the first so many scenes of a yardstick")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--dump", type=Path, help="folder into which the scenes are written")
     parser.add_argument("--bank", type=Path, help="folder of dumped scenes to be read")
-    parser.add_argument("--keep", type=Path, help="file of answers of the evidence, which is continued")
+    parser.add_argument("--keep", type=Path, help="file of answers, which is continued")
     parser.add_argument("--list", action="store_true", help="each scene that was not right")
+    parser.add_argument("--write", type=Path, help="folder for reading.md")
     given = parser.parse_args()
-    kept = {"rules": Answers(RULES), "evidence": Answers(given.keep)}
+    kept, before = Answers(given.keep), Answers(RULES)
+    lines = page("The reader on every yardstick", SEEDS, __doc__)
     for yardstick in given.yardsticks or YARDSTICKS:
-        todo = list(tasks(yardstick, given, kept))
-        missing = 0
-        with multiprocessing.get_context("fork").Pool(given.jobs) as pool:
-            for found in pool.imap(done, [t for t in todo if t.path or t.readers]):
-                missing += found is None
-                for reader, own in (found or {}).items():
-                    kept[reader].add(own)
-        answers = {r: [kept[r].by_key[t.key] for t in todo if t.key in kept[r].by_key] for r in given.readers}
-        print("\n".join(table(yardstick, answers)))
-        if missing:
-            print(f"\n{missing} scenes left out: not solved, or drawn as foreign and an enrolled pair.")
-        if given.list:
-            for reader, own in answers.items():
-                for a in own:
-                    if a.outcome != "right" and (a.truth or a.outcome == "wrong"):
-                        print(f"    {reader} | {a.key} | {a.truth} | {a.outcome} {a.name or ''}")
-        print(flush=True)
+        lines += section(yardstick, given, kept, before)
+    publish(lines, given.write, "reading.md")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
 """Scenes of every yardstick of `readers.py`, of development seeds alone.
 
-y1 is `bodies.py`, y2 `reading_bodies.py`, y3 `unseen_bodies.py` (opened objects), all blind; y2e is y2 with
-body or object enrolled, y4 `enrolled_bodies.py`, y5 `identification.py` from number 1000 on, null
-`train/population.py`, volume `train/volume_objects.py`, on which nothing is chosen. y3 requires solved
-objects in SOLVED: `unseen_objects.py` makes them, in about half a minute each.
+y1 is `bodies_scenes.py`, y2 `reading_bodies_scenes.py`, y3 `unseen_scenes.py` (opened objects), all without
+enrolment; y2e is y2 with body or object enrolled, y4 `enrolled_scenes.py` and `enrolled_designed.py`, y5
+`identification_scenes.py` from number 1000 on, null `train/population.py`, volume `train/volume_objects.py`,
+on which nothing is chosen. y3 requires solved objects in SOLVED: `unseen_objects.py` makes them, in about
+half a minute each.
 """
 
 from __future__ import annotations
@@ -17,19 +18,17 @@ from pathlib import Path
 from typing import Any
 
 import bodies_scenes
-import enrolled_bodies
 import enrolled_designed
+import enrolled_scenes
 import identification_scenes
 import reading_bodies_scenes
-import unseen_bodies
 import unseen_objects
 import unseen_scenes
 
 from tagid.capture import Capture
 from tagid.errors import TagidError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.pipeline.identify import aspect_spectra, enrolled_hypotheses
-from tagid.pipeline.settings import ImagingSettings
+from tagid.pipeline.identify import aspect_spectra
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout, builtin_layouts
@@ -42,7 +41,9 @@ FIRST_NULL, FIRST_READING_BODIES, FIRST_IDENTIFICATION = 6_000_000, 500, 1000
 NULLS, DRAWN, VOLUMES = 300, 100, 60
 """Scenes per round."""
 HARD = ((36, 10), (36, 0), (12, 10), (18, 0))
-READ = f"{enrolled_bodies.POPULATIONS['development']}/read"
+SEEDS = "of development alone (`tests/benchmarks/readers_scenes.py`)"
+"""What the page says of them."""
+READ = f"{enrolled_scenes.POPULATION}/read"
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +63,9 @@ class Scene:
     alias: str = ""
 
     def prepared(self) -> dict[str, Any]:
-        """The same with scans and hypotheses instead of the capture; raises TagidError."""
+        """The same with scans instead of the capture; raises TagidError."""
         scans = preprocess(self.capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
-        enrolled = enrolled_hypotheses(self.capture, self.signatures, ImagingSettings())
-        return {**vars(self), "scans": scans, "enrolled": enrolled, "capture": None}
+        return {**vars(self), "scans": scans, "capture": None}
 
 
 Draws = Iterator[tuple[str, Callable[[], Scene | None]]]
@@ -144,17 +144,17 @@ def _reading_bodies(key: str, cell: reading_bodies_scenes.Cell, number: int) -> 
 
 def y3(turn: int) -> Draws:
     """Every opened object once, in another recording each round."""
-    hows = unseen_bodies.RECORDINGS
+    hows = unseen_scenes.RECORDINGS
     for i, name in enumerate(unseen_objects.OPENED):
         how = hows[(3 * i + i // len(hows) + turn) % len(hows)]
         key = f"y3/{name}/{how.label}/{turn}"
-        yield key, partial(_unseen, key, unseen_bodies.Task("blind", name, "", "", how, turn))
+        yield key, partial(_unseen, key, name, how, f"unseen/1/blind/{name}///{turn}")
 
 
-def _unseen(key: str, task: unseen_bodies.Task) -> Scene | None:
-    base, truth = unseen_scenes.base_of(task.name), unseen_scenes.truth_of(task.name) or None
+def _unseen(key: str, name: str, how: unseen_scenes.Recording, circumstances: str) -> Scene | None:
+    base, truth = unseen_scenes.base_of(name), unseen_scenes.truth_of(name) or None
     try:
-        capture = unseen_scenes.recorded(SOLVED, task.name, task.recording, unseen_scenes.drawn(task.draw))
+        capture = unseen_scenes.recorded(SOLVED, name, how, unseen_scenes.drawn(circumstances))
     except TagidError:
         return None
     kind = "round body" if base in unseen_objects.ROUND else base.rstrip("0123456789")
@@ -163,16 +163,16 @@ def _unseen(key: str, task: unseen_bodies.Task) -> Scene | None:
 
 def y4(turn: int) -> Draws:
     """Full-wave objects in two of eight places, each with bodies or objects enrolled; designed layouts."""
-    places = [(o, s) for o in enrolled_bodies.OFFSETS_MM for s in enrolled_bodies.SNRS_DB]
-    every = [s for s in enrolled_bodies.scenes(turn // 4 + 1) if s.number == turn // 4]
+    places = [(o, s) for o in enrolled_scenes.OFFSETS_MM for s in enrolled_scenes.SNRS_DB]
+    every = [s for s in enrolled_scenes.scenes(turn // 4 + 1) if s.number == turn // 4]
     kinds = list(dict.fromkeys((s.part, s.solved) for s in every))
     for s in every:
         at = places.index((s.offset_mm, s.snr_db)) - kinds.index((s.part, s.solved)) - turn
         # A tag of a layout on an object that is not enrolled is right and wrong at once.
-        if at % 4 == 0 and (s.part == "body" or s.name or s.solved not in enrolled_bodies.ON_BODIES):
+        if at % 4 == 0 and (s.part == "body" or s.name or s.solved not in enrolled_scenes.ON_BODIES):
             key = "/".join(map(str, ("y4", *asdict(s).values())))
             yield key, partial(_enrolled, key, s)
-    designed = enrolled_designed.designed_scenes(1, enrolled_bodies.OFFSETS_MM, enrolled_bodies.SNRS_DB)
+    designed = enrolled_designed.designed_scenes(1, enrolled_scenes.OFFSETS_MM, enrolled_scenes.SNRS_DB)
     for d in designed[turn % 9 :: 9]:
         key = "/".join(map(str, ("y4", "designed", *asdict(d).values())))
         yield key, partial(_designed, key, d)
@@ -181,26 +181,26 @@ def y4(turn: int) -> Draws:
 @cache
 def _signature(part: str, which: Any) -> Signature:
     if part == "designed":
-        return enrolled_bodies.enrolled_carrier(which, "development")
-    return enrolled_bodies.enrolled(which, part, "development")
+        return enrolled_designed.enrolled_carrier(which)
+    return enrolled_scenes.enrolled(which, "object" if part == "object" else "body")
 
 
-def _enrolled(key: str, s: enrolled_bodies.Scene) -> Scene:
-    where = f"{READ}/{s.number}", s.snr_db, s.offset_mm, enrolled_bodies.VIEWS
+def _enrolled(key: str, s: enrolled_scenes.Scene) -> Scene:
+    where = f"{READ}/{s.number}", s.snr_db, s.offset_mm, enrolled_scenes.VIEWS
     whole = s.part == "object"
-    known = enrolled_bodies.OBJECTS if whole else enrolled_bodies.BODIES
+    known = enrolled_scenes.OBJECTS if whole else enrolled_scenes.BODIES
     tag = s.solved.split("+")[-1].split("-")[0].split("_")[1:]
     truth = bodies_scenes.NAMES[tag[0]] if s.name else None
-    capture = enrolled_bodies.capture_of(s.solved, *where)
+    capture = enrolled_scenes.capture_of(s.solved, *where)
     signatures = [_signature(s.part, name) for name in known]
     group = f"{s.part} enrolled"
-    body = enrolled_bodies.HANDLE if s.solved.startswith(enrolled_bodies.HANDLE) else s.solved.split("_")[0]
+    body = enrolled_scenes.HANDLE if s.solved.startswith(enrolled_scenes.HANDLE) else s.solved.split("_")[0]
     return Scene(key, group, body, truth, BUILTIN, capture, signatures, s.name * whole)
 
 
 def _designed(key: str, d: enrolled_designed.DesignedScene) -> Scene:
     carrier = enrolled_designed.CARRIERS[d.carrier]
-    where = f"{READ}/{d.number}", d.snr_db, d.offset_mm, enrolled_bodies.VIEWS
+    where = f"{READ}/{d.number}", d.snr_db, d.offset_mm, enrolled_scenes.VIEWS
     capture = enrolled_designed.capture_of(carrier, d.layout, d.size_mm, *where)
     signatures = [_signature("designed", i) for i in enrolled_designed.ENROLLED[d.carrier]]
     group = f"body enrolled, {carrier.name}"

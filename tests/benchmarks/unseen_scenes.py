@@ -45,6 +45,21 @@ class Recording:
         return f"{self.views} views, {self.snr_db:.0f} dB"
 
 
+RECORDINGS = (
+    Recording(36, 20),
+    Recording(36, 10),
+    Recording(18, 20),
+    Recording(18, 10),
+    Recording(24, 20),
+    Recording(72, 20),
+    Recording(72, 10),
+    Recording(12, 20),
+    Recording(36, 5),
+    Recording(36, 0),
+)
+"""Recordings of every object."""
+
+
 @dataclass(frozen=True, eq=False)
 class Beside:
     """A body that stands elsewhere on the same turntable, at (x, y), m."""

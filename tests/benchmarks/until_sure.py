@@ -3,7 +3,7 @@
 Every turn becomes a line of a JSONL file, so a run can be stopped and continued, or done in pieces:
 
     python tests/benchmarks/until_sure.py null --purpose calibrate --count 2000
-    python tests/benchmarks/until_sure.py write            # makes tagid/tags/sequential/calibration.json
+    python tests/benchmarks/until_sure.py write            # makes tagid/reading/ending.json
     python tests/benchmarks/until_sure.py null --purpose report --first 2000 --count 2000
     python tests/benchmarks/until_sure.py whole --purpose report --first 2000 --count 400
     python tests/benchmarks/until_sure.py tags --purpose report --count 40
@@ -22,7 +22,6 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -32,16 +31,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from until_sure_scenes import FIRST, STATEMENT, Turn, null_turn, tagged_body_turn, tagged_turn
 
 from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.reading import reader_settings
 from tagid.pipeline.settings import ImagingSettings
-from tagid.tags.matching.contest_settings import ContestSettings
-from tagid.tags.matching.matcher import ReaderSettings, read_tag
-from tagid.tags.matching.reading import Reading
-from tagid.tags.reading.decision import DecisionSettings
-from tagid.tags.sequential.calibration import EndingCalibration
-from tagid.tags.sequential.looks import LOOKS, SPENT, Look, agreed, largest, look, part_of_turn
+from tagid.reading.ending import EndingCalibration
+from tagid.reading.looks import LOOKS, SPENT, Look, largest, look, part_of_turn
+from tagid.reading.reader import read
+from tagid.reading.reading import Reading
 
 ROOT = Path(__file__).resolve().parents[2]
-CALIBRATION = ROOT / "tagid" / "tags" / "sequential" / "calibration.json"
+CALIBRATION = ROOT / "tagid" / "reading" / "ending.json"
 FALSE_ACCEPT = 1e-3
 FEWEST_VIEWS = 32
 """Views per turn that a scan needs: those of the calibration, less the error of their angle."""
@@ -62,24 +60,17 @@ def read_looks(turn: Turn, needed: Callable[[Look], bool]) -> list[Look]:
     return [first, middle, last]
 
 
-def told(one: Look) -> Row:
+def as_row(one: Look) -> Row:
     """A look as JSON values."""
-    values: Row = {"share": one.share, "views": one.views, "layout": one.layout}
-    values["score"] = one.score if math.isfinite(one.score) else None
-    if one.reading is not None:
-        values |= {"status": one.reading.status, "code": one.reading.code.value}
-        values["evidence"] = {name: round(float(v), 4) for name, v in asdict(one.reading.evidence).items()}
-    return values
+    score = one.score if math.isfinite(one.score) else None
+    return {"share": one.share, "views": one.views, "layout": one.layout, "score": score}
 
 
-def whole_turn(turn: Turn, false_accept: float) -> Reading:
-    """What the reader says after the whole turn; bodies always have the whole false-accept probability."""
-    prepared = PreparedCapture(turn.capture, ImagingSettings())
-    settings = ReaderSettings(
-        decision=DecisionSettings(false_accept=false_accept),
-        contest=ContestSettings(false_accept=FALSE_ACCEPT),
-    )
-    return read_tag(prepared.scans(prepared.settings.preprocessing(False)), turn.layouts, settings)
+def whole_turn(turn: Turn, spent: float) -> Reading:
+    """What the reader says after the whole turn, where early looks have spent a share of the error."""
+    settings = ImagingSettings(false_accept=FALSE_ACCEPT)
+    scans = PreparedCapture(turn.capture, settings).scans(settings.preprocessing(False))
+    return read(scans, turn.layouts, reader_settings(settings, spent))
 
 
 def about(turn: Turn) -> Row:
@@ -98,28 +89,23 @@ def null_row(purpose: str, number: int) -> Row:
     turn = null_turn(purpose, number)
     looks = read_looks(turn, lambda middle: middle.layout is not None)
     score = largest(looks) if len(looks) == len(LOOKS) else -math.inf
-    return {**about(turn), "looks": [told(one) for one in looks], **_scored(score)}
+    return {**about(turn), "looks": [as_row(one) for one in looks], **_scored(score)}
 
 
 def whole_row(purpose: str, number: int) -> Row:
     """The whole-turn answer of a null turn with the error that the early looks leave, and with all of it."""
     turn = null_turn(purpose, number)
-    rest = whole_turn(turn, FALSE_ACCEPT * (1 - SPENT))
-    every = rest if rest.status == "identified" else whole_turn(turn, FALSE_ACCEPT)
+    rest = whole_turn(turn, SPENT)
+    every = rest if rest.status == "identified" else whole_turn(turn, 0.0)
     return {**about(turn), "rest": _answer(rest), "whole": _answer(every), "as": rest.kind.value}
 
 
 def tag_row(turn: Turn) -> Row:
-    """All looks at a turn with a tag, the contested readings where they agree, and the whole turn."""
+    """All looks at a turn with a tag, and the whole turn."""
     looks = read_looks(turn, lambda middle: True)
-    rows = [told(one) for one in looks]
-    for count in (2, 3):
-        name, _ = agreed(looks[:count])
-        if name is not None:
-            contested = looks[count - 1].contested()
-            rows[count - 1]["contested"] = None if contested is None else _answer(contested)
-    every = whole_turn(turn, FALSE_ACCEPT)
-    rest = whole_turn(turn, FALSE_ACCEPT * (1 - SPENT)) if every.status == "identified" else every
+    every = whole_turn(turn, 0.0)
+    rest = whole_turn(turn, SPENT) if every.status == "identified" else every
+    rows = [as_row(one) for one in looks]
     return {**about(turn), "looks": rows, "rest": _answer(rest), "whole": _answer(every)}
 
 
@@ -202,13 +188,10 @@ def write(arguments: argparse.Namespace) -> None:
     numbers = sorted(int(key) for key in rows)
     if numbers != list(range(len(numbers))):
         raise SystemExit("turns are missing: continue `null --purpose calibrate` first")
-    places = max(
-        one["evidence"]["places"] for row in rows.values() for one in row["looks"] if "evidence" in one
-    )
     scores = sorted((row["largest"] for row in rows.values() if row["largest"] is not None), reverse=True)
     first = FIRST["calibrate"]
     made = EndingCalibration(
-        STATEMENT, (first, first + len(rows)), LOOKS, FEWEST_VIEWS, places, len(rows), tuple(scores)
+        STATEMENT, (first, first + len(rows)), LOOKS, FEWEST_VIEWS, len(rows), tuple(scores)
     )
     CALIBRATION.write_text(made.to_json())
     print(f"{CALIBRATION}: {made.turns} turns, scores {made.scores[:10]}")

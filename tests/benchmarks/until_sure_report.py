@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 from provenance import commit
-from reading_bodies import outcome_of, share
 
-from tagid.tags.sequential.calibration import EndingCalibration
-from tagid.tags.sequential.looks import LOOKS, SPENT, Look, agreed
+from tagid.proportion import wilson
+from tagid.reading.ending import EndingCalibration
+from tagid.reading.looks import LOOKS, SPENT, Look, agreed
 
 FALSE_ACCEPT = 1e-3
 Row = dict[str, Any]
@@ -39,41 +39,50 @@ class Ended:
         return outcome_of(self.status, self.layout or "", name)
 
 
+def outcome_of(status: str, answer: str, name: str) -> str:
+    """An answer against the right name, "" for none. Naming anything where no name is right is wrong."""
+    if status == "identified":
+        return "correct" if name and answer == name else "wrong"
+    return "ambiguous" if status == "ambiguous" else "refused"
+
+
+def share(hits: int, total: int) -> str:
+    """Per cent with its interval."""
+    interval = wilson(hits / total, total)
+    return f"{100 * hits / total:.1f} ({100 * interval.low:.1f}..{100 * interval.high:.1f})"
+
+
 def ended(row: Row, calibration: EndingCalibration) -> Ended:
     """The ending of a turn of `tags`, `speed` or `bodies`, by the rule of `tagid.live.sure`."""
     for count in range(2, len(LOOKS) + 1):
         looks = looks_of(row)[:count]
         name, _ = agreed(looks)
-        contested = row["looks"][count - 1].get("contested")
-        if name is None or contested is None or not may_end(row, looks, calibration):
-            continue
-        if (contested["status"], contested["layout"], contested["kind"]) == ("identified", name, "bare"):
+        if name is not None and may_end(looks, calibration):
             return Ended(LOOKS[count - 1], "identified", name)
     return Ended(1.0, row["rest"]["status"], row["rest"]["layout"])
 
 
 def looks_of(row: Row) -> list[Look]:
-    """The looks of a row, without their readings."""
+    """The looks of a row."""
     return [
         Look(one["share"], one["views"], one["layout"], -math.inf if one["score"] is None else one["score"])
         for one in row["looks"]
     ]
 
 
-def may_end(row: Row, looks: Sequence[Look], calibration: EndingCalibration) -> bool:
+def may_end(looks: Sequence[Look], calibration: EndingCalibration) -> bool:
     """Whether the calibration bears out an ending after these looks."""
     bound = calibration.bound(looks, FALSE_ACCEPT)
-    places = row["looks"][len(looks) - 1].get("evidence", {}).get("places", math.inf)
-    return bound.reachable and bound.kept and places <= calibration.most_places
+    return bound.reachable and bound.kept
 
 
 def falsely_ended(row: Row, calibration: EndingCalibration) -> bool:
-    """Whether a null turn ends early with a name, unless a body contradicts it."""
+    """Whether a null turn ends early with a name."""
     if len(row["looks"]) < len(LOOKS):
         return False
     looks = looks_of(row)
     pairs = [looks[:count] for count in range(2, len(LOOKS) + 1)]
-    return any(agreed(pair)[0] is not None and may_end(row, pair, calibration) for pair in pairs)
+    return any(agreed(pair)[0] is not None and may_end(pair, calibration) for pair in pairs)
 
 
 HEAD = """# Ending a scan when the answer is certain
@@ -90,16 +99,15 @@ HEAD = """# Ending a scan when the answer is certain
 - Turns: {counts}
 
 `tagid scan --until-sure` reads the scans at {looks} % of the turn. It ends the scan when two successive
-looks name the same layout without a body, with a score that at most a share of {early:g} of turns without
-an enrolled tag reaches anywhere in the turn, and no body contradicts it. Otherwise the whole turn is
-recorded, and a name without a body has the rest of `tags.false_accept` ({stated:g}). Per cent with 95 %
-Wilson intervals.
+looks name the same layout without a body, with a lead that at most a share of {early:g} of turns without
+an enrolled tag reaches anywhere in the turn. Otherwise the whole turn is recorded, and its name has the rest
+of `tags.false_accept` ({stated:g}). Per cent with 95 % Wilson intervals.
 
 The calibration holds {turns} turns: {population}. {named} of them were named at two successive looks, with
-scores of {scores} nats.
+leads of {scores} nats.
 """
 WHOLE = """
-The whole turn, read for {count} of them with bodies compared: named with the part of the error that early
+The whole turn, read for {count} of them: named with the part of the error that early
 endings leave {rest}, with all of it {every}.
 """
 SPEED = """\
@@ -143,7 +151,7 @@ def nulls(rows: list[Row], whole: list[Row], calibration: EndingCalibration) -> 
     lines = [
         "## Turns without an enrolled tag",
         "",
-        "Ended early: the scan would have ended with a name, before bodies are compared (an upper bound).",
+        "Ended early: the scan would have ended with a name.",
         "",
         "| object | turns | named at one look | ended early |",
         "|---|---|---|---|",
@@ -220,7 +228,7 @@ def document(rows: dict[str, list[Row]], calibration: EndingCalibration) -> str:
             lambda row: f"{row['enrolled']}, {row['snr_db']:g}",
             calibration,
         )
-        lines += ["36 views per turn; scenes as on the page [identification](identification.md).", ""]
+        lines += ["36 views per turn; scenes of `tests/benchmarks/identification_scenes.py`.", ""]
     if rows["speed"]:
         lines += outcomes(
             "A stated speed that is not exact",

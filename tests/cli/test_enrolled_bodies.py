@@ -57,7 +57,7 @@ def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid: Callable[..., Any]
     assert tagid("bodies", "show", "nobody").code == 1
     read = tagid("identify", "seen.npz", "-v")
     assert read.code == 0 and read.out.startswith("CONTAINER-90 ")
-    assert "a tag on the body mug, centre (1, -3) mm, 0.0 % unexplained\n" in read.out
+    assert "container-90 on the enrolled body mug, centre (4, -4) mm, 0.0 % unexplained\n" in read.out
     # Export, removal, import and undo.
     assert tagid("layouts", "export", "all.toml", "mug").code == 0
     assert tagid("bodies", "--remove", "mug").code == 0

@@ -18,7 +18,7 @@ SCENE = "axis_distance=1&seed=3&cable_delay=0"
 def bare_npz(path: Path) -> Path:
     """A scan of 1.3 turns that knows the times of its scans, but neither angles nor where the radar stood."""
     capture, _ = simulate_capture(
-        scene_from_name("container-90", 4), Acquisition(views=120, turns=1.3, snr_db=20), seed=4
+        scene_from_name("container-90", 4), Acquisition(views=40, turns=1.3, snr_db=20), seed=4
     )
     path.write_bytes(encode_npz(capture))
     with np.load(path, allow_pickle=False) as file:
@@ -71,6 +71,7 @@ def test_a_missing_axis_distance_is_the_same_error_everywhere(tagid: Any, tmp_pa
 
 def test_the_reference_background_is_subtracted_by_every_command(tagid: Any, tmp_path: Path) -> None:
     """`report` used to accept it and subtract nothing."""
+    assert tagid("config", "set", "radar.integration", 15).code == 0
     scene = "axis_distance=1&seed=3"
     empty = tagid("radar", "calibrate", "--step", "empty", "--radar", f"emulator://empty?rpm=0&{scene}",
                   "--axis-distance", 1, "--distance", 1, "--scans", 40, "--output", "json")  # fmt: skip
@@ -88,6 +89,7 @@ def test_the_reference_background_is_subtracted_by_every_command(tagid: Any, tmp
 
 
 def test_scan_answers_as_identify_does_on_its_own_file(tagid: Any, tmp_path: Path) -> None:
+    assert tagid("config", "set", "radar.integration", 15).code == 0
     scan = tagid("scan", "--radar", f"emulator://helmet-120?rpm=20&{SCENE}", "--axis-distance", 1,
                  "--motion", "free?rpm=20", "--method", "bp", "--save-dir", "s",
                  "--output", "json")  # fmt: skip
@@ -103,4 +105,4 @@ def test_show_reads_the_file_as_the_others_do(tagid: Any, tmp_path: Path) -> Non
     file = bare_npz(tmp_path / "bare.npz")
     shown = tagid("show", file, "--png", tmp_path / "s.png", "--output", "json").json["data"]
     imported = tagid("import", file, "--out", "x.tagid.h5", "--axis-distance", 1.0, "--output", "json")
-    assert imported.json["data"]["views"] == shown["views"] == 156
+    assert imported.json["data"]["views"] == shown["views"] == 52

@@ -8,7 +8,7 @@ from typing import Any
 
 def test_recordings_of_one_object_give_one_answer(tagid: Callable[..., Any]) -> None:
     for seed in (1, 2):
-        words = ("--views", 18, "--snr", 12, "--seed", seed, "--out", f"{seed}.tagid.h5")
+        words = ("--views", 24, "--snr", 12, "--seed", seed, "--out", f"{seed}.tagid.h5")
         assert tagid("simulate", "helmet-120", *words).code == 0
     asked = tagid("identify", "--vote", "1.tagid.h5", "2.tagid.h5", "--output", "json")
     (item,) = asked.json["data"]["items"]

@@ -27,31 +27,30 @@ from tagid.storage.history import Filter
 TIMES = ("seconds", "time_utc")
 OF_THE_FILE = ("file", "recorded_utc", "recording_note", "truth")
 OF_A_REPORT = ("schema", "schema_version", "content_sha256", "size_bytes", "expected", "correct", "copy_of")
+AXIS_ERROR = ("container-90", "--body", "can:35mm", "--views", 36, "--snr", 20, "--axis-error", 0.15,
+              "--seed", 3)  # fmt: skip
+"""An axis distance wrong by 0.15 m hides this tag on a can; one without a body is read all the same."""
 KINDS = {
     "named": ("helmet-120", "--views", 24),
-    "on-a-can": ("container-90", "--body", "can:35mm", "--views", 36, "--snr", 20),
-    "axis": ("helmet-120", "--views", 24, "--axis-error", 0.1),
-    "off-centre": ("helmet-120", "--views", 36, "--centre", "0.055,0.01"),
-    "empty": ("empty", "--views", 24),
-    "noisy": ("container-90", "--views", 12, "--snr", -6),
+    "on-a-cup": ("container-90", "--body", "cup:40mm", "--views", 24, "--snr", 20),
+    "axis": AXIS_ERROR,
+    "off-centre": ("container-90", "--body", "can:35mm", "--views", 24, "--centre", "0.03,0.01"),
+    "empty": ("empty", "--views", 12),
     "two-views": ("helmet-120", "--views", 2),
 }
 STATUS = {
     "named": "identified",
-    "on-a-can": "identified",
+    "on-a-cup": "identified",
     "axis": "unknown",
     "off-centre": "unknown",
-    "part": "unknown",
     "lost": "unknown",
     "empty": "no_tag",
-    "noisy": "no_tag",
     "two-views": "failed",
     "damaged": "failed",
 }
 CAUSES = {
     "axis": ["axis_distance"],
     "off-centre": ["off_centre"],
-    "part": ["partial_turn"],
     "lost": ["scans_lost"],
 }
 
@@ -64,14 +63,13 @@ def plain(document: dict[str, Any], *leave: str) -> dict[str, Any]:
 
 @pytest.fixture
 def captures(tagid: Callable[..., Any], tmp_path: Path) -> dict[str, str]:
-    """Ten kinds of recordings, by kind."""
-    for seed, (kind, words) in enumerate(KINDS.items(), start=2):
-        made = tagid("simulate", *words, "--seed", seed, "--out", f"{kind}.tagid.h5")
+    """Eight kinds of recordings, by kind."""
+    for kind, words in KINDS.items():
+        made = tagid("simulate", *words, "--out", f"{kind}.tagid.h5")
         assert made.code == 0, made.err
     whole = read_capture(tmp_path / "named.tagid.h5")
     assert whole.angles_rad is not None
     part = whole.select(np.flatnonzero(whole.angles_rad < np.pi))
-    write_capture(tmp_path / "part.tagid.h5", part)
     write_capture(
         tmp_path / "lost.tagid.h5",
         replace(part, radar=replace(part.radar, scans_lost=12), motion=replace(part.motion, resolved=TURNED)),
@@ -103,43 +101,41 @@ def test_every_door_gives_the_same_document(
         assert {row["status"] for row in csv.DictReader(table)} == set(STATUS.values())
     # A program, by the file and step by step.
     with Workplace() as place:
-        for kind, file in captures.items():
-            assert plain(place.identify(file).to_dict()) == documents[kind]
+        for kind in ("on-a-cup", "axis", "lost", "two-views", "damaged"):
+            assert plain(place.identify(captures[kind]).to_dict()) == documents[kind]
         loading, imaging, enrolled = place.loading(), place.imaging(), place.registry.contents()
-    for kind in ("axis", "on-a-can"):
-        capture = load_capture(Path(captures[kind]), loading)
-        stepwise = api.identify(capture, enrolled.layouts, imaging, enrolled.version, enrolled.signatures)
-        assert plain(stepwise.to_dict()) == plain(documents[kind], *OF_THE_FILE)
+    capture = load_capture(Path(captures["axis"]), loading)
+    stepwise = api.identify(capture, enrolled.layouts, imaging, enrolled.version, enrolled.signatures)
+    assert plain(stepwise.to_dict()) == plain(documents["axis"], *OF_THE_FILE)
     # The joint answer of one recording is its own.
-    for kind in ("named", "axis", "empty"):
+    for kind in ("named", "axis"):
         (joint,) = tagid("identify", "--vote", captures[kind], "--output", "json").json["data"]["items"]
         assert plain(joint, "votes") == documents[kind]
 
 
+def identified(tagid: Callable[..., Any], file: str) -> dict[str, Any]:
+    return plain(tagid("identify", file, "--output", "json").json["data"]["items"][0])
+
+
 @pytest.mark.parametrize(("radar", "code"), [("helmet-120?rpm=40&seed=2", 0), ("empty?rpm=40&seed=3", 3)])
-def test_a_scan_a_station_and_a_program_answer_as_identify_does(
-    tagid: Callable[..., Any],
-    tmp_path: Path,
-    home: dict[str, str],
-    monkeypatch: pytest.MonkeyPatch,
-    radar: str,
-    code: int,
+def test_a_scan_answers_as_identify_does(tagid: Callable[..., Any], radar: str, code: int) -> None:
+    assert tagid("config", "set", "radar.integration", 15).code == 0
+    options = ("--radar", f"emulator://{radar}", "--motion", "free?rpm=40", "--axis-distance", 1.0)
+    scanned = tagid("scan", *options, "--method", "bp", "--save-dir", "out", "--output", "json")
+    assert scanned.code == code, scanned.err
+    (item,) = scanned.json["data"]["items"]
+    assert plain(item) == identified(tagid, item["file"])
+
+
+def test_a_station_and_a_program_answer_as_identify_does(
+    tagid: Callable[..., Any], tmp_path: Path, home: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("TAGID_DATA", "TAGID_CONFIG"):
         monkeypatch.setenv(name, home[name])
     monkeypatch.chdir(tmp_path)
     assert tagid("config", "set", "radar.integration", 15).code == 0
-
-    def identified(file: str) -> dict[str, Any]:
-        return plain(tagid("identify", file, "--output", "json").json["data"]["items"][0])
-
-    options = ("--radar", f"emulator://{radar}", "--motion", "free?rpm=40", "--axis-distance", 1.0)
-    scanned = tagid("scan", *options, "--method", "bp", "--save-dir", "out", "--output", "json")
-    assert scanned.code == code, scanned.err
-    (item,) = scanned.json["data"]["items"]
-    assert plain(item) == identified(item["file"])
     settings = {
-        "radar.url": f"emulator://{radar}",
+        "radar.url": "emulator://helmet-120?rpm=40&seed=2",
         "motion.url": "free?rpm=40",
         "motion.axis_distance_m": 1.0,
         "imaging.method": "bp",
@@ -148,7 +144,7 @@ def test_a_scan_a_station_and_a_program_answer_as_identify_does(
     }
     place = Workplace(settings)
     answer = place.scan()
-    assert plain(answer.to_dict()) == identified(answer.file) and not answer.notes
+    assert plain(answer.to_dict()) == identified(tagid, answer.file) and not answer.notes
     station = Station(StationSource(lambda: Workplace(settings)), lambda config: [])
     station.start(None, "")
     run = station._scan
@@ -157,7 +153,7 @@ def test_a_scan_a_station_and_a_program_answer_as_identify_does(
     newest = station.history(Filter(limit=1))[0]
     shown = run.state.answer
     assert shown is not None and newest.status == shown.status
-    assert plain(shown.to_dict()) == plain(identified(newest.file), *OF_THE_FILE)
+    assert plain(shown.to_dict()) == plain(identified(tagid, newest.file), *OF_THE_FILE)
 
 
 def test_turns_and_heights_answer_as_their_files_do(tagid: Callable[..., Any]) -> None:
@@ -175,7 +171,7 @@ def test_turns_and_heights_answer_as_their_files_do(tagid: Callable[..., Any]) -
     given = ("--axis-distance", 1.1, "--output", "json")
     voted = tagid("identify", "--vote", *files, *given).json["data"]["items"]
     assert [plain(item) for item in twice["items"]] == [plain(item) for item in voted]
-    assert [cause["code"] for cause in voted[0]["causes"]] == ["axis_distance"]
+    assert (voted[0]["layout"], voted[0]["causes"]) == ("helmet-120", [])
     levels = tagid("scan", *options, "--heights", "0,0.1", "--output", "json").json["data"]
     (item,) = tagid("identify", levels["files"]["capture"], *given).json["data"]["items"]
     assert [plain(found) for found in levels["items"]] == [plain(item)]

@@ -15,8 +15,8 @@ import pytest
 
 from tagid.motion.calibration import Calibration, remember
 from tagid.motion.emulation.truth import TrueAngle
+from tagid.reading.looks import LOOKS
 from tagid.storage.importers import read_any
-from tagid.tags.sequential.looks import LOOKS
 from tests.cli.on_a_terminal import run
 from tests.e2e.test_scan import TAGID, emulator, environment
 from tests.e2e.test_scan_roomba import robot, scan_words, wait_until

@@ -18,15 +18,15 @@ from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
 from tagid.pipeline.turn import resolve_turn
 from tagid.radar.settings import RadarConfig
+from tagid.reading.ending import EndingCalibration
+from tagid.reading.looks import LOOKS
 from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.sequential.calibration import EndingCalibration
-from tagid.tags.sequential.looks import LOOKS
 from tests.unit.paced import paced
 
-CALIBRATION = EndingCalibration("made up", (0, 3999), LOOKS, 32, 1e9, 3999, ())
+CALIBRATION = EndingCalibration("made up", (0, 3999), LOOKS, 32, 3999, ())
 
 
 @pytest.mark.realtime

@@ -28,7 +28,7 @@ from hostile_files import REFUSED, unknown_dataset
 
 HOSTILE = (*REFUSED, "unknown.tagid.h5")
 """Names of files that were made to break the program; the last one is a capture with more in it."""
-OBJECTS = ("helmet-120", "container-90", "helmet-linear", "empty")
+OBJECTS = ("helmet-120", "container-90", "container-180", "empty")
 
 
 def copy_captures(recorded: Path, folder: Path) -> Path:

@@ -101,13 +101,10 @@ def test_sort_filter_and_open(show, report: Path) -> None:
     wait(page, lambda: sorted(files(page)) == sorted(["empty.tagid.h5", HOSTILE]))
     assert page.find_element(By.ID, "count").text == "2 of 7 files"
     clear()
-    page.find_element(By.ID, "f-text").send_keys("HELMET")
-    wait(
-        page,
-        lambda: sorted(files(page)) == ["helmet-120.tagid.h5", "helmet-linear.tagid.h5", "part.tagid.h5"],
-    )
-    Select(page.find_element(By.ID, "f-layout")).select_by_value("helmet-linear")
-    wait(page, lambda: files(page) == ["helmet-linear.tagid.h5"])
+    page.find_element(By.ID, "f-text").send_keys("CONTAINER")
+    wait(page, lambda: sorted(files(page)) == ["container-180.tagid.h5", "container-90.tagid.h5"])
+    Select(page.find_element(By.ID, "f-layout")).select_by_value("container-180")
+    wait(page, lambda: files(page) == ["container-180.tagid.h5"])
     clear()
     Select(page.find_element(By.ID, "f-correct")).select_by_value("false")
     wait(page, lambda: files(page) == ["empty.tagid.h5"])
@@ -142,7 +139,7 @@ def test_sort_filter_and_open(show, report: Path) -> None:
         "{ const p = new Image(); p.src = i.getAttribute('href'); return p.decode().then(() =>"
         " [p.naturalWidth, p.naturalHeight]); })).then(done);"
     )
-    assert sizes == [[48, 48], [128, 12]]
+    assert sizes == [[48, 48], [128, 24]]
     rings = page.find_elements(By.CSS_SELECTOR, "#v-image circle.layout")
     assert len(rings) == 3
     centre = np.array([[float(ring.get_attribute(name)) for name in ("cx", "cy")] for ring in rings])
@@ -158,7 +155,7 @@ def test_sort_filter_and_open(show, report: Path) -> None:
     for name in ("capture_uuid", "content_sha256", "tool_version", "time_utc"):
         assert record[name] in facts
     page.switch_to.active_element.send_keys(Keys.ARROW_RIGHT)
-    wait(page, lambda: "helmet-linear" in page.find_element(By.ID, "v-title").text)
+    wait(page, lambda: "container-180" in page.find_element(By.ID, "v-title").text)
     page.switch_to.active_element.send_keys(Keys.ESCAPE)
     wait(page, lambda: not viewer.is_displayed())
     assert page.switch_to.active_element == thumb, "the focus goes back to where it came from"

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
+from tagid.pipeline.identify import aspect_spectra
+from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.waveform import nominal_pulse, pulse_at
 
 WALL_M = 0.035
@@ -78,3 +82,17 @@ def capture(
         angles_rad=angles,
         axis_distance_m=distance,
     )
+
+
+PLACES = ((0.002 - 0.003j, 0.3), (-0.004 + 0.001j, 2.2), (0.001 + 0.005j, 4.4))
+"""Centres and turns of the captures that a signature is made of."""
+
+
+@cache
+def enrolled(thing: Thing, name: str, kind: SignatureKind) -> Signature:
+    """The signature of a thing from three captures."""
+    captures = [
+        Named(f"{name}{i}", aspect_spectra(capture(thing, i, centre=centre, rotation=turn)))
+        for i, (centre, turn) in enumerate(PLACES)
+    ]
+    return enrol_signature(captures, name, kind).signature

@@ -19,6 +19,8 @@ from typer.main import get_command
 
 import tagid
 from tagid.cli.app import app
+from tagid.pipeline.answer import Identification
+from tagid.reading.verdict import ADVICE, Code
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -65,60 +67,24 @@ def test_the_script_turns_sections_into_lists_and_leaves_equations_readable() ->
     assert "**Raises**\n\n- KeyError and its kinds: never." in text
 
 
-def refusals() -> list[str]:
-    """Every reason that the reader can give, as patterns: what is computed at run time stands for anything.
-
-    They are the second words of `return status, reason` and the `reason`s of verdicts and readings.
-    """
-    found = []
-    for path in sorted((ROOT / "tagid" / "tags").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            words: ast.expr | None = None
-            if (
-                isinstance(node, ast.Return)
-                and isinstance(node.value, ast.Tuple)
-                and len(node.value.elts) == 2
-            ):
-                status = node.value.elts[0]
-                if isinstance(status, ast.Constant) and status.value in ("unknown", "no_tag", "ambiguous"):
-                    words = node.value.elts[1]
-            elif isinstance(node, ast.Call):
-                given = {k.arg: k.value for k in node.keywords}
-                called = node.func.id if isinstance(node.func, ast.Name) else ""
-                words = given.get("reason") or (
-                    node.args[2] if called == "Verdict" and node.args[2:] else None
-                )
-            if isinstance(words, ast.Constant) and words.value:
-                found.append(re.escape(str(words.value)))
-            elif isinstance(words, ast.JoinedStr):
-                parts = words.values
-                found.append(
-                    "".join(
-                        re.escape(str(p.value)) if isinstance(p, ast.Constant) else r"[^|]+?" for p in parts
-                    )
-                )
-    return found
+def rows_with(word: str, page: str) -> list[list[str]]:
+    """Cells of the rows of a page's tables whose first one is a word in code."""
+    lines = [line for line in (DOCS / page).read_text().splitlines() if line.startswith(f"| `{word}` |")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
-def test_every_reason_for_a_refusal_is_explained() -> None:
-    page = (DOCS / "refusals.md").read_text()
-    reasons = refusals()
-    assert len(reasons) >= 10
-    rows = [line.split("|") for line in page.splitlines() if line.startswith("|")]
-    said = [row[1].strip() for row in rows]
-    missing = [reason for reason in reasons if not any(re.fullmatch(reason, one) for one in said)]
-    assert not missing
-    assert all(row[-2].strip() for row in rows), "nothing to do"
+@pytest.mark.parametrize("code", [code for code in Code if code])
+def test_every_code_of_a_refusal_has_a_row_with_its_remedy(code: Code) -> None:
+    # The table of likely causes has some of the same words.
+    rows = [row for row in rows_with(code.value, "refusals.md") if len(row) == 4]
+    assert [row[1] in ("`no_tag`", "`unknown`", "`ambiguous`") and bool(row[3]) for row in rows] == [True]
+    assert ADVICE[code]
 
 
-def test_every_code_of_a_refusal_is_on_the_page() -> None:
-    """A reader that gives codes gives none that the page does not name."""
-    page = (DOCS / "refusals.md").read_text()
-    trees = [ast.parse(path.read_text()) for path in (ROOT / "tagid" / "tags").rglob("*.py")]
-    kinds = [n for tree in trees for n in ast.walk(tree) if isinstance(n, ast.ClassDef) and n.name == "Code"]
-    values = [node.value for kind in kinds for node in kind.body if isinstance(node, ast.Assign)]
-    codes = [str(value.value) for value in values if isinstance(value, ast.Constant)]
-    assert [code for code in codes if code and f"`{code}`" not in page] == []
+def test_every_field_of_an_answer_is_described() -> None:
+    text = (DOCS / "formats.md").read_text().split("## Answers")[1]
+    fields = set(Identification("no_tag", None, None, None).to_dict())
+    assert [name for name in sorted(fields - {"model_sha256", "error"}) if f"`{name}`" not in text] == []
 
 
 def test_every_command_that_a_message_names_exists() -> None:

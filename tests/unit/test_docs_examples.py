@@ -1,4 +1,4 @@
-"""The programs of docs/examples.md run as they stand there, and do what the page says."""
+"""The programs of docs/examples.md and docs/tags.md run as they stand there, and do what the pages say."""
 
 from __future__ import annotations
 
@@ -12,26 +12,30 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tagid.reading.evidence import log_evidence
+
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "examples.md"
+TAGS = PAGE.with_name("tags.md")
 
 
-def program(heading: str) -> str:
-    """The Python block under a heading of the page."""
-    found = re.search(rf"^## {re.escape(heading)}\n.*?^```python\n(.*?)^```$", PAGE.read_text(), re.M | re.S)
+def program(heading: str, page: Path = PAGE) -> str:
+    """The Python block under a heading of a page."""
+    found = re.search(rf"^## {re.escape(heading)}\n.*?^```python\n(.*?)^```$", page.read_text(), re.M | re.S)
     assert found, f"no program under {heading!r}"
     return found[1]
 
 
-def run(heading: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def run(heading: str, folder: Path, monkeypatch: pytest.MonkeyPatch, page: Path = PAGE) -> dict[str, Any]:
     """The names that the program leaves behind, run in a folder of its own."""
     monkeypatch.chdir(folder)
     names: dict[str, Any] = {"__name__": "example"}
-    exec(compile(program(heading), f"{PAGE.name}: {heading}", "exec"), names)
+    exec(compile(program(heading, page), f"{page.name}: {heading}", "exec"), names)
     return names
 
 
 def test_every_program_of_the_page_is_run_here() -> None:
     assert PAGE.read_text().count("```python") == 4
+    assert TAGS.read_text().count("```python") == 1
 
 
 def test_five_lines_record_name_and_read_again_in_an_empty_folder(
@@ -82,11 +86,28 @@ def test_a_refusal_names_a_reason_of_the_page_on_refusals(
     names = run("Identify, and explain a refusal", tmp_path, monkeypatch)
     answer = names["answer"]
     assert (answer.status, answer.reading.layout) == ("unknown", None)
-    assert re.fullmatch(r"the nearest layout explains \d+% of the echo", answer.reading.reason)
-    assert "the nearest layout explains N% of the echo" in (PAGE.parent / "refusals.md").read_text()
+    assert answer.reading.code == "another_arrangement"
+    words = "3 reflectors 120 and 120 and 120 degrees apart, 110 mm from the centre"
+    assert answer.reading.reason.startswith(words)
+    assert f"`{answer.reading.code}`" in (PAGE.parent / "refusals.md").read_text()
     everyone = names["answer_with_all"]
     assert (everyone.status, everyone.reading.layout) == ("identified", "helmet-120")
-    assert "helmet-linear" in capsys.readouterr().out
+    assert answer.reading.reason in capsys.readouterr().out
+
+
+def test_the_log_evidence_of_one_reflector_is_that_of_the_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = run("Recompute one term", tmp_path, monkeypatch, TAGS)
+    positions = names["truth"].positions_m[:, :2]
+    assert np.abs(positions[:, 0] + 1j * positions[:, 1] - names["best"]).min() < 3e-3
+    spectra, at = names["spectra"], int(names["log_evidence"].argmax())
+    whitener, data = spectra.whiteners[0], spectra.white[0]
+    column = whitener.apply(np.ascontiguousarray(names["x"][:, [at]]))
+    alone = log_evidence(column, data, np.ones((1, *data.shape)), names["power"][None])
+    none = log_evidence(column[:, :0], data, np.ones((1, *data.shape)), names["power"][None, :, :0])
+    assert float((alone - none)[0]) == pytest.approx(float(names["log_evidence"][at]))
+    assert "nats over none" in capsys.readouterr().out
 
 
 def test_methods_are_scored_on_views_that_they_have_not_seen(

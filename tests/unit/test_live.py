@@ -51,9 +51,8 @@ from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.reading.coarse import CoarseImage
+from tagid.tags.reading.coarse_grid import CoarseGrid, SearchSettings
 from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.hypotheses import CoarseGrid, SearchSettings
-from tagid.tags.reading.squares import whole_grams
 from tests.unit.paced import wait_for
 
 GRID = ImageGrid(0.4, 48)
@@ -116,12 +115,12 @@ def test_growing_evidence_is_that_of_the_readers_coarse_search(layouts: list[Lay
     radius = max(one.radius_m for one in layouts) + search.centre_range_m * np.sqrt(2)
     scans = preprocess(capture, settings=replace(UNMATCHED, background="mean"))
     matched = MatchedField(scans, radius + 0.02)
-    images = CoarseImage.of_each(matched, radius, search.aspects, search.offsets_m)
+    images = [CoarseImage.of(matched, radius, aspect, search.offsets_m) for aspect in search.aspects]
 
     def energy(layout: Layout) -> float:
         grid = CoarseGrid.of(layout, search)
         grams = [
-            whole_grams(matched, image.aspect, grid.placed, np.zeros(layout.size), grid.facing)
+            matched.full_gram(grid.placed, image.aspect.weight(matched.antenna, grid.placed, grid.facing))
             for image in images
         ]
         scored = [

@@ -12,7 +12,7 @@ import pytest
 from tagid import doctor, loops
 
 ROOT = Path(__file__).resolve().parents[2]
-WALLS = "tagid.tags.bodies._walls"
+SHEET = "tagid.reading._sheet"
 
 
 def test_every_extension_of_the_package_is_listed() -> None:
@@ -29,17 +29,17 @@ def test_the_installed_loops_are_those_of_the_sources() -> None:
 
 @pytest.mark.parametrize("number", [None, 0, 99])
 def test_a_loop_of_other_arguments_is_not_used(number: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    other = ModuleType(WALLS)
+    other = ModuleType(SHEET)
     if number is not None:
         other.ARGUMENTS = number  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, WALLS, other)
-    assert loops.loop(WALLS) is None and WALLS in loops.unusable()
+    monkeypatch.setitem(sys.modules, SHEET, other)
+    assert loops.loop(SHEET) is None and SHEET in loops.unusable()
 
 
 def test_the_doctor_names_loops_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loops, "unusable", lambda: (WALLS,))
+    monkeypatch.setattr(loops, "unusable", lambda: (SHEET,))
     found = doctor._engines()
-    assert found.level == "warning" and "compiled loops missing or outdated: walls," in found.text
+    assert found.level == "warning" and "compiled loops missing or outdated: sheet," in found.text
     monkeypatch.setattr(loops, "unusable", lambda: tuple(loops.LOOPS))
     assert "no compiled loops," in doctor._engines().text
     monkeypatch.setattr(loops, "unusable", tuple)

@@ -18,13 +18,13 @@ from tagid.operate.turn import draw, failed, read, read_jointly
 from tagid.operate.words import bound_words, coverage_words, notes, trust_words, truth_words
 from tagid.operate.workplace import MOST_SCANS, Workplace
 from tagid.pipeline.answer import Identification
+from tagid.reading.calibration import Bound
 from tagid.simulate import Acquisition, scene_from_name, simulate_capture
 from tagid.storage.hdf5 import write_capture
 from tagid.storage.history import FILE_NAME
-from tagid.tags.bodies.calibration import Bound
 from tagid.tags.layouts.layout import builtin_layouts
 
-BOUND = Bound(1 / 4700, 0.001, 4999, "bare", "simulated objects")
+BOUND = Bound(1 / 4700, 0.001, 4999, "24 to 360 views", "simulated objects")
 
 
 @pytest.fixture

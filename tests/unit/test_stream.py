@@ -20,20 +20,20 @@ from tagid.metadata import Ending
 from tagid.motion.urls import open_motion
 from tagid.radar.assembler import Scan
 from tagid.radar.settings import RadarConfig
+from tagid.reading.ending import EndingCalibration
+from tagid.reading.looks import LOOKS
 from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
 from tagid.recording.session import Session
 from tagid.recording.stream import ScanStream
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.sequential.calibration import EndingCalibration
-from tagid.tags.sequential.looks import LOOKS
 from tests.unit.paced import wait_for
 
 SCANS = [Scan(n, 10 * n, 0, np.zeros(1, np.int32), 0, 1, 2) for n in range(2000)]
 SESSION = cast(Session, SimpleNamespace())
 URL = "free?rpm=20"
-NEVER = EndingCalibration("made up", (0, 3999), LOOKS, 32, 1e9, 3999, (1e9,))
+NEVER = EndingCalibration("made up", (0, 3999), LOOKS, 32, 3999, (1e9,))
 """Scans end early, but for no score that there is."""
 
 

@@ -13,7 +13,6 @@ from tagid.tags.enrolling.averaging import Sighting, average
 from tagid.tags.enrolling.precision import position_covariances
 from tagid.tags.layouts.codebook import best_pairing, rotational_distance
 from tagid.tags.layouts.layout import Layout, rotation_matrix
-from tagid.tags.reading.aspect import TRANSPARENT, Appearance
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.reflectors import refine_positions
 
@@ -41,7 +40,7 @@ def test_the_covariance_told_is_that_of_the_errors_made() -> None:
     noise, off, told = 0.5, [], []
     for seed in range(60):
         field = MatchedField(synthetic_scans(points, noise=noise, seed=seed, views=24), 0.16)
-        found, _, _ = refine_positions(field, points, Appearance(TRANSPARENT, np.zeros(2)))
+        found, _ = refine_positions(field, points)
         off.append(found - points)
         told.append(position_covariances(field, found))
     made = np.einsum("nki,nkj->kij", off, off) / len(off)

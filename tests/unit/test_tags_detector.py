@@ -17,10 +17,9 @@ from tagid.models_store import model_bytes, open_model
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.scene import Scene
-from tagid.tags.network.detector import CELL_M, CELLS, MODEL, Contract, Detection, Detector, decode
+from tagid.tags.network.detector import CELL_M, CELLS, MODEL, Contract, Detector, decode
 from tagid.tags.network.planes import GRID, NetworkInput
-from tagid.tags.network.second_look import disagreement, look_again, shipped_detector
-from tagid.tags.reading.reflectors import Reflector
+from tagid.tags.network.second_look import look_again, shipped_detector
 
 CONTRACT = Contract(1.0, 0.0, 1.0, 0.0, 1.0, {"0.1": 0.5, "0.01": 0.9}, {})
 
@@ -93,29 +92,6 @@ def test_second_look_corrects_the_axis_distance_by_the_readings_offset() -> None
     assert len(right.beyond) == 2
     best = [min(np.hypot(d.x_m - p[0], d.y_m - p[1]) for d in right.beyond) for p in points]
     assert max(best) < 0.006
-
-
-@pytest.mark.parametrize(
-    "found, said",
-    [
-        ([(45, 0, 0.3), (0, 52, 0.05)], ""),
-        ([(45, 0, 0.05), (0, 52, 0.05)], "does not show its reflectors"),
-        ([(45, 25, 0.9), (-25, 45, 0.9)], "does not show its reflectors"),
-        ([], "does not show its reflectors"),
-        # One that is not sure is no contradiction.
-        ([(45, 0, 0.99), (-45, 0, 0.89)], ""),
-        (
-            [(45, 0, 0.99), (-45, 0, 0.91), (0, -45, 0.93)],
-            "shows a reflector at (0, -45) mm that it does not",
-        ),
-    ],
-)
-def test_an_image_contradicts_a_name(found: list[tuple[float, float, float]], said: str) -> None:
-    own = [Reflector(x, y, 1.0 + 0j, 0.0, 20.0, True) for x, y in ((0.045, 0.0), (0.0, 0.045))]
-    seen = [Detection(x * 1e-3, y * 1e-3, 0.002, p, 0.0, 1.0 + 0j) for x, y, p in found]
-    words = disagreement(own, seen, 0.9)
-    assert (said in words) if said else words == ""
-    assert disagreement([], seen, 0.9) == ""
 
 
 @pytest.mark.parametrize(

@@ -161,7 +161,7 @@ def test_reader_and_simulator_know_both_antennas() -> None:
     )
     places = truth.positions_m
     around = places[:, None] + 0.01 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-    strength = np.abs(field.at(around))
+    strength = np.abs(field.correlate(field.templates(around)))
     assert (strength[:, 0] > strength[:, 1:].max(axis=1)).all()
     # Three unit points explain what the simulator made, to the carrier's phase.
     model = ForwardOperator(scans, places).forward(truth.amplitudes)

@@ -7,7 +7,6 @@ positions resolves this.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import permutations
 from typing import TYPE_CHECKING, Final
 
 from tagid.errors import DataError, UsageError
@@ -22,12 +21,9 @@ _LEAST_DIFFERENCE_M: Final = 5e-3
 
 def chirality_m(layout: Layout) -> float:
     """RMS distance of a layout from its mirror image after the best rotation, shift and pairing, m."""
-    from tagid.tags.reading.rivals import rigid_distance
+    from tagid.tags.layouts.codebook import best_pairing
 
-    mirror = layout.mirrored().positions
-    return min(
-        rigid_distance(layout.positions, mirror[list(order)]) for order in permutations(range(layout.size))
-    )
+    return best_pairing(layout.mirrored().positions, layout.positions, 0.2).rms_m
 
 
 def turned_the_other_way(capture: Capture, layout: Layout) -> bool:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tagid.counting import counted
 from tagid.errors import DataError
-from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.posing import PoseSearch, matches, noise_of, refine, round_centre
 from tagid.tags.bodies.signature import (
     Signature,
@@ -134,11 +134,6 @@ class Joint:
     placed: tuple[Placed, ...]
     residuals: tuple[Residual, ...]
 
-    @property
-    def excess(self) -> float:
-        """Largest excess of a capture over what is allowed; at most 0 where all is noise."""
-        return max(r.over for r in self.residuals)
-
 
 @dataclass(frozen=True)
 class Named:
@@ -237,7 +232,7 @@ class _Estimate:
             search = PoseSearch(spectra, self.basis.order, around)
             # One capture does not tell its m = 0 from the room: what turns gives pose and gain.
             turns = left > (1 + _ROUND_TURNING) * spectra.noise_energy
-            near = matches(spectra, self.signature, search, starts=4, split=turns)
+            near = matches(spectra, self.signature, search, split=turns)
             gains = [best_gain(spectra, self.signature, one.pose, split=turns) for one in near]
             placed = [Placed(spectra, one.pose, gain) for one, gain in zip(near, gains, strict=True)]
             # What turns may look alike in several poses: an oval turned by a quarter is one with the gain
@@ -449,17 +444,14 @@ def _residuals(captures: Sequence[Named], work: _Estimate) -> tuple[Residual, ..
     return tuple(found)
 
 
-def enrol_signature(
-    captures: Sequence[Named], name: str, kind: SignatureKind, radius_m: float | None = None
-) -> Joint:
+def enrol_signature(captures: Sequence[Named], name: str, kind: SignatureKind) -> Joint:
     """A signature that its captures confirm.
 
     Args: as of `estimate`.
 
     Raises:
         DataError: too few captures, other bands, nothing but noise, one pose in all captures, or a residual
-        that
-            is not noise; the capture to blame is named where one is.
+            that is not noise; the capture to blame is named where one is.
     """
     if len(captures) < CAPTURES:
         raise DataError(
@@ -482,7 +474,7 @@ def enrol_signature(
                 "Check that the object stands in the beam, and move it a few millimetres off the axis: what "
                 "is round and exactly centred looks like the room.",
             )
-    joint = estimate(captures, name, kind, radius_m)
+    joint = estimate(captures, name, kind)
     bad = [residual for residual in joint.residuals if not residual.is_noise]
     if bad:
         raise _refusal(captures, joint, kind)

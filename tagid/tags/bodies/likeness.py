@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.posing import match, round_centre
 from tagid.tags.bodies.signature import Signature, echo, same_wavenumbers
 from tagid.tags.bodies.spectra import Spectra, centred
@@ -49,12 +49,12 @@ class Likeness:
         return self.left < ALIKE
 
 
-def spectra_of(signature: Signature, views: int = VIEWS) -> Spectra:
+def spectra_of(signature: Signature) -> Spectra:
     """The echo of a signature as noiseless spectra of a uniform turn at its own distance."""
-    angles = 2 * np.pi * np.arange(views) / views
+    angles = 2 * np.pi * np.arange(VIEWS) / VIEWS
     antenna = signature.distance_m * np.exp(-1j * angles)
-    height = np.full(views, signature.height_m)
-    empty = np.zeros((len(signature.wavenumbers), views), complex)
+    height = np.full(VIEWS, signature.height_m)
+    empty = np.zeros((len(signature.wavenumbers), VIEWS), complex)
     bare = Spectra(empty, signature.wavenumbers, antenna, height, signature.distance_m, 0.0)
     data = centred(echo(bare, signature, Pose((OFF_AXIS_M, 0.0))))
     noise = float(signature.noise.mean())
@@ -69,7 +69,7 @@ def compare(one: Signature, other: Signature) -> Likeness:
     for first, second in ((one, other), (other, one)):
         spectra = spectra_of(first)
         turning = round_centre(spectra)[1]
-        left = match(spectra, second, starts=4).left
+        left = match(spectra, second).left
         # A round body turns with nothing but noise, and is alike every round body.
         noise = first.noise_share * turning
         shares.append((left - noise) / max(turning - noise, 1e-3 * spectra.energy))

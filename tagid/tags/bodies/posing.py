@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.signature import (
     Signature,
     Standpoint,
@@ -30,8 +30,8 @@ CENTRE_GRID_M = 0.003
 """Step of the coarse search over the centre; half a diagonal is a phase of kappa * 2.1 mm = 0.4 rad."""
 ROTATIONS = 256
 """Steps of the coarse search over rotation, 1.4 degrees: half a step turns the harmonic 26 by 0.3 rad."""
-APART_RAD = np.pi / 6
-"""Starts of the descent differ at least by this in rotation."""
+STARTS, APART_RAD = 4, np.pi / 6
+"""Starts of the descent, and their least difference in rotation."""
 ROUND_GRID_M = 0.002
 _NO_NOISE = 1e-9
 
@@ -48,16 +48,6 @@ class Linear:
     columns: NDArray[np.complex128]
     slopes: NDArray[np.complex128]
 
-    def with_fixed(self, echoes: NDArray[np.complex128] | None) -> Linear:
-        """The same and columns (F, C, V) that no parameter changes; None for none."""
-        if echoes is None:
-            return self
-        fixed = np.swapaxes(echoes, 1, 2)
-        still = np.zeros((len(self.slopes), *fixed.shape), np.complex128)
-        return Linear(
-            np.concatenate([self.columns, fixed], axis=-1), np.concatenate([self.slopes, still], axis=-1)
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Found:
@@ -65,19 +55,11 @@ class Found:
 
     Attributes:
         x: (P,) parameters.
-        left: energy left, with what loads charge, in the units of the spectra.
-        columns: (F, V, N) of the model there.
-        amplitudes: (F, N) of them.
+        left: energy left, in the units of the spectra.
     """
 
     x: NDArray[np.float64]
     left: float
-    columns: NDArray[np.complex128]
-    amplitudes: NDArray[np.complex128]
-
-    def part(self, n: int) -> NDArray[np.complex128]:
-        """(F, V) what the column n explains, without what is constant over the views."""
-        return centred(self.amplitudes[:, n, None] * self.columns[..., n])
 
 
 @dataclass(frozen=True)
@@ -87,12 +69,10 @@ class Match:
     Attributes:
         pose: the best one.
         left: energy that the signature leaves, in the units of the spectra.
-        mirrored: the mirror image of the signature was taken.
     """
 
     pose: Pose
     left: float
-    mirrored: bool = False
 
 
 def noise_of(spectra: Spectra) -> float:
@@ -106,8 +86,6 @@ def descend(
     x: NDArray[np.float64],
     iterations: int = 12,
     sigmas: NDArray[np.float64] | None = None,
-    variance: float = 0.0,
-    loads: NDArray[np.float64] | None = None,
 ) -> Found:
     """Levenberg-Marquardt with the linear amplitudes eliminated (variable projection, Kaufman 1975).
 
@@ -118,24 +96,15 @@ def descend(
         iterations: at most.
         sigmas: (P,) standard deviations of the parameters about 0, inf where they are free; None: those of
             the centre are CENTRE_SIGMA_M, the others are free.
-        variance: of one value of what the model leaves, where that is more than the noise.
-        loads: (F, N) that variance over the one of the amplitudes about 0; 0 where an amplitude is free.
-            None: all are.
     """
     if sigmas is None:
         sigmas = np.full(len(x), np.inf)
         sigmas[:2] = CENTRE_SIGMA_M
-    prior = max(noise_of(spectra), variance) / sigmas**2
-    data, held = spectra.data, None
-    if loads is not None:
-        # An amplitude that should be small is one view more, in which nothing is seen.
-        held = np.sqrt(loads)[:, :, None] * np.eye(loads.shape[1])
-        data = np.concatenate([data, np.zeros_like(loads)], axis=1)
+    prior = noise_of(spectra) / sigmas**2
+    data = spectra.data
 
     def rest(columns: NDArray[np.complex128]):  # type: ignore[no-untyped-def]
         columns = columns - columns.mean(axis=1, keepdims=True)
-        if held is not None:
-            columns = np.concatenate([columns, held], axis=1)
         q, r = np.linalg.qr(columns)
         inner = q.conj().swapaxes(1, 2) @ data[..., None]
         return data - (q @ inner)[..., 0], q, r, inner
@@ -153,8 +122,6 @@ def descend(
     for _ in range(iterations):
         slopes = np.einsum("pfvn,fn->pfv", parts.slopes, amplitudes_of(r, inner))
         slopes = slopes - slopes.mean(axis=2, keepdims=True)
-        if held is not None:
-            slopes = np.concatenate([slopes, np.zeros((*slopes.shape[:2], held.shape[1]))], axis=2)
         slopes = slopes - (q @ (q.conj().swapaxes(1, 2) @ slopes[..., None]))[..., 0]
         jacobian = slopes.reshape(len(x), -1)
         normal = np.real(jacobian.conj() @ jacobian.T) + np.diag(prior)
@@ -174,7 +141,7 @@ def descend(
             damping *= 6
         if gain < 1e-5 * cost:
             break
-    return Found(x, float(np.sum(np.abs(left) ** 2)), parts.columns, amplitudes_of(r, inner))
+    return Found(x, float(np.sum(np.abs(left) ** 2)))
 
 
 def round_centre(spectra: Spectra) -> tuple[complex, float]:
@@ -244,11 +211,6 @@ def refine(
     return Match(Pose((float(found.x[0]), float(found.x[1])), turn), found.left)
 
 
-def search_step(spectra: Spectra) -> int:
-    """Step at which `PoseSearch` takes frequencies: five or a few more of them."""
-    return max(1, (len(spectra.wavenumbers) + 4) // 5)
-
-
 class PoseSearch:
     """Coarse search for the pose of any signature in one capture.
 
@@ -265,7 +227,8 @@ class PoseSearch:
 
     def __init__(self, spectra: Spectra, order: int, around: tuple[complex, ...] = ()) -> None:
         self.spectra = spectra
-        self._step = search_step(spectra)
+        # Five frequencies or a few more of them.
+        self._step = max(1, (len(spectra.wavenumbers) + 4) // 5)
         self._thin = spectra.thinned(self._step)
         self._order = order
         count = int(CENTRE_REACH_M / CENTRE_GRID_M)
@@ -294,21 +257,7 @@ class PoseSearch:
         # (C, F, 4 M + 1) inner products of harmonics by their difference.
         self._lags = ((np.abs(carrier) ** 2 + 0j) @ basis).astype(np.complex64)
 
-    def best(self, signature: Signature, alike: int = 1) -> tuple[float, Pose]:
-        """The energy that a signature leaves of the frequencies searched, at its best pose.
-
-        Args:
-            signature: what is looked for.
-            alike: turns at which it looks alike, evenly spaced: two of an ellipse, four of a square. Other
-                harmonics than their multiples are nought, and the first of these turns is found.
-
-        Raises DataError as `candidates` does.
-        """
-        left = self._energies(signature, alike)
-        i, turn = np.unravel_index(int(np.argmin(left)), left.shape)
-        return float(left[i, turn]), self._pose(int(i), int(turn))
-
-    def candidates(self, signature: Signature, count: int = 3) -> list[Pose]:
+    def candidates(self, signature: Signature, count: int) -> list[Pose]:
         """The poses that explain most and differ in rotation, best first.
 
         Raises DataError where signature and capture are at different frequencies.
@@ -328,8 +277,8 @@ class PoseSearch:
         at = complex(self._centres[centre])
         return Pose((at.real, at.imag), 2 * np.pi * turn / ROTATIONS)
 
-    def _energies(self, signature: Signature, alike: int = 1) -> NDArray[np.float64]:
-        """(C, ROTATIONS / alike) energy left with every centre and rotation."""
+    def _energies(self, signature: Signature) -> NDArray[np.float64]:
+        """(C, ROTATIONS) energy left with every centre and rotation."""
         if (
             not same_wavenumbers(self.spectra.wavenumbers, signature.wavenumbers)
             or signature.order > self._order
@@ -339,21 +288,18 @@ class PoseSearch:
                 "Enrol it again with this radar.",
             )
         order = signature.order
-        most = order // alike * alike
-        own = slice(order - most, order + most + 1, alike)
-        cut = slice(self._order - most, self._order + most + 1, alike)
+        cut = slice(self._order - order, self._order + order + 1)
         near = near_field(self._thin.wavenumbers, order, self._thin.distance_m)
-        weights = (signature.turning[:: self._step] * near)[:, own]
+        weights = signature.turning[:: self._step] * near
         loudest = max(float(np.abs(weights).max()), 1e-300)
         weights = (weights / loudest).astype(np.complex64)
-        rotations = ROTATIONS // alike
         along, room, body = (
-            _over_rotation(weights.conj() * part[..., cut], rotations)
+            _over_rotation(weights.conj() * part[..., cut], ROTATIONS)
             for part in (self._data, self._room, self._round)
         )
         pairs = np.stack([np.correlate(w, w, "full") for w in weights.conj()])
-        wide = slice(2 * (self._order - most), 2 * (self._order + most) + 1, alike)
-        size = _over_rotation(pairs * self._lags[..., wide].conj(), rotations).real
+        wide = slice(2 * (self._order - order), 2 * (self._order + order) + 1)
+        size = _over_rotation(pairs * self._lags[..., wide].conj(), ROTATIONS).real
         size -= np.abs(room) ** 2 + np.abs(body) ** 2
         noise = signature.noise[:: self._step] / loudest**2 * 2 * order * self._thin.views
         explained = np.sum(np.abs(along) ** 2 / (np.maximum(size, 0) + noise[:, None] + 1e-300), axis=1)
@@ -368,49 +314,26 @@ def _over_rotation(values: NDArray[np.complex64], rotations: int) -> NDArray[np.
     return np.asarray(np.fft.ifft(spectrum, axis=-1) * rotations)
 
 
-def match(
-    spectra: Spectra,
-    signature: Signature,
-    search: PoseSearch | None = None,
-    *,
-    starts: int = 3,
-    either_way: bool = False,
-) -> Match:
-    """Best pose of a signature in a capture, over all rotations and centres near the axis.
+def match(spectra: Spectra, signature: Signature) -> Match:
+    """The best of `matches`."""
+    return matches(spectra, signature, PoseSearch(spectra, signature.order))[0]
+
+
+def matches(
+    spectra: Spectra, signature: Signature, search: PoseSearch, *, split: bool = False
+) -> list[Match]:
+    """Poses of a signature in a capture, over all rotations and centres near the axis, best first.
 
     Args:
         spectra: capture.
         signature: what is looked for.
-        search: of that capture, to be shared between signatures; None makes one.
-        starts: poses of the coarse search that are refined.
-        either_way: try the mirror image as well, where the direction of the turn is not known.
+        search: of that capture.
+        split: give the round part a gain of its own, for a signature whose m = 0 is not known yet.
 
     Raises DataError where the two are at different frequencies.
     """
-    return matches(spectra, signature, search, starts=starts, either_way=either_way)[0]
-
-
-def matches(
-    spectra: Spectra,
-    signature: Signature,
-    search: PoseSearch | None,
-    *,
-    starts: int,
-    either_way: bool = False,
-    split: bool = False,
-) -> list[Match]:
-    """The refined ends of several starts, best first.
-
-    Args:
-        spectra, signature, search, starts, either_way: as of `match`.
-        split: give the round part a gain of its own, for a signature whose m = 0 is not known yet.
-    """
-    search = search or PoseSearch(spectra, signature.order)
     found: list[Match] = []
-    for flip in (False, True)[: 2 if either_way else 1]:
-        one = signature.mirrored() if flip else signature
-        for start in search.candidates(one, starts):
-            near = refine(spectra, one, start, split=True, iterations=12 if split else 5)
-            end = near if split else refine(spectra, one, near.pose)
-            found.append(Match(end.pose, end.left, flip))
+    for start in search.candidates(signature, STARTS):
+        near = refine(spectra, signature, start, split=True, iterations=12 if split else 5)
+        found.append(near if split else refine(spectra, signature, near.pose))
     return sorted(found, key=lambda one: one.left)

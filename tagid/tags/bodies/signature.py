@@ -21,7 +21,7 @@ degrees of freedom of scattered fields", IEEE Transactions on Antennas and Propa
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError, UsageError
-from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import is_name
 
@@ -40,6 +40,9 @@ MAX_FREQUENCIES, MAX_ORDER = 32, 64
 MAX_LABEL = 200
 SAME_WAVENUMBER = 4 * np.pi * 1e6 / SPEED_OF_LIGHT
 """Frequencies nearer than 1 MHz are the same, rad/m."""
+FREQUENCY_STEP_HZ = 0.2e9
+"""Spacing of the frequencies of signatures: the range window of `Spectra` is 0.65 m wide, so spectra
+vary over c / (2 x 0.65 m) = 0.23 GHz. The frequencies are multiples of it, whatever pulse and window are."""
 SignatureKind = Literal["body", "object"]
 KINDS = ("body", "object")
 
@@ -151,10 +154,6 @@ class Signature:
         turning = float(np.sum(np.abs(self.turning) ** 2)) * (1 - self.noise_share)
         return turning / max(whole, 1e-300)
 
-    def mirrored(self) -> Signature:
-        """As it looks where the object turned the other way."""
-        return replace(self, harmonics=self.harmonics[:, ::-1])
-
 
 def order_of(wavenumber: float, radius_m: float) -> int:
     """Largest harmonic of an object of that radius at two-way wavenumber kappa (rad/m).
@@ -226,37 +225,6 @@ def turned(spectra: Spectra, signature: Signature, turn_rad: float) -> NDArray[n
     return np.asarray(signature.harmonics * near * np.exp(-1j * m * turn_rad))
 
 
-_NODES = 4
-
-
-def between(
-    harmonics: NDArray[np.complex128], known: NDArray[np.float64], wanted: NDArray[np.float64]
-) -> NDArray[np.complex128]:
-    """(F', 2 M + 1) harmonics at wavenumbers between those at which they are known.
-
-    A wall 0.1 m before the centre turns their phase by 0.84 rad from one multiple of 0.2 GHz to the next. The
-    Lagrange polynomial through the four nearest frequencies follows that to 1 % in the middle of the band and
-    2 % at its ends, where the nearest frequency itself is off by up to 40 %; higher ones add noise. Beyond
-    the ends the harmonics stay as they are there.
-
-    Args:
-        harmonics: (F, 2 M + 1), F of 2 or more.
-        known: (F,) their wavenumbers, rad/m, ascending.
-        wanted: (F',) rad/m.
-    """
-    at = np.clip(wanted, known[0], known[-1])
-    count = min(_NODES, len(known))
-    first = np.clip(np.searchsorted(known, at) - count // 2, 0, len(known) - count)
-    rows = first[:, None] + np.arange(count)
-    nodes = known[rows]
-    weights = np.ones((len(at), count))
-    for i in range(count):
-        for j in range(count):
-            if i != j:
-                weights[:, i] *= (at - nodes[:, j]) / (nodes[:, i] - nodes[:, j])
-    return np.asarray(np.einsum("fi,fim->fm", weights, harmonics[rows]))
-
-
 def echo(spectra: Spectra, signature: Signature, pose: Pose) -> NDArray[np.complex128]:
     """(F, V) echo of an object in a pose, with unit gain."""
     at = Standpoint(spectra, pose.centre)
@@ -267,3 +235,15 @@ def echo(spectra: Spectra, signature: Signature, pose: Pose) -> NDArray[np.compl
 def same_wavenumbers(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
     """Whether both are the same frequencies, to SAME_WAVENUMBER."""
     return len(one) == len(other) and bool(np.abs(one - other).max() < SAME_WAVENUMBER)
+
+
+def signature_wavenumbers(center_frequency_hz: float, bandwidth_hz: float) -> NDArray[np.float64]:
+    """(F,) kappa of the multiples of FREQUENCY_STEP_HZ inside a band, rad/m.
+
+    >>> signature_wavenumbers(3.95e9, 1.7e9).size
+    9
+    """
+    low = (center_frequency_hz - bandwidth_hz / 2) / FREQUENCY_STEP_HZ
+    high = (center_frequency_hz + bandwidth_hz / 2) / FREQUENCY_STEP_HZ
+    steps = np.arange(np.ceil(low - 1e-6), np.floor(high + 1e-6) + 1)
+    return np.asarray(4 * np.pi / SPEED_OF_LIGHT * FREQUENCY_STEP_HZ * steps)

@@ -1,4 +1,4 @@
-"""Scans as spectra over the views: what the models of bodies and reflectors are fitted to.
+"""Scans as spectra over the views: what the signatures of bodies and objects are fitted to.
 
 With free complex amplitudes at every frequency, the pulse, the level and a common range offset need not be
 known, and everything that is linear in the amplitudes is solved frequency by frequency.
@@ -7,15 +7,12 @@ known, and everything that is linear in the amplitudes is solved frequency by fr
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
-from tagid.tags.bodies import compiled
-from tagid.tags.bodies.compiled import SpectraTables
 
 FREQUENCIES = 9
 """One frequency per c / (2 * 0.65 m) = 0.23 GHz of the range window would be independent of its neighbours;
@@ -25,11 +22,6 @@ BAND_SHARE = 0.94
 FLAT_M, EDGE_M = 0.24, 0.42
 """The range window about the axis is flat to the first and ends at the second distance: an object of 0.13 m
 radius, its creeping waves and double bounces, and a range offset of 0.05 m lie in the flat part."""
-LEVEL_ERROR = 0.12
-"""Relative standard deviation of the noise's level: 0.13 over 48 recordings of our simulator with noise that
-is partly coloured, 0.06 of it from chance in what it was compared with."""
-_LONGEST_M = 0.15
-"""Delays of a response are looked for up to this, one way, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,18 +48,12 @@ class Spectra:
     noise: float
 
     @classmethod
-    def of(
-        cls,
-        scans: BasebandScans,
-        frequencies: int = FREQUENCIES,
-        wavenumbers: NDArray[np.float64] | None = None,
-    ) -> Spectra:
+    def of(cls, scans: BasebandScans, wavenumbers: NDArray[np.float64]) -> Spectra:
         """Spectra of scans made without a matched filter, in a window of 0.42 m about the axis.
 
         Args:
             scans: see above.
-            frequencies: number of frequencies over the band of the scans.
-            wavenumbers: (F,) kappa to take instead, equally spaced, rad/m; those of an enrolled signature.
+            wavenumbers: (F,) kappa, equally spaced, rad/m.
 
         Raises DataError where fewer than 4 range bins lie in the window.
         """
@@ -75,10 +61,7 @@ class Spectra:
         distance, taper = range_window(scans)
         size = scans.samples.size
         independent = scans.independent_samples if scans.independent_samples > 0 else float(size)
-        offsets = np.linspace(-0.5, 0.5, frequencies) * BAND_SHARE * scans.bandwidth_hz
-        turn = 4 * np.pi / scans.wave_speed_m_s * offsets
-        if wavenumbers is not None:
-            turn = wavenumbers - 2 * scans.wavenumber
+        turn = wavenumbers - 2 * scans.wavenumber
         kernel = np.exp(-1j * turn[:, None] * (scans.ranges_m - distance)[None])
         data = kernel @ (scans.samples * taper).T.astype(np.complex128)
         data *= np.exp(2j * scans.wavenumber * distance)
@@ -94,11 +77,6 @@ class Spectra:
             noise,
         )
 
-    @cached_property
-    def tables(self) -> SpectraTables:
-        """The same for the compiled loops."""
-        return SpectraTables.of(self.antenna, self.height_m, self.data, self.wavenumbers, self.distance_m)
-
     @property
     def energy(self) -> float:
         """Sum of |data|^2."""
@@ -108,26 +86,6 @@ class Spectra:
     def noise_energy(self) -> float:
         """Expected energy of the noise in `data`; one value per frequency is lost with the room."""
         return float(self.noise * len(self.data) * (self.data.shape[1] - 1))
-
-    @property
-    def noise_spread(self) -> float:
-        """Standard deviation of the energy of n values of noise: n ** 0.5 variances."""
-        return float(self.noise * np.sqrt(len(self.data) * (self.data.shape[1] - 1)))
-
-    @property
-    def noise_doubt(self) -> float:
-        """Standard deviation of the energy of noise about what is expected: by chance, and by its level."""
-        return float(np.hypot(self.noise_spread, LEVEL_ERROR * self.noise_energy))
-
-    @property
-    def amplitude_cost(self) -> float:
-        """Energy charged for an amplitude more at every frequency: log V nats each (Schwarz 1978)."""
-        return float(self.noise * len(self.wavenumbers) * np.log(self.views))
-
-    @property
-    def angle_cost(self) -> float:
-        """Energy charged for an angle that is free: half the log of the values' number (Schwarz 1978)."""
-        return float(0.5 * self.noise * np.log(2 * self.data.size))
 
     @property
     def views(self) -> int:
@@ -148,9 +106,6 @@ class Spectra:
     def waves(self, distance_m: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(F, ...) exp(-j kappa (R - d)) at distances R (...), m, by recurrence over equal steps of kappa."""
         path = distance_m - self.distance_m
-        fast = compiled.waves(path, self.wavenumbers)
-        if fast is not None:
-            return fast
         out = np.empty((len(self.wavenumbers), *path.shape), dtype=np.complex128)
         out[0] = np.exp(-1j * self.wavenumbers[0] * path)
         if len(out) > 1:
@@ -158,12 +113,6 @@ class Spectra:
             for f in range(1, len(out)):
                 np.multiply(out[f - 1], step, out=out[f])
         return out
-
-    def early_m(self, response: NDArray[np.complex128]) -> float:
-        """How much earlier than its place something answers (F,), from the slope of the phase, one way, m."""
-        ahead = np.arange(-_LONGEST_M, _LONGEST_M, 2e-3)
-        turned = np.exp(-1j * ahead[:, None] * self.wavenumbers[None])
-        return float(ahead[int(np.argmax(np.abs(turned @ response)))])
 
 
 def range_window(scans: BasebandScans) -> tuple[float, NDArray[np.float64]]:

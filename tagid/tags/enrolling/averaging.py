@@ -20,7 +20,7 @@ from tagid.tags.enrolling.precision import position_covariances
 from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, Pairing, best_pairing
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.reflectors import FinderSettings, find_reflectors
+from tagid.tags.reading.reflectors import find_reflectors
 from tagid.tags.reading.views import fold_views
 
 STRONG_DB = -9.0
@@ -64,8 +64,7 @@ class Sighting:
 
         Raises DataError if the scans do not cover the object's range.
         """
-        settings = FinderSettings(radius_m=radius_m)
-        found = [r for r in find_reflectors(scans, settings) if r.amplitude_db >= STRONG_DB]
+        found = [r for r in find_reflectors(scans, radius_m) if r.amplitude_db >= STRONG_DB]
         positions = np.array([(r.x_m, r.y_m) for r in found]).reshape(-1, 2)
         if not found:
             return cls(name, positions, np.zeros((0, 2, 2)))

@@ -14,9 +14,7 @@ _STEP_M = 2e-4
 _LOAD = 1e-9
 
 
-def position_covariances(
-    field: MatchedField, positions: NDArray[np.float64], offset_m: float = 0.0
-) -> NDArray[np.float64]:
+def position_covariances(field: MatchedField, positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Covariance of least-squares positions with free complex amplitudes: the inverse Fisher information.
 
     Let S be the templates, a the amplitudes, and J the derivatives of S a with respect to the coordinates,
@@ -28,13 +26,12 @@ def position_covariances(
     Args:
         field: matched field of the scans.
         positions: (K, 2) m, at the least-squares solution.
-        offset_m: added to every distance, m.
 
     Returns:
         (K, 2, 2), m^2.
     """
     k = len(positions)
-    own = field.templates(field.distances(positions) + offset_m).astype(np.complex128)
+    own = field.templates(positions).astype(np.complex128)
     amplitudes, *_ = np.linalg.lstsq(own.T, field.data.astype(np.complex128), rcond=None)
     left = field.data - amplitudes @ own
     variance = max(float(np.mean(np.abs(left) ** 2)), field.noise_variance, 1e-30)
@@ -42,8 +39,7 @@ def position_covariances(
     for axis in range(2):
         step = np.zeros(2)
         step[axis] = _STEP_M
-        ahead = field.templates(field.distances(positions + step) + offset_m)
-        behind = field.templates(field.distances(positions - step) + offset_m)
+        ahead, behind = field.templates(positions + step), field.templates(positions - step)
         slopes.append((ahead - behind).astype(np.complex128) / (2 * _STEP_M) * amplitudes[:, None])
     jacobian = np.stack(slopes, axis=1).reshape(2 * k, -1)
     basis, _ = np.linalg.qr(own.T)

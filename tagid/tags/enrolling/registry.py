@@ -14,12 +14,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from tagid.errors import RegistryError, TagidError, UsageError
+from tagid.result import NO_NAMES
 from tagid.storage.database import Database, Schema
 from tagid.storage.spreadsheet import FORMULA_STARTS
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.bodies.signature_file import from_bytes, to_bytes
 from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
-from tagid.tags.verdicts.verdict import NO_NAMES
 
 APPLICATION_ID = 0x74616764
 """Application id in the sqlite header (offset 68): "tagd"."""

@@ -1,148 +1,33 @@
-/* Many points: the coarse search for layouts, and points that are asked for again and again.
- *
- * coarse:    b and the constant part of the templates of many points, for several patterns and range offsets
- * energies:  of every rotation and shift of a layout, on images of these
- * correlate: b of points with any data, from a table
- * left:      |b|^2 of points with what others leave of the data
- * beyond:    energies of their templates beyond a few others
- */
-#include "_many.h"
+/* Energies of every rotation and shift of a layout on a coarse image (see tagid.tags.reading.coarse_grid). */
+#include "../_buffers.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
 
-typedef struct {
-    const float *table;     /* (views, entries, 2) */
-    const double *points;   /* (N, 3) */
-    const double *facing;   /* (N, 2) */
-    const double *patterns; /* (A, 3) */
-    const double *offsets;  /* (O,) */
-    const int32_t *pixel;   /* (N,) of the images, where a point lies */
-    int64_t count, kinds, shifts, pixels, room;
-    float *fixed;  /* (A, pixels, 2, width) */
-    float *images; /* (A, pixels, 2, room) */
-} Coarse;
+#define LANES 4 /* numbers of coordinates are padded to a multiple */
+#define MOST 24 /* reflectors of a layout, at most */
 
-#define VIEWS 16 /* at a time: their phases stay near */
+/* Coordinates that one register holds, in any place. */
+typedef float Four __attribute__((vector_size(4 * LANES)));
 
-/* out (2, w) += sum over the views of (x + j y) profile; the sums stay in registers where w is a constant. */
-INLINE void add_turned(const Field *g, const int64_t w, int64_t views, const int32_t *index,
-                       const float *lit_up, int64_t stride, float *restrict out)
+INLINE Four load(const float *from)
 {
-    Four re[WIDEST / LANES], im[WIDEST / LANES];
-    for (int64_t j = 0; j < w / LANES; j++) {
-        re[j] = load(out + LANES * j);
-        im[j] = load(out + w + LANES * j);
-    }
-    for (int64_t v = 0; v < views; v++) {
-        const float x = lit_up[stride * v], y = lit_up[stride * v + BLOCK];
-        const float *p = g->profiles + 2 * w * (int64_t)index[BLOCK * v];
-        for (int64_t j = 0; j < w / LANES; j++) {
-            const Four a = load(p + LANES * j), b = load(p + w + LANES * j);
-            re[j] += x * a - y * b;
-            im[j] += x * b + y * a;
-        }
-    }
-    for (int64_t j = 0; j < w / LANES; j++) {
-        store(out + LANES * j, re[j]);
-        store(out + w + LANES * j, im[j]);
-    }
+    Four found;
+    memcpy(&found, from, sizeof found);
+    return found;
 }
 
-/* The same for any w, a view at a time. */
-INLINE void add_turned_wide(const Field *g, int64_t views, const int32_t *index, const float *lit_up,
-                            int64_t stride, float *restrict out)
+/* <a, b> of two arrays (2, w), w a multiple of LANES. */
+INLINE void product(const float *a, const float *b, int64_t w, double *re, double *im)
 {
-    const int64_t w = g->width;
-    for (int64_t v = 0; v < views; v++) {
-        const float x = lit_up[stride * v], y = lit_up[stride * v + BLOCK];
-        const float *p = g->profiles + 2 * w * (int64_t)index[BLOCK * v];
-#pragma omp simd
-        for (int64_t j = 0; j < w; j++) {
-            out[j] += x * p[j] - y * p[w + j];
-            out[w + j] += x * p[w + j] + y * p[j];
-        }
+    Four rr = {0.0f}, ri = {0.0f};
+    for (int64_t j = 0; j < w; j += LANES) {
+        const Four ar = load(a + j), ai = load(a + w + j), br = load(b + j), bi = load(b + w + j);
+        rr += ar * br + ai * bi;
+        ri += ar * bi - ai * br;
     }
-}
-
-/* A row of the table (entries, 2) at the points' distances and an offset: (2, BLOCK). */
-INLINE void read_row(const Field *g, const float *row, const Block *b, double offset, float *restrict out)
-{
-    int32_t at[BLOCK];
-    for (int i = 0; i < BLOCK; i++)
-        at[i] = entry(g, b->far[i] + offset);
-    for (int i = 0; i < BLOCK; i++) {
-        out[i] = row[2 * at[i]];
-        out[BLOCK + i] = row[2 * at[i] + 1];
-    }
-}
-
-/* sum += conj(own) seen, all (2, BLOCK). */
-INLINE void add_products(const float *restrict own, const float *restrict seen, float *restrict sum)
-{
-    for (int i = 0; i < BLOCK; i++) {
-        sum[i] += own[i] * seen[i] + own[BLOCK + i] * seen[BLOCK + i];
-        sum[BLOCK + i] += own[i] * seen[BLOCK + i] - own[BLOCK + i] * seen[i];
-    }
-}
-
-/* `sums` has room for (A, O, 2, BLOCK), then (A, VIEWS, 2, BLOCK). */
-WIDE static void coarse_points(const Field *shared, const Coarse *c, float *sums)
-{
-    /* A copy that no store can change. */
-    const Field own_field = *shared, *g = &own_field;
-    const int64_t w = g->width, lit_size = 2 * BLOCK * VIEWS;
-    float *lit_up = sums + 2 * BLOCK * c->kinds * c->shifts, seen[2 * BLOCK];
-    int32_t index[VIEWS * BLOCK];
-    Block b;
-    for (int64_t first = 0; first < c->count; first += BLOCK) {
-        const int64_t count = c->count - first < BLOCK ? c->count - first : BLOCK;
-        const int32_t *pixel = c->pixel + first;
-        begin_block(c->points, c->facing, c->count, first, &b);
-        memset(sums, 0, (size_t)(2 * BLOCK * c->kinds * c->shifts) * sizeof(float));
-        for (int64_t from = 0; from < g->views; from += VIEWS) {
-            const int64_t views = g->views - from < VIEWS ? g->views - from : VIEWS;
-            for (int64_t v = 0; v < views; v++) {
-                look_from(g, from + v, 0.0, &b);
-                memcpy(index + BLOCK * v, b.index, sizeof b.index);
-                for (int64_t a = 0; a < c->kinds; a++)
-                    light(g, c->patterns + 3 * a, from + v, &b, lit_up + lit_size * a + 2 * BLOCK * v);
-                for (int64_t o = 0; o < c->shifts; o++) {
-                    read_row(g, c->table + 2 * g->entries * (from + v), &b, c->offsets[o], seen);
-                    for (int64_t a = 0; a < c->kinds; a++)
-                        add_products(lit_up + lit_size * a + 2 * BLOCK * v, seen,
-                                     sums + 2 * BLOCK * (c->shifts * a + o));
-                }
-            }
-            for (int64_t a = 0; a < c->kinds; a++)
-                for (int64_t i = 0; i < count; i++) {
-                    float *fixed = c->fixed + 2 * w * (c->pixels * a + pixel[i]);
-                    const float *own = lit_up + lit_size * a + i;
-                    if (w == 8)
-                        add_turned(g, 8, views, index + i, own, 2 * BLOCK, fixed);
-                    else if (w == 12)
-                        add_turned(g, 12, views, index + i, own, 2 * BLOCK, fixed);
-                    else if (w == 16)
-                        add_turned(g, 16, views, index + i, own, 2 * BLOCK, fixed);
-                    else
-                        add_turned_wide(g, views, index + i, own, 2 * BLOCK, fixed);
-                }
-        }
-        const float share = 1.0f / (float)g->views;
-        for (int64_t a = 0; a < c->kinds; a++) {
-            for (int64_t i = 0; i < count; i++) {
-                float *fixed = c->fixed + 2 * w * (c->pixels * a + pixel[i]);
-                for (int64_t j = 0; j < 2 * w; j++)
-                    fixed[j] *= share;
-            }
-            for (int64_t o = 0; o < c->shifts; o++) {
-                const float *re = sums + 2 * BLOCK * (c->shifts * a + o), *im = re + BLOCK;
-                float *out = c->images + 2 * c->room * c->pixels * a + o, tr, ti;
-                turned(g->wavenumber * c->offsets[o] / 3.141592653589793, &tr, &ti);
-                for (int64_t i = 0; i < count; i++) {
-                    out[2 * c->room * pixel[i]] = re[i] * tr - im[i] * ti;
-                    out[2 * c->room * pixel[i] + c->room] = re[i] * ti + im[i] * tr;
-                }
-            }
-        }
-    }
+    *re = (rr[0] + rr[1]) + (rr[2] + rr[3]);
+    *im = (ri[0] + ri[1]) + (ri[2] + ri[3]);
 }
 
 typedef struct {
@@ -154,7 +39,6 @@ typedef struct {
     int64_t offsets, half, width, rotations, size, places;
     double step, template_energy, balance, visible, views;
     float *own;  /* (side, side) energies of `fixed` */
-    float *out;  /* (O, A, S) */
     float *best; /* (O, A) the largest of all S */
 } Grid;
 
@@ -307,8 +191,6 @@ WIDE static void grid_energies(const Grid *given)
                     energies_at(g, 3, a, s, room, from, found);
                 else
                     energies_at(g, g->size, a, s, room, from, found);
-                for (int64_t o = 0; o < count; o++)
-                    g->out[g->places * (g->rotations * (from + o) + a) + s] = found[o];
                 for (int o = 0; o < ROOM; o++)
                     best[o] = found[o] > best[o] ? found[o] : best[o];
             }
@@ -317,62 +199,15 @@ WIDE static void grid_energies(const Grid *given)
         }
 }
 
-static PyObject *coarse(PyObject *self, PyObject *args)
-{
-    (void)self;
-    PyObject *tables, *o[8];
-    Py_ssize_t room;
-    Held h = {.count = 0};
-    Field g;
-    Coarse c;
-    if (!PyArg_ParseTuple(args, "OOOOOOOnOO", &tables, o, o + 1, o + 2, o + 3, o + 4, o + 5, &room, o + 6,
-                          o + 7))
-        return NULL;
-    if (!field_of(&h, tables, &g) || !(c.table = take(&h, o[0], 8 * g.views * g.entries, 0)) ||
-        !(c.points = take(&h, o[1], -1, 0)))
-        goto done;
-    c.count = taken(&h) / 24;
-    if (!(c.facing = take(&h, o[2], 16 * c.count, 0)) || !(c.pixel = take(&h, o[3], 4 * c.count, 0)) ||
-        !(c.patterns = take(&h, o[4], -1, 0)))
-        goto done;
-    c.kinds = taken(&h) / 24;
-    if (!(c.offsets = take(&h, o[5], -1, 0)))
-        goto done;
-    c.shifts = taken(&h) / 8;
-    c.room = room;
-    if (c.kinds < 1 || room < c.shifts || room > (1 << 10)) {
-        refused("patterns and offsets do not fit together");
-        goto done;
-    }
-    if (!(c.fixed = take(&h, o[6], -1, 1)))
-        goto done;
-    c.pixels = taken(&h) / 8 / c.kinds / g.width;
-    if (taken(&h) != 8 * c.kinds * c.pixels * g.width) {
-        refused("images do not fit together");
-        goto done;
-    }
-    if (!(c.images = take(&h, o[7], 8 * c.kinds * c.pixels * room, 1)) || !below(c.pixel, c.count, c.pixels))
-        goto done;
-    float *sums = malloc((size_t)(2 * BLOCK * c.kinds * (c.shifts + VIEWS)) * sizeof(float));
-    if (!sums) {
-        PyErr_NoMemory();
-        goto done;
-    }
-    Py_BEGIN_ALLOW_THREADS coarse_points(&g, &c, sums);
-    Py_END_ALLOW_THREADS free(sums);
-done:
-    return finished(&h);
-}
-
 static PyObject *energies(PyObject *self, PyObject *args)
 {
     (void)self;
-    PyObject *o[7];
+    PyObject *o[6];
     Py_ssize_t half, size, offsets;
     Held h = {.count = 0};
     Grid g;
-    if (!PyArg_ParseTuple(args, "OOOOOnnndddddOO", o, o + 1, o + 2, o + 3, o + 4, &offsets, &half, &size,
-                          &g.step, &g.template_energy, &g.balance, &g.visible, &g.views, o + 5, o + 6))
+    if (!PyArg_ParseTuple(args, "OOOOOnnndddddO", o, o + 1, o + 2, o + 3, o + 4, &offsets, &half, &size,
+                          &g.step, &g.template_energy, &g.balance, &g.visible, &g.views, o + 5))
         return NULL;
     g.offsets = offsets;
     g.half = half;
@@ -397,8 +232,7 @@ static PyObject *energies(PyObject *self, PyObject *args)
     }
     g.places = taken(&h) / 16;
     if (!(g.gram = take(&h, o[4], 16 * g.rotations * size * size, 0)) ||
-        !(g.out = take(&h, o[5], 4 * g.offsets * g.rotations * g.places, 1)) ||
-        !(g.best = take(&h, o[6], 4 * g.offsets * g.rotations, 1)))
+        !(g.best = take(&h, o[5], 4 * g.offsets * g.rotations, 1)))
         goto done;
     if (!(g.own = malloc((size_t)pixels * sizeof(float)))) {
         PyErr_NoMemory();
@@ -411,16 +245,10 @@ done:
 }
 
 static PyMethodDef methods[] = {
-    {"coarse", coarse, METH_VARARGS,
-     "coarse(tables, table, points, facing, pixel, patterns, offsets, room, fixed, images)"},
     {"energies", energies, METH_VARARGS,
      "energies(images, fixed, placed, shifts, gram, offsets, half, size, step, template_energy, balance, "
-     "visible, views, out, best)"},
-    {"correlate", correlate, METH_VARARGS, "correlate(tables, data, index, turn, out)"},
-    {"left", left, METH_VARARGS,
-     "left(tables, pattern, data, points, facing, offset, amplitudes, index, turn, out)"},
-    {"beyond", beyond, METH_VARARGS, "beyond(tables, index, turn, others, inverse, left)"},
+     "visible, views, best)"},
     {NULL, NULL, 0, NULL},
 };
 
-MODULE(_coarse, "Compiled loops over many points (see tagid.tags.reading.compiled).", methods, 3)
+MODULE(_coarse, "Compiled coarse search for layouts (see tagid.tags.reading.compiled).", methods, 4)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tagid.geometry import Aperture
 from tagid.imaging.preprocess import select_views
@@ -27,7 +28,8 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
 
     An angular low-pass filter (flat up to 2 k r plus a guard, cosine taper above) is applied to the views,
     weighted by the gap to their neighbours. Antenna positions on circles at several heights are resampled
-    circle by circle. Scans with few views, gaps or other positions are returned unchanged.
+    circle by circle. Of turns with gaps, views within half of that step are averaged. Scans with few views or
+    other positions are returned unchanged.
 
     Args:
         scans: (views, bins) scans of a turntable aperture.
@@ -44,7 +46,7 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
     order = np.argsort(turn, kind="stable")
     gap = np.diff(np.append(turn[order], turn[order[0]] + 2 * np.pi))
     if gap.max() > 2 * np.pi / count:
-        return scans
+        return _averaged(scans, turn, count)
     weight = np.empty(len(turn))
     weight[order] = (gap + np.roll(gap, 1)) / (4 * np.pi)
     orders = np.arange(-(passed + GUARD_ORDERS), passed + GUARD_ORDERS + 1)
@@ -61,6 +63,24 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
         aperture=scans.aperture.turned(new, distance),
         noise_std=scans.noise_std * gain,
         independent_samples=scans.independent_samples * share,
+    )
+
+
+def _averaged(scans: BasebandScans, turn: NDArray[np.float64], count: int) -> BasebandScans:
+    """The means of views at angles (V,), rad, over sectors of half of a step of `count` views a turn."""
+    sector = np.floor(turn * count / np.pi).astype(np.intp)
+    _, group, size = np.unique(sector, return_inverse=True, return_counts=True)
+    if len(turn) < 1.5 * len(size):
+        return scans
+    share = (group == np.arange(len(size))[:, None]) / size[:, None]
+    distance = scans.aperture.axis_distance
+    assert distance is not None
+    return replace(
+        scans,
+        samples=(share @ scans.samples).astype(np.complex64),
+        aperture=scans.aperture.turned(share @ turn, distance),
+        noise_std=scans.noise_std * float(np.sqrt(np.mean(1 / size))),
+        independent_samples=scans.independent_samples * len(size) / len(turn),
     )
 
 

@@ -1,0 +1,134 @@
+"""What is read in recordings, as a value: the answer, why, and the hypotheses that compete."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from tagid.reading.calibration import Bound
+from tagid.reading.hypothesis import Hypothesis
+from tagid.reading.verdict import ADVICE, Code
+from tagid.tags.reading.reflectors import Reflector
+
+
+class Kind(StrEnum):
+    """What stands there by a hypothesis."""
+
+    NO_TAG = "no_tag"
+    """A body or nothing, and no reflectors."""
+    BARE = "bare"
+    """Reflectors beside nothing that returns an echo."""
+    ROUND = "round"
+    """Reflectors on a round body that is not enrolled."""
+    SHELL = "shell"
+    """Reflectors on a thin elliptic shell that is not enrolled, as a helmet has one."""
+    BOX = "box"
+    """Reflectors in or on a box that is not enrolled."""
+    BODY = "body"
+    """Reflectors on an enrolled body."""
+    OBJECT = "object"
+    """An enrolled tagged object as a whole."""
+
+
+@dataclass(frozen=True)
+class LayoutScore:
+    """One row of the comparison of layouts.
+
+    Attributes:
+        name: layout.
+        criterion: log evidence of no tag over that of the layout, nats; lower is better.
+        share: part of the moving echo above noise that its best hypothesis explains.
+    """
+
+    name: str
+    criterion: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One hypothesis as the answer reports it.
+
+    Attributes:
+        kind: see `Kind`.
+        name: of the enrolled body or object; "" otherwise.
+        layout: the layout or enrolled object that it would name; None where it names none.
+        words: the hypothesis in words.
+        log_evidence: over that of the best hypothesis, nats: 0 or less.
+        left: share of the moving echo above noise that it leaves unexplained, 0..1.
+        centre_m: (x, y) of the body or, beside none, of the tag, m.
+        radius_m: mean distance of the reflectors from the centre, m; None without reflectors.
+    """
+
+    kind: Kind
+    name: str
+    layout: str | None
+    words: str
+    log_evidence: float
+    left: float
+    centre_m: tuple[float, float]
+    radius_m: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What the scans say.
+
+    Attributes:
+        status: "identified", "unknown", "ambiguous" or "no_tag".
+        reason: why it is not identified, in words; empty otherwise.
+        code: the same for programs.
+        layout: name of the layout; the likelier one where ambiguous, None where unknown or no tag.
+        nearest: name of the likeliest layout whatever the status.
+        lead: Lambda, log evidence of the likeliest that has a name over the best other hypothesis, nats.
+        needed: lead from which a name is given, nats.
+        score: 0..1, share of the moving echo above noise that the nearest layout's hypothesis explains.
+        margin: 0..1, 1 - exp(-lead).
+        rotation_deg: counter-clockwise rotation of the layout, within its symmetry.
+        centre_m: where the layout's origin lies, m.
+        offset_m: range offset, i.e. the error of the axis distance, m.
+        reflectors: where they were measured: those of the layout (matched), and odd scatterers.
+        missing, extra: reflectors less and more than those of the nearest layout.
+        scores: every layout, best first.
+        kind: of the hypothesis that won.
+        hypotheses: the best of every kind, best first; the first is the one that won.
+        bound: what `tags.false_accept` rests on; None where no calibration applies.
+        winner: the hypothesis that won.
+        note: what limits the answer; empty for nothing.
+    """
+
+    status: str
+    reason: str
+    layout: str | None
+    nearest: str
+    lead: float
+    needed: float
+    score: float
+    margin: float
+    rotation_deg: float
+    centre_m: tuple[float, float]
+    offset_m: float
+    reflectors: tuple[Reflector, ...]
+    missing: int
+    extra: int
+    scores: tuple[LayoutScore, ...]
+    code: Code = Code.NONE
+    kind: Kind = Kind.BARE
+    hypotheses: tuple[Explanation, ...] = ()
+    bound: Bound | None = None
+    winner: Hypothesis | None = None
+    note: str = ""
+
+    @property
+    def explained_by(self) -> Explanation | None:
+        """The hypothesis that won; None where nothing was compared."""
+        return next(iter(self.hypotheses), None)
+
+    @property
+    def advice(self) -> str:
+        """What to do next; empty where a layout is named."""
+        return ADVICE[self.code]
+
+    def refused(self, code: Code, reason: str) -> Reading:
+        """The same without its name."""
+        return replace(self, status="unknown", layout=None, code=code, reason=reason)

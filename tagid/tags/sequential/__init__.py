@@ -1,1 +1,0 @@
-"""Ending a scan before the turn does: readings at fixed shares of a turn, and their calibration."""

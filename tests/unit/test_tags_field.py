@@ -1,0 +1,104 @@
+"""Templates, folded views, the finder of reflectors and chance: on scans made from their definition."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tags_synthetic import synthetic_scans
+
+from tagid.geometry import Aperture
+from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.reading.chance import chance, nats_needed
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.reflectors import find_reflectors
+from tagid.tags.reading.views import fold_views
+
+LAYOUTS = builtin_layouts()
+SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
+
+
+def test_the_fit_of_known_points_gives_their_amplitudes() -> None:
+    points = np.array([[0.05, 0.02], [-0.03, 0.06]])
+    sigma = np.array([1.0, 0.5j])
+    field = MatchedField(synthetic_scans(points, amplitudes=sigma), 0.15)
+    d = field.templates(points)
+    found = np.linalg.solve(field.gram(d), field.correlate(d))
+    assert np.allclose(found, sigma, atol=0.01)
+    explained = np.vdot(field.correlate(d), found).real
+    assert explained == pytest.approx(field.energy, rel=0.01)
+
+
+def test_static_clutter_changes_nothing() -> None:
+    points = LAYOUTS["helmet-linear"].placed(0.3, np.array([0.004, 0.0]))
+    scans = synthetic_scans(points)
+    wall = 5 * np.exp(1j * np.arange(scans.samples.shape[1]))
+    before = MatchedField(scans, 0.15)
+    expected = before.correlate(before.templates(points))
+    scans.samples[:] += wall.astype(np.complex64)
+    cluttered = MatchedField(scans, 0.15)
+    assert np.allclose(cluttered.correlate(cluttered.templates(points)), expected, atol=1e-3)
+
+
+def test_many_views_fold_into_few_without_loss() -> None:
+    points = LAYOUTS["helmet-120"].placed(0.2, np.array([0.005, 0.0]))
+    many = synthetic_scans(points, views=720)
+    few = fold_views(many, 0.15)
+    assert few.aperture.views < 120
+    truth = synthetic_scans(points, views=few.aperture.views)
+    error = np.linalg.norm(few.samples - truth.samples) / np.linalg.norm(truth.samples)
+    assert error < 0.01
+    noise = synthetic_scans(np.zeros((0, 2)), views=720, noise=1.0)
+    folded = fold_views(noise, 0.15)
+    assert np.sqrt(np.mean(np.abs(folded.samples) ** 2)) == pytest.approx(folded.noise_std, rel=0.05)
+    assert fold_views(synthetic_scans(points, views=36), 0.15).aperture.views == 36
+
+
+def test_neighbouring_views_of_a_part_of_a_turn_are_averaged() -> None:
+    """Its echo is that of the mean angles, and its noise less; where they are few, nothing is."""
+    points = LAYOUTS["helmet-120"].placed(0.2, np.array([0.005, 0.0]))
+    angles = np.linspace(0, np.pi, 720)
+    whole = synthetic_scans(points, views=1440)
+    half = replace(whole, samples=whole.samples[:720], aperture=Aperture.turntable(angles, 0.5))
+    few = fold_views(half, 0.15)
+    assert few.aperture.views < 120 and few.aperture.angles is not None
+    assert np.ptp(few.aperture.angles) == pytest.approx(np.pi, abs=0.1)
+    at = np.interp(few.aperture.angles, angles, np.arange(720))
+    truth = whole.samples[np.rint(at).astype(int)]
+    assert np.linalg.norm(few.samples - truth) < 0.05 * np.linalg.norm(truth)
+    noise = synthetic_scans(np.zeros((0, 2)), views=1440, noise=1.0)
+    folded = fold_views(replace(noise, samples=noise.samples[:720], aperture=half.aperture), 0.15)
+    assert np.sqrt(np.mean(np.abs(folded.samples) ** 2)) == pytest.approx(folded.noise_std, rel=0.05)
+    part = replace(half, samples=half.samples[:90], aperture=Aperture.turntable(angles[:720:8], 0.5))
+    assert fold_views(part, 0.15) is part
+
+
+def test_the_finder_reports_reflectors_and_no_sidelobes() -> None:
+    rng = np.random.default_rng(0)
+    for name, layout in LAYOUTS.items():
+        points = layout.placed(rng.uniform(0, 6), np.array([0.008, 0.004]))
+        found = find_reflectors(synthetic_scans(points, noise=0.2, seed=1))
+        assert len(found) == layout.size, name
+        places = np.array([(r.x_m, r.y_m) for r in found])
+        gap = np.linalg.norm(places[:, None] - points[None], axis=2)
+        assert gap.min(axis=1).max() < 2e-3
+        assert np.unique(gap.argmin(axis=1)).size == layout.size
+        assert all(abs(abs(r.amplitude) - 1) < 0.15 for r in found)
+    assert find_reflectors(synthetic_scans(np.zeros((0, 2)), noise=1.0)) == ()
+
+
+def test_chance_is_the_tail_of_the_energy_of_noise() -> None:
+    rng = np.random.default_rng(1)
+    energy = rng.exponential(size=(200_000, 3)).sum(axis=1)
+    assert chance(6.0, 3, 1.0) == pytest.approx(float(np.mean(energy > 6.0)), rel=0.03)
+    assert chance(3.0, 3, 1e6) == 1.0
+    assert chance(0.0, 3, 1.0) == chance(-5.0, 3, 1.0) == 1.0
+    assert chance(60.0, 3, 2000.0) < chance(30.0, 3, 2000.0)
+
+
+def test_the_nats_that_noise_reaches_by_chance() -> None:
+    for size, places, wanted in ((3, 36600.0, 1e-3), (5, 1e6, 1e-2)):
+        needed = nats_needed(size, places, wanted)
+        assert chance(needed, size, places) == pytest.approx(wanted, rel=1e-6)
+        assert chance(needed - 1e-6, size, places) > wanted
