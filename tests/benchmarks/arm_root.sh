@@ -48,11 +48,11 @@ for one in extensions:
 END
 chroot "$root" sh -ec "cd /opt/tagid && . /opt/build.sh"
 
-tests="test_imaging_kernel test_tags_compiled test_bodies_compiled test_loops"
-mkdir -p "$root/opt/tagid/tests/unit"
+tests="test_imaging_kernel test_tags_compiled test_loops reading/test_evidence reading/test_search reading/test_smooth"
+mkdir -p "$root/opt/tagid/tests/unit/reading"
 cp pyproject.toml "$root/opt/tagid/"
-for name in $tests tags_synthetic bodies_synthetic; do
-    cp "tests/unit/$name.py" "$root/opt/tagid/tests/unit/"
+for name in $tests tags_synthetic reading/reader_scenes; do
+    cp "tests/unit/$name.py" "$root/opt/tagid/tests/unit/$name.py"
 done
 
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1

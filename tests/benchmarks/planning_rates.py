@@ -157,12 +157,13 @@ def main() -> None:
             file.flush()
     outcomes = {task: known[task.key] for task in wanted}
     seeds = f"numbers from {FIRST_BARE} (bare tags) and from {FIRST_BODY} (bodies, development) on"
+    at = commit()  # before the page and the rates change the tree
     text = page("Rates of the reader, for `tagid plan`", seeds, __doc__)
     for mode in given.modes:
         text += table(mode, outcomes)
     publish(text, given.write, PAGE)
     if given.write:
-        sources = {mode: f"docs/results/{PAGE}, {title}, commit {commit()}" for mode, title in TITLES.items()}
+        sources = {mode: f"docs/results/{PAGE}, {title}, commit {at}" for mode, title in TITLES.items()}
         made = {"format": 1, "sources": sources, "rows": [asdict(row) for row in rows(outcomes)]}
         RATES.write_text(json.dumps(made, indent=1) + "\n")
         print(f"{RATES.relative_to(ROOT)} written")

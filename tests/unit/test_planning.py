@@ -141,7 +141,7 @@ def test_rates_are_those_of_the_tables_and_between_them() -> None:
     assert more - few == pytest.approx(most - still_more), "by a third more views, each time"
     for low in (expected("none", 18, 0), expected("none", 36, 0)):
         assert low.named.value + low.refused.value + low.wrong.value == pytest.approx(1)
-    assert low.named.low < low.named.value < low.named.high and "identification" in low.source
+    assert low.named.low < low.named.value < low.named.high and "planning-rates" in low.source
     assert expected("can", 36, 10).source != low.source
     with pytest.raises(UsageError, match="no rates"):
         expected("teapot", 36, 10)
@@ -224,11 +224,11 @@ def test_views_are_as_many_as_the_image_needs_and_share_the_energy_of_the_turn()
 
 def test_a_setup_that_clips_is_not_offered() -> None:
     near = setup(0.04, "can:35mm", distance_m=0.26, index=15)
-    assert plan(near).margin_db < 0 and plan(near).rates.named.value > 0.9
-    wanted = invert(near, 0.9)
+    assert plan(near).margin_db < 0 and plan(near).rates.named.value > 0.7
+    wanted = invert(near, 0.7)
     assert wanted.plan is None, "the can's echo saturates the radar whatever the reflectors"
     farther = [plan(replace(near, distance_m=distance)) for distance in DISTANCES_M]
-    good = [each for each in farther if each.rates.named.value >= 0.9 and not each.rates.note]
+    good = [each for each in farther if each.rates.named.value >= 0.7 and not each.rates.note]
     assert wanted.distance is not None
     assert wanted.distance.setup.distance_m == max(each.setup.distance_m for each in good)
 
