@@ -437,12 +437,19 @@ def _log_factorial(n: int) -> float:
     return float(np.log(np.arange(1, n + 1)).sum())
 
 
+def _twice(angle: Floats) -> Floats:
+    """(2, K) cosine and sine of twice the angles (K,)."""
+    return np.stack([np.cos(2 * angle), np.sin(2 * angle)])
+
+
 @dataclass(frozen=True, eq=False)
 class Columns:
     """Columns of a model at some parameters, with what their slopes need.
 
     Attributes:
         values: (F, n, V).
+        tilt: (2,) angle of the wall's normal to the direction from the centre, cosine and sine of two cycles
+            round the body, rad; None: none, and no slopes over it, which come last.
     """
 
     model: Model
@@ -457,9 +464,12 @@ class Columns:
     turned: Complex | None
     oval: Floats | None
     bounce: Complex | None
+    tilt: Floats | None = None
 
     @classmethod
-    def of(cls, model: Model, spectra: Spectra, x: Floats, slopes: bool = True) -> Columns:
+    def of(
+        cls, model: Model, spectra: Spectra, x: Floats, slopes: bool = True, *, tilt: Floats | None = None
+    ) -> Columns:
         """Those of a model at parameters x (P,)."""
         centre, turn, _, odd = model.split(x)
         tag = model.tag
@@ -484,6 +494,8 @@ class Columns:
                 parts.append(waves[:, :1] * oval)
         if tag is not None:
             facing = tag.angle + turn[tag.turn]
+            if tilt is not None:
+                facing = facing + tilt @ _twice(facing)
             pattern, turned = patterns(spectra, model.transfer, tag.radius_m, facing, slopes)
             if model.hidden[1]:
                 seen = model.seeing(spectra.direction)
@@ -499,7 +511,7 @@ class Columns:
                 parts.append(np.moveaxis(pattern[:, 0], 0, 1) * waves[:, body : body + k])
         parts.append(waves[:, body + k :])
         values = np.concatenate(parts, axis=1)
-        return cls(model, spectra, x, values, waves, toward, up, range_m, pattern, turned, oval, bounce)
+        return cls(model, spectra, x, values, waves, toward, up, range_m, pattern, turned, oval, bounce, tilt)
 
     def _weighted(self, weights: Complex) -> tuple[Complex, Complex | None]:
         """(F, S, V) every source's patterns summed with weights (F, n, V or 1), and those of the slopes."""
@@ -548,7 +560,8 @@ class Columns:
             column = model.body_columns + len(model.transfer.power)
             for along, more in zip((along_x, along_y, upward), self.bounce, strict=True):
                 along[:, first : first + k] += more * weights[:, None, column]
-        out = np.zeros((model.parameters, *self.spectra.data.shape), dtype=np.complex128)
+        tilts = 0 if self.tilt is None else len(self.tilt)
+        out = np.zeros((model.parameters + tilts, *self.spectra.data.shape), dtype=np.complex128)
         out[0] = along_x[:, : first + k].sum(axis=1)
         out[1] = along_y[:, : first + k].sum(axis=1)
         if model.shapes and self.oval is not None:
@@ -560,7 +573,14 @@ class Columns:
             outward = np.exp(1j * (model.tag.angle + turn[model.tag.turn]))
             across = 1j * (model.places(x) - centre)
             own = slice(first, first + k)
-            spun = np.asarray(-turned * self.waves[:, own])
+            faced = np.asarray(-turned * self.waves[:, own])
+            spun = faced.copy()
+            if self.tilt is not None:
+                round_body = model.tag.angle + turn[model.tag.turn]
+                cosine, sine = twice = _twice(round_body)
+                out[-2:] = np.einsum("fkv,ck->cfv", faced, twice)
+                # A turn about the centre moves the reflector along a wall whose normal changes.
+                spun += faced * (2 * (self.tilt[1] * cosine - self.tilt[0] * sine))[:, None]
             spun += along_x[:, own] * across.real[:, None] + along_y[:, own] * across.imag[:, None]
             drawn = along_x[:, own] * outward.real[:, None] + along_y[:, own] * outward.imag[:, None]
             for i in range(k):

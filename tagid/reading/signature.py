@@ -4,7 +4,8 @@ The echo is that of `tagid.tags.bodies.signature`; two columns: the echo, whose 
 takes up another pulse, and its change from one frequency to the next, which takes up that the tail of another
 pulse is cut by the range window: of what a depth r returns late by tau the window keeps W(tau) + r W'(tau),
 and a factor r is a slope over the wavenumber. The parameters of a model begin with those
-of the body: its centre x, y, its turn, and how uneven the turn was. Those of `tagid.reading.columns.Model`
+of the body: its centre x, y, its turn, how uneven the turn was, and how oval its wall is, which turns the
+reflectors on it. Those of `tagid.reading.columns.Model`
 follow; their centre is that of the tag about the body's. Every harmonic of an object may differ a little from
 the enrolled one, with a random phase: the variance of that is the same whichever way it is turned.
 """
@@ -41,8 +42,12 @@ that of the echo itself: with measured P440 pulses against a nominal one at the 
 ends of the band 0.24 and 0.43 (24 bodies of our simulator)."""
 ECHO_ERROR = 0.1
 """Amplitude by which every harmonic of an echo differs from the enrolled one, over its own."""
-HEAD = 3 + 2 * len(UNEVEN_RAD)
-"""Parameters of the body."""
+TILT_RAD = 0.1
+"""Standard deviation of the angle between a wall's normal and the direction from its centre, cosine and sine
+of two cycles round the body, rad: (a^2 - b^2) / (a^2 + b^2) of an ellipse with semi-axes 10 % apart."""
+_TURNED = 3 + 2 * len(UNEVEN_RAD)
+HEAD = _TURNED + 2
+"""Parameters of the body: centre, turn, how uneven the turn was, how the normals of its wall are tilted."""
 OWN = 2
 """Columns of the body."""
 EDGE = 0.02
@@ -213,7 +218,13 @@ class SignatureModel(Model):
         rest = super()._sds()
         rest[:2] = TAG_SD_M
         return np.concatenate(
-            [[self.priors.centre_m] * 2, [2 * np.pi / np.sqrt(12)], np.repeat(UNEVEN_RAD, 2), rest]
+            [
+                [self.priors.centre_m] * 2,
+                [2 * np.pi / np.sqrt(12)],
+                np.repeat(UNEVEN_RAD, 2),
+                [TILT_RAD] * 2,
+                rest,
+            ]
         )
 
     @cached_property
@@ -228,16 +239,26 @@ class SignatureModel(Model):
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SignatureColumns:
         """The columns at parameters x (P,)."""
         beside = np.append(x[:2] + x[HEAD : HEAD + 2], x[HEAD + 2 :])
-        return SignatureColumns(self, spectra, x, Columns.of(self.rest, spectra, beside, slopes))
+        # What stands beside the body turns with it, as unevenly.
+        cycles = _cycles(spectra)
+        turned = replace(spectra, antenna=spectra.antenna * np.exp(-1j * (x[3:_TURNED] @ cycles)))
+        rest = Columns.of(self.rest, turned, beside, slopes, tilt=x[_TURNED:HEAD])
+        return SignatureColumns(self, turned, x, cycles, rest)
 
 
 @dataclass(frozen=True, eq=False)
 class SignatureColumns:
-    """Columns of an enrolled body and of what stands beside it, at some parameters."""
+    """Columns of an enrolled body and of what stands beside it, at some parameters.
+
+    Attributes:
+        spectra: with the antenna where it stands in the frame of the body, which turned unevenly.
+        cycles: (2 K, V) cosine and sine of every cycle of the error of the angles.
+    """
 
     model: SignatureModel
     spectra: Spectra
     x: Floats
+    cycles: Floats
     rest: Columns
 
     @cached_property
@@ -249,17 +270,11 @@ class SignatureColumns:
     def _centre(self) -> complex:
         return complex(self.x[0], self.x[1])
 
-    @property
-    def _cycles(self) -> Floats:
-        """(2 K, V) cosine and sine of every cycle of the error of the angles."""
-        cycles = np.arange(1, len(UNEVEN_RAD) + 1)[:, None] * self.spectra.direction
-        return np.stack([np.cos(cycles), np.sin(cycles)], axis=1).reshape(-1, cycles.shape[1])
-
     @cached_property
     def _patterns(self) -> tuple[Complex, Complex]:
         """(F, V) the body's pattern and its slope over the aspect."""
         body = self.model.body
-        aspect = np.angle(self.spectra.antenna - self._centre) - self.x[2] - self.x[3:HEAD] @ self._cycles
+        aspect = np.angle(self.spectra.antenna - self._centre) - self.x[2]
         basis, weights = angular(aspect, body.order).T, body.at(self.spectra)
         return weights @ basis, (weights * (1j * np.arange(-body.order, body.order + 1))) @ basis
 
@@ -277,11 +292,37 @@ class SignatureColumns:
         moved = echo * (-1j * self.spectra.kappa[:, None] - 2 / range_m) / -range_m
         around = turned / np.abs(across) ** 2
         placed = [moved * across.real + around * across.imag, moved * across.imag - around * across.real]
-        own = np.stack([*placed, -turned, *(-turned * cycle for cycle in self._cycles)])
+        ahead = 1j * self.spectra.antenna
+        uneven = placed[0] * ahead.real + placed[1] * ahead.imag
+        own = np.stack([*placed, -turned, *(uneven * cycle for cycle in self.cycles)])
         own = own * weights[:, 0] + np.gradient(own, axis=1) * weights[:, 1]
         beside = self.rest.slopes(weights[:, OWN:])
         own[:2] += beside[:2]
-        return np.concatenate([own, beside])
+        beside, tilted = np.split(beside, [self.rest.model.parameters])
+        tilt = self.x[_TURNED:HEAD]
+        # The wall turns with all that stands on it.
+        turned_wall = 2 * (tilt[1] * tilted[0] - tilt[0] * tilted[1])
+        own[3:] += (self._turned(beside) - turned_wall) * self.cycles[:, None]
+        return np.concatenate([own, tilted, beside])
+
+    def _turned(self, slopes: Complex) -> Complex:
+        """(F, V) change of what stands beside the body with a turn about the axis, of slopes (P, F, V)."""
+        rest = self.rest.model
+        centre, _, _, odd = rest.split(self.rest.x)
+        first = rest.head
+        turns = 0 if rest.tag is None else rest.tag.turns
+        out = slopes[first : first + turns].sum(axis=0)
+        spots = range(rest.parameters - rest.spot * rest.odd, rest.parameters, rest.spot)
+        for place, row in zip((centre, *odd), (0, *spots), strict=True):
+            ahead = 1j * place
+            out += slopes[row] * ahead.real + slopes[row + 1] * ahead.imag
+        return np.asarray(out)
+
+
+def _cycles(spectra: Spectra) -> Floats:
+    """(2 K, V) cosine and sine of every cycle of the error of the angles."""
+    cycles = np.arange(1, len(UNEVEN_RAD) + 1)[:, None] * spectra.direction
+    return np.stack([np.cos(cycles), np.sin(cycles)], axis=1).reshape(-1, cycles.shape[1])
 
 
 @lru_cache(maxsize=64)
