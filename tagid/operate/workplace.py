@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from tagid.config import Config, data_folder, load_config, radar_url
 from tagid.errors import ConfigError, StorageError, TagidError, UsageError
 from tagid.files import make_folder
-from tagid.pipeline.load import BACKGROUNDS, LoadSettings
 
 if TYPE_CHECKING:
     from tagid.capture import Capture
     from tagid.metadata import ObjectInfo
     from tagid.operate.turn import Answer, ReadingSetup
+    from tagid.pipeline.load import LoadSettings
     from tagid.pipeline.settings import ImagingSettings
     from tagid.radar.settings import RadarConfig
     from tagid.recording.plan import RecordingPlan
@@ -64,6 +64,8 @@ class Workplace:
     """
 
     def __init__(self, settings: Config | Mapping[str, Any] | None = None, background: str = "mean") -> None:
+        from tagid.pipeline.load import BACKGROUNDS
+
         if background not in BACKGROUNDS:
             raise UsageError(f"`background` is {background!r}", f"Use {', '.join(BACKGROUNDS)}.")
         self.config = settings if isinstance(settings, Config) else load_config(dict(settings or {}))
@@ -141,6 +143,8 @@ class Workplace:
             ConfigError: no reference background is stored.
             StorageError, FileFormatError: the reference background cannot be read.
         """
+        from tagid.pipeline.load import LoadSettings
+
         return LoadSettings.of(self.config, self.background, node, as_recorded)
 
     def setup(self, as_recorded: bool = False) -> ReadingSetup:
