@@ -3,6 +3,8 @@
 let enrolment = null;
 // Whether the button to record gets the focus once it may be pressed.
 let recordNext = false;
+// Whether it had the focus last: a button that is hidden or disabled for a moment loses it to the page.
+let recordHeld = false;
 
 function millimetres(metres) {
   return metres < 1e-4 ? "less than 0.1 mm" : `${(1000 * metres).toFixed(1)} mm`;
@@ -11,6 +13,7 @@ function millimetres(metres) {
 function showEnrolment() {
   if (!enrolment) return;
   const { subject, captures, needed, measuring, trouble, proposal, stored } = enrolment;
+  if (document.activeElement !== document.body) recordHeld = document.activeElement === $("capture");
   const step = proposal && proposal.ready ? "check" : subject ? "record" : stored ? "done" : "name";
   for (const name of ["name", "record", "check", "done"]) {
     if (name === step) $(`step-${name}`).setAttribute("aria-current", "step");
@@ -71,8 +74,9 @@ function showCaptures(captures, needed, measuring) {
   // Once there are enough, the large button is the one that enrols.
   button.className = recording ? "big stop" : next <= needed ? "big" : "";
   button.disabled = running ? !recording : !mayAct() || measuring;
-  if (recordNext && !button.disabled) {
+  if (!button.disabled && (recordNext || (recordHeld && document.activeElement === document.body))) {
     recordNext = false;
+    recordHeld = true;
     button.focus();
   }
   setText("measuring", measuring ? "Measuring the reflectors…" : "");
