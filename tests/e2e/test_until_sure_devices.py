@@ -23,7 +23,7 @@ from tests.e2e.test_scan_roomba import robot, scan_words, wait_until
 
 pytestmark = pytest.mark.realtime
 
-RADAR = "emulator://helmet-120?rpm=4&rate=1&seed=2"
+RADAR = "emulator://helmet-120?rpm=1&rate=1&seed=2"
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def home(tmp_path: Path) -> dict[str, str]:
 
 
 def live_words(radar: str, folder: Path) -> list[str]:
-    return ["scan", "--until-sure", "--live", "--radar", radar, "--motion", "free?rpm=4", "--axis-distance",
+    return ["scan", "--until-sure", "--live", "--radar", radar, "--motion", "free?rpm=1", "--axis-distance",
             "1", "--method", "bp", "--save-dir", str(folder), "--output", "json"]  # fmt: skip
 
 
@@ -75,9 +75,9 @@ def test_a_calibrated_robot_stands_at_once_when_it_is_sure(home: dict[str, str],
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("TAGID_DATA", home["TAGID_DATA"])
             remember(port, Calibration(235.0, 0.005, 2.3))
-        words = [word.replace("step=3", "step=2") for word in scan_words(there, tmp_path)]
+        words = [word.replace("step=3", "step=1") for word in scan_words(there, tmp_path)]
         done = subprocess.run(
-            [*words, "--yes", "--until-sure"], capture_output=True, text=True, env=home, timeout=120
+            [*words, "--yes", "--until-sure"], capture_output=True, text=True, env=home, timeout=240
         )
         assert "Traceback" not in done.stderr
         document = json.loads(done.stdout)
