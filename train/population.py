@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
+from tagid.reading.arrangement import gaps_deg
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from train import volume
 
@@ -133,16 +134,6 @@ def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: floa
         axis_distance_m=distance + error,
     )
     return Specimen(capture, truth, body, clutter, places, views, snr)
-
-
-def gaps_deg(angles: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(K,) angles between neighbours on a ring, degrees, in counter-clockwise order.
-
-    >>> gaps_deg(np.array([0.0, np.pi / 2])).tolist()
-    [90.0, 270.0]
-    """
-    a = np.sort(np.rad2deg(angles) % 360)
-    return np.diff(np.append(a, a[0] + 360))
 
 
 def difference_deg(gaps: NDArray[np.floating], other: NDArray[np.floating]) -> float:

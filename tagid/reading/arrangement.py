@@ -16,6 +16,16 @@ GLUED_SD_M = 1e-3
 """Standard deviation of a reflector's place as it was glued, per axis, beside what moves all alike, m."""
 
 
+def gaps_deg(angles: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(K,) angles between neighbours on a ring, degrees, in counter-clockwise order.
+
+    >>> gaps_deg(np.array([0.0, np.pi / 2])).tolist()
+    [90.0, 270.0]
+    """
+    a = np.sort(np.rad2deg(angles) % 360)
+    return np.diff(np.append(a, a[0] + 360))
+
+
 @dataclass(frozen=True, eq=False)
 class Arrangement:
     """Reflectors of one tag, alike but for their transfer.

@@ -570,14 +570,14 @@ class Columns:
         row = 2 + model.shapes
         if model.tag is not None and turned is not None:
             centre, turn, _, _ = model.split(x)
-            outward = np.exp(1j * (model.tag.angle + turn[model.tag.turn]))
+            direction = model.tag.angle + turn[model.tag.turn]
+            outward = np.exp(1j * direction)
             across = 1j * (model.places(x) - centre)
             own = slice(first, first + k)
             faced = np.asarray(-turned * self.waves[:, own])
             spun = faced.copy()
             if self.tilt is not None:
-                round_body = model.tag.angle + turn[model.tag.turn]
-                cosine, sine = twice = _twice(round_body)
+                cosine, sine = twice = _twice(direction)
                 out[-2:] = np.einsum("fkv,ck->cfv", faced, twice)
                 # A turn about the centre moves the reflector along a wall whose normal changes.
                 spun += faced * (2 * (self.tilt[1] * cosine - self.tilt[0] * sine))[:, None]

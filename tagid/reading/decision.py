@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tagid.reading.arrangement import MOUNTING_SD_M, Arrangement
-from tagid.reading.hypothesis import Hypothesis, Joint, differ_in_height, pose_of
+from tagid.reading.arrangement import MOUNTING_SD_M, Arrangement, gaps_deg
+from tagid.reading.hypothesis import Hypothesis, Joint, best_bare, differ_in_height, pose_of
 from tagid.reading.spectra import Complex
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
 from tagid.reading.verdict import Code
@@ -19,7 +19,7 @@ SAME_M = 8e-3
 """Reflectors nearer than this are the same ones."""
 ASIDE_M = 3 * MOUNTING_SD_M
 """On a body, reflectors that stand farther aside along their ring are another tag."""
-ALIKE_RAD = float(np.deg2rad(8.0))
+ALIKE_DEG = 8.0
 """Reflectors of another radius stand in the same directions where they differ by less."""
 BUILT_M = MOUNTING_SD_M
 """Where nothing stands beside them, reflectors that are off by more are another tag."""
@@ -73,8 +73,8 @@ def decide(hypotheses: Sequence[Hypothesis], needed: Needed = Needed()) -> Decis
     untagged = max((one for one in hypotheses if not one.tagged), key=lambda one: one.log_z)
     if best is None:
         return settled(None, Joint(rival.log_z, rival), Joint(untagged.log_z, untagged), needed)
-    alike = [one.log_z for one in named if one.name == best.name and not one.found.model.body_columns]
-    named_best = Joint(best.log_z, best, bare=max(alike, default=-np.inf))
+    bare = best_bare(hypotheses, best.name or "")
+    named_best = Joint(best.log_z, best, bare=-np.inf if bare is None else bare.log_z)
     return settled(named_best, Joint(rival.log_z, rival), Joint(untagged.log_z, untagged), needed)
 
 
@@ -135,11 +135,8 @@ def _difference(one: Hypothesis, best: Hypothesis) -> Code:
 
 def _turned_alike(target: Complex, places: Complex) -> bool:
     """Whether reflectors about their centres stand in the same directions, at other distances."""
-    gaps = [
-        np.sort(np.diff(np.sort(np.angle(some)), append=np.angle(some).min() + 2 * np.pi))
-        for some in (target, places)
-    ]
-    return bool(np.abs(gaps[0] - gaps[1]).max() < ALIKE_RAD)
+    apart = np.sort(gaps_deg(np.angle(target))) - np.sort(gaps_deg(np.angle(places)))
+    return bool(np.abs(apart).max() < ALIKE_DEG)
 
 
 def is_same(one: Hypothesis, best: Hypothesis) -> bool:
@@ -212,8 +209,7 @@ def words(one: Hypothesis) -> str:
     count = len(places)
     if count == 1:
         return f"one reflector{where}{odd}"
-    angle = np.sort(np.rad2deg(np.angle(places)) % 360)
-    gaps = np.diff(np.append(angle, angle[0] + 360))
+    gaps = gaps_deg(np.angle(places))
     gaps = np.sort(gaps)[:-1] if count == 2 else gaps
     apart = " and ".join(f"{g:.0f}" for g in gaps)
     out = np.abs(places).mean() * 1e3

@@ -138,6 +138,12 @@ class Stand:
         return np.append(self.x, [off.real, off.imag])
 
 
+def best_bare(hypotheses: Sequence[Hypothesis], name: str) -> Hypothesis | None:
+    """The best hypothesis of a name without a body; None where there is none."""
+    bare = [one for one in hypotheses if one.name == name and not one.found.model.body_columns]
+    return max(bare, key=lambda one: one.log_z, default=None)
+
+
 def distinct(places: Sequence[complex], apart_m: float) -> list[complex]:
     """Places x + jy, m, without those that stand nearer to one before them."""
     out: list[complex] = []

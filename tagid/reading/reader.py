@@ -16,7 +16,7 @@ from tagid.reading.columns import Priors
 from tagid.reading.decision import SURE, Decision, Needed, has_middle
 from tagid.reading.explain import Explained, explanations, kind_of
 from tagid.reading.hypotheses import Contest
-from tagid.reading.hypothesis import Hypothesis
+from tagid.reading.hypothesis import Hypothesis, best_bare
 from tagid.reading.reading import LayoutScore, Reading
 from tagid.reading.several import best_of, clearest, decide_together
 from tagid.reading.signature import enrolled_in
@@ -190,13 +190,8 @@ def _reading(decision: Decision, contest: Contest, settings: ReaderSettings, vie
 
 def _plainest(contest: Contest, winner: Hypothesis) -> Hypothesis:
     """The winner, or the best of its name beside no body where a body does not show."""
-    bare = [
-        one
-        for one in contest.hypotheses
-        if winner.name and one.name == winner.name and not one.found.model.body_columns
-    ]
-    best = max(bare, key=lambda one: one.log_z, default=winner)
-    return best if best.log_z > winner.log_z - SURE else winner
+    bare = best_bare(contest.hypotheses, winner.name) if winner.name else None
+    return bare if bare is not None and bare.log_z > winner.log_z - SURE else winner
 
 
 def _lead_needed(decision: Decision, needed: Needed) -> float:

@@ -19,7 +19,7 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.decision import Decision, Needed, decide, has_middle, is_same, settled
 from tagid.reading.descent import Found, best_powers, refined
 from tagid.reading.hypotheses import Contest
-from tagid.reading.hypothesis import Arranged, Candidate, Hypothesis, Joint, disc_of, pose_of
+from tagid.reading.hypothesis import Arranged, Candidate, Hypothesis, Joint, best_bare, disc_of, pose_of
 from tagid.reading.smooth import smoothed
 from tagid.tags.layouts.layout import Layout
 
@@ -74,7 +74,8 @@ def decide_together(contests: Sequence[Contest], needed: Needed = Needed()) -> D
             if same is None or not is_same(there, same):
                 others.append(_chain(contests, first, there, best))
     others += _mixed(contests, best)
-    joint = replace(named[best], bare=sum(_bare(own, best) for own in contests))
+    bare = [best_bare(own.hypotheses, best) for own in contests]
+    joint = replace(named[best], bare=sum(-np.inf if one is None else one.log_z for one in bare))
     return settled(joint, max(others, key=_log_z), untagged, needed)
 
 
@@ -126,12 +127,6 @@ def best_of(contest: Contest, name: str | None) -> Hypothesis | None:
     """The best hypothesis of a name; None: of what has no tag."""
     some = [one for one in contest.hypotheses if one.name == name and (name or not one.tagged)]
     return max(some, key=_log_z, default=None)
-
-
-def _bare(contest: Contest, name: str) -> float:
-    """Log evidence of the best hypothesis of a name without a body, nats; -inf where there is none."""
-    bare = (one for one in contest.hypotheses if one.name == name and not one.found.model.body_columns)
-    return max((one.log_z for one in bare), default=-np.inf)
 
 
 def _sum(some: Sequence[Hypothesis | None]) -> Joint:

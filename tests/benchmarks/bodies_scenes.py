@@ -19,8 +19,9 @@ import numpy as np
 
 from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
+from tagid.reading.arrangement import gaps_deg
 from tagid.simulate.response_file import read_response
-from train.population import difference_deg, gaps_deg, has_enrolled_spacing
+from train.population import difference_deg, has_enrolled_spacing
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared"))

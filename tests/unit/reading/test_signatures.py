@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from itertools import product
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
-from tagid.pipeline.identify import aspect_spectra
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.decision import Decision, decide
 from tagid.reading.descent import BODY, CLUTTER, OVAL, _likelihood, _Numpy
@@ -22,22 +20,11 @@ from tagid.reading.signature_search import Poses
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
 from tagid.reading.transfers.shade import SHADES
-from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
-from tests.unit.bodies_synthetic import MUG, TAG, Thing, capture, ring
+from tests.unit.bodies_synthetic import MUG, TAG, Thing, capture, enrolled, ring
 
 LAYOUTS = builtin_layouts()
-PLACES = ((0.002 - 0.003j, 0.3), (-0.004 + 0.001j, 2.2), (0.001 + 0.005j, 4.4))
-
-
-@cache
-def enrolled(thing: Thing, name: str, kind: str) -> Signature:
-    captures = [
-        Named(f"{name}{i}", aspect_spectra(capture(thing, i, centre=centre, rotation=turn)))
-        for i, (centre, turn) in enumerate(PLACES)
-    ]
-    return enrol_signature(captures, name, kind).signature  # type: ignore[arg-type]
 
 
 def scans_of(thing: Thing, noise: float = 0.05) -> BasebandScans:
