@@ -41,6 +41,9 @@ def register(app: typer.Typer) -> None:
             bool,
             typer.Option("--vote", help="All files show the same object: give one joint answer."),
         ] = False,
+        explain: Annotated[
+            bool, typer.Option("--explain", help="Also show the hypotheses that competed, as bars.")
+        ] = False,
     ) -> Result:
         """Name the object in one or more captures.
 
@@ -64,8 +67,8 @@ def register(app: typer.Typer) -> None:
         }
         place = Workplace(overrides, background)
         if vote:
-            return vote_on(terminal, place, files, "identify")
-        return run(terminal, place, files, View(preview, png), _given(overrides))
+            return vote_on(terminal, place, files, "identify", explain=explain)
+        return run(terminal, place, files, View(preview, png, explain), _given(overrides))
 
 
 @dataclass(frozen=True)
@@ -75,10 +78,12 @@ class View:
     Attributes:
         preview: whether to draw the image in the terminal.
         png: file for the image; None for none.
+        explain: whether to show the hypotheses that competed.
     """
 
     preview: bool
     png: Path | None
+    explain: bool = False
 
 
 def run(
@@ -107,7 +112,7 @@ def run(
                 answer = failed(error, answer.file)
         answers.append(answer)
         if answer.error is None:
-            drawn.append(imaging.describe(answer, displayable(path.name), terminal.verbose > 0))
+            drawn.append(imaging.describe(answer, displayable(path.name), terminal.verbose > 0, view.explain))
     errors = [answer for answer in answers if answer.error is not None]
     code = imaging.exit_code_of([answer.identification for answer in answers])
     if code == EXIT_FAILED:
@@ -132,7 +137,9 @@ def run(
     )
 
 
-def vote_on(terminal: Terminal, place: Workplace, files: list[Path], command_name: str) -> Result:
+def vote_on(
+    terminal: Terminal, place: Workplace, files: list[Path], command_name: str, *, explain: bool = False
+) -> Result:
     """One joint answer from recordings of one object. Raises the errors of reading them."""
     from tagid.cli.common import imaging
     from tagid.operate.turn import read_jointly
@@ -143,13 +150,13 @@ def vote_on(terminal: Terminal, place: Workplace, files: list[Path], command_nam
     return Result(
         command_name,
         {"items": items, "png": None},
-        _joint_text(answer, terminal.verbose > 0),
+        _joint_text(answer, terminal.verbose > 0, explain),
         exit_code=imaging.exit_code_of([answer.identification]),
         messages=(*answer.remarks, *notes),
     )
 
 
-def _joint_text(answer: Answer, verbose: bool) -> RenderableType:
+def _joint_text(answer: Answer, verbose: bool, explain: bool) -> RenderableType:
     """The joint answer as text, with one line per recording."""
     from rich.console import Group
     from rich.text import Text
@@ -160,7 +167,7 @@ def _joint_text(answer: Answer, verbose: bool) -> RenderableType:
 
     lines = [Text(f"  {alone.file}: {headline(alone.identification)}") for alone in answer.alone]
     source = f"from {counted(len(answer.alone), 'recording')}"
-    return Group(imaging.describe(answer, source, verbose), *lines)
+    return Group(imaging.describe(answer, source, verbose, explain), *lines)
 
 
 def _given(overrides: Mapping[str, object]) -> dict[str, object]:

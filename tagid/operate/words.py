@@ -103,8 +103,17 @@ def hypothesis_words(reading: Reading) -> str:
     if won is None or reading.code == "no_echo":
         return ""
     x, y = (round(value * 1e3) for value in won.centre_m)
-    percent = 100 * won.left
-    return f"{won.words}, centre ({x}, {y}) mm, {percent:.{0 if percent >= 9.95 else 1}f} % unexplained"
+    return f"{won.words}, centre ({x}, {y}) mm, {left_words(won.left)}"
+
+
+def left_words(left: float) -> str:
+    """The share of the moving echo that a hypothesis leaves.
+
+    >>> left_words(0.0123), left_words(0.321)
+    ('1.2 % unexplained', '32 % unexplained')
+    """
+    percent = 100 * left
+    return f"{percent:.{0 if percent >= 9.95 else 1}f} % unexplained"
 
 
 def nearest_words(answer: Identification) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tagid.reading.decision import words
+from tagid.reading.decision import is_same, words
 from tagid.reading.descent import variance
 from tagid.reading.evidence import fit
 from tagid.reading.hypothesis import Hypothesis
@@ -105,14 +105,15 @@ def kind_of(one: Hypothesis) -> Kind:
 def explanations(
     spectra: Spectra, hypotheses: Sequence[Hypothesis], winner: Hypothesis
 ) -> tuple[Explanation, ...]:
-    """The winner and the best of every other kind and layout, best first.
+    """The winner and the best of every other kind and layout that is not the same tag, best first.
 
     Args:
         winner: comes first, whatever its evidence.
     """
     kinds = {(kind_of(winner), winner.name): winner}
     for one in sorted(hypotheses, key=lambda one: -one.log_z):
-        kinds.setdefault((kind_of(one), one.name), one)
+        if winner.name is None or one.name is not None or not is_same(one, winner):
+            kinds.setdefault((kind_of(one), one.name), one)
     best = max(one.log_z for one in kinds.values())
     return tuple(_explanation(spectra, one, one.log_z - best) for one in list(kinds.values())[:MOST])
 
@@ -123,4 +124,4 @@ def _explanation(spectra: Spectra, one: Hypothesis, log_evidence: float) -> Expl
     radius = float(np.abs(found.places - found.centre).mean()) if len(found.places) else None
     centre = found.centre.real, found.centre.imag
     left = Explained.of(spectra, one).left
-    return Explanation(kind_of(one), name, one.name, words(one), log_evidence, left, centre, radius)
+    return Explanation(kind_of(one), name, one.name, words(one), float(log_evidence), left, centre, radius)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,11 @@ if TYPE_CHECKING:
     from tagid.operate.turn import Answer
     from tagid.pipeline.answer import Identification
     from tagid.pipeline.reconstruct import Reconstruction
+    from tagid.reading.reading import Reading
+
+
+_BAR = 20
+"""Longest bar, nats."""
 
 
 def learned(result: Reconstruction) -> dict[str, Any]:
@@ -43,13 +49,14 @@ def in_terminal(result: Reconstruction) -> RenderableType:
     return preview(image.values, image.grid.extent, colour=colour, centre_m=image.centre_m)
 
 
-def describe(answer: Answer, name: str, verbose: bool) -> RenderableType:
+def describe(answer: Answer, name: str, verbose: bool, explain: bool = False) -> RenderableType:
     """The answer as text: the name, how far to trust it or what to do, and all else only where asked for.
 
     Args:
         answer: not failed.
         name: shown beside it, e.g. of the file.
         verbose: also show how it was read.
+        explain: also show the hypotheses that competed.
     """
     from rich.console import Group
     from rich.text import Text
@@ -83,7 +90,29 @@ def describe(answer: Answer, name: str, verbose: bool) -> RenderableType:
         lines.append(Text(f"  caution: {reading.note}", "yellow"))
     if truth := words.truth_words(answer.truth):
         lines.append(Text(f"  truth: {truth}"))
-    return Group(*lines, *(Text(f"  {line}") for line in _details(identification) if verbose))
+    details = (Text(f"  {line}") for line in _details(identification) if verbose)
+    return Group(*lines, *details, *(_competing(reading) if explain else ()))
+
+
+def _competing(reading: Reading) -> Iterator[RenderableType]:
+    """The hypotheses, and as bars how far they are behind the likeliest, with a mark where a name begins."""
+    from rich.padding import Padding
+    from rich.table import Table
+    from rich.text import Text
+
+    from tagid.operate.words import left_words
+
+    needed = round(reading.needed) if isfinite(reading.needed) else None
+    mark = "" if needed is None else f" (a name needs {reading.needed:.1f}: the |)"
+    yield Text(f"  behind the likeliest, nats of log evidence{mark}:")
+    table = Table.grid(padding=(0, 1))
+    for row in reading.hypotheses:
+        behind = abs(row.log_evidence)
+        bar = list("#" * round(behind) if behind <= _BAR else "#" * _BAR + "+")
+        if needed is not None and needed < len(bar):
+            bar[needed] = "|"
+        table.add_row(f"{behind:7.1f}", "".join(bar), f"{row.words}, {left_words(row.left)}")
+    yield Padding(table, (0, 0, 0, 2))
 
 
 def _again(file: str, settings: dict[str, Any]) -> str:
