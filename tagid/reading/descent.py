@@ -71,6 +71,25 @@ class Found:
         free = replace(model, tag=tag.unbound(turns[tag.turn]))
         return free, np.r_[x[: model.head], np.zeros(tag.count), stretches[tag.stretch], rest]
 
+    def by_hand(self) -> tuple[Model, Floats]:
+        """The model with every reflector a little off its place, as they were glued, and its parameters."""
+        model, x = self.model, self.x
+        assert model.tag is not None
+        tag = model.tag.by_hand()
+        turn, stretch, *rest = x[model.head :]
+        glued = replace(model, tag=replace(tag, angle=tag.angle + turn))
+        return glued, np.r_[x[: model.head], np.zeros(tag.count), np.full(tag.count, stretch), rest]
+
+    def and_alike(self, place: complex) -> tuple[Model, Floats]:
+        """The model with a reflector more, alike and free, instead of the odd scatterers; its parameters."""
+        model, x, tag = self.model, self.x, self.model.tag
+        assert tag is not None
+        more = replace(model, tag=tag.and_one(place - self.centre), odd=0)
+        turns, stretches = model.head + tag.turns, model.head + tag.turns + tag.stretches
+        lifts = x[stretches:][: model.lifts]
+        rest = [0.0], x[turns:stretches], [0.0], lifts, np.zeros(more.lifts - len(lifts))
+        return more, np.concatenate([x[:turns], *rest])
+
     @property
     def places(self) -> NDArray[np.complex128]:
         """(K,) of the reflectors, m."""

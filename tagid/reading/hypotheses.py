@@ -42,6 +42,7 @@ from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADES
 from tagid.reading.transfers.transfer import Transfer
 from tagid.reading.transfers.wall import WALLS
+from tagid.reading.uneven import straightened
 from tagid.tags.layouts.layout import Layout
 
 TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, *WALLS, *RODS, *SHADES)
@@ -138,6 +139,10 @@ class Contest:
         if known and min(abs(best.centre - one) for one in near) > ELSEWHERE_M:
             clear = replace(best.powers, clutter=max(best.powers.clutter, 1e-3))
             self._look([best.centre], [best.centre], [clear] * 2, [np.zeros(2)] * 2)
+        kinds = [*self._best(1, enrolled=True), *self._best(1, enrolled=False), *self._untagged_best(1)]
+        turned = None if self.spectra.stated else straightened(self.spectra, [one.found for one in kinds])
+        if turned is not None:
+            return self._again(turned)
         self._resized()
         self._beside_enrolled()
         self._as_enrolled()
@@ -156,6 +161,14 @@ class Contest:
         self._unbound()
         self.hypotheses = smoothed(self.spectra, self.hypotheses)
         return self.hypotheses
+
+    def _again(self, spectra: Spectra) -> list[Hypothesis]:
+        self.spectra = spectra
+        for some in (self.hypotheses, self._centres, self._tried, self._rough):
+            some.clear()
+        vars(self).pop("_odd", None)
+        self.__post_init__()
+        return self.run()
 
     @property
     def _searched(self) -> Sequence[Transfer]:
@@ -542,18 +555,10 @@ class Contest:
     def _one_more(self) -> None:
         """Whether an odd scatterer beside a layout is an alike reflector more: then it is another tag."""
         for one in [h for h in self.hypotheses if h.layout is not None and len(h.found.odd)]:
-            tag, found = one.found.model.tag, one.found
-            if tag is None or one.log_z < max(h.log_z for h in self.hypotheses) - 60:
+            if one.found.model.tag is None or one.log_z < max(h.log_z for h in self.hypotheses) - 60:
                 continue
-            for odd in found.odd:
-                places = np.append(found.places, odd) - found.centre
-                more = tag.and_one(complex(places[-1]))
-                model = replace(found.model, tag=more, odd=0)
-                turns = model.head + tag.turns
-                x = np.r_[found.x[:turns], 0.0, found.x[turns : turns + tag.stretches], 0.0]
-                lifts = found.x[turns + tag.stretches :][: found.model.lifts]
-                x = np.r_[x, lifts, np.zeros(model.lifts - len(lifts))]
-                best = refined(self.spectra, model, x, (None,))
+            for odd in one.found.odd:
+                best = refined(self.spectra, *one.found.and_alike(odd), (None,))
                 self.grow(self.add(None, best, one.middle), self.most_odd)
 
     def _about_own_middle(self) -> None:
@@ -582,14 +587,8 @@ class Contest:
     def _by_hand(self) -> None:
         """The best layouts with every reflector a little off its place, as they were glued."""
         for one in self._best(3, enrolled=True):
-            model, found = one.found.model, one.found
-            assert model.tag is not None
-            tag = model.tag.by_hand()
-            turn, stretch, *rest = found.x[model.head :]
-            model = replace(model, tag=replace(tag, angle=tag.angle + turn))
-            x = np.r_[found.x[: model.head], np.zeros(tag.count), np.full(tag.count, stretch), rest]
-            best = self.add(one.layout, refined(self.spectra, model, x, (None,)), one.middle)
-            self.grow(best, self.most_odd - model.odd)
+            best = self.add(one.layout, refined(self.spectra, *one.found.by_hand(), (None,)), one.middle)
+            self.grow(best, self.most_odd - one.found.model.odd)
 
     def _unbound(self) -> None:
         """The best layouts' reflectors as free ones: far from their places they are another tag."""

@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.loops import loop
-from tagid.reading.columns import Model, patterns
+from tagid.reading.columns import Model, nearest_ring, table_of
 from tagid.reading.descent import Powers
 from tagid.reading.spectra import Complex, Floats, Spectra
-from tagid.reading.transfers.transfer import Transfer
+from tagid.reading.transfers.transfer import ANGLES, Transfer
 
 _sets = loop("tagid.reading._sets")
 
-STEP_RAD, COARSE_RAD = np.deg2rad(3.0), np.deg2rad(6.0)
+STEP_RAD, COARSE_RAD = np.deg2rad(5.0), np.deg2rad(6.0)
 """Turns of the tables are no farther apart, and starts of free reflectors."""
 COARSE = 2
 """Every so many-th angle of a fine table is a start for free reflectors."""
@@ -321,6 +321,9 @@ def tables(
         bodies: (C, F, V) echo of the body beside them; None: a point in the centre, if there is one.
         step_rad: turns are no farther apart.
     """
+    if spectra.full_turn and spectra.stated is not None:
+        # Turns are shifts by views as long as the views are even.
+        spectra = spectra.stated
     transfer, points, views = model.transfer, np.append(centres, 0), spectra.views
     blocks, root, step = _turning(spectra, transfer, model.disc, tuple(groups), powers.clutter, step_rad)
     waves, range_m = spectra.waves(points, np.zeros(len(points)))
@@ -359,28 +362,35 @@ def _turning(
     step = float(sense * 2 * np.pi / (shifts * fractions))
     root = np.sqrt(1 + clutter * spectra.moving[:, None] * whole.variance)
     parts = [_columns(spectra, transfer, one, fractions, step) for one in groups]
-    columns = np.concatenate(parts, axis=1, dtype=np.complex64, casting="same_kind")
+    columns = np.concatenate(parts, axis=1)
     w = whole.apply(columns.reshape(len(columns), -1, views)) / root[:, None].astype(np.float32)
     return Blocks(w.reshape(columns.shape)[: held_in(len(w))], shifts, fractions), root, step
 
 
-def _columns(spectra: Spectra, transfer: Transfer, group: Group, turns: int, step_rad: float) -> Complex:
+def _columns(
+    spectra: Spectra, transfer: Transfer, group: Group, turns: int, step_rad: float
+) -> NDArray[np.complex64]:
     """(F, T, P, V) of a group about the axis at so many turns."""
     parts = []
     for radius, angle, height in group:
         places = radius * np.exp(1j * (angle + step_rad * np.arange(turns)))
         waves, _ = spectra.waves(places, np.full(turns, height))
-        parts.append(waves[:, :, None] * _seen(spectra, transfer, radius, angle, turns, step_rad))
+        parts.append(
+            waves.astype(np.complex64)[:, :, None] * _seen(spectra, transfer, radius, angle, turns, step_rad)
+        )
     return np.asarray(sum(parts[1:], parts[0]))
 
 
 @lru_cache(maxsize=8)
 def _seen(
     spectra: Spectra, transfer: Transfer, radius_m: float, angle: float, turns: int, step_rad: float
-) -> Complex:
+) -> NDArray[np.complex64]:
     """(F, T, P, V) patterns of a reflector at any height, at so many turns."""
-    facing = np.asarray(angle + step_rad * np.arange(turns), dtype=np.float64)
-    return np.moveaxis(patterns(spectra, transfer, np.full(turns, radius_m), facing)[0], 2, 0)
+    # The nearest angle of the table is near enough for a search.
+    psi = spectra.direction - (angle + step_rad * np.arange(turns))[:, None]
+    index = np.rint(psi * (ANGLES / (2 * np.pi))).astype(np.intp) % ANGLES
+    table = table_of(transfer, spectra.kappa.tobytes(), nearest_ring(radius_m))
+    return np.asarray(table.astype(np.complex64)[..., index].transpose(1, 2, 0, 3))
 
 
 def about(

@@ -26,6 +26,7 @@ from tagid.reading.descent import Found
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.reading.transfers.plain import POINTS
 from tagid.reading.transfers.transfer import Transfer
+from tagid.reading.uneven import CYCLES_RAD, cycles, spin
 from tagid.tags.bodies.signature import (
     FREQUENCY_STEP_HZ,
     Signature,
@@ -34,8 +35,6 @@ from tagid.tags.bodies.signature import (
     same_wavenumbers,
 )
 
-UNEVEN_RAD = (0.01, 0.005)
-"""Standard deviations of the error of the angles of one and of two cycles a turn, cosine and sine, rad."""
 SLOPE = 0.2
 """Standard deviation of the amplitude of an echo's change from one frequency to the next, 0.2 GHz away, over
 that of the echo itself: with measured P440 pulses against a nominal one at the enrolment 0.14 to 0.22, at the
@@ -45,7 +44,7 @@ ECHO_ERROR = 0.1
 TILT_RAD = 0.1
 """Standard deviation of the angle between a wall's normal and the direction from its centre, cosine and sine
 of two cycles round the body, rad: (a^2 - b^2) / (a^2 + b^2) of an ellipse with semi-axes 10 % apart."""
-_TURNED = 3 + 2 * len(UNEVEN_RAD)
+_TURNED = 3 + 2 * len(CYCLES_RAD)
 HEAD = _TURNED + 2
 """Parameters of the body: centre, turn, how uneven the turn was, how the normals of its wall are tilted."""
 OWN = 2
@@ -221,7 +220,7 @@ class SignatureModel(Model):
             [
                 [self.priors.centre_m] * 2,
                 [2 * np.pi / np.sqrt(12)],
-                np.repeat(UNEVEN_RAD, 2),
+                np.repeat(CYCLES_RAD, 2),
                 [TILT_RAD] * 2,
                 rest,
             ]
@@ -240,10 +239,10 @@ class SignatureModel(Model):
         """The columns at parameters x (P,)."""
         beside = np.append(x[:2] + x[HEAD : HEAD + 2], x[HEAD + 2 :])
         # What stands beside the body turns with it, as unevenly.
-        cycles = _cycles(spectra)
-        turned = replace(spectra, antenna=spectra.antenna * np.exp(-1j * (x[3:_TURNED] @ cycles)))
+        rows = cycles(spectra.direction)
+        turned = replace(spectra, antenna=spectra.antenna * np.exp(-1j * (x[3:_TURNED] @ rows)))
         rest = Columns.of(self.rest, turned, beside, slopes, tilt=x[_TURNED:HEAD])
-        return SignatureColumns(self, turned, x, cycles, rest)
+        return SignatureColumns(self, turned, x, rows, rest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,27 +301,10 @@ class SignatureColumns:
         tilt = self.x[_TURNED:HEAD]
         # The wall turns with all that stands on it.
         turned_wall = 2 * (tilt[1] * tilted[0] - tilt[0] * tilted[1])
-        own[3:] += (self._turned(beside) - turned_wall) * self.cycles[:, None]
+        own[3:] += (np.tensordot(spin(self.rest.model, self.rest.x), beside, 1) - turned_wall) * self.cycles[
+            :, None
+        ]
         return np.concatenate([own, tilted, beside])
-
-    def _turned(self, slopes: Complex) -> Complex:
-        """(F, V) change of what stands beside the body with a turn about the axis, of slopes (P, F, V)."""
-        rest = self.rest.model
-        centre, _, _, odd = rest.split(self.rest.x)
-        first = rest.head
-        turns = 0 if rest.tag is None else rest.tag.turns
-        out = slopes[first : first + turns].sum(axis=0)
-        spots = range(rest.parameters - rest.spot * rest.odd, rest.parameters, rest.spot)
-        for place, row in zip((centre, *odd), (0, *spots), strict=True):
-            ahead = 1j * place
-            out += slopes[row] * ahead.real + slopes[row + 1] * ahead.imag
-        return np.asarray(out)
-
-
-def _cycles(spectra: Spectra) -> Floats:
-    """(2 K, V) cosine and sine of every cycle of the error of the angles."""
-    cycles = np.arange(1, len(UNEVEN_RAD) + 1)[:, None] * spectra.direction
-    return np.stack([np.cos(cycles), np.sin(cycles)], axis=1).reshape(-1, cycles.shape[1])
 
 
 @lru_cache(maxsize=64)

@@ -99,7 +99,9 @@ class Spectra:
         height_m: (V,) of the antenna above the object's plane, m.
         distance_m: d, mean distance from the axis to the antenna, m.
         moving: (F,) energy of the moving echo per view, in the same units.
-        full_turn: the views are evenly spaced over a turn at one height.
+        full_turn: the views are evenly spaced over a turn at one height, as their angles are stated.
+        stated: the recording with its angles as stated, where they were found to be wrong.
+        uneven: errors (T,) of the stated angles, see `uneven`.
     """
 
     data: Complex
@@ -109,6 +111,8 @@ class Spectra:
     distance_m: float
     moving: Floats
     full_turn: bool
+    stated: Spectra | None = None
+    uneven: Floats | None = None
 
     @classmethod
     def of(
@@ -199,6 +203,8 @@ class Spectra:
     @cached_property
     def whiteners(self) -> tuple[Whitener, ...]:
         """One for each of `CLUTTER_RADII_M`, free of the room."""
+        if self.stated is not None:
+            return self.stated.whiteners
         if self.full_turn:
             return tuple(Whitener(one.variance[:, 1:], None) for one in self.whole)
         free = np.linalg.svd(self.rooms)[2][len(self.rooms) :]
@@ -207,6 +213,8 @@ class Spectra:
     @cached_property
     def whole(self) -> tuple[Whitener, ...]:
         """The same of all echoes."""
+        if self.stated is not None:
+            return self.stated.whole
         if not self.full_turn:
             return tuple(_diagonal(covariance, np.eye(self.views)) for covariance in self._covariances)
         apart, found = 2 * np.abs(np.sin((self.direction[0] - self.direction) / 2)), []
@@ -235,7 +243,12 @@ class Spectra:
         """The same of every so many-th frequency."""
         every = slice(None, None, step)
         kappa = np.ascontiguousarray(self.kappa[every])
-        return replace(self, data=self.data[every], kappa=kappa, moving=self.moving[every])
+        stated = None if self.stated is None else self.stated.thinned(step)
+        return replace(self, data=self.data[every], kappa=kappa, moving=self.moving[every], stated=stated)
+
+    def turned(self, error: Floats, uneven: Floats | None = None) -> Spectra:
+        """The same with the antenna turned by errors (V,) of the angles, rad."""
+        return replace(self, antenna=self.antenna * np.exp(1j * error), stated=self, uneven=uneven)
 
     def waves(self, places: Complex, heights: Floats) -> tuple[Complex, Floats]:
         """Echoes (F, S, V) of unit points at places x + jy (S,) and heights (S,), m; their ranges (S, V)."""

@@ -81,7 +81,7 @@ def test_a_calibrated_robot_stands_at_once_when_it_is_sure(home: dict[str, str],
         )
         assert "Traceback" not in done.stderr
         document = json.loads(done.stdout)
-        assert done.returncode == 0, (document["errors"], done.stderr[-300:])
+        assert done.returncode == 0, (document["errors"], document["data"], done.stderr[-300:])
         assert not any("whole" in message for message in document["messages"]), document["messages"]
         truth = TrueAngle(there["truth"])
         wait_until(lambda: not truth.state()["moving"])

@@ -68,7 +68,7 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
 
 def _averaged(scans: BasebandScans, turn: NDArray[np.float64], count: int) -> BasebandScans:
     """The means of views at angles (V,), rad, over sectors of half of a step of `count` views a turn."""
-    sector = np.floor(turn * count / np.pi).astype(np.intp)
+    sector = np.floor(turn * count * 0.7 / np.pi).astype(np.intp)
     _, group, size = np.unique(sector, return_inverse=True, return_counts=True)
     if len(turn) < 1.5 * len(size):
         return scans

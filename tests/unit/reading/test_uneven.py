@@ -1,0 +1,79 @@
+"""Errors of the stated angles: the slopes over them, that they are found, and names in spite of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reader_scenes import LAYOUTS, scans_of, spectra_of
+
+from tagid.imaging.types import BasebandScans
+from tagid.reading.arrangement import Arrangement
+from tagid.reading.columns import Model
+from tagid.reading.descent import refined
+from tagid.reading.reader import contest, read
+from tagid.reading.sheet import SHELL, SheetModel
+from tagid.reading.transfers.plain import BARE
+from tagid.reading.transfers.shade import SHADES
+from tagid.reading.uneven import errors, fitted, spin, straightened
+
+SPECTRA = spectra_of("helmet-120", views=40, turns=0.85, snr_db=20.0)
+HELMET = next(one for one in LAYOUTS if one.name == "helmet-120")
+TAG = Arrangement.of_layout(HELMET.positions, HELMET.heights)
+MODELS = {
+    "layout": Model(SHADES[1], TAG, True, 1, odd=2),
+    "free": Model(BARE, Arrangement.points(np.array([0.04, 0.05j, -0.03 - 0.03j])), False, 0, odd=1),
+    "heights": Model(SHADES[1], TAG, True, 1, odd=1, levels=2),
+    "sheet": replace(SheetModel.of(SHELL, (0.06, 0.08), 1), tag=TAG, odd=1),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_an_object_that_turns_with_the_antenna_looks_the_same(name: str) -> None:
+    model = MODELS[name]
+    x = 0.003 * np.cos(1.0 + 3 * np.arange(model.parameters))
+    x[-model.spot * model.odd :] = 0.09 * np.sin(2.0 + 2 * np.arange(model.spot * model.odd))
+    turn = 1e-4
+    ahead = SPECTRA.turned(np.full(SPECTRA.views, turn))
+    here, still = model.at(SPECTRA, x).values, model.at(ahead, x).values
+    along = model.at(ahead, x + turn * spin(model, x)).values
+    # Amplitudes of oval tangents say which way an oval lies.
+    whole = [i for i in range(model.columns) if not (model.shapes and i in (1, 2))]
+    assert np.abs(still - here)[:, whole].max() > 3e-4
+    assert np.abs(along - here)[:, whole].max() < 3e-5
+
+
+def test_errors_of_the_angles_are_found() -> None:
+    rows = errors(SPECTRA)
+    truth = np.array([0.6, -0.8, 0.5, 0.9, 1.1])
+    spoiled = replace(SPECTRA, antenna=SPECTRA.antenna * np.exp(-1j * (truth @ rows)))
+    model = Model(BARE, TAG, False, 1)
+    starts = [np.array([0.003, 0.0015, turn, 0.0]) for turn in np.linspace(0, 2 * np.pi / 3, 12)]
+    found = max((refined(spoiled, model, x) for x in starts), key=lambda one: one.log_z)
+    t, log_z = fitted(spoiled, found)
+    # A turn of all of them is one of the object.
+    off = (t - truth) @ errors(spoiled)
+    assert np.std(off) < 0.1 * np.std(truth @ rows)
+    assert log_z > found.log_z + 50
+    straight = straightened(spoiled, [found])
+    assert straight is not None and straight.stated is spoiled
+    assert straightened(SPECTRA, [refined(SPECTRA, model, found.x)]) is None
+
+
+def scaled(scans: BasebandScans, scale: float) -> BasebandScans:
+    angles, distance = scans.aperture.angles, scans.aperture.axis_distance
+    assert angles is not None and distance is not None
+    return replace(scans, aperture=scans.aperture.turned(scale * angles, distance))
+
+
+@pytest.mark.parametrize("scale", [0.98, 1.02])
+def test_part_of_a_turn_of_another_scale_is_named(scale: float) -> None:
+    scans = scaled(scans_of("helmet-120", views=54, turns=0.9, snr_db=20.0), scale)
+    reading = read(scans, LAYOUTS)
+    assert (reading.status, reading.layout) == ("identified", "helmet-120"), reading.reason
+    own = contest(scans, LAYOUTS)
+    own.sheets = ()
+    own.run()
+    assert own.spectra.uneven is not None
+    assert own.spectra.uneven[-1] == pytest.approx((1 / scale - 1) / 0.02, abs=0.2)
