@@ -101,10 +101,10 @@ class Contest:
     priors: Priors = field(default_factory=Priors)
     most_odd: int = MOST_ODD
     most_reflectors: int = MOST_REFLECTORS
-    hypotheses: list[Hypothesis] = field(default_factory=list)
-    _centres: list[complex] = field(default_factory=list)
-    _tried: set[Found] = field(default_factory=set)
-    _rough: list[Hypothesis] = field(default_factory=list)
+    hypotheses: list[Hypothesis] = field(default_factory=list, init=False)
+    _centres: list[complex] = field(default_factory=list, init=False)
+    _tried: set[Found] = field(default_factory=set, init=False)
+    _rough: list[Hypothesis] = field(default_factory=list, init=False)
     _planes: list[float] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -124,7 +124,21 @@ class Contest:
         return one
 
     def run(self) -> list[Hypothesis]:
-        """All hypotheses, the best first."""
+        """All hypotheses, the best first, at the stated angles or at those that explain more."""
+        self._explore()
+        best = max(one.found.log_z for one in self.hypotheses)
+        # An enrolled body has an uneven turn of its own.
+        others = [one.found for one in self.hypotheses if not isinstance(one.found.model, SignatureModel)]
+        turned = straightened(self.spectra, others, best)
+        if turned is not None:
+            other = replace(self, spectra=turned.spectra)
+            other._explore()
+            if max(one.found.log_z for one in other.hypotheses) - turned.cost > best:
+                vars(self).update(vars(other))
+        self.hypotheses = smoothed(self.spectra, self.hypotheses)
+        return self.hypotheses
+
+    def _explore(self) -> None:
         bodies = self._untagged()
         body = max(bodies, key=lambda one: one.log_z).found
         centres = [body.centre, *GRID_M]
@@ -139,10 +153,6 @@ class Contest:
         if known and min(abs(best.centre - one) for one in near) > ELSEWHERE_M:
             clear = replace(best.powers, clutter=max(best.powers.clutter, 1e-3))
             self._look([best.centre], [best.centre], [clear] * 2, [np.zeros(2)] * 2)
-        kinds = [*self._best(1, enrolled=True), *self._best(1, enrolled=False), *self._untagged_best(1)]
-        turned = None if self.spectra.stated else straightened(self.spectra, [one.found for one in kinds])
-        if turned is not None:
-            return self._again(turned)
         self._resized()
         self._beside_enrolled()
         self._as_enrolled()
@@ -159,16 +169,6 @@ class Contest:
         self._one_more()
         self._by_hand()
         self._unbound()
-        self.hypotheses = smoothed(self.spectra, self.hypotheses)
-        return self.hypotheses
-
-    def _again(self, spectra: Spectra) -> list[Hypothesis]:
-        self.spectra = spectra
-        for some in (self.hypotheses, self._centres, self._tried, self._rough):
-            some.clear()
-        vars(self).pop("_odd", None)
-        self.__post_init__()
-        return self.run()
 
     @property
     def _searched(self) -> Sequence[Transfer]:

@@ -8,6 +8,7 @@ object that is turned back, so the slopes over t are those of the parameters tha
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,7 +24,11 @@ SCALE = 0.02
 another floor; over a whole turn the scans themselves tell the scale."""
 PAYS = 3.0
 """Nats that an uneven turn gains at least before everything is looked for again with it."""
+MOST = 8
+"""Hypotheses by which the angles are tried, each the best of its kind."""
 _ROUNDS, _ENOUGH = 6, 0.1
+_PROMISED = 2.0
+"""A descent hardly gains more than so many times what its steps promise."""
 
 
 def cycles(direction: Floats) -> Floats:
@@ -59,16 +64,31 @@ def spin(model: Model, x: Floats) -> Floats:
     return out
 
 
-def fitted(spectra: Spectra, found: Found) -> tuple[Floats, float]:
-    """The errors t (T,) of the angles that suit a hypothesis, and its log evidence with them, nats."""
-    stated, model, powers = spectra.stated or spectra, found.model, found.powers
-    rows, whitener, white = errors(stated), spectra.whiteners[model.disc], spectra.white[model.disc]
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """A recording with its antennas where they truly stood.
+
+    Attributes:
+        log_z: log evidence of the hypothesis by which they were found, nats.
+        cost: what the errors of the angles cost in it: all hypotheses at these angles cost as much.
+    """
+
+    spectra: Spectra
+    log_z: float
+    cost: float
+
+
+def fitted(spectra: Spectra, found: Found, least: float = -np.inf) -> Turned | None:
+    """The angles that suit a hypothesis; None where its log evidence will hardly reach the least, nats."""
+    model, powers = found.model, found.powers
+    rows, whitener, white = errors(spectra), spectra.whiteners[model.disc], spectra.white[model.disc]
     lam = variance(spectra, model, powers.clutter)
     power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
+    own = len(found.x)
 
     def expanded(z: Floats) -> tuple[float, Floats, Floats]:
-        x, t = z[: len(found.x)], z[len(found.x) :]
-        columns = model.at(stated.turned(t @ rows), x)
+        x, t = z[:own], z[own:]
+        columns = model.at(spectra.turned(t @ rows), x)
         one = fit(whitener.apply(columns.values), white, lam, power)
         back = columns.slopes(whitener.adjoint(one.adjoint).conj())
         moved = columns.slopes(one.amplitudes[..., None])
@@ -77,38 +97,44 @@ def fitted(spectra: Spectra, found: Found) -> tuple[Floats, float]:
         moved = np.concatenate([moved, np.tensordot(turned, moved, 1) * rows[:, None]])
         hessian = one.curvature(whitener.apply(np.swapaxes(moved, 0, 1)) / np.sqrt(lam)[:, None])
         log, slope, pull = model.log_prior(x, slopes=True)
-        hessian[: len(x), : len(x)] += pull
-        hessian[len(x) :, len(x) :] += np.eye(len(t))
+        hessian[:own, :own] += pull
+        hessian[own:, own:] += np.eye(len(t))
         gradient = 2 * back.sum(axis=(1, 2)).real + np.append(slope, -t)
         return one.log + log - 0.5 * float(t @ t), gradient, hessian
 
-    z = np.append(found.x, np.zeros(len(rows)) if spectra.uneven is None else spectra.uneven)
+    z = np.append(found.x, np.zeros(len(rows)))
     precision = np.append(model.precision, np.ones(len(rows)))
     log, gradient, hessian = expanded(z)
     damping = 1e-2
     for _ in range(_ROUNDS):
         damped = hessian + damping * np.diag(np.diag(hessian) + precision)
         step = np.linalg.solve(damped, gradient)
-        if step @ gradient < _ENOUGH:
+        if step @ gradient < _ENOUGH or found.log_z + _PROMISED * float(step @ gradient) < least:
             break
         there = expanded(z + step)
         if there[0] > log:
             z, (log, gradient, hessian), damping = z + step, there, damping / 5
         else:
             damping *= 10
-    curved = hessian + np.diag(np.where(precision > np.diag(hessian), precision, 0))
-    log_z = log + 0.5 * len(found.x) * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(curved)[1]
-    return z[len(found.x) :], float(log_z)
+    t, curved = z[own:], hessian + np.diag(np.where(precision > np.diag(hessian), precision, 0))
+    volume = np.linalg.slogdet(curved)[1]
+    log_z = log + 0.5 * own * np.log(2 * np.pi) - 0.5 * volume
+    if log_z < least:
+        return None
+    cost = 0.5 * float(t @ t + volume - np.linalg.slogdet(curved[:own, :own])[1])
+    return Turned(spectra.turned(t @ rows, t), float(log_z), cost)
 
 
-def straightened(spectra: Spectra, some: Sequence[Found]) -> Spectra | None:
-    """The recording with its antennas where they truly stood; None where it does not pay to move them.
+def straightened(spectra: Spectra, every: Sequence[Found], best: float) -> Turned | None:
+    """The recording at the angles that hypotheses show; None where the stated ones do as well.
 
     Args:
-        some: the best hypothesis of every kind.
+        every: hypotheses at the stated angles.
+        best: log evidence of the likeliest one, nats.
     """
-    t, log_z = max((fitted(spectra, one) for one in some), key=lambda one: one[1])
-    if log_z < max(one.log_z for one in some) + PAYS:
-        return None
-    stated = spectra.stated or spectra
-    return stated.turned(t @ errors(stated), t)
+    kinds: dict[tuple[bool, int, int], Found] = {}
+    for one in sorted(every, key=lambda one: -one.log_z):
+        turns, count = (0, 0) if one.model.tag is None else (one.model.tag.turns, one.model.tag.count)
+        kinds.setdefault((one.model.odd > 0, turns, count), one)
+    found = [fitted(spectra, one, best + PAYS) for one in list(kinds.values())[:MOST]]
+    return max((one for one in found if one is not None), key=lambda one: one.log_z, default=None)

@@ -16,7 +16,7 @@ from tagid.reading.reader import contest, read
 from tagid.reading.sheet import SHELL, SheetModel
 from tagid.reading.transfers.plain import BARE
 from tagid.reading.transfers.shade import SHADES
-from tagid.reading.uneven import errors, fitted, spin, straightened
+from tagid.reading.uneven import SCALE, errors, fitted, spin, straightened
 
 SPECTRA = spectra_of("helmet-120", views=40, turns=0.85, snr_db=20.0)
 HELMET = next(one for one in LAYOUTS if one.name == "helmet-120")
@@ -51,14 +51,18 @@ def test_errors_of_the_angles_are_found() -> None:
     model = Model(BARE, TAG, False, 1)
     starts = [np.array([0.003, 0.0015, turn, 0.0]) for turn in np.linspace(0, 2 * np.pi / 3, 12)]
     found = max((refined(spoiled, model, x) for x in starts), key=lambda one: one.log_z)
-    t, log_z = fitted(spoiled, found)
+    turned = fitted(spoiled, found)
+    assert turned is not None and turned.spectra.stated is spoiled and turned.spectra.uneven is not None
     # A turn of all of them is one of the object.
-    off = (t - truth) @ errors(spoiled)
+    off = (turned.spectra.uneven - truth) @ errors(spoiled)
     assert np.std(off) < 0.1 * np.std(truth @ rows)
-    assert log_z > found.log_z + 50
-    straight = straightened(spoiled, [found])
-    assert straight is not None and straight.stated is spoiled
-    assert straightened(SPECTRA, [refined(SPECTRA, model, found.x)]) is None
+    assert turned.log_z > found.log_z + 50
+    again = refined(turned.spectra, model, found.x)
+    assert again.log_z - turned.cost > turned.log_z - 1, "with powers of its own it may be more"
+    assert turned.cost > 0.5 * float(turned.spectra.uneven @ turned.spectra.uneven)
+    assert straightened(spoiled, [found], found.log_z) is not None
+    right = refined(SPECTRA, model, found.x)
+    assert straightened(SPECTRA, [right], right.log_z) is None
 
 
 def scaled(scans: BasebandScans, scale: float) -> BasebandScans:
@@ -75,5 +79,7 @@ def test_part_of_a_turn_of_another_scale_is_named(scale: float) -> None:
     own = contest(scans, LAYOUTS)
     own.sheets = ()
     own.run()
-    assert own.spectra.uneven is not None
-    assert own.spectra.uneven[-1] == pytest.approx((1 / scale - 1) / 0.02, abs=0.2)
+    assert own.spectra.uneven is not None and own.spectra.stated is not None
+    rows = errors(own.spectra.stated)
+    truth = (1 / scale - 1) / SCALE * rows[-1]
+    assert np.std(own.spectra.uneven @ rows - truth) < 0.25 * np.std(truth)
