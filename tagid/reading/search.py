@@ -321,9 +321,6 @@ def tables(
         bodies: (C, F, V) echo of the body beside them; None: a point in the centre, if there is one.
         step_rad: turns are no farther apart.
     """
-    if spectra.full_turn and spectra.stated is not None:
-        # Turns are shifts by views as long as the views are even.
-        spectra = spectra.stated
     transfer, points, views = model.transfer, np.append(centres, 0), spectra.views
     blocks, root, step = _turning(spectra, transfer, model.disc, tuple(groups), powers.clutter, step_rad)
     waves, range_m = spectra.waves(points, np.zeros(len(points)))

@@ -99,7 +99,7 @@ class Spectra:
         height_m: (V,) of the antenna above the object's plane, m.
         distance_m: d, mean distance from the axis to the antenna, m.
         moving: (F,) energy of the moving echo per view, in the same units.
-        full_turn: the views are evenly spaced over a turn at one height, as their angles are stated.
+        full_turn: the views are evenly spaced over a turn at one height.
         stated: the recording with its angles as stated, where they were found to be wrong.
         uneven: errors (T,) of the stated angles, see `uneven`.
     """

@@ -1,8 +1,9 @@
 """How unevenly an object turned: errors of the stated angles, which all hypotheses of a recording share.
 
 The direction of the antenna in view v differs from the stated one by the sum of t_i e_i(v), t_i of unit
-variance: one and two cycles a turn, and, on a part of a turn, the scale of its angles. A turned antenna is an
-object that is turned back, so the slopes over t are those of the parameters that turn the object.
+variance: one and two cycles a turn, and the scale of the angles. A turned antenna is an object that is turned
+back, so the slopes over t are those of the parameters that turn the object. A whole even turn has no scale to
+find, and is left as it is stated: its bodies, which no hypothesis describes wholly, would be read as uneven.
 """
 
 from __future__ import annotations
@@ -26,6 +27,9 @@ PAYS = 3.0
 """Nats that an uneven turn gains at least before everything is looked for again with it."""
 MOST = 8
 """Hypotheses by which the angles are tried, each the best of its kind."""
+FARTHEST = 3.0
+"""No device turns less evenly than this, standard deviations: what looks like it is an object that no
+hypothesis describes (a pair on a can with a handle: 5, for 100 nats)."""
 _ROUNDS, _ENOUGH = 6, 0.1
 _PROMISED = 2.0
 """A descent hardly gains more than so many times what its steps promise."""
@@ -40,8 +44,6 @@ def cycles(direction: Floats) -> Floats:
 def errors(spectra: Spectra) -> Floats:
     """(T, V) errors of the stated angles of one standard deviation, rad."""
     rows = np.repeat(CYCLES_RAD, 2)[:, None] * cycles(spectra.direction)
-    if spectra.full_turn:
-        return np.asarray(rows)
     turn = np.sort(spectra.direction)
     gaps = np.diff(np.append(turn, turn[0] + 2 * np.pi))
     first = turn[(int(gaps.argmax()) + 1) % len(turn)]
@@ -119,19 +121,21 @@ def fitted(spectra: Spectra, found: Found, least: float = -np.inf) -> Turned | N
     t, curved = z[own:], hessian + np.diag(np.where(precision > np.diag(hessian), precision, 0))
     volume = np.linalg.slogdet(curved)[1]
     log_z = log + 0.5 * own * np.log(2 * np.pi) - 0.5 * volume
-    if log_z < least:
+    if log_z < least or np.abs(t).max() > FARTHEST:
         return None
     cost = 0.5 * float(t @ t + volume - np.linalg.slogdet(curved[:own, :own])[1])
     return Turned(spectra.turned(t @ rows, t), float(log_z), cost)
 
 
 def straightened(spectra: Spectra, every: Sequence[Found], best: float) -> Turned | None:
-    """The recording at the angles that hypotheses show; None where the stated ones do as well.
+    """The recording at the angles that hypotheses show; None for a whole turn, and where those do as well.
 
     Args:
         every: hypotheses at the stated angles.
         best: log evidence of the likeliest one, nats.
     """
+    if spectra.full_turn:
+        return None
     kinds: dict[tuple[bool, int, int], Found] = {}
     for one in sorted(every, key=lambda one: -one.log_z):
         turns, count = (0, 0) if one.model.tag is None else (one.model.tag.turns, one.model.tag.count)
