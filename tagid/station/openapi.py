@@ -210,7 +210,7 @@ def _or_null(schema: dict[str, Any]) -> dict[str, Any]:
 
 def _schemas() -> dict[str, Any]:
     text, number, whole = {"type": "string"}, {"type": "number"}, {"type": "integer"}
-    maybe_number = {"type": ["number", "null"]}
+    maybe_number, maybe_text = {"type": ["number", "null"]}, {"type": ["string", "null"]}
     yes_no = {"type": "boolean"}
     key = {
         **text,
@@ -218,9 +218,10 @@ def _schemas() -> dict[str, Any]:
         "the scan moves a device.",
     }
     entry = {name: {"type": [_KINDS[TYPES[name]], "null"]} for name in FIELDS}
+    hypothesis = _object(words=text, layout=maybe_text, log_evidence=number, unexplained=number)
     answer = _object(
         status={"enum": list(STATUSES)},
-        layout={"type": ["string", "null"]},
+        layout=maybe_text,
         label=text,
         score=number,
         margin=number,
@@ -232,7 +233,9 @@ def _schemas() -> dict[str, Any]:
             "items": _object(code=text, text=text, remedy=text, settings={"type": "object"}),
         },
         reflectors={"type": "array", "items": _object(x_m=number, y_m=number, matched=yes_no)},
-        capture_uuid={"type": ["string", "null"]},
+        lead_needed=maybe_number,
+        hypotheses={"type": "array", "items": hypothesis},
+        capture_uuid=maybe_text,
     )
     evidence = _object(
         layout=text, share=number, needed_share=number, nats=number, needed_nats=number, enough=yes_no

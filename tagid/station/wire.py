@@ -91,7 +91,10 @@ def answer(found: Identification) -> Json:
     values = found.to_dict()
     names = ("status", "layout", "label", "score", "margin", "reason", "reason_code", "advice", "causes")
     reflectors = [{key: row[key] for key in ("x_m", "y_m", "matched")} for row in values["reflectors"]]
-    return {**{name: values[name] for name in (*names, "capture_uuid")}, "reflectors": reflectors}
+    shown = "words", "layout", "log_evidence", "unexplained"
+    hypotheses = [{key: row[key] for key in shown} for row in values["hypotheses"]]
+    own = {name: values[name] for name in (*names, "lead_needed", "capture_uuid")}
+    return {**own, "reflectors": reflectors, "hypotheses": hypotheses}
 
 
 def pictures(state: LiveState) -> Json:

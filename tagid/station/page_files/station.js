@@ -45,6 +45,8 @@ function bytes(text) {
   return out;
 }
 
+const LONGEST_BAR = 20;  // nats
+const MOST_RIVALS = 4;
 const CIRCLED_PIXELS = 640;
 
 function paint(canvas, width, height, text) {
@@ -179,7 +181,7 @@ function showScan(scan) {
     if (scan.note && scan.answer) words.push(scan.note);
     if (scan.remark) words.push(scan.remark);
     setText("figures", words.join(" · "));
-    showEvidence(scan.evidence);
+    showEvidence(scan);
     if (!running && listed !== scan.number) {
       listed = scan.number;
       if (document.body.dataset.view === "history") loadHistory();
@@ -220,7 +222,34 @@ function mayAct() {
   return connected() && !(operated && !mine);
 }
 
-function showEvidence(items) {
+// During a scan what each layout explains so far; beside an answer what else it could be.
+function showEvidence(scan) {
+  const answer = scan.final ? scan.answer : null;
+  const others = answer ? answer.hypotheses.slice(1).filter((one) => !one.layout || one.layout !== answer.layout) : [];
+  const rivals = others.slice(0, MOST_RIVALS);
+  setText("evidence-head", rivals.length ? "What else it could be" : "Evidence for each layout");
+  setText("evidence-text", rivals.length
+    ? "The longer the bar, the less likely. A name needs all others beyond the line."
+    : "Share of the echo that a layout explains; the line is the minimum for an identification.");
+  showBars(rivals.length ? rivals.map((one) => rivalBar(one, answer.lead_needed)) : scan.evidence.map(layoutBar));
+}
+
+function layoutBar(one) {
+  return { name: one.layout, share: one.share, needed: one.needed_share, number: `${(100 * one.share).toFixed(0)} %`, enough: one.enough };
+}
+
+function rivalBar(one, needed) {
+  const behind = -one.log_evidence;
+  return {
+    name: one.words,
+    share: Math.min(behind / LONGEST_BAR, 1),
+    needed: needed === null ? null : Math.min(needed / LONGEST_BAR, 1),
+    number: behind.toFixed(behind < 10 ? 1 : 0),
+    enough: needed !== null && behind >= needed,
+  };
+}
+
+function showBars(items) {
   const list = $("evidence");
   while (list.children.length > items.length) list.lastChild.remove();
   items.slice(0, 12).forEach((one, i) => {
@@ -245,10 +274,11 @@ function showEvidence(items) {
     row.className = one.enough ? "enough" : "";
     const [fill, need] = row.querySelector("svg").children;
     fill.setAttribute("width", String(100 * one.share));
-    need.setAttribute("x1", String(100 * one.needed_share));
-    need.setAttribute("x2", String(100 * one.needed_share));
-    if (row.children[0].textContent !== one.layout) row.children[0].textContent = one.layout;
-    row.children[2].textContent = `${(100 * one.share).toFixed(0)} %`;
+    need.setAttribute("visibility", one.needed === null ? "hidden" : "visible");
+    need.setAttribute("x1", String(100 * one.needed));
+    need.setAttribute("x2", String(100 * one.needed));
+    if (row.children[0].textContent !== one.name) row.children[0].textContent = one.name;
+    row.children[2].textContent = one.number;
   });
 }
 
