@@ -101,7 +101,6 @@ class Spectra:
         moving: (F,) energy of the moving echo per view, in the same units.
         full_turn: the views are evenly spaced over a turn at one height.
         stated: the recording with its angles as stated, where they were found to be wrong.
-        uneven: errors (T,) of the stated angles, see `uneven`.
     """
 
     data: Complex
@@ -112,7 +111,6 @@ class Spectra:
     moving: Floats
     full_turn: bool
     stated: Spectra | None = None
-    uneven: Floats | None = None
 
     @classmethod
     def of(
@@ -246,9 +244,9 @@ class Spectra:
         stated = None if self.stated is None else self.stated.thinned(step)
         return replace(self, data=self.data[every], kappa=kappa, moving=self.moving[every], stated=stated)
 
-    def turned(self, error: Floats, uneven: Floats | None = None) -> Spectra:
+    def turned(self, error: Floats) -> Spectra:
         """The same with the antenna turned by errors (V,) of the angles, rad."""
-        return replace(self, antenna=self.antenna * np.exp(1j * error), stated=self, uneven=uneven)
+        return replace(self, antenna=self.antenna * np.exp(1j * error), stated=self)
 
     def waves(self, places: Complex, heights: Floats) -> tuple[Complex, Floats]:
         """Echoes (F, S, V) of unit points at places x + jy (S,) and heights (S,), m; their ranges (S, V)."""

@@ -86,10 +86,10 @@ def fitted(spectra: Spectra, found: Found, least: float = -np.inf) -> Turned | N
     rows, whitener, white = errors(spectra), spectra.whiteners[model.disc], spectra.white[model.disc]
     lam = variance(spectra, model, powers.clutter)
     power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
-    own = len(found.x)
+    size = len(found.x)
 
     def expanded(z: Floats) -> tuple[float, Floats, Floats]:
-        x, t = z[:own], z[own:]
+        x, t = z[:size], z[size:]
         columns = model.at(spectra.turned(t @ rows), x)
         one = fit(whitener.apply(columns.values), white, lam, power)
         back = columns.slopes(whitener.adjoint(one.adjoint).conj())
@@ -99,8 +99,8 @@ def fitted(spectra: Spectra, found: Found, least: float = -np.inf) -> Turned | N
         moved = np.concatenate([moved, np.tensordot(turned, moved, 1) * rows[:, None]])
         hessian = one.curvature(whitener.apply(np.swapaxes(moved, 0, 1)) / np.sqrt(lam)[:, None])
         log, slope, pull = model.log_prior(x, slopes=True)
-        hessian[:own, :own] += pull
-        hessian[own:, own:] += np.eye(len(t))
+        hessian[:size, :size] += pull
+        hessian[size:, size:] += np.eye(len(t))
         gradient = 2 * back.sum(axis=(1, 2)).real + np.append(slope, -t)
         return one.log + log - 0.5 * float(t @ t), gradient, hessian
 
@@ -118,13 +118,13 @@ def fitted(spectra: Spectra, found: Found, least: float = -np.inf) -> Turned | N
             z, (log, gradient, hessian), damping = z + step, there, damping / 5
         else:
             damping *= 10
-    t, curved = z[own:], hessian + np.diag(np.where(precision > np.diag(hessian), precision, 0))
+    t, curved = z[size:], hessian + np.diag(np.where(precision > np.diag(hessian), precision, 0))
     volume = np.linalg.slogdet(curved)[1]
-    log_z = log + 0.5 * own * np.log(2 * np.pi) - 0.5 * volume
+    log_z = log + 0.5 * size * np.log(2 * np.pi) - 0.5 * volume
     if log_z < least or np.abs(t).max() > FARTHEST:
         return None
-    cost = 0.5 * float(t @ t + volume - np.linalg.slogdet(curved[:own, :own])[1])
-    return Turned(spectra.turned(t @ rows, t), float(log_z), cost)
+    cost = 0.5 * float(t @ t + volume - np.linalg.slogdet(curved[:size, :size])[1])
+    return Turned(spectra.turned(t @ rows), float(log_z), cost)
 
 
 def straightened(spectra: Spectra, every: Sequence[Found], best: float) -> Turned | None:

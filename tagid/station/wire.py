@@ -93,8 +93,8 @@ def answer(found: Identification) -> Json:
     reflectors = [{key: row[key] for key in ("x_m", "y_m", "matched")} for row in values["reflectors"]]
     shown = "words", "layout", "log_evidence", "unexplained"
     hypotheses = [{key: row[key] for key in shown} for row in values["hypotheses"]]
-    own = {name: values[name] for name in (*names, "lead_needed", "capture_uuid")}
-    return {**own, "reflectors": reflectors, "hypotheses": hypotheses}
+    fields = {name: values[name] for name in (*names, "lead_needed", "capture_uuid")}
+    return {**fields, "reflectors": reflectors, "hypotheses": hypotheses}
 
 
 def pictures(state: LiveState) -> Json:

@@ -17,6 +17,8 @@ from tagid.imaging.types import BasebandScans
 
 GUARD_ORDERS = 10
 """Bessel functions J_m(x) fall below 1 % within about ten orders above m = x, for x up to 50."""
+SECTOR = 1 / 1.4
+"""Width of the sectors of a turn with gaps, in steps: a reflector at 0.06 m loses 0.15 dB at 4.8 GHz."""
 SAME_DISTANCE_M = 1e-3
 """Positions whose distances from the axis differ by less lie on one circle."""
 BAND_MARGIN = 1.25
@@ -28,8 +30,8 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
 
     An angular low-pass filter (flat up to 2 k r plus a guard, cosine taper above) is applied to the views,
     weighted by the gap to their neighbours. Antenna positions on circles at several heights are resampled
-    circle by circle. Of turns with gaps, views within half of that step are averaged. Scans with few views or
-    other positions are returned unchanged.
+    circle by circle. Of turns with gaps, views within `SECTOR` of that step are averaged. Scans with few
+    views or other positions are returned unchanged.
 
     Args:
         scans: (views, bins) scans of a turntable aperture.
@@ -67,8 +69,8 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
 
 
 def _averaged(scans: BasebandScans, turn: NDArray[np.float64], count: int) -> BasebandScans:
-    """The means of views at angles (V,), rad, over sectors of half of a step of `count` views a turn."""
-    sector = np.floor(turn * count * 0.7 / np.pi).astype(np.intp)
+    """The means of views at angles (V,), rad, over sectors of `SECTOR` steps of `count` views a turn."""
+    sector = np.floor(turn * count / (2 * np.pi * SECTOR)).astype(np.intp)
     _, group, size = np.unique(sector, return_inverse=True, return_counts=True)
     if len(turn) < 1.5 * len(size):
         return scans
