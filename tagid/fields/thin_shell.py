@@ -49,7 +49,7 @@ class ThinShell(ABC):
     sheet_m: float
 
     def __post_init__(self) -> None:
-        if not (0.01 <= self.across_m <= 1.0 and 0.01 <= self.along_m <= 1.0 and 0 < self.sheet_m <= 1.0):
+        if not (0.01 <= self.across_m <= 1.0 and 0.01 <= self.along_m <= 1.0 and 0 < self.sheet_m <= 10.0):
             raise DataError(f"a shell has half axes of {self.across_m} and {self.along_m} m")
 
     @property

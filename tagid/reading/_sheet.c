@@ -7,7 +7,7 @@
  * answers and their slopes: d (x^T P y) = dx^T P y + (P x)^T dy - (P x)^T dS (P y). What is even or odd about
  * each axis couples with itself only ("parts"). The sheet's own echo is the same in all four quadrants of
  * aspects: it is found at Q aspects of one, at a fixed distance, and interpolated by its harmonics. By
- * reciprocity every reflector costs one answer, for all antennas.
+ * reciprocity every reflector costs one answer, for all antennas. Odd scatterers stand in the open.
  *
  * Planes (.., 2, columns) hold real and imaginary parts apart; columns are filled up to a multiple of UNIT.
  */
@@ -72,7 +72,7 @@ static inline double *room(double **at, int64_t count)
 static int64_t lay_out(const Sheet *g, Work *w, double *base)
 {
     double *at = base;
-    const int64_t N = g->n, Q = g->q, V = PADDED(g->v), S = g->sources, L = PADDED(3 * S), each = 4 * N * Q;
+    const int64_t N = g->n, Q = g->q, V = PADDED(g->v), S = g->sources, L = PADDED(3 * g->k), each = 4 * N * Q;
     w->weight = room(&at, N), w->weight_a = room(&at, N), w->weight_b = room(&at, N);
     w->apart = room(&at, 4 * N * N);
     w->range = room(&at, each), w->cosine = room(&at, each);
@@ -84,7 +84,7 @@ static int64_t lay_out(const Sheet *g, Work *w, double *base)
     w->system = room(&at, 8 * N * N), w->slope_a = room(&at, 8 * N * N), w->slope_b = room(&at, 8 * N * N);
     w->from_q = room(&at, Q * V), w->slope_q = room(&at, Q * V);
     w->at_q = room(&at, 8 * SHAPES * Q), w->at_v = room(&at, 14 * SHAPES * V);
-    w->away = room(&at, 5 * V), w->cell = room(&at, S ? 28 * N * V : 0);
+    w->away = room(&at, 5 * V), w->cell = room(&at, g->k ? 28 * N * V : 0);
     w->place = room(&at, 5 * S), w->source = room(&at, 9 * S * V), w->near_wave = room(&at, 4 * S * V);
     w->right = room(&at, 8 * N * L), w->solved = room(&at, 8 * N * L), w->moved = room(&at, 8 * N * L);
     w->by_size = room(&at, 16 * N * L);
@@ -331,7 +331,7 @@ INLINE void prepare_reflectors(const Sheet *g, const Work *w)
             near_wave[2 * V + v] = re, near_wave[3 * V + v] = im;
         }
     }
-    for (int64_t i = 0; S && i < 4 * N; i++) {
+    for (int64_t i = 0; g->k && i < 4 * N; i++) {
         const int64_t m = i / N, of = i % N;
         const double px = sign_x(m) * g->shape[0] * g->unit[of], py = sign_y(m) * g->shape[1] * g->unit[N + of];
         double *restrict cell = w->cell + 7 * i * V;
@@ -560,7 +560,7 @@ INLINE void sheet_seen(const Sheet *g, const Work *w, int64_t f)
 /* What every reflector needs of the contour: answers to a source at its place, and their slopes. */
 INLINE void answer_sources(const Sheet *g, const Work *w, double k)
 {
-    const int64_t N = g->n, S = g->sources, L = PADDED(3 * S), part = 2 * N * L, square = 2 * N * N;
+    const int64_t N = g->n, S = g->k, L = PADDED(3 * S), part = 2 * N * L, square = 2 * N * N;
     const double strength = k * k * g->shape[2];
     memset(w->right, 0, (size_t)(4 * part) * sizeof(double));
     memset(w->by_size, 0, (size_t)(8 * part) * sizeof(double));
@@ -613,7 +613,7 @@ INLINE void answer_sources(const Sheet *g, const Work *w, double k)
 /* What the sheet adds to the field at a reflector, and its slopes, from all antennas. */
 INLINE void field_at(const Sheet *g, const Work *w, double k, int64_t s)
 {
-    const int64_t N = g->n, V = PADDED(g->v), L = PADDED(3 * g->sources);
+    const int64_t N = g->n, V = PADDED(g->v), L = PADDED(3 * g->k);
     memset(w->sum, 0, (size_t)(2 * SUMS * V) * sizeof(double));
     for (int64_t i = 0; i < 4 * N; i++) {
         const int64_t m = i / N, of = i % N;
@@ -757,17 +757,19 @@ WIDE static void compute(const Sheet *g, const Work *w)
         solve(g, w, k);
         echo(g, w, k);
         sheet_seen(g, w, f);
-        if (!g->sources)
-            continue;
-        for (int64_t i = 0; f && i < 4 * N; i++)
+        for (int64_t i = 0; f && g->k && i < 4 * N; i++)
             next(w->cell + (7 * i + 3) * V, w->cell + (7 * i + 5) * V, V);
-        answer_sources(g, w, k);
+        if (g->k)
+            answer_sources(g, w, k);
         for (int64_t s = 0; s < g->sources; s++) {
             if (f)
                 next(w->source + (9 * s + 4) * V, w->source + (9 * s + 6) * V, V);
             if (f)
                 next(w->near_wave + 4 * s * V, w->near_wave + (4 * s + 2) * V, V);
-            field_at(g, w, k, s);
+            if (s < g->k)
+                field_at(g, w, k, s);
+            else /* in the open */
+                memset(w->sum, 0, (size_t)(2 * SUMS * V) * sizeof(double));
             reflector_seen(g, w, f, s);
         }
     }

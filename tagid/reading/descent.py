@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -22,8 +22,10 @@ BODY = (0.1, 3.0, 100.0, 3000.0)
 """Powers of a body that are tried, over the moving energy: what does not move is the room's."""
 OVAL = (1e-5, 1e-3, 1e-1)
 """Powers of a body's oval part that are tried, over the body's."""
-_ENOUGH = 0.02
+ENOUGH = 0.02
 """Nats that a step of the descent gains at least, or it is the last."""
+_PROMISED = 2.0
+"""A descent hardly gains more than so many times what its steps promise."""
 FAR_M = 0.03
 """No centre lies farther from the axis."""
 
@@ -176,40 +178,64 @@ def best_powers(
 
 
 @dataclass(frozen=True, eq=False)
-class _Here:
+class Here:
+    """A log posterior density at some parameters, nats, its gradient (P,) and its negative Hessian (P, P)."""
+
     log: float
     gradient: Floats
     hessian: Floats
 
 
-def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: int) -> tuple[Floats, _Here]:
-    """Levenberg and Marquardt's method from x at fixed powers."""
-    likelihood, own = _likelihood(spectra, model), ((powers.body, powers.tag, powers.oval), powers.clutter)
-    if isinstance(likelihood, Compiled) and not isinstance(likelihood, Given):
-        x, log, gradient, hessian = likelihood.descended(x, *own, rounds, FAR_M, _ENOUGH)
-        return x, _Here(log, gradient, hessian)
-    here = _Here(*likelihood.expanded(x, *own))
+def climbed(
+    expanded: Callable[[Floats], tuple[float, Floats, Floats]],
+    precision: Floats,
+    x: Floats,
+    rounds: int,
+    least: float = -np.inf,
+) -> tuple[Floats, Here]:
+    """Levenberg and Marquardt's method from x (P,), by what `Here` holds at parameters.
+
+    Args:
+        precision: (P,) of the prior, added to the curvature that damps.
+        least: given up where the density will hardly reach it, nats.
+    """
+    here = Here(*expanded(x))
     damping = 1e-2
     for _ in range(rounds):
-        size = np.diag(here.hessian) + model.precision
+        size = np.diag(here.hessian) + precision
         step = np.linalg.solve(here.hessian + damping * np.diag(size), here.gradient)
-        trial = x + step
         promised = float(step @ here.gradient)
-        if promised < _ENOUGH:
+        if promised < ENOUGH or here.log + _PROMISED * promised < least:
             break
-        inside = np.hypot(trial[0], trial[1]) < FAR_M
-        there = _Here(*likelihood.expanded(trial, *own)) if inside else None
+        inside = np.hypot(*(x + step)[:2]) < FAR_M
+        there = Here(*expanded(x + step)) if inside else None
         if there is not None and there.log > here.log:
             gained = there.log - here.log
-            x, here = trial, there
+            x, here = x + step, there
             damping /= 5
-            if gained < _ENOUGH:
+            if gained < ENOUGH:
                 break
         else:
             damping *= 10
             if damping > 1e6:
                 break
     return x, here
+
+
+def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: int) -> tuple[Floats, Here]:
+    """To the most probable parameters near x at fixed powers."""
+    likelihood, own = _likelihood(spectra, model), ((powers.body, powers.tag, powers.oval), powers.clutter)
+    if isinstance(likelihood, Compiled) and not isinstance(likelihood, Given):
+        x, log, gradient, hessian = likelihood.descended(x, *own, rounds, FAR_M, ENOUGH)
+        return x, Here(log, gradient, hessian)
+    return climbed(lambda there: likelihood.expanded(there, *own), model.precision, x, rounds)
+
+
+def spread(hessian: Floats, precision: Floats) -> tuple[Floats, float]:
+    """The curvature (P, P), with the prior's where that is more, and the logarithm of its determinant."""
+    curved = hessian + np.diag(np.where(precision > np.diag(hessian), precision, 0))
+    sign, volume = np.linalg.slogdet(curved)
+    return curved, float(volume if sign > 0 else np.log(np.maximum(np.diag(curved), 1e-300)).sum())
 
 
 def refined(
@@ -231,10 +257,7 @@ def refined(
         powers, _ = best_powers(spectra, model, x, clutter)
         x, here = descend(spectra, model, x, powers, rounds)
     powers, log = best_powers(spectra, model, x)
-    curved = here.hessian + np.diag(np.where(model.precision > np.diag(here.hessian), model.precision, 0))
-    sign, volume = np.linalg.slogdet(curved)
-    if sign <= 0:
-        volume = float(np.log(np.maximum(np.diag(curved), 1e-300)).sum())
-    log_z = log + 0.5 * len(x) * np.log(2 * np.pi) - 0.5 * float(volume)
-    spread = float(1 / np.sqrt(max(np.linalg.eigvalsh(curved[:2, :2])[0], 1e-30)))
-    return Found(model, x, powers, log, log_z, spread)
+    curved, volume = spread(here.hessian, model.precision)
+    log_z = log + 0.5 * len(x) * np.log(2 * np.pi) - 0.5 * volume
+    centre_sd = float(1 / np.sqrt(max(np.linalg.eigvalsh(curved[:2, :2])[0], 1e-30)))
+    return Found(model, x, powers, log, log_z, centre_sd)

@@ -2,9 +2,10 @@
 
 A helmet's shell, the walls of a carton, a cup or a can, not enrolled (`tagid.fields.thin_shell`). The sheet
 returns one column per power of the cosine of incidence, a small reflector the square of the field at its
-place. The parameters of a model begin with those of the sheet: its centre x, y, its turn, and the logarithms
-of two half sizes and of its strength over those of the population. Those of `tagid.reading.columns.Model`
-follow; their centre is that of the tag about the sheet's.
+place. Odd scatterers stand in the open: what stands beside a box, or over it, is seen past it. The parameters
+of a model begin with those of the sheet: its centre x, y, its turn, and the logarithms of two half sizes and
+of its strength over those of the population. Those of `tagid.reading.columns.Model` follow; their centre is
+that of the tag about the sheet's.
 """
 
 from __future__ import annotations
@@ -37,9 +38,9 @@ _sheet = loop("tagid.reading._sheet")
 
 OBLIQUITIES = 3
 """Columns of a sheet, see `ShellView.echoes`."""
-THIN_M, CERAMIC_M, METAL_M, STRENGTH_SD = 2.8e-3, 10e-3, 0.2, 0.25
-"""(eps - 1) d of thin sheets, of cups and of what nothing passes, m, and the standard deviation of their
-logarithms. A sheet that ends above and below acts as half of what it is."""
+THIN_M, CERAMIC_M, METAL_M, STRENGTH_SD = 2.8e-3, 10e-3, 1.0, 0.25
+"""(eps - 1) d of thin sheets, of cups and of metal, m, and the standard deviation of their logarithms. A
+sheet that ends above and below acts as half of what it is. 1 m leaves 3e-4 of the echo of a metal box."""
 CLEAR_M = 6e-3
 """No centre of a reflector lies nearer to a sheet, m."""
 HALF_M = (0.012, 0.3)
@@ -256,12 +257,17 @@ class SheetColumns:
         tag, odd = model.places(x), model.split(x)[3]
         echoes = view.echoes(OBLIQUITIES)
         parts = [echoes / np.sqrt((np.abs(echoes[:, :1]) ** 2).mean(axis=2, keepdims=True))]
-        if len(tag) + len(odd):
-            seen = _reflectors(view, self.spectra, x, np.concatenate([tag, odd]), model.heights)
-            parts += [seen[:, : len(tag)].sum(axis=1, keepdims=True)] if len(tag) else []
-            seen[:, len(tag) :] *= model.windows(self.spectra.direction)
-            parts.append(seen[:, 0 if model.unlike else len(tag) :])
+        if len(tag):
+            seen = _reflectors(view, self.spectra, x, tag, model.heights[: len(tag)])
+            parts += [seen.sum(axis=1, keepdims=True), *([seen] if model.unlike else [])]
+        if len(odd):
+            parts.append(self._open(odd))
         return np.concatenate(parts, axis=1)
+
+    def _open(self, odd: Complex) -> Complex:
+        """(F, odd, V) echoes of the odd scatterers at places x + jy, m."""
+        waves, _ = self.spectra.waves(odd, np.zeros(len(odd)))
+        return np.asarray(waves * self.model.windows(self.spectra.direction))
 
     @cached_property
     def expanded(self) -> tuple[Complex, Complex]:
@@ -278,34 +284,31 @@ class SheetColumns:
             seen = self._seen(_view(sheet._field, spectra, there), there)
             out[i] = (seen - self.values) / _STEP[i]
         centre, turn, _, odd = model.split(x)
-        every = np.concatenate([model.places(x), odd])
-        if not len(every):
-            return out
         step = float(_STEP[0])
-        near = np.concatenate([every, every + step, every + 1j * step])
-        here, right, up = np.split(self.reflectors(near, np.tile(model.heights, 3)), 3, axis=1)
-        along_x, along_y = (right - here) / step, (up - here) / step
-        count = 0
         if model.tag is not None:
-            tag, count = model.tag, model.tag.count
+            tag, places = model.tag, model.places(x)
+            near = np.concatenate([places, places + step, places + 1j * step])
+            seen = self.reflectors(near, np.tile(model.heights[: tag.count], 3))
+            here, right, up = np.split(seen, 3, axis=1)
+            along_x, along_y = (right - here) / step, (up - here) / step
             first = model.head
             outward = np.exp(1j * (tag.angle + turn[tag.turn]))
-            for i in range(count):
+            for i in range(tag.count):
                 for row, way in (
                     (HEAD, 1.0 + 0j),
                     (HEAD + 1, 1j),
-                    (first + tag.turn[i], 1j * (every[i] - centre)),
+                    (first + tag.turn[i], 1j * (places[i] - centre)),
                     (first + tag.turns + tag.stretch[i], outward[i]),
                 ):
                     moved = along_x[:, i] * way.real + along_y[:, i] * way.imag
                     out[row, :, OBLIQUITIES] += moved
                     if model.unlike:
                         out[row, :, OBLIQUITIES + 1 + i] += moved
-        windows = model.windows(spectra.direction)
         for i in range(len(odd)):
             row, column = len(x) - 2 * len(odd) + 2 * i, i - len(odd)
-            out[row, :, column] = along_x[:, count + i] * windows[i]
-            out[row + 1, :, column] = along_y[:, count + i] * windows[i]
+            for axis, way in enumerate((step, 1j * step)):
+                moved = self._open(odd + way)[:, i] - self._open(odd)[:, i]
+                out[row + axis, :, column] = moved / step
         return out
 
     def slopes(self, weights: Complex) -> Complex:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagid.reading.columns import Model
-from tagid.reading.descent import Found, variance
+from tagid.reading.descent import Found, climbed, spread, variance
 from tagid.reading.evidence import fit
 from tagid.reading.spectra import Floats, Spectra
 
@@ -30,9 +30,7 @@ MOST = 8
 FARTHEST = 3.0
 """No device turns less evenly than this, standard deviations: what looks like it is an object that no
 hypothesis describes (a pair on a can with a handle: 5, for 100 nats)."""
-_ROUNDS, _ENOUGH = 6, 0.1
-_PROMISED = 2.0
-"""A descent hardly gains more than so many times what its steps promise."""
+_ROUNDS = 6
 
 
 def cycles(direction: Floats) -> Floats:
@@ -106,21 +104,9 @@ def fitted(spectra: Spectra, found: Found, least: float = -np.inf) -> Turned | N
 
     z = np.append(found.x, np.zeros(len(rows)))
     precision = np.append(model.precision, np.ones(len(rows)))
-    log, gradient, hessian = expanded(z)
-    damping = 1e-2
-    for _ in range(_ROUNDS):
-        damped = hessian + damping * np.diag(np.diag(hessian) + precision)
-        step = np.linalg.solve(damped, gradient)
-        if step @ gradient < _ENOUGH or found.log_z + _PROMISED * float(step @ gradient) < least:
-            break
-        there = expanded(z + step)
-        if there[0] > log:
-            z, (log, gradient, hessian), damping = z + step, there, damping / 5
-        else:
-            damping *= 10
-    t, curved = z[size:], hessian + np.diag(np.where(precision > np.diag(hessian), precision, 0))
-    volume = np.linalg.slogdet(curved)[1]
-    log_z = log + 0.5 * size * np.log(2 * np.pi) - 0.5 * volume
+    z, here = climbed(expanded, precision, z, _ROUNDS, least - found.log_z + found.log)
+    t, (curved, volume) = z[size:], spread(here.hessian, precision)
+    log_z = here.log + 0.5 * size * np.log(2 * np.pi) - 0.5 * volume
     if log_z < least or np.abs(t).max() > FARTHEST:
         return None
     cost = 0.5 * float(t @ t + volume - np.linalg.slogdet(curved[:size, :size])[1])

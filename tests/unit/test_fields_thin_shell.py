@@ -73,7 +73,7 @@ def test_places_outside_and_inside() -> None:
     )
 
 
-@pytest.mark.parametrize("sizes", [(0.0, 0.1, 1e-3), (0.1, 2.0, 1e-3), (0.1, 0.1, 0.0), (0.1, 0.1, 2.0)])
+@pytest.mark.parametrize("sizes", [(0.0, 0.1, 1e-3), (0.1, 2.0, 1e-3), (0.1, 0.1, 0.0), (0.1, 0.1, 20.0)])
 def test_shells_that_cannot_be(sizes: tuple[float, float, float]) -> None:
     with pytest.raises(DataError):
         EllipticShell(*sizes)
