@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from tagid.capture import Capture as Capture
     from tagid.config import Config as Config
+    from tagid.enrolling.registry import Registry as Registry
     from tagid.errors import TagidError as TagidError
     from tagid.geometry import ImageGrid as ImageGrid
     from tagid.imaging.ats.settings import AtsSettings as AtsSettings
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
     from tagid.simulate.spec import SceneSpec as SceneSpec
     from tagid.storage.exporters import export as export
     from tagid.storage.importers import read_any as read_any
-    from tagid.tags.enrolling.registry import Registry as Registry
     from tagid.tags.layouts.layout import Layout as Layout
     from tagid.tags.layouts.layout import builtin_layouts as builtin_layouts
 
@@ -75,7 +75,7 @@ _HOMES = {
     "Cause": "tagid.pipeline.answer",
     "Layout": "tagid.tags.layouts.layout",
     "builtin_layouts": "tagid.tags.layouts.layout",
-    "Registry": "tagid.tags.enrolling.registry",
+    "Registry": "tagid.enrolling.registry",
     "reconstruct": "tagid.pipeline.reconstruct",
     "Reconstruction": "tagid.pipeline.reconstruct",
     "ImagingSettings": "tagid.pipeline.settings",
@@ -131,7 +131,7 @@ _MOVED = {
     "tagid.simulate.scene": "StaticReturns Tag",
     "tagid.simulate.snr": "EchoLevels Snr",
     "tagid.tags.bodies.signature": "Signature",
-    "tagid.tags.enrolling.registry": "RegistryChange RegistryContents Restored",
+    "tagid.enrolling.registry": "RegistryChange RegistryContents Restored",
     "tagid.tags.network.detector": "Detection",
     "tagid.tags.network.second_look": "Opinion SecondLook",
     "tagid.tags.reading.reflectors": "Reflector",

@@ -102,7 +102,7 @@ def _disk(folder: Path) -> Finding:
 
 
 def _registry() -> Finding:
-    from tagid.tags.enrolling.registry import Registry
+    from tagid.enrolling.registry import Registry
 
     path = data_folder() / "registry.sqlite"
     try:

@@ -371,7 +371,7 @@ def _from_points(name: str, points: list[str], sigma: float | None) -> Layout:
 
 
 def _from_file(file: Path) -> Layout:
-    from tagid.tags.enrolling.layout_file import read_layouts
+    from tagid.enrolling.layout_file import read_layouts
 
     found = read_layouts(file)
     if len(found) > 1:

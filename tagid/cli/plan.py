@@ -108,10 +108,10 @@ class Asked:
 def setup_from(asked: Asked) -> Setup:
     """The setup from the command line and the configuration. Raises UsageError, ConfigError."""
     from tagid.config import data_folder
+    from tagid.enrolling.lookup import named_layouts
     from tagid.planning.plan import Setup
     from tagid.simulate.budget import LinkBudget
     from tagid.simulate.specification import parse_body, parse_reflector
-    from tagid.tags.enrolling.lookup import named_layouts
 
     overrides: dict[str, Any] = {
         "motion.axis_distance_m": asked.distance_m,

@@ -93,9 +93,9 @@ def register(app: typer.Typer) -> None:
         import numpy as np
         from rich.text import Text
 
+        from tagid.enrolling.lookup import only_layout
         from tagid.simulate import Interference, NoiseShape, simulate_capture
         from tagid.storage.exporters import export
-        from tagid.tags.enrolling.lookup import only_layout
 
         check_new(out, force)
         name, tone = scene.scene, recording.interference

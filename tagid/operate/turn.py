@@ -29,13 +29,13 @@ from tagid.result import Problem
 from tagid.storage.history import utc_text
 
 if TYPE_CHECKING:
+    from tagid.enrolling.registry import RegistryContents
     from tagid.motion.device import Motion
     from tagid.operate.workplace import Workplace
     from tagid.pipeline.reconstruct import Reconstruction
     from tagid.recording.plan import RecordingPlan
     from tagid.recording.recorder import Watch
     from tagid.tags.bodies.signature import Signature
-    from tagid.tags.enrolling.registry import RegistryContents
     from tagid.tags.layouts.layout import Layout
 
 Progress = Callable[[float, float, str], None]

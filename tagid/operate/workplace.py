@@ -13,6 +13,7 @@ from tagid.files import make_folder
 
 if TYPE_CHECKING:
     from tagid.capture import Capture
+    from tagid.enrolling.registry import Registry
     from tagid.metadata import ObjectInfo
     from tagid.operate.turn import Answer, ReadingSetup
     from tagid.pipeline.load import LoadSettings
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from tagid.radar.settings import RadarConfig
     from tagid.recording.plan import RecordingPlan
     from tagid.recording.recorder import Watch
-    from tagid.tags.enrolling.registry import Registry
 
 LONGEST_S = 86400.0
 """Longest recording, s."""
@@ -32,7 +32,7 @@ TURN_S = 180.0
 
 def open_registry() -> Registry:
     """The registry of layouts, bodies and objects of this computer's user."""
-    from tagid.tags.enrolling.registry import Registry
+    from tagid.enrolling.registry import Registry
 
     return Registry(data_folder() / "registry.sqlite")
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 from tagid.errors import LayoutConflictError, RegistryError
 
 if TYPE_CHECKING:
+    from tagid.enrolling.enrolment import Outlook
+    from tagid.enrolling.registry import Key, Registry, RegistryContents
     from tagid.pipeline.measuring import Measured
     from tagid.tags.bodies.likeness import Likeness
     from tagid.tags.bodies.signature import Signature
-    from tagid.tags.enrolling.enrolment import Outlook
-    from tagid.tags.enrolling.registry import Key, Registry, RegistryContents
     from tagid.tags.layouts.layout import Layout
 
 
@@ -54,7 +54,7 @@ class LayoutProposal:
 
         Raises LayoutConflictError, RegistryError.
         """
-        from tagid.tags.enrolling.enrolment import enrol
+        from tagid.enrolling.enrolment import enrol
 
         signatures = () if self.signature is None else (self.signature,)
         done = enrol(
@@ -124,7 +124,7 @@ class SignatureProposal:
 
         Raises LayoutConflictError, RegistryError.
         """
-        from tagid.tags.enrolling.enrolment import undisturbed
+        from tagid.enrolling.enrolment import undisturbed
 
         def compared() -> int | None:
             current = registry.version == self.version
@@ -156,8 +156,8 @@ def propose_layout(
 
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
-    from tagid.tags.enrolling.enrolment import outlook
-    from tagid.tags.enrolling.registry import taken
+    from tagid.enrolling.enrolment import outlook
+    from tagid.enrolling.registry import taken
 
     found = outlook(
         layout,
@@ -175,8 +175,8 @@ def propose_layout(
 
 def propose_signature(contents: RegistryContents, signature: Signature) -> SignatureProposal:
     """A signature compared with those enrolled of the same kind."""
+    from tagid.enrolling.registry import taken
     from tagid.tags.bodies.likeness import compare
-    from tagid.tags.enrolling.registry import taken
 
     one = signature
     others = [other for other in contents.signatures if other.kind == one.kind and other.name != one.name]

@@ -20,11 +20,11 @@ from tagid.pipeline.reading import reader_settings
 from tagid.pipeline.settings import ImagingSettings, Stopwatch, TagPriors
 
 if TYPE_CHECKING:
+    from tagid.enrolling.averaging import Sighting
     from tagid.reading.hypothesis import Hypothesis
     from tagid.reading.reading import Reading
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.bodies.spectra import Spectra
-    from tagid.tags.enrolling.averaging import Sighting
     from tagid.tags.layouts.layout import Layout
     from tagid.tags.network.second_look import SecondLook
 
@@ -194,7 +194,7 @@ def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | No
 
     Raises DataError as `identify` does.
     """
-    from tagid.tags.enrolling.averaging import MOST_SEARCHED_M, SEARCHED_M, Sighting
+    from tagid.enrolling.averaging import MOST_SEARCHED_M, SEARCHED_M, Sighting
 
     prepared = PreparedCapture(capture, settings)
     settings = prepared.settings

@@ -18,9 +18,9 @@ from tagid.pipeline.settings import ImagingSettings
 
 if TYPE_CHECKING:
     from tagid.capture import Capture
+    from tagid.enrolling.averaging import LayoutEstimate, Sighting
     from tagid.tags.bodies.joint import Joint
     from tagid.tags.bodies.signature import SignatureKind
-    from tagid.tags.enrolling.averaging import LayoutEstimate, Sighting
 
 Progress = Callable[[str], None]
 """Called with what was just finished: the name of a capture, or "signature"."""
@@ -113,8 +113,8 @@ def measure(
 
     Raises DataError, with both reasons, if neither positions nor a signature could be determined.
     """
+    from tagid.enrolling.averaging import average, trusted
     from tagid.tags.bodies.joint import CAPTURES
-    from tagid.tags.enrolling.averaging import average, trusted
 
     positions: DataError | None = None
     estimate: LayoutEstimate | None = None
@@ -156,8 +156,8 @@ def measure(
 
 def _doubt(captures: Sequence[Sighted], imaging: ImagingSettings) -> str:
     """Why reflectors of few captures are not to be trusted; empty also where these cannot tell."""
+    from tagid.enrolling.averaging import trusted
     from tagid.pipeline.identify import aspect_spectra
-    from tagid.tags.enrolling.averaging import trusted
 
     try:
         spectra = [aspect_spectra(one.prepared.capture, imaging) for one in captures]
@@ -174,7 +174,7 @@ def _unmoved(seen: Sequence[Sighting], estimate: LayoutEstimate | None) -> tuple
     """
     import numpy as np
 
-    from tagid.tags.enrolling.averaging import UNKNOWN_SCATTER_M
+    from tagid.enrolling.averaging import UNKNOWN_SCATTER_M
     from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_pairing
 
     if estimate is None:

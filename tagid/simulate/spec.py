@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from tagid.config import data_folder
+from tagid.enrolling.lookup import named_layouts
 from tagid.errors import UsageError
 from tagid.motion.emulation.truth import TrueAngle
 from tagid.query import MAX_SEED, parse_point
@@ -22,7 +23,6 @@ from tagid.simulate.scene import Scene
 from tagid.simulate.snr import noise_std_for
 from tagid.simulate.source import HeightFile, Stop, TurningScene
 from tagid.simulate.specification import parse_body, parse_elevation, parse_reflector
-from tagid.tags.enrolling.lookup import named_layouts
 
 MAX_UNLIKE_DB: Final = 20.0
 _URL_NUMBERS: Final = (

@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tagid.enrolling.registry import Registry
 from tagid.errors import RegistryError, TagidError, UsageError
 from tagid.pipeline.enrolment import (
     LayoutProposal,
@@ -26,7 +27,6 @@ from tagid.pipeline.enrolment import (
 from tagid.pipeline.measuring import Measured, Prepared, Sighted, measure, sight
 from tagid.station.errors import EnrolmentError, reported
 from tagid.storage.spreadsheet import FORMULA_STARTS
-from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout
 
 if TYPE_CHECKING:

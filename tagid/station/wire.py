@@ -205,8 +205,8 @@ def proposal(found: LayoutProposal | SignatureProposal, measured: Measured | Non
         "reflectors": [{"x_m": float(x), "y_m": float(y)} for x, y in layout.positions],
         "spread_m": [] if estimate is None else [float(value) for value in estimate.spread_m],
         "signature": found.signature is not None,
-        "confusion_rate": outlook.confusion_rate,
-        "reference": {"views": outlook.place.views, "snr_db": outlook.place.snr_db},
+        "confusion_rate": outlook.unresolved,
+        "reference": {"views": outlook.conditions.views, "snr_db": outlook.conditions.snr_db},
         "nearest": [
             {
                 "name": one.name,

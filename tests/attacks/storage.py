@@ -308,7 +308,7 @@ def _(folder: Path) -> Outcome:
     test="tests/unit/test_registry.py::test_two_commands_of_one_moment_are_two_steps",
 )
 def _(folder: Path) -> Outcome:
-    from tagid.tags.enrolling.registry import Registry
+    from tagid.enrolling.registry import Registry
 
     undone = []
     for number in range(4):
@@ -336,10 +336,10 @@ def _(folder: Path) -> Outcome:
 def _(folder: Path) -> Outcome:
     import numpy as np
 
+    from tagid.enrolling.registry import Registry
     from tagid.errors import TagidError
     from tagid.pipeline.enrolment import propose_signature
     from tagid.tags.bodies.signature import Signature
-    from tagid.tags.enrolling.registry import Registry
     from tagid.tags.layouts.layout import Layout
 
     rng = np.random.default_rng(1)

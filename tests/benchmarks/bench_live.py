@@ -45,6 +45,7 @@ def main() -> None:
 
 def one(url: str, motion_url: str, integration: int, folder: Path) -> dict[str, object]:
     """One scan with a live view, and its figures."""
+    from tagid.enrolling.registry import Registry
     from tagid.live.engine import LiveSettings, LiveView
     from tagid.live.state import LiveState
     from tagid.motion.urls import open_motion
@@ -56,7 +57,6 @@ def one(url: str, motion_url: str, integration: int, folder: Path) -> dict[str, 
     from tagid.recording.plan import RecordingPlan, capture_path, plan_window
     from tagid.recording.radars import open_radar
     from tagid.recording.recorder import Watch, record
-    from tagid.tags.enrolling.registry import Registry
 
     known = Registry(folder / "registry.sqlite").contents()
     config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=integration))

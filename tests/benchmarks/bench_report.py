@@ -30,13 +30,13 @@ from tagid.batch.job import Job
 from tagid.batch.local import Results, Tasks, cores, run_local
 from tagid.batch.run import Plan, run_batch
 from tagid.config import load_config
+from tagid.enrolling.registry import RegistryContents
 from tagid.operate.turn import ReadingSetup
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
-from tagid.tags.enrolling.registry import RegistryContents
 from tagid.tags.layouts.layout import builtin_layouts
 
 OBJECTS = ("helmet-120", "container-90", "helmet-linear", "container-180")

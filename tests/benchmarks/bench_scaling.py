@@ -34,6 +34,7 @@ from tagid.batch.inputs import Source
 from tagid.batch.job import Job
 from tagid.batch.local import Results, Task, Tasks, run_local
 from tagid.config import load_config
+from tagid.enrolling.registry import RegistryContents
 from tagid.operate.turn import ReadingSetup
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
@@ -41,7 +42,6 @@ from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.storage.hdf5 import write_capture
-from tagid.tags.enrolling.registry import RegistryContents
 from tagid.tags.layouts.layout import builtin_layouts
 
 OBJECTS = ("helmet-120", "container-90", "helmet-linear", "container-180")

@@ -1,4 +1,4 @@
-"""Accuracy of reflector positions measured in one recording, on which capacity and confusion rates are based.
+"""Accuracy of reflector positions measured in one recording.
 
 Run `python tests/benchmarks/localisation.py` for what docs/results/localisation.md shows,
 `--short` for a check.
@@ -23,11 +23,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # train/ is not in
 import numpy as np
 from identification_scenes import FIRST_SEED, Condition, Recorded, draw_scene, record_scene
 
+from tagid.enrolling.precision import position_covariances
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.simulate.scattering import Cylinder, Points
 from tagid.simulate.scene import Scene
-from tagid.tags.enrolling.precision import position_covariances
 from tagid.tags.layouts.codebook import best_pairing
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.reflectors import refine_positions

@@ -21,11 +21,6 @@ def test_several_antenna_heights_make_room_for_more_layouts(tagid: Callable[...,
     tall = tagid("layouts", "design", *ROWS, *words).json["data"]
     assert tall["candidates"] > 2 * plain["candidates"]
     assert tall["distance_m"] > plain["distance_m"]
-    counts = [
-        tagid("layouts", "capacity", *ROWS, "--sigma", 0.002, *more, "--output", "json").json["data"]["rows"]
-        for more in ((), ("--heights", SEVERAL))
-    ]
-    assert counts[1][1]["identities"] > 1.5 * counts[0][1]["identities"]
     for wrong in ("0,x", "0,nan"):
         assert tagid("layouts", "design", *ROWS, "--heights", wrong).code == 2
 

@@ -59,7 +59,7 @@ def test_neighbours_and_confusion_are_told_before_anything_is_stored(
     assert not looked["stored"] and looked["registry_version"] == 4
     nearest = looked["nearest"][0]
     assert nearest["name"] == "helmet-120" and 0 <= nearest["confusion_rate"] < 1e-6
-    assert looked["confusion_rate"] < 1e-6 and looked["reference"]["sigma_m"] > 0
+    assert looked["confusion_rate"] < 1e-6 and looked["reference"] == {"views": 36, "snr_db": 10.0}
     unsure = tagid("enroll", "mine", *POINTS, "--sigma", 0.02, "--output", "json")
     assert unsure.code == 1 and "readings" in unsure.json["errors"][0]["message"]
     assert unsure.json["data"]["nearest"][0]["confusion_rate"] > 0.001 and not unsure.json["data"]["stored"]
@@ -98,7 +98,7 @@ def test_a_person_is_asked_and_may_refuse(tagid: Callable[..., Any], home: dict[
 
     code, seen = at_a_terminal("n\n")
     assert code == 130 and "nothing was stored" in seen
-    assert seen.index("helmet-120") < seen.index("expected confusion") < seen.index("[y/N]")
+    assert seen.index("helmet-120") < seen.index("no other layout is like it") < seen.index("[y/N]")
     assert tagid("layouts", "--output", "json").json["data"]["registry_version"] == 4
     code, seen = at_a_terminal("y\n")
     assert code == 0 and "mine enrolled" in seen
@@ -128,14 +128,12 @@ def test_a_capture_of_another_object_is_named_and_nothing_stored(
     assert twin.code == 2 and "twice" in twin.err
 
 
-def test_capacity_counts_the_objects_own_echoes(tagid: Callable[..., Any]) -> None:
-    rows = tagid("layouts", "capacity", "--object", "mug", "--output", "json").json["data"]["rows"]
-    found = {(r["own_echoes"], r["views"], r["snr_db"], r["reflectors"]): r["identities"] for r in rows}
-    assert len(found) == 24
-    for (echoes, views, snr, reflectors), identities in found.items():
-        if echoes:
-            assert identities <= found[False, views, snr, reflectors]
-    assert found[True, 36, 10, 3] < found[False, 36, 10, 3]
+def test_capacity_counts_by_views_and_noise(tagid: Callable[..., Any]) -> None:
+    words = ("layouts", "capacity", "--object", "mug", "--slots", 8, "--output", "json")
+    rows = tagid(*words).json["data"]["rows"]
+    found = {(r["views"], r["snr_db"], r["reflectors"]): r["identities"] for r in rows}
+    assert len(found) == 12
+    assert found[36, 20, 3] >= found[36, 10, 3] > found[36, 0, 3] >= 1
     assert all(r["error_rate"] <= 0.001 for r in rows)
     assert tagid("layouts", "capacity", "--error-rate", 2).code == 2
 

@@ -27,6 +27,7 @@ from tagid.batch.run import FILES, Plan, run_batch
 from tagid.batch.work import content_of, make_record
 from tagid.capture import Capture
 from tagid.config import change_file, change_settings, read_file
+from tagid.enrolling.registry import Registry, RegistryContents
 from tagid.errors import TagidError
 from tagid.operate.turn import Answer, ReadingSetup
 from tagid.pipeline.answer import Identification
@@ -38,7 +39,6 @@ from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.history import Filter, History
 from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_records import PREAMBLE, intact_records, record_bytes
-from tagid.tags.enrolling.registry import Registry, RegistryContents
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
 REPOSITORY = Path(__file__).resolve().parents[2]

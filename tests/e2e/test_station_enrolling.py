@@ -12,8 +12,8 @@ pytest.importorskip("starlette")
 from station_harness import OWN, PLACES, Asks, ended, joined, own_object, poses, wait
 
 from tagid.config import data_folder
+from tagid.enrolling.registry import Registry
 from tagid.station.server import Server
-from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.codebook import best_pairing
 from tagid.tags.layouts.layout import Layout
 

@@ -22,6 +22,7 @@ from station_harness import wait as until
 
 from tagid.config import data_folder
 from tagid.doctor import examine
+from tagid.enrolling.registry import Registry
 from tagid.pipeline.answer import Cause, Identification
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
@@ -31,7 +32,6 @@ from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.station import live_socket, station
 from tagid.station.server import Server
 from tagid.storage.history import FILE_NAME, History
-from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout
 
 PIXELS = """

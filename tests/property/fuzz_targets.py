@@ -18,6 +18,7 @@ from scipy.io import savemat
 
 from tagid.capture import Capture, Pulse
 from tagid.constants import RANGE_STEP_M
+from tagid.enrolling.layout_file import layouts_to_toml, read_layouts
 from tagid.errors import TagidError
 from tagid.metadata import RadarInfo, RadarSettings
 from tagid.pipeline.load import intake_remarks
@@ -32,7 +33,6 @@ from tagid.simulate.response_file import read_response, write_response
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalWriter
-from tagid.tags.enrolling.layout_file import layouts_to_toml, read_layouts
 from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
 from tagid.tags.network.detector import Contract
 

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tagid.errors import UsageError
-from tagid.tags.layouts.capacity import capacity, confusion_rate
 from tagid.tags.layouts.cliques import SearchTooLongError, _Search, exact_clique, farthest_set, least_of
 from tagid.tags.layouts.codebook import all_distances, best_pairing, best_places, rotational_distance
 from tagid.tags.layouts.design import DesignRules, candidates, design, distance_matrix
@@ -208,22 +207,3 @@ def test_what_there_is_no_room_for_is_told() -> None:
         object_named("../etc")
     with pytest.raises(UsageError, match="too many"):
         necklaces(48, 12)
-
-
-def test_capacity_falls_with_the_error_and_rises_with_room() -> None:
-    rules = DesignRules(3, 12)
-    found = [capacity(HELMET.with_rows(1), rules, sigma, 1e-3).identities for sigma in (1e-4, 5e-3, 0.02)]
-    assert found[0] == 19 and found[0] >= found[1] > found[2] >= 1
-    wide = capacity(HELMET.with_rows(2), rules, 5e-3, 1e-3)
-    assert wide.identities >= found[1] and wide.error_rate <= 1e-3
-    assert confusion_rate(0.0, 3, 1e-3) == pytest.approx(0.5)
-
-
-def test_confusion_rate_against_drawn_errors() -> None:
-    a = random_layout(5).positions
-    rng = np.random.default_rng(0)
-    b = a + 0.004 * rng.standard_normal(a.shape)
-    rms = float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
-    seen = a + 0.004 * rng.standard_normal((20_000, *a.shape))
-    nearer = np.sum((seen - b) ** 2, axis=(1, 2)) < np.sum((seen - a) ** 2, axis=(1, 2))
-    assert nearer.mean() == pytest.approx(confusion_rate(rms, 3, 0.004), abs=0.01)

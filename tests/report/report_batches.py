@@ -15,11 +15,11 @@ from tagid.batch.job import Job
 from tagid.batch.local import Done, Results, Tasks
 from tagid.batch.work import work
 from tagid.config import load_config
+from tagid.enrolling.registry import RegistryContents
 from tagid.operate.turn import ReadingSetup
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.storage.hdf5 import read_capture, write_capture
-from tagid.tags.enrolling.registry import RegistryContents
 from tagid.tags.layouts.layout import builtin_layouts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))

@@ -11,13 +11,13 @@ import pytest
 from tagid.batch import job as job_module
 from tagid.batch.job import MAX_CAPTURE_BYTES, Answered, Job, _sha256
 from tagid.config import load_config
+from tagid.enrolling.registry import RegistryContents
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.models_store import manifest
 from tagid.operate.turn import ReadingSetup
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.report.records import Drawing, ItemRecord, Thumbnails, drawing_json
-from tagid.tags.enrolling.registry import RegistryContents
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
 LAYOUTS = tuple(builtin_layouts().values())

@@ -26,7 +26,7 @@ from pathlib import Path
 from tagid.batch.spool import Spool
 from tagid.errors import TagidError
 from tagid.storage.history import History
-from tagid.tags.enrolling.registry import Registry
+from tagid.enrolling.registry import Registry
 folder = Path(sys.argv[1])
 history = History(folder / "history.sqlite")
 print([entry.capture_uuid for entry in history.find()])
@@ -51,7 +51,7 @@ from tagid.errors import TagidError
 from tagid.recording.session import start_journal
 from tagid.report.lines import GrowingLines
 from tagid.storage.history import History
-from tagid.tags.enrolling.registry import Registry
+from tagid.enrolling.registry import Registry
 for kind, name in (
     (GrowingLines, "items.jsonl"),
     (lambda path: Spool(path, fresh=True), ".tagid-report.sqlite"),
@@ -71,7 +71,7 @@ for kind, name in (
 @pytest.fixture
 def history(tmp_path: Path) -> History:
     """A history whose newest entry is in its write-ahead log only, with a registry beside it."""
-    from tagid.tags.enrolling.registry import Registry
+    from tagid.enrolling.registry import Registry
 
     Registry(tmp_path / "registry.sqlite")
     with Spool(tmp_path / ".tagid-report.sqlite", fresh=True):

@@ -20,13 +20,13 @@ from hostile_files import REFUSED, ZEROS_BYTES, unknown_dataset
 from storage_samples import assert_equal, capture
 
 from tagid.batch.spool import Spool
+from tagid.enrolling.registry import Registry
 from tagid.errors import FileFormatError, ModelError, RegistryError, StorageError, UsageError
 from tagid.models_store import OPSET, open_model
 from tagid.result import Problem, Result, render
 from tagid.storage.history import FIELDS, FILE_NAME, Filter, History
 from tagid.storage.history_export import export
 from tagid.storage.importers import read_any
-from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -24,6 +24,7 @@ LAYERS = (
     {"live", "planning"},
     {"pipeline", "recording"},
     {"simulate"},
+    {"enrolling"},
     {"reading"},
     {"tags"},
     {"imaging"},

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tagid.enrolling.registry import RegistryContents
 from tagid.pipeline.enrolment import propose_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
-from tagid.tags.enrolling.registry import RegistryContents
 from tagid.tags.layouts.layout import builtin_layouts
 
 WAVENUMBERS = 2 * np.pi / 0.0385 * np.linspace(0.9, 1.1, 6)

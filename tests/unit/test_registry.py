@@ -14,14 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tagid.enrolling import registry as registry_module
+from tagid.enrolling.enrolment import enrol, merge, outlook
+from tagid.enrolling.layout_file import read_layouts, write_layouts
+from tagid.enrolling.registry import Registry
 from tagid.errors import FileFormatError, LayoutConflictError, RegistryError, UsageError
-from tagid.tags.enrolling import registry as registry_module
-from tagid.tags.enrolling.enrolment import enrol, merge, neighbour, outlook
-from tagid.tags.enrolling.layout_file import read_layouts, write_layouts
-from tagid.tags.enrolling.registry import Registry
-from tagid.tags.layouts.codebook import best_pairing
 from tagid.tags.layouts.design import DesignRules, design
-from tagid.tags.layouts.layout import Layout, builtin_layouts, rotation_matrix
+from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.layouts.objects import object_named
 
 SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
@@ -223,25 +222,6 @@ def test_of_two_that_enrol_alike_layouts_at_once_only_one_does(tmp_path: Path) -
         thread.join()
     assert len(refused) == 5 and all("could be confused with w" in message for message in refused)
     assert Registry(path).version == 5
-
-
-def test_what_is_not_known_of_the_positions_counts_into_the_confusion() -> None:
-    rng = np.random.default_rng(0)
-    a, b = SCALENE, SCALENE + 0.009 * rng.standard_normal(SCALENE.shape)
-    own = rng.standard_normal((3, 2, 2)) * 2e-3
-    covariance = own @ np.swapaxes(own, 1, 2)
-    turn = rotation_matrix(1.0)
-    new = Layout("new", a @ turn.T, covariance=turn @ covariance @ turn.T)
-    found = neighbour(new, Layout("old", b), 3e-3)
-    place = best_pairing(new.positions, b, 0.014)
-    stored = new.positions @ rotation_matrix(place.rotation_rad).T + place.shift_m
-    back = rotation_matrix(place.rotation_rad) @ turn
-    true = stored + np.einsum("kij,nkj->nki", back @ own, rng.standard_normal((200_000, 3, 2)))
-    seen = true + 3e-3 * rng.standard_normal(true.shape)
-    nearer = np.sum((seen - b) ** 2, axis=(1, 2)) < np.sum((seen - stored) ** 2, axis=(1, 2))
-    assert found.confusion_rate == pytest.approx(nearer.mean(), rel=0.04)
-    exact = neighbour(Layout("new", new.positions), Layout("old", b), 3e-3)
-    assert exact.confusion_rate < 0.8 * found.confusion_rate
 
 
 def test_a_reflector_outside_the_object_is_refused_but_stays_readable(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tagid.enrolling.registry import Registry
 from tagid.errors import LayoutConflictError, TagidError, UsageError
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.enrolment import LayoutProposal
@@ -26,7 +27,6 @@ from tagid.simulate import (
 )
 from tagid.station.enrolling import MOST, Enrolling, EnrolmentState, Subject, Taken
 from tagid.station.errors import EnrolmentError
-from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
 MINE = Layout("mine", np.array([(0.11, 0.0), (-0.02, 0.09), (-0.05, -0.07)]))

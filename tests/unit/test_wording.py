@@ -12,10 +12,10 @@ import pytest
 
 import tagid
 from tagid.cli.common.wording import OPTIONS, in_options, result_in_options
+from tagid.enrolling.enrolment import outlook
 from tagid.result import Problem, Result, render
 from tagid.simulate.spec import SceneSpec
 from tagid.station import wire
-from tagid.tags.enrolling.enrolment import outlook
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
 ROOT = Path(tagid.__file__).parent

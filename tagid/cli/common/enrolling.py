@@ -21,9 +21,9 @@ from tagid.result import Result
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from tagid.enrolling.enrolment import Outlook
+    from tagid.enrolling.registry import Registry
     from tagid.tags.bodies.signature import Signature
-    from tagid.tags.enrolling.enrolment import Outlook
-    from tagid.tags.enrolling.registry import Registry
     from tagid.tags.layouts.layout import Layout
 
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Store without confirmation.", show_default=False)]
@@ -62,14 +62,16 @@ def height_weight() -> float:
 
 
 def about(outlook: Outlook) -> str:
-    """The expected confusion as text."""
-    place = outlook.place
+    """How well readings tell a layout from its neighbours."""
+    least, conditions = outlook.least, outlook.conditions
+    if least is None or least.apart is None:
+        return "no other layout is like it"
     sigma = outlook.layout.sigma_m
-    own = f", its positions known to within {sigma * 1e3:.1f} mm" if sigma > 0 else ""
+    known = f", its positions known to within {sigma * 1e3:.1f} mm" if sigma > 0 else ""
+    where = f" on {least.apart.body}" if least.apart.body else ""
     return (
-        f"expected confusion with all of them: {rate_in_words(outlook.confusion_rate)} of readings at "
-        f"{place.views} views and {place.snr_db} dB (each coordinate off by {place.sigma_m * 1e3:.1f} mm, as "
-        f"measured on an object with a shell and a handle{own})"
+        f"not told from {least.name}{where} in {rate_in_words(least.unresolved)} of readings at "
+        f"{conditions.views} views and {conditions.snr_db:g} dB{known}"
     )
 
 
@@ -82,7 +84,7 @@ def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
     if not outlook.neighbours:
         return Text("no other layout is enrolled")
     table = Table(box=None)
-    for head in ("nearest enrolled", "worst mm", "RMS mm", "confused", "remark"):
+    for head in ("nearest enrolled", "worst mm", "RMS mm", "not told apart", "remark"):
         table.add_column(head, no_wrap=head != "remark")
     for one in outlook.neighbours[: max(shown, len(outlook.confusable))]:
         distance = one.distance
@@ -96,7 +98,7 @@ def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
             one.name,
             f"{distance.worst_m * 1e3:.1f}" if same else "-",
             f"{distance.rms_m * 1e3:.1f}" if same else "-",
-            rate_in_words(one.confusion_rate) if same else "-",
+            rate_in_words(one.unresolved) if same else "-",
             remark + (", as its mirror image" if one.mirrored else ""),
         )
     return Group(table, Text(about(outlook)))
@@ -109,7 +111,7 @@ def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
     from rich.text import Text
 
     table = Table(box=None)
-    for head in ("layout", "nearest", "worst mm", "confused", "remark"):
+    for head in ("layout", "nearest", "worst mm", "not told apart", "remark"):
         table.add_column(head, no_wrap=head != "remark")
     for outlook in outlooks:
         near = outlook.neighbours[0] if outlook.neighbours else None
@@ -118,16 +120,16 @@ def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
             outlook.layout.name,
             "-" if near is None or far else near.name,
             "-" if near is None or far else f"{near.distance.worst_m * 1e3:.1f}",
-            rate_in_words(outlook.confusion_rate),
+            rate_in_words(outlook.unresolved),
             "COULD BE CONFUSED" if outlook.confusable else "",
         )
-    worst = max(outlooks, key=lambda outlook: outlook.confusion_rate)
+    worst = max(outlooks, key=lambda outlook: outlook.unresolved)
     return Group(table, Text(f"{worst.layout.name}: {about(worst)}"))
 
 
 def as_data(outlook: Outlook) -> dict[str, Any]:
     """The same as JSON values."""
-    place = outlook.place
+    conditions = outlook.conditions
     return {
         "nearest": [
             {
@@ -135,15 +137,17 @@ def as_data(outlook: Outlook) -> dict[str, Any]:
                 "worst_m": n.distance.worst_m,
                 "rms_m": n.distance.rms_m,
                 "rotation_deg": n.distance.rotation_deg,
-                "confusion_rate": n.confusion_rate,
+                "confusion_rate": n.unresolved,
+                "lead": None if n.apart is None else n.apart.lead,
+                "body": None if n.apart is None else n.apart.body,
                 "nested": n.distance.nested,
                 "mirrored": n.mirrored,
                 "confusable": n.confusable,
             }
             for n in outlook.neighbours
         ],
-        "confusion_rate": outlook.confusion_rate,
-        "reference": {"views": place.views, "snr_db": place.snr_db, "sigma_m": place.sigma_m},
+        "confusion_rate": outlook.unresolved,
+        "reference": {"views": conditions.views, "snr_db": conditions.snr_db},
         "confusable": list(outlook.confusable),
     }
 
@@ -214,7 +218,7 @@ def store_family(
     """
     from rich.text import Text
 
-    from tagid.tags.enrolling.enrolment import check_merge, family_outlooks, merge
+    from tagid.enrolling.enrolment import check_merge, family_outlooks, merge
 
     known, weight = direction_known(), height_weight()
     seen, enrolled = registry.snapshot()
@@ -244,5 +248,5 @@ def store_family(
 
 
 def rate_in_words(rate: float) -> str:
-    """A rate as text; rates below 1e-12 are given as a bound."""
-    return "under 1e-12" if rate < 1e-12 else f"{rate:.1e}"
+    """A share of the readings as text; one below 0.001 % is given as a bound."""
+    return "under 0.001 %" if rate < 1e-5 else f"{100 * rate:.2g} %"

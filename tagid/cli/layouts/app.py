@@ -37,9 +37,7 @@ COMMANDS = {
         "Undo the last command that changed the registry, or all changes since a version.",
     ),
     "redo": Entry("tagid.cli.layouts.files", "Redo the last undone change."),
-    "check": Entry(
-        "tagid.cli.layouts.check", "Check the registry: distance and confusion rate of every pair."
-    ),
+    "check": Entry("tagid.cli.layouts.check", "Check the registry: how far readings tell every pair apart."),
 }
 """Every command of the group, in the order of the help, with the first sentence of its help text."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Annotated
 
 import typer
 
@@ -18,16 +17,8 @@ def register(app: typer.Typer) -> None:
     """Add the command."""
 
     @command(app, "layouts check")
-    def check(
-        terminal: Terminal,
-        sigma: Annotated[
-            float | None,
-            typer.Option(
-                "--sigma", min=0, max=1, help="Error of one coordinate, metres; default: as measured."
-            ),
-        ] = None,
-    ) -> Result:
-        """Check the registry: distance and confusion rate of every pair.
+    def check(terminal: Terminal) -> Result:
+        """Check the registry: how far readings tell every pair apart.
 
         Example: tagid layouts check
         """
@@ -35,10 +26,9 @@ def register(app: typer.Typer) -> None:
         from rich.text import Text
 
         from tagid.cli.common.enrolling import direction_known, height_weight
+        from tagid.enrolling.enrolment import neighbour
         from tagid.operate.workplace import open_registry
-        from tagid.tags.enrolling.enrolment import neighbour
-        from tagid.tags.layouts.capacity import reference
-        from tagid.tags.layouts.codebook import CONFUSABLE_M
+        from tagid.reading.alike import Conditions
 
         registry = open_registry()
         version, enrolled = registry.snapshot()
@@ -48,17 +38,18 @@ def register(app: typer.Typer) -> None:
             for c in lost
         ]
         known, weight = direction_known(), height_weight()
+        conditions = Conditions(height_weight=weight)
         pairs, nested = [], []
         for a, b in combinations(enrolled, 2):
-            error_m = sigma if sigma is not None else reference(min(a.radius_m, b.radius_m)).sigma_m
+            pair = neighbour(a, b, known, weight)
             if a.size == b.size:
-                pairs.append((a.name, neighbour(a, b, error_m, known, weight)))
-            elif neighbour(a, b, error_m, known, weight).distance.nested:
+                pairs.append((a.name, pair.compared(a, b, conditions)))
+            elif pair.distance.nested:
                 nested.append(sorted((a, b), key=lambda layout: layout.size))
         pairs.sort(key=lambda pair: pair[1].distance.rms_m)
         bad = [pair for pair in pairs if pair[1].confusable]
         table = Table(box=None)
-        for head in ("pair", "RMS mm", "worst mm", "confused", "remark"):
+        for head in ("pair", "RMS mm", "worst mm", "not told apart", "remark"):
             table.add_column(head, no_wrap=head != "remark")
         for name, other in pairs[: max(10, len(bad))]:
             distance = other.distance
@@ -67,7 +58,7 @@ def register(app: typer.Typer) -> None:
                 f"{name} - {other.name}",
                 f"{distance.rms_m * 1e3:.1f}",
                 f"{distance.worst_m * 1e3:.1f}",
-                rate_in_words(other.confusion_rate),
+                rate_in_words(other.unresolved),
                 remark + (", as its mirror image" if other.mirrored else ""),
             )
         for part, whole in nested[:10]:
@@ -77,14 +68,13 @@ def register(app: typer.Typer) -> None:
         data = {
             "layouts": len(enrolled),
             "registry_version": version,
-            "sigma_m": sigma,
             "pairs": [
                 {
                     "a": name,
                     "b": other.name,
                     "rms_m": other.distance.rms_m,
                     "worst_m": other.distance.worst_m,
-                    "confusion_rate": other.confusion_rate,
+                    "confusion_rate": other.unresolved,
                     "confusable": other.confusable,
                     "mirrored": other.mirrored,
                 }
@@ -109,8 +99,8 @@ def register(app: typer.Typer) -> None:
         if not bad:
             return Result("layouts check", data, table, messages=tuple(remarks))
         error = LayoutConflictError(
-            f"{counted(len(bad), 'pair')} of layouts could be confused: closer than "
-            f"{CONFUSABLE_M * 1e3:.0f} mm, or more often than enrolling allows",
+            f"{counted(len(bad), 'pair')} of layouts could be confused: they leave more readings "
+            "without a name than enrolling allows",
             "Remove one of each pair with `tagid layouts --remove NAME`, or move a reflector.",
         )
         return Result.from_error("layouts check", error, data, table, tuple(remarks))

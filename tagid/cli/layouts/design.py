@@ -12,7 +12,7 @@ from tagid.cli.common import enrolling
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.outputs import check_new
 from tagid.config import load_config
-from tagid.errors import UsageError
+from tagid.errors import LayoutConflictError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -128,12 +128,8 @@ def register(app: typer.Typer) -> None:
         seed: Seed = 0,
         heights: AntennaHeights = None,
         error_rate: Annotated[
-            float, typer.Option("--error-rate", help="Allowed rate of wrong identifications.")
+            float, typer.Option("--error-rate", help="Share of readings that may have no name.")
         ] = 0.001,
-        sigma: Annotated[
-            float | None,
-            typer.Option("--sigma", min=0, max=1, help="Measured error of one coordinate, metres."),
-        ] = None,
     ) -> Result:
         """Compute how many identities an object can carry at a given error rate.
 
@@ -142,7 +138,6 @@ def register(app: typer.Typer) -> None:
         return _capacity(
             object_from(target, rows, radius, height),
             [rules_from(k, slots, spacing, mirror, seed, heights) for k in (2, 3, 4)],
-            sigma,
             error_rate,
         )
 
@@ -159,7 +154,7 @@ class _Asked:
 
     def remedy(self) -> str:
         """Alternative options that work, or what else to do if there are none."""
-        from tagid.tags.enrolling.advice import alternatives
+        from tagid.enrolling.advice import alternatives
 
         found = alternatives(self.target, self.rows, self.rules, self.count, self.beside)
         if found:
@@ -173,7 +168,7 @@ class _Asked:
 
     def spacing_works(self, spacing_m: float) -> bool:
         """Whether the requested number of enrollable layouts exists at this reflector spacing."""
-        from tagid.tags.enrolling.advice import works
+        from tagid.enrolling.advice import works
 
         rules = replace(self.rules, spacing_m=spacing_m)
         return works(self.target.with_rows(self.rows), rules, self.count, self.beside)
@@ -236,19 +231,19 @@ def _designed(
     from rich.table import Table
     from rich.text import Text
 
+    from tagid.enrolling.enrolment import check_merge, family_outlooks
+    from tagid.enrolling.layout_file import write_layouts
     from tagid.operate.workplace import open_registry
-    from tagid.tags.enrolling.advice import refusal
-    from tagid.tags.enrolling.layout_file import write_layouts
-    from tagid.tags.layouts.capacity import confusion_rate, reference
     from tagid.tags.layouts.design import GHOST_M
 
     messages = []
-    refused = refusal(
-        family,
-        asked.beside,
-        direction_known=enrolling.direction_known(),
-        height_weight=enrolling.height_weight(),
-    )
+    known, weight = enrolling.direction_known(), enrolling.height_weight()
+    outlooks = family_outlooks(family.layouts, asked.beside, direction_known=known, height_weight=weight)
+    refused = None
+    try:
+        check_merge(outlooks, asked.beside)
+    except LayoutConflictError as error:
+        refused = error
     remedy = "" if refused is None else asked.remedy()
     if refused is not None:
         messages.append(f"this set cannot be enrolled: {refused.message}. {remedy}".replace("..", "."))
@@ -278,11 +273,7 @@ def _designed(
             " ".join(f"{r * 1e3:.0f}" for r in np.hypot(x, y)),
             " ".join(f"{float(h) * 1e3:.0f}" for h in np.asarray(layout.heights)),
         )
-    place = reference(family.layouts[0].radius_m)
-    rate = 0.0
-    if len(family.layouts) > 1:
-        one = confusion_rate(family.distance_m, family.rules.reflectors, place.sigma_m)
-        rate = min(1.0, one * (len(family.layouts) - 1))
+    worst = max(outlooks, key=lambda one: one.unresolved)
     least = "-" if family.distance_m == float("inf") else f"{family.distance_m * 1e3:.1f} mm"
     lines: list[RenderableType] = [
         Text(
@@ -290,12 +281,7 @@ def _designed(
             f"minimum rotational distance {least}" + ("" if family.proven else ", the largest found")
         )
     ]
-    lines.append(
-        Text(
-            f"expected confusion within the set: {enrolling.rate_in_words(rate)} of readings at "
-            f"{place.views} views and {place.snr_db} dB"
-        )
-    )
+    lines.append(Text(f"{worst.layout.name}: {enrolling.about(worst)}"))
     if out is not None:
         enrol = "they cannot be enrolled" if refused else f"enrol them: tagid layouts import {out}"
         lines.append(Text(f"written to {out}; {enrol}"))
@@ -303,7 +289,7 @@ def _designed(
         "layouts": [layout.to_dict() for layout in family.layouts],
         "distance_m": None if family.distance_m == float("inf") else family.distance_m,
         "proven_best": family.proven,
-        "confusion_rate": rate,
+        "confusion_rate": worst.unresolved,
         "nearest_reflectors_m": family.ghost_m,
         "candidates": family.candidates,
         "necklaces": family.necklaces,
@@ -321,34 +307,29 @@ def _designed(
     return stored.result("layouts design", data, lines, messages)
 
 
-def _capacity(
-    target: TaggedObject, rules: list[DesignRules], sigma: float | None, error_rate: float
-) -> Result:
+def _capacity(target: TaggedObject, rules: list[DesignRules], error_rate: float) -> Result:
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
-    from tagid.tags.layouts.capacity import Localisation, capacity, measured_on
+    from tagid.enrolling.capacity import capacity
+    from tagid.reading.alike import Conditions
 
-    known = [Localisation(0, 0, sigma)] if sigma is not None else measured_on(target.rows[0].radius_m)
     table = Table(box=None)
-    for head in ("recording", "own echoes", "error mm", *(f"{r.reflectors} refl." for r in rules)):
+    for head in ("recording", *(f"{r.reflectors} reflectors" for r in rules)):
         table.add_column(head, no_wrap=True)
     rows = []
-    for place in known:
-        found = [capacity(target, rule, place.sigma_m, error_rate) for rule in rules]
-        name = f"{place.views} views {place.snr_db} dB" if place.views else "as given"
+    for views, snr_db in ((36, 20.0), (36, 10.0), (36, 0.0), (12, 10.0)):
+        conditions = Conditions(views, snr_db, rules[0].height_weight)
+        found = [capacity(target, rule, error_rate, conditions) for rule in rules]
         cells = [
             f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "") for c in found
         ]
-        echoes = "shell, handle" if place.own_echoes else "none" if place.views else ""
-        table.add_row(name, echoes, f"{place.sigma_m * 1e3:.2f}", *cells)
+        table.add_row(f"{views} views {snr_db:g} dB", *cells)
         rows += [
             {
-                "views": place.views or None,
-                "snr_db": place.snr_db if place.views else None,
-                "own_echoes": place.own_echoes if place.views else None,
-                "sigma_m": place.sigma_m,
+                "views": views,
+                "snr_db": snr_db,
                 "reflectors": c.reflectors,
                 "identities": c.identities,
                 "distance_m": c.distance_m if c.identities > 1 else None,
@@ -358,9 +339,8 @@ def _capacity(
         ]
     radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in target.rows)
     line = Text(
-        f"{target.label or target.name} (radius {radii}), {rules[0].slots} slots: identities at an error "
-        f"rate of at most {error_rate:g} (and their minimum distance)"
-        + ("" if sigma is not None else f"; errors measured at a radius of {known[0].radius_m * 1e3:.0f} mm")
+        f"{target.label or target.name} (radius {radii}), {rules[0].slots} slots: identities, where "
+        f"at most {error_rate:g} of readings leave no name (and their minimum distance)"
     )
     return Result(
         "layouts capacity",

@@ -14,9 +14,9 @@ from tagid.cli.common.outputs import check_new
 from tagid.result import Result
 
 if TYPE_CHECKING:
+    from tagid.enrolling.layout_file import Entries
+    from tagid.enrolling.registry import Registry, RegistryContents, Restored
     from tagid.tags.bodies.signature import Signature
-    from tagid.tags.enrolling.layout_file import Entries
-    from tagid.tags.enrolling.registry import Registry, RegistryContents, Restored
     from tagid.tags.layouts.layout import Layout
 
 
@@ -38,9 +38,9 @@ def register(app: typer.Typer) -> None:
         """
         from rich.text import Text
 
+        from tagid.enrolling.layout_file import write_layouts
         from tagid.files import resolved
         from tagid.operate.workplace import open_registry
-        from tagid.tags.enrolling.layout_file import write_layouts
 
         check_new(file, force)
         file = resolved(file)
@@ -211,9 +211,9 @@ def _check_signatures(new: dict[tuple[str, str], Signature], contents: RegistryC
 
 def _entries_of(file: Path) -> Entries:
     """Entries of a file or of another registry (opened read-only)."""
+    from tagid.enrolling.layout_file import MAX_BYTES, Entries, read_entries
+    from tagid.enrolling.registry import Registry
     from tagid.files import read_bytes
-    from tagid.tags.enrolling.layout_file import MAX_BYTES, Entries, read_entries
-    from tagid.tags.enrolling.registry import Registry
 
     if file.suffix.lower() in (".sqlite", ".db") and read_bytes(file, 16 * MAX_BYTES):
         contents = Registry(file).contents()

@@ -45,11 +45,11 @@ def register(app: typer.Typer) -> None:
         from rich.console import Group
         from rich.text import Text
 
+        from tagid.enrolling.layout_file import read_layouts
         from tagid.files import write_bytes
         from tagid.operate.workplace import open_registry
         from tagid.report import layout_sheet
         from tagid.report.drafting import to_pdf, to_png, to_svg
-        from tagid.tags.enrolling.layout_file import read_layouts
 
         if file is None:
             layout = open_registry().get(name)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tagid.enrolling.layout_file import read_entries
+from tagid.enrolling.registry import Registry
 from tagid.errors import UsageError
-from tagid.tags.enrolling.layout_file import read_entries
-from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.counting import counted
+from tagid.enrolling.precision import position_covariances
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.spectra import Spectra, centred
-from tagid.tags.enrolling.precision import position_covariances
 from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, Pairing, best_pairing
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 from tagid.tags.reading.field import MatchedField

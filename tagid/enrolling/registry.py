@@ -234,7 +234,7 @@ class Registry:
         """Enrol a layout and return the new version.
 
         Raises RegistryError if the name is taken and `replace` is not set. Conflicts with similar layouts are
-        checked by `tagid.tags.enrolling.enrolment`, not here.
+        checked by `tagid.enrolling.enrolment`, not here.
         """
         version = self.add_all([layout], source, replace=replace)
         assert version is not None

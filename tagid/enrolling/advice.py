@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from tagid.enrolling.enrolment import check_merge, family_outlooks
 from tagid.errors import LayoutConflictError, UsageError
-from tagid.tags.enrolling.enrolment import check_merge, family_outlooks
 from tagid.tags.layouts.design import MAX_SLOTS, DesignRules, Family, design
 from tagid.tags.layouts.layout import MAX_REFLECTORS, Layout
 from tagid.tags.layouts.objects import TaggedObject

@@ -1,4 +1,4 @@
-"""Enrolling layouts: distance to every other layout, rate of confusion due to noise, and reasons to refuse.
+"""Enrolling layouts: distance to every other layout, how far a reading tells them apart, reasons to refuse.
 
 If two enrolled layouts can be confused, no later reading of either can be relied on. Such layouts are refused
 here.
@@ -14,20 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import LayoutConflictError, RegistryError
+from tagid.reading.alike import Apart, Conditions, told_apart
 from tagid.tags.bodies.signature import Signature
-from tagid.tags.layouts.capacity import Localisation, confusion_rate, reference
 from tagid.tags.layouts.codebook import (
     CENTRE_TOLERANCE_M,
-    CONFUSABLE_M,
     LayoutDistance,
     best_pairing,
     in_space,
 )
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 
-MAX_CONFUSION = 1e-3
-"""Rate of wrong names caused by one neighbour above which a layout is refused: the reader's false-accept
-rate."""
+MAX_UNRESOLVED = 1e-2
+"""Share of the readings that one neighbour may leave without a name; a layout that leaves more is refused."""
+NEAR_M = 25e-3
+"""Layouts farther apart (RMS) are told apart by more than 100 nats on any body."""
+MOST_NEAR = 3
+"""Neighbours whose evidence is compared, the nearest ones."""
 _TRIES = 20
 _T = TypeVar("_T")
 
@@ -59,27 +61,39 @@ class Neighbour:
     Attributes:
         name: name of the enrolled layout.
         distance: distance between the two.
-        confusion_rate: probability that noise and the uncertainty of the positions make one look nearer to
-            the other, the larger of the two directions; NaN if their numbers of reflectors differ.
+        apart: how far a reading tells the two apart; None where they are far from alike, or differ in number.
+        unresolved: share of the readings that this neighbour leaves without a name, the uncertainty of both
+            layouts' positions included.
         mirrored: whether the comparison is with the new layout's mirror image, which gives the same reading
             if the direction of rotation is unknown.
     """
 
     name: str
     distance: LayoutDistance
-    confusion_rate: float
     mirrored: bool = False
+    apart: Apart | None = None
+    unresolved: float = 0.0
 
     @property
     def confusable(self) -> bool:
         """Whether the two are too close to be told apart."""
-        return self.distance.worst_m < CONFUSABLE_M or self.confusion_rate > MAX_CONFUSION
+        return self.unresolved > MAX_UNRESOLVED
 
     def turned(self, name: str) -> Neighbour:
         """The same comparison from the other layout's side; `name` is the first layout's."""
         turn = self.distance.rotation_deg
         back = turn if self.mirrored else (360 - turn) % 360
         return replace(self, name=name, distance=replace(self.distance, rotation_deg=back))
+
+    def compared(self, layout: Layout, other: Layout, conditions: Conditions) -> Neighbour:
+        """The same with what the evidence of a reading says; as it is where the two are far from alike."""
+        known = layout.covariance is None and other.covariance is None
+        if not self.distance.rms_m < (NEAR_M if known else np.inf):
+            return self
+        own = layout.mirrored() if self.mirrored else layout
+        apart = told_apart(own, other, conditions)
+        unsure = _unsure(own, other, conditions.height_weight)
+        return replace(self, apart=apart, unresolved=apart.unresolved(unsure))
 
     @property
     def nearness_m(self) -> float:
@@ -94,20 +108,25 @@ class Outlook:
     Attributes:
         layout: new layout.
         neighbours: every other layout; those with as many reflectors first, each group nearest first.
-        place: recording conditions for which the rates hold.
+        conditions: of the recordings for which the shares hold.
         version: registry version that the comparison was made against.
     """
 
     layout: Layout
     neighbours: tuple[Neighbour, ...]
-    place: Localisation
+    conditions: Conditions
     version: int = 0
 
     @property
-    def confusion_rate(self) -> float:
-        """Expected rate of wrong names for the layout: the union bound over its neighbours."""
-        rates = [n.confusion_rate for n in self.neighbours if np.isfinite(n.confusion_rate)]
-        return float(min(sum(rates), 1.0))
+    def unresolved(self) -> float:
+        """Share of the readings of the layout that its neighbours leave without a name, at most."""
+        return min(sum(n.unresolved for n in self.neighbours), 1.0)
+
+    @property
+    def least(self) -> Neighbour | None:
+        """The neighbour that a reading tells apart by least; None where all are far from alike."""
+        compared = [n for n in self.neighbours if n.apart is not None]
+        return max(compared, key=lambda n: n.unresolved, default=None)
 
     @property
     def confusable(self) -> tuple[str, ...]:
@@ -119,21 +138,18 @@ class Outlook:
         near = [n for n in self.neighbours if n.confusable]
         if not near:
             return None
-        worst = near[0]
+        worst = max(near, key=lambda n: n.unresolved)
         image = "the mirror image of " if worst.mirrored else ""
-        if worst.distance.worst_m < CONFUSABLE_M:
-            return LayoutConflictError(
-                f"layout {self.layout.name} could be confused with {image}{worst.name}: after a rotation of "
-                f"{round(worst.distance.rotation_deg) % 360} degrees their reflectors are within "
-                f"{worst.distance.worst_m * 1e3:.1f} mm of each other",
-                f"Move a reflector so that at least one is {CONFUSABLE_M * 1e3:.0f} mm away, remove one, or "
-                "override with `force`; nothing was stored.",
-            )
+        where = f" on {worst.apart.body}" if worst.apart is not None and worst.apart.body else ""
+        sigma = self.layout.sigma_m
+        known = f", positions known to {sigma * 1e3:.1f} mm" if sigma > 0 else ""
         return LayoutConflictError(
-            f"layout {self.layout.name} would be confused with {image}{worst.name} in "
-            f"{worst.confusion_rate:.2g} of readings ({worst.distance.rms_m * 1e3:.1f} mm apart, positions "
-            f"known to {self.layout.sigma_m * 1e3:.1f} mm); the limit is {MAX_CONFUSION:g}",
-            "Measure it on more captures, move a reflector, or override with `force`; nothing was stored.",
+            f"layout {self.layout.name} could be confused with {image}{worst.name}: after a rotation of "
+            f"{round(worst.distance.rotation_deg) % 360} degrees their reflectors are within "
+            f"{worst.distance.worst_m * 1e3:.1f} mm of each other{known}, and {100 * worst.unresolved:.2g} % "
+            f"of readings{where} leave no name",
+            f"Move a reflector, or {'measure it on more captures, or ' if sigma > 0 else ''}override with "
+            "`force`; nothing was stored.",
         )
 
 
@@ -143,30 +159,27 @@ def outlook(
     *,
     direction_known: bool = True,
     height_weight: float = 0.0,
-    place: Localisation | None = None,
     version: int = 0,
 ) -> Outlook:
-    """Distance and rate of confusion between a layout and every other.
+    """Distance between a layout and every other, and how far a reading tells it from the nearest.
 
     Args:
         layout: new layout.
         others: layouts to compare with; one of the same name is ignored.
         direction_known: whether the direction of rotation is known; if not, mirror images are equivalent.
         height_weight: what heights of reflectors count, see `codebook.height_weight`; 0: nothing.
-        place: recording conditions whose localisation error sets the rates; None takes the reference for the
-            layout's radius.
         version: registry version to store in the result.
 
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
     layout.check_room()
-    place = place or reference(layout.radius_m)
-    found = [
-        neighbour(layout, other, place.sigma_m, direction_known, height_weight)
-        for other in others
-        if other.name != layout.name
-    ]
-    return Outlook(layout, _by_nearness(found), place, version)
+    conditions = Conditions(height_weight=height_weight)
+    found = _by_nearness(
+        [neighbour(layout, one, direction_known, height_weight) for one in others if one.name != layout.name]
+    )
+    enrolled = {other.name: other for other in others}
+    near = [one.compared(layout, enrolled[one.name], conditions) for one in found[:MOST_NEAR]]
+    return Outlook(layout, (*near, *found[MOST_NEAR:]), conditions, version)
 
 
 def _by_nearness(found: Sequence[Neighbour]) -> tuple[Neighbour, ...]:
@@ -175,39 +188,39 @@ def _by_nearness(found: Sequence[Neighbour]) -> tuple[Neighbour, ...]:
 
 
 def neighbour(
-    layout: Layout, other: Layout, sigma_m: float, direction_known: bool = True, height_weight: float = 0.0
+    layout: Layout, other: Layout, direction_known: bool = True, height_weight: float = 0.0
 ) -> Neighbour:
-    """Distance and rate of confusion of two layouts; of the nearer mirror image if the direction is unknown.
-
-    The two differ by a vector d in their 2K coordinates. A reading has an error of sigma per coordinate and
-    the enrolled positions have covariance C. One is mistaken for the other if the total error along d exceeds
-    half of |d|, with probability Q(|d| / 2 sqrt(sigma^2 + u' C u)), u = d / |d|.
-    """
-    straight = _neighbour(layout, other, sigma_m, False, height_weight)
+    """Distance of two layouts; of the nearer mirror image if the direction is unknown."""
+    straight = _neighbour(layout, other, False, height_weight)
     if direction_known:
         return straight
-    image = _neighbour(layout.mirrored(), other, sigma_m, True, height_weight)
+    image = _neighbour(layout.mirrored(), other, True, height_weight)
     return image if image.nearness_m < straight.nearness_m - 1e-9 else straight
 
 
-def _neighbour(
-    layout: Layout, other: Layout, sigma_m: float, mirrored: bool, height_weight: float
-) -> Neighbour:
+def _neighbour(layout: Layout, other: Layout, mirrored: bool, height_weight: float) -> Neighbour:
     small, large = (layout, other) if layout.size <= other.size else (other, layout)
     pair = best_pairing(in_space(small, height_weight), in_space(large, height_weight), CENTRE_TOLERANCE_M)
     turn = float(np.rad2deg(pair.rotation_rad if small is layout else -pair.rotation_rad) % 360)
     if layout.size != other.size:
-        return Neighbour(other.name, LayoutDistance(np.inf, np.inf, turn, pair.worst_m), np.nan, mirrored)
+        return Neighbour(other.name, LayoutDistance(np.inf, np.inf, turn, pair.worst_m), mirrored)
+    return Neighbour(other.name, LayoutDistance(pair.rms_m, pair.worst_m, turn), mirrored)
+
+
+def _unsure(layout: Layout, other: Layout, height_weight: float) -> float:
+    """Standard deviation of the positions along the difference of two layouts, over that difference."""
+    if layout.covariance is None and other.covariance is None:
+        return 0.0
+    pair = best_pairing(in_space(layout, height_weight), in_space(other, height_weight), CENTRE_TOLERANCE_M)
     rotation = rotation_matrix(pair.rotation_rad)
     apart = layout.positions @ rotation.T + pair.shift_m - other.positions[pair.partner]
-    length = float(np.linalg.norm(apart))
-    along = apart / max(length, 1e-12)
-    unsure = max(
+    length = max(float(np.linalg.norm(apart)), 1e-12)
+    along = apart / length
+    variance = max(
         _variance_along(layout.covariance, along @ rotation),
         _variance_along(other.covariance, along[np.argsort(pair.partner)]),
     )
-    rate = confusion_rate(pair.rms_m, layout.size, float(np.sqrt(sigma_m**2 + unsure)))
-    return Neighbour(other.name, LayoutDistance(pair.rms_m, pair.worst_m, turn), rate, mirrored)
+    return float(np.sqrt(variance)) / length
 
 
 def _variance_along(covariance: NDArray[np.float64] | None, along: NDArray[np.float64]) -> float:
