@@ -42,7 +42,11 @@ def register(app: typer.Typer) -> None:
             typer.Option("--vote", help="All files show the same object: give one joint answer."),
         ] = False,
         explain: Annotated[
-            bool, typer.Option("--explain", help="Also show the hypotheses that competed, as bars.")
+            bool,
+            typer.Option(
+                "--explain",
+                help="Also show the hypotheses that competed, as bars; with --png also what they leave.",
+            ),
         ] = False,
     ) -> Result:
         """Name the object in one or more captures.
@@ -93,7 +97,7 @@ def run(
     from rich.console import Group
 
     from tagid.cli.common import imaging
-    from tagid.operate.turn import draw, failed, read
+    from tagid.operate.turn import draw, draw_residuals_of, failed, read, residuals_beside
 
     setup = place.setup()
     answers: list[Answer] = []
@@ -106,6 +110,8 @@ def run(
                 with terminal.progress("image", total=1.0) as advance:
                     result = draw(answer, view.png, False, imaging.share_of(advance)).result
                 written = str(view.png) if view.png else None
+                if view.png and view.explain:
+                    draw_residuals_of(answer.identification, residuals_beside(view.png))
                 if view.preview:
                     drawn.append(imaging.in_terminal(result))
             except TagidError as error:

@@ -442,7 +442,29 @@ def draw_image_of(result: Reconstruction, answer: Identification | None, png: Pa
     name = method_shown(result)
     title = name if answer is None else f"{headline(answer)}  ({name})"
     image = result.image
-    draw_image(image.values, image.grid.extent, png, title=title, reflectors=markers, centre_m=image.centre_m)
+    won = reading.explained_by if reading else None
+    draw_image(
+        image.values,
+        image.grid.extent,
+        png,
+        title=title,
+        reflectors=markers,
+        centre_m=image.centre_m,
+        outline=won.outline_m if won else (),
+    )
+
+
+def residuals_beside(png: Path) -> Path:
+    """Path of the picture of what hypotheses leave, beside that of the image."""
+    return png.with_name(f"{png.stem}.left{png.suffix}")
+
+
+def draw_residuals_of(answer: Identification, png: Path) -> None:
+    """Write the picture of what the hypotheses that competed leave. Raises StorageError."""
+    from tagid.report.residuals import draw_residuals
+
+    if answer.reading is not None and answer.reading.residuals is not None:
+        draw_residuals(answer.reading.residuals, answer.reading.hypotheses, png)
 
 
 def picture_of(capture: Path) -> Path:

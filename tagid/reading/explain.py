@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tagid.fields.thin_shell import BoxShell
 from tagid.reading.decision import is_same, words
-from tagid.reading.descent import variance
+from tagid.reading.descent import Found, variance
 from tagid.reading.evidence import fit
 from tagid.reading.hypothesis import Hypothesis
-from tagid.reading.reading import Explanation, Kind
+from tagid.reading.reading import Explanation, Kind, Residuals
 from tagid.reading.sheet import BOX, METAL, SHELL, SheetModel
 from tagid.reading.signature import SignatureModel
 from tagid.reading.spectra import MODEL_ERROR, Complex, Spectra
@@ -19,6 +21,13 @@ from tagid.tags.reading.reflectors import Reflector
 
 MOST = 8
 """Hypotheses that are reported."""
+DRAWN = 4
+"""Hypotheses whose residuals are kept for a picture."""
+RANGES_M = np.linspace(-0.25, 0.25, 51)
+"""Ranges beyond the axis distance of the residuals, m."""
+_BOX = np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j])
+_ROUND = np.exp(2j * np.pi * np.arange(48) / 48)
+"""Corners of outlines of half sizes 1."""
 OFFSETS_M = np.arange(-0.1, 0.1, 5e-4)
 """Range offsets that are tried, m."""
 
@@ -80,6 +89,13 @@ class Explained:
             for i, place in enumerate(places)
         )
 
+    def residual(self, spectra: Spectra) -> Complex:
+        """(F, V) what it leaves of the data, the room projected out."""
+        found = self.hypothesis.found
+        columns = found.model.at(spectra, found.x, slopes=False).values
+        echo = (self.amplitudes[:, None] @ columns)[:, 0]
+        return np.asarray(spectra.data - echo + (echo @ spectra.rooms.T) @ spectra.rooms)
+
     def offset_m(self, spectra: Spectra) -> float:
         """Range beyond the axis distance at which the reflectors' amplitudes are most alike, m."""
         model = self.hypothesis.found.model
@@ -102,9 +118,7 @@ def kind_of(one: Hypothesis) -> Kind:
     return Kind.ROUND if model.transfer.body else Kind.BARE
 
 
-def explanations(
-    spectra: Spectra, hypotheses: Sequence[Hypothesis], winner: Hypothesis
-) -> tuple[Explanation, ...]:
+def ranked(hypotheses: Sequence[Hypothesis], winner: Hypothesis) -> list[Hypothesis]:
     """The winner and the best of every other kind and layout that is not the same tag, best first.
 
     Args:
@@ -114,14 +128,50 @@ def explanations(
     for one in sorted(hypotheses, key=lambda one: -one.log_z):
         if winner.name is None or one.name is not None or not is_same(one, winner):
             kinds.setdefault((kind_of(one), one.name), one)
-    best = max(one.log_z for one in kinds.values())
-    return tuple(_explanation(spectra, one, one.log_z - best) for one in list(kinds.values())[:MOST])
+    return list(kinds.values())[:MOST]
 
 
-def _explanation(spectra: Spectra, one: Hypothesis, log_evidence: float) -> Explanation:
+def explanations(every: Sequence[Explained]) -> tuple[Explanation, ...]:
+    """Hypotheses as the answer reports them."""
+    best = max(one.hypothesis.log_z for one in every)
+    return tuple(_explanation(one, one.hypothesis.log_z - best) for one in every)
+
+
+def _explanation(explained: Explained, log_evidence: float) -> Explanation:
+    one = explained.hypothesis
     found, model = one.found, one.found.model
-    name = model.body.signature.name if isinstance(model, SignatureModel) else ""
-    radius = float(np.abs(found.places - found.centre).mean()) if len(found.places) else None
-    centre = found.centre.real, found.centre.imag
-    left = Explained.of(spectra, one).left
-    return Explanation(kind_of(one), name, one.name, words(one), float(log_evidence), left, centre, radius)
+    return Explanation(
+        kind_of(one),
+        model.body.signature.name if isinstance(model, SignatureModel) else "",
+        one.name,
+        words(one),
+        float(log_evidence),
+        explained.left,
+        (found.centre.real, found.centre.imag),
+        float(np.abs(found.places - found.centre).mean()) if len(found.places) else None,
+        _outline(found),
+    )
+
+
+def _outline(found: Found) -> tuple[tuple[float, float], ...]:
+    """Corners of a sheet, m; none of a body whose own echo does not tell its size."""
+    model, x = found.model, found.x
+    if not isinstance(model, SheetModel):
+        return ()
+    sheet = model.sheet(x)
+    unit = _BOX if model.kind.shell is BoxShell else _ROUND
+    corners = sheet.across_m * unit.real + 1j * sheet.along_m * unit.imag
+    placed = complex(x[0], x[1]) + corners * np.exp(1j * x[2])
+    return tuple((float(one.real), float(one.imag)) for one in placed)
+
+
+def residuals(spectra: Spectra, every: Sequence[Explained]) -> Residuals:
+    """What hypotheses leave of a recording, as range profiles over the angle."""
+    order = np.argsort(spectra.direction)
+    waves = np.exp(1j * RANGES_M[:, None] * spectra.kappa) / np.sqrt(len(spectra.kappa))
+
+    def profiles(data: Complex) -> NDArray[np.float16]:
+        return np.asarray(np.abs(waves @ data[:, order]), dtype=np.float16)
+
+    left = np.stack([profiles(one.residual(spectra)) for one in every[:DRAWN]])
+    return Residuals(spectra.direction[order], RANGES_M, profiles(spectra.data), left)

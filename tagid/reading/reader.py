@@ -14,7 +14,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.reading.calibration import Calibration, worth
 from tagid.reading.columns import Priors
 from tagid.reading.decision import SURE, Decision, Needed, has_middle
-from tagid.reading.explain import Explained, explanations, kind_of
+from tagid.reading.explain import Explained, explanations, kind_of, ranked, residuals
 from tagid.reading.hypotheses import Contest
 from tagid.reading.hypothesis import Hypothesis, best_bare
 from tagid.reading.reading import LayoutScore, Reading
@@ -143,7 +143,8 @@ def _reading(decision: Decision, contest: Contest, settings: ReaderSettings, vie
     """A decision as an answer, with what a recording shows of it."""
     spectra, winner = contest.spectra, _plainest(contest, decision.winner)
     best = best_of(contest, decision.best.name) if decision.best is not None and decision.best.name else None
-    explained = Explained.of(spectra, winner)
+    every = [Explained.of(spectra, one) for one in ranked(contest.hypotheses, winner)]
+    explained = every[0]
     scores = _scores(contest)
     nearest = (best.name if best is not None else None) or (scores[0].name if scores else "")
     named = decision.status == "identified"
@@ -182,9 +183,10 @@ def _reading(decision: Decision, contest: Contest, settings: ReaderSettings, vie
         scores,
         decision.code,
         kind_of(winner),
-        explanations(spectra, contest.hypotheses, winner),
+        explanations(every),
         bound,
         winner,
+        residuals(spectra, every),
     )
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tagid.reading.calibration import Bound
 from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.verdict import ADVICE, Code
@@ -58,6 +61,7 @@ class Explanation:
         left: share of the moving echo above noise that it leaves unexplained, 0..1.
         centre_m: (x, y) of the body or, beside none, of the tag, m.
         radius_m: mean distance of the reflectors from the centre, m; None without reflectors.
+        outline_m: corners (x, y) of the body, m, counter-clockwise; empty where its size is not known.
     """
 
     kind: Kind
@@ -68,6 +72,24 @@ class Explanation:
     left: float
     centre_m: tuple[float, float]
     radius_m: float | None = None
+    outline_m: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What is left of the echo that changes over the views where hypotheses are subtracted.
+
+    Attributes:
+        angle_rad: (V,) direction of the antenna, as the object sees it.
+        range_m: (R,) beyond the axis distance, m.
+        recorded: (R, V) magnitude of the recording, over the root mean square of the noise.
+        left: (H, R, V) the same of what the first hypotheses leave.
+    """
+
+    angle_rad: NDArray[np.float64]
+    range_m: NDArray[np.float64]
+    recorded: NDArray[np.float16]
+    left: NDArray[np.float16]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +116,7 @@ class Reading:
         hypotheses: the best of every kind, best first; the first is the one that won.
         bound: what `tags.false_accept` rests on; None where no calibration applies.
         winner: the hypothesis that won.
+        residuals: what the first of the hypotheses leave.
         note: what limits the answer; empty for nothing.
     """
 
@@ -117,6 +140,7 @@ class Reading:
     hypotheses: tuple[Explanation, ...] = ()
     bound: Bound | None = None
     winner: Hypothesis | None = None
+    residuals: Residuals | None = None
     note: str = ""
 
     @property

@@ -42,6 +42,7 @@ def draw_image(
     reflectors: Sequence[Marker] = (),
     dynamic_range_db: float = 30.0,
     centre_m: tuple[float, float] = (0.0, 0.0),
+    outline: Sequence[tuple[float, float]] = (),
 ) -> None:
     """Writes a PNG of a reflectivity image, 940 x 900 px.
 
@@ -54,6 +55,7 @@ def draw_image(
             omitted.
         dynamic_range_db: pixels further below the brightest one have the darkest colour.
         centre_m: (x, y) of the image centre, m; the rotation axis is the origin.
+        outline: corners (x, y) of the body, m; drawn where they are inside the image.
 
     Raises:
         DataError: the image is empty, not two-dimensional or not finite.
@@ -72,12 +74,17 @@ def draw_image(
     # Smoothing is cosmetic; large pixels are drawn as squares.
     axes.raster(colourise(decibels, dynamic_range_db), smooth=scale < 12)
     marked = [marker for marker in (Marker(*given) for given in reflectors) if _is_inside(axes, marker)]
+    bounded = len(outline) > 2 and all(_is_inside(axes, Marker(*corner)) for corner in outline)
+    if bounded:
+        corners = [axes.place(*corner) for corner in (*outline, outline[0])]
+        canvas.line(corners, INK, 4.0)
+        canvas.line(corners, WHITE, 2.0)
     for marker in marked:
         _mark(axes, marker)
     axes.frame("x (m)", "y (m)")
     colour_bar(canvas, (_LEFT + _SIDE + 24, _TOP, _LEFT + _SIDE + 50, box[3]), dynamic_range_db)
     canvas.text((_LEFT, 36), fit_text(canvas, title, _WIDTH - _LEFT - 30, 28), 28)
-    _legend(canvas, {marker.matched for marker in marked})
+    _legend(canvas, {marker.matched for marker in marked}, bounded)
     canvas.save(Path(path))
 
 
@@ -109,7 +116,7 @@ def fit_text(canvas: Canvas, text: str, width: float, size: int) -> str:
     return line.rstrip() + "…"
 
 
-def _legend(canvas: Canvas, kinds: Set[bool]) -> None:
+def _legend(canvas: Canvas, kinds: Set[bool], bounded: bool) -> None:
     """What the marks that are drawn mean, between the title and the image."""
     x, y = _LEFT + 9.0, _TOP - 18.0
     for matched, meaning in _MEANING.items():
@@ -117,6 +124,9 @@ def _legend(canvas: Canvas, kinds: Set[bool]) -> None:
             _symbol(canvas, (x, y), matched, INK, 2.0, _SMALL)
             canvas.text((x + 18, y), meaning, 20, anchor="lm")
             x += 48 + canvas.text_width(meaning, 20)
+    if bounded:
+        canvas.line([(x - 9, y), (x + 9, y)], INK, 2.0)
+        canvas.text((x + 18, y), "body", 20, anchor="lm")
 
 
 def _symbol(canvas: Canvas, at: Point, matched: bool, colour: RGB, width: float, scale: float = 1.0) -> None:
