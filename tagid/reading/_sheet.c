@@ -7,7 +7,7 @@
  * answers and their slopes: d (x^T P y) = dx^T P y + (P x)^T dy - (P x)^T dS (P y). What is even or odd about
  * each axis couples with itself only ("parts"). The sheet's own echo is the same in all four quadrants of
  * aspects: it is found at Q aspects of one, at a fixed distance, and interpolated by its harmonics. By
- * reciprocity every reflector costs one answer, for all antennas. Odd scatterers stand in the open.
+ * reciprocity every reflector costs one answer, for all antennas.
  *
  * Planes (.., 2, columns) hold real and imaginary parts apart; columns are filled up to a multiple of UNIT.
  */
@@ -31,6 +31,7 @@ typedef struct {
     const double *table;      /* (entries, 2) G at equally spaced arguments */
     const double *tag;        /* (3, K) radius, angle, height */
     const int64_t *group;     /* (2, K) turn, stretch */
+    const int64_t *past;      /* (odd,) whether an odd scatterer is seen past the sheet */
     const double *x;          /* (T,) parameters */
     const double *shape;      /* (6,) half sizes, strength, and their slopes over their parameters */
     double *values, *rates;   /* (F, C, V) and (T, F, C, V) complex */
@@ -72,7 +73,7 @@ static inline double *room(double **at, int64_t count)
 static int64_t lay_out(const Sheet *g, Work *w, double *base)
 {
     double *at = base;
-    const int64_t N = g->n, Q = g->q, V = PADDED(g->v), S = g->sources, L = PADDED(3 * g->k), each = 4 * N * Q;
+    const int64_t N = g->n, Q = g->q, V = PADDED(g->v), S = g->sources, L = PADDED(3 * S), each = 4 * N * Q;
     w->weight = room(&at, N), w->weight_a = room(&at, N), w->weight_b = room(&at, N);
     w->apart = room(&at, 4 * N * N);
     w->range = room(&at, each), w->cosine = room(&at, each);
@@ -84,7 +85,7 @@ static int64_t lay_out(const Sheet *g, Work *w, double *base)
     w->system = room(&at, 8 * N * N), w->slope_a = room(&at, 8 * N * N), w->slope_b = room(&at, 8 * N * N);
     w->from_q = room(&at, Q * V), w->slope_q = room(&at, Q * V);
     w->at_q = room(&at, 8 * SHAPES * Q), w->at_v = room(&at, 14 * SHAPES * V);
-    w->away = room(&at, 5 * V), w->cell = room(&at, g->k ? 28 * N * V : 0);
+    w->away = room(&at, 5 * V), w->cell = room(&at, S ? 28 * N * V : 0);
     w->place = room(&at, 5 * S), w->source = room(&at, 9 * S * V), w->near_wave = room(&at, 4 * S * V);
     w->right = room(&at, 8 * N * L), w->solved = room(&at, 8 * N * L), w->moved = room(&at, 8 * N * L);
     w->by_size = room(&at, 16 * N * L);
@@ -331,7 +332,7 @@ INLINE void prepare_reflectors(const Sheet *g, const Work *w)
             near_wave[2 * V + v] = re, near_wave[3 * V + v] = im;
         }
     }
-    for (int64_t i = 0; g->k && i < 4 * N; i++) {
+    for (int64_t i = 0; S && i < 4 * N; i++) {
         const int64_t m = i / N, of = i % N;
         const double px = sign_x(m) * g->shape[0] * g->unit[of], py = sign_y(m) * g->shape[1] * g->unit[N + of];
         double *restrict cell = w->cell + 7 * i * V;
@@ -560,7 +561,7 @@ INLINE void sheet_seen(const Sheet *g, const Work *w, int64_t f)
 /* What every reflector needs of the contour: answers to a source at its place, and their slopes. */
 INLINE void answer_sources(const Sheet *g, const Work *w, double k)
 {
-    const int64_t N = g->n, S = g->k, L = PADDED(3 * S), part = 2 * N * L, square = 2 * N * N;
+    const int64_t N = g->n, S = g->sources, L = PADDED(3 * S), part = 2 * N * L, square = 2 * N * N;
     const double strength = k * k * g->shape[2];
     memset(w->right, 0, (size_t)(4 * part) * sizeof(double));
     memset(w->by_size, 0, (size_t)(8 * part) * sizeof(double));
@@ -613,7 +614,7 @@ INLINE void answer_sources(const Sheet *g, const Work *w, double k)
 /* What the sheet adds to the field at a reflector, and its slopes, from all antennas. */
 INLINE void field_at(const Sheet *g, const Work *w, double k, int64_t s)
 {
-    const int64_t N = g->n, V = PADDED(g->v), L = PADDED(3 * g->k);
+    const int64_t N = g->n, V = PADDED(g->v), L = PADDED(3 * g->sources);
     memset(w->sum, 0, (size_t)(2 * SUMS * V) * sizeof(double));
     for (int64_t i = 0; i < 4 * N; i++) {
         const int64_t m = i / N, of = i % N;
@@ -757,18 +758,19 @@ WIDE static void compute(const Sheet *g, const Work *w)
         solve(g, w, k);
         echo(g, w, k);
         sheet_seen(g, w, f);
-        for (int64_t i = 0; f && g->k && i < 4 * N; i++)
+        if (!g->sources)
+            continue;
+        for (int64_t i = 0; f && i < 4 * N; i++)
             next(w->cell + (7 * i + 3) * V, w->cell + (7 * i + 5) * V, V);
-        if (g->k)
-            answer_sources(g, w, k);
+        answer_sources(g, w, k);
         for (int64_t s = 0; s < g->sources; s++) {
             if (f)
                 next(w->source + (9 * s + 4) * V, w->source + (9 * s + 6) * V, V);
             if (f)
                 next(w->near_wave + 4 * s * V, w->near_wave + (4 * s + 2) * V, V);
-            if (s < g->k)
+            if (s < g->k || !g->past[s - g->k])
                 field_at(g, w, k, s);
-            else /* in the open */
+            else
                 memset(w->sum, 0, (size_t)(2 * SUMS * V) * sizeof(double));
             reflector_seen(g, w, f, s);
         }
@@ -778,13 +780,13 @@ WIDE static void compute(const Sheet *g, const Work *w)
 static PyObject *columns(PyObject *self, PyObject *args)
 {
     (void)self;
-    PyObject *o[10];
+    PyObject *o[11];
     Sheet g = {0};
     Work w;
     Held held = {0};
     long long round, odd, aspects;
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOddddLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
-                          o + 9, &g.distance, &g.aspect_m, &g.from, &g.step, &round, &odd, &aspects))
+    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOddddLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
+                          o + 9, o + 10, &g.distance, &g.aspect_m, &g.from, &g.step, &round, &odd, &aspects))
         return NULL;
     g.round = round, g.odd = odd, g.q = PADDED(aspects);
     if (!(g.views = take(&held, o[0], -1, 0)) || (g.v = odd < 0 ? 0 : taken(&held) / (24 + 8 * odd)) < 1 ||
@@ -810,7 +812,8 @@ static PyObject *columns(PyObject *self, PyObject *args)
     g.sources = g.k + g.odd, g.t = HEAD + 2 + g.turns + g.stretches + 2 * g.odd;
     g.columns = SHAPES + (g.k > 0) + (g.k > 1 ? g.k : 0) + g.odd;
     if (g.odd < 0 || g.q < UNIT || !(g.x = take(&held, o[6], 8 * g.t, 0)) || !(g.shape = take(&held, o[7], 48, 0)) ||
-        !(g.values = take(&held, o[8], 16 * g.f * g.columns * g.v, 1)) || !(g.rates = take(&held, o[9], -1, 1))) {
+        !(g.values = take(&held, o[8], 16 * g.f * g.columns * g.v, 1)) || !(g.past = take(&held, o[9], 8 * g.odd, 0)) ||
+        !(g.rates = take(&held, o[10], -1, 1))) {
         if (!PyErr_Occurred())
             refused("aspects or odd scatterers");
         return finished(&held);
@@ -833,7 +836,7 @@ static PyObject *columns(PyObject *self, PyObject *args)
 
 static PyMethodDef methods[] = {
     {"columns", columns, METH_VARARGS,
-     "columns(views, wavenumber, unit, table, tag, group, x, shape, values, rates, distance, aspect_m, from, step, "
+     "columns(views, wavenumber, unit, table, tag, group, x, shape, values, past, rates, distance, aspect_m, from, step, "
      "round, odd, aspects): values (F, C, V) and rates (T, F, C, V), or none"},
     {NULL, NULL, 0, NULL},
 };

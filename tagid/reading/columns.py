@@ -52,6 +52,8 @@ FACES = 0.25
 
 Face = tuple[float, float]
 """Direction from which a face is seen best, and standard deviation of those from which it is seen, rad."""
+PAST: Face = (0.0, float("inf"))
+"""An odd scatterer that is seen from all sides and past the body; others stand in the field of a sheet."""
 
 
 def seen_of(toward: Floats | float, width: Floats | float, direction: Floats) -> Floats:
@@ -318,7 +320,7 @@ class Model:
             parts += [tag * p for p in self.transfer.power]
             parts += [tag * BOUNCE**2] * self.bounces
             parts += [min(tag, STRONGEST) * self.transfer.power[0] * UNLIKE**2] * self.unlike
-        parts += [ODD_POWER if face is None else FACE_POWER for face in self._faces]
+        parts += [ODD_POWER if face in (None, PAST) else FACE_POWER for face in self._faces]
         return np.asarray(moving[:, None] * np.array(parts))
 
     @cached_property
@@ -392,7 +394,7 @@ class Model:
             log -= self.tag.turns * np.log(2 * np.pi)
             log -= self.tag.free.sum() * np.log(np.ptp(RING_M)) - _log_factorial(self.tag.turns)
         log -= self.odd * np.log(np.pi * self.priors.reach_m**2) - _log_factorial(self.odd)
-        log += float(np.log(FACES)) * sum(face is not None for face in self._faces)
+        log += float(np.log(FACES)) * sum(face not in (None, PAST) for face in self._faces)
         return float(log - (np.log(SECTORS) if self.hidden[1] else 0.0))
 
     def crowding(self, x: Floats) -> Floats:

@@ -120,7 +120,7 @@ def _difference(one: Hypothesis, best: Hypothesis) -> Code:
         target = np.append(target, best.found.centre)
     apart = np.abs(target[:, None] - places)
     kept = int((apart.min(axis=1) < SAME_M).sum())
-    if kept == len(target) < len(places):
+    if kept == len(target) == len(places) - 1:
         return Code.EXTRA
     if len(places) < len(target) and (apart.min(axis=0) < SAME_M).all():
         return Code.MISSING

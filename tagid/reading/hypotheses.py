@@ -14,18 +14,18 @@ import numpy as np
 
 from tagid.reading import search, sheet_tags
 from tagid.reading.arrangement import Arrangement
-from tagid.reading.columns import APART_M, PLANE_SD_M, RING_M, Model, Priors
+from tagid.reading.columns import APART_M, PAST, PLANE_SD_M, RING_M, Model, Priors
 from tagid.reading.descent import FAR_M, TAG, Found, Powers, best_powers, refined
 from tagid.reading.hypothesis import (
     Arranged,
     Candidate,
     Hypothesis,
     Stand,
+    as_layouts,
     bodies_apart,
     disc_of,
     distinct,
     middle_of,
-    pose_of,
     same_place,
     unlike,
 )
@@ -267,25 +267,14 @@ class Contest:
                     self.add(one.layout, again, middle)
 
     def _as_enrolled(self) -> None:
-        """Layouts where the best free arrangements stand, if they are about the same."""
+        """Layouts where points of the best hypotheses stand that are about theirs."""
         for one in self._best(6, enrolled=False):
-            model, found = one.found.model, one.found
-            if found in self._tried:
+            if one.found in self._tried:
                 continue
-            self._tried.add(found)
-            head = found.x[: model.head].copy()
-            # The centre is counted from that of a sheet or an enrolled body.
-            origin = found.centre - complex(*head[model.about])
-            for layout in self.layouts:
-                arranged = Arranged.of(layout, model.covers_middle)
-                pose = pose_of(arranged.tag, found.places)
-                if pose is None:
-                    continue
-                head[model.about] = (pose[0] - origin).real, (pose[0] - origin).imag
-                own = replace(model, tag=arranged.tag, disc=disc_of(arranged.radius_m), odd=0)
-                rise = [float(np.mean(model.heights_of(found.x)[0] - arranged.tag.height_m))] * own.lifts
-                best = refined(self.spectra, own, np.r_[head, pose[1], 0.0, rise], (1e-2, None))
-                self.add(layout, best, arranged.middle)
+            self._tried.add(one.found)
+            for layout, model, x, middle in as_layouts(one.found, self.layouts, self.most_odd):
+                best = self.add(layout, refined(self.spectra, model, x, (1e-2, None)), middle)
+                self.grow(best, self.most_odd - model.odd)
 
     def _as_free(self) -> None:
         """Free arrangements where the best layouts stand, about the body's own centre."""
@@ -531,7 +520,7 @@ class Contest:
     def grow(self, one: Hypothesis, most: int) -> Hypothesis:
         """The best of a hypothesis beside up to so many odd scatterers, added while they pay."""
         best = self._grown(one, most)
-        if any(best.found.model.faces[one.found.model.odd :]):
+        if any(face not in (None, PAST) for face in best.found.model.faces[one.found.model.odd :]):
             # A face that pays most at first may stand where several points pay more.
             best = max(best, self._grown(one, most, faces=False), key=lambda one: one.log_z)
         return best

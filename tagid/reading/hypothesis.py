@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 
@@ -185,6 +185,36 @@ def pose_of(tag: Arrangement, places: Complex) -> tuple[complex, float] | None:
         if off < best:
             best, found = float(off), (complex(p.mean() - flat.mean() * turn), float(np.angle(turn)))
     return found
+
+
+def as_layouts(
+    found: Found, layouts: Sequence[Layout], most_odd: int
+) -> Iterator[tuple[Layout, Model, Floats, bool]]:
+    """Layouts where points of a hypothesis, alike or odd, stand about as theirs do; the other points are odd.
+
+    Gives layout, model, parameters, and whether the body covers the layout's middle.
+    """
+    model = found.model
+    head = found.x[: model.head].copy()
+    # The centre is counted from that of a sheet or an enrolled body.
+    origin = found.centre - complex(*head[model.about])
+    points, alike = np.concatenate([found.places, found.odd]), tuple(range(len(found.places)))
+    heights = np.concatenate(model.heights_of(found.x))
+    for layout in layouts:
+        arranged = Arranged.of(layout, model.covers_middle)
+        for some in combinations(range(len(points)), arranged.tag.count):
+            rest = [] if some == alike else [i for i in range(len(points)) if i not in some]
+            pose = pose_of(arranged.tag, points[list(some)]) if len(rest) <= most_odd else None
+            if pose is None:
+                continue
+            head[model.about] = (pose[0] - origin).real, (pose[0] - origin).imag
+            own = replace(model, tag=arranged.tag, disc=disc_of(arranged.radius_m), odd=0)
+            rise = [float(np.mean(heights[list(some)] - arranged.tag.height_m))] * own.lifts
+            x = np.r_[head, pose[1], 0.0, rise]
+            for i in rest:
+                own, spot = own.and_odd(), [points[i].real, points[i].imag, heights[i]]
+                x = np.append(x, spot[: own.spot])
+            yield layout, own, x, arranged.middle
 
 
 def middle_of(places: Complex) -> complex:

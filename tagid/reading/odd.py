@@ -10,8 +10,19 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.reading.columns import CLOSEST_M, FACE_POWER, FACES, ODD_POWER, OWN_SD_M, REACH_M, Face, seen_of
+from tagid.reading.columns import (
+    CLOSEST_M,
+    FACE_POWER,
+    FACES,
+    ODD_POWER,
+    OWN_SD_M,
+    PAST,
+    REACH_M,
+    Face,
+    seen_of,
+)
 from tagid.reading.descent import Found, variance
+from tagid.reading.sheet import SheetModel
 from tagid.reading.spectra import Complex, Floats, Spectra
 from tagid.signal import median
 
@@ -80,7 +91,8 @@ class OddMap:
     def likeliest(self, found: Found, *, faces: bool = True) -> list[tuple[Floats, Face | None]]:
         """Parameters of the point and of the face that add most evidence to a hypothesis, the better first.
 
-        What adds less than `GAIN` is left out, and what adds less than the other by `CLOSE`.
+        Beside a sheet the point may stand in its field or be seen past it. What adds less than `GAIN` is left
+        out, and what adds less than the other by `CLOSE`.
         """
         spectra, model, (places, heights) = self._spectra, found.model, self._spots_of
         spots, _ = self._whitened(model.disc)
@@ -110,9 +122,10 @@ class OddMap:
             best.insert(0, points + int(gain[points:].argmax()))
         least = max(GAIN, float(gain[best].max()) - CLOSE)
         return [
-            (np.array([places[i].real, places[i].imag, heights[i]])[: model.spot], self._face(i))
+            (np.array([places[i].real, places[i].imag, heights[i]])[: model.spot], seen)
             for i in sorted(best, key=lambda i: -gain[i])
             if gain[i] > least
+            for seen in ((None, PAST) if i < points and isinstance(model, SheetModel) else (self._face(i),))
         ]
 
     def _face(self, place: int) -> Face | None:

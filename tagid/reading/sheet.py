@@ -2,10 +2,10 @@
 
 A helmet's shell, the walls of a carton, a cup or a can, not enrolled (`tagid.fields.thin_shell`). The sheet
 returns one column per power of the cosine of incidence, a small reflector the square of the field at its
-place. Odd scatterers stand in the open: what stands beside a box, or over it, is seen past it. The parameters
-of a model begin with those of the sheet: its centre x, y, its turn, and the logarithms of two half sizes and
-of its strength over those of the population. Those of `tagid.reading.columns.Model` follow; their centre is
-that of the tag about the sheet's.
+place. Odd scatterers do the same, or are seen past the sheet: what stands far beside it, or over it. The
+parameters of a model begin with those of the sheet: its centre x, y, its turn, and the logarithms of two half
+sizes and of its strength over those of the population. Those of `tagid.reading.columns.Model` follow; their
+centre is that of the tag about the sheet's.
 """
 
 from __future__ import annotations
@@ -164,6 +164,11 @@ class SheetModel(Model):
         own = np.zeros(0) if self.tag is None else self.tag.height_m
         return np.concatenate([own, np.zeros(self.odd)])
 
+    @property
+    def past(self) -> NDArray[np.bool_]:
+        """(odd,) whether an odd scatterer is seen past the sheet."""
+        return np.array([face is not None for face in self._faces], dtype=bool)
+
     def sheet(self, x: Floats) -> ThinShell:
         """The sheet about its own centre and axes."""
         kind = self.kind
@@ -199,15 +204,16 @@ class SheetModel(Model):
         return log + float(np.log(4 / (2 * np.pi))), slope, hessian
 
     def crowding(self, x: Floats) -> Floats:
-        """See `Model`: no reflector stands in the sheet, either."""
+        """See `Model`: no reflector stands in the sheet, nor inside metal, where none is seen."""
         if self.tag is None:
             return super().crowding(x)
         about = self.places(x) - (x[..., :1] + 1j * x[..., 1:2])
         halves = np.clip(self.kind.size_m * np.exp(np.minimum(x[..., 3:5], 9.0)), *HALF_M)
         sheets: Any = SimpleNamespace(across_m=halves[..., :1], along_m=halves[..., 1:])
         outside = self.kind.shell.outside_m(sheets, about * np.exp(-1j * x[..., 2:3]))
-        inside = np.maximum(CLEAR_M - np.abs(outside), 0)
-        return np.concatenate([super().crowding(x), inside / CLOSE_SD_M], axis=-1)
+        if self.transfer.clear:
+            outside = np.abs(outside)
+        return np.concatenate([super().crowding(x), np.maximum(CLEAR_M - outside, 0) / CLOSE_SD_M], axis=-1)
 
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SheetColumns:
         """The columns at parameters x (P,)."""
@@ -231,7 +237,8 @@ class SheetColumns:
         before, after = _handed(spectra, model)
         x = np.ascontiguousarray(self.x, dtype=np.float64)
         aspects = quadrant(spectra.kappa, model.sheet(x))
-        _sheet.columns(*before, x, model.shape(x), values, rates, *after, aspects)
+        past = model.past.astype(np.int64)
+        _sheet.columns(*before, x, model.shape(x), values, past, rates, *after, aspects)
         return values, rates
 
     @cached_property
@@ -261,12 +268,14 @@ class SheetColumns:
             seen = _reflectors(view, self.spectra, x, tag, model.heights[: len(tag)])
             parts += [seen.sum(axis=1, keepdims=True), *([seen] if model.unlike else [])]
         if len(odd):
-            parts.append(self._open(odd))
+            parts.append(self._odd(view, x, odd))
         return np.concatenate(parts, axis=1)
 
-    def _open(self, odd: Complex) -> Complex:
+    def _odd(self, view: ShellView, x: Floats, odd: Complex) -> Complex:
         """(F, odd, V) echoes of the odd scatterers at places x + jy, m."""
         waves, _ = self.spectra.waves(odd, np.zeros(len(odd)))
+        there = ~self.model.past
+        waves[:, there] *= view.relative((odd[there] - complex(x[0], x[1])) * np.exp(-1j * x[2]))
         return np.asarray(waves * self.model.windows(self.spectra.direction))
 
     @cached_property
@@ -307,7 +316,7 @@ class SheetColumns:
         for i in range(len(odd)):
             row, column = len(x) - 2 * len(odd) + 2 * i, i - len(odd)
             for axis, way in enumerate((step, 1j * step)):
-                moved = self._open(odd + way)[:, i] - self._open(odd)[:, i]
+                moved = self._odd(self.view, x, odd + way)[:, i] - self.values[:, column]
                 out[row + axis, :, column] = moved / step
         return out
 

@@ -248,6 +248,9 @@ def beside(
     places = np.concatenate([centre + r * turns for r, _ in rings])
     ring = left.whitened(columns.reflectors(places, np.repeat([z for _, z in rings], RING)))
     anywhere = complex(x[0], x[1]) + grid(min(max(model.sheet(x).radius_m * 1.2, 0.05), 1.5 * REACH_M))
+    if not model.transfer.clear:
+        inside = model.sheet(x).outside_m((anywhere - complex(x[0], x[1])) * np.exp(-1j * x[2])) < 0
+        anywhere = anywhere[~inside]
     spots = left.whitened(columns.reflectors(anywhere, np.zeros(len(anywhere))))
     chosen = left.likeliest(spots)
     turned = []

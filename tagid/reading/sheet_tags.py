@@ -24,6 +24,8 @@ GUESTS, FOLLOWED, JOINT = 2, 9, 3
 them that are fitted."""
 SHEETS, ALONE, ABOUT = 3, 5, 5
 """Sheets of every kind, those that are fitted alone, and those about which reflectors are looked for."""
+LOUD = 3
+"""Kinds of sheets beside whose loudest scatterer reflectors are looked for."""
 FITTED, FITTED_USUAL = (3, 4), (1, 2)
 """Layouts and free arrangements that are fitted about sheets as they were found, and about usual ones."""
 ODD_ALONE, ODD_TAGGED, GROWN = 5, 2, 2
@@ -73,6 +75,12 @@ def explain(
         if not any(layout is other and _same(found, one) for other, one in sheets):
             sheets.append((layout, found))
 
+    def fit_best(some: list[_Start], most: tuple[int, int]) -> None:
+        some.sort(key=lambda one: -one[0])
+        for named, count in zip((True, False), most, strict=True):
+            for _, layout, model, x in [one for one in some if (one[1] is not None) == named][:count]:
+                fitted(layout, model, x)
+
     alone = Seeker(spectra)
     likely = [start for kind in kinds for start in alone.best(kind, SHEETS)]
     for start in sorted(likely, key=lambda one: -one.score)[:ALONE]:
@@ -97,18 +105,25 @@ def explain(
     ]
     for found, layout, model in sorted(nearer, key=lambda one: -one[0].log_z)[:JOINT]:
         fitted(layout, model, found.x)
-    starts: list[tuple[float, Layout | None, SheetModel, Floats]] = []
+    starts: list[_Start] = []
     for _, found in sorted(sheets, key=lambda one: -one[1].log_z)[:ABOUT]:
         starts += _about(spectra, layouts, _bare(found), found.x, found.centre, found.powers)
-    usual: list[tuple[float, Layout | None, SheetModel, Floats]] = []
+    usual: list[_Start] = []
     for model, x in _round(kinds, sheets):
         powers, _ = best_powers(spectra, model, x, 1e-2)
         usual += _about(spectra, layouts, model, x, complex(x[0], x[1]), powers)
-    for some, (named, free) in ((starts, FITTED), (usual, FITTED_USUAL)):
-        some.sort(key=lambda one: -one[0])
-        kept = [one for one in some if one[1] is not None][:named]
-        for _, layout, model, x in kept + [one for one in some if one[1] is None][:free]:
-            fitted(layout, model, x)
+    fit_best(starts, FITTED)
+    fit_best(usual, FITTED_USUAL)
+    # A handle may be louder than the tag: then that is looked for beside it.
+    singles: dict[str, _Start] = {}
+    for one in sorted((one for one in (*starts, *usual) if _single(one)), key=lambda one: -one[0]):
+        singles.setdefault(one[2].transfer.name, one)
+    beside_loud: list[_Start] = []
+    for _, _, model, x in list(singles.values())[:LOUD]:
+        own, x = _as_odd(model, refined(thin, model, x, (1e-2,), 8).x)
+        loud = refined(spectra, own, x, (None,), 8)
+        beside_loud += _about(spectra, layouts, own, loud.x, loud.centre, loud.powers)
+    fit_best(beside_loud, FITTED_USUAL)
     tagged = sorted(sheets[alone_only:], key=lambda one: -one[1].log_z)
     for named in (True, False):
         for i, (layout, found) in enumerate(one for one in tagged if (one[0] is not None) == named):
@@ -117,6 +132,21 @@ def explain(
         # The sheet that a tag has shown, with anything else about it.
         found = tagged[0][1]
         enter(None, refined(spectra, _bare(found), np.r_[found.x[:HEAD], 0.0, 0.0], (None,), 4), ODD_ALONE)
+
+
+_Start = tuple[float, Layout | None, SheetModel, Floats]
+"""Log evidence, layout, model and parameters."""
+
+
+def _single(start: _Start) -> bool:
+    """One reflector, of no layout."""
+    return start[1] is None and start[2].tag is not None and start[2].tag.count == 1
+
+
+def _as_odd(model: SheetModel, x: Floats) -> tuple[SheetModel, Floats]:
+    """The same with its only reflector as an odd scatterer."""
+    (place,) = model.places(x)
+    return replace(model, tag=None).and_odd(), np.r_[x[:HEAD], 0.0, 0.0, place.real, place.imag]
 
 
 def _bare(found: Found) -> SheetModel:
@@ -185,15 +215,17 @@ def _with(model: SheetModel, x: Floats, guest: Found) -> tuple[SheetModel, Float
 
 def _about(
     spectra: Spectra, layouts: Sequence[Layout], model: SheetModel, x: Floats, middle: complex, powers: Powers
-) -> Iterator[tuple[float, Layout | None, SheetModel, Floats]]:
+) -> Iterator[_Start]:
     """Reflectors about one sheet, by its tables: log evidence, layout, model and parameters.
 
     Args:
-        x: parameters of the sheet, first.
+        model: of the sheet, and of odd scatterers beside it.
+        x: its parameters.
         middle: supposed centre of reflectors, x + jy, m.
     """
     arranged = [Arrangement.of_layout(one.positions, one.heights) for one in layouts]
-    x = np.r_[x[:HEAD], 0.0, 0.0]
+    odd = x[len(x) - 2 * model.odd :]
+    x = np.r_[x[:HEAD], 0.0, 0.0, odd]
     sheet_centre = complex(x[0], x[1])
     centres = [sheet_centre]
     if abs(middle - sheet_centre) > 4e-3:
@@ -205,7 +237,7 @@ def _about(
         near = beside(spectra, model, x, arranged, centre, powers)
         for layout, a, turns in zip(layouts, arranged, search.turned(near.layouts, 2), strict=True):
             for one in turns:
-                yield one.log, layout, replace(model, tag=a), np.r_[head, one.angles[0], 0.0]
+                yield one.log, layout, replace(model, tag=a), np.r_[head, one.angles[0], 0.0, odd]
         for log, places in sets(near.spots, near.places, MOST):
             tag = Arrangement.points(places - sheet_centre)
-            yield log, None, replace(model, tag=tag), np.r_[x, np.zeros(2 * tag.count)]
+            yield log, None, replace(model, tag=tag), np.r_[x[: HEAD + 2], np.zeros(2 * tag.count), odd]

@@ -165,10 +165,10 @@ def test_a_solved_can_alone_and_with_another_tag_is_not_named() -> None:
     assert foreign.layout is None and "2 reflectors 130 degrees apart" in foreign.reason
 
 
-def test_a_handle_that_is_not_enrolled_is_no_tag_and_hides_one() -> None:
-    for name in ("handle34", "handle34_c90"):
-        reading = solved(name)
-        assert reading.layout is None and reading.lead < 0 and reading.advice == ADVICE[reading.code] != ""
+def test_a_handle_that_is_not_enrolled_is_no_tag_and_hides_none() -> None:
+    alone, tagged = solved("handle34"), solved("handle34_c90")
+    assert alone.layout is None and alone.lead < 0 and alone.advice == ADVICE[alone.code] != ""
+    assert tagged.layout == "container-90" and any(not one.matched for one in tagged.reflectors)
 
 
 def test_noise_holds_no_tag() -> None:

@@ -13,7 +13,7 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import Model
 from tagid.reading.decision import Needed, _difference, decide, settled
 from tagid.reading.descent import Found, Powers, refined
-from tagid.reading.explain import MOST, Explained, explanations, kind_of
+from tagid.reading.explain import MOST, Explained, explanations, kind_of, ranked, residuals
 from tagid.reading.hypothesis import Arranged, Hypothesis, Joint
 from tagid.reading.reading import Kind
 from tagid.reading.spectra import Spectra
@@ -180,7 +180,7 @@ def test_the_winner_and_the_best_of_every_kind_are_reported() -> None:
         hypothesis(ring(0, 140), real.log_z - 40),
         hypothesis(NOTHING, real.log_z - 50, HELMET, POINTS),
     ]
-    rows = explanations(spectra, [real, *others], real)
+    rows = explanations([Explained.of(spectra, one) for one in ranked([real, *others], real)])
     assert [(one.kind, one.layout) for one in rows] == [
         (Kind.BARE, PAIR.name),
         (Kind.BARE, None),
@@ -190,6 +190,17 @@ def test_the_winner_and_the_best_of_every_kind_are_reported() -> None:
     assert [one.log_evidence for one in rows] == pytest.approx([0, -30, -50, -400])
     assert rows[0].radius_m == pytest.approx(0.045, abs=2e-3) and rows[3].radius_m is None
     assert rows[0].left < 0.01 < rows[1].left <= 1 and len(rows) <= MOST
-    assert (
-        kind_of(others[0]) is Kind.NO_TAG and explanations(spectra, others, others[0])[0].kind is Kind.NO_TAG
-    )
+    assert kind_of(others[0]) is Kind.NO_TAG and ranked(others, others[0])[0] is others[0]
+
+
+def test_what_is_left_of_a_recording_is_noise_where_the_hypothesis_is_right() -> None:
+    spectra = spectra_of(0.0)
+    real = explained(spectra, 1)
+    wrong = Explained.of(spectra, hypothesis(ring(0, 140), real.hypothesis.log_z - 40))
+    left = residuals(spectra, [real, wrong])
+    assert left.left.shape == (2, len(left.range_m), spectra.views)
+    assert (np.diff(left.angle_rad) > 0).all()
+    energies = [float((own.astype(float) ** 2).sum()) for own in (left.recorded, *left.left)]
+    assert energies[1] < 0.02 * energies[0] < energies[2]
+    residual = real.residual(spectra)
+    assert np.abs(residual @ spectra.rooms.T).max() < 1e-9 * np.abs(spectra.data).max()

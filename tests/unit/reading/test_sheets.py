@@ -109,3 +109,11 @@ def test_a_tag_about_a_sheet_is_named(folder: str, name: str, layout: str) -> No
 
 def test_three_reflectors_in_a_carton_are_no_pair() -> None:
     assert decide(explained("cartons", "carton140_three")).name is None
+
+
+def test_no_reflector_stands_inside_metal_where_none_is_seen() -> None:
+    inside = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for kind, hidden in ((sheet.CAN, True), (sheet.CUP, False)):
+        half = kind.size_m
+        model = replace(SheetModel.of(kind, (half, half), 0), tag=Arrangement.rigid(np.array([0.02 + 0j])))
+        assert (model.crowding(inside[: model.parameters]).max() > 10) == hidden
