@@ -204,13 +204,14 @@ class SheetModel(Model):
         return log + float(np.log(4 / (2 * np.pi))), slope, hessian
 
     def crowding(self, x: Floats) -> Floats:
-        """See `Model`: no reflector stands in the sheet, nor inside metal, where none is seen."""
-        if self.tag is None:
-            return super().crowding(x)
-        about = self.places(x) - (x[..., :1] + 1j * x[..., 1:2])
+        """See `Model`: no reflector stands in the sheet, and nothing inside metal, where it is not seen."""
+        points = self.places(x)
+        if not self.transfer.clear:
+            points = np.concatenate([points, self._spots(x)[..., ~self.past]], axis=-1)
+        about = (points - (x[..., :1] + 1j * x[..., 1:2])) * np.exp(-1j * x[..., 2:3])
         halves = np.clip(self.kind.size_m * np.exp(np.minimum(x[..., 3:5], 9.0)), *HALF_M)
         sheets: Any = SimpleNamespace(across_m=halves[..., :1], along_m=halves[..., 1:])
-        outside = self.kind.shell.outside_m(sheets, about * np.exp(-1j * x[..., 2:3]))
+        outside = self.kind.shell.outside_m(sheets, about)
         if self.transfer.clear:
             outside = np.abs(outside)
         return np.concatenate([super().crowding(x), np.maximum(CLEAR_M - outside, 0) / CLOSE_SD_M], axis=-1)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
 
 def test_bars_say_how_far_behind_the_others_are(
-    tagid: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    tagid: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "300")
     words = ("--views", 24, "--snr", 12, "--seed", 1, "--out", "1.tagid.h5")
@@ -31,3 +34,11 @@ def test_bars_say_how_far_behind_the_others_are(
     others = [row for row in rows if row["layout"] != "helmet-120"]
     lead = item.json["data"]["items"][0]["lead"]
     assert min(-row["log_evidence"] for row in others) == pytest.approx(lead, abs=0.01)
+    drawn = tagid("identify", "1.tagid.h5", "--explain", "--png", "p.png")
+    assert drawn.code == 0
+    with Image.open(tmp_path / "p.left.png") as picture:
+        # The recording, and what the first four hypotheses leave of it.
+        assert picture.size == (940, 60 + 5 * 220 + 30)
+        shades = np.asarray(picture.convert("L"), dtype=float)[:, 110:810]
+    recorded, best = (shades[60 + 220 * i : 210 + 220 * i].max() for i in (0, 1))
+    assert recorded > best
