@@ -251,9 +251,9 @@ def test_the_circle_is_about_the_bodys_middle() -> None:
 def test_a_handle_circles_but_is_no_body_off_the_axis(monkeypatch: pytest.MonkeyPatch) -> None:
     prepared = can_off_the_axis(0.002, "can:35mm,handle")
     answer = with_causes(identify(prepared, LAYOUTS), prepared, LAYOUTS)
-    assert answer.status == "unknown" and not answer.causes and answer.reading is not None
+    assert answer.status == "identified" and not answer.causes and answer.reading is not None
     # A body is to be centred before it is enrolled, if it may stand off the axis.
-    other = replace(answer, advice="", reading=replace(answer.reading, code=Code.OTHER))
+    other = replace(answer, status="unknown", advice="", reading=answer.reading.refused(Code.OTHER, ""))
     monkeypatch.setattr(diagnosis, "named_in", lambda *_: None)
     said = with_causes(other, can_off_the_axis(0.03, "can:35mm"), LAYOUTS)
     assert said.what_to_do().startswith("Place the object") and ADVICE[Code.OTHER] in said.what_to_do()
