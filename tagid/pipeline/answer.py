@@ -146,6 +146,7 @@ class Identification:
                 "unexplained": one.left,
                 "centre_m": list(one.centre_m),
                 "radius_m": one.radius_m,
+                "outline_m": [list(corner) for corner in one.outline_m],
             }
             for one in (self.reading.hypotheses if self.reading else ())
         ]
