@@ -58,8 +58,7 @@ PAST: Face = (0.0, float("inf"))
 
 def seen_of(toward: Floats | float, width: Floats | float, direction: Floats) -> Floats:
     """How much of faces is seen from directions, see `Face`, rad."""
-    off = np.angle(np.exp(1j * (direction - toward)))
-    return np.asarray(np.exp(-0.5 * (off / width) ** 2))
+    return np.asarray(np.exp(-0.5 * (np.angle(np.exp(1j * (direction - toward))) / width) ** 2))
 
 
 def nearest_ring(radius_m: float) -> float:
@@ -256,11 +255,13 @@ class Model:
 
     def windows(self, direction: Floats) -> Floats:
         """(odd, V) how much of every odd scatterer is seen from directions (V,), rad."""
-        seen = np.ones((self.odd, len(direction)))
-        for row, face in zip(seen, self._faces, strict=True):
-            if face is not None:
-                row[:] = seen_of(*face, direction)
-        return seen
+        toward, width = np.array([face or PAST for face in self._faces]).reshape(-1, 2).T[:, :, None]
+        return seen_of(toward, width, direction)
+
+    @property
+    def faced(self) -> tuple[bool, ...]:
+        """Which of the odd scatterers are faces."""
+        return tuple(face not in (None, PAST) for face in self._faces)
 
     def split(self, x: Floats) -> tuple[complex, Floats, Floats, Complex]:
         """Centre, turns, stretches and odd places of parameters."""
@@ -285,9 +286,7 @@ class Model:
 
     def heights_of(self, x: Floats) -> tuple[Floats, Floats]:
         """(K,) of the reflectors and (m,) of the odd scatterers, m."""
-        up = np.zeros(self.odd)
-        if self.levels > 1:
-            up = x[len(x) - 3 * self.odd :][2::3]
+        up = x[len(x) - 3 * self.odd :][2::3] if self.levels > 1 else np.zeros(self.odd)
         if self.tag is None:
             return np.zeros(0), up
         first = self.head + self.tag.turns + self.tag.stretches
@@ -320,7 +319,7 @@ class Model:
             parts += [tag * p for p in self.transfer.power]
             parts += [tag * BOUNCE**2] * self.bounces
             parts += [min(tag, STRONGEST) * self.transfer.power[0] * UNLIKE**2] * self.unlike
-        parts += [ODD_POWER if face in (None, PAST) else FACE_POWER for face in self._faces]
+        parts += [FACE_POWER if faced else ODD_POWER for faced in self.faced]
         return np.asarray(moving[:, None] * np.array(parts))
 
     @cached_property
@@ -394,7 +393,7 @@ class Model:
             log -= self.tag.turns * np.log(2 * np.pi)
             log -= self.tag.free.sum() * np.log(np.ptp(RING_M)) - _log_factorial(self.tag.turns)
         log -= self.odd * np.log(np.pi * self.priors.reach_m**2) - _log_factorial(self.odd)
-        log += float(np.log(FACES)) * sum(face not in (None, PAST) for face in self._faces)
+        log += float(np.log(FACES)) * sum(self.faced)
         return float(log - (np.log(SECTORS) if self.hidden[1] else 0.0))
 
     def crowding(self, x: Floats) -> Floats:

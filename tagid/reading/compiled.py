@@ -106,8 +106,7 @@ class Compiled:
             model.transfer.power,
             model.body_columns,
             model.unlike,
-            tuple(face is None for face in model.faces[: model.odd]),
-            model.odd,
+            model.faced,
             model.bounces,
             model.tagged,
         )

@@ -14,7 +14,7 @@ import numpy as np
 
 from tagid.reading import search, sheet_tags
 from tagid.reading.arrangement import Arrangement
-from tagid.reading.columns import APART_M, PAST, PLANE_SD_M, RING_M, Model, Priors
+from tagid.reading.columns import APART_M, PLANE_SD_M, RING_M, Model, Priors
 from tagid.reading.descent import FAR_M, TAG, Found, Powers, best_powers, refined
 from tagid.reading.hypothesis import (
     Arranged,
@@ -520,7 +520,7 @@ class Contest:
     def grow(self, one: Hypothesis, most: int) -> Hypothesis:
         """The best of a hypothesis beside up to so many odd scatterers, added while they pay."""
         best = self._grown(one, most)
-        if any(face not in (None, PAST) for face in best.found.model.faces[one.found.model.odd :]):
+        if any(best.found.model.faced[one.found.model.odd :]):
             # A face that pays most at first may stand where several points pay more.
             best = max(best, self._grown(one, most, faces=False), key=lambda one: one.log_z)
         return best

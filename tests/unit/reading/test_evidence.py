@@ -12,7 +12,7 @@ from reader_scenes import LAYOUTS, spectra_of
 from tagid.reading import descent
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.bounce import BOUNCE_M
-from tagid.reading.columns import CLOSE_SD_M, REACH_M, Columns, Model
+from tagid.reading.columns import CLOSE_SD_M, PAST, REACH_M, Columns, Face, Model
 from tagid.reading.compiled import Compiled
 from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, Powers, _Numpy, descend, refined, variance
 from tagid.reading.odd import OddMap
@@ -74,6 +74,17 @@ def test_the_compiled_likelihood_is_that_of_numpy(turn: str, kind: str) -> None:
     for a, b in zip(one.expanded(x, POWERS, 1e-3), other.expanded(x, POWERS, 1e-3), strict=True):
         # What crowds has slopes by finite differences there.
         np.testing.assert_allclose(a, b, atol=1e-6 * np.abs(b).max())
+
+
+@pytest.mark.parametrize("faces", [((0.7, 0.3), PAST), (PAST, (0.7, 0.3)), (PAST, None)])
+def test_a_density_does_not_depend_on_those_asked_before(faces: tuple[Face | None, ...]) -> None:
+    """Prior powers are kept between models: odd scatterers differ in theirs by how they are seen."""
+    spectra = SPECTRA["even"]
+    for asked in [(None, None), (PAST, PAST), ((0.7, 0.3), (0.7, 0.3)), faces]:
+        model = replace(MODELS["face"], faces=asked)
+        x = somewhere(model)
+        value = compiled(spectra, model).values(x, [POWERS], [1e-3])
+        np.testing.assert_allclose(value, _Numpy(spectra, model).values(x, [POWERS], [1e-3]), rtol=1e-9)
 
 
 @pytest.mark.parametrize("turn", SPECTRA)
