@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from tagid.enrolling.enrolment import check_merge, family_outlooks
-from tagid.errors import LayoutConflictError, UsageError
-from tagid.tags.layouts.design import MAX_SLOTS, DesignRules, Family, design
+from tagid.enrolling.enrolment import family_outlooks, refusal
+from tagid.errors import UsageError
+from tagid.tags.layouts.design import MAX_SLOTS, DesignRules, design
 from tagid.tags.layouts.layout import MAX_REFLECTORS, Layout
 from tagid.tags.layouts.objects import TaggedObject
 
@@ -18,20 +18,6 @@ _MORE_SLOTS = (16, 18, 20, 24)
 _LEAST_SPACING_M = 0.04
 _MOST = 2
 """Suggestions that are enough; the search ends there."""
-
-
-def refusal(
-    family: Family, enrolled: Sequence[Layout], *, direction_known: bool, height_weight: float = 0.0
-) -> LayoutConflictError | None:
-    """Why enrolling a designed set would be refused; None where it would not."""
-    try:
-        found = family_outlooks(
-            family.layouts, enrolled, direction_known=direction_known, height_weight=height_weight
-        )
-        check_merge(found, enrolled)
-    except LayoutConflictError as error:
-        return error
-    return None
 
 
 def alternatives(
@@ -97,5 +83,6 @@ def works(target: TaggedObject, rules: DesignRules, count: int, enrolled: Sequen
         family = design(target, rules, count, None, enrolled)
     except UsageError:
         return False
-    weight = rules.height_weight
-    return refusal(family, enrolled, direction_known=rules.mirror_counts, height_weight=weight) is None
+    known, weight = rules.mirror_counts, rules.height_weight
+    outlooks = family_outlooks(family.layouts, enrolled, direction_known=known, height_weight=weight)
+    return refusal(outlooks, enrolled) is None

@@ -140,7 +140,7 @@ class Outlook:
             return None
         worst = max(near, key=lambda n: n.unresolved)
         image = "the mirror image of " if worst.mirrored else ""
-        where = f" on {worst.apart.body}" if worst.apart is not None and worst.apart.body else ""
+        where = "" if worst.apart is None else worst.apart.where
         sigma = self.layout.sigma_m
         known = f", positions known to {sigma * 1e3:.1f} mm" if sigma > 0 else ""
         return LayoutConflictError(
@@ -334,7 +334,7 @@ def merge(
         force: replace layouts of the same names, and accept layouts that could be confused.
         direction_known: whether the direction of rotation is known.
         height_weight: as of `outlook`.
-        checked: registry version for which `check_merge` has already passed.
+        checked: registry version for which `refusal` found nothing.
         signatures: stored with the layouts.
 
     Raises:
@@ -347,7 +347,8 @@ def merge(
             found = family_outlooks(
                 layouts, enrolled, direction_known=direction_known, height_weight=height_weight
             )
-            check_merge(found, enrolled)
+            if error := refusal(found, enrolled):
+                raise error
         return store.add_all(layouts, source, since=version, signatures=signatures)
 
     return undisturbed(compared)
@@ -368,17 +369,15 @@ def undisturbed(compared: Callable[[], _T | None]) -> _T:
     raise RegistryError("other processes keep changing the registry", "Try again when they have finished.")
 
 
-def check_merge(outlooks: Sequence[Outlook], enrolled: Sequence[Layout]) -> None:
-    """Raises LayoutConflictError if the layouts compared by `family_outlooks` cannot be added."""
+def refusal(outlooks: Sequence[Outlook], enrolled: Sequence[Layout]) -> LayoutConflictError | None:
+    """Why the layouts compared by `family_outlooks` cannot be added; None if they can."""
     known = {layout.name: layout for layout in enrolled}
     for one in outlooks:
         same = known.get(one.layout.name)
         if same is not None and same.to_dict() != one.layout.to_dict():
-            raise LayoutConflictError(
+            return LayoutConflictError(
                 f"a different layout named {same.name} is already enrolled",
                 "Rename one of them (a design: `prefix=NAME`), or import with `force`; nothing was stored.",
             )
-    for one in reversed(outlooks):
-        conflict = one.conflict()
-        if one.layout.name not in known and conflict:
-            raise conflict
+    conflicts = (one.conflict() for one in reversed(outlooks) if one.layout.name not in known)
+    return next((one for one in conflicts if one), None)

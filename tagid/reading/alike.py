@@ -20,7 +20,7 @@ from tagid.reading.columns import Model
 from tagid.reading.decision import SURE
 from tagid.reading.descent import best_powers, refined
 from tagid.reading.hypotheses import TRANSFERS
-from tagid.reading.hypothesis import Arranged, disc_of
+from tagid.reading.hypothesis import Arranged, Candidate, disc_of
 from tagid.reading.spectra import MODEL_ERROR, Floats, Spectra
 from tagid.reading.transfers.plain import BARE
 from tagid.reading.transfers.rod import RODS
@@ -68,6 +68,11 @@ class Apart:
 
     lead: float
     body: str
+
+    @property
+    def where(self) -> str:
+        """The body as the end of a phrase; empty for none."""
+        return f" on {self.body}" if self.body else ""
 
     def unresolved(self, unsure: float = 0.0) -> float:
         """Share of the readings whose lead is too small for a name.
@@ -123,14 +128,6 @@ def _placed(spectra: Spectra, layout: Layout, transfer: Transfer) -> tuple[Model
     return model, np.zeros(model.parameters)
 
 
-@dataclass(frozen=True, eq=False)
-class _Start:
-    log: float
-    pose: tuple[complex, float]
-    model: Model
-    x: Floats
-
-
 def _best(spectra: Spectra, layout: Layout, recorded: Layout, body: Transfer) -> float:
     """Log evidence of a layout, at any place and turn, on any body, nats.
 
@@ -138,18 +135,19 @@ def _best(spectra: Spectra, layout: Layout, recorded: Layout, body: Transfer) ->
         recorded: the layout of the recording, and its body.
     """
 
-    def tried(transfer: Transfer, poses: Iterable[tuple[complex, float]]) -> list[_Start]:
+    def tried(transfer: Transfer, poses: Iterable[tuple[complex, float]]) -> list[Candidate]:
         model, x = _placed(spectra, layout, transfer)
         found = []
         for centre, turn in poses:
             x = x.copy()
             x[0], x[1], x[model.head] = centre.real, centre.imag, turn
-            found.append(_Start(best_powers(spectra, model, x, 1e-2)[1], (centre, turn), model, x))
+            found.append(Candidate(best_powers(spectra, model, x, 1e-2)[1], layout, model, x, False))
         return sorted(found, key=lambda one: -one.log)
 
     about = [(0j, float(turn)) for turn in 2 * np.pi * np.arange(_TURNS) / _TURNS]
     pair = best_pairing(layout.positions, recorded.positions)
-    poses = [(complex(*pair.shift_m), pair.rotation_rad), *(one.pose for one in tried(body, about)[:_TRIED])]
+    poses = [(complex(*pair.shift_m), pair.rotation_rad)]
+    poses += [(complex(*one.x[:2]), float(one.x[one.model.head])) for one in tried(body, about)[:_TRIED]]
     starts = sorted((one for each in TRANSFERS for one in tried(each, poses)), key=lambda one: -one.log)
     found = [refined(spectra, one.model, one.x) for one in starts[:_REFINED]]
     glued = [refined(spectra, *one.by_hand(), (None,)) for one in found]

@@ -208,10 +208,9 @@ class SheetModel(Model):
         points = self.places(x)
         if not self.transfer.clear:
             points = np.concatenate([points, self._spots(x)[..., ~self.past]], axis=-1)
-        about = (points - (x[..., :1] + 1j * x[..., 1:2])) * np.exp(-1j * x[..., 2:3])
         halves = np.clip(self.kind.size_m * np.exp(np.minimum(x[..., 3:5], 9.0)), *HALF_M)
         sheets: Any = SimpleNamespace(across_m=halves[..., :1], along_m=halves[..., 1:])
-        outside = self.kind.shell.outside_m(sheets, about)
+        outside = self.kind.shell.outside_m(sheets, in_frame(x, points))
         if self.transfer.clear:
             outside = np.abs(outside)
         return np.concatenate([super().crowding(x), np.maximum(CLEAR_M - outside, 0) / CLOSE_SD_M], axis=-1)
@@ -276,7 +275,7 @@ class SheetColumns:
         """(F, odd, V) echoes of the odd scatterers at places x + jy, m."""
         waves, _ = self.spectra.waves(odd, np.zeros(len(odd)))
         there = ~self.model.past
-        waves[:, there] *= view.relative((odd[there] - complex(x[0], x[1])) * np.exp(-1j * x[2]))
+        waves[:, there] *= view.relative(in_frame(x, odd[there]))
         return np.asarray(waves * self.model.windows(self.spectra.direction))
 
     @cached_property
@@ -344,6 +343,11 @@ def _handed(spectra: Spectra, model: SheetModel) -> tuple[tuple[object, ...], tu
     return before, (spectra.distance_m, away, first, step, is_round, model.odd)
 
 
+def in_frame(x: Floats, points: Complex) -> Complex:
+    """Points (.., N), x + jy, m, about the centre and axes of a sheet of parameters (.., P)."""
+    return np.asarray((points - (x[..., :1] + 1j * x[..., 1:2])) * np.exp(-1j * x[..., 2:3]))
+
+
 def quadrant(kappa: Floats, shell: ThinShell) -> int:
     """Aspects of a quadrant that hold all harmonics of a sheet's echo, which are even."""
     orders = kappa[-1] * shell.radius_m
@@ -351,9 +355,9 @@ def quadrant(kappa: Floats, shell: ThinShell) -> int:
 
 
 def _view(field: ShellField, spectra: Spectra, x: Floats) -> ShellView:
-    return field.seen_from((spectra.antenna - complex(x[0], x[1])) * np.exp(-1j * x[2]))
+    return field.seen_from(in_frame(x, spectra.antenna))
 
 
 def _reflectors(view: ShellView, spectra: Spectra, x: Floats, places: Complex, heights: Floats) -> Complex:
     direct, _ = spectra.waves(places, heights)
-    return np.asarray(direct * view.relative((places - complex(x[0], x[1])) * np.exp(-1j * x[2])))
+    return np.asarray(direct * view.relative(in_frame(x, places)))

@@ -20,7 +20,7 @@ from tagid.reading.columns import REACH_M, Priors
 from tagid.reading.descent import Powers
 from tagid.reading.remainder import Remainder, grid
 from tagid.reading.search import Tables
-from tagid.reading.sheet import HEAD, STEP, Kind, SheetColumns, SheetModel, quadrant
+from tagid.reading.sheet import HEAD, STEP, Kind, SheetColumns, SheetModel, in_frame, quadrant
 from tagid.reading.spectra import Complex, Floats, Spectra
 
 TURNED_RAD = 1.1
@@ -249,8 +249,7 @@ def beside(
     ring = left.whitened(columns.reflectors(places, np.repeat([z for _, z in rings], RING)))
     anywhere = complex(x[0], x[1]) + grid(min(max(model.sheet(x).radius_m * 1.2, 0.05), 1.5 * REACH_M))
     if not model.transfer.clear:
-        inside = model.sheet(x).outside_m((anywhere - complex(x[0], x[1])) * np.exp(-1j * x[2])) < 0
-        anywhere = anywhere[~inside]
+        anywhere = anywhere[model.sheet(x).outside_m(in_frame(x, anywhere)) >= 0]
     spots = left.whitened(columns.reflectors(anywhere, np.zeros(len(anywhere))))
     chosen = left.likeliest(spots)
     turned = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -76,9 +76,9 @@ def explain(
             sheets.append((layout, found))
 
     def fit_best(some: list[_Start], most: tuple[int, int]) -> None:
-        some.sort(key=lambda one: -one[0])
+        some.sort(key=lambda one: -one.log)
         for named, count in zip((True, False), most, strict=True):
-            for _, layout, model, x in [one for one in some if (one[1] is not None) == named][:count]:
+            for _, layout, model, x in [one for one in some if (one.layout is not None) == named][:count]:
                 fitted(layout, model, x)
 
     alone = Seeker(spectra)
@@ -97,9 +97,9 @@ def explain(
             model, x = start.begun(guest.model.disc, priors)
             if possible(spectra, model, x) > best:
                 model, x = _with(model, x, guest)
-                joint.append((best_powers(spectra, model, x)[1], layout, model, x))
+                joint.append(_Start(best_powers(spectra, model, x)[1], layout, model, x))
     alone_only = len(sheets)
-    joint.sort(key=lambda one: -one[0])
+    joint.sort(key=lambda one: -one.log)
     nearer = [
         (refined(thin, model, x, (1e-2,), 3), layout, model) for _, layout, model, x in joint[:FOLLOWED]
     ]
@@ -116,8 +116,8 @@ def explain(
     fit_best(usual, FITTED_USUAL)
     # A handle may be louder than the tag: then that is looked for beside it.
     singles: dict[str, _Start] = {}
-    for one in sorted((one for one in (*starts, *usual) if _single(one)), key=lambda one: -one[0]):
-        singles.setdefault(one[2].transfer.name, one)
+    for one in sorted((one for one in (*starts, *usual) if one.single), key=lambda one: -one.log):
+        singles.setdefault(one.model.transfer.name, one)
     beside_loud: list[_Start] = []
     for _, _, model, x in list(singles.values())[:LOUD]:
         own, x = _as_odd(model, refined(thin, model, x, (1e-2,), 8).x)
@@ -134,13 +134,18 @@ def explain(
         enter(None, refined(spectra, _bare(found), np.r_[found.x[:HEAD], 0.0, 0.0], (None,), 4), ODD_ALONE)
 
 
-_Start = tuple[float, Layout | None, SheetModel, Floats]
-"""Log evidence, layout, model and parameters."""
+class _Start(NamedTuple):
+    """A sheet with reflectors about it, not fitted, and its log evidence."""
 
+    log: float
+    layout: Layout | None
+    model: SheetModel
+    x: Floats
 
-def _single(start: _Start) -> bool:
-    """One reflector, of no layout."""
-    return start[1] is None and start[2].tag is not None and start[2].tag.count == 1
+    @property
+    def single(self) -> bool:
+        """One reflector, of no layout."""
+        return self.layout is None and self.model.tag is not None and self.model.tag.count == 1
 
 
 def _as_odd(model: SheetModel, x: Floats) -> tuple[SheetModel, Floats]:
@@ -216,7 +221,7 @@ def _with(model: SheetModel, x: Floats, guest: Found) -> tuple[SheetModel, Float
 def _about(
     spectra: Spectra, layouts: Sequence[Layout], model: SheetModel, x: Floats, middle: complex, powers: Powers
 ) -> Iterator[_Start]:
-    """Reflectors about one sheet, by its tables: log evidence, layout, model and parameters.
+    """Reflectors about one sheet, by its tables.
 
     Args:
         model: of the sheet, and of odd scatterers beside it.
@@ -237,7 +242,8 @@ def _about(
         near = beside(spectra, model, x, arranged, centre, powers)
         for layout, a, turns in zip(layouts, arranged, search.turned(near.layouts, 2), strict=True):
             for one in turns:
-                yield one.log, layout, replace(model, tag=a), np.r_[head, one.angles[0], 0.0, odd]
+                yield _Start(one.log, layout, replace(model, tag=a), np.r_[head, one.angles[0], 0.0, odd])
         for log, places in sets(near.spots, near.places, MOST):
             tag = Arrangement.points(places - sheet_centre)
-            yield log, None, replace(model, tag=tag), np.r_[x[: HEAD + 2], np.zeros(2 * tag.count), odd]
+            free = np.r_[x[: HEAD + 2], np.zeros(2 * tag.count), odd]
+            yield _Start(log, None, replace(model, tag=tag), free)

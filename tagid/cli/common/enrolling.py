@@ -15,7 +15,7 @@ import typer
 from tagid.cli.common.frame import Output, Terminal
 from tagid.cli.common.prompts import can_ask, confirm
 from tagid.config import load_config
-from tagid.errors import CaptureInterrupted, LayoutConflictError, TagidError, UsageError
+from tagid.errors import CaptureInterrupted, TagidError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -68,9 +68,8 @@ def about(outlook: Outlook) -> str:
         return "no other layout is like it"
     sigma = outlook.layout.sigma_m
     known = f", its positions known to within {sigma * 1e3:.1f} mm" if sigma > 0 else ""
-    where = f" on {least.apart.body}" if least.apart.body else ""
     return (
-        f"not told from {least.name}{where} in {rate_in_words(least.unresolved)} of readings at "
+        f"not told from {least.name}{least.apart.where} in {rate_in_words(least.unresolved)} of readings at "
         f"{conditions.views} views and {conditions.snr_db:g} dB{known}"
     )
 
@@ -218,18 +217,16 @@ def store_family(
     """
     from rich.text import Text
 
-    from tagid.enrolling.enrolment import check_merge, family_outlooks, merge
+    from tagid.enrolling.enrolment import family_outlooks, merge, refusal
 
     known, weight = direction_known(), height_weight()
     seen, enrolled = registry.snapshot()
     outlooks = family_outlooks(layouts, enrolled, direction_known=known, height_weight=weight)
     shown = family_neighbours(outlooks) if outlooks else Text("no layouts, signatures only")
     data = {"confusion": [{"layout": one.layout.name, **as_data(one)} for one in outlooks]}
-    if not wish.force:
-        try:
-            check_merge(outlooks, enrolled)
-        except LayoutConflictError as error:
-            return Stored(None, data, shown, error)
+    error = None if wish.force else refusal(outlooks, enrolled)
+    if error:
+        return Stored(None, data, shown, error)
     if wish.dry_run:
         return Stored(None, data, shown)
     more = f" and {len(signatures)} signatures" if signatures else ""

@@ -12,7 +12,7 @@ from tagid.cli.common import enrolling
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.outputs import check_new
 from tagid.config import load_config
-from tagid.errors import LayoutConflictError, UsageError
+from tagid.errors import UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ def _designed(
     from rich.table import Table
     from rich.text import Text
 
-    from tagid.enrolling.enrolment import check_merge, family_outlooks
+    from tagid.enrolling.enrolment import family_outlooks, refusal
     from tagid.enrolling.layout_file import write_layouts
     from tagid.operate.workplace import open_registry
     from tagid.tags.layouts.design import GHOST_M
@@ -239,11 +239,7 @@ def _designed(
     messages = []
     known, weight = enrolling.direction_known(), enrolling.height_weight()
     outlooks = family_outlooks(family.layouts, asked.beside, direction_known=known, height_weight=weight)
-    refused = None
-    try:
-        check_merge(outlooks, asked.beside)
-    except LayoutConflictError as error:
-        refused = error
+    refused = refusal(outlooks, asked.beside)
     remedy = "" if refused is None else asked.remedy()
     if refused is not None:
         messages.append(f"this set cannot be enrolled: {refused.message}. {remedy}".replace("..", "."))
