@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from firmware_tools.cli import build, flash, p440, provision, selftest, verify
-from tagid.cli.common.frame import run_program
+from tagid.cli.frame import commands_of, run_program
 
 app = typer.Typer(
     name="tagid-firmware",
@@ -15,8 +14,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for part in (build, flash, provision, verify, selftest, p440):
-    part.register(app)
+for part in ("build", "flash", "provision", "verify", "selftest", "p440"):
+    for declared in commands_of(f"firmware_tools.cli.{part}"):
+        declared.add_to(app)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli.common.frame import Terminal
+from tagid.cli.frame import Terminal
 
 if TYPE_CHECKING:
     from firmware_tools.build import Build

@@ -7,78 +7,112 @@ from __future__ import annotations
 
 import gc
 import os
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import typer
+import typer.core
+import typer.main
 
 from tagid import __version__
-from tagid.cli.common.frame import run_program
-from tagid.cli.common.lazy import Entry, lazy_group
+from tagid.cli.frame import commands_of, run_program
 from tagid.constants import BLAS_THREADS
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A command or a group, imported when it is called: `tagid --help` costs no imports.
+
+    Attributes:
+        help: one line, the first sentence of the command's help text.
+        modules: of `tagid.cli` that declare it; none for that of its name.
+    """
+
+    help: str
+    modules: tuple[str, ...] = ()
+
+    def loaded(self, name: str) -> Any:
+        """The command or the group of this name, as click takes it."""
+        single = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
+        group = typer.Typer(help=self.help, no_args_is_help=True, rich_markup_mode=None)
+        for module in self.modules or (name,):
+            for declared in commands_of(f"tagid.cli.{module}"):
+                if declared.is_group:
+                    group.info.no_args_is_help = False
+                if declared.name == name and not declared.is_group:
+                    declared.add_to(single)
+                elif declared.name.partition(" ")[0] == name:
+                    declared.add_to(group)
+        if not single.registered_commands:
+            single.add_typer(group, name=name)
+        return typer.main.get_group(single).commands[name]
+
 
 COMMANDS = {
     "plan": Entry(
-        "tagid.cli.plan",
-        "Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named.",
+        "Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named."
     ),
-    "scan": Entry("tagid.cli.scan", "Record one revolution of the object, image it and name it."),
-    "station": Entry(
-        "tagid.cli.station",
-        "Serve a web page with a Scan button, live image, answer, health and history.",
-    ),
-    "identify": Entry("tagid.cli.identify", "Name the object in one or more captures."),
+    "scan": Entry("Record one revolution of the object, image it and name it."),
+    "station": Entry("Serve a web page with a Scan button, live image, answer, health and history."),
+    "identify": Entry("Name the object in one or more captures."),
     "enroll": Entry(
-        "tagid.cli.enroll",
-        "Enrol a layout from coordinates, a file or captures of the real object, or an untagged body.",
+        "Enrol a layout from coordinates, a file or captures of the real object, or an untagged body."
     ),
-    "history": Entry(
-        "tagid.cli.history", "List the identifications made on this computer, newest first, or export them."
-    ),
-    "report": Entry("tagid.cli.report", "Identify many captures: write a page, tables and a test report."),
-    "reconstruct": Entry("tagid.cli.reconstruct", "Reconstruct an image from a capture."),
+    "history": Entry("List the identifications made on this computer, newest first, or export them."),
+    "report": Entry("Identify many captures: write a page, tables and a test report."),
+    "reconstruct": Entry("Reconstruct an image from a capture."),
     "join": Entry(
-        "tagid.cli.volume",
         "Join captures of one object from several antenna heights into one capture with antenna positions.",
+        ("volume",),
     ),
     "show": Entry(
-        "tagid.cli.show",
-        "Draw range profile, scans over time and spectrum of a recording, and print its statistics.",
+        "Draw range profile, scans over time and spectrum of a recording, and print its statistics."
     ),
-    "import": Entry("tagid.cli.transfer", "Convert another tool's recording to a capture file."),
+    "import": Entry("Convert another tool's recording to a capture file.", ("transfer",)),
     "export": Entry(
-        "tagid.cli.transfer",
         "Write a capture as NPZ, MATLAB (.mat), P440 recording (.out, .prd), MRM-RET log (.csv) or .h5.",
+        ("transfer",),
     ),
-    "recover": Entry(
-        "tagid.cli.transfer", "Create a capture file from the journal of an interrupted recording."
-    ),
-    "simulate": Entry(
-        "tagid.cli.simulate",
-        "Simulate a capture of a rotating scene, or of an object with a response file.",
-    ),
-    "doctor": Entry("tagid.cli.doctor", "Check ports, radar, disk, layouts and versions."),
-    "config": Entry("tagid.cli.config", "Show or change the stored settings."),
+    "recover": Entry("Create a capture file from the journal of an interrupted recording.", ("transfer",)),
+    "simulate": Entry("Simulate a capture of a rotating scene, or of an object with a response file."),
+    "doctor": Entry("Check ports, radar, disk, layouts and versions."),
+    "config": Entry("Show or change the stored settings."),
     "layouts": Entry(
-        "tagid.cli.layouts.app",
         "List, design, draw, exchange and check layouts; without a command, list the enrolled ones.",
+        ("layouts", "layouts_design"),
     ),
-    "bodies": Entry(
-        "tagid.cli.bodies",
-        "List, draw and check enrolled bodies and objects; without a command, list them.",
-    ),
+    "bodies": Entry("List, draw and check enrolled bodies and objects; without a command, list them."),
     "emulate": Entry(
-        "tagid.cli.emulate.app", "Emulate a device on a real network, serial or Bluetooth interface."
+        "Emulate a device on a real network, serial or Bluetooth interface.", ("emulate", "emulate_motion")
     ),
     "radar": Entry(
-        "tagid.cli.radar.app", "Find, query, configure, monitor and calibrate the radar, and record scans."
+        "Find, query, configure, monitor and calibrate the radar, and record scans.",
+        ("radar", "radar_monitor", "radar_calibrate"),
     ),
-    "motion": Entry("tagid.cli.motion.app", "Find, query, rotate, stop and calibrate robots and turntables."),
+    "motion": Entry("Find, query, rotate, stop and calibrate robots and turntables."),
 }
-"""Every command, in the order of the help, with the first sentence of its help text."""
+"""Every command, in the order of the help."""
+
+
+class _Lazy(typer.core.TyperGroup):
+    """The commands of the table."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name not in self.commands and cmd_name in COMMANDS:
+            self.commands[cmd_name] = COMMANDS[cmd_name].loaded(cmd_name)
+        return self.commands.get(cmd_name)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, entry.help) for name, entry in COMMANDS.items()])
+
 
 app = typer.Typer(
     name="tagid",
-    cls=lazy_group(COMMANDS),
+    cls=_Lazy,
     help="Read the identity of a tagged object from radar scans taken while it rotates.",
     epilog="Try it without a radar: tagid scan --demo",
     no_args_is_help=True,

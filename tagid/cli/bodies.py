@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tagid.cli.common.frame import Terminal, command, group_command
-from tagid.cli.common.outputs import check_drawing
+from tagid.cli.frame import Terminal, command, group_command
+from tagid.cli.outputs import check_drawing
 from tagid.counting import counted
 from tagid.errors import LayoutConflictError
 from tagid.result import Result
@@ -18,140 +18,137 @@ if TYPE_CHECKING:
     from tagid.tags.bodies.signature import Signature
 
 
-def register(app: typer.Typer) -> None:
-    """Add the group."""
-    group = typer.Typer()
-    app.add_typer(group, name="bodies")
+@group_command("bodies")
+def bodies(
+    terminal: Terminal,
+    remove: Annotated[
+        str | None, typer.Option("--remove", help="Remove this body; its history is kept.")
+    ] = None,
+) -> Result:
+    """List, draw and check enrolled bodies and objects; without a command, list them.
 
-    @group_command(group, "bodies")
-    def bodies(
-        terminal: Terminal,
-        remove: Annotated[
-            str | None, typer.Option("--remove", help="Remove this body; its history is kept.")
-        ] = None,
-    ) -> Result:
-        """List, draw and check enrolled bodies and objects; without a command, list them.
+    Example: tagid bodies
+    """
+    from rich.table import Table
+    from rich.text import Text
 
-        Example: tagid bodies
-        """
-        from rich.table import Table
-        from rich.text import Text
+    from tagid.operate.workplace import open_registry
 
-        from tagid.operate.workplace import open_registry
-
-        registry = open_registry()
-        if remove:
-            version = registry.remove_signature("body", remove, "tagid bodies --remove")
-            line = Text(f"{remove} removed; its history is kept (registry version {version})")
-            return Result("bodies", {"removed": remove, "registry_version": version}, line)
-        contents = registry.contents()
-        table = Table(box=None)
-        for head in ("kind", "name", "radius mm", "turning dB", "error %", "captures", "label"):
-            table.add_column(head)
-        for one in contents.signatures:
-            facts = _facts(one)
-            table.add_row(
-                one.kind,
-                one.name,
-                f"{one.radius_m * 1e3:.0f}",
-                _db(facts["turning_share"]),
-                f"{one.model_error * 100:.2f}",
-                str(one.captures),
-                one.label,
-            )
-        data = {
-            "registry": str(registry.path),
-            "registry_version": contents.version,
-            "signatures": [_facts(one) for one in contents.signatures],
-        }
-        empty = Text("nothing is enrolled; see `tagid enroll --body NAME FILES`")
-        return Result("bodies", data, table if contents.signatures else empty)
-
-    @command(group, "bodies show")
-    def show(
-        terminal: Terminal,
-        name: Annotated[str, typer.Argument(help="Name of the body or object.")],
-        of_object: Annotated[
-            bool, typer.Option("--object", help="The signature of the tagged object of that name.")
-        ] = False,
-        png: Annotated[Path | None, typer.Option("--png", help="Write a polar plot of the echo.")] = None,
-    ) -> Result:
-        """Show a body's or object's signature.
-
-        Example: tagid bodies show mug --png mug.png
-        """
-        from rich.text import Text
-
-        from tagid.files import write_bytes
-        from tagid.operate.workplace import open_registry
-
-        check_drawing("--png", png, (".png",))
-        one = open_registry().signature("object" if of_object else "body", name)
-        if png is not None:
-            from tagid.report.signature_plot import to_png
-
-            write_bytes(png, to_png(one))
+    registry = open_registry()
+    if remove:
+        version = registry.remove_signature("body", remove, "tagid bodies --remove")
+        line = Text(f"{remove} removed; its history is kept (registry version {version})")
+        return Result("bodies", {"removed": remove, "registry_version": version}, line)
+    contents = registry.contents()
+    table = Table(box=None)
+    for head in ("kind", "name", "radius mm", "turning dB", "error %", "captures", "label"):
+        table.add_column(head)
+    for one in contents.signatures:
         facts = _facts(one)
-        lines = [
-            f"{one.kind} {one.name}  {one.label}",
-            f"  measured on {one.captures} captures, {one.distance_m:.2f} m from the axis, "
-            f"{one.frequencies_hz[0] / 1e9:.1f} to {one.frequencies_hz[-1] / 1e9:.1f} GHz",
-            f"  radius {one.radius_m * 1e3:.0f} mm, {one.order} harmonics; angle-dependent echo "
-            f"{_db(facts['turning_share'])} dB relative to the total",
-            f"  a tag on it must return more than {_db(facts['least_tag'])} dB of the body's echo",
-        ]
-        lines += [f"written  {png}"] if png else []
-        data = {"signature": facts, "png": str(png) if png else None}
-        return Result("bodies show", data, Text("\n".join(lines)))
-
-    @command(group, "bodies check")
-    def check(terminal: Terminal) -> Result:
-        """Compare all enrolled bodies, and all enrolled objects, with each other.
-
-        Example: tagid bodies check
-        """
-        from rich.console import Group
-        from rich.table import Table
-        from rich.text import Text
-
-        from tagid.operate.workplace import open_registry
-        from tagid.tags.bodies.likeness import compare
-
-        contents = open_registry().contents()
-        pairs = [compare(a, b) for a, b in combinations(contents.signatures, 2) if a.kind == b.kind]
-        pairs.sort(key=lambda pair: pair.left)
-        table = Table("kind", "pair", "apart %", "remark", box=None)
-        for pair in pairs:
-            remark = "ALIKE" if pair.alike else ""
-            table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.left * 100:.1f}", remark)
-        own = [one for one in contents.signatures if one.kind == "body"]
-        lines = [
-            Text(f"{one.name}: a tag must return more than {_db(_facts(one)['least_tag'])} dB of its echo")
-            for one in own
-        ]
-        data = {
-            "registry_version": contents.version,
-            "pairs": [
-                {"kind": p.kind, "first": p.first, "second": p.second, "apart": p.left, "alike": p.alike}
-                for p in pairs
-            ],
-            "signatures": [_facts(one) for one in contents.signatures],
-        }
-        bad = [pair for pair in pairs if pair.alike and pair.kind == "object"]
-        same = [pair for pair in pairs if pair.alike and pair.kind == "body"]
-        notes = tuple(
-            f"the bodies {p.first} and {p.second} are similar: a tag on one may be read as on the other"
-            for p in same
+        table.add_row(
+            one.kind,
+            one.name,
+            f"{one.radius_m * 1e3:.0f}",
+            _db(facts["turning_share"]),
+            f"{one.model_error * 100:.2f}",
+            str(one.captures),
+            one.label,
         )
-        human = Group(table, *lines)
-        if not bad:
-            return Result("bodies check", data, human, messages=notes)
-        error = LayoutConflictError(
-            f"{counted(len(bad), 'pair')} of enrolled objects cannot be distinguished: "
-            + ", ".join(f"{p.first} and {p.second}" for p in bad),
-            "Remove one of each pair with `tagid layouts --remove NAME`, or change its tag.",
-        )
-        return Result.from_error("bodies check", error, data, human, notes)
+    data = {
+        "registry": str(registry.path),
+        "registry_version": contents.version,
+        "signatures": [_facts(one) for one in contents.signatures],
+    }
+    empty = Text("nothing is enrolled; see `tagid enroll --body NAME FILES`")
+    return Result("bodies", data, table if contents.signatures else empty)
+
+
+@command("bodies show")
+def show(
+    terminal: Terminal,
+    name: Annotated[str, typer.Argument(help="Name of the body or object.")],
+    of_object: Annotated[
+        bool, typer.Option("--object", help="The signature of the tagged object of that name.")
+    ] = False,
+    png: Annotated[Path | None, typer.Option("--png", help="Write a polar plot of the echo.")] = None,
+) -> Result:
+    """Show a body's or object's signature.
+
+    Example: tagid bodies show mug --png mug.png
+    """
+    from rich.text import Text
+
+    from tagid.files import write_bytes
+    from tagid.operate.workplace import open_registry
+
+    check_drawing("--png", png, (".png",))
+    one = open_registry().signature("object" if of_object else "body", name)
+    if png is not None:
+        from tagid.report.signature_plot import to_png
+
+        write_bytes(png, to_png(one))
+    facts = _facts(one)
+    lines = [
+        f"{one.kind} {one.name}  {one.label}",
+        f"  measured on {one.captures} captures, {one.distance_m:.2f} m from the axis, "
+        f"{one.frequencies_hz[0] / 1e9:.1f} to {one.frequencies_hz[-1] / 1e9:.1f} GHz",
+        f"  radius {one.radius_m * 1e3:.0f} mm, {one.order} harmonics; angle-dependent echo "
+        f"{_db(facts['turning_share'])} dB relative to the total",
+        f"  a tag on it must return more than {_db(facts['least_tag'])} dB of the body's echo",
+    ]
+    lines += [f"written  {png}"] if png else []
+    data = {"signature": facts, "png": str(png) if png else None}
+    return Result("bodies show", data, Text("\n".join(lines)))
+
+
+@command("bodies check")
+def check(terminal: Terminal) -> Result:
+    """Compare all enrolled bodies, and all enrolled objects, with each other.
+
+    Example: tagid bodies check
+    """
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    from tagid.operate.workplace import open_registry
+    from tagid.tags.bodies.likeness import compare
+
+    contents = open_registry().contents()
+    pairs = [compare(a, b) for a, b in combinations(contents.signatures, 2) if a.kind == b.kind]
+    pairs.sort(key=lambda pair: pair.left)
+    table = Table("kind", "pair", "apart %", "remark", box=None)
+    for pair in pairs:
+        remark = "ALIKE" if pair.alike else ""
+        table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.left * 100:.1f}", remark)
+    own = [one for one in contents.signatures if one.kind == "body"]
+    lines = [
+        Text(f"{one.name}: a tag must return more than {_db(_facts(one)['least_tag'])} dB of its echo")
+        for one in own
+    ]
+    data = {
+        "registry_version": contents.version,
+        "pairs": [
+            {"kind": p.kind, "first": p.first, "second": p.second, "apart": p.left, "alike": p.alike}
+            for p in pairs
+        ],
+        "signatures": [_facts(one) for one in contents.signatures],
+    }
+    bad = [pair for pair in pairs if pair.alike and pair.kind == "object"]
+    same = [pair for pair in pairs if pair.alike and pair.kind == "body"]
+    notes = tuple(
+        f"the bodies {p.first} and {p.second} are similar: a tag on one may be read as on the other"
+        for p in same
+    )
+    human = Group(table, *lines)
+    if not bad:
+        return Result("bodies check", data, human, messages=notes)
+    error = LayoutConflictError(
+        f"{counted(len(bad), 'pair')} of enrolled objects cannot be distinguished: "
+        + ", ".join(f"{p.first} and {p.second}" for p in bad),
+        "Remove one of each pair with `tagid layouts --remove NAME`, or change its tag.",
+    )
+    return Result.from_error("bodies check", error, data, human, notes)
 
 
 def _facts(one: Signature) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli.common.frame import Terminal, command
+from tagid.cli.frame import Terminal, command
 from tagid.config import SETTINGS, change_file, load_config, parse_value
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -23,48 +23,45 @@ _LEAST_MEANING = 28
 """Columns that the meaning of a setting needs beside the others, their gaps included."""
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("config")
+def config(
+    terminal: Terminal,
+    action: Annotated[str, typer.Argument(help="list, set, unset or path.")] = "list",
+    name: Annotated[str | None, typer.Argument(help="A setting, e.g. radar.url.")] = None,
+    value: Annotated[str | None, typer.Argument(help="The new value.")] = None,
+) -> Result:
+    """Show or change the stored settings.
 
-    @command(app, "config")
-    def config(
-        terminal: Terminal,
-        action: Annotated[str, typer.Argument(help="list, set, unset or path.")] = "list",
-        name: Annotated[str | None, typer.Argument(help="A setting, e.g. radar.url.")] = None,
-        value: Annotated[str | None, typer.Argument(help="The new value.")] = None,
-    ) -> Result:
-        """Show or change the stored settings.
+    Example: tagid config set radar.url udp://192.168.1.100
+    """
+    from rich.text import Text
 
-        Example: tagid config set radar.url udp://192.168.1.100
-        """
-        from rich.text import Text
-
-        if action in ("set", "unset"):
-            if name is None or (value is None) != (action == "unset"):
-                raise UsageError(
-                    f"tagid config {action} needs a setting" + (" and a value" * (action == "set")),
-                    "e.g. `tagid config set motion.axis_distance_m 1.0`, `tagid config unset radar.url`.",
-                )
-            if value is not None:
-                _check_url(name, value)
-            path = change_file(name, value)
-            parsed = None if value is None else parse_value(name, value, "command line")
-            shown = str(parsed) if isinstance(parsed, Secret) else value
-            text = f"{name} = {shown}" if value is not None else f"{name} reset to its default"
-            return Result("config", {"path": str(path), name: shown}, Text(f"{text} ({path})"))
-        loaded = load_config()
-        if action == "path":
-            return Result("config", {"path": str(loaded.path)}, Text(str(loaded.path)))
-        if action != "list":
-            raise UsageError(f"unknown action {action!r}", "Use list, set, unset or path.")
-        rows = [_Row(each.name, loaded.values[each.name], each.help) for each in SETTINGS]
-        data = {
-            "path": str(loaded.path),
-            "settings": {
-                key: {"value": entry.value, "source": entry.source} for key, entry in loaded.values.items()
-            },
-        }
-        return Result("config", data, _Listing(rows))
+    if action in ("set", "unset"):
+        if name is None or (value is None) != (action == "unset"):
+            raise UsageError(
+                f"tagid config {action} needs a setting" + (" and a value" * (action == "set")),
+                "e.g. `tagid config set motion.axis_distance_m 1.0`, `tagid config unset radar.url`.",
+            )
+        if value is not None:
+            _check_url(name, value)
+        path = change_file(name, value)
+        parsed = None if value is None else parse_value(name, value, "command line")
+        shown = str(parsed) if isinstance(parsed, Secret) else value
+        text = f"{name} = {shown}" if value is not None else f"{name} reset to its default"
+        return Result("config", {"path": str(path), name: shown}, Text(f"{text} ({path})"))
+    loaded = load_config()
+    if action == "path":
+        return Result("config", {"path": str(loaded.path)}, Text(str(loaded.path)))
+    if action != "list":
+        raise UsageError(f"unknown action {action!r}", "Use list, set, unset or path.")
+    rows = [_Row(each.name, loaded.values[each.name], each.help) for each in SETTINGS]
+    data = {
+        "path": str(loaded.path),
+        "settings": {
+            key: {"value": entry.value, "source": entry.source} for key, entry in loaded.values.items()
+        },
+    }
+    return Result("config", data, _Listing(rows))
 
 
 @dataclass(frozen=True)

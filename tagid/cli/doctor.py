@@ -4,46 +4,41 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-import typer
-
-from tagid.cli.common import options
-from tagid.cli.common.frame import Terminal, command
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
 from tagid.config import load_config
 from tagid.errors import EXIT_FAILED, EXIT_OK
 from tagid.result import Problem, Result
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("doctor")
+def doctor(terminal: Terminal, radar: options.RadarUrl = None) -> Result:
+    """Check ports, radar, disk, layouts and versions.
 
-    @command(app, "doctor")
-    def doctor(terminal: Terminal, radar: options.RadarUrl = None) -> Result:
-        """Check ports, radar, disk, layouts and versions.
+    Example: tagid doctor --radar udp://192.168.1.100
+    """
+    from rich.table import Table
+    from rich.text import Text
 
-        Example: tagid doctor --radar udp://192.168.1.100
-        """
-        from rich.table import Table
-        from rich.text import Text
+    from tagid.doctor import examine
 
-        from tagid.doctor import examine
-
-        findings = examine(load_config({"radar.url": radar}))
-        styles = {"ok": "green", "warning": "yellow", "problem": "bold red"}
-        table = Table(box=None, show_header=False)
-        for finding in findings:
-            text = Text(finding.text)
-            if finding.remedy:
-                text.append(f"\n-> {finding.remedy}", style="bold")
-            table.add_row(Text(finding.level, style=styles[finding.level]), finding.topic, text)
-        problems = sum(finding.level == "problem" for finding in findings)
-        return Result(
-            "doctor",
-            {"findings": [asdict(finding) for finding in findings], "problems": problems},
-            table,
-            exit_code=EXIT_FAILED if problems else EXIT_OK,
-            errors=tuple(
-                Problem("doctor", f"{f.topic}: {f.text}", f.remedy)
-                for f in findings
-                if f.level == "problem" and terminal.output == "json"
-            ),
-        )
+    findings = examine(load_config({"radar.url": radar}))
+    styles = {"ok": "green", "warning": "yellow", "problem": "bold red"}
+    table = Table(box=None, show_header=False)
+    for finding in findings:
+        text = Text(finding.text)
+        if finding.remedy:
+            text.append(f"\n-> {finding.remedy}", style="bold")
+        table.add_row(Text(finding.level, style=styles[finding.level]), finding.topic, text)
+    problems = sum(finding.level == "problem" for finding in findings)
+    return Result(
+        "doctor",
+        {"findings": [asdict(finding) for finding in findings], "problems": problems},
+        table,
+        exit_code=EXIT_FAILED if problems else EXIT_OK,
+        errors=tuple(
+            Problem("doctor", f"{f.topic}: {f.text}", f.remedy)
+            for f in findings
+            if f.level == "problem" and terminal.output == "json"
+        ),
+    )

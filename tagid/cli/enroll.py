@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tagid.cli.common import enrolling, options
-from tagid.cli.common.frame import Terminal, command
+from tagid.cli import enrolling, options
+from tagid.cli.frame import Terminal, command
 from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import RegistryError, UsageError
@@ -42,130 +42,127 @@ class Given:
     wish: enrolling.Wish
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("enroll")
+def enroll(
+    terminal: Terminal,
+    name: Annotated[
+        str | None,
+        typer.Argument(help="Name of the new entry; a file contains its own.", show_default=False),
+    ] = None,
+    more: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Captures of the real object, same as --capture.", show_default=False),
+    ] = None,
+    points: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--point",
+            help="A reflector as X,Y in metres from the axis; repeat for each reflector.",
+            show_default=False,
+        ),
+    ] = None,
+    file: Annotated[
+        Path | None, typer.Option("--file", help="One layout in TOML or JSON.", show_default=False)
+    ] = None,
+    captures: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--capture",
+            help="A capture of the real object; give three or more, and turn and move the object between "
+            "them.",
+            show_default=False,
+        ),
+    ] = None,
+    body: Annotated[
+        bool,
+        typer.Option(
+            "--body",
+            help="The captures show an untagged body: tags on it can then be read.",
+            show_default=False,
+        ),
+    ] = False,
+    sigma: Annotated[
+        float | None,
+        typer.Option(
+            "--sigma", help="Standard deviation of the --point coordinates, metres.", show_default=False
+        ),
+    ] = None,
+    kind: Annotated[
+        str | None, typer.Option("--kind", help="helmet, container or other.", show_default=False)
+    ] = None,
+    label: Annotated[
+        str | None, typer.Option("--label", help="Description shown with the name.", show_default=False)
+    ] = None,
+    notes: Annotated[
+        str | None, typer.Option("--notes", help="Text stored with the layout.", show_default=False)
+    ] = None,
+    motion: options.MotionUrl = None,
+    axis_distance: options.AxisDistance = None,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Replace an entry of that name; accept one that could be confused."),
+    ] = False,
+    yes: enrolling.Yes = False,
+    dry_run: enrolling.DryRun = False,
+) -> Result:
+    """Enrol a layout from coordinates, a file or captures of the real object, or an untagged body.
 
-    @command(app, "enroll")
-    def enroll(
-        terminal: Terminal,
-        name: Annotated[
-            str | None,
-            typer.Argument(help="Name of the new entry; a file contains its own.", show_default=False),
-        ] = None,
-        more: Annotated[
-            list[Path] | None,
-            typer.Argument(help="Captures of the real object, same as --capture.", show_default=False),
-        ] = None,
-        points: Annotated[
-            list[str] | None,
-            typer.Option(
-                "--point",
-                help="A reflector as X,Y in metres from the axis; repeat for each reflector.",
-                show_default=False,
-            ),
-        ] = None,
-        file: Annotated[
-            Path | None, typer.Option("--file", help="One layout in TOML or JSON.", show_default=False)
-        ] = None,
-        captures: Annotated[
-            list[Path] | None,
-            typer.Option(
-                "--capture",
-                help="A capture of the real object; give three or more, and turn and move the object between "
-                "them.",
-                show_default=False,
-            ),
-        ] = None,
-        body: Annotated[
-            bool,
-            typer.Option(
-                "--body",
-                help="The captures show an untagged body: tags on it can then be read.",
-                show_default=False,
-            ),
-        ] = False,
-        sigma: Annotated[
-            float | None,
-            typer.Option(
-                "--sigma", help="Standard deviation of the --point coordinates, metres.", show_default=False
-            ),
-        ] = None,
-        kind: Annotated[
-            str | None, typer.Option("--kind", help="helmet, container or other.", show_default=False)
-        ] = None,
-        label: Annotated[
-            str | None, typer.Option("--label", help="Description shown with the name.", show_default=False)
-        ] = None,
-        notes: Annotated[
-            str | None, typer.Option("--notes", help="Text stored with the layout.", show_default=False)
-        ] = None,
-        motion: options.MotionUrl = None,
-        axis_distance: options.AxisDistance = None,
-        force: Annotated[
-            bool,
-            typer.Option("--force", help="Replace an entry of that name; accept one that could be confused."),
-        ] = False,
-        yes: enrolling.Yes = False,
-        dry_run: enrolling.DryRun = False,
-    ) -> Result:
-        """Enrol a layout from coordinates, a file or captures of the real object, or an untagged body.
+    With three captures the object's signature is also stored; if the body hides the reflectors, only the
+    signature. The nearest enrolled layouts and the expected confusion rate are shown first; at a
+    terminal you are asked before anything is stored.
 
-        With three captures the object's signature is also stored; if the body hides the reflectors, only the
-        signature. The nearest enrolled layouts and the expected confusion rate are shown first; at a
-        terminal you are asked before anything is stored.
+    Example: tagid enroll helmet-7 --kind helmet --point 0.11,0 --point -0.05,0.09 --point 0,-0.08
 
-        Example: tagid enroll helmet-7 --kind helmet --point 0.11,0 --point -0.05,0.09 --point 0,-0.08
+    Example: tagid enroll helmet-7 first.tagid.h5 second.tagid.h5 third.tagid.h5
 
-        Example: tagid enroll helmet-7 first.tagid.h5 second.tagid.h5 third.tagid.h5
+    Example: tagid enroll --body mug first.tagid.h5 second.tagid.h5 third.tagid.h5
+    """
+    from tagid.tags.layouts.layout import KINDS
 
-        Example: tagid enroll --body mug first.tagid.h5 second.tagid.h5 third.tagid.h5
-        """
-        from tagid.tags.layouts.layout import KINDS
-
-        captures = [*(captures or []), *(more or [])]
-        if body and not (name and captures):
-            missing = [what for what, there in (("a name", name), ("captures", captures)) if not there]
-            raise UsageError(
-                f"--body without {' and '.join(missing)}",
-                "Give three captures of the untagged body: tagid enroll --body NAME FILE FILE FILE.",
-            )
-        ways = [bool(points), file is not None, bool(captures)]
-        if sum(ways) != 1:
-            raise UsageError(
-                "give the reflectors in exactly one way", "Use --point X,Y (repeated), --file, or captures."
-            )
-        if file is None and not name:
-            raise UsageError("the new entry needs a name", "Give it first: tagid enroll NAME ...")
-        if captures and Path(str(name)).is_file():
-            raise UsageError(
-                f"{name} is a file, but a name is expected", "Give the name first: tagid enroll NAME ..."
-            )
-        if sigma is not None and not points:
-            raise UsageError("--sigma without --point", "Files and captures contain their accuracy.")
-        if kind is not None and kind not in KINDS:
-            raise UsageError(f"--kind is {kind[:80]!r}", f"Use {', '.join(KINDS)}.")
-        config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})
-        given = Given(str(name), label, enrolling.Wish(force, yes, dry_run))
-        if body:
-            if kind is not None or notes is not None:
-                raise UsageError("--kind and --notes apply to layouts only", "Omit them with --body.")
-            joint = _body_signature(terminal, given.name, captures, config)
-            return _enrol_signature(terminal, given, joint, f"{len(captures)} captures", ())
-        measured = None
-        if file is not None:
-            layout, source = _from_file(file), f"file {file.name}"
-        elif captures:
-            measured = _measure(terminal, given.name, captures, config)
-            source = f"{len(captures)} captures"
-            if measured.estimate is None:
-                assert measured.joint is not None
-                return _enrol_signature(terminal, given, measured.joint, source, measured.remarks)
-            layout = measured.estimate.layout
-        else:
-            layout, source = _from_points(given.name, points or [], sigma), "command line"
-        fields = {"name": name, "kind": kind, "label": label, "notes": notes}
-        layout = replace(layout, **{key: value for key, value in fields.items() if value is not None})  # type: ignore[arg-type]
-        return _enrol_layout(terminal, layout, measured, source, given.wish)
+    captures = [*(captures or []), *(more or [])]
+    if body and not (name and captures):
+        missing = [what for what, there in (("a name", name), ("captures", captures)) if not there]
+        raise UsageError(
+            f"--body without {' and '.join(missing)}",
+            "Give three captures of the untagged body: tagid enroll --body NAME FILE FILE FILE.",
+        )
+    ways = [bool(points), file is not None, bool(captures)]
+    if sum(ways) != 1:
+        raise UsageError(
+            "give the reflectors in exactly one way", "Use --point X,Y (repeated), --file, or captures."
+        )
+    if file is None and not name:
+        raise UsageError("the new entry needs a name", "Give it first: tagid enroll NAME ...")
+    if captures and Path(str(name)).is_file():
+        raise UsageError(
+            f"{name} is a file, but a name is expected", "Give the name first: tagid enroll NAME ..."
+        )
+    if sigma is not None and not points:
+        raise UsageError("--sigma without --point", "Files and captures contain their accuracy.")
+    if kind is not None and kind not in KINDS:
+        raise UsageError(f"--kind is {kind[:80]!r}", f"Use {', '.join(KINDS)}.")
+    config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})
+    given = Given(str(name), label, enrolling.Wish(force, yes, dry_run))
+    if body:
+        if kind is not None or notes is not None:
+            raise UsageError("--kind and --notes apply to layouts only", "Omit them with --body.")
+        joint = _body_signature(terminal, given.name, captures, config)
+        return _enrol_signature(terminal, given, joint, f"{len(captures)} captures", ())
+    measured = None
+    if file is not None:
+        layout, source = _from_file(file), f"file {file.name}"
+    elif captures:
+        measured = _measure(terminal, given.name, captures, config)
+        source = f"{len(captures)} captures"
+        if measured.estimate is None:
+            assert measured.joint is not None
+            return _enrol_signature(terminal, given, measured.joint, source, measured.remarks)
+        layout = measured.estimate.layout
+    else:
+        layout, source = _from_points(given.name, points or [], sigma), "command line"
+    fields = {"name": name, "kind": kind, "label": label, "notes": notes}
+    layout = replace(layout, **{key: value for key, value in fields.items() if value is not None})  # type: ignore[arg-type]
+    return _enrol_layout(terminal, layout, measured, source, given.wish)
 
 
 def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Joint:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.outputs import check_own
+from tagid.cli.frame import Terminal, command
+from tagid.cli.outputs import check_own
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -27,55 +27,50 @@ class HistoryOutput(StrEnum):
     csv = "csv"
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("history", HistoryOutput)
+def history(
+    terminal: Terminal,
+    action: Annotated[str, typer.Argument(help="list or export.")] = "list",
+    file: Annotated[
+        Path | None, typer.Argument(help="For export: a .parquet or .csv file.", show_default=False)
+    ] = None,
+    status: Annotated[
+        str | None, typer.Option("--status", help="identified, unknown, ambiguous, no_tag, failed.")
+    ] = None,
+    layout: Annotated[str | None, typer.Option("--layout", help="Name of a layout.")] = None,
+    uuid: Annotated[str | None, typer.Option("--uuid", help="UUID of a capture.")] = None,
+    part: Annotated[str | None, typer.Option("--file", help="Part of the file name.")] = None,
+    made_by: Annotated[
+        str | None, typer.Option("--command", help="Command: scan, identify, report, station or python.")
+    ] = None,
+    since: Annotated[
+        str | None, typer.Option("--since", help="Only entries at or after this date or time, UTC.")
+    ] = None,
+    until: Annotated[
+        str | None, typer.Option("--until", help="Only entries before this date or time, UTC.")
+    ] = None,
+    limit: Annotated[
+        int | None,
+        typer.Option(
+            "--limit", help="Number of newest entries to show; default: 20 on a terminal, otherwise all."
+        ),
+    ] = None,
+) -> Result:
+    """List the identifications made on this computer, newest first, or export them.
 
-    @command(app, "history", HistoryOutput)
-    def history(
-        terminal: Terminal,
-        action: Annotated[str, typer.Argument(help="list or export.")] = "list",
-        file: Annotated[
-            Path | None, typer.Argument(help="For export: a .parquet or .csv file.", show_default=False)
-        ] = None,
-        status: Annotated[
-            str | None, typer.Option("--status", help="identified, unknown, ambiguous, no_tag, failed.")
-        ] = None,
-        layout: Annotated[str | None, typer.Option("--layout", help="Name of a layout.")] = None,
-        uuid: Annotated[str | None, typer.Option("--uuid", help="UUID of a capture.")] = None,
-        part: Annotated[str | None, typer.Option("--file", help="Part of the file name.")] = None,
-        made_by: Annotated[
-            str | None, typer.Option("--command", help="Command: scan, identify, report, station or python.")
-        ] = None,
-        since: Annotated[
-            str | None, typer.Option("--since", help="Only entries at or after this date or time, UTC.")
-        ] = None,
-        until: Annotated[
-            str | None, typer.Option("--until", help="Only entries before this date or time, UTC.")
-        ] = None,
-        limit: Annotated[
-            int | None,
-            typer.Option(
-                "--limit", help="Number of newest entries to show; default: 20 on a terminal, otherwise all."
-            ),
-        ] = None,
-    ) -> Result:
-        """List the identifications made on this computer, newest first, or export them.
+    Example: tagid history --status unknown --since 2026-11-01
+    Example: tagid history export answers.parquet
+    """
+    from tagid.config import data_folder
+    from tagid.storage.history import FILE_NAME, Filter, History
 
-        Example: tagid history --status unknown --since 2026-11-01
-        Example: tagid history export answers.parquet
-        """
-        from tagid.config import data_folder
-        from tagid.storage.history import FILE_NAME, Filter, History
-
-        wanted = Filter(status, layout, uuid, made_by, part, since, until, limit)
-        store = History(data_folder() / FILE_NAME)
-        if action == "export":
-            return _export(store, file, wanted)
-        if action != "list" or file is not None:
-            raise UsageError(
-                f"unknown action {action!r}", "Use `tagid history` or `tagid history export FILE`."
-            )
-        return _list(terminal, store, wanted)
+    wanted = Filter(status, layout, uuid, made_by, part, since, until, limit)
+    store = History(data_folder() / FILE_NAME)
+    if action == "export":
+        return _export(store, file, wanted)
+    if action != "list" or file is not None:
+        raise UsageError(f"unknown action {action!r}", "Use `tagid history` or `tagid history export FILE`.")
+    return _list(terminal, store, wanted)
 
 
 def _export(store: History, file: Path | None, wanted: Filter) -> Result:

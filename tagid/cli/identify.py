@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli.common import options
-from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.outputs import check_drawing
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
+from tagid.cli.outputs import check_drawing
 from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, UsageError, displayable
 from tagid.result import Result
 from tagid.secret import MotionUrl
@@ -23,56 +23,53 @@ if TYPE_CHECKING:
     from tagid.operate.workplace import Workplace
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("identify")
+def identify(
+    terminal: Terminal,
+    files: options.Captures,
+    motion: options.MotionUrl = None,
+    axis_distance: options.AxisDistance = None,
+    antenna_height: options.AntennaHeight = None,
+    antenna_separation: options.AntennaSeparation = None,
+    background: options.Background = "mean",
+    preview: options.Preview = False,
+    png: options.PngFile = None,
+    vote: Annotated[
+        bool,
+        typer.Option("--vote", help="All files show the same object: give one joint answer."),
+    ] = False,
+    explain: Annotated[
+        bool,
+        typer.Option(
+            "--explain",
+            help="Also show the hypotheses that competed, as bars; with --png also what they leave.",
+        ),
+    ] = False,
+) -> Result:
+    """Name the object in one or more captures.
 
-    @command(app, "identify")
-    def identify(
-        terminal: Terminal,
-        files: options.Captures,
-        motion: options.MotionUrl = None,
-        axis_distance: options.AxisDistance = None,
-        antenna_height: options.AntennaHeight = None,
-        antenna_separation: options.AntennaSeparation = None,
-        background: options.Background = "mean",
-        preview: options.Preview = False,
-        png: options.PngFile = None,
-        vote: Annotated[
-            bool,
-            typer.Option("--vote", help="All files show the same object: give one joint answer."),
-        ] = False,
-        explain: Annotated[
-            bool,
-            typer.Option(
-                "--explain",
-                help="Also show the hypotheses that competed, as bars; with --png also what they leave.",
-            ),
-        ] = False,
-    ) -> Result:
-        """Name the object in one or more captures.
+    Example: tagid identify helmet.tagid.h5
+    """
+    from tagid.operate.workplace import Workplace
 
-        Example: tagid identify helmet.tagid.h5
-        """
-        from tagid.operate.workplace import Workplace
-
-        if vote and (preview or png):
-            raise UsageError("--vote does not draw an image", "Omit --preview and --png.")
-        if len(files) > 1 and (preview or png):
-            raise UsageError(
-                f"--preview and --png draw one recording, and {len(files)} are given",
-                "Omit them, or identify the files one by one.",
-            )
-        check_drawing("--png", png, (".png",), files)
-        overrides = {
-            "motion.url": motion,
-            "motion.axis_distance_m": axis_distance,
-            "motion.antenna_height_m": antenna_height,
-            "motion.antenna_separation_m": antenna_separation,
-        }
-        place = Workplace(overrides, background)
-        if vote:
-            return vote_on(terminal, place, files, "identify", explain=explain)
-        return run(terminal, place, files, View(preview, png, explain), _given(overrides))
+    if vote and (preview or png):
+        raise UsageError("--vote does not draw an image", "Omit --preview and --png.")
+    if len(files) > 1 and (preview or png):
+        raise UsageError(
+            f"--preview and --png draw one recording, and {len(files)} are given",
+            "Omit them, or identify the files one by one.",
+        )
+    check_drawing("--png", png, (".png",), files)
+    overrides = {
+        "motion.url": motion,
+        "motion.axis_distance_m": axis_distance,
+        "motion.antenna_height_m": antenna_height,
+        "motion.antenna_separation_m": antenna_separation,
+    }
+    place = Workplace(overrides, background)
+    if vote:
+        return vote_on(terminal, place, files, "identify", explain=explain)
+    return run(terminal, place, files, View(preview, png, explain), _given(overrides))
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ def run(
     """Identify each file; a file that fails becomes a failed item; the others continue."""
     from rich.console import Group
 
-    from tagid.cli.common import imaging
+    from tagid.cli import imaging
     from tagid.operate.turn import draw, draw_residuals_of, failed, read, residuals_beside
 
     setup = place.setup()
@@ -147,7 +144,7 @@ def vote_on(
     terminal: Terminal, place: Workplace, files: list[Path], command_name: str, *, explain: bool = False
 ) -> Result:
     """One joint answer from recordings of one object. Raises the errors of reading them."""
-    from tagid.cli.common import imaging
+    from tagid.cli import imaging
     from tagid.operate.turn import read_jointly
 
     answer = read_jointly(place.setup(as_recorded=command_name == "scan"), files)
@@ -167,7 +164,7 @@ def _joint_text(answer: Answer, verbose: bool, explain: bool) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.common import imaging
+    from tagid.cli import imaging
     from tagid.counting import counted
     from tagid.operate.words import headline
 

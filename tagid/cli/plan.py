@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tagid.cli.common import options
-from tagid.cli.common.frame import Terminal, command
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
 from tagid.config import load_config
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -21,68 +21,63 @@ if TYPE_CHECKING:
     from tagid.planning.rates import Expected
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("plan")
+def plan(
+    terminal: Terminal,
+    reflector: Annotated[
+        str, typer.Option("--reflector", help="Reflectors of the tag, size from tip to tip.")
+    ] = "octahedron:40mm",
+    body: options.Body = None,
+    distance: Annotated[
+        float | None,
+        typer.Option(
+            "--distance",
+            help="Antennas to rotation axis, metres (default: the setting, or 1).",
+            show_default=False,
+        ),
+    ] = None,
+    pii: Annotated[
+        int | None,
+        typer.Option("--pii", help="Integration index (default: radar.integration).", show_default=False),
+    ] = None,
+    gain: Annotated[
+        int | None,
+        typer.Option("--gain", help="Transmit gain, 0 to 63 (default: radar.gain).", show_default=False),
+    ] = None,
+    rpm: Annotated[float, typer.Option("--rpm", help="Turns per minute.")] = 2.0,
+    layout: Annotated[str, typer.Option("--layout", "--layouts", help="Layout of the tag.")] = "container-90",
+    file: options.LayoutFile = None,
+    enrolled: Annotated[
+        bool, typer.Option("--enrolled", help="The untagged body is enrolled (tagid enroll --body).")
+    ] = False,
+    want: Annotated[
+        float | None,
+        typer.Option(
+            "--want",
+            help="Required identification rate, e.g. 0.99: find settings that reach it.",
+            show_default=False,
+        ),
+    ] = None,
+) -> Result:
+    """Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named.
 
-    @command(app, "plan")
-    def plan(
-        terminal: Terminal,
-        reflector: Annotated[
-            str, typer.Option("--reflector", help="Reflectors of the tag, size from tip to tip.")
-        ] = "octahedron:40mm",
-        body: options.Body = None,
-        distance: Annotated[
-            float | None,
-            typer.Option(
-                "--distance",
-                help="Antennas to rotation axis, metres (default: the setting, or 1).",
-                show_default=False,
-            ),
-        ] = None,
-        pii: Annotated[
-            int | None,
-            typer.Option("--pii", help="Integration index (default: radar.integration).", show_default=False),
-        ] = None,
-        gain: Annotated[
-            int | None,
-            typer.Option("--gain", help="Transmit gain, 0 to 63 (default: radar.gain).", show_default=False),
-        ] = None,
-        rpm: Annotated[float, typer.Option("--rpm", help="Turns per minute.")] = 2.0,
-        layout: Annotated[
-            str, typer.Option("--layout", "--layouts", help="Layout of the tag.")
-        ] = "container-90",
-        file: options.LayoutFile = None,
-        enrolled: Annotated[
-            bool, typer.Option("--enrolled", help="The untagged body is enrolled (tagid enroll --body).")
-        ] = False,
-        want: Annotated[
-            float | None,
-            typer.Option(
-                "--want",
-                help="Required identification rate, e.g. 0.99: find settings that reach it.",
-                show_default=False,
-            ),
-        ] = None,
-    ) -> Result:
-        """Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named.
+    Every number of the link budget is listed with its source.
 
-        Every number of the link budget is listed with its source.
+    Example: tagid plan --reflector octahedron:40mm --body can:35mm --distance 1.0 --pii 11 --rpm 2
+    Example: tagid plan --reflector octahedron:20mm --want 0.99
+    """
+    from tagid.planning.plan import invert, planned_snr_db
+    from tagid.planning.plan import plan as work_out
 
-        Example: tagid plan --reflector octahedron:40mm --body can:35mm --distance 1.0 --pii 11 --rpm 2
-        Example: tagid plan --reflector octahedron:20mm --want 0.99
-        """
-        from tagid.planning.plan import invert, planned_snr_db
-        from tagid.planning.plan import plan as work_out
-
-        setup = setup_from(Asked(reflector, body, distance, pii, gain, rpm, layout, file, enrolled))
-        found = work_out(setup)
-        wanted = None if want is None else invert(setup, want)
-        snr = planned_snr_db(setup)
-        data = {**_data(found), "snr_db": snr, "wanted": None if wanted is None else _wanted_data(wanted)}
-        doubt = ""
-        if wanted is not None and want is not None:
-            data["wanted_remark"] = doubt = _doubt(found, wanted, want)
-        return Result("plan", data, _drawn(found, snr, wanted, want, doubt))
+    setup = setup_from(Asked(reflector, body, distance, pii, gain, rpm, layout, file, enrolled))
+    found = work_out(setup)
+    wanted = None if want is None else invert(setup, want)
+    snr = planned_snr_db(setup)
+    data = {**_data(found), "snr_db": snr, "wanted": None if wanted is None else _wanted_data(wanted)}
+    doubt = ""
+    if wanted is not None and want is not None:
+        data["wanted_remark"] = doubt = _doubt(found, wanted, want)
+    return Result("plan", data, _drawn(found, snr, wanted, want, doubt))
 
 
 class Asked:

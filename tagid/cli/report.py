@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid import interrupts
-from tagid.cli.common import options
-from tagid.cli.common.frame import Output, Terminal, command
+from tagid.cli import options
+from tagid.cli.frame import Output, Terminal, command
 from tagid.config import Config, load_config
 from tagid.counting import counted
 from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, StorageError, UsageError, visible
@@ -25,89 +25,82 @@ if TYPE_CHECKING:
 _SHOWN_ERRORS = 10
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("report")
+def report(
+    terminal: Terminal,
+    inputs: Annotated[
+        list[str] | None,
+        typer.Argument(help="Folders, files or URLs of captures.", show_default=False, metavar="INPUT..."),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the report.")] = Path("report"),
+    expect: Annotated[
+        Path | None, typer.Option("--expect", help="CSV with file,expected_layout to compare with.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue an earlier run and reuse its results.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier report.")] = False,
+    fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failure.")] = False,
+    watch: Annotated[
+        Path | None, typer.Option("--watch", help="Identify new captures in this folder as they arrive.")
+    ] = None,
+    idle_stop: Annotated[
+        float | None, typer.Option("--idle-stop", help="With --watch: stop after this many idle seconds.")
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", help="Worker processes; 0: one per core.")] = 0,
+    dask: Annotated[
+        str | None, typer.Option("--dask", help="Scheduler of a Dask cluster, tcp://HOST:PORT.")
+    ] = None,
+    pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw each object.")] = True,
+    page_megabytes: Annotated[
+        float, typer.Option("--page-megabytes", help="Size limit for all pictures of the page, MB.")
+    ] = 32.0,
+    title: Annotated[str, typer.Option("--title", help="Title of the page.")] = "",
+    method: options.Method = None,
+    motion: options.MotionUrl = None,
+    axis_distance: options.AxisDistance = None,
+    antenna_height: options.AntennaHeight = None,
+    antenna_separation: options.AntennaSeparation = None,
+    background: options.Background = "mean",
+) -> Result:
+    """Identify many captures: write a page, tables and a test report.
 
-    @command(app, "report")
-    def report(
-        terminal: Terminal,
-        inputs: Annotated[
-            list[str] | None,
-            typer.Argument(
-                help="Folders, files or URLs of captures.", show_default=False, metavar="INPUT..."
-            ),
-        ] = None,
-        out: Annotated[Path, typer.Option("--out", help="Folder for the report.")] = Path("report"),
-        expect: Annotated[
-            Path | None, typer.Option("--expect", help="CSV with file,expected_layout to compare with.")
-        ] = None,
-        resume: Annotated[
-            bool, typer.Option("--resume", help="Continue an earlier run and reuse its results.")
-        ] = False,
-        force: Annotated[bool, typer.Option("--force", help="Replace an earlier report.")] = False,
-        fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failure.")] = False,
-        watch: Annotated[
-            Path | None, typer.Option("--watch", help="Identify new captures in this folder as they arrive.")
-        ] = None,
-        idle_stop: Annotated[
-            float | None, typer.Option("--idle-stop", help="With --watch: stop after this many idle seconds.")
-        ] = None,
-        jobs: Annotated[int, typer.Option("--jobs", "-j", help="Worker processes; 0: one per core.")] = 0,
-        dask: Annotated[
-            str | None, typer.Option("--dask", help="Scheduler of a Dask cluster, tcp://HOST:PORT.")
-        ] = None,
-        pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw each object.")] = True,
-        page_megabytes: Annotated[
-            float, typer.Option("--page-megabytes", help="Size limit for all pictures of the page, MB.")
-        ] = 32.0,
-        title: Annotated[str, typer.Option("--title", help="Title of the page.")] = "",
-        method: options.Method = None,
-        motion: options.MotionUrl = None,
-        axis_distance: options.AxisDistance = None,
-        antenna_height: options.AntennaHeight = None,
-        antenna_separation: options.AntennaSeparation = None,
-        background: options.Background = "mean",
-    ) -> Result:
-        """Identify many captures: write a page, tables and a test report.
+    Pictures use backprojection unless --method or the configuration selects another method. Ctrl-C still
+    writes a report of the finished items; --resume continues from there. A report of other captures is
+    replaced only with --force, or after confirmation.
 
-        Pictures use backprojection unless --method or the configuration selects another method. Ctrl-C still
-        writes a report of the finished items; --resume continues from there. A report of other captures is
-        replaced only with --force, or after confirmation.
+    Example: tagid report captures/ --out report --expect manifest.csv
+    """
+    from tagid.batch.inputs import Collected, collect, is_url
+    from tagid.batch.run import Plan
+    from tagid.report.page import PageSettings
 
-        Example: tagid report captures/ --out report --expect manifest.csv
-        """
-        from tagid.batch.inputs import Collected, collect, is_url
-        from tagid.batch.run import Plan
-        from tagid.report.page import PageSettings
-
-        if not inputs and watch is None:
-            raise UsageError("nothing to identify", "Name folders, files or URLs, or use --watch FOLDER.")
-        if idle_stop is not None and (watch is None or not idle_stop > 0):
-            raise UsageError(
-                f"--idle-stop {idle_stop:g} needs --watch and more than 0 seconds", "See `tagid report -h`."
-            )
-        config = load_config(
-            {
-                "imaging.method": method,
-                "motion.url": motion,
-                "motion.axis_distance_m": axis_distance,
-                "motion.antenna_height_m": antenna_height,
-                "motion.antenna_separation_m": antenna_separation,
-            }
+    if not inputs and watch is None:
+        raise UsageError("nothing to identify", "Name folders, files or URLs, or use --watch FOLDER.")
+    if idle_stop is not None and (watch is None or not idle_stop > 0):
+        raise UsageError(
+            f"--idle-stop {idle_stop:g} needs --watch and more than 0 seconds", "See `tagid report -h`."
         )
-        if any(not is_url(word) and Path(word).resolve() == out.resolve() for word in inputs or ()):
-            raise UsageError(
-                f"--out {out} is the folder that is read", "Choose another folder for the report."
-            )
-        page = PageSettings(title or PageSettings.title, page_megabytes)
-        runner = _runner(terminal, jobs, dask)
-        found = collect(inputs, out) if inputs else Collected(())
-        job = _job(config, background, pictures)
-        plan = Plan(found, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
-        if expect is not None:
-            plan = _expecting(plan, expect, job)
-        remarks = _check_earlier(plan, force)
-        return _run(terminal, plan, job, runner, remarks)
+    config = load_config(
+        {
+            "imaging.method": method,
+            "motion.url": motion,
+            "motion.axis_distance_m": axis_distance,
+            "motion.antenna_height_m": antenna_height,
+            "motion.antenna_separation_m": antenna_separation,
+        }
+    )
+    if any(not is_url(word) and Path(word).resolve() == out.resolve() for word in inputs or ()):
+        raise UsageError(f"--out {out} is the folder that is read", "Choose another folder for the report.")
+    page = PageSettings(title or PageSettings.title, page_megabytes)
+    runner = _runner(terminal, jobs, dask)
+    found = collect(inputs, out) if inputs else Collected(())
+    job = _job(config, background, pictures)
+    plan = Plan(found, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
+    if expect is not None:
+        plan = _expecting(plan, expect, job)
+    remarks = _check_earlier(plan, force)
+    return _run(terminal, plan, job, runner, remarks)
 
 
 def _runner(terminal: Terminal, jobs: int, dask: str | None) -> Runner:
@@ -168,7 +161,7 @@ def _check_earlier(plan: Plan, force: bool) -> list[str]:
     from tagid.batch.inputs import is_url
     from tagid.batch.run import FILES
     from tagid.batch.spool import FILE_NAME, Spool
-    from tagid.cli.common.consent import agree_to_replace
+    from tagid.cli.consent import agree_to_replace
 
     out = plan.out
     present = [name for name in (*FILES, FILE_NAME) if _is_plain_file(out / name)]

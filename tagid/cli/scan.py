@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid import interrupts
-from tagid.cli.common import options
-from tagid.cli.common.consent import Yes, agree_to
-from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.recording import Limits, demo_settings
-from tagid.cli.common.truth import truth_of, with_truth
+from tagid.cli import options
+from tagid.cli.consent import Yes, agree_to
+from tagid.cli.frame import Terminal, command
+from tagid.cli.options import Limits, demo_settings
+from tagid.cli.truth import truth_of, with_truth
 from tagid.config import load_config
 from tagid.errors import ConfigError, TagidError, UsageError
 from tagid.result import Problem, Result
@@ -45,109 +45,102 @@ class View:
     until_sure: bool
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("scan")
+def scan(
+    terminal: Terminal,
+    radar: options.RadarUrl = None,
+    motion: options.MotionUrl = None,
+    axis_distance: options.AxisDistance = None,
+    antenna_height: options.AntennaHeight = None,
+    antenna_separation: options.AntennaSeparation = None,
+    cable_delay: options.CableDelay = None,
+    scans: Annotated[int | None, typer.Option("--scans", help="Stop after this number of scans.")] = None,
+    max_seconds: Annotated[
+        float, typer.Option("--max-seconds", help="Stop after this time, seconds.")
+    ] = 180.0,
+    save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
+    method: options.Method = None,
+    demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
+    demo_scene: Annotated[str, typer.Option("--demo-scene", help="Scene of the demo.")] = "helmet-120",
+    preview: options.Preview = False,
+    live: Annotated[bool, typer.Option("--live", help="Show image and evidence during the scan.")] = False,
+    until_sure: Annotated[
+        bool,
+        typer.Option("--until-sure", help="End the scan, and the motion, once the answer is certain."),
+    ] = False,
+    note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a name.")] = "",
+    subtract_body: Annotated[
+        bool,
+        typer.Option(
+            "--subtract-body/--keep-body", help="Draw the picture without the echo of a detected body."
+        ),
+    ] = True,
+    repeat: Annotated[
+        int, typer.Option("--repeat", help="Number of revolutions to record for one joint answer.")
+    ] = 1,
+    truth: Annotated[
+        Path | None,
+        typer.Option("--truth", help="File of emulate --truth, stored in the capture.", show_default=False),
+    ] = None,
+    heights: Annotated[
+        str | None,
+        typer.Option(
+            "--heights",
+            metavar="H,H,...",
+            help="Record one revolution from each antenna height, metres, and join them.",
+            show_default=False,
+        ),
+    ] = None,
+    yes: Yes = False,
+) -> Result:
+    """Record one revolution of the object, image it and name it.
 
-    @command(app, "scan")
-    def scan(
-        terminal: Terminal,
-        radar: options.RadarUrl = None,
-        motion: options.MotionUrl = None,
-        axis_distance: options.AxisDistance = None,
-        antenna_height: options.AntennaHeight = None,
-        antenna_separation: options.AntennaSeparation = None,
-        cable_delay: options.CableDelay = None,
-        scans: Annotated[int | None, typer.Option("--scans", help="Stop after this number of scans.")] = None,
-        max_seconds: Annotated[
-            float, typer.Option("--max-seconds", help="Stop after this time, seconds.")
-        ] = 180.0,
-        save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
-        method: options.Method = None,
-        demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
-        demo_scene: Annotated[str, typer.Option("--demo-scene", help="Scene of the demo.")] = "helmet-120",
-        preview: options.Preview = False,
-        live: Annotated[
-            bool, typer.Option("--live", help="Show image and evidence during the scan.")
-        ] = False,
-        until_sure: Annotated[
-            bool,
-            typer.Option("--until-sure", help="End the scan, and the motion, once the answer is certain."),
-        ] = False,
-        note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a name.")] = "",
-        subtract_body: Annotated[
-            bool,
-            typer.Option(
-                "--subtract-body/--keep-body", help="Draw the picture without the echo of a detected body."
-            ),
-        ] = True,
-        repeat: Annotated[
-            int, typer.Option("--repeat", help="Number of revolutions to record for one joint answer.")
-        ] = 1,
-        truth: Annotated[
-            Path | None,
-            typer.Option(
-                "--truth", help="File of emulate --truth, stored in the capture.", show_default=False
-            ),
-        ] = None,
-        heights: Annotated[
-            str | None,
-            typer.Option(
-                "--heights",
-                metavar="H,H,...",
-                help="Record one revolution from each antenna height, metres, and join them.",
-                show_default=False,
-            ),
-        ] = None,
-        yes: Yes = False,
-    ) -> Result:
-        """Record one revolution of the object, image it and name it.
+    Example: tagid scan --radar udp://192.168.1.100 --axis-distance 1.0
+    Example: tagid scan --live --motion 'free?rpm=2'
+    Example: tagid scan --until-sure --motion 'free?rpm=2'
+    Example: tagid scan --heights 0,0.15,0.30 --motion 'free?rpm=2'
+    """
+    overrides: dict[str, Any] = {
+        "radar.url": radar,
+        "motion.url": motion,
+        "motion.axis_distance_m": axis_distance,
+        "motion.antenna_height_m": antenna_height,
+        "motion.antenna_separation_m": antenna_separation,
+        "radar.cable_delay_ps": cable_delay,
+        "imaging.method": method,
+        "storage.folder": None if save_dir is None else str(save_dir),
+    }
+    from tagid.metadata import ObjectInfo
+    from tagid.operate.workplace import Workplace
 
-        Example: tagid scan --radar udp://192.168.1.100 --axis-distance 1.0
-        Example: tagid scan --live --motion 'free?rpm=2'
-        Example: tagid scan --until-sure --motion 'free?rpm=2'
-        Example: tagid scan --heights 0,0.15,0.30 --motion 'free?rpm=2'
-        """
-        overrides: dict[str, Any] = {
-            "radar.url": radar,
-            "motion.url": motion,
-            "motion.axis_distance_m": axis_distance,
-            "motion.antenna_height_m": antenna_height,
-            "motion.antenna_separation_m": antenna_separation,
-            "radar.cable_delay_ps": cable_delay,
-            "imaging.method": method,
-            "storage.folder": None if save_dir is None else str(save_dir),
-        }
-        from tagid.metadata import ObjectInfo
-        from tagid.operate.workplace import Workplace
+    about = ObjectInfo(note=note or None, demo=demo or None)
+    limits = Limits(scans, max_seconds)
+    if not 1 <= repeat <= MAX_REPEAT:
+        raise ConfigError(f"--repeat is {repeat}", f"Give 1 to {MAX_REPEAT}.")
+    levels = None
+    if heights is not None:
+        from tagid.cli.scan_heights import Lift, parse_heights, scan_heights
 
-        about = ObjectInfo(note=note or None, demo=demo or None)
-        limits = Limits(scans, max_seconds)
-        if not 1 <= repeat <= MAX_REPEAT:
-            raise ConfigError(f"--repeat is {repeat}", f"Give 1 to {MAX_REPEAT}.")
-        levels = None
-        if heights is not None:
-            from tagid.cli.scan_heights import Lift, parse_heights, scan_heights
-
-            if repeat > 1 or live or until_sure or preview or antenna_height is not None:
-                raise UsageError(
-                    "--heights cannot be combined with --repeat, --live, --until-sure, --preview or "
-                    "--antenna-height",
-                    "Omit them.",
-                )
-            levels = parse_heights(heights)
-        if until_sure and repeat > 1:
-            raise ConfigError(
-                "--until-sure cannot be combined with --repeat: a joint answer needs whole turns",
-                "Omit one of the two.",
+        if repeat > 1 or live or until_sure or preview or antenna_height is not None:
+            raise UsageError(
+                "--heights cannot be combined with --repeat, --live, --until-sure, --preview or "
+                "--antenna-height",
+                "Omit them.",
             )
-        shown = View(preview, subtract_body, live, until_sure)
-        config = load_config(overrides | (demo_settings(demo_scene) if demo else {}))
-        agree_to(config["motion.url"], yes)
-        about = with_truth(about, truth_of(config["radar.url"] or "", truth))
-        place = Workplace(config)
-        if levels is not None:
-            return scan_heights(terminal, place, limits, about, levels, Lift.of(place, yes))
-        return _scans(terminal, place, limits, about, shown, repeat)
+        levels = parse_heights(heights)
+    if until_sure and repeat > 1:
+        raise ConfigError(
+            "--until-sure cannot be combined with --repeat: a joint answer needs whole turns",
+            "Omit one of the two.",
+        )
+    shown = View(preview, subtract_body, live, until_sure)
+    config = load_config(overrides | (demo_settings(demo_scene) if demo else {}))
+    agree_to(config["motion.url"], yes)
+    about = with_truth(about, truth_of(config["radar.url"] or "", truth))
+    place = Workplace(config)
+    if levels is not None:
+        return scan_heights(terminal, place, limits, about, levels, Lift.of(place, yes))
+    return _scans(terminal, place, limits, about, shown, repeat)
 
 
 def _scans(
@@ -176,7 +169,7 @@ def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInf
     from rich.console import Group, RenderableType
     from rich.text import Text
 
-    from tagid.cli.common import imaging
+    from tagid.cli import imaging
     from tagid.operate.turn import draw, failed, picture_of
     from tagid.operate.words import SUBTRACTED, ending_words, learned_words, turn_line
     from tagid.storage.image import write_image
@@ -254,7 +247,7 @@ def _record_and_read(
     Returns the recording, its answer, figures of the live view if there was one, and remarks of the early
     ending.
     """
-    from tagid.cli.common.live import LiveScan, live_scan
+    from tagid.cli.live import LiveScan, live_scan
     from tagid.live.engine import LiveSettings
     from tagid.live.sure import EarlyEnding, check_angle_known
     from tagid.motion.urls import open_motion

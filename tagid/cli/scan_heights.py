@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tagid import interrupts
-from tagid.cli.common.frame import Terminal
-from tagid.cli.common.prompts import can_ask, confirm
-from tagid.cli.common.recording import Limits
+from tagid.cli.consent import can_ask, confirm
+from tagid.cli.frame import Terminal
+from tagid.cli.options import Limits
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.counting import counted
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
@@ -152,7 +152,7 @@ def _joined(
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.common import imaging
+    from tagid.cli import imaging
     from tagid.operate.turn import read
     from tagid.pipeline.alignment import aligned
     from tagid.pipeline.join import join
@@ -199,7 +199,7 @@ def _joined(
 
 def _draw(terminal: Terminal, place: Workplace, joined: Capture, png: Path) -> None:
     """Write the three maximum projections of the backprojected volume."""
-    from tagid.cli.common.imaging import share_of
+    from tagid.cli.imaging import share_of
     from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
     from tagid.report.volume_picture import draw_projections
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli.common import options
-from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.outputs import check_drawing
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
+from tagid.cli.outputs import check_drawing
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.counting import counted
@@ -21,105 +21,100 @@ if TYPE_CHECKING:
     from tagid.recording.inspection import RecordingSummary
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("show")
+def show(
+    terminal: Terminal,
+    file: options.CaptureFile,
+    png: Annotated[
+        Path | None, typer.Option("--png", help="Picture (default: NAME.show.png next to the file).")
+    ] = None,
+    changing: Annotated[
+        bool, typer.Option("--changing", help="Subtract the mean scan, to show only changes.")
+    ] = False,
+    cable_delay: options.CableDelay = None,
+    node: options.Node = None,
+    reflector: options.Reflector = None,
+    body: options.Body = None,
+    layout: Annotated[
+        str, typer.Option("--layout", help="With --reflector: layout of the tag.")
+    ] = "container-90",
+    layout_file: options.LayoutFile = None,
+) -> Result:
+    """Draw range profile, scans over time and spectrum of a recording, and print its statistics.
 
-    @command(app, "show")
-    def show(
-        terminal: Terminal,
-        file: options.CaptureFile,
-        png: Annotated[
-            Path | None, typer.Option("--png", help="Picture (default: NAME.show.png next to the file).")
-        ] = None,
-        changing: Annotated[
-            bool, typer.Option("--changing", help="Subtract the mean scan, to show only changes.")
-        ] = False,
-        cable_delay: options.CableDelay = None,
-        node: options.Node = None,
-        reflector: options.Reflector = None,
-        body: options.Body = None,
-        layout: Annotated[
-            str, typer.Option("--layout", help="With --reflector: layout of the tag.")
-        ] = "container-90",
-        layout_file: options.LayoutFile = None,
-    ) -> Result:
-        """Draw range profile, scans over time and spectrum of a recording, and print its statistics.
+    With --reflector, the measured SNR is compared with that of `tagid plan`, and the likely cause of a
+    difference is reported.
 
-        With --reflector, the measured SNR is compared with that of `tagid plan`, and the likely cause of a
-        difference is reported.
+    Example: tagid show helmet.tagid.h5
+    Example: tagid show helmet.tagid.h5 --reflector octahedron:40mm --layout helmet-120
+    """
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
 
-        Example: tagid show helmet.tagid.h5
-        Example: tagid show helmet.tagid.h5 --reflector octahedron:40mm --layout helmet-120
-        """
-        from rich.console import Group
-        from rich.table import Table
-        from rich.text import Text
+    from tagid.operate.words import ending_words
+    from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
+    from tagid.recording.inspection import inspect, thinned
+    from tagid.report.charts import draw_recording
 
-        from tagid.operate.words import ending_words
-        from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
-        from tagid.recording.inspection import inspect, thinned
-        from tagid.report.charts import draw_recording
-
-        # NAME.png next to the capture is the image of `scan` and must be kept.
-        target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".show.png")
-        check_drawing("--png", target, (".png",), [file])
-        config = load_config({"radar.cable_delay_ps": cable_delay})
-        capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
-        summary = inspect(capture)
-        draw_recording(
-            thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
-        )
-        table = Table(show_header=False, box=None)
-        compared = _against_plan(capture, summary, reflector, body, layout, layout_file)
-        rows = _rows(summary)
-        if why := ending_words(capture.radar.ended):
-            rows.append(("ended", why))
-        if compared is not None:
-            told = (
-                f"SNR {compared.measured_db:.1f} dB measured, {compared.planned_db:.1f} dB planned, {layout}"
-            )
-            rows += [("plan", told), *([("likely cause", compared.cause)] if compared.cause else [])]
-        elif reflector is not None:
-            rows.append(("plan", _not_compared(capture, summary)))
-        for name, text in rows:
-            table.add_row(name, text)
-        strongest = summary.strongest
-        data = {
-            "file": str(file),
-            "png": str(target),
-            "views": summary.views,
-            "bins": summary.bins,
-            "range_m": [summary.range_from_m, summary.range_to_m],
-            "snr_db": summary.snr_db,
-            "changing_snr_db": summary.changing_snr_db,
-            "changing_range_m": summary.changing_range_m,
-            "clipped_fraction": summary.clipped_fraction,
-            "lost_scans": summary.lost_scans,
-            "scan_rate_hz": summary.scan_rate_hz,
-            "period_s": summary.period_s,
-            "period_sigma_s": summary.period_sigma_s,
-            "period_note": summary.period_note,
-            "strongest": None
-            if strongest is None
-            else {
-                "bin": strongest.bin,
-                "range_m": strongest.range_m,
-                "spread_bins": strongest.spread_bins,
-            },
-            "complete": capture.complete,
-            "ended": None if capture.radar.ended is None else capture.radar.ended.to_json(),
-            "plan": None
-            if compared is None
-            else {
-                "measured_db": compared.measured_db,
-                "planned_db": compared.planned_db,
-                "cause": compared.cause,
-            },
-        }
-        messages = intake_remarks(capture)
-        if summary.every > 1:
-            messages += (f"SNR, period and picture are from every {summary.every}th scan",)
-        return Result("show", data, Group(table, Text(f"picture {target}")), messages=messages)
+    # NAME.png next to the capture is the image of `scan` and must be kept.
+    target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".show.png")
+    check_drawing("--png", target, (".png",), [file])
+    config = load_config({"radar.cable_delay_ps": cable_delay})
+    capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
+    summary = inspect(capture)
+    draw_recording(
+        thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
+    )
+    table = Table(show_header=False, box=None)
+    compared = _against_plan(capture, summary, reflector, body, layout, layout_file)
+    rows = _rows(summary)
+    if why := ending_words(capture.radar.ended):
+        rows.append(("ended", why))
+    if compared is not None:
+        told = f"SNR {compared.measured_db:.1f} dB measured, {compared.planned_db:.1f} dB planned, {layout}"
+        rows += [("plan", told), *([("likely cause", compared.cause)] if compared.cause else [])]
+    elif reflector is not None:
+        rows.append(("plan", _not_compared(capture, summary)))
+    for name, text in rows:
+        table.add_row(name, text)
+    strongest = summary.strongest
+    data = {
+        "file": str(file),
+        "png": str(target),
+        "views": summary.views,
+        "bins": summary.bins,
+        "range_m": [summary.range_from_m, summary.range_to_m],
+        "snr_db": summary.snr_db,
+        "changing_snr_db": summary.changing_snr_db,
+        "changing_range_m": summary.changing_range_m,
+        "clipped_fraction": summary.clipped_fraction,
+        "lost_scans": summary.lost_scans,
+        "scan_rate_hz": summary.scan_rate_hz,
+        "period_s": summary.period_s,
+        "period_sigma_s": summary.period_sigma_s,
+        "period_note": summary.period_note,
+        "strongest": None
+        if strongest is None
+        else {
+            "bin": strongest.bin,
+            "range_m": strongest.range_m,
+            "spread_bins": strongest.spread_bins,
+        },
+        "complete": capture.complete,
+        "ended": None if capture.radar.ended is None else capture.radar.ended.to_json(),
+        "plan": None
+        if compared is None
+        else {
+            "measured_db": compared.measured_db,
+            "planned_db": compared.planned_db,
+            "cause": compared.cause,
+        },
+    }
+    messages = intake_remarks(capture)
+    if summary.every > 1:
+        messages += (f"SNR, period and picture are from every {summary.every}th scan",)
+    return Result("show", data, Group(table, Text(f"picture {target}")), messages=messages)
 
 
 def _against_plan(

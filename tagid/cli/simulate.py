@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli.common import options
-from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.outputs import check_new
-from tagid.cli.common.scene_options import SceneOptions
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
+from tagid.cli.options import SceneOptions
+from tagid.cli.outputs import check_new
 from tagid.counting import counted
 from tagid.errors import DataError, UsageError
 from tagid.result import Result
@@ -75,64 +75,61 @@ class _RecordingOptions:
     ] = None
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("simulate")
+def simulate(
+    terminal: Terminal,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write.")],
+    scene: _SceneOptions,
+    recording: _RecordingOptions,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+) -> Result:
+    """Simulate a capture of a rotating scene, or of an object with a response file.
 
-    @command(app, "simulate")
-    def simulate(
-        terminal: Terminal,
-        out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write.")],
-        scene: _SceneOptions,
-        recording: _RecordingOptions,
-        force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
-    ) -> Result:
-        """Simulate a capture of a rotating scene, or of an object with a response file.
+    Example: tagid simulate container-90 --body can:35mm,handle --centre 0.004,0 --out can.tagid.h5
+    """
+    import numpy as np
+    from rich.text import Text
 
-        Example: tagid simulate container-90 --body can:35mm,handle --centre 0.004,0 --out can.tagid.h5
-        """
-        import numpy as np
-        from rich.text import Text
+    from tagid.enrolling.lookup import only_layout
+    from tagid.simulate import Interference, NoiseShape, simulate_capture
+    from tagid.storage.exporters import export
 
-        from tagid.enrolling.lookup import only_layout
-        from tagid.simulate import Interference, NoiseShape, simulate_capture
-        from tagid.storage.exporters import export
-
-        check_new(out, force)
-        name, tone = scene.scene, recording.interference
-        if name is None and scene.file is not None:
-            name = only_layout(scene.file)
-        seed = scene.seed if recording.object_seed is None else recording.object_seed
-        shown, acquisition = scene.spec(scene=name, seed=seed).build(
-            views=recording.views,
-            turns=recording.turns,
-            axis_distance_error_m=recording.axis_error,
-            pulse=_pulse(recording, scene.seed),
-            snr_reference=recording.snr_of,
-            noise=NoiseShape(recording.colour, None if tone is None else Interference(tone)),
-            beam_width_rad=None if recording.beam is None else float(np.deg2rad(recording.beam)),
-        )
-        capture, truth = simulate_capture(shown, acquisition, scene.seed)
-        export(capture, out)
-        line = Text(
-            f"{out}: {shown.name}, {counted(capture.views, 'scan')} of {capture.bins} samples, {truth.snr}"
-        )
-        data = {
-            "path": str(out),
-            "scene": shown.name,
-            "views": capture.views,
-            "bins": capture.bins,
-            "truth": {
-                "axis_distance_m": truth.axis_distance_m,
-                "positions_m": truth.positions_m,
-                "noise_std": truth.noise_std,
-                "snr_db": truth.snr.changing_db,
-                "snr_reflector_db": truth.snr.reflector_db,
-                "snr_summed_db": truth.snr.summed_db,
-                "snr_reference_db": truth.snr.reference_db,
-                "snr_reference": truth.snr.reference or None,
-            },
-        }
-        return Result("simulate", data, line)
+    check_new(out, force)
+    name, tone = scene.scene, recording.interference
+    if name is None and scene.file is not None:
+        name = only_layout(scene.file)
+    seed = scene.seed if recording.object_seed is None else recording.object_seed
+    shown, acquisition = scene.spec(scene=name, seed=seed).build(
+        views=recording.views,
+        turns=recording.turns,
+        axis_distance_error_m=recording.axis_error,
+        pulse=_pulse(recording, scene.seed),
+        snr_reference=recording.snr_of,
+        noise=NoiseShape(recording.colour, None if tone is None else Interference(tone)),
+        beam_width_rad=None if recording.beam is None else float(np.deg2rad(recording.beam)),
+    )
+    capture, truth = simulate_capture(shown, acquisition, scene.seed)
+    export(capture, out)
+    line = Text(
+        f"{out}: {shown.name}, {counted(capture.views, 'scan')} of {capture.bins} samples, {truth.snr}"
+    )
+    data = {
+        "path": str(out),
+        "scene": shown.name,
+        "views": capture.views,
+        "bins": capture.bins,
+        "truth": {
+            "axis_distance_m": truth.axis_distance_m,
+            "positions_m": truth.positions_m,
+            "noise_std": truth.noise_std,
+            "snr_db": truth.snr.changing_db,
+            "snr_reflector_db": truth.snr.reflector_db,
+            "snr_summed_db": truth.snr.summed_db,
+            "snr_reference_db": truth.snr.reference_db,
+            "snr_reference": truth.snr.reference or None,
+        },
+    }
+    return Result("simulate", data, line)
 
 
 def _pulse(recording: _RecordingOptions, seed: int) -> Pulse | None:

@@ -12,72 +12,69 @@ from typing import Annotated, Any
 import typer
 
 from tagid import interrupts
-from tagid.cli.common import options
-from tagid.cli.common.frame import Output, Terminal, command
-from tagid.cli.common.recording import demo_settings
+from tagid.cli import options
+from tagid.cli.frame import Output, Terminal, command
+from tagid.cli.options import demo_settings
 from tagid.errors import MissingExtraError, UsageError
 from tagid.result import Result
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
+@command("station")
+def station(
+    terminal: Terminal,
+    bind: Annotated[
+        str, typer.Option("--bind", help="HOST:PORT to listen on; other computers need a pairing code.")
+    ] = "127.0.0.1:8440",
+    radar: options.RadarUrl = None,
+    motion: options.MotionUrl = None,
+    axis_distance: options.AxisDistance = None,
+    save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
+    max_seconds: Annotated[float, typer.Option("--max-seconds", help="Longest recording.")] = 180.0,
+    demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
+    demo_scene: Annotated[str, typer.Option("--demo-scene", help="Scene of the demo.")] = "helmet-120",
+) -> Result:
+    """Serve a web page with a Scan button, live image, answer, health and history.
 
-    @command(app, "station")
-    def station(
-        terminal: Terminal,
-        bind: Annotated[
-            str, typer.Option("--bind", help="HOST:PORT to listen on; other computers need a pairing code.")
-        ] = "127.0.0.1:8440",
-        radar: options.RadarUrl = None,
-        motion: options.MotionUrl = None,
-        axis_distance: options.AxisDistance = None,
-        save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
-        max_seconds: Annotated[float, typer.Option("--max-seconds", help="Longest recording.")] = 180.0,
-        demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
-        demo_scene: Annotated[str, typer.Option("--demo-scene", help="Scene of the demo.")] = "helmet-120",
-    ) -> Result:
-        """Serve a web page with a Scan button, live image, answer, health and history.
+    Example: tagid station --demo
+    """
+    try:
+        from tagid.operate.workplace import Workplace
+        from tagid.station.security import is_loopback
+        from tagid.station.server import Server
+        from tagid.station.setup import Source
+        from tagid.station.station import Station
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            f"the station needs {error.name}", "Install it with `pip install 'tagid[station]'`."
+        ) from None
+    host, port = _address(bind)
+    overrides: dict[str, Any] = {
+        "radar.url": radar,
+        "motion.url": motion,
+        "motion.axis_distance_m": axis_distance,
+        "storage.folder": None if save_dir is None else str(save_dir),
+    }
 
-        Example: tagid station --demo
-        """
-        try:
-            from tagid.operate.workplace import Workplace
-            from tagid.station.security import is_loopback
-            from tagid.station.server import Server
-            from tagid.station.setup import Source
-            from tagid.station.station import Station
-        except ModuleNotFoundError as error:
-            raise MissingExtraError(
-                f"the station needs {error.name}", "Install it with `pip install 'tagid[station]'`."
-            ) from None
-        host, port = _address(bind)
-        overrides: dict[str, Any] = {
-            "radar.url": radar,
-            "motion.url": motion,
-            "motion.axis_distance_m": axis_distance,
-            "storage.folder": None if save_dir is None else str(save_dir),
-        }
+    def announce(code: str) -> None:
+        with suppress(OSError):  # the terminal may be gone
+            typer.echo(f"pairing code: {code}", err=True)
 
-        def announce(code: str) -> None:
-            with suppress(OSError):  # the terminal may be gone
-                typer.echo(f"pairing code: {code}", err=True)
-
-        with ExitStack() as stack:
-            if demo:
-                overrides |= demo_settings(demo_scene)
-            source = Source(lambda: Workplace(overrides), max_seconds, demo)
-            source.place()
-            work = Station(source)
-            away = None if is_loopback(host) else announce
-            server = stack.enter_context(Server(work, host, port, away))
-            _announce(terminal, server.url)
-            stop = threading.Event()
-            with interrupts.asked_to_stop(stop.set):
-                while server.running and not stop.wait(0.5):
-                    pass
-            if server.failure is not None:
-                raise server.failure
-        raise typer.Exit(0)
+    with ExitStack() as stack:
+        if demo:
+            overrides |= demo_settings(demo_scene)
+        source = Source(lambda: Workplace(overrides), max_seconds, demo)
+        source.place()
+        work = Station(source)
+        away = None if is_loopback(host) else announce
+        server = stack.enter_context(Server(work, host, port, away))
+        _announce(terminal, server.url)
+        stop = threading.Event()
+        with interrupts.asked_to_stop(stop.set):
+            while server.running and not stop.wait(0.5):
+                pass
+        if server.failure is not None:
+            raise server.failure
+    raise typer.Exit(0)
 
 
 def _address(bind: str) -> tuple[str, int]:

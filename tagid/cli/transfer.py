@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from tagid.cli.common import options
-from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.outputs import check_new
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
+from tagid.cli.outputs import check_new
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.counting import counted
@@ -20,132 +20,131 @@ _Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write.",
 _Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
+@command("import")
+def import_(
+    terminal: Terminal,
+    file: options.CaptureFile,
+    out: _Out = None,
+    axis_distance: options.AxisDistance = None,
+    antenna_height: options.AntennaHeight = None,
+    antenna_separation: options.AntennaSeparation = None,
+    cable_delay: options.CableDelay = None,
+    node: options.Node = None,
+    force: _Force = False,
+) -> Result:
+    """Convert another tool's recording to a capture file.
 
-    @command(app, "import")
-    def import_(
-        terminal: Terminal,
-        file: options.CaptureFile,
-        out: _Out = None,
-        axis_distance: options.AxisDistance = None,
-        antenna_height: options.AntennaHeight = None,
-        antenna_separation: options.AntennaSeparation = None,
-        cable_delay: options.CableDelay = None,
-        node: options.Node = None,
-        force: _Force = False,
-    ) -> Result:
-        """Convert another tool's recording to a capture file.
+    Read are P440 recordings, MRM-RET logs, MATLAB structs of the vendor's log reader, journals, and NPZ
+    files with the keys samples (views, bins), range_start_m, range_step_m and one of angles_rad (with
+    axis_distance_m), timestamps_s or antenna_positions_m (views, 3):
+    numpy.savez("mine.npz", samples=..., range_start_m=..., range_step_m=..., angles_rad=...,
+    axis_distance_m=...). Units are m, s and rad.
 
-        Read are P440 recordings, MRM-RET logs, MATLAB structs of the vendor's log reader, journals, and NPZ
-        files with the keys samples (views, bins), range_start_m, range_step_m and one of angles_rad (with
-        axis_distance_m), timestamps_s or antenna_positions_m (views, 3):
-        numpy.savez("mine.npz", samples=..., range_start_m=..., range_step_m=..., angles_rad=...,
-        axis_distance_m=...). Units are m, s and rad.
+    Example: tagid import scan08.out --out scan08.tagid.h5
+    """
+    from rich.text import Text
 
-        Example: tagid import scan08.out --out scan08.tagid.h5
-        """
-        from rich.text import Text
+    from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
+    from tagid.storage.hdf5 import write_capture
 
-        from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
-        from tagid.storage.hdf5 import write_capture
-
-        config = load_config(
-            {
-                "motion.axis_distance_m": axis_distance,
-                "motion.antenna_height_m": antenna_height,
-                "motion.antenna_separation_m": antenna_separation,
-                "radar.cable_delay_ps": cable_delay,
-            }
+    config = load_config(
+        {
+            "motion.axis_distance_m": axis_distance,
+            "motion.antenna_height_m": antenna_height,
+            "motion.antenna_separation_m": antenna_separation,
+            "radar.cable_delay_ps": cable_delay,
+        }
+    )
+    target = _target(file, out, CAPTURE_SUFFIX, force)
+    if not target.name.endswith(".h5"):
+        raise UsageError(
+            f"{target} does not end in {CAPTURE_SUFFIX}", "Use `tagid export` for other formats."
         )
-        target = _target(file, out, CAPTURE_SUFFIX, force)
-        if not target.name.endswith(".h5"):
-            raise UsageError(
-                f"{target} does not end in {CAPTURE_SUFFIX}", "Use `tagid export` for other formats."
-            )
-        capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
-        write_capture(target, capture)
-        line = Text(f"{target}: {counted(capture.views, 'scan')} of {capture.bins} samples")
-        data = {
-            "path": str(target),
-            "views": capture.views,
-            "bins": capture.bins,
-            "uuid": capture.uuid,
-            "complete": capture.complete,
-            "node": capture.radar.node_id,
-            "bytes_left_over": capture.radar.bytes_left_over or 0,
-            "scans_lost": capture.radar.scans_lost or 0,
-        }
-        return Result("import", data, line, messages=intake_remarks(capture))
+    capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
+    write_capture(target, capture)
+    line = Text(f"{target}: {counted(capture.views, 'scan')} of {capture.bins} samples")
+    data = {
+        "path": str(target),
+        "views": capture.views,
+        "bins": capture.bins,
+        "uuid": capture.uuid,
+        "complete": capture.complete,
+        "node": capture.radar.node_id,
+        "bytes_left_over": capture.radar.bytes_left_over or 0,
+        "scans_lost": capture.radar.scans_lost or 0,
+    }
+    return Result("import", data, line, messages=intake_remarks(capture))
 
-    @command(app, "export")
-    def export(
-        terminal: Terminal,
-        file: options.CaptureFile,
-        out: _Out = None,
-        node: options.Node = None,
-        force: _Force = False,
-    ) -> Result:
-        """Write a capture as NPZ, MATLAB (.mat), P440 recording (.out, .prd), MRM-RET log (.csv) or .h5.
 
-        Example: tagid export helmet.tagid.h5 --out helmet.mat
-        """
-        from rich.text import Text
+@command("export")
+def export(
+    terminal: Terminal,
+    file: options.CaptureFile,
+    out: _Out = None,
+    node: options.Node = None,
+    force: _Force = False,
+) -> Result:
+    """Write a capture as NPZ, MATLAB (.mat), P440 recording (.out, .prd), MRM-RET log (.csv) or .h5.
 
-        from tagid.storage.exporters import export as write
-        from tagid.storage.importers import read_any, remarks
+    Example: tagid export helmet.tagid.h5 --out helmet.mat
+    """
+    from rich.text import Text
 
-        target = _target(file, out, ".npz", force)
-        capture = read_any(file, node=node)
-        write(capture, target)
-        data = {"path": str(target), "views": capture.views, "bins": capture.bins}
-        return Result("export", data, Text(f"{target} written"), messages=remarks(capture))
+    from tagid.storage.exporters import export as write
+    from tagid.storage.importers import read_any, remarks
 
-    @command(app, "recover")
-    def recover(
-        terminal: Terminal,
-        journal: Annotated[Path, typer.Argument(help="The .tagid.journal file.")],
-        out: _Out = None,
-        force: _Force = False,
-    ) -> Result:
-        """Create a capture file from the journal of an interrupted recording.
+    target = _target(file, out, ".npz", force)
+    capture = read_any(file, node=node)
+    write(capture, target)
+    data = {"path": str(target), "views": capture.views, "bins": capture.bins}
+    return Result("export", data, Text(f"{target} written"), messages=remarks(capture))
 
-        Example: tagid recover scan-20260102-101112.tagid.journal
-        """
-        from rich.text import Text
 
-        from tagid.recording.long_recording import part_path
-        from tagid.storage.journal import open_journal
-        from tagid.storage.journal_capture import write_captures
-        from tagid.storage.journal_lock import being_recorded
+@command("recover")
+def recover(
+    terminal: Terminal,
+    journal: Annotated[Path, typer.Argument(help="The .tagid.journal file.")],
+    out: _Out = None,
+    force: _Force = False,
+) -> Result:
+    """Create a capture file from the journal of an interrupted recording.
 
-        if being_recorded(journal):
-            raise StorageError(
-                f"{journal} is still being recorded by another process",
-                "That process writes the capture file when it ends.",
-            )
-        # What is no journal is told before anything about the file to write.
-        with open_journal(journal):
-            pass
-        target = _target(journal, out, CAPTURE_SUFFIX, force)
-        written = write_captures(journal, lambda part: part_path(target, part))
-        if written.has_track and len(written.paths) == 1:
-            _add_measured_angles(journal, target)
-        state = "complete" if written.complete else "cut short"
-        lines = [
-            f"{counted(written.views, 'scan')} recovered, the recording was {state}",
-            *map(str, written.paths),
-        ]
-        dropped = written.bytes_dropped
-        messages = (f"{dropped} bytes of the journal were dropped because they contain no complete scan",)
-        data = {
-            "path": str(written.paths[0]),
-            "paths": [str(path) for path in written.paths],
-            "views": written.views,
-            "complete": written.complete,
-            "bytes_dropped": dropped,
-        }
-        return Result("recover", data, Text("\n".join(lines)), messages=messages if dropped else ())
+    Example: tagid recover scan-20260102-101112.tagid.journal
+    """
+    from rich.text import Text
+
+    from tagid.recording.long_recording import part_path
+    from tagid.storage.journal import open_journal
+    from tagid.storage.journal_capture import write_captures
+    from tagid.storage.journal_lock import being_recorded
+
+    if being_recorded(journal):
+        raise StorageError(
+            f"{journal} is still being recorded by another process",
+            "That process writes the capture file when it ends.",
+        )
+    # What is no journal is told before anything about the file to write.
+    with open_journal(journal):
+        pass
+    target = _target(journal, out, CAPTURE_SUFFIX, force)
+    written = write_captures(journal, lambda part: part_path(target, part))
+    if written.has_track and len(written.paths) == 1:
+        _add_measured_angles(journal, target)
+    state = "complete" if written.complete else "cut short"
+    lines = [
+        f"{counted(written.views, 'scan')} recovered, the recording was {state}",
+        *map(str, written.paths),
+    ]
+    dropped = written.bytes_dropped
+    messages = (f"{dropped} bytes of the journal were dropped because they contain no complete scan",)
+    data = {
+        "path": str(written.paths[0]),
+        "paths": [str(path) for path in written.paths],
+        "views": written.views,
+        "complete": written.complete,
+        "bytes_dropped": dropped,
+    }
+    return Result("recover", data, Text("\n".join(lines)), messages=messages if dropped else ())
 
 
 def _add_measured_angles(journal: Path, target: Path) -> None:

@@ -10,10 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-COMMANDS = (
-    "scan", "identify", "enroll", "layouts", "reconstruct", "show", "import", "export", "recover", "simulate",
-    "doctor", "config", "report", "history",
-)  # fmt: skip
 ENVELOPE = {"tagid_result_version", "command", "status", "exit_code", "data", "messages", "errors"}
 IDENTIFICATION = {
     "status", "layout", "label", "score", "margin", "rotation_deg", "centre_m", "reflectors", "missing",
@@ -21,7 +17,20 @@ IDENTIFICATION = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "emulate p440"])
+def every_command() -> list[str]:
+    import typer.main
+
+    from tagid.cli.app import app
+
+    found: list[str] = []
+    for name in (root := typer.main.get_group(app)).list_commands(None):
+        command = root.get_command(None, name)
+        inner = command.list_commands(None) if hasattr(command, "list_commands") else []
+        found += [f"{name} {one}" for one in inner] or [name]
+    return found
+
+
+@pytest.mark.parametrize("command", every_command())
 def test_every_command_has_help_with_an_example(tagid, command) -> None:
     done = tagid(*command.split(), "--help")
     assert done.code == 0
@@ -239,7 +248,7 @@ def test_no_file_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
     """What is printed would go into it."""
     code = (
         "import os, sys\n"
-        "from tagid.cli.common import frame\n"
+        "from tagid.cli import frame\n"
         "frame._secure_streams()\n"
         "file = os.open('data', os.O_WRONLY | os.O_CREAT)\n"
         "os.write(1, b'printed'); os.write(2, b'printed'); print('printed'); sys.stderr.write('printed')\n"

@@ -18,7 +18,7 @@ import pytest
 from command_server import Ran
 
 from tagid.cli.app import app
-from tagid.cli.common.frame import serve
+from tagid.cli.frame import serve
 from tagid.errors import DeviceError
 from tagid.motion.discovery import Found
 from tagid.storage.importers import read_any
@@ -142,7 +142,7 @@ def test_numbers_that_cannot_be_emulated_are_refused(
     def listening(*_: object) -> None:
         raise AssertionError("the emulator started")
 
-    monkeypatch.setattr("tagid.cli.emulate.motion.announce", listening)
+    monkeypatch.setattr("tagid.cli.emulate_motion.announce", listening)
     done = here("emulate", *words)
     assert done.code == 2 and ("Give" in done.err or "range" in done.err), done.err
 
@@ -368,19 +368,16 @@ def test_watch_makes_its_folder(here: Callable[..., Ran], tmp_path: Path) -> Non
     assert taken.code == 2 and "is not a folder" in taken.err
 
 
-@pytest.mark.parametrize("group", ["", "layouts"])
-def test_the_list_of_commands_is_what_the_commands_say(group: str) -> None:
+def test_the_list_of_commands_is_what_the_commands_say() -> None:
     """They are imported when called; their first sentences are kept apart so that help need not."""
     import typer.main
 
     from tagid.cli.app import COMMANDS
-    from tagid.cli.layouts.app import COMMANDS as LAYOUTS
 
     root = typer.main.get_group(app)
-    parent, table = (root, COMMANDS) if not group else (root.get_command(None, group), LAYOUTS)
-    assert parent.list_commands(None) == list(table)
-    for name, entry in table.items():
-        command = parent.get_command(None, name)
+    assert root.list_commands(None) == list(COMMANDS)
+    for name, entry in COMMANDS.items():
+        command = root.get_command(None, name)
         text = (command.short_help or command.help or "").split("\n\n")[0].replace("\n", " ")
         assert entry.help == text, name
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import tagid as api
-from tagid.cli.common.wording import in_options
+from tagid.cli.wording import in_options
 from tagid.metadata import ResolvedMotion
 from tagid.operate.workplace import Workplace
 from tagid.pipeline.load import load_capture

@@ -63,7 +63,7 @@ def test_a_signal_after_the_last_write_changes_nothing(kind: signal.Signals, pro
     """Between the result and the end of the interpreter, where exit code and message are decided."""
     script = (
         "import os\n"
-        "from tagid.cli.common import frame\n"
+        "from tagid.cli import frame\n"
         f"from {program}.cli.app import main\n"
         "def exiting(code):\n"
         f"    os.kill(os.getpid(), {int(kind)})\n"

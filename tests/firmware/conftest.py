@@ -16,7 +16,7 @@ import pytest
 from firmware_tools.cli.app import app
 from firmware_tools.virtual.backend import open_backend
 from firmware_tools.virtual.process import BoardProcess
-from tagid.cli.common.frame import serve
+from tagid.cli.frame import serve
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, find
 

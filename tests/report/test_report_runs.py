@@ -22,7 +22,7 @@ from tagid.batch.inputs import Source
 from tagid.batch.local import Task, run_local
 from tagid.batch.run import FILES
 from tagid.cli.app import app
-from tagid.cli.common.frame import serve
+from tagid.cli.frame import serve
 
 
 def lines(folder: Path) -> list[dict]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from tagid.cli.common.imaging import describe
+from tagid.cli.imaging import describe
 from tagid.operate.turn import Answer, read
 from tagid.operate.words import coverage_words, truth_words
 from tagid.operate.workplace import Workplace

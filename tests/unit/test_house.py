@@ -148,7 +148,7 @@ def test_the_product_imports_neither_its_tools_nor_its_training() -> None:
 
 BARE_THREADS = {
     "tagid/batch/local.py",
-    "tagid/cli/emulate/virtual_bridge.py",
+    "tagid/cli/emulate_motion.py",
     "tagid/motion/ble.py",
     "tagid/motion/driven.py",
     "tagid/motion/emulation/gatt.py",

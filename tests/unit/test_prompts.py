@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tagid import interrupts
-from tagid.cli.common import prompts
+from tagid.cli import prompts
 
 
 @contextmanager

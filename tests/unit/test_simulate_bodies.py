@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tagid.cli.common.scene_options import SceneOptions
+from tagid.cli.options import SceneOptions
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError, UsageError
 from tagid.query import parse_point

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import tagid
-from tagid.cli.common.wording import OPTIONS, in_options, result_in_options
+from tagid.cli.wording import OPTIONS, in_options, result_in_options
 from tagid.enrolling.enrolment import outlook
 from tagid.result import Problem, Result, render
 from tagid.simulate.spec import SceneSpec

@@ -7,25 +7,27 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import inspect
 import io
 import logging
 import math
 import os
+import shlex
 import sys
 import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.models import OptionInfo
 
 from tagid import interrupts
-from tagid.cli.common.wording import result_in_options
+from tagid.cli.wording import result_in_options
 from tagid.errors import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -37,6 +39,9 @@ from tagid.errors import (
     visible,
 )
 from tagid.result import Result, render
+
+if TYPE_CHECKING:
+    from rich.text import Text
 
 
 class Output(StrEnum):
@@ -91,33 +96,60 @@ _DEFAULTS: dict[str, Any] = {"quiet": False, "verbose": 0}
 _OUTPUT_HELP = "Text, or one JSON document."
 
 
+@dataclass(frozen=True)
+class Command:
+    """A command as a module declares it.
+
+    Attributes:
+        name: with its group, e.g. "radar find".
+        run: takes the options, runs the command and raises typer.Exit.
+        help: of the function; of a group the command that runs without another.
+        is_group: whether it runs when the group of its name is called without a command.
+    """
+
+    name: str
+    run: Callable[..., None]
+    help: str
+    is_group: bool = False
+
+    def add_to(self, app: typer.Typer) -> None:
+        """Register it with an app, which is its group's if it has one."""
+        if self.is_group:
+            app.callback(invoke_without_command=True, help=self.help)(self.run)
+        else:
+            first = self.help.partition("\n\n")[0]
+            app.command(self.name.rpartition(" ")[2], help=self.help, short_help=first)(self.run)
+
+
+_COMMANDS: dict[str, list[Command]] = {}
+"""Commands by the module that declares them, in its order."""
+
+
+def commands_of(module: str) -> list[Command]:
+    """The commands that a module declares; it is imported if necessary."""
+    importlib.import_module(module)
+    return _COMMANDS.get(module, [])
+
+
 def command(
-    app: typer.Typer, name: str, formats: type[StrEnum] = Output
+    name: str, formats: type[StrEnum] = Output
 ) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Register a function `(terminal, ...) -> Result` as a command with the common options added.
+    """Declare a function `(terminal, ...) -> Result` as a command with the common options added.
 
     A parameter whose type is a dataclass stands for options declared as its fields.
     `formats` are the choices of --output: "human", "json" and, if the result has one, "csv".
     """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
-        first, text = help_of(function)
-        register = app.command(name.rpartition(" ")[2], help=text, short_help=first)
-        register(_with_common_options(name, function, formats))
+        run = _with_common_options(name, function, formats)
+        _declare(Command(name, run, _help_of(function)), function)
         return function
 
     return decorate
 
 
-def help_of(function: Callable[..., Any]) -> tuple[str, str]:
-    """Help of a command from its docstring: the first sentence, and all of it with its examples unwrapped."""
-    text = inspect.cleandoc(function.__doc__ or "")
-    # A line of \\b keeps the lines of the paragraph that follows it.
-    return text.partition("\n\n")[0].replace("\n", " "), text.replace("\n\nExample:", "\n\n\b\nExample:")
-
-
-def group_command(app: typer.Typer, name: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Register a function to run when a command group is called without a command."""
+def group_command(name: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Declare a function to run when a command group is called without a command."""
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         run = _with_common_options(name, function, Output)
@@ -131,10 +163,21 @@ def group_command(app: typer.Typer, name: str) -> Callable[[Callable[..., Result
         parameters = [own, *inspect.signature(run).parameters.values()]
         unless_named.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         unless_named.__annotations__ = {"context": typer.Context, **run.__annotations__}
-        app.callback(invoke_without_command=True)(unless_named)
+        _declare(Command(name, unless_named, _help_of(function), is_group=True), function)
         return function
 
     return decorate
+
+
+def _declare(declared: Command, function: Callable[..., Result]) -> None:
+    _COMMANDS.setdefault(function.__module__, []).append(declared)
+
+
+def _help_of(function: Callable[..., Any]) -> str:
+    """Help of a command: its docstring with its examples unwrapped and its first sentence on one line."""
+    first, *rest = inspect.cleandoc(function.__doc__ or "").split("\n\n")
+    # A line of \\b keeps the lines of the paragraph that follows it.
+    return "\n\n".join([first.replace("\n", " "), *rest]).replace("\n\nExample:", "\n\n\b\nExample:")
 
 
 def _with_common_options(
@@ -349,3 +392,23 @@ class _Harmless(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """The line; its line feeds are kept."""
         return visible(super().format(record))
+
+
+def to_copy(urls: Sequence[str], command: str) -> Text:
+    """Device URLs, one per line for copying, and the next command with the first of them in place of {}.
+
+    Lines are not wrapped, so that a URL can be copied completely.
+    """
+    from rich.text import Text
+
+    lines = [*urls, "next: " + next_command(urls[0], command)] if urls else []
+    return Text("\n".join(lines), no_wrap=True, overflow="ignore")
+
+
+def next_command(url: str, command: str) -> str:
+    """A command with a URL in place of {}, quoted for a shell if necessary.
+
+    >>> next_command("roomba+serial:///dev/ttyUSB1?step=2", "tagid motion info {}")
+    "tagid motion info 'roomba+serial:///dev/ttyUSB1?step=2'"
+    """
+    return command.format(shlex.quote(url))

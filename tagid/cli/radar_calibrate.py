@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tagid.cli.common import options
-from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.prompts import can_ask, read_line
-from tagid.cli.radar.device import open_configured
+from tagid.cli import options
+from tagid.cli.consent import can_ask, read_line
+from tagid.cli.frame import Terminal, command
+from tagid.cli.radar import open_configured
 from tagid.config import Config, data_folder, load_config, radar_url
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import DataError, StorageError, UsageError
@@ -27,59 +27,56 @@ if TYPE_CHECKING:
 REFERENCE_NAME = f"background{CAPTURE_SUFFIX}"
 
 
-def register(group: typer.Typer) -> None:
-    """Add the command."""
+@command("radar calibrate")
+def calibrate(
+    terminal: Terminal,
+    distance: Annotated[
+        float | None,
+        typer.Option("--distance", help="Measured distance from the antennas to the target, metres."),
+    ] = None,
+    tape_error: Annotated[
+        float,
+        typer.Option("--tape-error", min=0, max=10, help="Standard deviation of this distance, metres."),
+    ] = 0.005,
+    step: Annotated[
+        str | None,
+        typer.Option("--step", help="empty, target, or both with a pause to place the target."),
+    ] = None,
+    scans: Annotated[
+        int, typer.Option("--scans", min=-2147483648, max=2147483648, help="Scans per step.")
+    ] = 200,
+    longest_delay: Annotated[
+        float, typer.Option("--longest-delay", help="Upper limit of the delay search, ns.")
+    ] = 25.0,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but store nothing.")] = False,
+    radar: options.RadarUrl = None,
+    axis_distance: options.AxisDistance = None,
+) -> Result:
+    """Measure the cable and antenna delay with a target at a known distance; store the empty scene.
 
-    @command(group, "radar calibrate")
-    def calibrate(
-        terminal: Terminal,
-        distance: Annotated[
-            float | None,
-            typer.Option("--distance", help="Measured distance from the antennas to the target, metres."),
-        ] = None,
-        tape_error: Annotated[
-            float,
-            typer.Option("--tape-error", min=0, max=10, help="Standard deviation of this distance, metres."),
-        ] = 0.005,
-        step: Annotated[
-            str | None,
-            typer.Option("--step", help="empty, target, or both with a pause to place the target."),
-        ] = None,
-        scans: Annotated[
-            int, typer.Option("--scans", min=-2147483648, max=2147483648, help="Scans per step.")
-        ] = 200,
-        longest_delay: Annotated[
-            float, typer.Option("--longest-delay", help="Upper limit of the delay search, ns.")
-        ] = 25.0,
-        dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but store nothing.")] = False,
-        radar: options.RadarUrl = None,
-        axis_distance: options.AxisDistance = None,
-    ) -> Result:
-        """Measure the cable and antenna delay with a target at a known distance; store the empty scene.
+    First the empty scene is recorded, then the target; both results are stored in the configuration.
 
-        First the empty scene is recorded, then the target; both results are stored in the configuration.
-
-        Example: tagid radar calibrate --distance 2.00
-        """
-        config = load_config({"radar.url": radar, "motion.axis_distance_m": axis_distance})
-        radar_url(config)
-        chosen = _steps(step, distance)
-        session = _Session(terminal, config, scans, longest_delay * 1e3, distance)
-        if not 0 < longest_delay <= 200:
-            raise UsageError(f"--longest-delay is {longest_delay} ns", "Give up to 200 ns.")
-        with open_configured(config) as device:
-            before = device.config
-            try:
-                session.set_window(device)
-                if chosen == "both":
-                    _ask("Remove the target from the beam")
-                empty = None if chosen == "target" else session.take(device, "empty scene")
-                if chosen == "both":
-                    _ask(f"Put the target at {distance:g} m from the antennas")
-                target = None if chosen == "empty" else session.take(device, "target")
-            finally:
-                _put_back(device, before)
-        return _keep(session, empty, target, tape_error, dry_run)
+    Example: tagid radar calibrate --distance 2.00
+    """
+    config = load_config({"radar.url": radar, "motion.axis_distance_m": axis_distance})
+    radar_url(config)
+    chosen = _steps(step, distance)
+    session = _Session(terminal, config, scans, longest_delay * 1e3, distance)
+    if not 0 < longest_delay <= 200:
+        raise UsageError(f"--longest-delay is {longest_delay} ns", "Give up to 200 ns.")
+    with open_configured(config) as device:
+        before = device.config
+        try:
+            session.set_window(device)
+            if chosen == "both":
+                _ask("Remove the target from the beam")
+            empty = None if chosen == "target" else session.take(device, "empty scene")
+            if chosen == "both":
+                _ask(f"Put the target at {distance:g} m from the antennas")
+            target = None if chosen == "empty" else session.take(device, "target")
+        finally:
+            _put_back(device, before)
+    return _keep(session, empty, target, tape_error, dry_run)
 
 
 class _Session:

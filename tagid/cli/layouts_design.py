@@ -1,4 +1,4 @@
-"""`tagid layouts design` and `capacity`: layout families for an object, and their largest size."""
+"""`tagid layouts design`, `capacity` and `reflector`: new layouts for an object, and reflectors to make."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli.common import enrolling
-from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.outputs import check_new
+from tagid.cli import enrolling
+from tagid.cli.frame import Terminal, command
+from tagid.cli.outputs import check_new
 from tagid.config import load_config
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -18,6 +18,7 @@ from tagid.result import Result
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from tagid.report.reflector_sheet import CrossSection
     from tagid.tags.layouts.design import DesignRules, Family
     from tagid.tags.layouts.layout import Layout
     from tagid.tags.layouts.objects import TaggedObject
@@ -59,87 +60,85 @@ AntennaHeights = Annotated[
 ]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
+@command("layouts design")
+def design(
+    terminal: Terminal,
+    target: ObjectName = "helmet",
+    reflectors: Annotated[int, typer.Option("--reflectors", help="Reflectors per layout.")] = 3,
+    slots: Slots = 12,
+    count: Annotated[int, typer.Option("--count", min=1, max=10000, help="Number of layouts.")] = 10,
+    rows: Rows = None,
+    radius: Radius = None,
+    height: Height = None,
+    spacing: Spacing = None,
+    mirror: Mirror = None,
+    seed: Seed = 0,
+    heights: AntennaHeights = None,
+    alone: Annotated[bool, typer.Option("--alone", help="Ignore the enrolled layouts.")] = False,
+    prefix: Annotated[
+        str | None,
+        typer.Option("--prefix", help="Prefix of the names, e.g. mug-r3s12.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write the layouts as TOML.", show_default=False)
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+    enroll: Annotated[bool, typer.Option("--enroll", help="Enrol all layouts, or none.")] = False,
+    yes: enrolling.Yes = False,
+) -> Result:
+    """Design the layouts that a radar distinguishes best at any orientation of the object.
 
-    @command(app, "layouts design")
-    def design(
-        terminal: Terminal,
-        target: ObjectName = "helmet",
-        reflectors: Annotated[int, typer.Option("--reflectors", help="Reflectors per layout.")] = 3,
-        slots: Slots = 12,
-        count: Annotated[int, typer.Option("--count", min=1, max=10000, help="Number of layouts.")] = 10,
-        rows: Rows = None,
-        radius: Radius = None,
-        height: Height = None,
-        spacing: Spacing = None,
-        mirror: Mirror = None,
-        seed: Seed = 0,
-        heights: AntennaHeights = None,
-        alone: Annotated[bool, typer.Option("--alone", help="Ignore the enrolled layouts.")] = False,
-        prefix: Annotated[
-            str | None,
-            typer.Option("--prefix", help="Prefix of the names, e.g. mug-r3s12.", show_default=False),
-        ] = None,
-        out: Annotated[
-            Path | None, typer.Option("--out", help="Write the layouts as TOML.", show_default=False)
-        ] = None,
-        force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
-        enroll: Annotated[bool, typer.Option("--enroll", help="Enrol all layouts, or none.")] = False,
-        yes: enrolling.Yes = False,
-    ) -> Result:
-        """Design the layouts that a radar distinguishes best at any orientation of the object.
+    Example: tagid layouts design --object helmet --reflectors 3 --slots 12 --count 10 --out helmets.toml
+    """
+    from tagid.operate.workplace import open_registry
+    from tagid.tags.layouts.design import design as make
+    from tagid.tags.layouts.layout import is_name
 
-        Example: tagid layouts design --object helmet --reflectors 3 --slots 12 --count 10 --out helmets.toml
-        """
-        from tagid.operate.workplace import open_registry
-        from tagid.tags.layouts.design import design as make
-        from tagid.tags.layouts.layout import is_name
-
-        if prefix is not None and not is_name(f"{prefix}-01"):
-            # Checked before the search, whose remedies are other options.
-            raise UsageError(
-                f"--prefix {prefix[:80]!r} is not valid",
-                "Use up to 60 of a-z, 0-9, dot, dash and underscore; begin with a letter or digit.",
-            )
-        if out is not None:
-            check_new(out, force)
-        rules = rules_from(reflectors, slots, spacing, mirror, seed, heights)
-        beside = [] if alone else open_registry().layouts()
-        chosen = object_from(target, rows, radius, height)
-        whole = chosen if radius else object_from(target, None, None, None, every_row=True)
-        asked = _Asked(whole, len(chosen.rows), rules, count, tuple(beside))
-        try:
-            family = make(chosen, rules, count, prefix, beside)
-        except UsageError as error:
-            raise UsageError(error.message, asked.remedy()) from None
-        return _designed(terminal, family, asked, out, enrolling.Wish(False, yes, not enroll))
-
-    @command(app, "layouts capacity")
-    def capacity(
-        terminal: Terminal,
-        target: ObjectName = "helmet",
-        slots: Slots = 12,
-        rows: Rows = None,
-        radius: Radius = None,
-        height: Height = None,
-        spacing: Spacing = None,
-        mirror: Mirror = None,
-        seed: Seed = 0,
-        heights: AntennaHeights = None,
-        error_rate: Annotated[
-            float, typer.Option("--error-rate", help="Share of readings that may have no name.")
-        ] = 0.001,
-    ) -> Result:
-        """Compute how many identities an object can carry at a given error rate.
-
-        Example: tagid layouts capacity --object mug --error-rate 0.001
-        """
-        return _capacity(
-            object_from(target, rows, radius, height),
-            [rules_from(k, slots, spacing, mirror, seed, heights) for k in (2, 3, 4)],
-            error_rate,
+    if prefix is not None and not is_name(f"{prefix}-01"):
+        # Checked before the search, whose remedies are other options.
+        raise UsageError(
+            f"--prefix {prefix[:80]!r} is not valid",
+            "Use up to 60 of a-z, 0-9, dot, dash and underscore; begin with a letter or digit.",
         )
+    if out is not None:
+        check_new(out, force)
+    rules = rules_from(reflectors, slots, spacing, mirror, seed, heights)
+    beside = [] if alone else open_registry().layouts()
+    chosen = object_from(target, rows, radius, height)
+    whole = chosen if radius else object_from(target, None, None, None, every_row=True)
+    asked = _Asked(whole, len(chosen.rows), rules, count, tuple(beside))
+    try:
+        family = make(chosen, rules, count, prefix, beside)
+    except UsageError as error:
+        raise UsageError(error.message, asked.remedy()) from None
+    return _designed(terminal, family, asked, out, enrolling.Wish(False, yes, not enroll))
+
+
+@command("layouts capacity")
+def capacity(
+    terminal: Terminal,
+    target: ObjectName = "helmet",
+    slots: Slots = 12,
+    rows: Rows = None,
+    radius: Radius = None,
+    height: Height = None,
+    spacing: Spacing = None,
+    mirror: Mirror = None,
+    seed: Seed = 0,
+    heights: AntennaHeights = None,
+    error_rate: Annotated[
+        float, typer.Option("--error-rate", help="Share of readings that may have no name.")
+    ] = 0.001,
+) -> Result:
+    """Compute how many identities an object can carry at a given error rate.
+
+    Example: tagid layouts capacity --object mug --error-rate 0.001
+    """
+    return _capacity(
+        object_from(target, rows, radius, height),
+        [rules_from(k, slots, spacing, mirror, seed, heights) for k in (2, 3, 4)],
+        error_rate,
+    )
 
 
 @dataclass(frozen=True)
@@ -343,3 +342,101 @@ def _capacity(target: TaggedObject, rules: list[DesignRules], error_rate: float)
         {"object": target.name, "error_rate": error_rate, "rows": rows},
         Group(line, table),
     )
+
+
+KINDS = ("octahedron",)
+_MADE = (".stl", ".svg", ".pdf")
+_TOLD = (".csv", ".png")
+
+
+@command("layouts reflector")
+def reflector(
+    terminal: Terminal,
+    kind: Annotated[str, typer.Option("--kind", help="octahedron.")] = "octahedron",
+    size: Annotated[float, typer.Option("--size", help="From tip to tip, millimetres.")] = 40.0,
+    out: Annotated[
+        list[Path] | None,
+        typer.Option("--out", "-o", help="A .stl solid, or a .svg or .pdf net; repeatable."),
+    ] = None,
+    rcs: Annotated[
+        list[Path] | None,
+        typer.Option("--rcs", help="Compute its radar cross-section: .csv table, .png plot; repeatable."),
+    ] = None,
+    paper: Annotated[str, typer.Option("--paper", help="Paper of a PDF: a4, a3, letter.")] = "a4",
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
+) -> Result:
+    """Create files for a reflector: a solid for a 3-D printer and foil, or a net to cut and fold at 1:1.
+
+    Example: tagid layouts reflector --size 40 --out r.stl --out r.pdf --rcs r.csv --rcs r.png
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    from tagid.files import write_bytes
+    from tagid.report import reflector_sheet as sheets
+    from tagid.report.drafting import to_pdf, to_svg
+
+    if kind not in KINDS:
+        raise UsageError(f"there is no reflector {kind[:40]!r}", f"Use {', '.join(KINDS)}.")
+    made, told = list(out or ()), list(rcs or ())
+    if not made and not told:
+        raise UsageError("nothing to write", "Give --out r.stl, r.svg or r.pdf, or --rcs r.csv or r.png.")
+    for paths, known, option in ((made, _MADE, "--out"), (told, _TOLD, "--rcs")):
+        for path in paths:
+            if path.suffix.lower() not in known:
+                raise UsageError(f"{option} {path}: unknown suffix", f"Use {', '.join(known)}.")
+            check_new(path, force)
+    size_m = size * 1e-3
+    sheets.check_size(size_m)
+    for path in made:
+        suffix = path.suffix.lower()
+        if suffix == ".stl":
+            write_bytes(path, sheets.to_stl(size_m))
+        elif suffix == ".svg":
+            write_bytes(path, to_svg(sheets.sheet(size_m)))
+        else:
+            write_bytes(path, to_pdf([sheets.sheet(size_m)], paper))
+    edge = size / 2**0.5
+    lines: list[RenderableType] = [Text(f"octahedron, size {size:g} mm from tip to tip, edge {edge:.1f} mm")]
+    solved = sheets.cross_section(size_m) if told else None
+    if solved is not None:
+        for path in told:
+            content = sheets.to_csv(solved).encode() if path.suffix == ".csv" else sheets.to_png(solved)
+            write_bytes(path, content)
+        lines += [_table(solved), Text(f"source: {solved.source}")]
+    written = [str(path) for path in (*made, *told)]
+    lines += [Text(f"written  {path}") for path in written]
+    data = {
+        "kind": kind,
+        "size_mm": size,
+        "edge_mm": edge,
+        "written": written,
+        "rcs_dbsm": None if solved is None else _levels(solved),
+    }
+    return Result("layouts reflector", data, Group(*lines))
+
+
+def _levels(solved: CrossSection) -> dict[str, object]:
+    return {
+        "source": solved.source,
+        "frequency_hz": solved.frequency_hz.tolist(),
+        "aspect_deg": solved.aspect_deg.tolist(),
+        "vertical": solved.vertical.tolist(),
+        "horizontal": solved.horizontal.tolist(),
+    }
+
+
+def _table(solved: CrossSection) -> RenderableType:
+    from rich.table import Table
+
+    table = Table("GHz", "vertical dBsm", "horizontal dBsm, towards a tip", "at 45 degrees", box=None)
+    half = len(solved.aspect_deg) // 2
+    for i, frequency in enumerate(solved.frequency_hz):
+        across = solved.horizontal[i]
+        table.add_row(
+            f"{frequency / 1e9:.1f}",
+            f"{solved.vertical[i].mean():.1f}",
+            f"{across[0]:.1f}",
+            f"{across[half]:.1f}",
+        )
+    return table

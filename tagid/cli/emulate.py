@@ -1,4 +1,4 @@
-"""`tagid emulate`: emulated devices on real interfaces."""
+"""`tagid emulate p440`: an emulated radar on a real interface."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid import interrupts
-from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.outputs import check_own
-from tagid.cli.common.scene_options import SceneOptions
-from tagid.cli.common.truth import is_truth
-from tagid.cli.emulate import motion as emulate_motion
+from tagid.cli import emulate_motion
+from tagid.cli.frame import Terminal, command
+from tagid.cli.options import SceneOptions
+from tagid.cli.outputs import check_own
+from tagid.cli.truth import is_truth
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -92,91 +92,76 @@ class _FaultOptions:
     ] = 20.0
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    group = typer.Typer(
-        help="Emulate a device on a real network, serial or Bluetooth interface.", no_args_is_help=True
+@command("emulate p440")
+def p440(
+    terminal: Terminal,
+    wire: _WireOptions,
+    scene: _SceneOptions,
+    faulty: _FaultOptions,
+    truth: Annotated[
+        Path | None,
+        typer.Option("--truth", help="File for the true pose, to be read by scan --truth."),
+    ] = None,
+    replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Repeat the recording endlessly.")] = False,
+    rate: Annotated[
+        float, typer.Option("--rate", min=0, max=1e06, help="Time factor; 0: as fast as possible.")
+    ] = 1.0,
+    status_bytes: Annotated[
+        int,
+        typer.Option("--status-bytes", min=0, max=1000, help="Status size: 64, or 32 as in old firmware."),
+    ] = 64,
+    sleep_bytes: Annotated[
+        int,
+        typer.Option("--sleep-bytes", min=0, max=1000, help="Size of the sleep confirmation: 12 or 8."),
+    ] = 12,
+    server: Annotated[
+        bool, typer.Option("--server", help="Also act as the vendor's server program.")
+    ] = False,
+) -> Result:
+    """Emulate a P440 on UDP, or on a serial port whose path is printed, until stopped.
+
+    Example: tagid emulate p440 --bind 127.0.0.1:21210 --scene helmet-120 --rpm 2
+    """
+    from tagid.radar.emulation.core import EmulatorCore
+    from tagid.radar.emulation.emulator import ServeOptions, serve, serve_udp
+    from tagid.radar.emulation.faults import Faults
+    from tagid.radar.emulation.firmware import Firmware
+
+    if truth is not None:
+        check_own(truth, is_truth, "a truth file")
+    faults = Faults(
+        lose=faulty.lose,
+        duplicate=faulty.duplicate,
+        reorder=faulty.reorder,
+        delay=faulty.delay,
+        delay_s=faulty.delay_ms * 1e-3,
+        seed=scene.seed,
     )
-    app.add_typer(group, name="emulate")
+    firmware = Firmware(status_bytes, sleep_bytes, server)
+    host, port = ("", 0) if wire.serial else _address(wire.bind)
+    source, about, remark = _source(scene, replay, loop)
+    if truth is not None:
+        _write_truth(truth, about)
+    core = EmulatorCore(source, firmware=firmware)
+    stop = threading.Event()
+    run = f"tagid scan --radar {{}} --axis-distance {scene.axis_distance:g}"
+    run += f" --motion 'free?rpm={scene.rpm:g}'" if scene.rpm > 0 else ""
+    facts: dict[str, Any] = {} if about is None else {"object": about.to_json()}
 
-    @group.callback()
-    def _group() -> None:
-        """Emulate a device on a real network, serial or Bluetooth interface."""
+    def listens(url: str, **more: str) -> None:
+        emulate_motion.announce(terminal, "emulate p440", {"url": url, **more, **facts}, run, remark)
 
-    emulate_motion.register(group)
-
-    @command(group, "emulate p440")
-    def p440(
-        terminal: Terminal,
-        wire: _WireOptions,
-        scene: _SceneOptions,
-        faulty: _FaultOptions,
-        truth: Annotated[
-            Path | None,
-            typer.Option("--truth", help="File for the true pose, to be read by scan --truth."),
-        ] = None,
-        replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
-        loop: Annotated[bool, typer.Option("--loop", help="Repeat the recording endlessly.")] = False,
-        rate: Annotated[
-            float, typer.Option("--rate", min=0, max=1e06, help="Time factor; 0: as fast as possible.")
-        ] = 1.0,
-        status_bytes: Annotated[
-            int,
-            typer.Option(
-                "--status-bytes", min=0, max=1000, help="Status size: 64, or 32 as in old firmware."
-            ),
-        ] = 64,
-        sleep_bytes: Annotated[
-            int,
-            typer.Option("--sleep-bytes", min=0, max=1000, help="Size of the sleep confirmation: 12 or 8."),
-        ] = 12,
-        server: Annotated[
-            bool, typer.Option("--server", help="Also act as the vendor's server program.")
-        ] = False,
-    ) -> Result:
-        """Emulate a P440 on UDP, or on a serial port whose path is printed, until stopped.
-
-        Example: tagid emulate p440 --bind 127.0.0.1:21210 --scene helmet-120 --rpm 2
-        """
-        from tagid.radar.emulation.core import EmulatorCore
-        from tagid.radar.emulation.emulator import ServeOptions, serve, serve_udp
-        from tagid.radar.emulation.faults import Faults
-        from tagid.radar.emulation.firmware import Firmware
-
-        if truth is not None:
-            check_own(truth, is_truth, "a truth file")
-        faults = Faults(
-            lose=faulty.lose,
-            duplicate=faulty.duplicate,
-            reorder=faulty.reorder,
-            delay=faulty.delay,
-            delay_s=faulty.delay_ms * 1e-3,
-            seed=scene.seed,
-        )
-        firmware = Firmware(status_bytes, sleep_bytes, server)
-        host, port = ("", 0) if wire.serial else _address(wire.bind)
-        source, about, remark = _source(scene, replay, loop)
-        if truth is not None:
-            _write_truth(truth, about)
-        core = EmulatorCore(source, firmware=firmware)
-        stop = threading.Event()
-        run = f"tagid scan --radar {{}} --axis-distance {scene.axis_distance:g}"
-        run += f" --motion 'free?rpm={scene.rpm:g}'" if scene.rpm > 0 else ""
-        facts: dict[str, Any] = {} if about is None else {"object": about.to_json()}
-
-        def listens(url: str, **more: str) -> None:
-            emulate_motion.announce(terminal, "emulate p440", {"url": url, **more, **facts}, run, remark)
-
-        with interrupts.asked_to_stop(stop.set):
-            if wire.serial:
-                pty = _pty(wire)
-                end = wire.link or pty.path
-                listens(f"serial://{end}{'?framing=uart' * (wire.framing == 'uart')}", port=str(end))
-                serve(core, pty, ServeOptions(rate=rate, faults=faults), stop)
-            else:
-                udp = ServeOptions(host, port, rate, faults)
-                serve_udp(core, udp, stop, lambda a, p: listens(f"udp://{a}:{p}"))
-        raise typer.Exit(0)
+    with interrupts.asked_to_stop(stop.set):
+        if wire.serial:
+            pty = _pty(wire)
+            end = wire.link or pty.path
+            listens(f"serial://{end}{'?framing=uart' * (wire.framing == 'uart')}", port=str(end))
+            serve(core, pty, ServeOptions(rate=rate, faults=faults), stop)
+        else:
+            udp = ServeOptions(host, port, rate, faults)
+            serve_udp(core, udp, stop, lambda a, p: listens(f"udp://{a}:{p}"))
+    raise typer.Exit(0)
 
 
 def _source(

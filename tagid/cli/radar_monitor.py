@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tagid.cli.common import options
-from tagid.cli.common.frame import Terminal, command
-from tagid.cli.radar.device import open_configured
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
+from tagid.cli.radar import open_configured
 from tagid.config import Config, load_config, radar_url
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -25,39 +25,34 @@ _REFRESHES = 24
 _TEMPERATURE_EVERY_S = 2.0
 
 
-def register(group: typer.Typer) -> None:
-    """Add the command."""
+@command("radar monitor")
+def monitor(
+    terminal: Terminal,
+    radar: options.RadarUrl = None,
+    changing: Annotated[
+        bool, typer.Option("--changing", help="Subtract the running mean, to show only what changes.")
+    ] = False,
+    seconds: Annotated[float | None, typer.Option("--seconds", help="Stop after this time, seconds.")] = None,
+    interval_us: Annotated[
+        int,
+        typer.Option(
+            "--interval-us",
+            min=0,
+            max=4294967295,
+            help="Time between scans (us); 0 for the shortest possible.",
+        ),
+    ] = 0,
+    cable_delay: options.CableDelay = None,
+) -> Result:
+    """Show range over time, strongest return, clipping, loss and temperature, at the radar's settings.
 
-    @command(group, "radar monitor")
-    def monitor(
-        terminal: Terminal,
-        radar: options.RadarUrl = None,
-        changing: Annotated[
-            bool, typer.Option("--changing", help="Subtract the running mean, to show only what changes.")
-        ] = False,
-        seconds: Annotated[
-            float | None, typer.Option("--seconds", help="Stop after this time, seconds.")
-        ] = None,
-        interval_us: Annotated[
-            int,
-            typer.Option(
-                "--interval-us",
-                min=0,
-                max=4294967295,
-                help="Time between scans (us); 0 for the shortest possible.",
-            ),
-        ] = 0,
-        cable_delay: options.CableDelay = None,
-    ) -> Result:
-        """Show range over time, strongest return, clipping, loss and temperature, at the radar's settings.
-
-        Example: tagid radar monitor --radar udp://192.168.1.100
-        """
-        if seconds is not None and not 0 < seconds < 1e8:
-            raise UsageError(f"--seconds is {seconds}", "Give a positive number of seconds.")
-        config = load_config({"radar.url": radar, "radar.cable_delay_ps": cable_delay})
-        radar_url(config)
-        return _watch(terminal, config, changing, seconds, interval_us)
+    Example: tagid radar monitor --radar udp://192.168.1.100
+    """
+    if seconds is not None and not 0 < seconds < 1e8:
+        raise UsageError(f"--seconds is {seconds}", "Give a positive number of seconds.")
+    config = load_config({"radar.url": radar, "radar.cable_delay_ps": cable_delay})
+    radar_url(config)
+    return _watch(terminal, config, changing, seconds, interval_us)
 
 
 class _Screen:

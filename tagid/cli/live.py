@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from tagid.cli.common.frame import Terminal
+from tagid.cli.frame import Terminal
 from tagid.workers import Worker
 
 if TYPE_CHECKING:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from tagid.pipeline.reconstruct import Reconstruction
     from tagid.reading.reading import Reading
 
-
 _BAR = 20
 """Longest bar, nats."""
 
@@ -119,7 +118,7 @@ def _again(file: str, settings: dict[str, Any]) -> str:
     """The arguments that read a recording with other settings."""
     import shlex
 
-    from tagid.cli.common.wording import OPTIONS
+    from tagid.cli.wording import OPTIONS
 
     options = (f"{OPTIONS[name]} {shlex.quote(str(value))}" for name, value in settings.items())
     return " ".join((shlex.quote(file), *options))

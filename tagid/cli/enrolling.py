@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tagid.cli.common.frame import Output, Terminal
-from tagid.cli.common.prompts import can_ask, confirm
+from tagid.cli.consent import can_ask, confirm
+from tagid.cli.frame import Output, Terminal
 from tagid.config import load_config
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
 from tagid.result import Result
