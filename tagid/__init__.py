@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from tagid.operate.workplace import Workplace as Workplace
     from tagid.pipeline.answer import Cause as Cause
     from tagid.pipeline.answer import Identification as Identification
-    from tagid.pipeline.load import LoadDefault as LoadDefault
-    from tagid.pipeline.load import LoadSettings as LoadSettings
-    from tagid.pipeline.load import load_capture as load_capture
+    from tagid.pipeline.prepared import LoadDefault as LoadDefault
+    from tagid.pipeline.prepared import LoadSettings as LoadSettings
     from tagid.pipeline.prepared import PreparedCapture as PreparedCapture
+    from tagid.pipeline.prepared import load_capture as load_capture
     from tagid.pipeline.prepared import prepare as prepare
     from tagid.pipeline.reconstruct import Reconstruction as Reconstruction
     from tagid.pipeline.reconstruct import reconstruct as reconstruct
@@ -64,9 +64,9 @@ _HOMES = {
     "Capture": "tagid.capture",
     "read_any": "tagid.storage.importers",
     "export": "tagid.storage.exporters",
-    "load_capture": "tagid.pipeline.load",
-    "LoadSettings": "tagid.pipeline.load",
-    "LoadDefault": "tagid.pipeline.load",
+    "load_capture": "tagid.pipeline.prepared",
+    "LoadSettings": "tagid.pipeline.prepared",
+    "LoadDefault": "tagid.pipeline.prepared",
     "prepare": "tagid.pipeline.prepared",
     "PreparedCapture": "tagid.pipeline.prepared",
     "ObjectInfo": "tagid.metadata",

@@ -27,7 +27,7 @@ MAX_BYTES = 1 << 20
 """Largest configuration file, bytes; all settings together take some kilobytes."""
 
 METHODS = ("auto", "bp", "bp-raw", "range-doppler", "polar", "sparse", "omp", "ats")
-"""Names in `tagid.pipeline.methods`, repeated here so that help does not import numpy."""
+"""Names in `tagid.pipeline.reconstruct`, repeated here so that help does not import numpy."""
 
 
 IMPLAUSIBLE_AXIS_M = 20.0

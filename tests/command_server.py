@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 IMPORTS = (
-    "tagid.cli.app", "tagid.pipeline.identify", "tagid.pipeline.load", "tagid.pipeline.reconstruct",
+    "tagid.cli.app", "tagid.pipeline.identify", "tagid.pipeline.prepared", "tagid.pipeline.reconstruct",
     "tagid.simulate", "tagid.storage.hdf5", "tagid.storage.importers", "tagid.reading.reader",
     "PIL.Image", "pydantic", "rich.console", "rich.progress", "rich.table", "sqlite3",
 )  # fmt: skip

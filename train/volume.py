@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import j0, j1, y0, y1
 
 from tagid.constants import SPEED_OF_LIGHT
+from tagid.types import Complex, Floats
 
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 METAL = complex(np.inf)
 
 

@@ -21,8 +21,9 @@ from tagid.simulate.pulses import random_pulse
 from tagid.simulate.response import Response, Ring
 from tagid.simulate.response_scene import response_scene
 from tagid.tags.layouts.layout import builtin_layouts
+from tagid.types import Complex
 from train.population import SNRS_DB, VIEWS, Specimen, foreign, has_enrolled_spacing
-from train.volume import METAL, NOTHING, Cells, Complex, box, echo, ellipse, metal, wall
+from train.volume import METAL, NOTHING, Cells, box, echo, ellipse, metal, wall
 
 DEVELOPMENT, SEALED = range(10_000), range(10_000, 20_000)
 """Seeds: those of development may be drawn at any time, sealed ones for the figures of a release alone."""

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from tagid.angles.clock import UniformClock
 from tagid.errors import DataError
 from tagid.metadata import Track
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 _WINDOW: Final = 33
 """Readings on each side that define the local lower envelope of the motion's arrival times."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 
 def _products(x: NDArray[np.complex128], received: NDArray[np.bool_], lag: int) -> Floats:

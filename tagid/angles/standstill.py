@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.angles.sinogram import moving_echo
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 LEAST_TURNS = 0.25
 """Shortest standstill that is reported, in expected turns. Cans turned without a stop look still for up to

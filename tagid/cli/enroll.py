@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Group, RenderableType
 
     from tagid.config import Config
-    from tagid.pipeline.enrolment import LayoutProposal
-    from tagid.pipeline.measuring import Measured
+    from tagid.pipeline.enrolment import LayoutProposal, Measured
     from tagid.tags.bodies.joint import Joint
     from tagid.tags.layouts.layout import Layout
 
@@ -167,7 +166,7 @@ def enroll(
 
 def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Joint:
     from tagid.operate.workplace import Workplace
-    from tagid.pipeline.measuring import prepare_files, signature
+    from tagid.pipeline.enrolment import prepare_files, signature
 
     place = Workplace(config)
     captures = prepare_files(paths, place.loading())
@@ -184,7 +183,7 @@ def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Co
 
 def _measure(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Measured:
     from tagid.operate.workplace import Workplace
-    from tagid.pipeline.measuring import measure, prepare_files, sight
+    from tagid.pipeline.enrolment import measure, prepare_files, sight
 
     place = Workplace(config)
     imaging = place.imaging()
@@ -231,8 +230,7 @@ def _enrol_signature(
     from rich.text import Text
 
     from tagid.operate.workplace import open_registry
-    from tagid.pipeline.enrolment import propose_signature
-    from tagid.pipeline.measuring import joint_data, joint_words
+    from tagid.pipeline.enrolment import joint_data, joint_words, propose_signature
     from tagid.tags.bodies.likeness import least_tag
 
     registry = open_registry()
@@ -283,7 +281,7 @@ def _shown(proposal: LayoutProposal, measured: Measured | None) -> Group:
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.pipeline.measuring import joint_words
+    from tagid.pipeline.enrolment import joint_words
     from tagid.report.layout_sheet import in_terminal
 
     layout = proposal.layout
@@ -319,7 +317,7 @@ def _result(
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.pipeline.measuring import joint_data
+    from tagid.pipeline.enrolment import joint_data
 
     layout, found = proposal.layout, proposal.outlook
     estimate = measured.estimate if measured else None

@@ -126,8 +126,7 @@ def reconstruct(
     from tagid.operate.words import SUBTRACTED, learned_words
     from tagid.operate.workplace import Workplace
     from tagid.pipeline.identify import identify, without_body
-    from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
-    from tagid.pipeline.prepared import PreparedCapture
+    from tagid.pipeline.prepared import LoadSettings, PreparedCapture, intake_remarks, load_capture
     from tagid.pipeline.reconstruct import reconstruct as reconstruct_image
     from tagid.storage.image import write_image
 

@@ -156,7 +156,7 @@ def _joined(
     from tagid.operate.turn import read
     from tagid.pipeline.alignment import aligned
     from tagid.pipeline.join import join
-    from tagid.pipeline.load import LoadDefault, load_capture
+    from tagid.pipeline.prepared import LoadDefault, load_capture
     from tagid.storage.hdf5 import write_capture
 
     setup = place.setup(as_recorded=True)

@@ -53,7 +53,7 @@ def show(
     from rich.text import Text
 
     from tagid.operate.words import ending_words
-    from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
+    from tagid.pipeline.prepared import LoadSettings, intake_remarks, load_capture
     from tagid.recording.inspection import inspect, thinned
     from tagid.report.charts import draw_recording
 

@@ -44,7 +44,7 @@ def import_(
     """
     from rich.text import Text
 
-    from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
+    from tagid.pipeline.prepared import LoadSettings, intake_remarks, load_capture
     from tagid.storage.hdf5 import write_capture
 
     config = load_config(

@@ -45,7 +45,7 @@ def join(
 
     from tagid.pipeline.join import heights_of
     from tagid.pipeline.join import join as joined_of
-    from tagid.pipeline.load import LoadSettings, load_capture
+    from tagid.pipeline.prepared import LoadSettings, load_capture
     from tagid.storage.exporters import export
 
     check_new(out, force, inputs=files)

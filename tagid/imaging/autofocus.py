@@ -22,8 +22,7 @@ from tagid.imaging.pointmodel import Explained, PointSearch, band_delays, jackkn
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
 from tagid.signal import fitted_peak, vertex
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 STEP_WAVELENGTHS = 0.0659
 """Step of the brightness search, 5 mm for a P440. The peak is as wide as the range envelope, which for a

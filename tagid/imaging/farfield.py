@@ -15,8 +15,7 @@ from tagid.imaging.backprojection import upsample_at_carrier, upsampling
 from tagid.imaging.memory import require_memory
 from tagid.imaging.rangefilter import fast_length
 from tagid.imaging.types import BasebandScans, Image
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 _OVERSAMPLING = 2.0
 """Cells of the Cartesian spectrum per 1 / (twice the extent): keeps the replicas of the image outside it."""

@@ -10,11 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.imaging.operator import ForwardOperator
-
-Samples = NDArray[np.complex64]
+from tagid.types import Samples
 
 
 def least_squares(operator: ForwardOperator, scans: Samples, iterations: Sequence[int]) -> Iterator[Samples]:

@@ -27,9 +27,9 @@ from tagid.imaging.preprocess import (
 )
 from tagid.imaging.sparse import SparseSettings, sparse_amplitudes
 from tagid.imaging.types import BasebandScans, PointResponse
+from tagid.types import Samples
 from tagid.waveform import analytic_pulse, pulse_at
 
-Samples = NDArray[np.complex64]
 Taps = NDArray[np.complex128]
 Progress = Callable[[int, int], None]
 """Called with (scenes fitted, scenes at most)."""

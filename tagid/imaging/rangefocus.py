@@ -19,8 +19,7 @@ from tagid.imaging.pointmodel import needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
 from tagid.signal import fitted_peak
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 SEARCH_WAVELENGTHS = 13.18
 """Half width of the search where none is given: 1 m for a P440, a few metres of cable."""

@@ -6,7 +6,6 @@ lambda R / (2 H) at the distance R for heights that reach over H.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,9 +19,7 @@ from tagid.imaging.memory import require_memory
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import SparseSettings, sparse_amplitudes
 from tagid.imaging.types import BasebandScans
-
-Progress = Callable[[float, float, str], None]
-"""Called with (done, total, remark)."""
+from tagid.types import Progress
 
 _VIEW_VALUES = 1 << 21
 """Upsampled samples of a block of views, 16 MB: they are read once per slab of voxels."""

@@ -20,7 +20,7 @@ from tagid.angles.standstill import LEAST_TURNS, Still, find_standstill
 from tagid.errors import DataError
 from tagid.metadata import Track
 from tagid.motion.device import Motion
-from tagid.pipeline.standstill import standstill_facts, stopped_words
+from tagid.pipeline.resolve import standstill_facts, stopped_words
 from tagid.radar.assembler import Scan
 
 _FEWEST_FITTED = 8

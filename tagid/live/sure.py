@@ -20,7 +20,7 @@ from tagid.live.engine import LiveSettings
 from tagid.live.views import capture_so_far
 from tagid.metadata import Ending
 from tagid.motion.device import Motion
-from tagid.pipeline.coverage import SURE
+from tagid.pipeline.identify import SURE
 from tagid.reading.ending import EndingCalibration
 from tagid.reading.looks import LEAST_REFLECTORS, LOOKS, Look, agreed, look, part_of_turn
 from tagid.recording.recorder import Watch

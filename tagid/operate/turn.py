@@ -6,7 +6,7 @@ give the same document.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,15 +18,14 @@ from tagid.errors import DataError, TagidError, UsageError, displayable
 from tagid.operate.truth import Comparison, compare
 from tagid.operate.words import headline, method_shown, notes
 from tagid.pipeline.answer import Cause, Identification
-from tagid.pipeline.coverage import ended_answer
 from tagid.pipeline.diagnosis import recording_remarks, with_causes
+from tagid.pipeline.identify import ended_answer, identify_together, without_body
 from tagid.pipeline.identify import identify as read_tag
-from tagid.pipeline.identify import identify_together, without_body
-from tagid.pipeline.load import LoadSettings, intake_remarks, load_capture
-from tagid.pipeline.prepared import PreparedCapture, as_prepared
+from tagid.pipeline.prepared import LoadSettings, PreparedCapture, as_prepared, intake_remarks, load_capture
 from tagid.pipeline.settings import ImagingSettings, Stopwatch
 from tagid.result import Problem
 from tagid.storage.history import utc_text
+from tagid.types import Progress
 
 if TYPE_CHECKING:
     from tagid.enrolling.registry import RegistryContents
@@ -37,9 +36,6 @@ if TYPE_CHECKING:
     from tagid.recording.recorder import Watch
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.layouts.layout import Layout
-
-Progress = Callable[[float, float, str], None]
-"""Called with (done, total, remark)."""
 
 
 class Watcher(Protocol):

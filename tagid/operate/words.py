@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from tagid.counting import counted
 from tagid.metadata import Ending, RadarInfo, ResolvedMotion
 from tagid.operate.truth import Comparison
-from tagid.pipeline.coverage import WHOLE_TURN
+from tagid.pipeline.identify import WHOLE_TURN
 from tagid.pipeline.resolve import one_of
 
 if TYPE_CHECKING:

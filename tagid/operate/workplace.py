@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tagid.enrolling.registry import Registry
     from tagid.metadata import ObjectInfo
     from tagid.operate.turn import Answer, ReadingSetup
-    from tagid.pipeline.load import LoadSettings
+    from tagid.pipeline.prepared import LoadSettings
     from tagid.pipeline.settings import ImagingSettings
     from tagid.radar.settings import RadarConfig
     from tagid.recording.plan import RecordingPlan
@@ -64,7 +64,7 @@ class Workplace:
     """
 
     def __init__(self, settings: Config | Mapping[str, Any] | None = None, background: str = "mean") -> None:
-        from tagid.pipeline.load import BACKGROUNDS
+        from tagid.pipeline.prepared import BACKGROUNDS
 
         if background not in BACKGROUNDS:
             raise UsageError(f"`background` is {background!r}", f"Use {', '.join(BACKGROUNDS)}.")
@@ -143,7 +143,7 @@ class Workplace:
             ConfigError: no reference background is stored.
             StorageError, FileFormatError: the reference background cannot be read.
         """
-        from tagid.pipeline.load import LoadSettings
+        from tagid.pipeline.prepared import LoadSettings
 
         return LoadSettings.of(self.config, self.background, node, as_recorded)
 

@@ -8,24 +8,144 @@ cause is stated only if the scans confirm it; it never changes the answer.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tagid.capture import Capture, ViewFlag
+from tagid.errors import DataError
+from tagid.imaging.preprocess import remove_background
 from tagid.metadata import ResolvedMotion
 from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.axis_search import bright_offsets
-from tagid.pipeline.circling import Circling, circling
-from tagid.pipeline.coverage import WHOLE_TURN, ended_early, widest_gap
-from tagid.pipeline.elsewhere import named_in, recentred
+from tagid.pipeline.identify import WHOLE_TURN, ended_early, identify, widest_gap
 from tagid.pipeline.prepared import PreparedCapture
-from tagid.pipeline.resolve import one_of, speed_contradiction
-from tagid.pipeline.standstill import REMEDY, stopped_words
+from tagid.pipeline.resolve import REMEDY, one_of, speed_contradiction, stopped_words
+from tagid.reading.reading import Reading
 from tagid.reading.verdict import ADVICE, Code
+from tagid.signal import analytic, median, peak_place
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.reflectors import Reflector
+
+_FEWEST = 8
+"""Views that a circle, three numbers, needs."""
+_KEPT_DEVIATIONS = 3.0
+_ROUNDS = 5
+
+
+@dataclass(frozen=True)
+class Circling:
+    """The circle of the strongest echo.
+
+    Attributes:
+        centre_m: (x, y) in the turntable's frame, m.
+        spread_m: RMS of the ranges about those of the circle, m, in the views that follow it.
+        share: of the views that follow it.
+        faintest: amplitude of the strongest echo in its faintest views (10 %) over its median.
+    """
+
+    centre_m: tuple[float, float]
+    spread_m: float
+    share: float
+    faintest: float
+
+    @property
+    def radius_m(self) -> float:
+        """Distance of the centre from the axis, m."""
+        return float(np.hypot(*self.centre_m))
+
+
+def circling(capture: Capture) -> Circling | None:
+    """The circle that the range of each view's strongest moving echo describes; None for too few views.
+
+    The front of a round body of radius a about the point c is at |antenna - c| - a, to first order in c at
+    D - a - c . u with the direction u of the antenna. Reflectors, handles and noise are the strongest in some
+    views; these are left out in turns.
+
+    Args:
+        capture: of a turntable, with angles.
+    """
+    if capture.angles_rad is None or capture.views < _FEWEST:
+        return None
+    envelope = np.abs(analytic(remove_background(capture.samples, "mean")))
+    ranges = capture.range_start_m + capture.range_step_m * np.array([peak_place(view) for view in envelope])
+    angles = capture.angles_rad
+    columns = np.stack([np.ones(len(angles)), -np.cos(angles), np.sin(angles)], axis=1)
+    kept = np.ones(len(angles), dtype=bool)
+    for _ in range(_ROUNDS):
+        found = np.linalg.lstsq(columns[kept], ranges[kept], rcond=None)[0]
+        off = np.abs(ranges - columns @ found)
+        # A median absolute deviation is 0.67 standard deviations; a quarter of a bin is the least.
+        usual = max(float(median(off)) / 0.67, capture.range_step_m / 4)
+        again = off <= _KEPT_DEVIATIONS * usual
+        if again.sum() < _FEWEST or np.array_equal(again, kept):
+            break
+        kept = again
+    spread = float(np.sqrt(np.mean((ranges - columns @ found)[kept] ** 2)))
+    amplitudes = envelope.max(axis=1)
+    faintest = float(np.quantile(amplitudes, 0.1) / max(float(median(amplitudes)), 1e-30))
+    return Circling((float(found[1]), float(found[2])), spread, float(kept.mean()), faintest)
+
+
+def named_in(prepared: PreparedCapture, capture: Capture, layouts: Sequence[Layout]) -> Reading | None:
+    """The reading of the same scans elsewhere if it names the object.
+
+    Args:
+        prepared: the capture of the answer, for its settings.
+        capture: the scans elsewhere.
+        layouts: the enrolled ones.
+    """
+    try:
+        found = identify(prepared.elsewhere(capture), layouts)
+    except DataError:
+        return None
+    return found.reading if found.status == "identified" else None
+
+
+def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:
+    """The scans as they would be if the point `centre` of the turntable were its axis.
+
+    Each view is shifted in range by the difference between the distances of that point and of the axis, and
+    its angle becomes the direction of the antenna from that point. What is the same in every view before the
+    shift, the room, is subtracted; so is what is the same in every view after it, a round body about the new
+    axis. The two are told apart by least squares, because the mean over the views of an echo that moves
+    would be left behind as one that moves the other way. The remaining error is the change of curvature,
+    under 1 mm for an object of 0.1 m at 1 m.
+
+    Args:
+        capture: of a turntable, with angles and axis distance.
+        centre: (x, y), m.
+    """
+    if capture.angles_rad is None or capture.axis_distance_m is None:
+        raise DataError("only scans of a turntable can be moved to another axis")
+    distance = capture.axis_distance_m
+    x = distance * np.cos(capture.angles_rad) - centre[0]
+    y = -distance * np.sin(capture.angles_rad) - centre[1]
+    bins = capture.samples.shape[1]
+    padded = 1 << int(np.ceil(np.log2(2 * bins)))
+    shift = (np.hypot(x, y) - distance) / capture.range_step_m
+    turned = np.exp(2j * np.pi * np.fft.fftfreq(padded) * shift[:, None])
+    spectra = _without_either(np.fft.fft(capture.samples, padded), turned)
+    moved = np.fft.ifft(spectra * turned)[:, :bins]
+    # Not back to the integers of a P440: nothing may be rounded away.
+    real = not np.iscomplexobj(capture.samples)
+    samples = moved.real.astype(np.float32) if real else moved.astype(np.complex64)
+    return replace(capture, samples=samples, angles_rad=-np.arctan2(y, x))
+
+
+def _without_either(
+    spectra: NDArray[np.complex128], turned: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
+    """(V, F) spectra without what is the same in every view, or is so once they are turned."""
+    columns = np.stack([np.ones_like(turned), turned.conj()], axis=-1).swapaxes(0, 1)
+    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    # At a wavelength far above the shift both are one.
+    basis = basis * (sizes > 1e-6 * sizes[:, :1])[:, None, :]
+    data = spectra.T[..., None]
+    return np.asarray((data - basis @ (basis.conj().swapaxes(1, 2) @ data))[..., 0].T)
+
 
 _LOSS = int(ViewFlag.AFTER_LOSS | ViewFlag.AFTER_GAP)
 _ALIKE_DB = 10.0

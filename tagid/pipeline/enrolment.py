@@ -5,17 +5,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from tagid.errors import LayoutConflictError, RegistryError
+from tagid.errors import DataError, LayoutConflictError, RegistryError, UsageError
+from tagid.pipeline.prepared import LoadSettings, load_capture
+from tagid.pipeline.settings import ImagingSettings
 
 if TYPE_CHECKING:
+    from tagid.capture import Capture
+    from tagid.enrolling.averaging import LayoutEstimate, Sighting
     from tagid.enrolling.enrolment import Outlook
     from tagid.enrolling.registry import Key, Registry, RegistryContents
-    from tagid.pipeline.measuring import Measured
+    from tagid.tags.bodies.joint import Joint
     from tagid.tags.bodies.likeness import Likeness
-    from tagid.tags.bodies.signature import Signature
+    from tagid.tags.bodies.signature import Signature, SignatureKind
     from tagid.tags.layouts.layout import Layout
 
 
@@ -189,3 +196,236 @@ def _keys(contents: RegistryContents) -> set[Key]:
     return {("layout", one.name) for one in contents.layouts} | {
         (one.kind, one.name) for one in contents.signatures
     }
+
+
+Progress = Callable[[str], None]
+"""Called with what was just finished: the name of a capture, or "signature"."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A capture prepared for measurement.
+
+    Attributes:
+        name: of the capture, for messages.
+        capture: with angles, one revolution.
+    """
+
+    name: str
+    capture: Capture
+
+
+@dataclass(frozen=True, eq=False)
+class Sighted:
+    """A prepared capture with the reflectors that it shows.
+
+    Attributes:
+        prepared: the capture.
+        sighting: its strong reflectors.
+    """
+
+    prepared: Prepared
+    sighting: Sighting
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """The result of measuring captures of an object.
+
+    Attributes:
+        estimate: its layout; None if the reflectors are not visible.
+        joint: its signature; None if there is none.
+        missing: why one of the two is missing; empty if none is.
+        unmoved: remarks on captures between which the object was not moved.
+    """
+
+    estimate: LayoutEstimate | None
+    joint: Joint | None
+    missing: str = ""
+    unmoved: tuple[str, ...] = ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """All remarks."""
+        return (self.missing, *self.unmoved) if self.missing else self.unmoved
+
+
+def prepare_files(paths: Sequence[Path], loading: LoadSettings) -> list[Prepared]:
+    """Read captures of one object. Raises UsageError if one is given twice."""
+    again = "Give captures of the object repositioned between them."
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise UsageError("the same capture is given twice", again)
+    known: dict[str, Path] = {}
+    found = []
+    for path in paths:
+        capture = load_capture(path, loading)
+        twin = known.setdefault(capture.uuid, path)
+        if twin != path:
+            raise UsageError(f"{path} and {twin} are the same capture", again)
+        found.append(Prepared(str(path), capture))
+    return found
+
+
+def sight(prepared: Prepared, imaging: ImagingSettings) -> Sighted:
+    """The reflectors that a capture shows. Raises DataError as `sight_reflectors` does."""
+    from tagid.pipeline.identify import sight_reflectors
+
+    return Sighted(prepared, sight_reflectors(prepared.capture, prepared.name, imaging))
+
+
+def measure(
+    name: str,
+    captures: Sequence[Sighted],
+    imaging: ImagingSettings,
+    progress: Progress = lambda what: None,
+) -> Measured:
+    """Positions and signature of a tagged object.
+
+    Args:
+        name: of the object.
+        captures: of the same object, repositioned between them.
+        imaging: settings of imaging and reading.
+        progress: called after each capture of the signature.
+
+    Raises DataError, with both reasons, if neither positions nor a signature could be determined.
+    """
+    from tagid.enrolling.averaging import average, trusted
+    from tagid.tags.bodies.joint import CAPTURES
+
+    positions: DataError | None = None
+    estimate: LayoutEstimate | None = None
+    seen = [one.sighting for one in captures]
+    try:
+        estimate = average(seen, name, direction_known=imaging.direction_known)
+    except DataError as error:
+        positions = error
+    unmoved = _unmoved(seen, estimate)
+    if len(captures) < CAPTURES:
+        if positions is not None:
+            raise positions
+        if doubt := _doubt(captures, imaging):
+            raise DataError(
+                f"{doubt}, and the places found are not those of reflectors",
+                f"Give {CAPTURES} captures, the object moved and turned between them: it is enrolled by its "
+                "signature.",
+            )
+        return Measured(estimate, None, f"no signature: it needs {CAPTURES} captures", unmoved)
+    try:
+        joint = signature(name, "object", [one.prepared for one in captures], imaging, progress)
+    except DataError as error:
+        if positions is not None:
+            raise DataError(
+                f"{positions.message}; enrolment by signature: {error.message}", error.remedy
+            ) from None
+        return Measured(estimate, None, f"positions only, no signature: {error.message}", unmoved)
+    if estimate is not None:
+        doubt = trusted(seen, [one.spectra for one in joint.placed])
+        if doubt:
+            estimate, positions = None, DataError(doubt)
+    if positions is not None:
+        missing = (
+            f"enrolled by its signature: positions of the reflectors cannot be seen ({positions.message})"
+        )
+        return Measured(None, joint, missing)
+    return Measured(estimate, joint, unmoved=unmoved)
+
+
+def _doubt(captures: Sequence[Sighted], imaging: ImagingSettings) -> str:
+    """Why reflectors of few captures are not to be trusted; empty also where these cannot tell."""
+    from tagid.enrolling.averaging import trusted
+    from tagid.pipeline.identify import aspect_spectra
+
+    try:
+        spectra = [aspect_spectra(one.prepared.capture, imaging) for one in captures]
+    except DataError:  # free antenna positions, or fewer views than a signature needs
+        return ""
+    return trusted([one.sighting for one in captures], spectra)
+
+
+def _unmoved(seen: Sequence[Sighting], estimate: LayoutEstimate | None) -> tuple[str, ...]:
+    """Remarks on captures between which the object kept its place on the table.
+
+    The rotation axis is then at the same place on the object, so that errors in centring and of the aspect do
+    not average out. Places closer than twice `UNKNOWN_SCATTER_M` cannot be told apart.
+    """
+    import numpy as np
+
+    from tagid.enrolling.averaging import UNKNOWN_SCATTER_M
+    from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_pairing
+
+    if estimate is None:
+        return ()
+    axes = []
+    for one in seen:
+        used = one.mirrored() if one.name in estimate.mirrored else one
+        # best_pairing turns a capture onto the layout: the axis, its origin, lands at the shift.
+        pair = best_pairing(used.positions, estimate.layout.positions, 2 * CENTRE_TOLERANCE_M)
+        axes.append(pair.shift_m)
+    return tuple(
+        f"{seen[j].name} and {seen[i].name} show the object at the same place: move and turn it between "
+        "captures"
+        for i in range(len(seen))
+        for j in range(i)
+        if float(np.linalg.norm(axes[i] - axes[j])) < 2 * UNKNOWN_SCATTER_M
+    )
+
+
+def signature(
+    name: str,
+    kind: SignatureKind,
+    captures: Sequence[Prepared],
+    imaging: ImagingSettings,
+    progress: Progress = lambda what: None,
+) -> Joint:
+    """Signature of a body or object. Raises DataError if its captures do not confirm it."""
+    from tagid.pipeline.identify import aspect_spectra
+    from tagid.tags.bodies.joint import Named, enrol_signature
+
+    spectra = []
+    for one in captures:
+        try:
+            spectra.append(Named(one.name, aspect_spectra(one.capture, imaging)))
+        except DataError as error:
+            raise DataError(f"{one.name}: {error.message}", error.remedy) from None
+        progress(one.name)
+    joint = enrol_signature(spectra, name, kind)
+    progress("signature")
+    return joint
+
+
+def joint_data(joint: Joint | None) -> dict[str, Any] | None:
+    """A joint estimate for scripts."""
+    if joint is None:
+        return None
+    one = joint.signature
+    return {
+        "kind": one.kind,
+        "name": one.name,
+        "radius_m": one.radius_m,
+        "harmonics": one.order,
+        "model_error": one.model_error,
+        "noise_share": one.noise_share,
+        "captures": [
+            {
+                "file": residual.name,
+                "residual_over_noise": residual.left / residual.expected,
+                "unexplained": residual.share,
+                "centre_m": list(placed.pose.centre_m),
+                "rotation_deg": degrees(placed.pose.turn_rad) % 360,
+            }
+            for residual, placed in zip(joint.residuals, joint.placed, strict=True)
+        ],
+    }
+
+
+def joint_words(joint: Joint) -> list[str]:
+    """The same as text, one line per capture."""
+    one = joint.signature
+    lines = [f"signature: radius {one.radius_m * 1e3:.0f} mm, {one.order} harmonics"]
+    for residual, placed in zip(joint.residuals, joint.placed, strict=True):
+        x, y = (value * 1e3 for value in placed.pose.centre_m)
+        lines.append(
+            f"  {Path(residual.name).name}: residual {residual.left / residual.expected:.2f} times noise, "
+            f"centre ({x:.1f}, {y:.1f}) mm, rotated {degrees(placed.pose.turn_rad) % 360:.0f} deg"
+        )
+    return lines

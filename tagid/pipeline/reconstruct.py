@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 
 from tagid import __version__
 from tagid.capture import Capture
-from tagid.errors import UsageError
+from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import has_field, image_without_field, linear_iterations, settings_of
 from tagid.imaging.ats.fit import fit
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
 from tagid.imaging.heldout import HeldOut, check, left_out
@@ -25,10 +27,96 @@ from tagid.imaging.pulsefit import PulseEstimate
 from tagid.imaging.region import Region, choose_region
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans, Image
-from tagid.pipeline.methods import METHODS as IMAGING_METHODS
-from tagid.pipeline.methods import make_image
 from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved
-from tagid.pipeline.settings import MOST_FREE_PIXELS, ImagingSettings, Progress, Stopwatch
+from tagid.pipeline.settings import MOST_FREE_PIXELS, ImagingSettings, Stopwatch
+from tagid.types import Progress
+
+OMP_POINTS = 32
+"""Maximum number of points of matching pursuit: two to three times the number of reflectors of a tag."""
+OMP_STOP = 4.5
+"""Matching pursuit stops when no correlation exceeds this number of noise standard deviations: the largest
+of 10^4 pixels of pure noise reaches 3.5 to 4."""
+
+
+@dataclass(frozen=True)
+class MethodInfo:
+    """A method and its preprocessing requirements.
+
+    Attributes:
+        title: title for tables and pictures.
+        matched_filter: whether it needs scans correlated with the pulse.
+        sparse: whether its pixels are reflectivities, finer than the resolution of the data.
+    """
+
+    title: str
+    matched_filter: bool
+    sparse: bool = False
+
+
+METHODS = {
+    "bp": MethodInfo("matched-filter BP", True),
+    "bp-raw": MethodInfo("BP", False),
+    "range-doppler": MethodInfo("range-Doppler", True),
+    "polar": MethodInfo("polar format", True),
+    "sparse": MethodInfo("FISTA", False, True),
+    "omp": MethodInfo("OMP", False, True),
+    "ats": MethodInfo("ATS", False, True),
+}
+
+
+def make_image(
+    scans: BasebandScans,
+    grid: ImageGrid,
+    method: str,
+    seed: int = 0,
+    preset: str = "field",
+    progress: Progress | None = None,
+    ats: AtsSettings | None = None,
+) -> Image:
+    """Image of scans by a method of `METHODS`.
+
+    Args:
+        scans: preprocessed as the method's `MethodInfo` requires.
+        grid: image grid about the origin.
+        method: a key of `METHODS`.
+        seed: random seed.
+        preset: "field" or "paper", for ats.
+        progress: called during the slow methods.
+        ats: settings of ats with the preset "field"; its seed is `seed`.
+    """
+
+    def steps(step: int, of: int, loss: float) -> None:
+        if progress:
+            progress(step, of, f"loss {loss:.3g}")
+
+    if method in ("bp", "bp-raw"):
+        from tagid.imaging.backprojection import backproject
+
+        return backproject(scans, grid)
+    if method == "sparse":
+        from tagid.imaging.sparse import sparse_recovery
+
+        return sparse_recovery(scans, grid)
+    if method == "omp":
+        from tagid.imaging.sparse import omp
+
+        return omp(scans, grid, OMP_POINTS, OMP_STOP)
+    if method in ("range-doppler", "polar"):
+        from tagid.imaging.farfield import polar_format, range_doppler
+
+        return (polar_format if method == "polar" else range_doppler)(scans, grid)
+    if preset == "paper":
+        if importlib.util.find_spec("torch") is None:
+            raise MissingExtraError(
+                "`preset=paper` needs torch",
+                "Install it with `pip install 'tagid[ats]'`, or use `preset=field`.",
+            )
+        from tagid.imaging.ats.fit_paper import PaperSettings, fit_paper
+
+        return fit_paper(scans, grid, PaperSettings(seed=seed), steps)
+    from tagid.imaging.ats.adapt import fit_adapted
+
+    return fit_adapted(scans, grid, replace(ats or AtsSettings(), seed=seed), steps).image
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,15 +169,15 @@ def reconstruct(
     prepared, settings, grid, region = placed.prepared, placed.settings, placed.grid, placed.region
     check_extent(prepared.given, grid)
     prepared.choose_pulse(progress)
-    matched = IMAGING_METHODS[method].matched_filter
+    matched = METHODS[method].matched_filter
     scans = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched))
     focus, scans = prepared.focus(), prepared.focused(scans)
     outside: Outside | None = None
-    if settings.preset != "paper" and (tell_outside or IMAGING_METHODS[method].sparse):
+    if settings.preset != "paper" and (tell_outside or METHODS[method].sparse):
         with watch.stage("outside"):
             unfiltered = _unfiltered(prepared, scans, method)
             outside = find_outside(unfiltered, grid, _remark(progress, "echoes outside the image"))
-    subtracted = outside is not None and IMAGING_METHODS[method].sparse
+    subtracted = outside is not None and METHODS[method].sparse
     imaged = outside.removed(scans) if outside is not None and subtracted else scans
     with watch.stage("image"):
         image = make_image(imaged, grid, method, settings.seed, settings.preset, progress, settings.ats)
@@ -98,7 +186,7 @@ def reconstruct(
         predicted = _held_out(prepared, scans, grid, method, settings, image, subtracted, told)
     with watch.stage("image"):
         linear = linear_iterations(image.settings.get("prior", "")) is not None
-        sharp = IMAGING_METHODS[method].sparse and not linear
+        sharp = METHODS[method].sparse and not linear
         if settings.restore and sharp and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
     facts = _facts(prepared, scans, image, _Found(focus, region, outside, subtracted, predicted))
@@ -227,7 +315,7 @@ def _remark(progress: Progress | None, remark: str) -> Callable[[int, int], None
 
 def _unfiltered(prepared: PreparedCapture, scans: BasebandScans, method: str) -> BasebandScans:
     """The scans of a method as they are without the matched filter."""
-    if not IMAGING_METHODS[method].matched_filter:
+    if not METHODS[method].matched_filter:
         return scans
     settings = prepared.settings.preprocessing_for_focus(prepared.given, matched_filter=False)
     return prepared.scans(settings).with_aperture(scans.aperture)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -15,9 +15,6 @@ from tagid.errors import UsageError
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.lengths import search_range_m
 from tagid.imaging.preprocess import MARGIN_WAVELENGTHS, Background, PreprocessSettings
-
-Progress = Callable[[float, float, str], None]
-"""Called with (done, total, remark)."""
 
 PULSES = ("auto", "nominal", "estimate")
 PRESETS = ("field", "paper")
@@ -53,7 +50,7 @@ class ImagingSettings:
     """Settings of imaging and reading.
 
     Attributes:
-        method: a name of `tagid.pipeline.methods.METHODS`, or "auto", which is ats.
+        method: a name of `tagid.pipeline.reconstruct.METHODS`, or "auto", which is ats.
         ats: settings of ats with the preset "field"; its seed is `seed`.
         extent_m, pixels: width of the image, m and pixels.
         background: static background that is removed, "mean", "median" or "none".

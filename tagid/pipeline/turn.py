@@ -22,8 +22,7 @@ from tagid.imaging.preprocess import PreprocessSettings, outside_error, preproce
 from tagid.imaging.sparse import omp
 from tagid.motion.urls import open_motion
 from tagid.pipeline.axis_search import bright_offsets
-from tagid.pipeline.resolve import clock_of, has_angles, one_turn, with_angles
-from tagid.pipeline.standstill import held, stopped_error
+from tagid.pipeline.resolve import clock_of, has_angles, held, one_turn, stopped_error, with_angles
 
 MULTIPLES = (1, 2, 3, 4)
 """Symmetries that are tested: a tag of four reflectors can repeat four times per turn."""

@@ -20,7 +20,8 @@ from tagid.imaging.types import BasebandScans
 from tagid.imaging.volume import Volume, backproject_volume, sparse_volume, vertical_resolution_m
 from tagid.pipeline.join import heights_of, without_background_of_each_height
 from tagid.pipeline.reconstruct import check_extent
-from tagid.pipeline.settings import Progress, Stopwatch
+from tagid.pipeline.settings import Stopwatch
+from tagid.types import Progress
 
 METHODS = ("bp", "sparse", "ats")
 _MOST_LEVELS = 200

@@ -21,13 +21,14 @@ from tagid.reading.decision import SURE
 from tagid.reading.descent import best_powers, refined
 from tagid.reading.hypotheses import TRANSFERS
 from tagid.reading.hypothesis import Arranged, Candidate, disc_of
-from tagid.reading.spectra import MODEL_ERROR, Floats, Spectra
+from tagid.reading.spectra import MODEL_ERROR, Spectra
 from tagid.reading.transfers.plain import BARE
 from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.transfer import Transfer
 from tagid.reading.transfers.wall import WALLS
 from tagid.tags.layouts.codebook import best_pairing
 from tagid.tags.layouts.layout import Layout
+from tagid.types import Floats
 
 ENERGY_0DB = 0.13
 """Energy of a reflector's echo per view and frequency over the noise's at an SNR of 0 dB (`tagid simulate`),

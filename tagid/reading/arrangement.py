@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.reading.spectra import Complex, Floats
+from tagid.types import Complex, Floats
 
 MOUNTING_SD_M = 1.5e-3
 """Standard deviation of a reflector's distance from the centre as enrolled, m."""

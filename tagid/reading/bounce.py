@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
+from tagid.types import Complex, Floats
 
 BOUNCE, BOUNCE_M = 0.1, 0.06
 """Echo by way of a second reflector over the direct one, both ways, at so much between the two, m.

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from tagid.reading.arrangement import MOUNTING_SD_M, Arrangement
 from tagid.reading.bounce import BOUNCE, bounced
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.transfer import ANGLES, Transfer
+from tagid.types import Complex, Floats
 
 CENTRE_SD_M = 6e-3
 """Standard deviation of the object's centre about the axis, m."""

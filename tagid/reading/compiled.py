@@ -12,8 +12,9 @@ from tagid.loops import loop
 from tagid.reading.bounce import BOUNCE_M, TOUCH_M
 from tagid.reading.columns import CLOSE_SD_M, REACH_M, RING_M, SHAPE_M, Model, nearest_ring, pairs, table_of
 from tagid.reading.sheet import SheetColumns, SheetModel
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.transfer import Transfer
+from tagid.types import Complex, Floats
 
 _evidence = loop("tagid.reading._evidence")
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from tagid.reading.arrangement import MOUNTING_SD_M, Arrangement, gaps_deg
 from tagid.reading.hypothesis import Hypothesis, Joint, best_bare, differ_in_height, pose_of
-from tagid.reading.spectra import Complex
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
 from tagid.reading.verdict import Code
+from tagid.types import Complex
 
 SURE = float(np.log(1000))
 """Lead from which a name is given, nats: one false in a thousand where the hypotheses are complete."""

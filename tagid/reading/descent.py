@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from tagid.reading.columns import Model
 from tagid.reading.compiled import Amplitudes, Compiled, Given, fits
 from tagid.reading.evidence import fit, log_evidence
-from tagid.reading.spectra import Floats, Spectra
+from tagid.reading.spectra import Spectra
+from tagid.types import Floats
 
 CLUTTER = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)
 """Powers of the clutter that are tried, over the moving energy."""

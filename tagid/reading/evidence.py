@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tagid.reading.spectra import Complex, Floats
+from tagid.types import Complex, Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,9 @@ from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.reading import Explanation, Kind, Residuals
 from tagid.reading.sheet import BOX, METAL, SHELL, SheetModel
 from tagid.reading.signature import SignatureModel
-from tagid.reading.spectra import MODEL_ERROR, Complex, Spectra
+from tagid.reading.spectra import MODEL_ERROR, Spectra
 from tagid.tags.reading.reflectors import Reflector
+from tagid.types import Complex
 
 MOST = 8
 """Hypotheses that are reported."""

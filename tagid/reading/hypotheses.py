@@ -36,7 +36,7 @@ from tagid.reading.sheet import KINDS, Kind, SheetModel
 from tagid.reading.signature import EnrolledBody, SignatureModel
 from tagid.reading.signature_search import Poses, altered
 from tagid.reading.smooth import smoothed
-from tagid.reading.spectra import Floats, Spectra
+from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
 from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADES
@@ -44,6 +44,7 @@ from tagid.reading.transfers.transfer import Transfer
 from tagid.reading.transfers.wall import WALLS
 from tagid.reading.uneven import straightened
 from tagid.tags.layouts.layout import Layout
+from tagid.types import Floats
 
 TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, *WALLS, *RODS, *SHADES)
 SEARCHED = frozenset((BARE, POINTS, *WALLS[:4], RODS[0], SHADES[1]))

@@ -14,8 +14,9 @@ from tagid.reading.columns import Model
 from tagid.reading.descent import Found, Powers
 from tagid.reading.search import Group
 from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
+from tagid.types import Complex, Floats
 
 FITS_M = 0.012
 """A layout is tried where a free arrangement differs from it by less, m."""

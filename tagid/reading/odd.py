@@ -23,8 +23,9 @@ from tagid.reading.columns import (
 )
 from tagid.reading.descent import Found, variance
 from tagid.reading.sheet import SheetModel
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
 from tagid.signal import median
+from tagid.types import Complex, Floats
 
 GAIN = -3.0
 """Nats that a place adds at least before it is refined: the map is coarse, and its clutter not yet less."""

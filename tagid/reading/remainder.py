@@ -13,8 +13,9 @@ from tagid.reading.columns import APART_M, REACH_M, Model
 from tagid.reading.descent import Found, Powers, refined, variance
 from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.search import Blocks, Choice, Tables, about, held_in
-from tagid.reading.spectra import Complex, Floats, Spectra, Whitener
+from tagid.reading.spectra import Spectra, Whitener
 from tagid.reading.transfers.transfer import Transfer
+from tagid.types import Complex, Floats
 
 SPOTS, SPOT_M = 110, 7e-3
 """Places that are combined, and the grid from which they are chosen, m."""

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from tagid.loops import loop
 from tagid.reading.columns import Model, nearest_ring, table_of
 from tagid.reading.descent import Powers
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.transfer import ANGLES, Transfer
+from tagid.types import Complex, Floats
 
 _sets = loop("tagid.reading._sets")
 

@@ -30,9 +30,10 @@ from tagid.fields.thin_shell import (
 from tagid.loops import loop
 from tagid.reading.arrangement import MOUNTING_SD_M
 from tagid.reading.columns import CLOSE_SD_M, Model
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import POINTS
 from tagid.reading.transfers.transfer import Transfer
+from tagid.types import Complex, Floats
 
 _sheet = loop("tagid.reading._sheet")
 

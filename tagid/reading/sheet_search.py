@@ -21,7 +21,8 @@ from tagid.reading.descent import Powers
 from tagid.reading.remainder import Remainder, grid
 from tagid.reading.search import Tables
 from tagid.reading.sheet import HEAD, STEP, Kind, SheetColumns, SheetModel, in_frame, quadrant
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
+from tagid.types import Complex, Floats
 
 TURNED_RAD = 1.1
 """Half a step between the turns that are tried turns the highest harmonic by less."""

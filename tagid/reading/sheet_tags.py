@@ -16,8 +16,9 @@ from tagid.reading.evidence import log_evidence
 from tagid.reading.remainder import sets
 from tagid.reading.sheet import HEAD, Kind, SheetModel
 from tagid.reading.sheet_search import Seeker, beside
-from tagid.reading.spectra import MODEL_ERROR, Floats, Spectra
+from tagid.reading.spectra import MODEL_ERROR, Spectra
 from tagid.tags.layouts.layout import Layout
+from tagid.types import Floats
 
 GUESTS, FOLLOWED, JOINT = 2, 9, 3
 """Arrangements of other hypotheses beside which sheets are looked for, starts that are followed, and those of

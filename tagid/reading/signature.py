@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tagid.imaging.types import BasebandScans
 from tagid.reading.columns import Columns, Model, Priors, table_of
 from tagid.reading.descent import Found
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import POINTS
 from tagid.reading.transfers.transfer import Transfer
 from tagid.reading.uneven import CYCLES_RAD, cycles, spin
@@ -34,6 +34,7 @@ from tagid.tags.bodies.signature import (
     near_field,
     same_wavenumbers,
 )
+from tagid.types import Complex, Floats
 
 SLOPE = 0.2
 """Standard deviation of the amplitude of an echo's change from one frequency to the next, 0.2 GHz away, over

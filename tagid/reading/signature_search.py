@@ -12,8 +12,9 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import APART_M
 from tagid.reading.descent import BODY, Powers
 from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
 from tagid.tags.bodies.signature import angular
+from tagid.types import Complex, Floats
 
 CLUTTER = 1e-2
 """Power of the clutter under which it is looked for, over the moving energy."""

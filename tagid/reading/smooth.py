@@ -18,7 +18,8 @@ import numpy as np
 
 from tagid.reading.descent import Found, variance
 from tagid.reading.hypothesis import Hypothesis
-from tagid.reading.spectra import Complex, Floats, Spectra
+from tagid.reading.spectra import Spectra
+from tagid.types import Complex, Floats
 
 DELAYS_M = tuple(0.015 * i for i in range(-3, 4))
 """Errors d of the axis distance that are tried, m."""

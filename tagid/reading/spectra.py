@@ -18,10 +18,9 @@ from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
 from tagid.tags.bodies.spectra import BAND_SHARE, FREQUENCIES, range_window
 from tagid.tags.reading.views import fold_views
+from tagid.types import Complex, Floats
 
 AnyComplex = TypeVar("AnyComplex", np.complex64, np.complex128)
-Complex = NDArray[np.complex128]
-Floats = NDArray[np.float64]
 
 MODEL_ERROR = 0.05
 """Amplitude of what no hypothesis models, over the amplitude of the echo that changes over the views."""

@@ -16,8 +16,9 @@ from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.sheet import SheetModel
-from tagid.reading.spectra import Complex, Spectra
+from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import POINTS
+from tagid.types import Complex
 
 PADDING = 1.5
 """Range bins of the transform over those recorded: the echo must not wrap around."""

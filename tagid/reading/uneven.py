@@ -16,7 +16,8 @@ import numpy as np
 from tagid.reading.columns import Model
 from tagid.reading.descent import Found, climbed, spread, variance
 from tagid.reading.evidence import fit
-from tagid.reading.spectra import Floats, Spectra
+from tagid.reading.spectra import Spectra
+from tagid.types import Floats
 
 CYCLES_RAD = (0.01, 0.005)
 """Standard deviations of the error of the angles of one and of two cycles a turn, cosine and sine, rad."""

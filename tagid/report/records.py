@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from tagid.pipeline.coverage import WHOLE_TURN
+from tagid.pipeline.identify import WHOLE_TURN
 
 CAVEATS = {"part_of_a_turn": "part of a turn", "no_bound": "no bound"}
 """Marks of an answer that is worth less than its status says, in words."""

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.errors import MissingExtraError, UsageError
 from tagid.report.axes import Axes
@@ -20,8 +19,7 @@ from tagid.report.colours import BLUE, ORANGE
 from tagid.report.drafting import Drawing, Line, Text
 from tagid.report.layout_sheet import check_bar
 from tagid.simulate.response import Ring
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 SIZES_M = (0.010, 0.080)
 """Supported sizes, m: smaller ones cannot be folded, larger ones are not small reflectors."""

@@ -12,14 +12,11 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.fields.thin_shell import ShellField, ThinShell
 from tagid.simulate.multipole import Layer, ring_m, solve
 from tagid.simulate.taps import wavenumber
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from tagid.types import Complex, Floats
 
 DIRECT_M = 0.1
 """What a scatterer returns by itself lies within this of its place, one way, m."""

@@ -20,9 +20,7 @@ from tagid.simulate.beside import Beside, BesideRound, BesideShell
 from tagid.simulate.multipole import Layer, ring_m, solve
 from tagid.simulate.scattering import Returns
 from tagid.simulate.taps import CENTRE_HZ, AspectTaps, fit_taps, tap_offsets, wavenumber
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from tagid.types import Complex, Floats
 
 
 class Carrier(Protocol):

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.fields.bessel import bessel
-from tagid.simulate.scattering import Floats, Returns
+from tagid.simulate.scattering import Returns
 from tagid.simulate.taps import BAND_HZ, fit_taps, tap_offsets
+from tagid.types import Floats
 
 _DIFFERENCE_M = 1e-3
 """Half distance of the point pair that gives the factor jk of physical optics; sin(2 k d) is off by 1 % at

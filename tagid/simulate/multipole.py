@@ -19,13 +19,10 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.errors import DataError
 from tagid.fields.bessel import bessel, first_kind
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from tagid.types import Complex, Floats
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError, UsageError
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 MAX_VALUES = 16_000_000
 """Maximum number of complex values of one response: 128 MB."""

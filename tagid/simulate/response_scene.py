@@ -17,10 +17,11 @@ from tagid.geometry import Aperture
 from tagid.imaging.memory import require_memory
 from tagid.simulate.acquisition import Acquisition, Placement, RangeWindow
 from tagid.simulate.render import PulseTable, render_bodies
-from tagid.simulate.response import Floats, Response
+from tagid.simulate.response import Response
 from tagid.simulate.scattering import Returns
 from tagid.simulate.scene import Scene, StaticReturns
 from tagid.simulate.snr import EchoLevels
+from tagid.types import Floats
 
 TAPER_HZ = 0.2e9
 """Width of the raised cosine at either end of the response's frequencies.

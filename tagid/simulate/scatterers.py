@@ -11,16 +11,13 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.errors import DataError
 from tagid.simulate.beside import DIRECT_M, Beside
 from tagid.simulate.multipole import Layer, solve
 from tagid.simulate.scattering import Returns
 from tagid.simulate.taps import CENTRE_HZ, AspectTaps, wavenumber
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from tagid.types import Complex, Floats
 
 _SIZE_IN_WAVES = np.array(
     [1.174, 1.375, 1.576, 1.777, 1.978, 2.180, 2.347, 2.750, 3.152, 3.555, 3.957, 4.359]

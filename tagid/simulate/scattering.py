@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from tagid.types import Complex, Floats
 
 BAND_HZ = (1.8e9, 6.2e9)
 """Frequencies over which the taps are fitted: the P440's pulse is 40 dB down at 2.2 and 5.7 GHz."""

@@ -20,11 +20,15 @@ from tagid.enrolling.registry import Registry
 from tagid.errors import RegistryError, TagidError, UsageError
 from tagid.pipeline.enrolment import (
     LayoutProposal,
+    Measured,
+    Prepared,
+    Sighted,
     SignatureProposal,
+    measure,
     propose_layout,
     propose_signature,
+    sight,
 )
-from tagid.pipeline.measuring import Measured, Prepared, Sighted, measure, sight
 from tagid.station.errors import EnrolmentError, reported
 from tagid.storage.spreadsheet import FORMULA_STARTS
 from tagid.tags.layouts.layout import Layout

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from tagid.errors import TagidError
 from tagid.live.state import LiveState
 from tagid.pipeline.answer import Identification
-from tagid.pipeline.enrolment import LayoutProposal, SignatureProposal
-from tagid.pipeline.measuring import Measured
+from tagid.pipeline.enrolment import LayoutProposal, Measured, SignatureProposal
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.preview import resample
 from tagid.result import Problem, reworded, reworded_document

@@ -25,8 +25,7 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import sparse_recovery
 from tagid.loops import unusable
 from tagid.pipeline.identify import identify
-from tagid.pipeline.load import load_capture
-from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.prepared import PreparedCapture, load_capture
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name

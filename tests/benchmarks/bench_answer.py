@@ -28,8 +28,7 @@ from provenance import page, publish
 from tagid.capture import Capture
 from tagid.pipeline.diagnosis import with_causes
 from tagid.pipeline.identify import identify
-from tagid.pipeline.load import load_capture
-from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.prepared import PreparedCapture, load_capture
 from tagid.tags.layouts.layout import builtin_layouts
 from train.population import draw
 

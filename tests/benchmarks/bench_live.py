@@ -50,8 +50,7 @@ def one(url: str, motion_url: str, integration: int, folder: Path) -> dict[str, 
     from tagid.live.state import LiveState
     from tagid.motion.urls import open_motion
     from tagid.pipeline.identify import identify
-    from tagid.pipeline.load import load_capture
-    from tagid.pipeline.prepared import PreparedCapture
+    from tagid.pipeline.prepared import PreparedCapture, load_capture
     from tagid.pipeline.turn import resolve_turn
     from tagid.radar.settings import RadarConfig
     from tagid.recording.plan import RecordingPlan, capture_path, plan_window

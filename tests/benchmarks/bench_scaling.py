@@ -36,7 +36,7 @@ from tagid.batch.local import Results, Task, Tasks, run_local
 from tagid.config import load_config
 from tagid.enrolling.registry import RegistryContents
 from tagid.operate.turn import ReadingSetup
-from tagid.pipeline.load import LoadSettings
+from tagid.pipeline.prepared import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture

@@ -25,7 +25,7 @@ from tagid.imaging.heldout import check
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans, Image
-from tagid.pipeline.methods import METHODS, make_image
+from tagid.pipeline.reconstruct import METHODS, make_image
 from tagid.simulate import (
     Acquisition,
     ConductingCylinder,

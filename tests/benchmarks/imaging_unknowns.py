@@ -25,8 +25,7 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.pulsefit import estimate_pulse
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans
-from tagid.pipeline.methods import METHODS, make_image
-from tagid.pipeline.reconstruct import Reconstruction, reconstruct
+from tagid.pipeline.reconstruct import METHODS, Reconstruction, make_image, reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tagid.report.axes import Axes
 from tagid.report.canvas import Canvas

@@ -25,8 +25,9 @@ from tagid.simulate.render import PulseTable, render_bodies
 from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import ResponseBody
-from tagid.simulate.scattering import Body, Floats, Returns
+from tagid.simulate.scattering import Body, Returns
 from tagid.simulate.scene import Scene, StaticReturns
+from tagid.types import Floats
 
 TURN = 2 * np.pi * np.arange(24) / 24
 """Angles at which echoes are measured for the SNR and the room."""

@@ -30,8 +30,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from until_sure_scenes import FIRST, STATEMENT, Turn, null_turn, tagged_body_turn, tagged_turn
 
+from tagid.pipeline.identify import reader_settings
 from tagid.pipeline.prepared import PreparedCapture
-from tagid.pipeline.reading import reader_settings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.reading.ending import EndingCalibration
 from tagid.reading.looks import LOOKS, SPENT, Look, largest, look, part_of_turn

@@ -31,7 +31,7 @@ from tagid.enrolling.registry import Registry, RegistryContents
 from tagid.errors import TagidError
 from tagid.operate.turn import Answer, ReadingSetup
 from tagid.pipeline.answer import Identification
-from tagid.pipeline.load import LoadSettings
+from tagid.pipeline.prepared import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.recording import session
 from tagid.report.records import Thumbnails

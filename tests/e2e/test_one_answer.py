@@ -16,7 +16,7 @@ import tagid as api
 from tagid.cli.wording import in_options
 from tagid.metadata import ResolvedMotion
 from tagid.operate.workplace import Workplace
-from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import load_capture
 from tagid.result import reworded_document
 from tagid.station.scans import ScanRun
 from tagid.station.setup import Source as StationSource

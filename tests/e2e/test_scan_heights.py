@@ -15,7 +15,7 @@ import pytest
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import UsageError
 from tagid.pipeline.join import heights_of
-from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import load_capture
 from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
 from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import plan_window

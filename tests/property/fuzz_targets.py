@@ -21,7 +21,7 @@ from tagid.constants import RANGE_STEP_M
 from tagid.enrolling.layout_file import layouts_to_toml, read_layouts
 from tagid.errors import TagidError
 from tagid.metadata import RadarInfo, RadarSettings
-from tagid.pipeline.load import intake_remarks
+from tagid.pipeline.prepared import intake_remarks
 from tagid.radar.assembler import MAX_PENDING, MAX_READY, ScanAssembler
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.framing import Framing, StreamDecoder, frame

@@ -15,7 +15,7 @@ from tagid.motion.emulation.pty import PtyPort
 from tagid.motion.emulation.truth import TruthServer
 from tagid.motion.urls import open_motion
 from tagid.pipeline.identify import identify
-from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import load_capture
 from tagid.pipeline.turn import resolve_turn
 from tagid.radar.settings import RadarConfig
 from tagid.reading.ending import EndingCalibration

@@ -17,7 +17,7 @@ from tagid.batch.work import work
 from tagid.config import load_config
 from tagid.enrolling.registry import RegistryContents
 from tagid.operate.turn import ReadingSetup
-from tagid.pipeline.load import LoadSettings
+from tagid.pipeline.prepared import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.tags.layouts.layout import builtin_layouts

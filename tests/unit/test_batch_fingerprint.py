@@ -15,7 +15,7 @@ from tagid.enrolling.registry import RegistryContents
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.models_store import manifest
 from tagid.operate.turn import ReadingSetup
-from tagid.pipeline.load import LoadSettings
+from tagid.pipeline.prepared import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.report.records import Drawing, ItemRecord, Thumbnails, drawing_json
 from tagid.tags.layouts.layout import Layout, builtin_layouts

@@ -14,12 +14,9 @@ from tagid.capture import Capture, ViewFlag
 from tagid.errors import DataError
 from tagid.metadata import Ending, MotionInfo, RadarInfo, ResolvedMotion, Standstill
 from tagid.pipeline import diagnosis
-from tagid.pipeline.circling import circling
-from tagid.pipeline.coverage import of_the_part, widest_gap
-from tagid.pipeline.diagnosis import recording_remarks, with_causes
-from tagid.pipeline.identify import identify, identify_together
-from tagid.pipeline.load import load_capture
-from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.diagnosis import circling, recording_remarks, with_causes
+from tagid.pipeline.identify import identify, identify_together, of_the_part, widest_gap
+from tagid.pipeline.prepared import PreparedCapture, load_capture
 from tagid.reading.reader import read
 from tagid.reading.reading import Reading
 from tagid.reading.verdict import ADVICE, Code

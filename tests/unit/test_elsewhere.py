@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.pipeline.elsewhere import named_in, recentred
-from tagid.pipeline.load import load_capture
-from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.diagnosis import named_in, recentred
+from tagid.pipeline.prepared import PreparedCapture, load_capture
 from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture

@@ -39,6 +39,7 @@ LAYERS = (
         "onnx_files",
         "proportion",
         "counting",
+        "types",
         "workers",
         "processes",
     },
@@ -340,9 +341,9 @@ def test_no_module_is_over_600_lines() -> None:
 def test_the_configuration_knows_every_imaging_method() -> None:
     """It lists them itself, because it must not load numerics."""
     from tagid import config
-    from tagid.pipeline import methods
+    from tagid.pipeline import reconstruct
 
-    assert set(config.METHODS) == {"auto", *methods.METHODS}
+    assert set(config.METHODS) == {"auto", *reconstruct.METHODS}
 
 
 READERS = {

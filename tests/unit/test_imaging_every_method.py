@@ -17,8 +17,7 @@ from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans
-from tagid.pipeline.methods import METHODS, make_image
-from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.reconstruct import METHODS, make_image, reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate import Acquisition, ConductingCylinder, Scene, simulate_capture
 

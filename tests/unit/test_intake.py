@@ -15,7 +15,7 @@ from tagid.constants import CENTER_FREQUENCY_HZ, RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError
 from tagid.imaging.bandcheck import sample_fault
 from tagid.pipeline.identify import identify
-from tagid.pipeline.load import intake_remarks, load_capture
+from tagid.pipeline.prepared import intake_remarks, load_capture
 from tagid.pipeline.resolve import with_angles
 from tagid.simulate.capture import Acquisition, simulate_capture
 from tagid.simulate.presets import scene_from_name

@@ -34,8 +34,7 @@ from tagid.motion.urls import open_motion
 from tagid.pipeline import identify as identify_module
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import identify
-from tagid.pipeline.load import load_capture
-from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.prepared import PreparedCapture, load_capture
 from tagid.pipeline.settings import ImagingSettings
 from tagid.pipeline.turn import resolve_turn
 from tagid.radar.assembler import Scan

@@ -9,8 +9,7 @@ import pytest
 
 from tagid.capture import Capture
 from tagid.imaging.lengths import views_needed
-from tagid.pipeline.load import LoadDefault, LoadSettings, load_capture
-from tagid.pipeline.prepared import prepare
+from tagid.pipeline.prepared import LoadDefault, LoadSettings, load_capture, prepare
 from tagid.pipeline.resolve import clock_of, one_turn
 from tests.unit.imaging_scenes import record, turn
 

@@ -12,7 +12,7 @@ from tags_synthetic import synthetic_scans
 from tagid.config import load_config
 from tagid.errors import UsageError
 from tagid.operate.workplace import Workplace
-from tagid.pipeline.reading import reader_settings
+from tagid.pipeline.identify import reader_settings
 from tagid.pipeline.settings import ImagingSettings, TagPriors
 from tagid.reading.calibration import Calibration
 from tagid.reading.columns import Priors

@@ -16,7 +16,7 @@ from tagid.metadata import Track
 from tagid.motion.urls import open_motion
 from tagid.pipeline.diagnosis import _of_the_turn, recording_remarks
 from tagid.pipeline.identify import identify
-from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import load_capture
 from tagid.pipeline.turn import resolve_turn
 from tagid.radar.assembler import Scan
 from tagid.simulate import Acquisition, scene_from_name, simulate_capture

@@ -18,7 +18,7 @@ from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.region import choose_region
-from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import load_capture
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate import Acquisition, scene_from_name, simulate_capture

@@ -19,11 +19,9 @@ from tagid.metadata import Ending, Track
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
 from tagid.motion.urls import open_motion
-from tagid.pipeline.coverage import ended_answer, widest_gap
 from tagid.pipeline.diagnosis import recording_remarks
-from tagid.pipeline.identify import identify
-from tagid.pipeline.load import load_capture
-from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.identify import ended_answer, identify, widest_gap
+from tagid.pipeline.prepared import PreparedCapture, load_capture
 from tagid.pipeline.settings import ImagingSettings
 from tagid.pipeline.turn import resolve_turn
 from tagid.radar.settings import RadarConfig

@@ -18,9 +18,7 @@ from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import sparse_recovery
 from tagid.imaging.types import BasebandScans
-
-Floats = NDArray[np.float64]
-Samples = NDArray[np.complex64]
+from tagid.types import Floats, Samples
 
 _PRIOR_AXIS = 0.395
 _PRIOR_WOBBLE_RAD = 0.03

@@ -45,11 +45,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from tagid.geometry import Aperture, ImageGrid
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 LEAST_GRADIENT = 1000.0
 """Gradient of |sigma|, 1/m^2, of which half counts as a surface; a reflector has 80 / m within 1 cm."""

@@ -23,7 +23,8 @@ from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.sparse import column_norm
 from tagid.imaging.types import BasebandScans
-from tagid.imaging.volume import Progress, Volume, backproject_volume, vertical_resolution_m
+from tagid.imaging.volume import Volume, backproject_volume, vertical_resolution_m
+from tagid.types import Progress
 
 Array = NDArray[np.float32]
 

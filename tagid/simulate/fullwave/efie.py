@@ -34,8 +34,8 @@ from scipy.spatial import cKDTree
 from tagid.errors import DataError
 from tagid.simulate.fullwave.mesh import HalfFunction, Mesh
 from tagid.simulate.fullwave.singular import RULE_3, RULE_7, static_potentials
+from tagid.types import Floats
 
-Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _BLOCK = 96

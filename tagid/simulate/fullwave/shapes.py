@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import DataError
 from tagid.simulate.fullwave.mesh import Mesh
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 
 def sheet(permittivity: complex, thickness_m: float) -> complex:

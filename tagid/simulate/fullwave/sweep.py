@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid import __version__
 from tagid.constants import SPEED_OF_LIGHT
@@ -18,8 +17,7 @@ from tagid.errors import DataError
 from tagid.simulate.fullwave.efie import Efie
 from tagid.simulate.fullwave.mesh import Mesh
 from tagid.simulate.response import Response, Ring
-
-Floats = NDArray[np.float64]
+from tagid.types import Floats
 
 COARSEST = 3.5
 """Minimum wavelength in units of the longest mesh edge: the longest is about 1.7 times the usual edge."""
