@@ -1,4 +1,4 @@
-"""Two-dimensional scattering by cells: a solver unlike the one of surfaces in `tagid.simulate.fullwave`.
+"""Two-dimensional scattering by cells: a solver unlike the one of surfaces in `train.fullwave`.
 
 Objects are infinite along z, the electric field is along z (TM, antennas upright), time convention
 exp(+j omega t). Only what differs from air is cut into cells. Each cell radiates q H0(k d), H0 the Hankel

@@ -6,19 +6,21 @@ are in millimetres.
 
 from __future__ import annotations
 
+import json
 import struct
 from dataclasses import dataclass
+from importlib import resources
 from itertools import pairwise
 
 import numpy as np
 
-from tagid.errors import MissingExtraError, UsageError
+from tagid.constants import SPEED_OF_LIGHT
+from tagid.errors import UsageError
 from tagid.report.axes import Axes
 from tagid.report.canvas import Canvas
 from tagid.report.colours import BLUE, ORANGE
 from tagid.report.drafting import Drawing, Line, Text
 from tagid.report.layout_sheet import check_bar
-from tagid.simulate.response import Ring
 from tagid.types import Floats
 
 SIZES_M = (0.010, 0.080)
@@ -27,9 +29,8 @@ TAB_MM = 6.0
 """Width of a glue tab."""
 _EDGE_MM = 12.0
 _FOOT_MM = 58.0
-_PIECES = 5
-"""Mesh elements per edge of the octahedron: within 0.1 dB of seven (40 mm, 3.1 to 4.9 GHz)."""
-_ASPECTS = 24
+TABLE = resources.files("tagid.report") / "octahedron.json"
+"""Solved levels over sizes in wavelengths and aspects, made by `python -m train.octahedron`."""
 
 
 def check_size(size_m: float) -> None:
@@ -176,6 +177,7 @@ class CrossSection:
         frequency_hz: (F,).
         aspect_deg: (A,) azimuth of the antenna, 0 towards a tip.
         vertical, horizontal: (F, A) dBsm in the two polarisations.
+        source: how they were computed.
     """
 
     size_m: float
@@ -184,32 +186,26 @@ class CrossSection:
     vertical: Floats
     horizontal: Floats
 
-    source = "method of moments, electric-field integral equation (tagid.simulate.fullwave), at 1 m"
+    source: str
 
 
 def cross_section(size_m: float, frequencies: int = 7) -> CrossSection:
-    """Solve the octahedron from 3.1 to 4.9 GHz over 90 degrees of aspect; the pattern repeats after that.
+    """The octahedron from 3.1 to 4.9 GHz over 90 degrees of aspect; the pattern repeats after that.
 
-    Raises:
-        UsageError: an unsupported size. MissingExtraError: scipy is not installed.
+    The cross-section over the square of the size depends on the size in wavelengths alone: it is taken from
+    the solutions in `TABLE`. Raises UsageError: an unsupported size.
     """
     check_size(size_m)
-    try:
-        from tagid.simulate.fullwave import shapes
-        from tagid.simulate.fullwave.sweep import Sweep, solve_response
-    except ImportError as error:
-        if (error.name or "").partition(".")[0] != "scipy":
-            raise
-        raise MissingExtraError(
-            "the radar cross-section is solved with scipy, which is not installed",
-            "Install it with `pip install 'tagid[science]'`, or omit `rcs`.",
-        ) from None
-    sweep = Sweep(3.1e9, 4.9e9, frequencies, _ASPECTS, (Ring(1.0, "V"), Ring(1.0, "H")))
-    solved = solve_response("octahedron", shapes.closed_octahedron(size_m, _PIECES), sweep)
-    quarter = _ASPECTS // 4 + 1
-    dbsm = 10 * np.log10(4 * np.pi * np.abs(solved.scattering_length_m[:, :, :quarter]) ** 2)
-    aspect = np.arange(quarter) * 360.0 / _ASPECTS
-    return CrossSection(size_m, sweep.frequency_hz, aspect, dbsm[:, 0], dbsm[:, 1])
+    table = json.loads(TABLE.read_text())
+    frequency = np.linspace(3.1e9, 4.9e9, frequencies)
+    size = size_m * frequency / SPEED_OF_LIGHT
+    level = 10 * np.log10(4 * np.pi * size_m**2)
+    vertical, horizontal = (
+        level + np.stack([np.interp(size, table["wavelengths"], one) for one in np.transpose(table[name])], 1)
+        for name in ("vertical_db", "horizontal_db")
+    )
+    aspect = np.array(table["aspect_deg"])
+    return CrossSection(size_m, frequency, aspect, vertical, horizontal, table["source"])
 
 
 def to_csv(solved: CrossSection) -> str:

@@ -19,10 +19,10 @@ import numpy as np
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.simulate.electromagnetic import ConductingCylinder
-from tagid.simulate.fullwave import Efie, Mesh, Sweep, ring_antennas, shapes, solve_response
-from tagid.simulate.fullwave.mie import sphere_backscatter
 from tagid.simulate.response import Ring
 from tagid.simulate.response_file import read_response
+from train.fullwave import Efie, Mesh, Sweep, ring_antennas, shapes, solve_response
+from train.fullwave.mie import sphere_backscatter
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared")) / "fullwave" / "responses"

@@ -1,7 +1,7 @@
 """Scenes of the benchmark on bodies read blind: solved responses, and the simulated population.
 
 Responses come from ../shared/fullwave beside the checkout (or where TAGID_SHARED points), captures from its
-own `scenes.py`, and from tests/data/responses, solved by `tagid.simulate.fullwave`. A tag at other angles is
+own `scenes.py`, and from tests/data/responses, solved by `train.fullwave`. A tag at other angles is
 a sum of turned copies of what one reflector adds to the body, which leaves out the coupling between them.
 """
 

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tagid.simulate.fullwave import Mesh, Sweep, shapes, solve_response
 from tagid.simulate.response_file import write_response
+from train.fullwave import Mesh, Sweep, shapes, solve_response
 
 OUT = Path(__file__).resolve().parents[1] / "data" / "responses"
 SWEEP = Sweep(frequencies=21)

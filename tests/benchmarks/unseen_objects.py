@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from solve_responses import Object, main
 
-from tagid.simulate.fullwave import Mesh, Sweep, shapes
 from tagid.simulate.response import Ring
+from train.fullwave import Mesh, Sweep, shapes
 
 SWEEP = Sweep(
     frequencies=21,

@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
-from tagid.simulate.fullwave import Efie, Mesh, Sweep, ring_antennas, shapes, solve_response
-from tagid.simulate.fullwave.efie import dipole_field
-from tagid.simulate.fullwave.mesh import HalfFunction
-from tagid.simulate.fullwave.mie import sphere_backscatter
-from tagid.simulate.fullwave.singular import RULE_7, static_potentials
 from tagid.simulate.response import Ring
 from tagid.simulate.response_file import read_response
+from train.fullwave import Efie, Mesh, Sweep, ring_antennas, shapes, solve_response
+from train.fullwave.efie import dipole_field
+from train.fullwave.mesh import HalfFunction
+from train.fullwave.mie import sphere_backscatter
+from train.fullwave.singular import RULE_7, static_potentials
 
 SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
 FULLWAVE = SHARED / "fullwave" / "responses"

@@ -36,7 +36,6 @@ LAYERS = (
         "secret",
         "query",
         "hostclock",
-        "onnx_files",
         "proportion",
         "counting",
         "types",

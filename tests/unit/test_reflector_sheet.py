@@ -12,7 +12,9 @@ import pytest
 from tagid.errors import UsageError
 from tagid.report.drafting import Line
 from tagid.report.reflector_sheet import check_size, cross_section, net, sheet, solid, to_stl
+from tagid.simulate.response import Ring
 from tagid.simulate.scatterers import Octahedron
+from train.fullwave import Sweep, shapes, solve_response
 
 DIHEDRAL = np.arccos(-1 / 3)
 """Between the faces of a regular octahedron, rad."""
@@ -114,6 +116,15 @@ def test_the_cross_section_has_the_octahedrons_symmetry_and_the_plates_strength(
     # Crossing plates of the same size, which the simulator's reflectors are, differ by 2 dB at most.
     plates = np.abs(Octahedron(0.04).scattering_length(solved.frequency_hz))
     assert solved.vertical.mean(axis=1) == pytest.approx(10 * np.log10(4 * np.pi * plates**2), abs=2.0)
+
+
+@pytest.mark.parametrize("size_m", [0.012, 0.05])
+def test_the_table_is_what_the_solver_gives_for_a_size(size_m: float) -> None:
+    sweep = Sweep(4.3e9, 4.9e9, 2, 8, (Ring(1.0, "V"), Ring(1.0, "H")))
+    solved = solve_response("octahedron", shapes.closed_octahedron(size_m, 6), sweep)
+    dbsm = 20 * np.log10(np.abs(solved.scattering_length_m[1, :, 0])) + 10 * np.log10(4 * np.pi)
+    table = cross_section(size_m, 4)
+    assert [table.vertical[3, 0], table.horizontal[3, 0]] == pytest.approx(list(dbsm), abs=0.3)
 
 
 def test_the_command_writes_every_form_and_overwrites_nothing(

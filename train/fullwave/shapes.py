@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.simulate.fullwave.mesh import Mesh
 from tagid.types import Floats
+from train.fullwave.mesh import Mesh
 
 
 def sheet(permittivity: complex, thickness_m: float) -> complex:

@@ -32,9 +32,9 @@ from scipy.linalg import lu_factor, lu_solve
 from scipy.spatial import cKDTree
 
 from tagid.errors import DataError
-from tagid.simulate.fullwave.mesh import HalfFunction, Mesh
-from tagid.simulate.fullwave.singular import RULE_3, RULE_7, static_potentials
 from tagid.types import Floats
+from train.fullwave.mesh import HalfFunction, Mesh
+from train.fullwave.singular import RULE_3, RULE_7, static_potentials
 
 Complexes = NDArray[np.complex128]
 

@@ -14,10 +14,10 @@ import numpy as np
 from tagid import __version__
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
-from tagid.simulate.fullwave.efie import Efie
-from tagid.simulate.fullwave.mesh import Mesh
 from tagid.simulate.response import Response, Ring
 from tagid.types import Floats
+from train.fullwave.efie import Efie
+from train.fullwave.mesh import Mesh
 
 COARSEST = 3.5
 """Minimum wavelength in units of the longest mesh edge: the longest is about 1.7 times the usual edge."""
