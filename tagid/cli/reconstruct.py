@@ -120,7 +120,7 @@ def reconstruct(
     from rich.text import Text
 
     from tagid.cli import imaging
-    from tagid.imaging.ats.options import parse_calibrate, parse_settings
+    from tagid.imaging.ats.settings import parse_calibrate, parse_settings
     from tagid.imaging.autofocus import BEYOND_SEARCH
     from tagid.operate.turn import draw_image_of
     from tagid.operate.words import SUBTRACTED, learned_words

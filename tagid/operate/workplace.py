@@ -109,8 +109,7 @@ class Workplace:
         Raises:
             UsageError: the setting `imaging.ats` is malformed.
         """
-        from tagid.imaging.ats.options import parse_settings
-        from tagid.imaging.ats.settings import AtsSettings
+        from tagid.imaging.ats.settings import AtsSettings, parse_settings
         from tagid.pipeline.settings import ImagingSettings, TagPriors
 
         config = self.config

@@ -33,8 +33,8 @@ from tagid.capture import Capture
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import fit_adapted
 from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.ats.fit_native import OnnxEngine
 from tagid.imaging.ats.problem import FineRange, GridArrays, draw_weights, view_arrays
-from tagid.imaging.ats.runtime import OnnxEngine
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import sparse_recovery

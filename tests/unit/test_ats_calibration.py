@@ -14,8 +14,7 @@ from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging import memory
 from tagid.imaging.ats.calibration import Unknowns, _gains, _solve, angle_error, improve
 from tagid.imaging.ats.fit import AtsSettings, fit
-from tagid.imaging.ats.illumination import illumination
-from tagid.imaging.ats.occlusion import transmission
+from tagid.imaging.ats.occlusion import illumination, transmission
 from tagid.imaging.heldout import left_out
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views

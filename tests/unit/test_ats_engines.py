@@ -13,7 +13,6 @@ from tagid.errors import MissingExtraError, UsageError  # noqa: E402
 from tagid.geometry import ImageGrid  # noqa: E402
 from tagid.imaging.ats import fit as fit_module  # noqa: E402
 from tagid.imaging.ats import fit_torch  # noqa: E402
-from tagid.imaging.ats import forward_step as step_module  # noqa: E402
 from tagid.imaging.ats.fit import AtsSettings, fit  # noqa: E402
 from tagid.imaging.ats.fit_native import NativeEngine  # noqa: E402
 from tagid.imaging.ats.fit_torch import TorchEngine  # noqa: E402
@@ -57,21 +56,21 @@ def test_the_gradient_is_that_of_the_loss_by_autograd(scans) -> None:
     engine = TorchEngine(weights)
     loss = engine.step(grid, views, fine, numbers)
     count = len(engine._state) // 3
-    written_out = [m / (1 - step_module.BETA1) for m in engine._state[count : 2 * count]]
+    written_out = [m / (1 - fit_torch.BETA1) for m in engine._state[count : 2 * count]]
 
     leaves = [
         torch.tensor(a, requires_grad=True) for a in (*weights.tables, *weights.weights, *weights.biases)
     ]
     tables, layers, biases = leaves[:2], leaves[2:5], leaves[5:]
-    features = step_module.features(tables, [torch.from_numpy(a) for a in grid.interpolation])
-    sigma = step_module.activations(features, layers, biases)[-1] * 3.0
+    features = fit_torch.features(tables, [torch.from_numpy(a) for a in grid.interpolation])
+    sigma = fit_torch.activations(features, layers, biases)[-1] * 3.0
     channels = torch.complex(sigma[:3], sigma[3:])
     seen = torch.complex(*(torch.zeros(24, GRID.pixels**2) for _ in range(2)))
     seen = torch.from_numpy(aspect.astype(np.complex64)) @ channels * torch.from_numpy(shadow).float()
     rows = matrix_of_nearest_bins(scans, fine) @ seen.reshape(24, -1, 1)
     residual = rows[:, :, 0] - torch.from_numpy(scans.samples)
     data = (torch.from_numpy(confidence).float() * 2e-3 * residual.abs().square()).sum()
-    sparsity = 1e-3 * (sigma.square().sum(0) + (3.0 * step_module.MAGNITUDE_FLOOR) ** 2).sqrt().sum()
+    sparsity = 1e-3 * (sigma.square().sum(0) + (3.0 * fit_torch.MAGNITUDE_FLOOR) ** 2).sqrt().sum()
     image = sigma.reshape(6, 20, 20)
     rough = (image[:, 1:] - image[:, :-1]).square().sum() + (
         image[:, :, 1:] - image[:, :, :-1]
@@ -89,7 +88,8 @@ def test_the_gradient_is_that_of_the_loss_by_finite_differences(scans, monkeypat
     views = view_arrays(scans, GRID.points, fine, confidence, aspect, shadow)
     numbers = np.array([0, 0, 1, 1, 3.0, 2e-3, 1e-3, 5e-3, 1e-8], dtype=np.float32)
     seen = []
-    monkeypatch.setattr(fit_torch, "optimise", lambda s: seen.append(s) or step_module.optimise(s))
+    optimise = fit_torch.optimise
+    monkeypatch.setattr(fit_torch, "optimise", lambda s: seen.append(s) or optimise(s))
     TorchEngine(weights).step(grid, views, fine, numbers)
 
     def double(value):
@@ -97,11 +97,11 @@ def test_the_gradient_is_that_of_the_loss_by_finite_differences(scans, monkeypat
             return [double(v) for v in value]
         return value.double() if value.is_floating_point() else value
 
-    state = step_module.Step(*(double(value) for value in seen[0]))
+    state = fit_torch.Step(*(double(value) for value in seen[0]))
     parameters = [*state.tables, *state.weights, *state.biases]
-    _, *updated = step_module.optimise(state)
+    _, *updated = optimise(state)
     count = len(parameters)
-    gradients = [m / (1 - step_module.BETA1) for m in updated[count : 2 * count]]
+    gradients = [m / (1 - fit_torch.BETA1) for m in updated[count : 2 * count]]
     rng = torch.Generator().manual_seed(0)
     for at, (parameter, gradient) in enumerate(zip(parameters, gradients, strict=True)):
         direction = torch.randn(parameter.shape, generator=rng, dtype=torch.float64)
@@ -114,7 +114,7 @@ def test_the_gradient_is_that_of_the_loss_by_finite_differences(scans, monkeypat
                 weights=moved[tables : tables + layers],
                 biases=moved[tables + layers :],
             )
-            ends.append(float(step_module.optimise(there)[0]))
+            ends.append(float(optimise(there)[0]))
         expected = float((gradient * direction).sum())
         assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(expected, rel=1e-3, abs=1e-7), at
 

@@ -9,9 +9,10 @@ torch = pytest.importorskip("torch")
 
 from tagid.errors import UsageError  # noqa: E402
 from tagid.geometry import Aperture, ImageGrid  # noqa: E402
-from tagid.imaging.ats.fit_paper import PaperSettings, fit_paper  # noqa: E402
-from tagid.imaging.ats.forward_paper import (  # noqa: E402
+from tagid.imaging.ats.fit_paper import (  # noqa: E402  # noqa: E402
+    PaperSettings,
     RaySamples,
+    fit_paper,
     positive_root,
     sample_view,
     synthesize_profile,

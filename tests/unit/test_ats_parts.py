@@ -10,15 +10,15 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="analysis through synthesis needs the extra 'ats'")
 
-from tagid.imaging.ats.encoding import (  # noqa: E402
+from tagid.imaging.ats.fit_paper import (  # noqa: E402
     EncodingSettings,
+    ReflectivityNetwork,
     draw_table,
     encoding_matrix,
     interpolate,
     level_sizes,
     vertex_entry,
 )
-from tagid.imaging.ats.network import ReflectivityNetwork  # noqa: E402
 
 
 def interpolate_directly(point: np.ndarray, table: np.ndarray, settings: EncodingSettings) -> np.ndarray:

@@ -12,8 +12,7 @@ from tagid.imaging.ats import taps as module
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.problem import FieldShape, draw_weights
 from tagid.imaging.ats.settings import AtsSettings
-from tagid.imaging.ats.support import Support
-from tagid.imaging.ats.taps import Adam, Taps
+from tagid.imaging.ats.taps import Adam, Support, Taps
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tests.unit.imaging_scenes import record, turn
 

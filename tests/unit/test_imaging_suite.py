@@ -128,7 +128,7 @@ def by_autograd(size: int, forward: Callable[[object], object], complex_: bool =
 
 def hash_map() -> Map:
     pytest.importorskip("torch", reason="analysis through synthesis needs the extra 'ats'")
-    from tagid.imaging.ats.encoding import EncodingSettings, encoding_matrix, interpolate
+    from tagid.imaging.ats.fit_paper import EncodingSettings, encoding_matrix, interpolate
 
     settings = EncodingSettings(levels=3, features=2, coarsest=4, finest=30, log2_entries=8)
     matrix = encoding_matrix(GRID.points / GRID.extent + 0.5, settings)
@@ -142,7 +142,7 @@ def hash_map() -> Map:
 
 def tables_map() -> Map:
     torch = pytest.importorskip("torch", reason="analysis through synthesis needs the extra 'ats'")
-    from tagid.imaging.ats.forward_step import features
+    from tagid.imaging.ats.fit_torch import features
     from tagid.imaging.ats.problem import interpolation
 
     at = [torch.from_numpy(interpolation(18, n)) for n in (5, 9)]
@@ -157,7 +157,7 @@ def tables_map() -> Map:
 def paper_map() -> Map:
     """The published model without what bends it: nothing hides (opacity 0), every surface faces (floor 1)."""
     pytest.importorskip("torch", reason="the published model needs the extra 'ats'")
-    from tagid.imaging.ats.forward_paper import sample_view, synthesize_profile
+    from tagid.imaging.ats.fit_paper import sample_view, synthesize_profile
 
     rays = sample_view(turn(7), 2, GRID, 0.75 + 0.01 * np.arange(50), 0.02, 1.5)
     shape = rays.depths.shape
@@ -243,7 +243,7 @@ def test_slope_is_the_difference_of_two_distances() -> None:
 def test_published_gradient_by_finite_differences() -> None:
     """With transmission and Lambert factor the model is not linear; its gradient is torch's."""
     torch = pytest.importorskip("torch", reason="the published model needs the extra 'ats'")
-    from tagid.imaging.ats.forward_paper import sample_view, synthesize_profile
+    from tagid.imaging.ats.fit_paper import sample_view, synthesize_profile
 
     rays = sample_view(turn(7), 2, GRID, 0.85 + 0.02 * np.arange(14), 0.04, 1.5)
     rng = np.random.default_rng(5)

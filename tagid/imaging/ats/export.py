@@ -11,8 +11,8 @@ from typing import Any
 import torch
 
 from tagid import __version__
-from tagid.imaging.ats.forward_step import Step, optimise
-from tagid.imaging.ats.runtime import HIDDEN, LEVELS, MODEL, input_names, state_names
+from tagid.imaging.ats.fit_native import HIDDEN, LEVELS, MODEL, input_names, state_names
+from tagid.imaging.ats.fit_torch import Step, optimise
 from tagid.models_store import FOLDER, OPSET, Entry, Tensor, entry_of, write_entry
 
 
@@ -55,7 +55,7 @@ def export_step() -> tuple[bytes, Entry]:
     content = graph.SerializeToString(deterministic=True)
     facts = {
         "purpose": "one step of analysis through synthesis: field, forward model, gradient, Adam",
-        "source": "tagid/imaging/ats/forward_step.py",
+        "source": "tagid/imaging/ats/fit_torch.py",
         "levels": LEVELS,
         "hidden": HIDDEN,
     }

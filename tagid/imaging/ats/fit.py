@@ -23,8 +23,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError, MissingExtraError, UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats import calibration
-from tagid.imaging.ats.illumination import illumination
-from tagid.imaging.ats.occlusion import transmission
+from tagid.imaging.ats.occlusion import illumination, transmission
 from tagid.imaging.ats.problem import (
     Array,
     FieldWeights,
@@ -37,7 +36,7 @@ from tagid.imaging.ats.problem import (
 )
 from tagid.imaging.ats.settings import LEAST_HELD_OUT, AtsResult, AtsSettings, Calibration, Progress
 from tagid.imaging.ats.start import FirstImages
-from tagid.imaging.ats.support import CHECK_AT, Support
+from tagid.imaging.ats.taps import CHECK_AT, Support
 from tagid.imaging.heldout import Prediction
 from tagid.imaging.kernel import is_compiled
 from tagid.imaging.lengths import finest_cell_m
@@ -443,7 +442,7 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
     """
     name = settings.engine
     if name == "auto":
-        from tagid.imaging.ats.runtime import HIDDEN, LEVELS
+        from tagid.imaging.ats.fit_native import HIDDEN, LEVELS
 
         if settings.device == "cpu" and is_compiled():
             name = "native"
@@ -461,7 +460,7 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
             "Install it with `pip install 'tagid[ats]'`." if name == "torch" else "Install tagid again.",
         )
     if name == "onnx":
-        from tagid.imaging.ats.runtime import OnnxEngine
+        from tagid.imaging.ats.fit_native import OnnxEngine
 
         return OnnxEngine(start, settings.threads)
     from tagid.imaging.ats.fit_torch import TorchEngine

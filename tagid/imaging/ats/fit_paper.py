@@ -6,6 +6,8 @@ the optimisation stand at `PaperSettings`.
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -16,13 +18,251 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from tagid.errors import UsageError
-from tagid.geometry import ImageGrid
-from tagid.imaging.ats.encoding import EncodingSettings, draw_table, encoding_matrix, interpolate
-from tagid.imaging.ats.forward_paper import RaySamples, sample_view, synthesize_profile
-from tagid.imaging.ats.network import ReflectivityNetwork
+from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.backprojection import upsample_at_carrier
 from tagid.imaging.memory import require_memory
 from tagid.imaging.types import BasebandScans, Image
+from tagid.types import Floats
+
+_HASH_PRIME = 2_654_435_761
+"""Second prime of the spatial hash (Müller et al., eq. 4; the first one is 1)."""
+
+_TABLE_INIT = 1e-2
+"""Features start uniform in +-1e-2, small beside the network's weights, so that a fit starts near zero."""
+
+
+@dataclass(frozen=True)
+class EncodingSettings:
+    """Size of the encoding.
+
+    Attributes:
+        levels: number of resolutions, growing geometrically from `coarsest` to `finest`.
+        features: features a level.
+        coarsest, finest: cells along a side of the unit square.
+        log2_entries: a level with more vertices than 2**log2_entries is hashed into that many entries.
+    """
+
+    levels: int = 8
+    features: int = 2
+    coarsest: int = 8
+    finest: int = 96
+    log2_entries: int = 14
+
+    @property
+    def width(self) -> int:
+        """Features of a point over all levels."""
+        return self.levels * self.features
+
+    def resolutions(self) -> list[int]:
+        """Cells a side of every level (floor of a geometric series, Müller et al., eq. 2)."""
+        if self.levels == 1:
+            return [self.coarsest]
+        series = np.geomspace(self.coarsest, max(self.finest, self.coarsest), self.levels)
+        return [int(cells) for cells in np.floor(series + 1e-9)]
+
+
+def vertex_entry(
+    vertices: NDArray[np.int64], resolution: int, settings: EncodingSettings
+) -> NDArray[np.int64]:
+    """Table entry of grid vertices within their level.
+
+    Args:
+        vertices: (n, 2) integer vertex coordinates, 0..resolution (the level has resolution + 1 vertices a
+            side).
+        resolution: cells a side.
+        settings: decides whether the level is dense (row by row) or hashed (exclusive or of multiples).
+
+    Returns:
+        (n,) entry index.
+    """
+    side = resolution + 1
+    if side * side <= 2**settings.log2_entries:
+        return np.asarray(vertices[:, 0] * side + vertices[:, 1])
+    hashed = vertices[:, 0].astype(np.uint64) ^ (vertices[:, 1].astype(np.uint64) * np.uint64(_HASH_PRIME))
+    return np.asarray(hashed % np.uint64(2**settings.log2_entries)).astype(np.int64)
+
+
+def level_sizes(settings: EncodingSettings) -> list[int]:
+    """Table entries of every level: its vertices where they fit, 2**log2_entries otherwise."""
+    return [min((cells + 1) ** 2, 2**settings.log2_entries) for cells in settings.resolutions()]
+
+
+def encoding_matrix(points: NDArray[np.floating], settings: EncodingSettings) -> sparse.csr_array[np.float32]:
+    """Bilinear interpolation on every level as one matrix.
+
+    Args:
+        points: (P, 2) coordinates in the unit square [0, 1]^2.
+        settings: the levels.
+
+    Returns:
+        (P * levels, entries) CSR float32; row p * levels + l holds the four corner weights of point p on
+        level l.
+    """
+    count, levels = len(points), settings.levels
+    entries = np.empty((count, levels, 4), dtype=np.int64)
+    weights = np.empty((count, levels, 4), dtype=np.float32)
+    offset = 0
+    for level, (cells, size) in enumerate(zip(settings.resolutions(), level_sizes(settings), strict=True)):
+        position = np.clip(points, 0.0, 1.0) * cells
+        corner = np.minimum(position.astype(np.int64), cells - 1)
+        part = position - corner
+        for i, (dx, dy) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
+            entries[:, level, i] = offset + vertex_entry(corner + np.array([dx, dy]), cells, settings)
+            weights[:, level, i] = np.prod(np.abs(np.array([1 - dx, 1 - dy]) - part), axis=1)
+        offset += size
+    starts = np.arange(0, 4 * count * levels + 1, 4, dtype=np.int32)
+    parts = (weights.ravel(), entries.astype(np.int32).ravel(), starts)
+    return sparse.csr_array(parts, shape=(count * levels, offset))
+
+
+class _SparseProduct(torch.autograd.Function):  # type: ignore[misc]
+    """y = S x with dL/dx = S^T dL/dy; scipy's product repeats bit for bit, a scatter-add need not."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Any, matrix: Any, transposed: Any) -> Any:
+        ctx.transposed = transposed
+        return torch.from_numpy(matrix @ x.detach().numpy())
+
+    @staticmethod
+    def backward(ctx: Any, grad: Any) -> Any:
+        return torch.from_numpy(ctx.transposed @ grad.contiguous().numpy()), None, None
+
+
+def interpolate(table: Any, matrix: Any, transposed: Any, settings: EncodingSettings) -> Any:
+    """(P, levels * features) features of the points of an `encoding_matrix`, differentiable by the table."""
+    return _SparseProduct.apply(table, matrix, transposed).view(-1, settings.width)
+
+
+def draw_table(settings: EncodingSettings, generator: torch.Generator) -> Any:
+    """(entries, features) float32 parameter, all levels one after the other, drawn from `generator`."""
+    drawn = torch.rand(sum(level_sizes(settings)), settings.features, generator=generator)
+    return torch.nn.Parameter((drawn * 2 - 1) * _TABLE_INIT)
+
+
+LEAST_GRADIENT = 1000.0
+"""Gradient of |sigma|, 1/m^2, of which half counts as a surface; a reflector has 80 / m within 1 cm."""
+
+
+@dataclass(frozen=True, eq=False)
+class RaySamples:
+    """Where the rays of one view meet its spheres.
+
+    Attributes:
+        points: (rays, bins, 2) m, in the object's plane.
+        depths: (rays, bins) l of eq. 4, m along the ray; 0 if a sphere does not reach the plane.
+        weights: (rays, bins) beam directivity times arc length, m; 0 if there is no point of the scene.
+        ray_step_rad: angle between neighbouring rays.
+    """
+
+    points: Floats
+    depths: Floats
+    weights: Floats
+    ray_step_rad: float
+
+
+def positive_root(start: Floats, directions: Floats, radii: Floats) -> Floats:
+    """Depths l at which rays start + l d meet spheres about the origin: the positive root of eq. 5.
+
+    a = d.d, b = 2 x.d, c = x.x - R^2, l = (-b + sqrt(b^2 - 4ac)) / 2a.
+
+    Args:
+        start: (3,) origin of the rays relative to the spheres' centre, m.
+        directions: (rays, 3), of any length.
+        radii: (bins,) R, m.
+
+    Returns:
+        (rays, bins); nan where a ray misses a sphere or the root is not positive.
+    """
+    a = (directions**2).sum(axis=1)[:, None]
+    b = 2 * (directions @ start)[:, None]
+    c = float(start @ start) - radii[None] ** 2
+    inside = b**2 - 4 * a * c
+    root = (-b + np.sqrt(np.maximum(inside, 0))) / (2 * a)
+    return np.where((inside >= 0) & (root > 0), root, np.nan)
+
+
+def sample_view(
+    aperture: Aperture, view: int, grid: ImageGrid, radii: Floats, ray_spacing_m: float, beam_width_rad: float
+) -> RaySamples:
+    """The points of one view: a fan of rays towards the scene, cut by spheres of radii (bins,), m."""
+    antenna = aperture.positions[view]
+    foot, height = antenna[:2], float(antenna[2])
+    distance = max(float(np.hypot(*foot)), 1e-6)
+    reach = grid.extent / np.sqrt(2)
+    half = float(np.arcsin(min(1.0, reach / distance)))
+    half = min(half, beam_width_rad / 2)
+    rays = max(3, int(np.ceil(2 * half * distance / ray_spacing_m)))
+    theta = (np.arange(rays) + 0.5) / rays * 2 * half - half
+    bearing = np.arctan2(-foot[1], -foot[0]) + theta
+    directions = np.stack([np.cos(bearing), np.sin(bearing), np.zeros(rays)], axis=1)
+    depths = np.nan_to_num(positive_root(np.array([0.0, 0.0, -height]), directions, radii))
+    points = foot + depths[:, :, None] * directions[:, None, :2]
+    inside = (np.abs(points) < grid.extent / 2).all(axis=2) & (depths > 0)
+    step = 2 * half / rays
+    beam = 2.0 ** -((2 * theta / beam_width_rad) ** 2)
+    return RaySamples(points, depths, inside * beam[:, None] * depths * step, step)
+
+
+def synthesize_profile(sigma: Any, samples: RaySamples, lambert_floor: float, opacity: float) -> Any:
+    """r (bins,) complex of reflectivities sigma (rays, bins) complex at the points of one view.
+
+    r_i = sum_j w_ij T_ij^(2 opacity) sigma_ij max(floor, |n_ij . d_j|), differentiable by sigma.
+    """
+    depths = torch.from_numpy(samples.depths.astype(np.float32))
+    weights = torch.from_numpy(samples.weights.astype(np.float32))
+    parts = torch.view_as_real(sigma * (weights > 0))
+    magnitude = (parts.square().sum(-1) + 1e-8).sqrt()
+    length = torch.diff(depths, dim=1, append=depths[:, -1:]).clamp_min(0)
+    passed = torch.cumsum(magnitude * length, dim=1) - magnitude * length
+    transmission = torch.exp(-2 * opacity * passed)
+    lambert = _facing(magnitude, depths, samples.ray_step_rad).clamp_min(lambert_floor)
+    return (weights * transmission * lambert * sigma).sum(dim=0)
+
+
+def _facing(magnitude: Any, depths: Any, ray_step_rad: float) -> Any:
+    """|n . d| (rays, bins): the share of the gradient of |sigma| that lies along the ray."""
+    step = torch.diff(depths, dim=1).clamp_min(1e-4)
+    inner = torch.diff(magnitude, dim=1) / step
+    outward = ((torch.nn.functional.pad(inner, (1, 0)) + torch.nn.functional.pad(inner, (0, 1))) / 2).abs()
+    sideways = torch.diff(magnitude, dim=0)
+    across = torch.nn.functional.pad(sideways, (0, 0, 1, 0)) + torch.nn.functional.pad(sideways, (0, 0, 0, 1))
+    across = across / 2 / (depths * ray_step_rad).clamp_min(1e-4)
+    return outward / (outward.square() + across.square() + LEAST_GRADIENT**2).sqrt()
+
+
+LEAK = 0.01
+"""Slope of the hidden units below zero: with none, noise at times leaves every unit dark for good."""
+
+
+class ReflectivityNetwork(torch.nn.Module):  # type: ignore[misc]
+    """Linear layers with leaky ReLU between them and two outputs, real and imaginary part.
+
+    The paper uses four layers; `hidden` counts those before the output. Weights are drawn from the given
+    generator (uniform, variance 1 / (3 fan-in), torch's own default), so that the global random state stays
+    untouched.
+    """
+
+    def __init__(self, inputs: int, width: int, hidden: int, generator: torch.Generator) -> None:
+        super().__init__()
+        sizes = [inputs] + [width] * hidden + [2]
+        self.weights = torch.nn.ParameterList()
+        self.biases = torch.nn.ParameterList()
+        for fan_in, fan_out in itertools.pairwise(sizes):
+            bound = 1 / math.sqrt(fan_in)
+            for store, shape in ((self.weights, (fan_in, fan_out)), (self.biases, (fan_out,))):
+                drawn = torch.rand(*shape, generator=generator)
+                store.append(torch.nn.Parameter((drawn * 2 - 1) * bound))
+
+    def forward(self, features: Any) -> Any:
+        """(P, inputs) float32 -> (P,) complex64."""
+        x = features
+        last = len(self.weights) - 1
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = torch.addmm(bias, x, weight)
+            if i < last:
+                x = torch.nn.functional.leaky_relu(x, LEAK)
+        return torch.view_as_complex(x)
+
 
 Progress = Callable[[int, int, float], None]
 

@@ -5,15 +5,175 @@ It is the reference that the exported graph is compared with, and the way onto a
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
-from tagid.imaging.ats.forward_step import Step, optimise
 from tagid.imaging.ats.problem import Array, FieldWeights, FineRange, GridArrays, ViewArrays
+
+BETA1, BETA2 = 0.9, 0.95
+"""Decay of Adam's moments (Kingma and Ba, ICLR 2015); Müller et al. take 0.99 for the second."""
+
+SMALLEST = 1e-20
+"""Keeps a tensor without gradient where it is."""
+
+MAGNITUDE_FLOOR = 1e-2
+"""Of |sigma| / scale in the square root of the sparsity prior: below it a pixel is no longer pushed about
+zero, where rounding would decide its sign and two engines would part."""
+
+
+class Step(NamedTuple):
+    """Everything that one step reads; all float32 tensors.
+
+    Attributes:
+        tables: one (features, k, k) table of vertex features a level.
+        weights, biases: of the layers, (out, in) and (out, 1); the last has 2C outputs, the real parts of C
+            channels of the reflectivity before the imaginary ones.
+        first, second: Adam's moments, one tensor a parameter in the order tables, weights, biases.
+        interpolation: one (pixels, k) matrix a level, the same along x and y.
+        neighbours: (pixels, pixels) symmetric K of the neighbourhood prior sum sigma (K sigma + sigma K).
+        support: (1, P) 1 for pixels that the step works on, 0 for those that are zero.
+        index: (V, P) int32, fine range bin of every pixel (row-major) in every view.
+        real, imaginary: (V, 2C) what a view sees of the channels.
+        transmission: (V, P) or (1, 1), what is left of a point's echo on its way through the scene.
+        spread: (fine bins, 2B) carrier and range response, real part before imaginary part.
+        samples: (2, V, B) measured scans, real and imaginary part.
+        confidence: (V, B) weight of every sample.
+        numbers: (9,) learning rate of the tables, of the network, Adam's two bias corrections, scale of the
+            output, weights of data, sparsity and neighbourhood terms, Adam's epsilon relative to the largest
+            gradient of a tensor.
+    """
+
+    tables: list[Any]
+    weights: list[Any]
+    biases: list[Any]
+    first: list[Any]
+    second: list[Any]
+    interpolation: list[Any]
+    neighbours: Any
+    support: Any
+    index: Any
+    real: Any
+    imaginary: Any
+    transmission: Any
+    spread: Any
+    samples: Any
+    confidence: Any
+    numbers: Any
+
+
+def features(tables: list[Any], interpolation: list[Any]) -> Any:
+    """(levels * features, P): bilinear interpolation of every level, which on a grid is two products."""
+    levels = [
+        torch.matmul(torch.matmul(at, table), at.t()).flatten(1)
+        for table, at in zip(tables, interpolation, strict=True)
+    ]
+    return torch.cat(levels, 0)
+
+
+def activations(inputs: Any, weights: list[Any], biases: list[Any]) -> list[Any]:
+    """Input, every hidden layer after its ReLU, and the output, each (units, P)."""
+    found = [inputs]
+    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        linear = torch.matmul(weight, found[-1]) + bias
+        found.append(torch.relu(linear) if i < len(weights) - 1 else linear)
+    return found
+
+
+def optimise(s: Step) -> tuple[Any, ...]:
+    """Loss and updated state: (loss, tables.., weights.., biases.., first.., second..).
+
+    loss = a sum c |A sigma - y|^2 + l sum_p |sigma_p| + n sum sigma (K sigma + sigma K), where A puts every
+    point into the nearest fine range bin of every view and applies carrier and response there.
+    """
+    layers = activations(features(s.tables, s.interpolation), s.weights, s.biases)
+    sigma = layers[-1] * s.numbers[4] * s.support
+    data, slope = _data_term(s, sigma)
+    sparsity, pull = _sparsity(sigma, s)
+    roughness, smoothing = _neighbourhood(sigma, s)
+    loss = data + sparsity + roughness
+    grads = _backwards(s, layers, (slope + pull + smoothing) * s.numbers[4] * s.support)
+    return (loss.reshape(1), *_adam(s, grads))
+
+
+def _data_term(s: Step, sigma: Any) -> tuple[Any, Any]:
+    """a sum c |A sigma - y|^2 and its gradient by sigma (2C, P)."""
+    views, fine = s.index.shape[0], s.spread.shape[0]
+    index = s.index.to(torch.int64)
+    empty = torch.zeros((views, fine), dtype=sigma.dtype, device=sigma.device)
+    rows = torch.cat(
+        [
+            empty.scatter_add(1, index, torch.matmul(s.real, sigma) * s.transmission),
+            empty.scatter_add(1, index, torch.matmul(s.imaginary, sigma) * s.transmission),
+        ],
+        0,
+    )
+    seen = torch.matmul(rows, s.spread).reshape(2, views, 2, -1)
+    residual_re = seen[0, :, 0] - seen[1, :, 1] - s.samples[0]
+    residual_im = seen[0, :, 1] + seen[1, :, 0] - s.samples[1]
+    weight = s.confidence * s.numbers[5]
+    loss = (weight * (residual_re.square() + residual_im.square())).sum()
+    back_re, back_im = 2 * weight * residual_re, 2 * weight * residual_im
+    back = torch.cat([torch.cat([back_re, back_im], 1), torch.cat([back_im, -back_re], 1)], 0)
+    fine_rows = torch.matmul(back, s.spread.t()).reshape(2, views, -1)
+    slope = torch.matmul(s.real.t(), torch.gather(fine_rows[0], 1, index) * s.transmission)
+    slope = slope + torch.matmul(s.imaginary.t(), torch.gather(fine_rows[1], 1, index) * s.transmission)
+    return loss, slope
+
+
+def _sparsity(sigma: Any, s: Step) -> tuple[Any, Any]:
+    """l sum |sigma| over the pixels, the channels of a pixel taken together, and its gradient."""
+    floor = (s.numbers[4] * MAGNITUDE_FLOOR).square()
+    magnitude = (sigma.square().sum(0, keepdim=True) + floor).sqrt()
+    return s.numbers[6] * magnitude.sum(), s.numbers[6] * sigma / magnitude
+
+
+def _neighbourhood(sigma: Any, s: Step) -> tuple[Any, Any]:
+    """n sum sigma (K sigma + sigma K) and its gradient; K is symmetric."""
+    pixels = s.neighbours.shape[0]
+    image = sigma.reshape(-1, pixels, pixels)
+    rough = torch.matmul(s.neighbours, image) + torch.matmul(image, s.neighbours)
+    weighted = s.numbers[7] * rough
+    return (image * weighted).sum(), 2 * weighted.reshape(sigma.shape)
+
+
+def _backwards(s: Step, layers: list[Any], slope: Any) -> list[Any]:
+    """Gradients by tables, weights and biases from that by the network's output (2C, P)."""
+    by_weight: list[Any] = []
+    by_bias: list[Any] = []
+    for i in range(len(s.weights) - 1, -1, -1):
+        by_weight.insert(0, torch.matmul(slope, layers[i].t()))
+        by_bias.insert(0, slope.sum(1, keepdim=True))
+        slope = torch.matmul(s.weights[i].t(), slope)
+        if i > 0:
+            slope = slope * (layers[i] > 0).to(slope.dtype)
+    count = s.tables[0].shape[0]
+    by_table = []
+    for level, at in enumerate(s.interpolation):
+        part = slope[level * count : (level + 1) * count].reshape(count, at.shape[0], at.shape[0])
+        by_table.append(torch.matmul(torch.matmul(at.t(), part), at))
+    return by_table + by_weight + by_bias
+
+
+def _adam(s: Step, grads: list[Any]) -> list[Any]:
+    """Parameters and both moments after Adam's update, in the order of `Step`.
+
+    Adam's epsilon is relative to the largest gradient of its tensor: with an absolute one, pixels that the
+    data hardly see move as fast as bright ones, on rounding alone.
+    """
+    parameters = [*s.tables, *s.weights, *s.biases]
+    first = [BETA1 * m + (1 - BETA1) * g for m, g in zip(s.first, grads, strict=True)]
+    second = [BETA2 * v + (1 - BETA2) * g * g for v, g in zip(s.second, grads, strict=True)]
+    rates = [s.numbers[0] * s.numbers[2]] * len(s.tables)
+    rates += [s.numbers[1] * s.numbers[2]] * (len(s.weights) + len(s.biases))
+    moved = []
+    for p, m, v, rate in zip(parameters, first, second, rates, strict=True):
+        size = (v * s.numbers[3]).sqrt()
+        moved.append(p - rate * m / (size + s.numbers[8] * size.max() + SMALLEST))
+    return moved + first + second
 
 
 class TorchEngine:
