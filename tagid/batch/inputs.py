@@ -18,7 +18,7 @@ from tagid.counting import counted
 from tagid.errors import DataError, MissingExtraError, StorageError, displayable
 from tagid.storage import mrm_ret, npz
 from tagid.storage.image import is_image
-from tagid.storage.journal_lock import being_recorded
+from tagid.storage.journal import being_recorded
 
 SUFFIXES = (CAPTURE_SUFFIX, ".h5", ".hdf5", ".npz", ".prd", ".out", ".csv", ".tagid.journal", ".journal")
 """File suffixes of recordings, in lower case."""

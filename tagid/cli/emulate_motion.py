@@ -136,8 +136,8 @@ def comxim(
 
     Example: tagid emulate comxim
     """
-    from tagid.motion.emulation.comxim import ComximCore
     from tagid.motion.emulation.pty import PtyPort
+    from tagid.motion.emulation.table import ComximCore
     from tagid.motion.emulation.truth import TruthServer
 
     core = ComximCore(rate_error, time.monotonic(), fail)
@@ -167,7 +167,7 @@ def revopoint(
     """
     from tagid.motion.discovery import REVOPOINT
     from tagid.motion.emulation.gatt import GattPort
-    from tagid.motion.emulation.revopoint import RevopointCore
+    from tagid.motion.emulation.table import RevopointCore
     from tagid.motion.emulation.truth import TruthServer
     from tagid.motion.tables.revopoint import CHARACTERISTIC, SERVICE
 

@@ -77,7 +77,7 @@ def _export(store: History, file: Path | None, wanted: Filter) -> Result:
     from rich.text import Text
 
     from tagid.files import resolved
-    from tagid.storage.history_export import export, is_export
+    from tagid.storage.history import export, is_export
 
     if file is None:
         raise UsageError("export needs a file", "Give e.g. `tagid history export answers.parquet`.")

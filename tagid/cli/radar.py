@@ -182,7 +182,7 @@ def _edge(name: str, metres: float | None, picoseconds: int | None, delay_ps: fl
 
 
 def _result(before: RadarConfig, asked: dict[str, int], taken: RadarConfig, delay_ps: float) -> Result:
-    from tagid.report.radar_settings import settings_table
+    from tagid.report.radar import settings_table
 
     got = asdict(taken)
     other = {name: value for name, value in asked.items() if got[name] != value}

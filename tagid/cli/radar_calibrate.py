@@ -158,7 +158,7 @@ def _keep(
     from tagid.config import change_settings
     from tagid.files import make_folder
     from tagid.recording.calibration import estimate_delay, make_reference
-    from tagid.report.calibration import calibration_table
+    from tagid.report.radar import calibration_table
     from tagid.storage.hdf5 import write_capture
 
     reference = None if empty is None else make_reference(empty)

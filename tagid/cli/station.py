@@ -41,8 +41,7 @@ def station(
         from tagid.operate.workplace import Workplace
         from tagid.station.security import is_loopback
         from tagid.station.server import Server
-        from tagid.station.setup import Source
-        from tagid.station.station import Station
+        from tagid.station.station import Source, Station
     except ModuleNotFoundError as error:
         raise MissingExtraError(
             f"the station needs {error.name}", "Install it with `pip install 'tagid[station]'`."

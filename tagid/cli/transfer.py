@@ -114,9 +114,8 @@ def recover(
     from rich.text import Text
 
     from tagid.recording.long_recording import part_path
-    from tagid.storage.journal import open_journal
+    from tagid.storage.journal import being_recorded, open_journal
     from tagid.storage.journal_capture import write_captures
-    from tagid.storage.journal_lock import being_recorded
 
     if being_recorded(journal):
         raise StorageError(

@@ -21,9 +21,8 @@ from tagid.constants import RANGE_STEP_M
 from tagid.errors import DataError, TagidError
 from tagid.geometry import ImageGrid
 from tagid.imaging.types import Image
-from tagid.live.angles import LiveAngles
+from tagid.live.angles import GrowingSpeed, LiveAngles
 from tagid.live.ats import GrowingAts
-from tagid.live.speed import GrowingSpeed
 from tagid.live.state import LiveState, Phase, Sinogram
 from tagid.live.views import TOLERANCE_RAD, GrowingViews, capture_so_far, whole_evidence, whole_image
 from tagid.motion.device import Motion

@@ -21,9 +21,8 @@ from tagid.radar.settings import RadarConfig
 from tagid.recording.intake import Intake
 from tagid.recording.plan import RecordingPlan, capture_beside, journal_beside
 from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
-from tagid.storage.journal import JournalWriter
+from tagid.storage.journal import JournalWriter, being_recorded
 from tagid.storage.journal_header import JournalHeader
-from tagid.storage.journal_lock import being_recorded
 from tagid.storage.journal_queue import JournalQueue
 
 _Result = TypeVar("_Result")

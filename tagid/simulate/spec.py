@@ -17,7 +17,7 @@ from tagid.radar.urls import RadarOptions
 from tagid.simulate.acquisition import Acquisition, Placement, Wobble
 from tagid.simulate.budget import LinkBudget
 from tagid.simulate.presets import is_plain, scene_from_name, scene_on_body
-from tagid.simulate.response_files import ResponseFiles
+from tagid.simulate.response_file import ResponseFiles
 from tagid.simulate.scatterers import Octahedron, unit_of
 from tagid.simulate.scene import Scene
 from tagid.simulate.snr import noise_std_for

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import math
 import resource
 import select
@@ -19,11 +20,32 @@ from wsproto.events import CloseConnection
 
 from tagid.errors import PortInUseError, TagidError, UsageError
 from tagid.station.errors import begin
-from tagid.station.memory import return_large_blocks
 from tagid.station.security import MOST_BODY_BYTES, Pairing
 from tagid.station.station import Station
 from tagid.station.web import build
 from tagid.workers import Worker
+
+_M_MMAP_THRESHOLD = -3
+"""Number of the parameter in glibc's malloc.h."""
+LARGE_BYTES = 1 << 18
+
+
+def return_large_blocks() -> bool:
+    """Have the C library return every freed block of LARGE_BYTES or more to the system at once.
+
+    By default glibc raises this limit to the size of the largest block freed so far, up to 32 MB (mallopt(3),
+    M_MMAP_THRESHOLD). The arrays of a scan, some MB each, then lie between small objects that stay, and the
+    process grows by steps of several MB.
+
+    Returns:
+        Whether the C library has such a limit.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError):
+        return False
+    return bool(mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES))
+
 
 MAX_SOCKETS = 256
 """Open connections, WebSockets included; for one more, one that waits for its client is closed."""

@@ -18,7 +18,7 @@ from tagid.errors import StorageError, TagidError
 from tagid.files import read_bytes
 from tagid.metadata import ObjectInfo
 from tagid.operate.turn import picture_of
-from tagid.operate.workplace import open_registry
+from tagid.operate.workplace import TURN_S, Workplace, open_registry
 from tagid.station.enrolling import Enrolling, Subject
 from tagid.station.errors import (
     BusyError,
@@ -32,11 +32,26 @@ from tagid.station.errors import (
 from tagid.station.operators import Operators
 from tagid.station.reports import ReportRun, Reports
 from tagid.station.scans import COMMAND, ScanRun, Then
-from tagid.station.setup import Source
 from tagid.station.wiring import Wiring, wiring
 from tagid.storage.history import FILE_NAME, Entry, Filter, History
 from tagid.tags.layouts.layout import Layout
 from tagid.workers import Worker
+
+
+@dataclass(frozen=True)
+class Source:
+    """Source of the station's settings; queried whenever they are needed.
+
+    Attributes:
+        place: a workplace with the current settings. Raises ConfigError, UsageError, StorageError.
+        max_seconds: longest recording, s.
+        demo: whether an emulated radar is used.
+    """
+
+    place: Callable[[], Workplace]
+    max_seconds: float = TURN_S
+    demo: bool = False
+
 
 HEALTH_EVERY_S = 20.0
 """Time between two health checks while a browser is connected, s."""

@@ -15,12 +15,13 @@ from __future__ import annotations
 import os
 import struct
 import time
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,135 @@ from numpy.typing import NDArray
 from tagid import files, interrupts
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
 from tagid.storage.assembly import decode_settings, encode_settings
-from tagid.storage.journal_lock import lock
-from tagid.storage.journal_records import MAX_PAYLOAD, PREAMBLE, intact_records, pack_record, record_bytes
+
+fcntl: Any
+try:
+    import fcntl
+except ImportError:  # not a POSIX system
+    fcntl = None
+
+_TRIES = 20
+_PAUSE_S = 0.005
+
+
+def lock(descriptor: int) -> None:
+    """Lock a new journal; the lock lasts until the descriptor and its duplicates are closed."""
+    if fcntl is None:
+        return
+    for _ in range(_TRIES):
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:  # somebody asks `being_recorded` just now
+            time.sleep(_PAUSE_S)
+        except OSError:
+            return
+        else:
+            return
+
+
+def being_recorded(path: Path) -> bool:
+    """Whether a process is recording into this journal, or is writing its capture file."""
+    if fcntl is None:
+        return False
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    return False
+
+
+PREAMBLE: Final = struct.Struct("<8sI")
+MAX_PAYLOAD: Final = 64 << 20
+_RECORD: Final = struct.Struct("<4sIII")
+_COVERED: Final = struct.Struct("<II")
+_MARKER: Final = b"REC\x1e"
+_BUFFER: Final = 1 << 20
+
+
+def pack_record(kind: int, payload: bytes) -> bytes:
+    """The bytes of one record: marker, kind, length, CRC-32 over kind, length and payload, payload."""
+    return _RECORD.pack(_MARKER, kind, len(payload), _crc(kind, payload)) + payload
+
+
+def record_bytes(payload: bytes) -> int:
+    """Size of a record with this payload in the file, bytes."""
+    return _RECORD.size + len(payload)
+
+
+def intact_records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
+    """(kind, payload) of every record whose CRC holds, in file order.
+
+    A truncated or damaged part is skipped up to the next marker. Memory is limited to one payload and a
+    buffer of 1 MiB, time to a small multiple of the size, whatever lengths the records claim.
+
+    Args:
+        stream: the journal, seekable.
+        size: its size, bytes.
+    """
+    window = _Window(stream, size)
+    position = PREAMBLE.size
+    # A crafted file could make every marker claim a long payload: the work on failures is limited as well.
+    patience = size + MAX_PAYLOAD
+    while patience > 0:
+        head = window.take(position, _RECORD.size)
+        if len(head) < _RECORD.size:
+            return
+        marker, kind, length, crc = _RECORD.unpack(head)
+        end = position + _RECORD.size + length
+        if marker == _MARKER and length <= MAX_PAYLOAD and end <= size:
+            payload = window.take(position + _RECORD.size, length)
+            if len(payload) == length and _crc(kind, payload) == crc:
+                yield kind, payload
+                position = end
+                continue
+            patience -= length
+        position = window.find(_MARKER, position + 1)
+        if position < 0:
+            return
+
+
+def _crc(kind: int, payload: bytes) -> int:
+    return zlib.crc32(payload, zlib.crc32(_COVERED.pack(kind, len(payload))))
+
+
+class _Window:
+    """A buffered view of a file; sequential access reads each byte once."""
+
+    def __init__(self, stream: BinaryIO, size: int) -> None:
+        self._stream = stream
+        self._size = size
+        self._start = 0
+        self._data = b""
+
+    def take(self, position: int, count: int) -> bytes:
+        """`count` bytes from `position`, fewer at the end of the file."""
+        if not self._start <= position <= position + count <= self._start + len(self._data):
+            self._stream.seek(position)
+            self._data = self._stream.read(max(min(max(count, _BUFFER), self._size - position), 0))
+            self._start = position
+        first = position - self._start
+        return self._data[first : first + count]
+
+    def find(self, mark: bytes, position: int) -> int:
+        """Position of the next `mark`, -1 if there is none."""
+        while position < self._size:
+            data = self.take(position, min(_BUFFER, self._size - position))
+            found = data.find(mark)
+            if found >= 0:
+                return position + found
+            if len(data) < len(mark):
+                return -1
+            position += len(data) - len(mark) + 1
+        return -1
+
 
 MAGIC = b"TAGIDJNL"
 VERSION = 1

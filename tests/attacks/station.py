@@ -228,8 +228,7 @@ def _post(port: int, path: str, body: bytes = b"{}", timeout_s: float = 60.0) ->
 def no_thread_for_a_health_check(folder: Path) -> Outcome:
     from tagid.operate.workplace import Workplace
     from tagid.station.server import Server
-    from tagid.station.setup import Source
-    from tagid.station.station import Station
+    from tagid.station.station import Source, Station
 
     station = Station(Source(lambda: Workplace({})), lambda config: [])
     ticks: list[int] = []
@@ -427,8 +426,7 @@ def unread_answers(folder: Path) -> Outcome:
 def guessers(folder: Path) -> Outcome:
     from tagid.operate.workplace import Workplace
     from tagid.station.server import Server
-    from tagid.station.setup import Source
-    from tagid.station.station import Station
+    from tagid.station.station import Source, Station
 
     codes: list[str] = []
     station = Station(Source(lambda: Workplace({})), lambda config: [])
@@ -471,8 +469,7 @@ def guessers(folder: Path) -> Outcome:
 def no_answer_500(folder: Path) -> Outcome:
     from tagid.operate.workplace import Workplace
     from tagid.station.server import Server
-    from tagid.station.setup import Source
-    from tagid.station.station import Station
+    from tagid.station.station import Source, Station
 
     logged: list[str] = []
 

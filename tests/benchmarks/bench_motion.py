@@ -31,12 +31,10 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.metadata import Track
 from tagid.motion.device import Motion
 from tagid.motion.emulation.body import Body, BodySettings
-from tagid.motion.emulation.comxim import ComximCore
 from tagid.motion.emulation.gatt import GattPort
 from tagid.motion.emulation.host import RoombaHost
 from tagid.motion.emulation.pty import PtyPort
-from tagid.motion.emulation.revopoint import RevopointCore
-from tagid.motion.emulation.table import TurningTable
+from tagid.motion.emulation.table import ComximCore, RevopointCore, TurningTable
 from tagid.motion.roomba.device import step_period_s
 from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, SpinOdometry
 from tagid.motion.tables.revopoint import CHARACTERISTIC, SERVICE

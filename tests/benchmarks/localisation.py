@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # train/ is not in
 import numpy as np
 from identification_scenes import FIRST_SEED, Condition, Recorded, draw_scene, record_scene
 
-from tagid.enrolling.precision import position_covariances
+from tagid.enrolling.averaging import position_covariances
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.simulate.scattering import Cylinder, Points

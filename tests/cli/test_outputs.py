@@ -13,7 +13,7 @@ from on_a_terminal import run
 from tagid.cli.outputs import check_own
 from tagid.cli.truth import is_truth
 from tagid.recording.radars import emulated_object
-from tagid.storage.history_export import is_export
+from tagid.storage.history import is_export
 from tagid.storage.journal import JournalWriter
 from tests.cli.test_bad_input import GOOD, npz
 

@@ -37,8 +37,7 @@ from tagid.recording import session
 from tagid.report.records import Thumbnails
 from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.history import Filter, History
-from tagid.storage.journal import JournalWriter
-from tagid.storage.journal_records import PREAMBLE, intact_records, record_bytes
+from tagid.storage.journal import PREAMBLE, JournalWriter, intact_records, record_bytes
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -23,8 +23,7 @@ from tagid.doctor import Finding
 from tagid.operate.workplace import Workplace
 from tagid.station import server, web
 from tagid.station.server import Server
-from tagid.station.setup import Source
-from tagid.station.station import Station
+from tagid.station.station import Source, Station
 
 OWN = {"tagid-station": "1"}
 """The header of the page's own requests."""

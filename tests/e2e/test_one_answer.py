@@ -19,7 +19,7 @@ from tagid.operate.workplace import Workplace
 from tagid.pipeline.prepared import load_capture
 from tagid.result import reworded_document
 from tagid.station.scans import ScanRun
-from tagid.station.setup import Source as StationSource
+from tagid.station.station import Source as StationSource
 from tagid.station.station import Station
 from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.history import Filter

@@ -37,8 +37,7 @@ from tagid.station.requests import refusal_of
 from tagid.station.scans import ScanRun
 from tagid.station.security import COOKIE, Guesses
 from tagid.station.server import Server
-from tagid.station.setup import Source
-from tagid.station.station import Station
+from tagid.station.station import Source, Station
 from tagid.storage.importers import read_any
 
 pytestmark = pytest.mark.usefixtures("closed_clients")

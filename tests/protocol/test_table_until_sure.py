@@ -10,8 +10,8 @@ import pytest
 
 from tagid.live.engine import LiveSettings
 from tagid.live.sure import EarlyEnding
-from tagid.motion.emulation.comxim import ComximCore
 from tagid.motion.emulation.pty import PtyPort
+from tagid.motion.emulation.table import ComximCore
 from tagid.motion.emulation.truth import TruthServer
 from tagid.motion.urls import open_motion
 from tagid.pipeline.identify import identify

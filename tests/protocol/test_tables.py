@@ -13,11 +13,9 @@ import pytest
 from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, DeviceTimeoutError, UsageError
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.driven import DrivenMotion
-from tagid.motion.emulation.comxim import ComximCore, Steps
 from tagid.motion.emulation.gatt import GattPort
 from tagid.motion.emulation.pty import PtyPort
-from tagid.motion.emulation.revopoint import RevopointCore
-from tagid.motion.emulation.table import TurningTable
+from tagid.motion.emulation.table import ComximCore, RevopointCore, Steps, TurningTable
 from tagid.motion.tables.polled import PolledTable
 from tagid.motion.tables.revopoint import CHARACTERISTIC, SERVICE
 from tagid.motion.urls import open_motion

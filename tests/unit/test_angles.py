@@ -9,7 +9,7 @@ import pytest
 
 from tagid.angles.align import align
 from tagid.angles.clock import fit_clock
-from tagid.angles.kinematics import kinematic_period
+from tagid.angles.period import kinematic_period
 from tagid.angles.sinogram import uniform_grid
 from tagid.angles.views import average_into_views
 from tagid.metadata import Track

@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 
 from tagid.errors import MissingExtraError, StorageError, UsageError
-from tagid.storage.history import FIELDS, TYPES, Entry, Filter, History
-from tagid.storage.history_export import export
+from tagid.storage.history import FIELDS, TYPES, Entry, Filter, History, export
 
 
 def record(number: int = 0, **changes: object) -> dict[str, object]:

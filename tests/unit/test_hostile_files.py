@@ -24,8 +24,7 @@ from tagid.enrolling.registry import Registry
 from tagid.errors import FileFormatError, ModelError, RegistryError, StorageError, UsageError
 from tagid.models_store import OPSET, open_model
 from tagid.result import Problem, Result, render
-from tagid.storage.history import FIELDS, FILE_NAME, Filter, History
-from tagid.storage.history_export import export
+from tagid.storage.history import FIELDS, FILE_NAME, Filter, History, export
 from tagid.storage.importers import read_any
 from tagid.tags.layouts.layout import Layout
 

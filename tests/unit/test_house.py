@@ -350,7 +350,7 @@ READERS = {
     "imaging/memory.py": "pseudo files of the kernel",
     "motion/guardian.py": "a pseudo file of the kernel",
     "ports.py": "pseudo files of the kernel",
-    "radar/emulation/pacing.py": "a pseudo file of the kernel",
+    "radar/emulation/wires.py": "a pseudo file of the kernel",
     "station/web_history.py": "captures in parts, for an archive",
 }
 """Modules that open files themselves, and which."""

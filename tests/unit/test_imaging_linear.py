@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tagid.geometry import ImageGrid
+from tagid.imaging.ats.adapt import least_squares
 from tagid.imaging.heldout import Prediction, residual
-from tagid.imaging.linear import least_squares
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import Image

@@ -21,12 +21,11 @@ from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.live.angles import LiveAngles
+from tagid.live.angles import GrowingSpeed, LiveAngles
 from tagid.live.ats import PIECE_VIEWS, GrowingAts
 from tagid.live.engine import LiveSettings, LiveView
 from tagid.live.evidence import GrowingEvidence
 from tagid.live.image import GrowingImage
-from tagid.live.speed import GrowingSpeed
 from tagid.live.state import LiveState, Phase
 from tagid.live.sure import EarlyEnding
 from tagid.live.views import GrowingViews, capture_so_far

@@ -12,9 +12,8 @@ import pytest
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
 from tagid.imaging.preprocess import preprocess
-from tagid.live.angles import _measured
+from tagid.live.angles import GrowingSpeed, _measured
 from tagid.live.evidence import GrowingEvidence
-from tagid.live.speed import GrowingSpeed
 from tagid.live.views import GrowingViews
 from tagid.metadata import Track
 from tagid.pipeline.settings import ImagingSettings

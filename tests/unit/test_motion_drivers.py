@@ -13,8 +13,8 @@ from tagid.angles.measured import measured_angles
 from tagid.angles.period import MIN_TURNS
 from tagid.metadata import ResolvedMotion, Track
 from tagid.motion.calibration import wheel_base_from
-from tagid.motion.emulation.comxim import ComximCore
 from tagid.motion.emulation.roomba import RoombaCore, World
+from tagid.motion.emulation.table import ComximCore
 from tagid.motion.roomba import messages as oi
 from tagid.motion.roomba.client import OpenInterface
 from tagid.motion.roomba.messages import Mode, Packet

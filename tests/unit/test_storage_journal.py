@@ -16,10 +16,9 @@ import pytest
 from tagid import files
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
 from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, RadarSettings
-from tagid.storage.journal import JournalWriter, read_journal
+from tagid.storage.journal import JournalWriter, pack_record, read_journal
 from tagid.storage.journal_capture import journal_to_capture
 from tagid.storage.journal_header import JournalHeader
-from tagid.storage.journal_records import pack_record
 
 HEADER = {
     "range_start_m": 0.4,

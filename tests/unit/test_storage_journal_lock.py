@@ -14,8 +14,7 @@ from tagid.recording import session
 from tagid.recording.long_recording import RecordingLimits, RecordingWatch, record_long
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
-from tagid.storage.journal import JournalWriter
-from tagid.storage.journal_lock import being_recorded
+from tagid.storage.journal import JournalWriter, being_recorded
 
 HEADER = {"range_start_m": 1.0, "range_step_m": 0.009}
 

@@ -8,8 +8,8 @@ import zlib
 
 import pytest
 
-from tagid.storage import journal_records
-from tagid.storage.journal_records import PREAMBLE, intact_records, pack_record, record_bytes
+from tagid.storage import journal
+from tagid.storage.journal import PREAMBLE, intact_records, pack_record, record_bytes
 
 HEAD = bytes(PREAMBLE.size)
 
@@ -53,7 +53,7 @@ def test_no_damaged_byte_goes_unseen(place: int) -> None:
 def test_records_are_found_over_the_edges_of_the_window(
     monkeypatch: pytest.MonkeyPatch, buffer: int, between: int
 ) -> None:
-    monkeypatch.setattr(journal_records, "_BUFFER", buffer)
+    monkeypatch.setattr(journal, "_BUFFER", buffer)
     noise = (b"REC\x1dREC" * 9)[:between]
     records = [(n, bytes([n]) * (5 * n)) for n in range(6)]
     data = HEAD + b"".join(pack_record(*one) + noise for one in records)
@@ -62,7 +62,7 @@ def test_records_are_found_over_the_edges_of_the_window(
 
 
 def test_each_byte_of_a_sound_journal_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(journal_records, "_BUFFER", 1000)
+    monkeypatch.setattr(journal, "_BUFFER", 1000)
     data = HEAD + b"".join(pack_record(2, bytes(84)) for _ in range(500))
     stream = Counted(data)
     assert len(list(intact_records(stream, len(data)))) == 500
@@ -71,15 +71,15 @@ def test_each_byte_of_a_sound_journal_is_read_once(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_claim_longer_than_any_payload_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(journal_records, "MAX_PAYLOAD", 40)
+    monkeypatch.setattr(journal, "MAX_PAYLOAD", 40)
     data = HEAD + pack_record(1, bytes(40)) + pack_record(1, bytes(41)) + pack_record(1, b"x")
     assert [len(payload) for _, payload in found(data)] == [40, 1]
 
 
 def test_claims_that_all_fail_cost_a_small_multiple_of_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of 2000 markers claims 4000 bytes: without a bound 8 MB are read of a file of 32 kB."""
-    monkeypatch.setattr(journal_records, "MAX_PAYLOAD", 4096)
-    monkeypatch.setattr(journal_records, "_BUFFER", 256)
+    monkeypatch.setattr(journal, "MAX_PAYLOAD", 4096)
+    monkeypatch.setattr(journal, "_BUFFER", 256)
     data = HEAD + struct.pack("<4sIII", b"REC\x1e", 2, 4000, 1) * 2000 + bytes(4000)
     stream = Counted(data)
     assert list(intact_records(stream, len(data))) == []

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from tags_synthetic import synthetic_scans
 
-from tagid.enrolling.averaging import Sighting, average
-from tagid.enrolling.precision import position_covariances
+from tagid.enrolling.averaging import Sighting, average, position_covariances
 from tagid.errors import DataError
 from tagid.tags.layouts.codebook import best_pairing, rotational_distance
 from tagid.tags.layouts.layout import Layout, rotation_matrix

@@ -11,6 +11,7 @@ The views on which the image is judged in the end (`heldout.left_out`) take no p
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from typing import Any
@@ -25,11 +26,41 @@ from tagid.imaging.ats.settings import LEAST_HELD_OUT, AtsResult, AtsSettings, P
 from tagid.imaging.ats.start import LARGE_PAIRS, FirstImages
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.heldout import Prediction, left_out, residual
-from tagid.imaging.linear import least_squares
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import sparse_recovery
 from tagid.imaging.types import BasebandScans, Image
+from tagid.types import Samples
+
+
+def least_squares(operator: ForwardOperator, scans: Samples, iterations: Sequence[int]) -> Iterator[Samples]:
+    """Minimise ||A x - y||^2 from zero (CGLS; Hestenes and Stiefel, J. Res. NBS 49, 1952).
+
+    Args:
+        operator: A.
+        scans: y, (views, bins) complex64.
+        iterations: numbers of iterations after which x is wanted, ascending.
+
+    Yields:
+        x (points,) complex64 after each number of iterations.
+    """
+    x = np.zeros(operator.points, dtype=np.complex64)
+    rest = np.asarray(scans, dtype=np.complex64).copy()
+    slope = operator.adjoint(rest)
+    direction, power = slope.copy(), float(np.vdot(slope, slope).real)
+    for done in range(1, max(iterations) + 1):
+        if power > 0:
+            seen = operator.forward(direction)
+            energy = float(np.vdot(seen, seen).real)
+            length = np.float32(power / energy if energy > 0 else 0.0)
+            x = x + length * direction
+            rest -= length * seen
+            slope = operator.adjoint(rest)
+            before, power = power, float(np.vdot(slope, slope).real)
+            direction = slope + np.float32(power / before) * direction
+        if done in iterations:
+            yield x
+
 
 ASKS = 0.05
 """Share of the energy of unseen views, over the noise, that the defaults may leave over before others are

@@ -1,4 +1,4 @@
-"""The optimisation step on numpy and compiled kernels: the fastest on a processor.
+"""The optimisation step on numpy and compiled kernels, the fastest on a processor, or by onnxruntime.
 
 It computes what `forward_step.optimise` does; tests compare the two. Three differences only save time: a
 point lies between two fine range bins where the graph takes the nearest, pixels outside the support are left
