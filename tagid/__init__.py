@@ -132,8 +132,6 @@ _MOVED = {
     "tagid.simulate.snr": "EchoLevels Snr",
     "tagid.tags.bodies.signature": "Signature",
     "tagid.enrolling.registry": "RegistryChange RegistryContents Restored",
-    "tagid.tags.network.detector": "Detection",
-    "tagid.tags.network.second_look": "Opinion SecondLook",
     "tagid.tags.reading.reflectors": "Reflector",
 }
 """Module -> its names that this version still gives here, with a warning."""

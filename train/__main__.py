@@ -115,11 +115,11 @@ def export(
     ats_every: AtsEvery = 4,
     epochs: Epochs = EPOCHS,
     seed: Seed = 0,
-    out: Annotated[Path | None, typer.Option(help="Folder; the package's models/ if not given.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; models/detector if not given.")] = None,
 ) -> None:
     """Write the trained network as ONNX, its manifest entry and its card. Example: python -m train export"""
-    from tagid.models_store import FOLDER
     from train.card import measure, write_card
+    from train.detector import FOLDER
     from train.export import export as write_model
     from train.origin import Origin
 

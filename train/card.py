@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tagid.files import write_bytes
-from tagid.tags.network.detector import Contract
 from train.dataset import load
+from train.detector import Contract
 from train.evaluate import Figures, calibrate, conditions, maxima_figures, outcomes
 from train.fit import load_network
 from train.images import METHODS
@@ -25,9 +25,8 @@ CARD = """# Reflector detector
 
 Finds the small octahedral reflectors in a 0.5 m square image (96 x 96 pixels) of one turn: a heat map, offset
 and its sigma, a calibrated probability, and whether a place shows a ghost (interaction image of near
-reflectors, arc of a shell off its axis, handle, rim, box edge). It serves objects whose layout nobody
-enrolled and labels what else is seen; names of enrolled layouts are read in the scans themselves
-(`tagid/tags/matching/matcher.py`).
+reflectors, arc of a shell off its axis, handle, rim, box edge). For research: the program does not use
+it, as names are read in the scans themselves (`tagid/reading/`).
 
 - Data: simulated scenes only, drawn as `train/distributions.py` declares: {scenes} scenes imaged by
   backprojection, every {ats_every}th by ATS too; commit {commit},
@@ -119,6 +118,6 @@ def write_card(measured: Measured, origin: Origin, model: Path) -> Path:
         ),
         table=figures_table(measured.figures),
     )
-    path = model.with_suffix(".md")
+    path = model.with_name("README.md")
     write_bytes(path, text.encode())
     return path

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from tagid import processes
 from tagid.errors import StorageError, UsageError
 from tagid.files import replacing
-from tagid.tags.network.planes import GRID
 from train.distributions import Distribution
 from train.images import METHODS, network_input
+from train.planes import GRID
 from train.scenes import draw_scene
 
 SHARD = 100

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from tagid.imaging.types import Image
-from tagid.tags.network.detector import Contract, Detection, decode, sigmoid
-from tagid.tags.network.planes import GRID, NetworkInput
 from train.dataset import Samples
+from train.detector import Contract, Detection, decode, sigmoid
 from train.images import METHODS
 from train.metrics import pick_peaks
 from train.network import DetectorNetwork
+from train.planes import GRID, NetworkInput
 from train.targets import make_batch
 
 HIT_M = 0.012

@@ -15,11 +15,11 @@ import numpy as np
 import torch
 
 from tagid import __version__
-from tagid.models_store import FOLDER, OPSET, Tensor, entry_of, write_entry
-from tagid.tags.network.detector import CELLS, CONTRACT_KEY, MODEL, Contract
-from tagid.tags.network.planes import GRID, PLANES
+from tagid.models_store import OPSET, Tensor, entry_of, write_entry
+from train.detector import CELLS, CONTRACT_KEY, FOLDER, MODEL, Contract
 from train.evaluate import Figures
 from train.network import CHANNELS, DetectorNetwork
+from train.planes import GRID, PLANES
 
 
 def onnx_bytes(network: DetectorNetwork, contract: Contract) -> bytes:

@@ -13,7 +13,7 @@ from tagid.imaging.autofocus import focus_axis_distance
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
-from tagid.tags.network.planes import GRID, NetworkInput
+from train.planes import GRID, NetworkInput
 
 METHODS = ("bp", "ats")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from tagid.tags.network.planes import PLANES
+from train.planes import PLANES
 
 WIDTHS = (32, 48, 64)
 CHANNELS = 5

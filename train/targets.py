@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from tagid.tags.network.detector import CELL_M, CELLS
-from tagid.tags.network.planes import NetworkInput
 from train.dataset import Samples
+from train.detector import CELL_M, CELLS
+from train.planes import NetworkInput
 
 HIT_SIGMA = 0.7
 """Of the Gaussian around a reflector that spares neighbours in the focal loss, cells."""

@@ -38,7 +38,6 @@ class Tally:
         items_s: processing time of all items, s.
         comparison: comparison with the manifest; None without one.
         copies: files by the UUID of their capture.
-        models: sha256 of the models that were used.
     """
 
     items: int = 0
@@ -50,7 +49,6 @@ class Tally:
     items_s: float = 0.0
     comparison: Comparison | None = None
     copies: dict[str, list[_Copy]] = field(default_factory=dict)
-    models: set[str] = field(default_factory=set)
 
     def add(self, record: ItemRecord) -> None:
         """Count one record."""
@@ -71,8 +69,6 @@ class Tally:
         if record.capture_uuid:
             copy = _Copy(record.file, record.content_sha256)
             self.copies.setdefault(record.capture_uuid, []).append(copy)
-        if record.model_sha256:
-            self.models.add(record.model_sha256)
 
     def duplicates(self) -> list[dict[str, Any]]:
         """Captures found in several files: copies, or different scans with the same UUID."""
@@ -109,7 +105,6 @@ class Tally:
             "caveats": {name: self.caveats[name] for name in CAVEATS},
             "expected": None if self.comparison is None else self.comparison.to_dict(),
             "duplicate_uuids": self.duplicates(),
-            "model_sha256": sorted(self.models),
             "junit": {
                 "tests": self.items,
                 "failures": self.verdicts["failure"],

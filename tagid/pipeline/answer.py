@@ -14,7 +14,6 @@ from tagid.result import Problem
 
 if TYPE_CHECKING:
     from tagid.reading.reading import Reading
-    from tagid.tags.network.second_look import SecondLook
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,6 @@ class Identification:
         capture_uuid, registry_version, label: provenance and readable name.
         seconds: seconds per stage.
         error: what failed if status is "failed".
-        second: the network's result for the image; None for free antenna positions and if status is
-            "failed".
         causes: likely causes if nothing is named, most certain first.
         advice: what to do next, if the recording calls for something else than the reading's advice.
         coverage: share of a turn from which the object was seen, 0 to 1; None if unknown.
@@ -60,7 +57,6 @@ class Identification:
     label: str = ""
     seconds: dict[str, float] = field(default_factory=dict)
     error: Problem | None = None
-    second: SecondLook | None = None
     causes: tuple[Cause, ...] = ()
     advice: str = ""
     coverage: float | None = None
@@ -76,7 +72,6 @@ class Identification:
         """Plain JSON values, with all fields of the contract."""
         r = self.reading
         error = self.error or Problem("", "")
-        second = self.second
         scores = r.scores if r else ()
         return {
             "status": self.status,
@@ -96,7 +91,6 @@ class Identification:
             "reflectors": self._reflectors(),
             "missing": r.missing if r else 0,
             "extra": r.extra if r else 0,
-            "reflector_probability": second.present if second else None,
             "scores": [{"layout": s.name, "criterion": s.criterion, "share": s.share} for s in scores],
             "hypothesis": self._won(),
             "hypotheses": self._hypotheses(),
@@ -106,7 +100,6 @@ class Identification:
             "remarks": list(self.remarks),
             "capture_uuid": self.capture_uuid,
             "tool_version": __version__,
-            "model_sha256": second.model_sha256 if second else None,
             "registry_version": self.registry_version,
             "seconds": {name: round(value, 4) for name, value in self.seconds.items()},
             "error": self.error and self.error.to_json(),
@@ -152,9 +145,7 @@ class Identification:
         ]
 
     def _reflectors(self) -> list[dict[str, Any]]:
-        """The scores of the reading, with the network's probabilities if it was used."""
-        found = self.reading.reflectors if self.reading else ()
-        rows: list[dict[str, Any]] = [
+        return [
             {
                 "x_m": p.x_m,
                 "y_m": p.y_m,
@@ -162,8 +153,5 @@ class Identification:
                 "amplitude_db": p.amplitude_db,
                 "matched": p.matched,
             }
-            for p in found
+            for p in (self.reading.reflectors if self.reading else ())
         ]
-        for row, opinion in zip(rows, self.second.opinions if self.second else (), strict=False):
-            row |= {"probability": round(opinion.probability, 4), "ghost": round(opinion.ghost, 4)}
-        return rows

@@ -12,7 +12,6 @@ from tagid.capture import Capture
 from tagid.counting import counted
 from tagid.errors import DataError
 from tagid.imaging.bandcheck import sample_fault
-from tagid.imaging.preprocess import PreprocessSettings
 from tagid.metadata import Ending
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.bodies.spectra import Spectra
     from tagid.tags.layouts.layout import Layout
-    from tagid.tags.network.second_look import SecondLook
 
 SURE = "sure"
 """`Ending.reason` of a scan that ended because the answer was certain."""
@@ -227,8 +225,7 @@ def identify(
     with watch.stage("read"):
         reading = read(scans, layouts, reader_settings(prepared.settings, spent), signatures)
         reading = of_the_part(reading, [prepared.given])
-    with watch.stage("look again"):
-        reading, second = _looked_at_again(prepared, reading)
+    reading = _noted(prepared, reading)
     label = _labels(layouts, signatures).get(reading.layout or "", "")
     seconds = {**prepared.watch.seconds, **watch.seconds}
     return Identification(
@@ -238,7 +235,6 @@ def identify(
         registry_version,
         label,
         seconds,
-        second=second,
         coverage=share_seen([prepared.given]),
     )
 
@@ -290,15 +286,14 @@ def identify_together(
     recordings = [one.scans(settings.preprocessing(matched_filter=False)) for one in prepared]
     with watch.stage("read"):
         joint, alone = read_together(recordings, layouts, reader_settings(settings), signatures)
-        alone = [of_the_part(own, [one.given]) for own, one in zip(alone, prepared, strict=True)]
+        pairs = zip(alone, prepared, strict=True)
+        alone = [_noted(one, of_the_part(reading, [one.given])) for reading, one in pairs]
         joint = of_the_part(joint, captures)
     labels = _labels(layouts, signatures)
-    with watch.stage("look again"):
-        looked = [_looked_at_again(one, reading) for reading, one in zip(alone, prepared, strict=True)]
     for one in prepared:
         watch.add(one.watch)
 
-    def answer(reading: Reading, of: Sequence[Capture], second: SecondLook | None) -> Identification:
+    def answer(reading: Reading, of: Sequence[Capture]) -> Identification:
         return Identification(
             reading.status,
             reading,
@@ -306,12 +301,11 @@ def identify_together(
             registry_version,
             labels.get(reading.layout or "", ""),
             dict(watch.seconds),
-            second=second,
             coverage=share_seen(of),
         )
 
-    each = [answer(r, [c], second) for (r, second), c in zip(looked, captures, strict=True)]
-    return answer(joint, captures, looked[0][1] if len(captures) == 1 else None), each
+    each = [answer(reading, [one]) for reading, one in zip(alone, captures, strict=True)]
+    return answer(joint, captures), each
 
 
 def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) -> Spectra:
@@ -374,26 +368,9 @@ def _check_views(prepared: PreparedCapture) -> None:
         raise DataError(fault.text, f"{fault.remedy[0].upper()}{fault.remedy[1:]}.")
 
 
-def _looked_at_again(prepared: PreparedCapture, reading: Reading) -> tuple[Reading, SecondLook | None]:
-    """The reading, with a note where its bound does not hold, and what the network says."""
+def _noted(prepared: PreparedCapture, reading: Reading) -> Reading:
+    """The reading, with a note where its bound does not hold."""
     if reading.status == "identified" and reading.bound and prepared.settings.priors != TagPriors():
         note = "the bound on false accept was calibrated with the default priors (tags.*_m)"
-        reading = replace(reading, note=note)
-    return reading, _second_look(prepared, reading)
-
-
-def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | None:
-    """The network's result for the backprojection without the body's echo, on its own grid.
-
-    None for free antenna positions.
-    """
-    from tagid.reading.subtract import without_body as subtracted
-    from tagid.tags.network.planes import GRID
-    from tagid.tags.network.second_look import look_again
-
-    if prepared.given.angles_rad is None:
-        return None
-    if (body := _selected_body(reading)) is not None:
-        prepared = prepared.elsewhere(subtracted(prepared.capture, body))
-    matched = PreprocessSettings(prepared.settings.background, matched_filter=True, extent_m=GRID.extent)
-    return look_again(prepared.scans(matched), reading.reflectors, reading.offset_m)
+        return replace(reading, note=note)
+    return reading

@@ -32,7 +32,7 @@ _FULL_SHARE = 0.75
 _BASE64 = 4 / 3
 _SHOWN_MISSES = 500
 _NOT_SHOWN = (
-    "schema", "schema_version", "hypothesis", "hypotheses", "nearest", "reflector_probability", "error",
+    "schema", "schema_version", "hypothesis", "hypotheses", "nearest", "error",
     "reason", "reason_code", "advice", "causes", "note", "remarks", "bound", "coverage",
     "recorded_utc", "recording_note", "copy_of", "correct",
 )  # fmt: skip

@@ -67,12 +67,6 @@ class ItemRecord:
         return value
 
     @property
-    def model_sha256(self) -> str | None:
-        """sha256 of the network that was used; None without one."""
-        value: str | None = self.document["model_sha256"]
-        return value
-
-    @property
     def status(self) -> str:
         """ "identified", "unknown", "ambiguous", "no_tag" or "failed"."""
         return str(self.document["status"])

@@ -21,7 +21,7 @@ STAGES = ("load", "prepare", "preprocess", "read", "pictures")
 CSV_COLUMNS = (
     "file", "status", "layout", "label", "score", "margin", "rotation_deg", "centre_x_m", "centre_y_m",
     "reflectors", "missing", "extra", "expected", "correct", "reason", "error_code", "error_remedy",
-    "capture_uuid", "content_sha256", "size_bytes", "tool_version", "model_sha256", "registry_version",
+    "capture_uuid", "content_sha256", "size_bytes", "tool_version", "registry_version",
     *(f"{stage}_s" for stage in STAGES), "total_s", "time_utc",
     "coverage", "bound_p_value", "caveats", "note", "cause", "what_to_do", "recorded_utc", "recording_note",
     "copy_of",

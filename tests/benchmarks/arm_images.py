@@ -68,7 +68,7 @@ def run(folder: Path, out: Path) -> None:
         found[f"sparse {name}"] = sparse_recovery(plain, GRID).values
         print(f"{name}: images", flush=True)
         answer = identify(PreparedCapture(capture), layouts).to_dict()
-        said = {key: answer[key] for key in ("status", "layout", "rotation_deg", "reflector_probability")}
+        said = {key: answer[key] for key in ("status", "layout", "rotation_deg", "lead")}
         found[f"answer {name}"] = np.array(json.dumps(said))
         print(f"{name}: {answer['status']} {answer['layout'] or ''}", flush=True)
         np.savez_compressed(out, **found)

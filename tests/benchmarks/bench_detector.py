@@ -20,12 +20,12 @@ import numpy as np
 from imaging_report import RESULTS, heading
 
 from tagid.imaging.backprojection import backproject
-from tagid.tags.network.detector import Detection, Detector
-from tagid.tags.network.planes import GRID, NetworkInput
 from tagid.tags.reading.reflectors import find_reflectors
 from train.dataset import SEED_BASES
+from train.detector import Detection, Detector
 from train.evaluate import Figures, Outcome, local_maxima, score, threshold_at
 from train.images import focused_scans
+from train.planes import GRID, NetworkInput
 from train.scenes import draw_scene
 
 
@@ -67,7 +67,7 @@ The network at the thresholds that it is shipped with, which were set on other s
 {shipped}
 
 The network takes {milliseconds:.1f} ms of processor time per image on one thread (median). The model card,
-`models/reflector_detector.md`, has its figures for each condition.
+`models/detector/README.md`, has its figures for each condition.
 """
 
 

@@ -16,10 +16,10 @@ from pathlib import Path
 # train/ is not installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tagid.tags.network.planes import NORMALISATION
 from train.dataset import load
 from train.fit import FitSettings, fit, mean_loss
 from train.images import METHODS
+from train.planes import NORMALISATION
 from train.plans import plans
 
 INPUTS = {

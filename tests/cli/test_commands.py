@@ -13,7 +13,7 @@ import pytest
 ENVELOPE = {"tagid_result_version", "command", "status", "exit_code", "data", "messages", "errors"}
 IDENTIFICATION = {
     "status", "layout", "label", "score", "margin", "rotation_deg", "centre_m", "reflectors", "missing",
-    "extra", "capture_uuid", "tool_version", "model_sha256", "registry_version", "seconds",
+    "extra", "capture_uuid", "tool_version", "registry_version", "seconds",
 }  # fmt: skip
 
 

@@ -16,12 +16,10 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from tagid.models_store import manifest
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.storage.hdf5 import write_capture
-from tagid.tags.network.detector import MODEL
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -114,8 +112,6 @@ def test_what_was_built_names_an_object_alone(empty_environment: Path, tmp_path:
     assert done.returncode == 0, done.stderr
     (item,) = json.loads(done.stdout)["data"]["items"]
     assert item["layout"] == "helmet-120"
-    assert item["model_sha256"] == manifest()[MODEL].sha256
-    assert item["reflector_probability"] > 0.9
     for absent in ("torch", "scipy"):
         assert "ModuleNotFoundError" in run(empty_environment, "-c", f"import {absent}").stderr
     compiled = run(empty_environment, "-c", "from tagid.loops import unusable; print(unusable())")

@@ -34,7 +34,7 @@ from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalWriter
 from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
-from tagid.tags.network.detector import Contract
+from train.detector import Contract
 
 CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=45_000)
 

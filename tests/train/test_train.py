@@ -11,8 +11,8 @@ import torch
 
 from tagid.errors import StorageError, UsageError
 from tagid.models_store import open_model
-from tagid.tags.network.detector import CELL_M, CELLS, MODEL, Contract, Detector
 from train.dataset import MOST_REFLECTORS, ImageOf, Plan, Samples, build, load, make_shard
+from train.detector import CELL_M, CELLS, MODEL, Contract, Detector
 from train.distributions import Distribution, ObjectDistribution
 from train.evaluate import Figures, score
 from train.export import export
@@ -144,7 +144,7 @@ def test_an_exported_network_says_what_torch_says(few: Samples, tmp_path: Path) 
 
 
 def test_each_reflector_is_hit_once() -> None:
-    from tagid.tags.network.detector import Detection
+    from train.detector import Detection
 
     truth = np.full((MOST_REFLECTORS, 2), np.nan)
     truth[0], truth[1] = (0.05, 0.0), (-0.05, 0.0)

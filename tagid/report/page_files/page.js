@@ -226,7 +226,7 @@
     ["others", item.scores.slice(0, 5).map((s) => `${s.layout} ${s.share.toFixed(2)}`).join(", ")],
     ["timings, s", seconds(item)], ["capture uuid", item.capture_uuid], ["content, sha256", item.content_sha256],
     ["size", item.size_bytes === null ? "" : item.size_bytes + " bytes"], ["tool version", item.tool_version],
-    ["model, sha256", item.model_sha256 || "none used"], ["registry version", item.registry_version],
+    ["registry version", item.registry_version],
     ["identified", item.time_utc],
   ];
   const list = (id, pairs) => byId(id).replaceChildren(

@@ -1,4 +1,4 @@
-"""Reflectors in an image, found by the shipped network: where, how surely, and what is a ghost.
+"""Reflectors in an image, found by a network: where, how surely, and what is a ghost.
 
 It knows no layout, so it serves objects that nobody enrolled, and tells interaction images, shell arcs and
 handles from reflectors where a test for point echoes alone cannot.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from math import exp, hypot
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,10 @@ from numpy.typing import NDArray
 
 from tagid.errors import ModelError
 from tagid.models_store import Model, open_model
-from tagid.tags.network.planes import GRID, NORMALISATION, PLANES, NetworkInput
+from train.planes import GRID, NORMALISATION, PLANES, NetworkInput
 
 MODEL = "reflector_detector"
+FOLDER = Path(__file__).resolve().parent.parent / "models" / "detector"
 CONTRACT_KEY = "tagid.contract"
 SCHEMA = 1
 CELLS = GRID.pixels // 2
@@ -197,7 +199,7 @@ class Detector:
     @classmethod
     def shipped(cls, threads: int = 1) -> Detector:
         """The one that came with the package. Raises ModelError or StorageError as `open_model` does."""
-        return cls(open_model(MODEL, threads))
+        return cls(open_model(MODEL, threads, FOLDER))
 
     def run(self, seen: NetworkInput) -> tuple[NDArray[np.float32], float]:
         """The network's cells (5, 48, 48) and the presence logit of one image."""

@@ -13,13 +13,12 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import preprocess
 from tagid.imaging.types import Image
-from tagid.models_store import model_bytes, open_model
+from tagid.models_store import model_bytes
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.scene import Scene
-from tagid.tags.network.detector import CELL_M, CELLS, MODEL, Contract, Detector, decode
-from tagid.tags.network.planes import GRID, NetworkInput
-from tagid.tags.network.second_look import look_again, shipped_detector
+from train.detector import CELL_M, CELLS, FOLDER, MODEL, Contract, Detector, decode
+from train.planes import GRID, NetworkInput
 
 CONTRACT = Contract(1.0, 0.0, 1.0, 0.0, 1.0, {"0.1": 0.5, "0.01": 0.9}, {})
 
@@ -65,7 +64,7 @@ def test_cells_become_metres() -> None:
 
 def test_the_shipped_network_finds_reflectors_where_they_are() -> None:
     points = np.array([[0.1, 0.02], [-0.06, 0.07], [-0.03, -0.09]])
-    answer = shipped_detector().detect(seen_points(points))
+    answer = Detector.shipped().detect(seen_points(points))
     assert answer.present > 0.9
     assert len(answer.found) == 3
     for point in points:
@@ -79,19 +78,8 @@ def test_noise_alone_holds_no_reflector() -> None:
     for seed in range(20):
         capture, _ = simulate_capture(scene, Acquisition(views=36, snr_db=5.0), seed=seed)
         scans = preprocess(capture)
-        false += bool(shipped_detector().detect(NetworkInput.of(backproject(scans, GRID), scans)).found)
+        false += bool(Detector.shipped().detect(NetworkInput.of(backproject(scans, GRID), scans)).found)
     assert false <= 2
-
-
-def test_second_look_corrects_the_axis_distance_by_the_readings_offset() -> None:
-    points = np.array([[0.1, 0.0], [-0.07, 0.07]])
-    acquisition = Acquisition(views=36, snr_db=20, axis_distance_error_m=-0.012)
-    capture, _ = simulate_capture(Scene.of_points(points), acquisition, seed=1)
-    scans = preprocess(capture)
-    right = look_again(scans, (), 0.012)
-    assert len(right.beyond) == 2
-    best = [min(np.hypot(d.x_m - p[0], d.y_m - p[1]) for d in right.beyond) for p in points]
-    assert max(best) < 0.006
 
 
 @pytest.mark.parametrize(
@@ -110,7 +98,7 @@ def test_no_contract_is_refused(text: str) -> None:
 
 
 def test_contract_travels_with_the_file() -> None:
-    detector = Detector(open_model(MODEL))
+    detector = Detector.shipped()
     assert Contract.from_text(detector.contract.to_text(), "x") == detector.contract
     said = json.loads(detector.contract.to_text())
     assert said["normalisation"]["planes"] == ["real", "imaginary", "magnitude", "snr", "views"]
@@ -122,8 +110,6 @@ def test_contract_travels_with_the_file() -> None:
 
 
 def test_a_damaged_model_is_refused_with_both_hashes(tmp_path: Path) -> None:
-    from tagid.models_store import FOLDER
-
     for name in ("manifest.json", f"{MODEL}.onnx"):
         (tmp_path / name).write_bytes((FOLDER / name).read_bytes())
     content = bytearray((tmp_path / f"{MODEL}.onnx").read_bytes())
