@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tagid import interrupts
-from tagid.cli import prompts
+from tagid.cli import consent
 
 
 @contextmanager
@@ -44,7 +44,7 @@ def typed(
 
 def test_each_line_is_read_alone_and_the_rest_is_left(typed: Callable[[bytes], int]) -> None:
     typed("one\nzwölf\n\nfour\n".encode())
-    assert [prompts.read_line() for _ in range(3)] == ["one", "zwölf", ""]
+    assert [consent.read_line() for _ in range(3)] == ["one", "zwölf", ""]
     import sys
 
     assert os.read(sys.stdin.fileno(), 100) == b"four\n"
@@ -63,7 +63,7 @@ def test_only_yes_or_no_answers_a_question(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     typed(keys)
-    assert prompts.confirm("Red \x1b[31m?", default) is agreed
+    assert consent.confirm("Red \x1b[31m?", default) is agreed
     asked = capsys.readouterr().err
     assert asked.count(f"Red \\x1b[31m? [{'Y/n' if default else 'y/N'}]: ") == keys.count(b"\n")
 
@@ -71,14 +71,14 @@ def test_only_yes_or_no_answers_a_question(
 def test_the_end_of_the_input_is_no_answer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with keyboard(monkeypatch, "file", tmp_path) as typed:
         typed(b"the last line has no end")
-        assert prompts.read_line() == "the last line has no end"
-        assert prompts.confirm("Well?", default=True) is False
+        assert consent.read_line() == "the last line has no end"
+        assert consent.confirm("Well?", default=True) is False
         with pytest.raises(EOFError):
-            prompts.read_line()
+            consent.read_line()
     monkeypatch.setattr("sys.stdin", None)
-    assert not prompts.can_ask()
+    assert not consent.can_ask()
     with pytest.raises(EOFError):
-        prompts.read_line()
+        consent.read_line()
 
 
 @pytest.mark.parametrize("kind", ["terminal", "pipe"])
@@ -101,11 +101,11 @@ def test_a_signal_that_interrupts_no_system_call_ends_the_wait_at_once(
         sender.start()
         with interrupts.handled():
             with pytest.raises(KeyboardInterrupt):
-                prompts.read_line()
+                consent.read_line()
             ended.set()
             sender.join()
             typed(b"next\n")
-            assert prompts.read_line() == "next"
+            assert consent.read_line() == "next"
     assert signal.set_wakeup_fd(before) == -1
 
 
@@ -124,7 +124,7 @@ def test_a_signal_that_stops_nothing_is_waited_out(monkeypatch: pytest.MonkeyPat
 
             sender = threading.Thread(target=send)
             sender.start()
-            assert prompts.read_line() == "here"
+            assert consent.read_line() == "here"
             sender.join()
     finally:
         signal.signal(signal.SIGUSR1, handler)
@@ -134,7 +134,7 @@ def test_a_signal_that_stops_nothing_is_waited_out(monkeypatch: pytest.MonkeyPat
 def test_another_thread_waits_without_signals(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with keyboard(monkeypatch, "pipe", tmp_path) as typed:
         read: list[str] = []
-        reader = threading.Thread(target=lambda: read.append(prompts.read_line()))
+        reader = threading.Thread(target=lambda: read.append(consent.read_line()))
         reader.start()
         typed(b"there\n")
         reader.join(20)
