@@ -7,6 +7,8 @@ the API page of the site (`make docs`) lists by module. Each name is loaded when
 
 from __future__ import annotations
 
+from tagid._version import __version__ as __version__
+
 TYPE_CHECKING = False  # type checkers take it as true; importing `typing` would cost more than all else here
 if TYPE_CHECKING:
     from typing import Any
@@ -53,7 +55,6 @@ if TYPE_CHECKING:
     from tagid.tags.layouts.layout import Layout as Layout
     from tagid.tags.layouts.layout import builtin_layouts as builtin_layouts
 
-__version__ = "0.2.0"
 
 # lazy_loader.attach_stub would list each name once, but needs 8 ms instead of 2 at every start.
 _HOMES = {

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.constants import BANDWIDTH_HZ, CENTER_FREQUENCY_HZ, SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.geometry import Aperture

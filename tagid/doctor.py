@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.config import Config, data_folder
 from tagid.errors import FileFormatError, StorageError, TagidError
 from tagid.files import read_bytes

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.models_store import OPSET, Tensor, entry_of, write_entry
 from train.detector import CELLS, CONTRACT_KEY, FOLDER, MODEL, Contract
 from train.evaluate import Figures

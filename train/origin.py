@@ -9,7 +9,7 @@ from typing import Self
 
 import torch
 
-from tagid import __version__
+from tagid._version import __version__
 from train.distributions import Distribution
 
 

@@ -12,7 +12,7 @@ import logging
 from collections.abc import AsyncIterator, Awaitable, Coroutine, Generator
 from typing import Any, TypeVar
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.batch.inputs import Source
 from tagid.batch.job import Answered, Job, Outcome
 from tagid.batch.local import TICK_S, Done, Results, Task, Tasks

@@ -10,7 +10,7 @@ import json
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.models_store import manifest
 from tagid.operate.turn import ReadingSetup
 from tagid.report.records import ItemRecord, Thumbnails

@@ -14,7 +14,7 @@ import typer
 import typer.core
 import typer.main
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.cli.frame import commands_of, run_program
 from tagid.constants import BLAS_THREADS
 

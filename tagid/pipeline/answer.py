@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.result import Problem
 
 if TYPE_CHECKING:

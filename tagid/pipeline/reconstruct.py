@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.capture import Capture
 from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid

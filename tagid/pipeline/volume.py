@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid, VolumeGrid

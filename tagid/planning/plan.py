@@ -20,9 +20,8 @@ from tagid.signal import changing_power
 from tagid.simulate.acquisition import Acquisition, RangeWindow
 from tagid.simulate.budget import LinkBudget, Term, effective_length_m, rcs_dbsm
 from tagid.simulate.presets import scene_on_body
-from tagid.simulate.render import PulseTable, antennas, render_bodies
+from tagid.simulate.render import PulseTable, antennas, echo_levels, render_bodies
 from tagid.simulate.scatterers import Octahedron, unit_of
-from tagid.simulate.snr import echo_levels
 from tagid.simulate.source import noise_counts
 from tagid.simulate.specification import BodySpec, ReflectorSpec
 from tagid.tags.layouts.layout import Layout

@@ -15,9 +15,9 @@ from tagid.errors import UsageError
 from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, ResolvedMotion, SimulatedTruth
 from tagid.simulate.acquisition import Acquisition, Turn
 from tagid.simulate.noise import draw_noise
-from tagid.simulate.render import PulseTable, antennas, render_bodies, render_room
+from tagid.simulate.render import PulseTable, antennas, echo_levels, render_bodies, render_room
 from tagid.simulate.scene import Scene
-from tagid.simulate.snr import EchoLevels, Snr, echo_levels, noise_std_for
+from tagid.simulate.snr import EchoLevels, Snr, noise_std_for
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from tagid.constants import SPEED_OF_LIGHT
 from tagid.simulate.acquisition import Acquisition, Placement, RangeWindow
 from tagid.simulate.scattering import Body
 from tagid.simulate.scene import Scene
+from tagid.simulate.snr import EchoLevels
 from tagid.waveform import analytic_pulse, nominal_pulse
 
 TABLE_STEP_S = 2e-12
@@ -153,3 +154,26 @@ def render_room(scene: Scene, window: RangeWindow, table: PulseTable) -> NDArray
     if scene.room is not None:
         table.add(out, window, scene.room.ranges_m[None], scene.room.amplitudes[None].astype(np.complex128))
     return np.asarray(out[0])
+
+
+def echo_levels(
+    scene: Scene, acquisition: Acquisition, antenna: NDArray[np.float64], table: PulseTable
+) -> EchoLevels:
+    """The levels of a scene for antenna positions (views, 3), m, by rendering its reflectors alone."""
+
+    def peak(bodies: tuple[Body, ...]) -> float:
+        echo = render_bodies(bodies, acquisition.placement, antenna, acquisition, table)
+        return float(np.abs(echo).max(initial=0.0))
+
+    if scene.levels is not None:
+        return scene.levels
+    if (unit := scene.reference_amplitude) is not None:
+        return EchoLevels(unit, unit, (), "a single reflector of a tag on the axis, without a body")
+    tag = scene.tag
+    if tag is None or not len(tag.positions):
+        level = peak(scene.object) or 1.0
+        return EchoLevels(level, level, (), "the whole object")
+    return EchoLevels(
+        max(peak((tag.single(i),)) for i in range(len(tag.positions))) or 1.0,
+        peak((tag,)) or 1.0,
+    )

@@ -15,19 +15,12 @@ they are those of the whole object.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.signal import changing_power
-
-if TYPE_CHECKING:
-    from tagid.simulate.acquisition import Acquisition
-    from tagid.simulate.render import PulseTable
-    from tagid.simulate.scattering import Body
-    from tagid.simulate.scene import Scene
 
 REFERENCES = ("reflector", "summed")
 
@@ -99,27 +92,3 @@ def ratio_db(peak: float, noise_std: float) -> float | None:
 def noise_std_for(snr_db: float, peak: float) -> float:
     """Standard deviation of one sample for a given peak and SNR."""
     return float(peak / 10 ** (snr_db / 20))
-
-
-def echo_levels(
-    scene: Scene, acquisition: Acquisition, antenna: NDArray[np.float64], table: PulseTable
-) -> EchoLevels:
-    """The levels of a scene for antenna positions (views, 3), m, by rendering its reflectors alone."""
-    from tagid.simulate.render import render_bodies
-
-    def peak(bodies: tuple[Body, ...]) -> float:
-        echo = render_bodies(bodies, acquisition.placement, antenna, acquisition, table)
-        return float(np.abs(echo).max(initial=0.0))
-
-    if scene.levels is not None:
-        return scene.levels
-    if (unit := scene.reference_amplitude) is not None:
-        return EchoLevels(unit, unit, (), "a single reflector of a tag on the axis, without a body")
-    tag = scene.tag
-    if tag is None or not len(tag.positions):
-        level = peak(scene.object) or 1.0
-        return EchoLevels(level, level, (), "the whole object")
-    return EchoLevels(
-        max(peak((tag.single(i),)) for i in range(len(tag.positions))) or 1.0,
-        peak((tag,)) or 1.0,
-    )

@@ -22,9 +22,9 @@ from tagid.metadata import ObjectInfo
 from tagid.simulate.acquisition import Acquisition, RangeWindow, Turn
 from tagid.simulate.capture import object_settings
 from tagid.simulate.noise import draw_noise
-from tagid.simulate.render import PulseTable, antennas, render_bodies, render_room
+from tagid.simulate.render import PulseTable, antennas, echo_levels, render_bodies, render_room
 from tagid.simulate.scene import Scene
-from tagid.simulate.snr import Snr, echo_levels, noise_std_for
+from tagid.simulate.snr import Snr, noise_std_for
 
 NOISE_COUNTS = 120.0
 """Noise std of one sample at integration index 11, counts (recordings: 90 to 160)."""

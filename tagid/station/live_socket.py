@@ -9,7 +9,7 @@ from typing import Any
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.errors import UsageError
 from tagid.station import wire
 from tagid.station.errors import BusyError

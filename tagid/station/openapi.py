@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.report.drafting import PAPERS_MM
 from tagid.station.reports import MEDIA
 from tagid.station.security import COOKIE, OWN_HEADER

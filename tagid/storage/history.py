@@ -20,7 +20,8 @@ from io import RawIOBase
 from pathlib import Path
 from typing import Any, TextIO
 
-from tagid import __version__, files
+from tagid import files
+from tagid._version import __version__
 from tagid.errors import MissingExtraError, StorageError, UsageError
 from tagid.storage.database import BUSY_SECONDS, Database, Schema
 from tagid.storage.spreadsheet import cell

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.metadata import METADATA_VERSION, MotionInfo, ObjectInfo, RadarInfo
 from tagid.storage.metadata import VERSION_KEY
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.simulate.response import Response, Ring

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from tagid import __version__
+from tagid._version import __version__
 from tagid.imaging.ats.fit_native import HIDDEN, LEVELS, MODEL, input_names, state_names
 from tagid.imaging.ats.fit_torch import Step, optimise
 from tagid.models_store import FOLDER, OPSET, Entry, Tensor, entry_of, write_entry
