@@ -17,8 +17,8 @@ $(VENV)/.base: pyproject.toml constraints.txt
 	find $(VENV)/lib/*/site-packages/numpy -type d -name tests -prune -exec rm -r {} +
 	@touch $@
 
-$(VENV)/.dev: $(VENV)/.base
-	$(PIP) --editable '.[dev]'
+$(VENV)/.dev: $(VENV)/.base firmware_tools/pyproject.toml
+	$(PIP) --editable '.[dev]' --editable ./firmware_tools
 	@touch $@
 
 demo: $(VENV)/.base

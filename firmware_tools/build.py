@@ -25,7 +25,7 @@ MPY_VERSION: Final = 6
 _LARGEST: Final = 1 << 20
 _COMPILE_S: Final = 60.0
 """Limit for one module, which takes a few ms."""
-EXTRA: Final = "Install the tools: pip install 'tagid[firmware]'."
+EXTRA: Final = "Install the tools: pip install ./firmware_tools (in a checkout)."
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def compile_firmware(progress: Callable[[float, str], None] = lambda done, remar
 
 
 def _run(start: Callable[..., subprocess.Popen[bytes]], words: list[str], source: Path) -> bytes:
-    again = "Reinstall tagid[firmware]."
+    again = "Reinstall the tools: pip install ./firmware_tools."
     try:
         process = start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     except OSError as error:

@@ -175,7 +175,7 @@ def run_selftest(plan: Plan, progress: Callable[[float, str], None], hci: str | 
             from tagid.errors import MissingExtraError
 
             raise MissingExtraError(
-                "virtual controllers need bumble", "Install it: pip install 'tagid[virtual]'."
+                "virtual controllers need bumble", "Install it: pip install bumble."
             ) from error
         async with open_backend(hci, plan.passkey) as pair:
             return await selftest(plan, progress, Backends(*pair))

@@ -21,5 +21,5 @@ def virtual_bluetooth(part: str) -> Any:
         return entry.load()
     raise MissingExtraError(
         "this installation has no virtual Bluetooth controllers",
-        "Reinstall with: pip install 'tagid[virtual]'; in a checkout: pip install -e .",
+        "In a checkout of tagid: pip install ./firmware_tools",
     )

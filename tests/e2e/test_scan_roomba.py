@@ -129,7 +129,7 @@ def test_the_helmet_on_a_sleeping_robot_behind_the_bridge_is_named(
     home: dict[str, str], tmp_path: Path
 ) -> None:
     """The unmodified firmware, paired by pass-key, wakes the robot by BRC and carries its stream."""
-    pytest.importorskip("bumble", reason="needs bumble: pip install 'tagid[virtual]'")
+    pytest.importorskip("bumble", reason="needs bumble: pip install ./firmware_tools")
     options = ("--passkey", "482913", "--asleep", "--wheel-base", "237", "--slip", "0")
     with robot(home, *options, wire="--ble") as there:
         there["url"] += "&turns=1.02"

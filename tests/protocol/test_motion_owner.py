@@ -121,7 +121,7 @@ def test_a_killed_driver_is_stopped(home: dict[str, str], device: str) -> None:
 
 
 def test_a_killed_driver_of_a_bluetooth_table_is_stopped_by_a_new_connection(home: dict[str, str]) -> None:
-    pytest.importorskip("bumble", reason="needs bumble: pip install 'tagid[virtual]'")
+    pytest.importorskip("bumble", reason="needs bumble: pip install ./firmware_tools")
     with emulated(home, "revopoint") as (there, _), spinning(home, there) as (process, truth):
         process.kill()
         assert stands_after(truth, time.monotonic()) < 30, "supervision timeout, a scan and a connection"
@@ -157,7 +157,7 @@ def test_motion_stop_works_while_another_process_holds_the_port(
 
 def test_motion_stop_finds_a_bluetooth_table_by_all_its_names(home: dict[str, str]) -> None:
     """Typed here is a prefix of its advertised name; nobody advertises while a program is connected."""
-    pytest.importorskip("bumble", reason="needs bumble: pip install 'tagid[virtual]'")
+    pytest.importorskip("bumble", reason="needs bumble: pip install ./firmware_tools")
     with emulated(home, "revopoint") as (there, _), spinning(home, there) as (process, truth):
         stop = subprocess.run(
             [*TAGID, "motion", "stop", there["url"].replace("://", "://revo_dual")],

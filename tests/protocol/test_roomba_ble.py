@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("bumble", reason="needs bumble: pip install 'tagid[virtual]'")
+pytest.importorskip("bumble", reason="needs bumble: pip install ./firmware_tools")
 
 from robots import turned
 
