@@ -271,6 +271,7 @@ FIGURES: dict[str, Callable[[Path], None]] = {
 EXPERIMENTS: dict[str, tuple[str, Callable[[Run], str], tuple[str, ...]]] = {
     "methods": ("The same scene in every method", methods, ("imaging-methods",)),
     "points": ("Reflectors in noise", reflectors.points, ()),
+    "paper": ("The paper's table and skip angles", reflectors.paper, ()),
     "resolution": ("Two-point resolution", reflectors.resolution, ()),
     "objects": ("Cans, bottles and boxes", objects, ("imaging-objects",)),
     "skip-cans": ("Skip angles on two cans", skip_cans, ("imaging-skip-cans",)),

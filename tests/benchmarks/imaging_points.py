@@ -174,6 +174,58 @@ EQUAL = (("psnr_db", 1), ("lpips", 3))
 EQUAL_TITLES = ("PSNR (dB)", "LPIPS")
 
 
+class PaperCell(NamedTuple):
+    """So many reflectors, every so many degrees, seen by one row of the tables."""
+
+    count: int
+    skip_deg: int
+    seed: int
+    row: str
+
+
+SKIPS_DEG = (1, 10, 20, 30)
+
+
+def score_paper(cell: PaperCell) -> dict[str, float]:
+    """PSNR and LPIPS against points as wide as the beam, of pictures as every method shows them."""
+    problem = drawn_points(360 // cell.skip_deg, 0.316, cell.seed, cell.count)
+    wavenumber = problem.scans(False).wavenumber
+    image, seconds = problem.image(cell.row)
+    truth = truth_image(problem.points, problem.grid, problem.amplitudes, beam_sigma_m(wavenumber))
+    quality = psnr(image.values, truth)
+    return {"psnr": quality, "lpips": perceptual(image, truth), "seconds": seconds}
+
+
+def paper(run: Any) -> str:
+    """(8) The table and the skip angles of the paper: one to four reflectors in noise of variance 0.1."""
+    rows = tuple(row for row in ("BP", "FISTA", SLOW, "ATS field") if row in run.rows)
+    cells = [
+        PaperCell(count, skip, seed, row)
+        for row in sorted(rows, key=SLOW.__eq__)
+        for count in (1, 2, 3, 4)
+        for skip in SKIPS_DEG
+        for seed in range(run.seeds)
+        if row != SLOW or seed == 0
+    ]
+    found = report.resumed(score_paper, cells, run.pieces)
+    lines = []
+    for count in (1, 2, 3, 4):
+        for row in rows:
+            line = [str(count), row]
+            for skip in SKIPS_DEG:
+                some = [
+                    found[c]
+                    for c in cells
+                    if c in found and (c.count, c.skip_deg, c.row) == (count, skip, row)
+                ]
+                means = [float(np.mean([one[name] for one in some])) for name in ("psnr", "lpips")]
+                line.append(f"{means[0]:.1f} / {means[1]:.3f}" if some else "-")
+            lines.append(line)
+    columns = ("reflectors", "method", *(f"every {skip} deg" for skip in SKIPS_DEG))
+    note = "PSNR, dB, and LPIPS, means over the seeds (of the published method one); noise of 0.316."
+    return note + "\n\n" + report.table(columns, lines)
+
+
 class CloseCell(NamedTuple):
     """Two reflectors so far apart, seen by one row of the tables."""
 

@@ -167,10 +167,10 @@ def point_problem(
     return Problem(capture, grid, truth_image(points, grid), points, amplitudes)
 
 
-def drawn_points(views: int, noise: float, seed: int) -> Problem:
-    """Two to four points within +-0.22 m, 5 cm apart or more, of 0.5 to 1 and any phase."""
+def drawn_points(views: int, noise: float, seed: int, count: int | None = None) -> Problem:
+    """Two to four points, or so many, within +-0.22 m, 5 cm apart or more, of 0.5 to 1 and any phase."""
     rng = np.random.default_rng([FIRST_SEED + seed, views, 31])
-    count = 2 + seed % 3
+    count = 2 + seed % 3 if count is None else count
     while True:
         points = rng.uniform(-0.22, 0.22, (count, 2))
         apart = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
