@@ -181,7 +181,10 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
     """Check and convert one value. Raises ConfigError naming the setting, the place and the bounds."""
     setting = _BY_NAME.get(name)
     if setting is None:
-        raise ConfigError(f"{where}: unknown setting {name!r}", "`tagid config` lists all settings.")
+        from difflib import get_close_matches
+
+        meant = "".join(f"Did you mean {near}? " for near in get_close_matches(name, _BY_NAME, 1))
+        raise ConfigError(f"{where}: unknown setting {name!r}", f"{meant}`tagid config` lists all settings.")
     if setting.kind not in (int, float) and isinstance(raw, list):
         raw = ",".join(map(str, raw))  # a TOML list, for which the command line has commas
     try:

@@ -64,13 +64,13 @@ class Plan:
 
     def images(self, shard: int) -> list[ImageOf]:
         """Every image of a shard."""
-        found = []
+        cells = []
         for i in range(shard * SHARD, min((shard + 1) * SHARD, self.scenes)):
             seed = SEED_BASES[self.split] + i
-            found.append(ImageOf(seed, METHODS[0]))
+            cells.append(ImageOf(seed, METHODS[0]))
             if self.ats_every and i % self.ats_every == 0:
-                found.append(ImageOf(seed, METHODS[1]))
-        return found
+                cells.append(ImageOf(seed, METHODS[1]))
+        return cells
 
 
 @dataclass(frozen=True, eq=False)

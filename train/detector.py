@@ -159,15 +159,15 @@ def candidates(cells: NDArray[np.float32]) -> list[tuple[int, int]]:
 
 def decode(cells: NDArray[np.float32], seen: NetworkInput, contract: Contract) -> list[Detection]:
     """All detections in the network's cells (5, 48, 48), surest first, none nearer than `SEPARATION_M`."""
-    found: list[Detection] = []
+    detections: list[Detection] = []
     for row, column in candidates(cells):
         own, ghost, dx, dy, log_sigma = cells[:, row, column].tolist()
         x = (column + min(max(dx, -1.0), 1.0) - CELLS / 2 + 0.5) * CELL_M
         y = (row + min(max(dy, -1.0), 1.0) - CELLS / 2 + 0.5) * CELL_M
-        if any(hypot(x - d.x_m, y - d.y_m) < SEPARATION_M for d in found):
+        if any(hypot(x - d.x_m, y - d.y_m) < SEPARATION_M for d in detections):
             continue
         logit = contract.slope * own + contract.intercept
-        found.append(
+        detections.append(
             Detection(
                 x,
                 y,
@@ -177,9 +177,9 @@ def decode(cells: NDArray[np.float32], seen: NetworkInput, contract: Contract) -
                 seen.value_at(x, y) * seen.peak,
             )
         )
-        if len(found) == _MOST:
+        if len(detections) == _MOST:
             break
-    return found
+    return detections
 
 
 class Detector:

@@ -72,7 +72,7 @@ def has_enrolled_spacing(places: NDArray[np.complex128]) -> bool:
     if len(places) != 2:
         return False
     spacing = abs(places[0] - places[1])
-    pairs = [one.positions for one in builtin_layouts().values() if len(one.positions) == 2]
+    pairs = [layout.positions for layout in builtin_layouts().values() if len(layout.positions) == 2]
     return any(abs(spacing - np.linalg.norm(pair[0] - pair[1])) < PAIR_APART_M for pair in pairs)
 
 

@@ -52,7 +52,9 @@ class Job:
             **self.setup.loading.described(),
             "registry_version": enrolled.version,
             "layouts_sha256": _sha256([layout.to_dict() for layout in enrolled.layouts]),
-            "signatures_sha256": [hashlib.sha256(to_bytes(one)).hexdigest() for one in enrolled.signatures],
+            "signatures_sha256": [
+                hashlib.sha256(to_bytes(signature)).hexdigest() for signature in enrolled.signatures
+            ],
             "tool_version": __version__,
             "models_sha256": {name: entry.sha256 for name, entry in sorted(manifest().items())},
             "pictures": self.pictures,

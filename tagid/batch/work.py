@@ -166,7 +166,7 @@ def _pictures(prepared: PreparedCapture, answer: Identification, job: Job) -> Th
     # The report's pictures say nothing about what lies beside them, and the search takes a third of an item.
     result = reconstruct(pictured(prepared, answer), tell_outside=False)
     named = answer.reading.layout if answer.reading else None
-    layout = next((one for one in job.setup.enrolled.layouts if one.name == named), None)
+    layout = next((layout for layout in job.setup.enrolled.layouts if layout.name == named), None)
     return draw_pictures(prepared.given, result, answer, layout)
 
 

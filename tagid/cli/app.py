@@ -95,13 +95,18 @@ COMMANDS = {
 
 
 class _Lazy(typer.core.TyperGroup):
-    """The commands of the table."""
+    """The commands of the table, of which a wrong name is told the nearest."""
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        names: dict[str, Any] = dict.fromkeys(COMMANDS)
+        self.commands = names
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        if cmd_name not in self.commands and cmd_name in COMMANDS:
+        if cmd_name in COMMANDS and self.commands[cmd_name] is None:
             self.commands[cmd_name] = COMMANDS[cmd_name].loaded(cmd_name)
         return self.commands.get(cmd_name)
 

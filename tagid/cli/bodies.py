@@ -43,21 +43,21 @@ def bodies(
     table = Table(box=None)
     for head in ("kind", "name", "radius mm", "turning dB", "error %", "captures", "label"):
         table.add_column(head)
-    for one in contents.signatures:
-        facts = _facts(one)
+    for signature in contents.signatures:
+        facts = _facts(signature)
         table.add_row(
-            one.kind,
-            one.name,
-            f"{one.radius_m * 1e3:.0f}",
+            signature.kind,
+            signature.name,
+            f"{signature.radius_m * 1e3:.0f}",
             _db(facts["turning_share"]),
-            f"{one.model_error * 100:.2f}",
-            str(one.captures),
-            one.label,
+            f"{signature.model_error * 100:.2f}",
+            str(signature.captures),
+            signature.label,
         )
     data = {
         "registry": str(registry.path),
         "registry_version": contents.version,
-        "signatures": [_facts(one) for one in contents.signatures],
+        "signatures": [_facts(signature) for signature in contents.signatures],
     }
     empty = Text("nothing is enrolled; see `tagid enroll --body NAME FILES`")
     return Result("bodies", data, table if contents.signatures else empty)
@@ -121,7 +121,7 @@ def check(terminal: Terminal) -> Result:
     for pair in pairs:
         remark = "ALIKE" if pair.alike else ""
         table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.left * 100:.1f}", remark)
-    own = [one for one in contents.signatures if one.kind == "body"]
+    own = [signature for signature in contents.signatures if signature.kind == "body"]
     lines = [
         Text(f"{one.name}: a tag must return more than {_db(_facts(one)['least_tag'])} dB of its echo")
         for one in own
@@ -132,7 +132,7 @@ def check(terminal: Terminal) -> Result:
             {"kind": p.kind, "first": p.first, "second": p.second, "apart": p.left, "alike": p.alike}
             for p in pairs
         ],
-        "signatures": [_facts(one) for one in contents.signatures],
+        "signatures": [_facts(signature) for signature in contents.signatures],
     }
     bad = [pair for pair in pairs if pair.alike and pair.kind == "object"]
     same = [pair for pair in pairs if pair.alike and pair.kind == "body"]

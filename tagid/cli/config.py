@@ -54,7 +54,7 @@ def config(
         return Result("config", {"path": str(loaded.path)}, Text(str(loaded.path)))
     if action != "list":
         raise UsageError(f"unknown action {action!r}", "Use list, set, unset or path.")
-    rows = [_Row(each.name, loaded.values[each.name], each.help) for each in SETTINGS]
+    rows = [_Row(setting.name, loaded.values[setting.name], setting.help) for setting in SETTINGS]
     data = {
         "path": str(loaded.path),
         "settings": {

@@ -195,9 +195,9 @@ def _measure(terminal: Terminal, name: str, paths: list[Path], config: Config) -
             advance(next(done), Path(what).name)
 
         sighted = []
-        for one in captures:
-            sighted.append(sight(one, imaging))
-            progress(one.name)
+        for capture in captures:
+            sighted.append(sight(capture, imaging))
+            progress(capture.name)
         return measure(name, sighted, imaging, progress)
 
 

@@ -85,20 +85,20 @@ def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
     table = Table(box=None)
     for head in ("nearest enrolled", "worst mm", "RMS mm", "not told apart", "remark"):
         table.add_column(head, no_wrap=head != "remark")
-    for one in outlook.neighbours[: max(shown, len(outlook.confusable))]:
-        distance = one.distance
+    for neighbour in outlook.neighbours[: max(shown, len(outlook.confusable))]:
+        distance = neighbour.distance
         same = distance.worst_m < float("inf")
         remark = "different number of reflectors" if not same else ""
         if distance.nested:
             remark = "one is a subset of the other"
-        if one.confusable:
+        if neighbour.confusable:
             remark = "COULD BE CONFUSED"
         table.add_row(
-            one.name,
+            neighbour.name,
             f"{distance.worst_m * 1e3:.1f}" if same else "-",
             f"{distance.rms_m * 1e3:.1f}" if same else "-",
-            rate_in_words(one.unresolved) if same else "-",
-            remark + (", as its mirror image" if one.mirrored else ""),
+            rate_in_words(neighbour.unresolved) if same else "-",
+            remark + (", as its mirror image" if neighbour.mirrored else ""),
         )
     return Group(table, Text(about(outlook)))
 
@@ -223,7 +223,7 @@ def store_family(
     seen, enrolled = registry.snapshot()
     outlooks = family_outlooks(layouts, enrolled, direction_known=known, height_weight=weight)
     shown = family_neighbours(outlooks) if outlooks else Text("no layouts, signatures only")
-    data = {"confusion": [{"layout": one.layout.name, **as_data(one)} for one in outlooks]}
+    data = {"confusion": [{"layout": outlook.layout.name, **as_data(outlook)} for outlook in outlooks]}
     error = None if wish.force else refusal(outlooks, enrolled)
     if error:
         return Stored(None, data, shown, error)

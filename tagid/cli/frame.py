@@ -363,6 +363,9 @@ def serve(app: typer.Typer) -> int:
         with interrupts.handled():
             code = app(standalone_mode=False)
     except typer.TyperException as error:
+        if type(error).__name__ == "NoArgsIsHelpError":  # a program or group without a command
+            typer.echo(error.format_message())
+            return 0
         as_json = any(word == "json" or word == "--output=json" for word in sys.argv[1:])
         words = [word for word in sys.argv[1:] if not word.startswith("-")]
         usage = UsageError(

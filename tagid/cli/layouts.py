@@ -140,7 +140,7 @@ def show(
     if file is None:
         layout = open_registry().get(name)
     else:
-        found = {one.name: one for one in read_layouts(file)}
+        found = {layout.name: layout for layout in read_layouts(file)}
         if name not in found:
             raise UsageError(f"{file} contains no layout {name[:80]!r}", f"It contains {', '.join(found)}.")
         layout = found[name]
@@ -191,16 +191,16 @@ def export(
     file = resolved(file)
     registry = open_registry()
     contents = registry.contents()
-    signatures = [one for one in contents.signatures if not names or one.name in names]
-    layouts = [one for one in contents.layouts if not names or one.name in names]
+    signatures = [signature for signature in contents.signatures if not names or signature.name in names]
+    layouts = [layout for layout in contents.layouts if not names or layout.name in names]
     for name in names or []:
-        if name not in {layout.name for layout in layouts} | {one.name for one in signatures}:
+        if name not in {layout.name for layout in layouts} | {signature.name for signature in signatures}:
             registry.get(name)  # raises an error that lists the existing names
     write_layouts(layouts, file, signatures)
     data = {
         "path": str(file),
         "layouts": [layout.name for layout in layouts],
-        "signatures": [{"kind": one.kind, "name": one.name} for one in signatures],
+        "signatures": [{"kind": signature.kind, "name": signature.name} for signature in signatures],
     }
     line = f"{_count(layouts, signatures)} written to {file}"
     return Result("layouts export", data, Text(line))
@@ -233,11 +233,11 @@ def import_(
     signatures: dict[tuple[str, str], Signature] = {}
     for file in files:
         entries = _entries_of(file)
-        for one in entries.signatures:
-            twin = signatures.setdefault((one.kind, one.name), one)
-            if to_bytes(twin) != to_bytes(one):
+        for signature in entries.signatures:
+            twin = signatures.setdefault((signature.kind, signature.name), signature)
+            if to_bytes(twin) != to_bytes(signature):
                 raise FileFormatError(
-                    f"{file}: the {one.kind} {one.name} differs from that of another file",
+                    f"{file}: the {signature.kind} {signature.name} differs from that of another file",
                     "Omit one of the files.",
                 )
         for layout in entries.layouts:
@@ -327,7 +327,7 @@ def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Res
         "removed": list(done.removed),
         "restored": list(done.changed),
         "layouts": [layout.name for layout in contents.layouts],
-        "signatures": [{"kind": one.kind, "name": one.name} for one in contents.signatures],
+        "signatures": [{"kind": signature.kind, "name": signature.name} for signature in contents.signatures],
     }
     return Result(name, data, Text("\n".join(lines)))
 
@@ -336,7 +336,7 @@ def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
     """The number of entries as text."""
     parts = [f"{len(layouts)} layouts"]
     for kind, plural in (("body", "bodies"), ("object", "objects")):
-        number = sum(one.kind == kind for one in signatures)
+        number = sum(signature.kind == kind for signature in signatures)
         parts += [f"{number} {kind if number == 1 else plural}"] if number else []
     return ", ".join(parts)
 
@@ -346,11 +346,11 @@ def _check_signatures(new: dict[tuple[str, str], Signature], contents: RegistryC
     from tagid.errors import LayoutConflictError
     from tagid.tags.bodies.signature_file import to_bytes
 
-    for one in contents.signatures:
-        other = new.get((one.kind, one.name))
-        if other is not None and to_bytes(other) != to_bytes(one):
+    for signature in contents.signatures:
+        other = new.get((signature.kind, signature.name))
+        if other is not None and to_bytes(other) != to_bytes(signature):
             raise LayoutConflictError(
-                f"a different {one.kind} named {one.name} is already enrolled",
+                f"a different {signature.kind} named {signature.name} is already enrolled",
                 "Remove one of them, or import with --force; nothing was stored.",
             )
 

@@ -297,7 +297,7 @@ def record(
         watch = RecordingWatch(progress, asked_to_stop)
         written = record_long(open_configured(config), plan, limits, path, watch)
     lost = written.radar.scans_lost or 0
-    names = [str(each) for each in written.paths]
+    names = [str(path) for path in written.paths]
     text = "\n".join([f"{counted(written.views, 'scan')} of {written.bins} samples, {lost} lost", *names])
     data: dict[str, Any] = {
         "path": names[0],

@@ -53,5 +53,5 @@ def with_truth(about: ObjectInfo, found: ObjectInfo | None) -> ObjectInfo:
     """The operator's remarks, and the truth of the emulated object."""
     if found is None:
         return about
-    own = {each.name: getattr(about, each.name) for each in fields(about) if each.name != "extra"}
+    own = {field.name: getattr(about, field.name) for field in fields(about) if field.name != "extra"}
     return replace(found, **{name: value for name, value in own.items() if value not in (None, ())})

@@ -63,7 +63,7 @@ def join(
         from tagid.pipeline.alignment import aligned
 
         captures, rotations = aligned(captures)
-        turns = [one.rotation_deg for one in rotations]
+        turns = [rotation.rotation_deg for rotation in rotations]
     joined = joined_of(captures)
     found = heights_of(joined)
     positions = joined.aperture().positions

@@ -306,7 +306,9 @@ def _disagreement(
     """The error that names the captures that differ from the others."""
     size = len(sightings[together[0]].positions)
     if 2 * len(together) <= len(sightings):
-        seen = ", ".join(f"{one.name}: {counted(len(one.positions), 'reflector')}" for one in sightings)
+        seen = ", ".join(
+            f"{sighting.name}: {counted(len(sighting.positions), 'reflector')}" for sighting in sightings
+        )
         return DataError(
             f"no majority of the captures agrees ({seen})",
             "Check that all show the same object turning in the configured direction, record again with more "

@@ -175,7 +175,11 @@ def outlook(
     layout.check_room()
     conditions = Conditions(height_weight=height_weight)
     found = _by_nearness(
-        [neighbour(layout, one, direction_known, height_weight) for one in others if one.name != layout.name]
+        [
+            neighbour(layout, other, direction_known, height_weight)
+            for other in others
+            if other.name != layout.name
+        ]
     )
     enrolled = {other.name: other for other in others}
     near = [one.compared(layout, enrolled[one.name], conditions) for one in found[:MOST_NEAR]]
@@ -380,4 +384,4 @@ def refusal(outlooks: Sequence[Outlook], enrolled: Sequence[Layout]) -> LayoutCo
                 "Rename one of them (a design: `prefix=NAME`), or import with `force`; nothing was stored.",
             )
     conflicts = (one.conflict() for one in reversed(outlooks) if one.layout.name not in known)
-    return next((one for one in conflicts if one), None)
+    return next((conflict for conflict in conflicts if conflict), None)

@@ -51,8 +51,12 @@ def layouts_to_toml(layouts: Sequence[Layout], signatures: Sequence[Signature] =
     data: dict[str, Any] = {"format": FORMAT, "version": VERSION if signatures else 1, "layout": tables}
     if signatures:
         data["signature"] = [
-            {"kind": one.kind, "name": one.name, "data": base64.b64encode(to_bytes(one)).decode()}
-            for one in signatures
+            {
+                "kind": signature.kind,
+                "name": signature.name,
+                "data": base64.b64encode(to_bytes(signature)).decode(),
+            }
+            for signature in signatures
         ]
     return tomli_w.dumps(data)
 

@@ -266,12 +266,12 @@ class Registry:
         """
         for layout in layouts:
             _check_label(layout)
-        for name in (*(one.name for one in layouts), *(one.name for one in signatures)):
+        for name in (*(layout.name for layout in layouts), *(signature.name for signature in signatures)):
             _check_answer(name)
         new: dict[Key, str | bytes] = {
-            ("layout", one.name): json.dumps(one.to_dict(), sort_keys=True) for one in layouts
+            ("layout", layout.name): json.dumps(layout.to_dict(), sort_keys=True) for layout in layouts
         }
-        new |= {(one.kind, one.name): to_bytes(one) for one in signatures}
+        new |= {(signature.kind, signature.name): to_bytes(signature) for signature in signatures}
         with self._database.transaction() as connection:
             if since is not None and self._version(connection) != since:
                 return None

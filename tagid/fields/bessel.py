@@ -63,29 +63,29 @@ def _downwards(z: Values, order: int) -> Values:
     largest = float(np.abs(z).max(initial=0.0))
     most = 2 * (int(max(order, largest) + 15 * max(order, largest, 1.0) ** (1 / 3)) // 2 + 10)
     safe = np.where(z == 0, 1.0, z).astype(dtype)
-    found = np.zeros((most + 2, *z.shape), dtype=dtype)
-    found[most] = 1e-300
+    values = np.zeros((most + 2, *z.shape), dtype=dtype)
+    values[most] = 1e-300
     for n in range(most, 0, -1):
-        found[n - 1] = 2 * n / safe * found[n] - found[n + 1]
-        large = np.abs(found[n - 1]) > _RESCALE
+        values[n - 1] = 2 * n / safe * values[n] - values[n + 1]
+        large = np.abs(values[n - 1]) > _RESCALE
         if large.any():
-            found[n - 1 :, large] /= _RESCALE
+            values[n - 1 :, large] /= _RESCALE
     # exp(-+ jz) = J_0 + 2 sum (-+ j)^n J_n; of the two, the one that is not small: then nothing cancels.
     sign = np.where(safe.imag >= 0, -1j, 1j) if np.iscomplexobj(z) else np.array(-1j)
-    total = found[0].astype(np.complex128)
+    total = values[0].astype(np.complex128)
     power = np.ones(np.shape(sign), dtype=np.complex128)
     for n in range(1, most + 1):
         power = power * sign
-        total = total + 2 * power * found[n]
+        total = total + 2 * power * values[n]
     if dtype is np.float64:
         # J_0 + 2 sum J_2n = 1 is the real part for a phase of 0.
-        found /= found[0] + 2 * found[2 : most + 1 : 2].sum(axis=0)
+        values /= values[0] + 2 * values[2 : most + 1 : 2].sum(axis=0)
     else:
-        found = found * (np.exp(sign * safe) / total)
-    found = np.moveaxis(found[: most + 1], 0, -1)
-    found[z == 0] = 0
-    found[z == 0, 0] = 1
-    return found
+        values = values * (np.exp(sign * safe) / total)
+    values = np.moveaxis(values[: most + 1], 0, -1)
+    values[z == 0] = 0
+    values[z == 0, 0] = 1
+    return values
 
 
 def _second_kind(order: int, z: Values, j: Values) -> Values:

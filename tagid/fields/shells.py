@@ -61,15 +61,15 @@ def reflection(
         order: highest order.
     """
     # What the polarisation does not change is found once.
-    bodies = [replace(one, polarisation="V") for one in shells]
+    bodies = [replace(shell, polarisation="V") for shell in shells]
     alone = list(dict.fromkeys(bodies))
     place = {one: i for i, one in enumerate(alone)}
-    at = np.array([place[one] for one in bodies])
+    at = np.array([place[body] for body in bodies])
     k = np.asarray(wavenumber, dtype=np.float64)[None, :]
     outer = np.array([one.radius_m for one in alone])[:, None]
     inner = outer - np.array([one.wall_m for one in alone])[:, None]
-    metal = np.array([one.metal for one in shells])[:, None, None]
-    electric = np.array([one.polarisation == "V" for one in shells])[:, None, None]
+    metal = np.array([shell.metal for shell in shells])[:, None, None]
+    electric = np.array([shell.polarisation == "V" for shell in shells])[:, None, None]
     permittivity = np.array([one.permittivity for one in alone])[:, None]
     filling = np.array([one.filling for one in alone])[:, None]
     inside, q = k * np.sqrt(filling), k * np.sqrt(permittivity)
@@ -127,10 +127,10 @@ def echoes(
     Raises:
         DataError: the reflector lies inside a shell.
     """
-    if any(one.radius_m > radius_m for one in shells):
+    if any(shell.radius_m > radius_m for shell in shells):
         raise DataError(f"a reflector {radius_m * 1e3:g} mm from the axis lies inside a shell")
     order = orders(wavenumber, radius_m)
-    electric = np.array([one.polarisation == "V" for one in shells])
+    electric = np.array([shell.polarisation == "V" for shell in shells])
     return responses(wavenumber, reflection(wavenumber, shells, order), electric, radius_m, angle_rad)
 
 

@@ -88,7 +88,7 @@ class RangeGeometry:
                 "Check the antenna positions (metres, in the object's frame) and the extent of the image.",
             )
         first, step = range_m
-        antennas = [np.ascontiguousarray(each / step, dtype=np.float32) for each in aperture.antennas]
+        antennas = [np.ascontiguousarray(antenna / step, dtype=np.float32) for antenna in aperture.antennas]
         second = antennas[1] if len(antennas) > 1 else np.zeros((0, 3), dtype=np.float32)
         place = [np.ascontiguousarray(axis / step, dtype=np.float32) for axis in np.asarray(points_m).T]
         z = place[2] if len(place) > 2 else np.zeros(0, dtype=np.float32)

@@ -68,9 +68,9 @@ class GrowingEvidence:
         self._layouts = layouts
         self._search = search or SearchSettings()
         self._false_accept = false_accept
-        self._radius = max(one.radius_m for one in layouts) + self._search.centre_range_m * np.sqrt(2)
+        self._radius = max(layout.radius_m for layout in layouts) + self._search.centre_range_m * np.sqrt(2)
         self._grids = [CoarseGrid.of(layout, self._search) for layout in layouts]
-        places = sum(2 * np.pi * one.radius_m / one.symmetry for one in layouts) * PLACES_PER_METRE
+        places = sum(2 * np.pi * layout.radius_m / layout.symmetry for layout in layouts) * PLACES_PER_METRE
         self._places = places * len(self._search.patterns)
         self._range: RangeProfiles | None = None
         self._sums: list[_PatternSums] = []

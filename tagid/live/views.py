@@ -187,7 +187,7 @@ def whole_evidence(
     if not layouts:
         return ()
     part = average_into_views(capture, MAX_VIEWS) if capture.views > MAX_VIEWS else capture
-    found = GrowingEvidence(layouts, false_accept=imaging.false_accept)
+    growing_evidence = GrowingEvidence(layouts, false_accept=imaging.false_accept)
     plain = imaging.preprocessing(matched_filter=False)
-    found.add(preprocess(part, settings=replace(plain, background="none")))
-    return found.judged(preprocess(part, settings=replace(plain, background="mean")))
+    growing_evidence.add(preprocess(part, settings=replace(plain, background="none")))
+    return growing_evidence.judged(preprocess(part, settings=replace(plain, background="mean")))

@@ -355,7 +355,7 @@ class CharacteristicLink:
             client = BleakClient(device, self._lost, backend=backends.client)
             await unless_busy(client.connect)
             self._stack.push_async_callback(client.disconnect)
-            if self._service not in {one.uuid.lower() for one in client.services}:
+            if self._service not in {service.uuid.lower() for service in client.services}:
                 raise DeviceError(f"{self._address.target} is another device", "Choose another name.")
             await client.start_notify(self._characteristic, lambda _, data: self._inbox.put(bytes(data)))
         return client

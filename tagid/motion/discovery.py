@@ -71,7 +71,7 @@ async def _listen(seconds: float, hci: str | None) -> list[Found]:
     def seen(device: Any, advertisement: Any) -> None:
         name = advertisement.local_name or device.name or ""
         tail = f"?hci={hci}" if hci else ""
-        if NUS in [one.lower() for one in advertisement.service_uuids]:
+        if NUS in [uuid.lower() for uuid in advertisement.service_uuids]:
             url = f"roomba+ble://{quote(name or device.address)}{tail}"
             what = f"{name or 'no name'}: a bridge, or another device with a serial service"
         elif name.startswith(REVOPOINT):

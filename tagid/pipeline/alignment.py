@@ -169,7 +169,7 @@ def _sharpest(
 
 def _sharpness(captures: Sequence[Capture], extent_m: float) -> float:
     """sum |f|^4 / (sum |f|^2)^2 of a coarse volume."""
-    some = [each.select(slice(None, None, max(1, each.views // _VOLUME_VIEWS))) for each in captures]
+    some = [capture.select(slice(None, None, max(1, capture.views // _VOLUME_VIEWS))) for capture in captures]
     heights = (-_VOLUME_HEIGHT_M / 2, _VOLUME_HEIGHT_M / 2)
     clean = without_background_of_each_height(join(some), "mean")
     settings = PreprocessSettings("none", extent_m=extent_m, heights_m=heights)

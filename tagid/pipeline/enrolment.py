@@ -193,7 +193,7 @@ def propose_signature(contents: RegistryContents, signature: Signature) -> Signa
 
 
 def _keys(contents: RegistryContents) -> set[Key]:
-    return {("layout", one.name) for one in contents.layouts} | {
+    return {("layout", layout.name) for layout in contents.layouts} | {
         (one.kind, one.name) for one in contents.signatures
     }
 
@@ -256,14 +256,14 @@ def prepare_files(paths: Sequence[Path], loading: LoadSettings) -> list[Prepared
     if len({path.resolve() for path in paths}) < len(paths):
         raise UsageError("the same capture is given twice", again)
     known: dict[str, Path] = {}
-    found = []
+    prepareds = []
     for path in paths:
         capture = load_capture(path, loading)
         twin = known.setdefault(capture.uuid, path)
         if twin != path:
             raise UsageError(f"{path} and {twin} are the same capture", again)
-        found.append(Prepared(str(path), capture))
-    return found
+        prepareds.append(Prepared(str(path), capture))
+    return prepareds
 
 
 def sight(prepared: Prepared, imaging: ImagingSettings) -> Sighted:
@@ -294,7 +294,7 @@ def measure(
 
     positions: DataError | None = None
     estimate: LayoutEstimate | None = None
-    seen = [one.sighting for one in captures]
+    seen = [capture.sighting for capture in captures]
     try:
         estimate = average(seen, name, direction_known=imaging.direction_known)
     except DataError as error:
@@ -311,7 +311,7 @@ def measure(
             )
         return Measured(estimate, None, f"no signature: it needs {CAPTURES} captures", unmoved)
     try:
-        joint = signature(name, "object", [one.prepared for one in captures], imaging, progress)
+        joint = signature(name, "object", [capture.prepared for capture in captures], imaging, progress)
     except DataError as error:
         if positions is not None:
             raise DataError(
@@ -336,10 +336,10 @@ def _doubt(captures: Sequence[Sighted], imaging: ImagingSettings) -> str:
     from tagid.pipeline.identify import aspect_spectra
 
     try:
-        spectra = [aspect_spectra(one.prepared.capture, imaging) for one in captures]
+        spectra = [aspect_spectra(capture.prepared.capture, imaging) for capture in captures]
     except DataError:  # free antenna positions, or fewer views than a signature needs
         return ""
-    return trusted([one.sighting for one in captures], spectra)
+    return trusted([capture.sighting for capture in captures], spectra)
 
 
 def _unmoved(seen: Sequence[Sighting], estimate: LayoutEstimate | None) -> tuple[str, ...]:
@@ -382,12 +382,12 @@ def signature(
     from tagid.tags.bodies.joint import Named, enrol_signature
 
     spectra = []
-    for one in captures:
+    for capture in captures:
         try:
-            spectra.append(Named(one.name, aspect_spectra(one.capture, imaging)))
+            spectra.append(Named(capture.name, aspect_spectra(capture.capture, imaging)))
         except DataError as error:
-            raise DataError(f"{one.name}: {error.message}", error.remedy) from None
-        progress(one.name)
+            raise DataError(f"{capture.name}: {error.message}", error.remedy) from None
+        progress(capture.name)
     joint = enrol_signature(spectra, name, kind)
     progress("signature")
     return joint

@@ -69,8 +69,8 @@ def join(captures: Sequence[Capture]) -> Capture:
             "Give captures from different heights, each recorded with its own `motion.antenna_height_m`.",
         )
     flags = [capture.flags for capture in captures]
-    if all(each is not None for each in flags):
-        joined = replace(joined, flags=np.concatenate([each for each in flags if each is not None]))
+    if all(flag is not None for flag in flags):
+        joined = replace(joined, flags=np.concatenate([flag for flag in flags if flag is not None]))
     return joined
 
 

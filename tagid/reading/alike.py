@@ -149,7 +149,9 @@ def _best(spectra: Spectra, layout: Layout, recorded: Layout, body: Transfer) ->
     pair = best_pairing(layout.positions, recorded.positions)
     poses = [(complex(*pair.shift_m), pair.rotation_rad)]
     poses += [(complex(*one.x[:2]), float(one.x[one.model.head])) for one in tried(body, about)[:_TRIED]]
-    starts = sorted((one for each in TRANSFERS for one in tried(each, poses)), key=lambda one: -one.log)
-    found = [refined(spectra, one.model, one.x) for one in starts[:_REFINED]]
+    starts = sorted(
+        (one for transfer in TRANSFERS for one in tried(transfer, poses)), key=lambda one: -one.log
+    )
+    found = [refined(spectra, start.model, start.x) for start in starts[:_REFINED]]
     glued = [refined(spectra, *one.by_hand(), (None,)) for one in found]
     return max(one.log_z for one in (*found, *glued))

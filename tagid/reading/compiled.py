@@ -199,9 +199,9 @@ def _recording(spectra: Spectra) -> tuple[Floats, list[Floats], list[Complex], l
     pack = np.ascontiguousarray
     return (
         np.stack([spectra.kappa, spectra.moving]),
-        [pack(one.variance) for one in spectra.whiteners],
+        [pack(whitener.variance) for whitener in spectra.whiteners],
         [pack(one) for one in spectra.white],
-        [turn if one.basis is None else pack(one.basis) for one in spectra.whiteners],
+        [turn if whitener.basis is None else pack(whitener.basis) for whitener in spectra.whiteners],
     )
 
 

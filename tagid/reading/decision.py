@@ -66,11 +66,13 @@ class Decision:
 
 def decide(hypotheses: Sequence[Hypothesis], needed: Needed = Needed()) -> Decision:
     """The decision over the hypotheses of one recording."""
-    named = [one for one in hypotheses if one.name is not None]
+    named = [hypothesis for hypothesis in hypotheses if hypothesis.name is not None]
     best = max(named, key=lambda one: one.log_z, default=None)
-    others = [one for one in hypotheses if best is None or not is_same(one, best)]
+    others = [hypothesis for hypothesis in hypotheses if best is None or not is_same(hypothesis, best)]
     rival = max(others, key=lambda one: one.log_z)
-    untagged = max((one for one in hypotheses if not one.tagged), key=lambda one: one.log_z)
+    untagged = max(
+        (hypothesis for hypothesis in hypotheses if not hypothesis.tagged), key=lambda one: one.log_z
+    )
     if best is None:
         return settled(None, Joint(rival.log_z, rival), Joint(untagged.log_z, untagged), needed)
     bare = best_bare(hypotheses, best.name or "")

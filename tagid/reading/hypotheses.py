@@ -127,14 +127,18 @@ class Contest:
     def run(self) -> list[Hypothesis]:
         """All hypotheses, the best first, at the stated angles or at those that explain more."""
         self._explore()
-        best = max(one.found.log_z for one in self.hypotheses)
+        best = max(hypothesis.found.log_z for hypothesis in self.hypotheses)
         # An enrolled body has an uneven turn of its own.
-        others = [one.found for one in self.hypotheses if not isinstance(one.found.model, SignatureModel)]
+        others = [
+            hypothesis.found
+            for hypothesis in self.hypotheses
+            if not isinstance(hypothesis.found.model, SignatureModel)
+        ]
         turned = straightened(self.spectra, others, best)
         if turned is not None:
             other = replace(self, spectra=turned.spectra)
             other._explore()
-            if max(one.found.log_z for one in other.hypotheses) - turned.cost > best:
+            if max(hypothesis.found.log_z for hypothesis in other.hypotheses) - turned.cost > best:
                 vars(self).update(vars(other))
         self.hypotheses = smoothed(self.spectra, self.hypotheses)
         return self.hypotheses
@@ -145,8 +149,8 @@ class Contest:
         centres = [body.centre, *GRID_M]
         # A loud tag moves the centre that a body alone seems to have.
         near = distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
-        powers = [replace(one.found.powers, clutter=max(one.found.powers.clutter, 1e-3)) for one in bodies]
-        shapes = [one.found.x[2:4] for one in bodies]
+        powers = [replace(body.found.powers, clutter=max(body.found.powers.clutter, 1e-3)) for body in bodies]
+        shapes = [body.found.x[2:4] for body in bodies]
         known = body.centre_sd_m < _KNOWN_M
         self._look(centres, near if known else centres, powers, shapes, GRID_M[::2])
         self._beside_others(shapes)
@@ -173,7 +177,7 @@ class Contest:
 
     @property
     def _searched(self) -> Sequence[Transfer]:
-        return [one for one in self.transfers if one in SEARCHED] or self.transfers
+        return [transfer for transfer in self.transfers if transfer in SEARCHED] or self.transfers
 
     def _look(
         self,
@@ -191,7 +195,7 @@ class Contest:
             starts += self._starts(model, some, powers, shapes, others, wide=2)
             if transfer.body and len(self._planes) > 2:
                 # Waves that pass tell the height of the plane well enough for what a body does to them.
-                best = max((one for one in starts if one.model.lifts), key=lambda one: one.log)
+                best = max((start for start in starts if start.model.lifts), key=lambda one: one.log)
                 self._planes = list(dict.fromkeys([0.0, float(best.x[-1])]))
         self._refine(starts, powers)
 
@@ -200,15 +204,15 @@ class Contest:
         layouts: dict[Layout | None, Hypothesis] = {}
         for one in self._best(9, enrolled=True):
             layouts.setdefault(one.layout, one)
-        for one in list(layouts.values())[:RESIZED]:
-            starts = resized(self.spectra, self._searched, FREE_RINGS_M, one)
+        for layout in list(layouts.values())[:RESIZED]:
+            starts = resized(self.spectra, self._searched, FREE_RINGS_M, layout)
             for start in sorted(starts, key=lambda start: -start.log)[:RESIZED]:
                 self.grow(self._placed(None, start.model, start.x), self.most_odd)
 
     def _refine(self, starts: list[Candidate], powers: Sequence[Powers]) -> None:
         """The best starts of every kind under the clutter that a body leaves; the best of those wholly."""
         for enrolled in (True, False):
-            self._refined([one for one in starts if (one.layout is not None) == enrolled], powers)
+            self._refined([start for start in starts if (start.layout is not None) == enrolled], powers)
 
     def _refined(self, starts: list[Candidate], powers: Sequence[Powers]) -> None:
         ranked = sorted(starts, key=lambda one: -one.log)
@@ -219,10 +223,12 @@ class Contest:
             kinds.setdefault((one.model.transfer.name, name, count), one)
         starts = list(dict.fromkeys([*ranked[:FIRST], *kinds.values()]))
         near: list[tuple[float, int, Found]] = []
-        for one in starts:
-            found = refined(self.spectra, one.model, one.x, (min(powers[one.model.disc].clutter, 1e-2),), 4)
+        for start in starts:
+            found = refined(
+                self.spectra, start.model, start.x, (min(powers[start.model.disc].clutter, 1e-2),), 4
+            )
             near.append((found.log_z, len(near), found))
-            self._rough.append(Hypothesis(one.layout, found, found.log_z, one.middle))
+            self._rough.append(Hypothesis(start.layout, found, found.log_z, start.middle))
         near.sort(key=lambda one: -one[0])
         done: list[tuple[Layout | None, Found]] = []
         for _, i, rough in near:
@@ -317,7 +323,7 @@ class Contest:
     def _raised(self) -> None:
         """The best layouts' plans with any heights, where heights are in question."""
         if self.spectra.levels == 1 and not any(
-            Arrangement.of_layout(one.positions, one.heights).tall for one in self.layouts
+            Arrangement.of_layout(layout.positions, layout.heights).tall for layout in self.layouts
         ):
             return
         for one in self._best(3, enrolled=True):
@@ -372,8 +378,8 @@ class Contest:
             stand: an enrolled body in its pose.
             wide: centres and rings of free arrangements.
         """
-        arranged = [Arranged.of(one, model.covers_middle) for one in self.layouts]
-        found: list[Candidate] = []
+        arranged = [Arranged.of(layout, model.covers_middle) for layout in self.layouts]
+        candidates: list[Candidate] = []
         for disc in (0, 1):
             model, shape = replace(model, disc=disc), shapes[disc]
             bodies = [(c, shape[: model.shapes]) for c in centres]
@@ -398,7 +404,7 @@ class Contest:
                         some.append(Candidate(s.log, one.layout, with_tag, x, one.middle))
                         about[i] = max(about[i], s.log)
             for some in enrolled.values():
-                found += unlike(some, 2)
+                candidates += unlike(some, 2)
             free = list(product([r for r in FREE_RINGS_M if disc_of(r) == disc], self._planes))
             groups = [((r, 0.0, z),) for r, z in free]
             apart = [2 * float(np.arcsin(APART_M / 2 / r)) for r, _ in free]
@@ -413,8 +419,8 @@ class Contest:
                         on_ring = replace(model, tag=tag)
                         lifts = [free[i][1]] * on_ring.lifts
                         x = np.concatenate([heads[k], np.zeros(tag.turns + tag.stretches), lifts])
-                        found.append(Candidate(s.log, None, on_ring, x, False))
-        return found
+                        candidates.append(Candidate(s.log, None, on_ring, x, False))
+        return candidates
 
     def _beside_enrolled(self) -> None:
         """Enrolled bodies and objects: alone, beside what the points have shown, and with any reflectors."""
@@ -483,12 +489,16 @@ class Contest:
 
     def _best(self, count: int, *, enrolled: bool) -> list[Hypothesis]:
         """The best hypotheses with reflectors, of layouts or of arrangements that are not enrolled."""
-        some = [one for one in self.hypotheses if one.found.model.tag and not one.found.model.whole]
+        some = [
+            hypothesis
+            for hypothesis in self.hypotheses
+            if hypothesis.found.model.tag and not hypothesis.found.model.whole
+        ]
         some = [one for one in some if (one.layout is not None) == enrolled]
         return sorted(some, key=lambda one: -one.log_z)[:count]
 
     def _untagged_best(self, count: int) -> list[Hypothesis]:
-        some = [one for one in self.hypotheses if one.found.model.tag is None]
+        some = [hypothesis for hypothesis in self.hypotheses if hypothesis.found.model.tag is None]
         return sorted(some, key=lambda one: -one.log_z)[:count]
 
     def _sheets(self) -> None:

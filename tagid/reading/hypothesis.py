@@ -141,7 +141,11 @@ class Stand:
 
 def best_bare(hypotheses: Sequence[Hypothesis], name: str) -> Hypothesis | None:
     """The best hypothesis of a name without a body; None where there is none."""
-    bare = [one for one in hypotheses if one.name == name and not one.found.model.body_columns]
+    bare = [
+        hypothesis
+        for hypothesis in hypotheses
+        if hypothesis.name == name and not hypothesis.found.model.body_columns
+    ]
     return max(bare, key=lambda one: one.log_z, default=None)
 
 

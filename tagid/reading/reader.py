@@ -100,16 +100,16 @@ def read_together(
         raise DataError(
             f"{counted(len(recordings), 'recording')} of one object", f"Give 1 to {MOST_RECORDINGS}."
         )
-    if not layouts and not any(one.kind == "object" for one in signatures):
+    if not layouts and not any(signature.kind == "object" for signature in signatures):
         raise RegistryError("no layout is enrolled", "Enrol one with `tagid enroll`.")
     settings = settings or ReaderSettings()
     candidates = list(layouts)
     if not settings.direction_known:
-        candidates += [one.mirrored() for one in layouts]
-    contests = [contest(one, candidates, signatures, settings.priors) for one in recordings]
+        candidates += [layout.mirrored() for layout in layouts]
+    contests = [contest(recording, candidates, signatures, settings.priors) for recording in recordings]
     for one in contests:
         one.run()
-    views = [min(len(one.samples), MOST_VIEWS) for one in recordings]
+    views = [min(len(recording.samples), MOST_VIEWS) for recording in recordings]
     alone = [
         _reading(decide_together([own], _needed(settings, count)), own, settings, count)
         for own, count in zip(contests, views, strict=True)
@@ -159,7 +159,7 @@ def _reading(decision: Decision, contest: Contest, settings: ReaderSettings, vie
     share = 0.0 if decision.status == "no_tag" or best is None else 1 - Explained.of(spectra, best).left
     reflectors = explained.reflectors(spectra)
     if winner.layout is None:
-        reflectors = tuple(replace(one, matched=False) for one in reflectors)
+        reflectors = tuple(replace(reflector, matched=False) for reflector in reflectors)
     expected = 0 if best is None or best.layout is None else best.layout.size
     if best is not None and winner.found.model.covers_middle:
         expected -= has_middle(best)
@@ -203,7 +203,7 @@ def _lead_needed(decision: Decision, needed: Needed) -> float:
 
 def _scores(contest: Contest) -> tuple[LayoutScore, ...]:
     """Every layout by its best hypothesis, best first."""
-    untagged = max(one.log_z for one in contest.hypotheses if not one.tagged)
+    untagged = max(hypothesis.log_z for hypothesis in contest.hypotheses if not hypothesis.tagged)
     best: dict[str, Hypothesis] = {}
     for one in sorted(contest.hypotheses, key=lambda one: -one.log_z):
         if one.layout is not None:

@@ -359,7 +359,7 @@ def _turning(
     sense = np.sign(np.angle(spectra.antenna[1] / spectra.antenna[0])) if spectra.full_turn else 1
     step = float(sense * 2 * np.pi / (shifts * fractions))
     root = np.sqrt(1 + clutter * spectra.moving[:, None] * whole.variance)
-    parts = [_columns(spectra, transfer, one, fractions, step) for one in groups]
+    parts = [_columns(spectra, transfer, group, fractions, step) for group in groups]
     columns = np.concatenate(parts, axis=1)
     w = whole.apply(columns.reshape(len(columns), -1, views)) / root[:, None].astype(np.float32)
     return Blocks(w.reshape(columns.shape)[: held_in(len(w))], shifts, fractions), root, step

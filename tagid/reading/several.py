@@ -50,11 +50,19 @@ def decide_together(contests: Sequence[Contest], needed: Needed = Needed()) -> D
     untagged = _sum([best_of(own, None) for own in contests])
     named: dict[str, Joint] = {}
     for layout in {
-        one.layout.name: one.layout for own in contests for one in own.hypotheses if one.layout
+        hypothesis.layout.name: hypothesis.layout
+        for own in contests
+        for hypothesis in own.hypotheses
+        if hypothesis.layout
     }.values():
         known = [best_of(own, layout.name) or look_for(own, layout) for own in contests]
         named[layout.name] = _sum(known)
-    for name in {one.name for own in contests for one in own.hypotheses if one.name and not one.layout}:
+    for name in {
+        hypothesis.name
+        for own in contests
+        for hypothesis in own.hypotheses
+        if hypothesis.name and not hypothesis.layout
+    }:
         objects = [best_of(own, name) for own in contests]
         if all(objects):
             named[name] = _sum(objects)
@@ -98,8 +106,10 @@ def clearest(contests: Sequence[Contest]) -> Contest:
 
 def _shows(contest: Contest) -> float:
     """Log evidence of there being reflectors."""
-    tagged = max((one.log_z for one in contest.hypotheses if one.tagged), default=-np.inf)
-    return float(tagged - max(one.log_z for one in contest.hypotheses if not one.tagged))
+    tagged = max(
+        (hypothesis.log_z for hypothesis in contest.hypotheses if hypothesis.tagged), default=-np.inf
+    )
+    return float(tagged - max(hypothesis.log_z for hypothesis in contest.hypotheses if not hypothesis.tagged))
 
 
 def _chain(contests: Sequence[Contest], first: Contest, one: Hypothesis, other: str | None = None) -> Joint:
@@ -125,7 +135,11 @@ def _rigid(one: Hypothesis) -> Arrangement:
 
 def best_of(contest: Contest, name: str | None) -> Hypothesis | None:
     """The best hypothesis of a name; None: of what has no tag."""
-    some = [one for one in contest.hypotheses if one.name == name and (name or not one.tagged)]
+    some = [
+        hypothesis
+        for hypothesis in contest.hypotheses
+        if hypothesis.name == name and (name or not hypothesis.tagged)
+    ]
     return max(some, key=_log_z, default=None)
 
 
@@ -137,7 +151,7 @@ def _sum(some: Sequence[Hypothesis | None]) -> Joint:
 def _shown(contest: Contest, name: str) -> list[Hypothesis]:
     """The best arrangements that a recording shows and that are not those of a name, each once."""
     named = best_of(contest, name)
-    limit = max(one.log_z for one in contest.hypotheses) - REACH
+    limit = max(hypothesis.log_z for hypothesis in contest.hypotheses) - REACH
     out: list[Hypothesis] = []
     for one in sorted(contest.hypotheses, key=lambda one: -one.log_z):
         strange = one.found.model.tag is not None and one.name is None and one.log_z > limit
@@ -179,7 +193,7 @@ def look_for(
     for start in starts[:LOOKED_FOR]:
         found = refined(contest.spectra, start.model, start.x, (1e-2, None))
         contest.grow(contest.add(layout, found, start.middle), contest.most_odd)
-    some = [one for one in contest.hypotheses[before:] if same is None or not same(one)]
+    some = [hypothesis for hypothesis in contest.hypotheses[before:] if same is None or not same(hypothesis)]
     # What another recording has shown is no hypothesis of this one.
     del contest.hypotheses[before:]
     return smoothed(contest.spectra, some)[0]

@@ -244,15 +244,15 @@ def beside(
     own = [list(zip(np.round(tag.radius_m, 4), tag.height_m, strict=True)) for tag in tags]
     rings = sorted({one for some in own for one in some})
     columns = SheetColumns(model, spectra, x)
-    left = Remainder.of(spectra, model, columns.values, powers)
+    remainder = Remainder.of(spectra, model, columns.values, powers)
     turns = np.exp(2j * np.pi * np.arange(RING) / RING)
     places = np.concatenate([centre + r * turns for r, _ in rings])
-    ring = left.whitened(columns.reflectors(places, np.repeat([z for _, z in rings], RING)))
+    ring = remainder.whitened(columns.reflectors(places, np.repeat([z for _, z in rings], RING)))
     anywhere = complex(x[0], x[1]) + grid(min(max(model.sheet(x).radius_m * 1.2, 0.05), 1.5 * REACH_M))
     if not model.transfer.clear:
         anywhere = anywhere[model.sheet(x).outside_m(in_frame(x, anywhere)) >= 0]
-    spots = left.whitened(columns.reflectors(anywhere, np.zeros(len(anywhere))))
-    chosen = left.likeliest(spots)
+    spots = remainder.whitened(columns.reflectors(anywhere, np.zeros(len(anywhere))))
+    chosen = remainder.likeliest(spots)
     turned = []
     for tag, some in zip(tags, own, strict=True):
         steps = np.rint(tag.angle / (2 * np.pi / RING)).astype(np.intp) + np.arange(RING)[:, None]
@@ -260,4 +260,6 @@ def beside(
     level = np.repeat([z == 0 for _, z in rings], RING) & (np.arange(len(places)) % 2 == 0)
     spots = np.concatenate([ring[:, level], spots[:, chosen]], axis=1)
     every = np.concatenate([places[level], anywhere[chosen]])
-    return Beside(left.tables(np.concatenate(turned, axis=1), RING), left.tables(spots, len(every)), every)
+    return Beside(
+        remainder.tables(np.concatenate(turned, axis=1), RING), remainder.tables(spots, len(every)), every
+    )

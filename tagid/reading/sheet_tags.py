@@ -229,7 +229,7 @@ def _about(
         x: its parameters.
         middle: supposed centre of reflectors, x + jy, m.
     """
-    arranged = [Arrangement.of_layout(one.positions, one.heights) for one in layouts]
+    arranged = [Arrangement.of_layout(layout.positions, layout.heights) for layout in layouts]
     odd = x[len(x) - 2 * model.odd :]
     x = np.r_[x[:HEAD], 0.0, 0.0, odd]
     sheet_centre = complex(x[0], x[1])
@@ -242,8 +242,8 @@ def _about(
         powers = replace(powers, clutter=1e-2, tag=0.3)
         near = beside(spectra, model, x, arranged, centre, powers)
         for layout, a, turns in zip(layouts, arranged, search.turned(near.layouts, 2), strict=True):
-            for one in turns:
-                yield _Start(one.log, layout, replace(model, tag=a), np.r_[head, one.angles[0], 0.0, odd])
+            for turn in turns:
+                yield _Start(turn.log, layout, replace(model, tag=a), np.r_[head, turn.angles[0], 0.0, odd])
         for log, places in sets(near.spots, near.places, MOST):
             tag = Arrangement.points(places - sheet_centre)
             free = np.r_[x[: HEAD + 2], np.zeros(2 * tag.count), odd]

@@ -333,13 +333,16 @@ def enrolled_in(scans: BasebandScans, signatures: Sequence[Signature]) -> tuple[
     """The signatures of the band of a recording: those at all multiples of a step that lie in it."""
     edges_hz = (scans.center_hz or scans.carrier_hz) + scans.bandwidth_hz * np.array([-0.5, 0.5])
     low, high = edges_hz / FREQUENCY_STEP_HZ
-    found: list[EnrolledBody] = []
-    for one in signatures:
-        first, last = one.frequencies_hz[[0, -1]] / FREQUENCY_STEP_HZ
+    enrolled_bodies: list[EnrolledBody] = []
+    for signature in signatures:
+        first, last = signature.frequencies_hz[[0, -1]] / FREQUENCY_STEP_HZ
         inside = -EDGE < first - low < 1 + EDGE and -EDGE < high - last < 1 + EDGE
-        if inside and (not found or same_wavenumbers(one.wavenumbers, found[0].signature.wavenumbers)):
-            found.append(_body(one))
-    return tuple(found)
+        if inside and (
+            not enrolled_bodies
+            or same_wavenumbers(signature.wavenumbers, enrolled_bodies[0].signature.wavenumbers)
+        ):
+            enrolled_bodies.append(_body(signature))
+    return tuple(enrolled_bodies)
 
 
 @lru_cache(maxsize=64)

@@ -234,7 +234,7 @@ class Spectra:
     @cached_property
     def white(self) -> tuple[Complex, ...]:
         """The data (F, M) in the basis of every whitener."""
-        return tuple(one.apply(self.data[:, None])[:, 0] for one in self.whiteners)
+        return tuple(whitener.apply(self.data[:, None])[:, 0] for whitener in self.whiteners)
 
     def thinned(self, step: int) -> Spectra:
         """The same of every so many-th frequency."""

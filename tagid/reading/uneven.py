@@ -127,5 +127,5 @@ def straightened(spectra: Spectra, every: Sequence[Found], best: float) -> Turne
     for one in sorted(every, key=lambda one: -one.log_z):
         turns, count = (0, 0) if one.model.tag is None else (one.model.tag.turns, one.model.tag.count)
         kinds.setdefault((one.model.odd > 0, turns, count), one)
-    found = [fitted(spectra, one, best + PAYS) for one in list(kinds.values())[:MOST]]
+    found = [fitted(spectra, kind, best + PAYS) for kind in list(kinds.values())[:MOST]]
     return max((one for one in found if one is not None), key=lambda one: one.log_z, default=None)

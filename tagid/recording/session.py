@@ -205,7 +205,7 @@ def _keep(recorded: Recorded, write: Callable[[Recorded], Written[_Result]]) -> 
         raise with_recovery(error, journal) from error
     journal.unlink(missing_ok=True)
     if ended_by is not None:
-        places = ", ".join(str(each) for each in written.paths)
+        places = ", ".join(str(path) for path in written.paths)
         raise with_remedy(ended_by, f"The {written.views} scans that arrived are in {places}.") from ended_by
     return written.result
 

@@ -31,7 +31,10 @@ def draw_residuals(residuals: Residuals, hypotheses: Sequence[Explanation], path
         StorageError, DiskFullError: the file cannot be written.
     """
     titles = ["recorded, without what stands still"]
-    titles += [f"left by: {one.words} ({100 * one.left:.2g} %)" for one in hypotheses[: len(residuals.left)]]
+    titles += [
+        f"left by: {hypothesis.words} ({100 * hypothesis.left:.2g} %)"
+        for hypothesis in hypotheses[: len(residuals.left)]
+    ]
     rows = [residuals.recorded, *residuals.left]
     canvas = Canvas(_WIDTH, _TOP + len(rows) * (_HEIGHT + _GAP) + 30)
     reference = float(np.max(residuals.recorded, initial=1e-6))

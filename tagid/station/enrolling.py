@@ -169,7 +169,7 @@ class Enrolling:
         """
         contents = self._registry().contents()
         taken = {layout.name for layout in contents.layouts}
-        taken |= {one.name for one in contents.signatures if one.kind == "object"}
+        taken |= {signature.name for signature in contents.signatures if signature.kind == "object"}
         if subject.name in taken:
             raise RegistryError(
                 f"an object named {subject.name} is already enrolled",
@@ -227,7 +227,7 @@ class Enrolling:
         Raises EnrolmentError if there is no such capture, or while measuring.
         """
         with self._alone() as before:
-            left = tuple(one for one in before.captures if one.number != number)
+            left = tuple(capture for capture in before.captures if capture.number != number)
             if len(left) == len(before.captures):
                 raise EnrolmentError(f"there is no capture {number}", "Reload the page.")
             self._state = replace(before, captures=left)
@@ -303,11 +303,11 @@ class Enrolling:
         subject = state.subject
         if subject is None or not state.captures:
             return state
-        bad = next((one for one in state.captures if one.sighted is None), None)
+        bad = next((capture for capture in state.captures if capture.sighted is None), None)
         if bad is not None and bad.error is not None:
             raise bad.error
         imaging = self._imaging()
-        usable = [one.sighted for one in state.captures if one.sighted is not None]
+        usable = [capture.sighted for capture in state.captures if capture.sighted is not None]
         found = measure(subject.name, usable, imaging)
         if len(usable) < NEEDED:
             return replace(state, measured=found)

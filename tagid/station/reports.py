@@ -124,7 +124,7 @@ class Reports:
             run.start()
             self._runs[number] = run
             self._count = number
-            for old in [one for one in self._runs if one <= number - _KEPT]:
+            for old in [run for run in self._runs if run <= number - _KEPT]:
                 del self._runs[old]
             return run
 

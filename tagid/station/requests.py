@@ -112,7 +112,8 @@ def flag_of(asked: dict[str, Any], name: str) -> bool:
 def entries_of(numbers: Any) -> tuple[int, ...]:
     """Numbers of entries of the history. Raises UsageError."""
     right = isinstance(numbers, list) and all(
-        isinstance(one, int) and not isinstance(one, bool) and 0 < one < 10**_MOST_DIGITS for one in numbers
+        isinstance(number, int) and not isinstance(number, bool) and 0 < number < 10**_MOST_DIGITS
+        for number in numbers
     )
     if not right or not 1 <= len(numbers) <= HISTORY_LIMIT:
         raise UsageError(

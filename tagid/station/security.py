@@ -107,7 +107,7 @@ class Pairing:
     def knows(self, token: str) -> bool:
         """Whether a token is valid."""
         digest = _digest(token)
-        return any(hmac.compare_digest(digest, one) for one in self._tokens)
+        return any(hmac.compare_digest(digest, token) for token in self._tokens)
 
 
 @dataclass

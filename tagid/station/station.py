@@ -86,7 +86,7 @@ class Health:
     @property
     def radar(self) -> bool | None:
         """Whether the radar answers; None if that is not known."""
-        return next((one.answers for one in self.findings if one.answers is not None), None)
+        return next((finding.answers for finding in self.findings if finding.answers is not None), None)
 
 
 class Station:

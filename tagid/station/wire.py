@@ -126,13 +126,13 @@ def health(found: Health) -> Json:
         "checked": found.checked_at is not None,
         "findings": [
             {
-                "topic": one.topic,
-                "level": one.level,
-                "text": one.text,
-                "remedy": one.remedy,
-                "answers": one.answers,
+                "topic": finding.topic,
+                "level": finding.level,
+                "text": finding.text,
+                "remedy": finding.remedy,
+                "answers": finding.answers,
             }
-            for one in found.findings
+            for finding in found.findings
         ],
         "recovered_scan": found.recovered,
         "wiring": None
@@ -149,7 +149,7 @@ def enrolment(state: EnrolmentState) -> Json:
         if subject is None
         else {"name": subject.name, "kind": subject.kind, "label": subject.label},
         "needed": NEEDED,
-        "captures": [_taken(one) for one in state.captures],
+        "captures": [_taken(capture) for capture in state.captures],
         "measuring": state.measuring,
         "trouble": None if state.trouble is None else error_entry(state.trouble),
         "remarks": _remarks(state),
@@ -193,8 +193,13 @@ def proposal(found: LayoutProposal | SignatureProposal, measured: Measured | Non
             "confusion_rate": None,
             "reference": None,
             "nearest": [
-                {"name": one.second, "worst_m": None, "difference": one.left, "confusable": one.alike}
-                for one in found.likenesses[:_NEAREST]
+                {
+                    "name": likeness.second,
+                    "worst_m": None,
+                    "difference": likeness.left,
+                    "confusable": likeness.alike,
+                }
+                for likeness in found.likenesses[:_NEAREST]
             ],
         }
     estimate = None if measured is None else measured.estimate
@@ -208,12 +213,12 @@ def proposal(found: LayoutProposal | SignatureProposal, measured: Measured | Non
         "reference": {"views": outlook.conditions.views, "snr_db": outlook.conditions.snr_db},
         "nearest": [
             {
-                "name": one.name,
-                "worst_m": one.distance.worst_m,
+                "name": neighbour.name,
+                "worst_m": neighbour.distance.worst_m,
                 "difference": None,
-                "confusable": one.confusable,
+                "confusable": neighbour.confusable,
             }
-            for one in outlook.neighbours[:_NEAREST]
+            for neighbour in outlook.neighbours[:_NEAREST]
         ],
     }
 

@@ -112,7 +112,7 @@ class Entry:
         return dict(vars(self))
 
 
-FIELDS = tuple(each.name for each in fields(Entry))
+FIELDS = tuple(field.name for field in fields(Entry))
 """Names of an entry's fields, which are the columns of an export."""
 TYPES = {"id": int, "command": str} | {
     name: {"TEXT": str, "REAL": float, "INTEGER": int}[kind.split()[0]] for name, kind in _COLUMNS.items()

@@ -69,7 +69,8 @@ def read_scans(
         ignored.append(f"{counted(others, 'scan')} with another window")
     configs = [config for value in variables.values() for config in _configs(value)]
     config = next(
-        (one for one in reversed(configs) if one.get("node_id") == chosen), configs[0] if configs else {}
+        (config for config in reversed(configs) if config.get("node_id") == chosen),
+        configs[0] if configs else {},
     )
     window = {"scan_start_ps": first["tstrt"], "scan_stop_ps": first["tstp"]}
     numbers = {name: np.array([scan[name] for scan in same], np.int64) for name in ("msgid", "tstmp")}

@@ -258,3 +258,20 @@ def test_no_file_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
     line = f'{sys.executable} -c "{code}" <&- >&- 2>&-'
     assert subprocess.run(line, shell=True, cwd=tmp_path).returncode == 0
     assert (tmp_path / "data").read_bytes() == b""
+
+
+@pytest.mark.parametrize("words", [(), ("radar",)])
+def test_a_program_or_group_alone_prints_its_help(tagid, words) -> None:
+    done = tagid(*words)
+    assert (done.code, done.err) == (0, "")
+    assert done.out == tagid(*words, "--help").out
+
+
+def test_a_wrong_command_is_told_the_nearest(tagid) -> None:
+    done = tagid("reconstuct")
+    assert done.code == 2 and "Did you mean 'reconstruct'?" in done.err
+
+
+def test_a_wrong_setting_is_told_the_nearest(tagid) -> None:
+    done = tagid("config", "set", "moton.url", "free?rpm=2")
+    assert done.code == 2 and "Did you mean motion.url?" in done.err

@@ -215,8 +215,8 @@ def fit_adapted(
     images = FirstImages()
     quick, settings = settings, settings.seeing_all(scans.aperture.views)
     if settings.held_out > 0 and scans.aperture.views >= LEAST_HELD_OUT:
-        for each in dict.fromkeys((quick, settings)):
-            first = fit(scans, grid, each, progress, images=images)
+        for fromkey in dict.fromkeys((quick, settings)):
+            first = fit(scans, grid, fromkey, progress, images=images)
             if not first.losses or _explains(scans, grid, first):
                 return first
     trials = _Trials(scans, grid, settings, progress, without_field=settings.calibrate == ())
@@ -339,7 +339,7 @@ class _Trials:
         """Whether a prior is left out of the trials; noted where it is because the image is large."""
         tried = self.residuals()
         if name in SHADED:
-            best = min((each for each in CANDIDATES if each in tried), key=tried.__getitem__)
+            best = min((candidate for candidate in CANDIDATES if candidate in tried), key=tried.__getitem__)
             asks = tried[best] > _noise_share(select_views(self.scans, group)) + ASKS
             if SHADED[name] != best or not asks:
                 return True

@@ -187,13 +187,13 @@ class _Fit:
         """The field that carries the backprojection."""
         settings, grid = self.settings, self.grid
         cells = _cells(self.scans, grid, settings)
-        axes = [_axes(grid, each) for each in cells]
+        axes = [_axes(grid, cell) for cell in cells]
         vertices = np.stack([part.ravel() for part in np.meshgrid(*axes[-1][::-1], indexing="ij")], axis=1)
         some = ForwardOperator(self.scans, vertices[:, ::-1]).select(self.sample)
         back = some.adjoint(self.scans.samples[self.sample])
         first = back * np.complex64(step * whole / scale)
         points = _points(grid, self.active)
-        at = [Interpolation.of(points, each) for each in axes]
+        at = [Interpolation.of(points, axis) for axis in axes]
         return Field.carrying(first, at, scale, settings)
 
     def _optimise(
@@ -291,8 +291,8 @@ class Field:
     ) -> None:
         self.parameters = [*tables, *weights, *biases]
         self.levels, self.at, self.scale = len(tables), at, scale
-        self._first = [np.zeros_like(each) for each in self.parameters]
-        self._second = [np.zeros_like(each) for each in self.parameters]
+        self._first = [np.zeros_like(parameter) for parameter in self.parameters]
+        self._second = [np.zeros_like(parameter) for parameter in self.parameters]
 
     @classmethod
     def carrying(

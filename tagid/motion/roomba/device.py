@@ -207,13 +207,13 @@ class Roomba(DrivenMotion):
             # Repeated regularly: these writes keep the dead-man from stopping the wheels.
             self._spin(round(self.settings.step * SPEED_STEP_MM_S) if self._readings else 0)
             self._fed = now
-        found: list[Reading] = []
+        readings: list[Reading] = []
         for stamp, values in oi.frames(0.02):
             self._watch(values)
             angle = self._odometry.add(values[Packet.LEFT_ENCODER], values[Packet.RIGHT_ENCODER])
-            found.append((stamp, angle, self._odometry.sigma_rad))
+            readings.append((stamp, angle, self._odometry.sigma_rad))
         now = time.monotonic()
-        if found:
+        if readings:
             self._heard = now
         elif now - self._heard > _SILENCE_S:
             raise DeviceTimeoutError(
@@ -227,7 +227,7 @@ class Roomba(DrivenMotion):
                 f"nothing turns: the wheels of {self.name} do not move",
                 "Check whether they are blocked; then try again.",
             )
-        return found
+        return readings
 
     def _watch(self, values: dict[int, int]) -> None:
         """Raise the error that must stop the motion; a cause precedes its consequence (return to Passive)."""

@@ -96,17 +96,17 @@ def packet_size(packet: int) -> int:
     >>> packet_size(100), packet_size(43)
     (80, 2)
     """
-    return sum(struct.calcsize(PACKETS[one]) for one in members(packet))
+    return sum(struct.calcsize(PACKETS[member]) for member in members(packet))
 
 
 def pack_packet(packet: int, values: Mapping[int, int]) -> bytes:
     """Data of a packet from the values of its single packets; missing values are zero."""
-    return b"".join(struct.pack(">" + PACKETS[one], values.get(one, 0)) for one in members(packet))
+    return b"".join(struct.pack(">" + PACKETS[member], values.get(member, 0)) for member in members(packet))
 
 
 def unpack_packet(packet: int, data: bytes) -> dict[int, int]:
     """Values of the single packets. Raises ValueError for a wrong length, KeyError for an unknown id."""
-    code = ">" + "".join(PACKETS[one] for one in members(packet))
+    code = ">" + "".join(PACKETS[member] for member in members(packet))
     if len(data) != struct.calcsize(code):
         raise ValueError(f"packet {packet} has {len(data)} bytes, expected {struct.calcsize(code)}")
     return dict(zip(members(packet), struct.unpack(code, data), strict=True))

@@ -96,7 +96,7 @@ def _coefficients(wavenumber: bytes, walls: Walls, rings: int) -> tuple[NDArray[
     k, reach_m = np.frombuffer(wavenumber), rings * _FAR_M
     radii = np.arange(STEP_M, reach_m - STEP_M, STEP_M)
     radii = radii[radii > max(walls.wall_m) + 1e-3]
-    shells = [one for p in "VH" for radius in radii for one in walls.shells(float(radius), p)]
+    shells = [shell for p in "VH" for radius in radii for shell in walls.shells(float(radius), p)]
     found = reflection(k, shells, orders(k, reach_m))
     return radii, found.reshape(2, len(radii), -1, *found.shape[1:])
 
@@ -106,7 +106,7 @@ def beside(shells: Callable[[float], Sequence[Shell]], terms: int) -> Tables:
 
     def table(kappa: NDArray[np.float64], radius_m: float) -> Field:
         k, bodies = kappa / 2, shells(radius_m)
-        electric = np.array([one.polarisation == "V" for one in bodies])
+        electric = np.array([body.polarisation == "V" for body in bodies])
         return patterns(k, reflection(k, bodies, orders(k, radius_m)), electric, radius_m, terms)
 
     return table

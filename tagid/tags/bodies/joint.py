@@ -172,11 +172,11 @@ class Basis:
         size = len(self.m)
         gram = np.zeros((len(self.mask), size, size), complex)
         data = np.zeros((len(self.mask), size), complex)
-        for one in captures:
-            columns = self.columns(one)
+        for capture in captures:
+            columns = self.columns(capture)
             across = columns.conj().swapaxes(1, 2)
             gram += across @ columns
-            data += (across @ _whitened(one.spectra)[..., None])[..., 0]
+            data += (across @ _whitened(capture.spectra)[..., None])[..., 0]
         mean = np.einsum("fnn->f", gram).real / self.mask.sum(axis=1)
         load = np.full(size, ridge)
         load[self.order] *= ROUND_RIDGE
@@ -359,7 +359,7 @@ def estimate(
         name, kind: of the signature.
         radius_m: of the object with its tag, m; None finds it by generalised cross-validation over RADII_M.
     """
-    spectra = [one.spectra for one in captures]
+    spectra = [capture.spectra for capture in captures]
     if radius_m is not None:
         work = _joint(spectra, name, kind, radius_m)
     else:
@@ -412,8 +412,12 @@ def _left(captures: Collection[Placed], basis: Basis) -> float:
     """Energy that the least squares of a basis leaves of captures, in units of their noise."""
     found, _ = basis.solve(captures)
     return sum(
-        float(np.sum(np.abs(_whitened(one.spectra) - (basis.columns(one) @ found[..., None])[..., 0]) ** 2))
-        for one in captures
+        float(
+            np.sum(
+                np.abs(_whitened(capture.spectra) - (basis.columns(capture) @ found[..., None])[..., 0]) ** 2
+            )
+        )
+        for capture in captures
     )
 
 
@@ -428,7 +432,7 @@ def _score(spectra: Sequence[Spectra], work: _Estimate, radius_m: float) -> floa
 
 def _residuals(captures: Sequence[Named], work: _Estimate) -> tuple[Residual, ...]:
     frequencies = len(work.basis.mask)
-    freedom = [frequencies * (one.spectra.views - 1) for one in captures]
+    freedom = [frequencies * (capture.spectra.views - 1) for capture in captures]
     spent = int(work.basis.mask.sum()) + (frequencies + 3) * (len(captures) - 1)
     share = max(1 - spent / sum(freedom), 0.05)
     found = []
@@ -459,18 +463,18 @@ def enrol_signature(captures: Sequence[Named], name: str, kind: SignatureKind) -
             "Record the object again, turned by about a third of a turn and moved by a few millimetres.",
         )
     first = captures[0].spectra
-    for one in captures:
-        if one.spectra.data.shape[0] != first.data.shape[0] or not np.allclose(
-            one.spectra.wavenumbers, first.wavenumbers, rtol=1e-4
+    for capture in captures:
+        if capture.spectra.data.shape[0] != first.data.shape[0] or not np.allclose(
+            capture.spectra.wavenumbers, first.wavenumbers, rtol=1e-4
         ):
             raise DataError(
-                f"{one.name} covers another band than {captures[0].name}",
+                f"{capture.name} covers another band than {captures[0].name}",
                 "Record all with one radar setting.",
             )
-        noise = noise_of(one.spectra) * one.spectra.data.size
-        if one.spectra.energy < (1 + NOISE_SLACK) * noise:
+        noise = noise_of(capture.spectra) * capture.spectra.data.size
+        if capture.spectra.energy < (1 + NOISE_SLACK) * noise:
             raise DataError(
-                f"{one.name} shows nothing but noise where the object should be",
+                f"{capture.name} shows nothing but noise where the object should be",
                 "Check that the object stands in the beam, and move it a few millimetres off the axis: what "
                 "is round and exactly centred looks like the room.",
             )
@@ -547,5 +551,5 @@ def _odd_ones(captures: Sequence[Named], signature: Signature, kind: SignatureKi
     if good or len(captures) < CAPTURES + 2:
         return [[captures[i]] for i in good]
     first = captures[order[0]]
-    others = [one for one in captures if one is not first]
+    others = [capture for capture in captures if capture is not first]
     return [[first, *group] for group in _odd_ones(others, signature, kind) if len(group) == 1]

@@ -263,15 +263,15 @@ class PoseSearch:
         Raises DataError where signature and capture are at different frequencies.
         """
         left = self._energies(signature)
-        found: list[Pose] = []
+        poses: list[Pose] = []
         for index in np.argsort(left, axis=None)[:400]:
             i, turn = np.unravel_index(index, left.shape)
             pose = self._pose(int(i), int(turn))
-            if all(abs(np.angle(np.exp(1j * (pose.turn_rad - one.turn_rad)))) > APART_RAD for one in found):
-                found.append(pose)
-            if len(found) == count:
+            if all(abs(np.angle(np.exp(1j * (pose.turn_rad - one.turn_rad)))) > APART_RAD for one in poses):
+                poses.append(pose)
+            if len(poses) == count:
                 break
-        return found
+        return poses
 
     def _pose(self, centre: int, turn: int) -> Pose:
         at = complex(self._centres[centre])

@@ -58,7 +58,9 @@ class FieldTables:
         """
         if _matched is None:
             return None
-        ways = np.ascontiguousarray(np.stack([np.asarray(one, dtype=np.float64).T for one in antennas]))
+        ways = np.ascontiguousarray(
+            np.stack([np.asarray(antenna, dtype=np.float64).T for antenna in antennas])
+        )
         circle = np.empty(ways.shape[2], dtype=np.int32)
         for number, views in enumerate(groups):
             circle[views] = number
