@@ -11,10 +11,6 @@ DEMO_DIR ?= demo
 $(VENV)/.base: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --editable .
-	@# Python 3.11 puts setuptools into every environment (10 MB); the build brings its own, nothing else needs it.
-	$(BIN)/python -m pip uninstall --quiet --yes setuptools
-	@# numpy brings its own tests (8 MB).
-	find $(VENV)/lib/*/site-packages/numpy -type d -name tests -prune -exec rm -r {} +
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.base firmware_tools/pyproject.toml
