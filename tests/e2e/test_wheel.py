@@ -113,7 +113,7 @@ def test_what_was_built_names_an_object_alone(empty_environment: Path, tmp_path:
     (item,) = json.loads(done.stdout)["data"]["items"]
     assert item["layout"] == "helmet-120"
     for absent in ("torch", "scipy", "firmware_tools", "train"):
-        assert "ModuleNotFoundError" in run(empty_environment, "-c", f"import {absent}").stderr
+        assert "ModuleNotFoundError" in run(empty_environment, "-P", "-c", f"import {absent}").stderr
     compiled = run(empty_environment, "-c", "from tagid.loops import unusable; print(unusable())")
     assert compiled.stdout.strip() == "()", compiled
 
