@@ -61,7 +61,7 @@ def _versions() -> list[Finding]:
     names = [*_PACKAGES, *([_EXTRA] if importlib.util.find_spec(_EXTRA) is not None else [])]
     found = ", ".join(f"{name} {metadata.version(name)}" for name in names)
     if _EXTRA not in names:
-        found += f"; without {_EXTRA}: no MATLAB files, no `tagid layouts reflector --rcs`"
+        found += f"; without {_EXTRA}: no MATLAB files"
     return [
         Finding("tagid", "ok", f"{__version__} on Python {platform.python_version()}, {platform.system()}"),
         Finding("packages", "ok", found),

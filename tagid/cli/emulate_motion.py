@@ -24,6 +24,15 @@ if TYPE_CHECKING:
     from tagid.motion.emulation.host import RoombaHost
 
 _LOOK_S = 0.5
+_RateError = Annotated[
+    float,
+    typer.Option(
+        "--rate-error",
+        min=-0.9,
+        max=0.9,
+        help="Relative difference by which it rotates slower than it reports.",
+    ),
+]
 _Truth = Annotated[
     int,
     typer.Option(
@@ -118,15 +127,7 @@ def roomba(
 def comxim(
     terminal: Terminal,
     link: Annotated[Path | None, typer.Option("--link", help="Symbolic link to create for the port.")] = None,
-    rate_error: Annotated[
-        float,
-        typer.Option(
-            "--rate-error",
-            min=-0.9,
-            max=0.9,
-            help="Relative difference by which it rotates slower than it reports.",
-        ),
-    ] = 0.03,
+    rate_error: _RateError = 0.03,
     fail: Annotated[
         int | None, typer.Option("--fail", min=0, max=2147483648, help="Error code returned by CT+RUN.")
     ] = None,
@@ -150,15 +151,7 @@ def comxim(
 @command("emulate revopoint")
 def revopoint(
     terminal: Terminal,
-    rate_error: Annotated[
-        float,
-        typer.Option(
-            "--rate-error",
-            min=-0.9,
-            max=0.9,
-            help="Relative difference by which it rotates slower than it reports.",
-        ),
-    ] = 0.02,
+    rate_error: _RateError = 0.02,
     truth: _Truth = 0,
 ) -> Result:
     """Emulate a Revopoint dual-axis table on a virtual Bluetooth controller until stopped.

@@ -24,6 +24,18 @@ if TYPE_CHECKING:
     from tagid.recording.long_recording import RecordingState
 
 
+Seconds = Annotated[float | None, typer.Option("--seconds", help="Stop after this time, seconds.")]
+Interval = Annotated[
+    int,
+    typer.Option(
+        "--interval-us",
+        min=0,
+        max=4294967295,
+        help="Microseconds between scans; 0: as fast as possible.",
+    ),
+]
+
+
 def open_configured(config: Config) -> P440:
     """The client of the configured radar, not connected yet. Raises ConfigError, UsageError, DeviceError."""
     from tagid.recording.radars import open_radar
@@ -228,16 +240,8 @@ def record(
         int | None,
         typer.Option("--scans", min=-2147483648, max=2147483648, help="Stop after this number of scans."),
     ] = None,
-    seconds: Annotated[float | None, typer.Option("--seconds", help="Stop after this time, seconds.")] = None,
-    interval_us: Annotated[
-        int,
-        typer.Option(
-            "--interval-us",
-            min=0,
-            max=4294967295,
-            help="Microseconds between scans; 0: as fast as possible.",
-        ),
-    ] = 0,
+    seconds: Seconds = None,
+    interval_us: Interval = 0,
     axis_distance: options.AxisDistance = None,
     antenna_height: options.AntennaHeight = None,
     antenna_separation: options.AntennaSeparation = None,

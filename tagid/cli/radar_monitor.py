@@ -9,7 +9,7 @@ import typer
 
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
-from tagid.cli.radar import open_configured
+from tagid.cli.radar import Interval, Seconds, open_configured
 from tagid.config import Config, load_config, radar_url
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -32,16 +32,8 @@ def monitor(
     changing: Annotated[
         bool, typer.Option("--changing", help="Subtract the running mean, to show only what changes.")
     ] = False,
-    seconds: Annotated[float | None, typer.Option("--seconds", help="Stop after this time, seconds.")] = None,
-    interval_us: Annotated[
-        int,
-        typer.Option(
-            "--interval-us",
-            min=0,
-            max=4294967295,
-            help="Time between scans (us); 0 for the shortest possible.",
-        ),
-    ] = 0,
+    seconds: Seconds = None,
+    interval_us: Interval = 0,
     cable_delay: options.CableDelay = None,
 ) -> Result:
     """Show range over time, strongest return, clipping, loss and temperature, at the radar's settings.

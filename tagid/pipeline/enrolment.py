@@ -256,14 +256,14 @@ def prepare_files(paths: Sequence[Path], loading: LoadSettings) -> list[Prepared
     if len({path.resolve() for path in paths}) < len(paths):
         raise UsageError("the same capture is given twice", again)
     known: dict[str, Path] = {}
-    prepareds = []
+    captures = []
     for path in paths:
         capture = load_capture(path, loading)
         twin = known.setdefault(capture.uuid, path)
         if twin != path:
             raise UsageError(f"{path} and {twin} are the same capture", again)
-        prepareds.append(Prepared(str(path), capture))
-    return prepareds
+        captures.append(Prepared(str(path), capture))
+    return captures
 
 
 def sight(prepared: Prepared, imaging: ImagingSettings) -> Sighted:
