@@ -78,15 +78,15 @@ def read_manifest(
         if by_location.setdefault(location, layout) != layout:
             doubled.append(f"line {line}: {name}")
     names = ", ".join(sorted(known))
-    for found, what, remedy in (
+    for offending, what, remedy in (
         (strange, "names layouts that are not enrolled", f"Known are {names}."),
         ([] if may_come else missing, "names files that are not among the inputs",
          "Correct the names, give the folder that contains them, or delete the lines."),
         (doubled, "expects different answers for one file", "Keep one line per file."),
     ):  # fmt: skip
-        if found:
-            more = f" and {len(found) - 5} more" if len(found) > 5 else ""
-            raise UsageError(f"{path} {what}: {'; '.join(found[:5])}{more}", remedy)
+        if offending:
+            more = f" and {len(offending) - 5} more" if len(offending) > 5 else ""
+            raise UsageError(f"{path} {what}: {'; '.join(offending[:5])}{more}", remedy)
     return Expectations(displayable(str(path)), by_location)
 
 

@@ -87,7 +87,7 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
         DataError: no captures were found.
         MissingExtraError: a URL without fsspec.
     """
-    found: dict[str, Source] = {}
+    sources: dict[str, Source] = {}
     passed_over: list[str] = []
     recording: list[str] = []
     unreadable: list[str] = []
@@ -95,7 +95,7 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
     for word in words:
         if is_url(word):
             for location in _of_url(word):
-                found.setdefault(location, Source.of(location))
+                sources.setdefault(location, Source.of(location))
             continue
         path = Path(word)
         try:
@@ -105,19 +105,19 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
         except OSError as error:
             raise files.storage_error(error, path, "looking for captures") from error
         if not folder:
-            found.setdefault(str(path), Source.of(str(path)))
+            sources.setdefault(str(path), Source.of(str(path)))
             continue
         for file in files_below(path, unreadable, outside, dangling):
             if is_recording(file):
-                found.setdefault(str(file), Source.of(str(file)))
+                sources.setdefault(str(file), Source.of(str(file)))
             elif _journal_under_way(file):
                 recording.append(displayable(str(file)))
             else:
                 passed_over.append(displayable(str(file)))
-    if not found:
+    if not sources:
         raise _nothing(words, passed_over, recording, unreadable, dangling)
     lists = map(tuple, (passed_over, recording, unreadable, dangling))
-    return Collected(tuple(found.values()), *lists)
+    return Collected(tuple(sources.values()), *lists)
 
 
 def files_below(

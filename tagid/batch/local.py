@@ -117,15 +117,15 @@ class _Pool:
 
     def _after_a_death(self, done: set[Future[Outcome]]) -> Results:
         """A worker died and broke the pool: process the items in flight one by one to find the cause."""
-        left = []
+        unfinished = []
         for future, task in list(self._under_way.items()):
             if future in done and not isinstance(future.exception(), BrokenProcessPool):
                 yield Done(task, _outcome(task.source, future))
             else:
-                left.append(task)
+                unfinished.append(task)
         self._under_way.clear()
         self.stop()
-        for task in left:
+        for task in unfinished:
             with _no_interrupt():
                 alone = _executor(self._job, 1)
                 future = alone.submit(_work, task.source)

@@ -33,7 +33,7 @@ _PAGE_SHARE = 10
 
 
 @dataclass(frozen=True)
-class Plan:
+class BatchPlan:
     """Inputs, outputs and rules of a batch run.
 
     Attributes:
@@ -66,7 +66,7 @@ class Hooks:
         item: called with every record.
     """
 
-    progress: Callable[[int, int, float, float | None], None] = lambda done, total, rate, left: None
+    progress: Callable[[int, int, float, float | None], None] = lambda done, total, rate, remaining_s: None
     stopped: Callable[[], bool] = lambda: False
     history: Path | None = None
     item: Callable[[ItemRecord], None] = lambda record: None
@@ -91,7 +91,7 @@ class Finished:
     remarks: tuple[str, ...] = ()
 
 
-def run_batch(plan: Plan, job: Job, runner: Runner, hooks: Hooks | None = None) -> Finished:
+def run_batch(plan: BatchPlan, job: Job, runner: Runner, hooks: Hooks | None = None) -> Finished:
     """Identify all inputs and write the report's files into `plan.out`.
 
     During the run, `items.jsonl` grows by one line per finished item; at the end all files are rewritten in
@@ -111,7 +111,7 @@ def run_batch(plan: Plan, job: Job, runner: Runner, hooks: Hooks | None = None) 
 
 
 class _Run:
-    def __init__(self, plan: Plan, job: Job, spool: Spool, hooks: Hooks) -> None:
+    def __init__(self, plan: BatchPlan, job: Job, spool: Spool, hooks: Hooks) -> None:
         self._plan, self._spool, self._hooks = plan, spool, hooks
         self._fingerprint = job.fingerprint()
         self._history = Remembering(hooks.history, job)
@@ -166,13 +166,13 @@ class _Run:
         # Made before the first input is read: one that changes while it is read comes again.
         arrivals = iter(()) if watch is None else watch.arrivals(self._sources)
         yield from (Task(position, source) for position, source in enumerate(list(self._sources)))
-        places = {source.location: position for position, source in enumerate(self._sources)}
+        positions = {source.location: position for position, source in enumerate(self._sources)}
         for source in arrivals:
             if source is None:
                 yield None
                 continue
             # A file that changed after its answer, e.g. one that was still being copied, keeps its position.
-            position = places.setdefault(source.location, len(self._sources))
+            position = positions.setdefault(source.location, len(self._sources))
             if position == len(self._sources):
                 self._sources.append(source)
             yield Task(position, source)
@@ -182,8 +182,8 @@ class _Run:
         seconds = time.monotonic() - self._clock
         rate = fresh / seconds if seconds > 0 else 0.0
         # A watched file that changed is processed twice.
-        left = max(len(self._sources) - done, 0) / rate if rate > 0 else None
-        self._hooks.progress(min(done, len(self._sources)), len(self._sources), rate, left)
+        remaining_s = max(len(self._sources) - done, 0) / rate if rate > 0 else None
+        self._hooks.progress(min(done, len(self._sources)), len(self._sources), rate, remaining_s)
 
     def _judged(self, record: ItemRecord, position: int) -> ItemRecord:
         """The record with its expected answer and, once all are written, the item that it copies."""

@@ -60,9 +60,9 @@ class Tally:
                 self.layout[record.answer] += 1
         else:
             self.repeated += 1
-        found = record.verdict()
-        if found:
-            self.verdicts[found.kind] += 1
+        verdict = record.verdict()
+        if verdict:
+            self.verdicts[verdict.kind] += 1
         self.items_s += record.total_s
         if self.comparison is not None:
             self.comparison.add(record)

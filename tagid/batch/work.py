@@ -176,8 +176,8 @@ def pictured(prepared: PreparedCapture, answer: Identification) -> PreparedCaptu
     Only a name without a body has told it; the pictures do not show how well they predict held-out views.
     """
     reading, distance = answer.reading, prepared.given.axis_distance_m
-    told = reading is not None and reading.status == "identified" and reading.kind is Kind.BARE
-    if reading is None or not told or distance is None or prepared.pulse_estimate is not None:
+    identified = reading is not None and reading.status == "identified" and reading.kind is Kind.BARE
+    if reading is None or not identified or distance is None or prepared.pulse_estimate is not None:
         return prepared
     moved = replace(prepared.given, axis_distance_m=distance + reading.offset_m)
     return PreparedCapture(moved, replace(prepared.settings, focus_m=0.0, held_out=False))

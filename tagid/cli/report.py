@@ -19,7 +19,7 @@ from tagid.result import Problem, Result
 if TYPE_CHECKING:
     from tagid.batch.job import Job
     from tagid.batch.local import Runner
-    from tagid.batch.run import Finished, Plan
+    from tagid.batch.run import BatchPlan, Finished
     from tagid.report.records import ItemRecord
 
 _SHOWN_ERRORS = 10
@@ -72,7 +72,7 @@ def report(
     Example: tagid report captures/ --out report --expect manifest.csv
     """
     from tagid.batch.inputs import Collected, collect, is_url
-    from tagid.batch.run import Plan
+    from tagid.batch.run import BatchPlan
     from tagid.report.page import PageSettings
 
     if not inputs and watch is None:
@@ -96,7 +96,7 @@ def report(
     runner = _runner(terminal, jobs, dask)
     found = collect(inputs, out) if inputs else Collected(())
     job = _job(config, background, pictures)
-    plan = Plan(found, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
+    plan = BatchPlan(found, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
     if expect is not None:
         plan = _expecting(plan, expect, job)
     remarks = _check_earlier(plan, force)
@@ -140,7 +140,7 @@ def _watch(folder: Path | None, out: Path, idle_stop: float | None) -> Any:
     return FolderWatch(folder, out, idle_stop_s=idle_stop)
 
 
-def _expecting(plan: Plan, manifest: Path, job: Job) -> Plan:
+def _expecting(plan: BatchPlan, manifest: Path, job: Job) -> BatchPlan:
     from dataclasses import replace
 
     from tagid.batch.expected import read_manifest
@@ -151,7 +151,7 @@ def _expecting(plan: Plan, manifest: Path, job: Job) -> Plan:
     return replace(plan, expectations=expectations)
 
 
-def _check_earlier(plan: Plan, force: bool) -> list[str]:
+def _check_earlier(plan: BatchPlan, force: bool) -> list[str]:
     """Agree to replace an earlier report in the folder, unless this run continues it.
 
     Returns remarks on captures of the earlier report that are gone from their places.
@@ -193,7 +193,7 @@ def _is_plain_file(path: Path) -> bool:
     return path.is_file() and not path.is_symlink()
 
 
-def _missing(names: list[str], plan: Plan) -> list[str]:
+def _missing(names: list[str], plan: BatchPlan) -> list[str]:
     """Those of the names that are not among the inputs."""
     from tagid.batch.inputs import is_url
 
@@ -210,7 +210,7 @@ def _missing(names: list[str], plan: Plan) -> list[str]:
     ]
 
 
-def _run(terminal: Terminal, plan: Plan, job: Job, runner: Runner, remarks: list[str]) -> Result:
+def _run(terminal: Terminal, plan: BatchPlan, job: Job, runner: Runner, remarks: list[str]) -> Result:
     from tagid.batch.run import Hooks, run_batch
     from tagid.config import data_folder
     from tagid.storage.history import FILE_NAME
@@ -249,7 +249,7 @@ def _remark(done: int, of: int, rate: float, left: float | None) -> str:
     )
 
 
-def _result(terminal: Terminal, plan: Plan, finished: Finished, remarks: list[str]) -> Result:
+def _result(terminal: Terminal, plan: BatchPlan, finished: Finished, remarks: list[str]) -> Result:
     import json
 
     from rich.text import Text
@@ -305,7 +305,7 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished, remarks: list[st
     )
 
 
-def _remarks(plan: Plan, finished: Finished) -> list[str]:
+def _remarks(plan: BatchPlan, finished: Finished) -> list[str]:
     remarks = []
     if finished.reused:
         remarks.append(f"reused from the earlier run: {counted(finished.reused, 'answer')}")

@@ -11,7 +11,7 @@ from pathlib import Path
 from tagid.batch.inputs import Collected, Source
 from tagid.batch.job import Job
 from tagid.batch.local import run_local
-from tagid.batch.run import FILES, Hooks, Plan, run_batch
+from tagid.batch.run import FILES, BatchPlan, Hooks, run_batch
 from tagid.errors import TagidError, UsageError
 from tagid.operate.workplace import Workplace
 from tagid.report.page import PageSettings
@@ -77,7 +77,7 @@ class ReportRun:
         sources = tuple(Source(path, Path(path).name) for path in self._captures)
         page = PageSettings("Captures of the station", _PAGE_MEGABYTES, self.left_out)
         hooks = Hooks(self._progress, self._stop.is_set)
-        plan = Plan(Collected(sources), self.folder, page=page)
+        plan = BatchPlan(Collected(sources), self.folder, page=page)
         run_batch(plan, self._job, partial(run_local, workers=1), hooks)
         self.complete = True
 

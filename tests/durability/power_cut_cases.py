@@ -23,7 +23,7 @@ from syscalls import Close, Operation, Recording, Sync, Write, record
 from tagid.batch.inputs import Source, collect
 from tagid.batch.job import Answered, Job, Known, Outcome
 from tagid.batch.local import Done, Results, Tasks
-from tagid.batch.run import FILES, Plan, run_batch
+from tagid.batch.run import FILES, BatchPlan, run_batch
 from tagid.batch.work import content_of, make_record
 from tagid.capture import Capture
 from tagid.config import change_file, change_settings, read_file
@@ -371,7 +371,7 @@ def _report() -> None:
     inputs.mkdir()
     for number in range(_ITEMS):
         (inputs / f"{number}.tagid.h5").write_bytes(b"%d" % number)
-    finished = run_batch(Plan(collect([str(inputs)]), Path("report")), _job(), _answers([], tell=True))
+    finished = run_batch(BatchPlan(collect([str(inputs)]), Path("report")), _job(), _answers([], tell=True))
     _tell(f"written {finished.summary['items']}")
 
 
@@ -386,7 +386,7 @@ def _report_promise(recording: Recording) -> Promise:
         for number in range(_ITEMS):  # the inputs are not this program's to keep
             (place / "captures" / f"{number}.tagid.h5").write_bytes(b"%d" % number)
         again: list[str] = []
-        plan = Plan(collect([str(place / "captures")]), out, resume=True)
+        plan = BatchPlan(collect([str(place / "captures")]), out, resume=True)
         try:
             finished = run_batch(plan, _job(), _answers(again, tell=False))
         except TagidError as error:

@@ -13,7 +13,7 @@ from report_batches import OBJECTS, a_job, copy_captures, in_this_process
 
 from tagid.batch.inputs import collect
 from tagid.batch.job import Job
-from tagid.batch.run import Finished, Plan, run_batch
+from tagid.batch.run import BatchPlan, Finished, run_batch
 from tagid.reading import reader
 from tagid.reading.reading import Reading
 from tagid.simulate.acquisition import Acquisition
@@ -66,6 +66,6 @@ def make_report(tmp_path: Path, job: Job) -> Callable[..., Finished]:
         out = plan.pop("out", tmp_path / "report")
         asked = plan.pop("job", job)
         found = collect([str(word) for word in words], out)
-        return run_batch(Plan(found, out, **plan), asked, runner, hooks)
+        return run_batch(BatchPlan(found, out, **plan), asked, runner, hooks)
 
     return make

@@ -13,7 +13,7 @@ from report_batches import in_this_process, records_of
 from tagid.batch import work as work_module
 from tagid.batch.inputs import collect
 from tagid.batch.job import Job
-from tagid.batch.run import Hooks, Plan, run_batch
+from tagid.batch.run import BatchPlan, Hooks, run_batch
 from tagid.batch.watch import FolderWatch
 
 
@@ -63,7 +63,7 @@ def test_a_watched_file_that_failed_and_came_again_has_one_entry(
         if finished == 1:
             shutil.copy(recorded / "helmet-120.tagid.h5", arrived)
 
-    plan = Plan(collect([str(arrived)]), out, FolderWatch(folder, interval_s=0.0, idle_stop_s=30.0))
+    plan = BatchPlan(collect([str(arrived)]), out, FolderWatch(folder, interval_s=0.0, idle_stop_s=30.0))
     summary = run_batch(plan, job, in_this_process, Hooks(progress, lambda: finished == 2)).summary
     assert (summary["items"], summary["by_status"]["identified"]) == (1, 1)
     (record,) = records_of(out).values()

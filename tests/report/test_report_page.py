@@ -17,7 +17,7 @@ from report_batches import a_job, copy_captures, in_this_process, part_of_a_turn
 
 from tagid.batch.expected import read_manifest
 from tagid.batch.inputs import collect
-from tagid.batch.run import Plan, run_batch
+from tagid.batch.run import BatchPlan, run_batch
 from tagid.report.page import PageSettings, write_page
 from tagid.report.records import Drawing, ItemRecord, StoredItem, Thumbnails
 
@@ -66,7 +66,7 @@ def report(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     sources = collect([str(captures)])
     expectations = read_manifest(manifest, sources.sources, ["helmet-120", "container-90"])
     page = PageSettings("Gate 4 <b>acceptance</b>")
-    plan = Plan(sources, place / "report", page=page, expectations=expectations)
+    plan = BatchPlan(sources, place / "report", page=page, expectations=expectations)
     run_batch(plan, a_job(), in_this_process)
     return place / "report"
 
