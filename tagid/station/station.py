@@ -33,7 +33,7 @@ from tagid.station.operators import Operators
 from tagid.station.reports import ReportRun, Reports
 from tagid.station.scans import COMMAND, ScanRun, Then
 from tagid.station.wiring import Wiring, wiring
-from tagid.storage.history import FILE_NAME, Entry, Filter, History
+from tagid.storage.history import FILE_NAME, Filter, History, HistoryEntry
 from tagid.tags.layouts.layout import Layout
 from tagid.workers import Worker
 
@@ -310,11 +310,11 @@ class Station:
             health = replace(health, recovered=run.number)
         self._health = health
 
-    def history(self, wanted: Filter) -> list[Entry]:
+    def history(self, wanted: Filter) -> list[HistoryEntry]:
         """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError, UsageError."""
         return list(History(data_folder() / FILE_NAME).find(wanted))
 
-    def available(self, entries: list[Entry]) -> list[tuple[bool, bool]]:
+    def available(self, entries: list[HistoryEntry]) -> list[tuple[bool, bool]]:
         """Whether the station gives out the capture and the picture of each entry."""
         try:
             folder = self.source.place().folder()
@@ -371,7 +371,7 @@ class Station:
             self._checker.join(_STOP_S)
 
 
-def _own_file(entry: Entry, folder: Path) -> Path | None:
+def _own_file(entry: HistoryEntry, folder: Path) -> Path | None:
     """The file of an entry of the history; None unless it is a scan in the station's folder."""
     path = Path(entry.file)
     own = entry.command in (COMMAND, "scan") and path.resolve().parent == folder.resolve()

@@ -27,7 +27,7 @@ from tagid.station.requests import (
     number_in,
 )
 from tagid.station.station import Station
-from tagid.storage.history import Entry, Filter, csv_text
+from tagid.storage.history import Filter, HistoryEntry, csv_text
 
 REPORT_POLICY = (
     "sandbox allow-scripts; default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
@@ -129,7 +129,7 @@ class HistoryHandlers:
             raise NoSuchItemError("there is no such report", "Begin one with POST /api/v1/reports.")
         return run
 
-    def _listed(self, entries: list[Entry]) -> wire.Json:
+    def _listed(self, entries: list[HistoryEntry]) -> wire.Json:
         """Entries with whether their capture and picture can be requested."""
         available = self._station.available(entries)
         return {
@@ -139,7 +139,7 @@ class HistoryHandlers:
             ]
         }
 
-    async def _entries(self, request: Request) -> list[Entry]:
+    async def _entries(self, request: Request) -> list[HistoryEntry]:
         wanted: Filter = filter_of(request)
         return await run_in_threadpool(self._station.history, wanted)
 
@@ -158,11 +158,11 @@ class _Stream(StreamingResponse):
             self._pieces.close()
 
 
-def _items(entries: list[Entry]) -> wire.Json:
+def _items(entries: list[HistoryEntry]) -> wire.Json:
     return {"items": [entry.to_json() for entry in entries]}
 
 
-def archive(paths: list[Path], entries: list[Entry]) -> Generator[bytes]:
+def archive(paths: list[Path], entries: list[HistoryEntry]) -> Generator[bytes]:
     """A ZIP archive of captures, not compressed again, with history.csv and history.json; in pieces.
 
     A capture that disappears meanwhile is left out.

@@ -200,14 +200,14 @@ class Database:
 
     def _state(self) -> list[tuple[int, int] | None]:
         """Size and time of the file, its log and its journal; None for what is missing or empty."""
-        found = []
+        state = []
         for suffix in ("", "-wal", "-journal"):
             try:
                 status = Path(f"{self.path}{suffix}").stat()
-                found.append((status.st_size, status.st_mtime_ns) if status.st_size else None)
+                state.append((status.st_size, status.st_mtime_ns) if status.st_size else None)
             except OSError:
-                found.append(None)
-        return found
+                state.append(None)
+        return state
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
@@ -271,10 +271,10 @@ class Database:
 def check_objects(connection: sqlite3.Connection, path: Path, schema: Schema) -> None:
     """Rejects views and triggers, which tagid never creates: reading a view may never end."""
     query = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') LIMIT 1"
-    found = connection.execute(query).fetchone()
-    if found is not None:
+    row = connection.execute(query).fetchone()
+    if row is not None:
         raise schema.error(
-            f"the {schema.what} {path} holds a view or trigger, {str(found[0])[:80]!r}", schema.restore
+            f"the {schema.what} {path} holds a view or trigger, {str(row[0])[:80]!r}", schema.restore
         )
 
 

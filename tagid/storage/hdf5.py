@@ -160,9 +160,9 @@ def _read_back(temporary: Path, path: Path, written: _Written) -> None:
 def _differences(file: Any, path: Path, written: _Written) -> list[str]:
     """Names of attributes and datasets that are missing, additional or different."""
     _version(file, path)
-    found = {name: _attribute(file, name) for name in file.attrs}
-    names = sorted(found.keys() | written.attributes.keys())
-    different = [name for name in names if found.get(name) != written.attributes.get(name)]
+    stored = {name: _attribute(file, name) for name in file.attrs}
+    names = sorted(stored.keys() | written.attributes.keys())
+    different = [name for name in names if stored.get(name) != written.attributes.get(name)]
     groups = {"": file, "scans/": file["scans"]} if "scans" in file else {"": file}
     datasets = {
         prefix + name: group[name]

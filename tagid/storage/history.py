@@ -59,7 +59,7 @@ _COLUMNS: dict[str, str] = _FIRST_COLUMNS | _ADDED_COLUMNS
 
 
 @dataclass(frozen=True)
-class Entry:
+class HistoryEntry:
     """One identification of the history; None where a value is unknown or does not apply.
 
     Attributes:
@@ -112,7 +112,7 @@ class Entry:
         return dict(vars(self))
 
 
-FIELDS = tuple(field.name for field in fields(Entry))
+FIELDS = tuple(field.name for field in fields(HistoryEntry))
 """Names of an entry's fields, which are the columns of an export."""
 TYPES = {"id": int, "command": str} | {
     name: {"TEXT": str, "REAL": float, "INTEGER": int}[kind.split()[0]] for name, kind in _COLUMNS.items()
@@ -264,7 +264,7 @@ class History:
                 numbers.append(number)
         return numbers
 
-    def find(self, wanted: Filter | None = None, *, oldest_first: bool = False) -> Iterator[Entry]:
+    def find(self, wanted: Filter | None = None, *, oldest_first: bool = False) -> Iterator[HistoryEntry]:
         """The newest matching entries, read lazily, by default newest first."""
         where, values = _conditions(wanted or Filter())
         limit = f" LIMIT {int(wanted.limit)}" if wanted and wanted.limit else ""
@@ -278,7 +278,7 @@ class History:
         with self._database.connection() as connection:
             for row in connection.execute(query, values):
                 self._check(row)
-                yield Entry(*row)
+                yield HistoryEntry(*row)
 
     def _check(self, row: tuple[Any, ...]) -> None:
         """Raises StorageError for a value that tagid cannot have written; sqlite stores any in any column."""
@@ -321,7 +321,7 @@ class History:
         return [{"x_m": x, "y_m": y, "amplitude_db": db, "matched": bool(m)} for x, y, db, m in rows]
 
 
-def write_csv(file: TextIO, entries: Iterable[Entry]) -> int:
+def write_csv(file: TextIO, entries: Iterable[HistoryEntry]) -> int:
     """Write entries as CSV, safe to open in a spreadsheet; returns their number."""
     table = csv.writer(file)
     table.writerow(FIELDS)
@@ -332,7 +332,7 @@ def write_csv(file: TextIO, entries: Iterable[Entry]) -> int:
     return count
 
 
-def csv_text(entries: Iterable[Entry]) -> str:
+def csv_text(entries: Iterable[HistoryEntry]) -> str:
     """Entries as CSV, safe to open in a spreadsheet."""
     text = io.StringIO()
     write_csv(text, entries)
@@ -343,7 +343,7 @@ def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
     centre = record.get("centre_m") or (None, None)
     error = record.get("error") or {}
     causes = [f"{cause['text']}. {cause['remedy']}" for cause in record.get("causes") or ()]
-    own = {
+    derived = {
         "time_utc": record.get("time_utc") or utc_text(),
         "centre_x_m": centre[0],
         "centre_y_m": centre[1],
@@ -354,7 +354,7 @@ def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
         "cause": causes[0] if causes else "",
         "recording_note": record.get("recording_note") or "",
     }
-    return tuple(own[name] if name in own else record.get(name) for name in _COLUMNS)
+    return tuple(derived[name] if name in derived else record.get(name) for name in _COLUMNS)
 
 
 _STORED = "SELECT 1 FROM identification WHERE time_utc = ? AND file = ? AND total_s = ?"
@@ -449,7 +449,7 @@ def is_export(path: Path) -> bool:
     return names[:2] == list(FIELDS[:2]) and set(names) <= set(FIELDS)
 
 
-def _parquet(entries: Iterator[Entry], path: Path) -> int:
+def _parquet(entries: Iterator[HistoryEntry], path: Path) -> int:
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -501,7 +501,7 @@ class _Sink:
         """Does nothing: the caller closes the file."""
 
 
-def _batch(pa: Any, schema: Any, entries: list[Entry]) -> Any:
+def _batch(pa: Any, schema: Any, entries: list[HistoryEntry]) -> Any:
     from datetime import datetime
 
     columns = {name: [getattr(entry, name) for entry in entries] for name in FIELDS}

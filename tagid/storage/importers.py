@@ -78,26 +78,26 @@ def _of_node(path: Path, capture: Capture, node: int | None) -> Capture:
 def remarks(capture: Capture) -> tuple[str, ...]:
     """Notes on how a file was read, one sentence each; empty for a file without anomalies."""
     radar = capture.radar
-    found = []
+    notes = []
     left_over = radar.bytes_left_over or radar.journal_bytes_dropped
     if left_over:
-        found.append(
+        notes.append(
             f"{left_over} bytes are left over: the file is truncated or damaged; its complete scans are kept"
         )
     if lost := radar.scans_lost:
-        found.append(f"{lost} scan{' is' if lost == 1 else 's are'} missing or incomplete")
+        notes.append(f"{lost} scan{' is' if lost == 1 else 's are'} missing or incomplete")
     if radar.ignored:
-        found.append(f"ignored: {', '.join(radar.ignored)}")
+        notes.append(f"ignored: {', '.join(radar.ignored)}")
     elif radar.packets_ignored:
-        found.append(f"ignored: {counted(radar.packets_ignored, 'message')} or lines that are no scan")
+        notes.append(f"ignored: {counted(radar.packets_ignored, 'message')} or lines that are no scan")
     if radar.source in ("recording", "mrm-ret") and radar.config == RadarSettings():
-        found.append(
+        notes.append(
             "the file holds no configuration: integration and gain are unknown, clipping is not seen"
         )
     if radar.config_stale:
         asked, actual = (list(window or ()) for window in (radar.window_requested_ps, radar.window_actual_ps))
-        found.append(f"the Config line is stale: it requests {asked} ps, the scans hold {actual} ps")
-    return tuple(found)
+        notes.append(f"the Config line is stale: it requests {asked} ps, the scans hold {actual} ps")
+    return tuple(notes)
 
 
 _TABLE: Final = "Save the sheet of an MRM-RET log as CSV and import that; store other scans as NPZ: " + AS_NPZ

@@ -150,9 +150,9 @@ class _Window:
         """Position of the next `mark`, -1 if there is none."""
         while position < self._size:
             data = self.take(position, min(_BUFFER, self._size - position))
-            found = data.find(mark)
-            if found >= 0:
-                return position + found
+            offset = data.find(mark)
+            if offset >= 0:
+                return position + offset
             if len(data) < len(mark):
                 return -1
             position += len(data) - len(mark) + 1

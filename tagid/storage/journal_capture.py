@@ -67,21 +67,21 @@ def read_journal_capture(path: Path) -> Capture:
                 yield scan
 
         layout = common_layout(path, counted())
-        found = Journal(path, stream.header, (), stream.summary, stream.bytes_dropped, stream.motion)
+        journal = Journal(path, stream.header, (), stream.summary, stream.bytes_dropped, stream.motion)
     with open_journal(path) as stream:
         arrays = ScanArrays.empty(count, *layout)
         arrays.fill(path, stream.scans())
-    return _to_capture(found, arrays)
+    return _to_capture(journal, arrays)
 
 
 def common_layout(path: Path, scans: Iterable[JournalScan]) -> tuple[int, np.dtype[Any]]:
     """(bins, dtype) of the scans. Raises FileFormatError if there is none or they differ."""
     layout: tuple[int, np.dtype[Any]] | None = None
     for scan in scans:
-        own = len(scan.samples), scan.samples.dtype.newbyteorder("=")
-        if layout not in (None, own):
+        scan_layout = len(scan.samples), scan.samples.dtype.newbyteorder("=")
+        if layout not in (None, scan_layout):
             raise FileFormatError(f"{path}: the scans of the journal differ in length or dtype")
-        layout = own
+        layout = scan_layout
     if layout is None:
         raise FileFormatError(
             f"{path}: the journal holds no scan", "The recording stopped before the first scan."
@@ -225,13 +225,13 @@ def write_captures(
             if parts > 1:
                 place = RecordingPart(first_uuid, part, parts)
                 fields["radar"] = replace(fields["radar"], recording=place)
-            left = min(rows_a_part, views - rows_a_part * (part - 1))
+            remaining = min(rows_a_part, views - rows_a_part * (part - 1))
             path = part_path(part)
             with hdf5.growing_capture(path) as append:
-                while left:
-                    arrays = ScanArrays.empty(min(rows_a_block, left), bins, dtype)
+                while remaining:
+                    arrays = ScanArrays.empty(min(rows_a_block, remaining), bins, dtype)
                     arrays.fill(journal, scans)
                     append(build_capture(journal, **vars(arrays), **fields))
-                    left -= len(arrays.samples)
+                    remaining -= len(arrays.samples)
             paths.append(path)
     return WrittenCaptures(tuple(paths), views, bins, complete, dropped, fields["radar"], has_track)

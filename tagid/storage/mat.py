@@ -114,45 +114,49 @@ def read_mat(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
         UsageError: several radars and no `node`, or no scan of that one.
     """
     variables = _load(path)
-    found = {name: value for name, value in variables.items() if isinstance(value, np.ndarray)}
-    if "format" not in found or _text(found, "format", path) != hdf5.FORMAT or "samples" not in found:
+    arrays = {name: value for name, value in variables.items() if isinstance(value, np.ndarray)}
+    if "format" not in arrays or _text(arrays, "format", path) != hdf5.FORMAT or "samples" not in arrays:
         return _of_the_vendor(path, variables, cable_delay_ps, node)
-    samples = found["samples"]
+    samples = arrays["samples"]
     if samples.dtype.name not in _SAMPLE_TYPES:
         raise FileFormatError(f"{path}: samples have dtype {samples.dtype}, expected {_SAMPLE_TYPES}")
-    if OLD_ANGLES in found:
-        found.setdefault("angles_rad", found[OLD_ANGLES])
+    if OLD_ANGLES in arrays:
+        arrays.setdefault("angles_rad", arrays[OLD_ANGLES])
     fields: dict[str, Any] = {"samples": np.ascontiguousarray(samples)}
     for name in _SCALARS:
-        if name in found:
-            fields[name] = number(found[name].reshape(-1)[0] if found[name].size == 1 else found[name], name)
+        if name in arrays:
+            fields[name] = number(
+                arrays[name].reshape(-1)[0] if arrays[name].size == 1 else arrays[name], name
+            )
     missing = [name for name in ("range_start_m", "range_step_m") if name not in fields]
     if missing:
         raise FileFormatError(f"{path}: the MATLAB file lacks {', '.join(missing)}")
     for field, (name, dtype) in _VECTORS.items():
-        if name in found:
-            fields[field] = _vector(path, name, found[name], dtype)
+        if name in arrays:
+            fields[field] = _vector(path, name, arrays[name], dtype)
     for name in _TEXTS:
-        if name in found:
-            fields[name] = text(_text(found, name, path), f"{path} ({name})")
+        if name in arrays:
+            fields[name] = text(_text(arrays, name, path), f"{path} ({name})")
     parts = {
-        name: decode_settings(_text(found, name, path), f"{path} ({name})") for name in PARTS if name in found
+        name: decode_settings(_text(arrays, name, path), f"{path} ({name})")
+        for name in PARTS
+        if name in arrays
     }
-    version = found.get(VERSION_KEY)
+    version = arrays.get(VERSION_KEY)
     fields |= read_metadata(
         parts, str(path), int(number(version.reshape(-1)[0], VERSION_KEY)) if version is not None else 1
     )
-    if "pulse" in found and "pulse_step_s" in found:
-        values = found["pulse"]
-        if values.dtype.kind not in "iuf" or found["pulse_step_s"].size != 1:
+    if "pulse" in arrays and "pulse_step_s" in arrays:
+        values = arrays["pulse"]
+        if values.dtype.kind not in "iuf" or arrays["pulse_step_s"].size != 1:
             raise FileFormatError(f"{path}: pulse is not an array of real numbers with one step")
         try:
             fields["pulse"] = Pulse(
-                values.reshape(-1).astype(np.float64), float(found["pulse_step_s"].item())
+                values.reshape(-1).astype(np.float64), float(arrays["pulse_step_s"].item())
             )
         except DataError as error:
             raise FileFormatError(f"{path}: {error.message}") from error
-    fields["complete"] = bool(found["complete"].any()) if "complete" in found else True
+    fields["complete"] = bool(arrays["complete"].any()) if "complete" in arrays else True
     return build_capture(path, **fields)
 
 
@@ -190,8 +194,8 @@ def _vector(path: Path, name: str, values: NDArray[Any], dtype: str) -> NDArray[
     return np.ascontiguousarray(converted if name.endswith("positions_m") else converted.reshape(-1))
 
 
-def _text(found: dict[str, NDArray[Any]], name: str, path: Path) -> str:
-    value = found[name]
+def _text(arrays: dict[str, NDArray[Any]], name: str, path: Path) -> str:
+    value = arrays[name]
     if value.dtype.kind != "U" or value.size > 1:
         raise FileFormatError(f"{path}: {name} is not one text")
     return str(value.reshape(-1)[0]) if value.size else ""

@@ -42,13 +42,13 @@ Step = Callable[[RawCapture], RawCapture]
 
 def _typed_metadata(raw: RawCapture) -> RawCapture:
     """Version 1 to 2: typed metadata. Invalid values are left for the reader to reject."""
-    found: dict[str, Mapping[str, Any]] = {}
+    parts: dict[str, Mapping[str, Any]] = {}
     for name in PARTS:
         try:
-            found[name] = decode_settings(raw.attributes[name], name)
+            parts[name] = decode_settings(raw.attributes[name], name)
         except (KeyError, TypeError, FileFormatError):
             return raw
-    texts = {name: encode_settings(dict(part)) for name, part in migrate_metadata(found, 1, "").items()}
+    texts = {name: encode_settings(dict(part)) for name, part in migrate_metadata(parts, 1, "").items()}
     return RawCapture({**raw.attributes, **texts}, raw.arrays)
 
 

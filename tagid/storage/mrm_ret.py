@@ -105,8 +105,8 @@ class _Form:
         else:
             encoding = "latin-1"
         text = data.decode(encoding, "replace")
-        found = None if "\0" in text else _MARK.search(text)
-        return None if found is None else cls(encoding, found["delimiter"])
+        mark = None if "\0" in text else _MARK.search(text)
+        return None if mark is None else cls(encoding, mark["delimiter"])
 
     def cells(self, line: str) -> str:
         """The line with commas between the cells, decimal points, no quotes and no empty cells behind."""

@@ -102,10 +102,10 @@ def _epoch_ms(capture: Capture, clock: np.ndarray[Any, np.dtype[np.int64]]) -> A
 
 def _detections(capture: Capture) -> dict[int, list[list[int]]]:
     """The detection lists stored with the scans, by message id: flat [index, magnitude, ...]."""
-    found: dict[int, list[list[int]]] = {}
+    lists: dict[int, list[list[int]]] = {}
     for text in capture.radar.detection_lists:
         message_id, _, body = text.partition(": ")
         words = body.replace(",", "").split()
         if message_id.isdigit() and all(word.isdigit() for word in words) and len(words) % 2 == 0:
-            found.setdefault(int(message_id), []).append([int(word) for word in words])
-    return found
+            lists.setdefault(int(message_id), []).append([int(word) for word in words])
+    return lists

@@ -175,7 +175,7 @@ class _Messages:
             blocks = list(_search(stream, order))
             offset = np.concatenate([np.zeros(0, np.int64), *(offsets for offsets, _ in blocks)])
             if len(offset):
-                heads = np.concatenate([found for _, found in blocks])
+                heads = np.concatenate([head for _, head in blocks])
                 break
         else:
             raise FileFormatError(
@@ -425,8 +425,8 @@ def encode_recording(capture: Capture) -> bytes:
     packets["total_samples"] = bins
     packets["message_index"] = np.arange(messages)
     packets["message_count"] = messages
-    left = bins - SAMPLES_PER_MESSAGE * np.arange(messages)
-    packets["message_samples"] = np.minimum(SAMPLES_PER_MESSAGE, left)
+    remaining = bins - SAMPLES_PER_MESSAGE * np.arange(messages)
+    packets["message_samples"] = np.minimum(SAMPLES_PER_MESSAGE, remaining)
     padded = np.zeros((views, messages * SAMPLES_PER_MESSAGE), dtype=">i4")
     padded[:, :bins] = capture.samples
     packets["samples"] = padded.reshape(views, messages, SAMPLES_PER_MESSAGE)

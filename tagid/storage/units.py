@@ -127,7 +127,7 @@ def check_positions(path: Path, capture: Capture) -> None:
     step = float(median(np.linalg.norm(np.diff(positions, axis=0), axis=1)))
     reach = float(np.abs(capture.ranges_m).max())
     wavelength = capture.wavelength_m
-    told = (
+    measured = (
         f"{path}: antenna_positions_m spans {span:.3g} in steps of about {step:.3g}, and the scans reach "
         f"{reach:.3g} m"
     )
@@ -138,7 +138,7 @@ def check_positions(path: Path, capture: Capture) -> None:
             if reach / 10 < span / unit < 2 * reach and step / unit < wavelength
         ]
         raise FileFormatError(
-            f"{told}: these are not metres",
+            f"{measured}: these are not metres",
             f"Store metres in antenna_positions_m; they may be {_either(fitting or [_LENGTHS[-1][0]])}.",
         )
     if not 0 < span < _TINY * wavelength:
@@ -147,12 +147,12 @@ def check_positions(path: Path, capture: Capture) -> None:
     length = _DEGREE_M * float(np.linalg.norm(np.ptp(north_east, axis=0)))
     if np.abs(north_east).max() <= 180 and length < _UNSEEN * reach and abs(positions[0, :2]).max() > 1:
         raise FileFormatError(
-            f"{told}: these are latitude and longitude in degrees",
+            f"{measured}: these are latitude and longitude in degrees",
             "Store metres: with the angles in rad, x = 6.371e6 * cos(latitude0) * (longitude - longitude0), "
             "y = 6.371e6 * (latitude - latitude0), z = the height.",
         )
     raise FileFormatError(
-        f"{told}: from so short a path nothing is imaged; are these kilometres?",
+        f"{measured}: from so short a path nothing is imaged; are these kilometres?",
         "Multiply antenna_positions_m by 1000 if they are; a path is at least a few wavelengths long.",
     )
 

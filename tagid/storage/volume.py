@@ -52,31 +52,33 @@ def isosurface(values: NDArray[np.floating], level: float, axes: tuple[NDArray[n
     numbers = np.ravel_multi_index(tuple(np.moveaxis(cubes[:, None] + _CORNERS, 2, 0)), values.shape)
     ends = numbers[:, _TETRAHEDRA].reshape(-1, 4)
     inside = above.ravel()[ends]
-    edges = np.concatenate([_one(ends, inside), _one(ends, ~inside)[:, ::-1], _two(ends, inside)])
+    edges = np.concatenate(
+        [_one_inside(ends, inside), _one_inside(ends, ~inside)[:, ::-1], _two(ends, inside)]
+    )
     if not len(edges):
         return Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     pairs, triangles = np.unique(np.sort(edges.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
     flat = values.ravel().astype(np.float64)
     first, second = flat[pairs[:, 0]], flat[pairs[:, 1]]
     part = (level - first) / (second - first)
-    places = [
+    coordinates = [
         np.asarray(axis)[index]
         for axis, index in zip(axes, np.unravel_index(pairs, values.shape), strict=True)
     ]
-    ends_at = np.stack(places[::-1], axis=-1)
+    ends_at = np.stack(coordinates[::-1], axis=-1)
     points = ends_at[:, 0] + part[:, None] * (ends_at[:, 1] - ends_at[:, 0])
     return Surface(points, triangles.reshape(-1, 3).astype(np.int32))
 
 
-def _one(ends: NDArray[np.intp], inside: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _one_inside(ends: NDArray[np.intp], inside: NDArray[np.bool_]) -> NDArray[np.intp]:
     """(n, 3, 2) edges of the triangles of tetrahedra with one corner inside."""
     some = ends[inside.sum(axis=1) == 1]
     which = np.argmax(inside[inside.sum(axis=1) == 1], axis=1)
     # The other corners in the order in which they turn about the first one, for each place of that.
     others = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])[which]
-    own = np.take_along_axis(some, which[:, None], axis=1)
+    apex = np.take_along_axis(some, which[:, None], axis=1)
     rest = np.take_along_axis(some, others, axis=1)
-    return np.stack([np.broadcast_to(own, rest.shape), rest], axis=-1)
+    return np.stack([np.broadcast_to(apex, rest.shape), rest], axis=-1)
 
 
 def _two(ends: NDArray[np.intp], inside: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -186,17 +188,17 @@ def write_surface(path: Path, volume: GriddedVolume, level_db: float = SURFACE_D
         )
     axis = volume.grid.square.axis
     # A frame of zeros closes the surface where the object reaches the volume's border.
-    axes = [_framed(each) for each in (volume.grid.heights, axis, axis)]
+    axes = [_framed(values) for values in (volume.grid.heights, axis, axis)]
     level = float(magnitude.max()) * 10 ** (-level_db / 20)
-    found = isosurface(np.pad(magnitude, 1), level if level > 0 else 1.0, tuple(axes))
-    faces = np.zeros(len(found.triangles), dtype=[("count", "u1"), ("vertices", "<i4", 3)])
-    faces["count"], faces["vertices"] = 3, found.triangles
+    surface = isosurface(np.pad(magnitude, 1), level if level > 0 else 1.0, tuple(axes))
+    faces = np.zeros(len(surface.triangles), dtype=[("count", "u1"), ("vertices", "<i4", 3)])
+    faces["count"], faces["vertices"] = 3, surface.triangles
     head = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(found.points)}\n"
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(surface.points)}\n"
         "property float x\nproperty float y\nproperty float z\n"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
-    write_bytes(path, head.encode("ascii") + found.points.astype("<f4").tobytes() + faces.tobytes())
+    write_bytes(path, head.encode("ascii") + surface.points.astype("<f4").tobytes() + faces.tobytes())
 
 
 def _framed(axis: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tagid.errors import MissingExtraError, StorageError, UsageError
-from tagid.storage.history import FIELDS, TYPES, Entry, Filter, History, export
+from tagid.storage.history import FIELDS, TYPES, Filter, History, HistoryEntry, export
 
 
 def record(number: int = 0, **changes: object) -> dict[str, object]:
@@ -64,7 +64,7 @@ def test_what_is_kept_comes_back(history: History) -> None:
     (number,) = history.add(run, [record()])
     (entry,) = history.find()
     assert tuple(entry.to_json()) == FIELDS == tuple(TYPES)
-    assert entry == Entry(
+    assert entry == HistoryEntry(
         id=number,
         command="report",
         time_utc=record()["time_utc"],
