@@ -116,11 +116,11 @@ def check(terminal: Terminal) -> Result:
 
     contents = open_registry().contents()
     pairs = [compare(a, b) for a, b in combinations(contents.signatures, 2) if a.kind == b.kind]
-    pairs.sort(key=lambda pair: pair.left)
+    pairs.sort(key=lambda pair: pair.difference)
     table = Table("kind", "pair", "apart %", "remark", box=None)
     for pair in pairs:
         remark = "ALIKE" if pair.alike else ""
-        table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.left * 100:.1f}", remark)
+        table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.difference * 100:.1f}", remark)
     own = [signature for signature in contents.signatures if signature.kind == "body"]
     lines = [
         Text(f"{one.name}: a tag must return more than {_db(_facts(one)['least_tag'])} dB of its echo")
@@ -129,7 +129,7 @@ def check(terminal: Terminal) -> Result:
     data = {
         "registry_version": contents.version,
         "pairs": [
-            {"kind": p.kind, "first": p.first, "second": p.second, "apart": p.left, "alike": p.alike}
+            {"kind": p.kind, "first": p.first, "second": p.second, "apart": p.difference, "alike": p.alike}
             for p in pairs
         ],
         "signatures": [_facts(signature) for signature in contents.signatures],

@@ -240,7 +240,7 @@ def _enrol_signature(
         raise proposal.taken
     lines = joint_words(joint)
     lines += [
-        f"  difference from {p.second}: {p.left:.1%} of the angle-dependent echo"
+        f"  difference from {p.second}: {p.difference:.1%} of the angle-dependent echo"
         for p in proposal.likenesses[: enrolling.SHOWN]
     ]
     notes = list(remarks)

@@ -21,7 +21,7 @@ from tagid.result import Result
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from tagid.enrolling.enrolment import Outlook
+    from tagid.enrolling.enrollment import Outlook
     from tagid.enrolling.registry import Registry
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.layouts.layout import Layout
@@ -217,7 +217,7 @@ def store_family(
     """
     from rich.text import Text
 
-    from tagid.enrolling.enrolment import family_outlooks, merge, refusal
+    from tagid.enrolling.enrollment import family_outlooks, merge, refusal
 
     known, weight = direction_known(), height_weight()
     seen, enrolled = registry.snapshot()

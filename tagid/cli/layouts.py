@@ -377,7 +377,7 @@ def check(terminal: Terminal) -> Result:
     from rich.text import Text
 
     from tagid.cli.enrolling import direction_known, height_weight
-    from tagid.enrolling.enrolment import neighbour
+    from tagid.enrolling.enrollment import neighbour
     from tagid.operate.workplace import open_registry
     from tagid.reading.alike import Conditions
 

@@ -230,7 +230,7 @@ def _designed(
     from rich.table import Table
     from rich.text import Text
 
-    from tagid.enrolling.enrolment import family_outlooks, refusal
+    from tagid.enrolling.enrollment import family_outlooks, refusal
     from tagid.enrolling.layout_file import write_layouts
     from tagid.operate.workplace import open_registry
     from tagid.tags.layouts.design import GHOST_M

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from tagid.enrolling.enrolment import family_outlooks, refusal
+from tagid.enrolling.enrollment import family_outlooks, refusal
 from tagid.errors import UsageError
 from tagid.tags.layouts.design import MAX_SLOTS, DesignRules, design
 from tagid.tags.layouts.layout import MAX_REFLECTORS, Layout
@@ -35,13 +35,13 @@ def alternatives(
         rules, count: as asked for.
         enrolled: layouts beside which the set is to stand.
     """
-    found: list[str] = []
+    suggestions: list[str] = []
     for words, used, tried, number in _variations(target, rows, rules, count):
-        if len(found) == _MOST:
+        if len(suggestions) == _MOST:
             break
         if works(target.with_rows(used), tried, number, enrolled):
-            found.append(words)
-    return found
+            suggestions.append(words)
+    return suggestions
 
 
 def _variations(

@@ -43,10 +43,10 @@ def position_covariances(field: MatchedField, positions: NDArray[np.float64]) ->
         (K, 2, 2), m^2.
     """
     k = len(positions)
-    own = field.templates(positions).astype(np.complex128)
-    amplitudes, *_ = np.linalg.lstsq(own.T, field.data.astype(np.complex128), rcond=None)
-    left = field.data - amplitudes @ own
-    variance = max(float(np.mean(np.abs(left) ** 2)), field.noise_variance, 1e-30)
+    templates = field.templates(positions).astype(np.complex128)
+    amplitudes, *_ = np.linalg.lstsq(templates.T, field.data.astype(np.complex128), rcond=None)
+    residual = field.data - amplitudes @ templates
+    variance = max(float(np.mean(np.abs(residual) ** 2)), field.noise_variance, 1e-30)
     slopes = []
     for axis in range(2):
         step = np.zeros(2)
@@ -54,7 +54,7 @@ def position_covariances(field: MatchedField, positions: NDArray[np.float64]) ->
         ahead, behind = field.templates(positions + step), field.templates(positions - step)
         slopes.append((ahead - behind).astype(np.complex128) / (2 * _STEP_M) * amplitudes[:, None])
     jacobian = np.stack(slopes, axis=1).reshape(2 * k, -1)
-    basis, _ = np.linalg.qr(own.T)
+    basis, _ = np.linalg.qr(templates.T)
     jacobian = jacobian - (jacobian @ basis.conj()) @ basis.T
     information = 2 / variance * np.real(jacobian.conj() @ jacobian.T)
     information += _LOAD * np.trace(information) / (2 * k) * np.eye(2 * k) + 1e-6 * np.eye(2 * k)
@@ -103,9 +103,9 @@ class Sighting:
 
         Raises DataError if the scans do not cover the object's range.
         """
-        found = [r for r in find_reflectors(scans, radius_m) if r.amplitude_db >= STRONG_DB]
-        positions = np.array([(r.x_m, r.y_m) for r in found]).reshape(-1, 2)
-        if not found:
+        reflectors = [r for r in find_reflectors(scans, radius_m) if r.amplitude_db >= STRONG_DB]
+        positions = np.array([(r.x_m, r.y_m) for r in reflectors]).reshape(-1, 2)
+        if not reflectors:
             return cls(name, positions, np.zeros((0, 2, 2)))
         radius = radius_m + 0.02
         field = MatchedField(fold_views(scans, radius), radius)
@@ -178,12 +178,12 @@ def average(
     k = len(mean)
     for _ in range(_ROUNDS):
         placed, weights, axes = [], [], []
-        for i, one in enumerate(used):
+        for i, sighting in enumerate(used):
             # Each capture may be off the axis by as much as the reader allows. A larger shift would permit a
             # wrong pairing: half a turn and a shift can always exchange two reflectors.
-            pair = best_pairing(one.positions, mean, 2 * CENTRE_TOLERANCE_M)
+            pair = best_pairing(sighting.positions, mean, 2 * CENTRE_TOLERANCE_M)
             order = np.argsort(pair.partner)
-            points, noise = one.positions[order], one.covariances[order]
+            points, noise = sighting.positions[order], sighting.covariances[order]
             turn, shift = _placed(points, noise, mean, pair, scatter)
             rotation = rotation_matrix(turn)
             placed.append(points @ rotation.T + shift)
@@ -205,9 +205,9 @@ def average(
     if len(used) < 3:
         notes = f"Measured on {counted(len(used), 'capture')}; three or more show their scatter."
     # Rounded to 0.1 micrometres: further digits carry no information.
-    places = np.round(positions @ final.T, 7) + 0.0
+    rounded = np.round(positions @ final.T, 7) + 0.0
     layout = Layout(
-        name, places, kind, notes=notes, label=label, covariance=np.round(final @ covariance @ final.T, 12)
+        name, rounded, kind, notes=notes, label=label, covariance=np.round(final @ covariance @ final.T, 12)
     )
     degrees = tuple(float(np.rad2deg(-(t + turn)) % 360) for t in turns)
     return LayoutEstimate(layout, spread, float(np.sqrt(scatter)), degrees, flipped)
@@ -224,14 +224,14 @@ def trusted(sightings: Sequence[Sighting], spectra: Sequence[Spectra]) -> str:
         spectra: of the same captures, in the same order.
     """
     shares = []
-    for one, scans in zip(sightings, spectra, strict=True):
-        place = one.positions[:, 0] + 1j * one.positions[:, 1]
+    for sighting, scans in zip(sightings, spectra, strict=True):
+        place = sighting.positions[:, 0] + 1j * sighting.positions[:, 1]
         distance = np.hypot(np.abs(scans.antenna - place[:, None]), scans.height_m)
         columns = centred(scans.waves(distance)).transpose(0, 2, 1)
         q = np.linalg.qr(columns)[0]
-        left = scans.data - (q @ (q.conj().swapaxes(1, 2) @ scans.data[..., None]))[..., 0]
+        residual = scans.data - (q @ (q.conj().swapaxes(1, 2) @ scans.data[..., None]))[..., 0]
         signal = max(scans.energy - scans.noise_energy, 1e-30)
-        shares.append((float(np.sum(np.abs(left) ** 2)) - scans.noise_energy) / signal)
+        shares.append((float(np.sum(np.abs(residual) ** 2)) - scans.noise_energy) / signal)
     worst = float(np.median(shares))
     if worst <= UNEXPLAINED:
         return ""
@@ -275,7 +275,7 @@ def _agreeing(
     over = [i for i in range(n) if i != heart and _turned_over(pairs[max(i, heart), min(i, heart)])]
     if direction_known:
         over = []
-    used = [one.mirrored() if i in over else one for i, one in enumerate(sightings)]
+    used = [sighting.mirrored() if i in over else sighting for i, sighting in enumerate(sightings)]
     return used, heart, tuple(sightings[i].name for i in over)
 
 
@@ -344,27 +344,27 @@ def _placed(
         rotation = rotation_matrix(turn)
         weight = np.linalg.inv(rotation @ noise @ rotation.T + scatter * np.eye(2))
         turned = points @ rotation.T
-        left = mean - turned - shift
+        residual = mean - turned - shift
         slope = np.zeros((len(points), 2, 3))
         slope[:, 0, 0], slope[:, 1, 0] = -turned[:, 1], turned[:, 0]
         slope[:, 0, 1] = slope[:, 1, 2] = 1.0
         normal = np.einsum("kia,kij,kjb->ab", slope, weight, slope)
-        step = np.linalg.solve(normal, np.einsum("kia,kij,kj->a", slope, weight, left))
+        step = np.linalg.solve(normal, np.einsum("kia,kij,kj->a", slope, weight, residual))
         turn, shift = turn + float(step[0]), shift + step[1:]
     return turn, shift
 
 
-def _excess(left: NDArray[np.float64], noise: NDArray[np.float64], k: int) -> float:
+def _excess(residuals: NDArray[np.float64], noise: NDArray[np.float64], k: int) -> float:
     """Variance per coordinate, m^2, for which the residuals (n, K, 2) of a mean have their expected size.
 
     Their weighted sum of squares has (n - 1) (2 K - 3) degrees of freedom: each capture uses three for its
     rotation and shift, and the mean uses what remains of one capture.
     """
-    expected = (len(left) - 1) * (2 * k - 3)
+    expected = (len(residuals) - 1) * (2 * k - 3)
 
     def total(scatter: float) -> float:
         weight = np.linalg.inv(noise + scatter * np.eye(2))
-        return float(np.einsum("nki,nkij,nkj->", left, weight, left))
+        return float(np.einsum("nki,nkij,nkj->", residuals, weight, residuals))
 
     low, high = 0.0, AGREE_M**2
     if total(low) <= expected:

@@ -100,8 +100,10 @@ class _Families:
             members = self.largest(level)
             apart = self.distance[np.ix_(members, members)] + np.diag(np.full(len(members), np.inf))
             a, b = (members[i] for i in np.unravel_index(int(apart.argmin()), apart.shape))
-            one, other = (Layout(f"c{i}", self.points[i], self.kind, heights=self.heights[i]) for i in (a, b))
-            rate = told_apart(one, other, conditions).unresolved() if a != b else 0.0
+            first, second = (
+                Layout(f"c{i}", self.points[i], self.kind, heights=self.heights[i]) for i in (a, b)
+            )
+            rate = told_apart(first, second, conditions).unresolved() if a != b else 0.0
             self._closest[level, conditions] = float(apart.min()), rate
         return self._closest[level, conditions]
 

@@ -104,16 +104,16 @@ def read_entries(path: Path) -> Entries:
     least = 0 if signatures else 1
     if not isinstance(tables, list) or not least <= len(tables) <= MAX_LAYOUTS:
         raise FileFormatError(f"{path} has no [[layout]] tables", f"Give 1 to {MAX_LAYOUTS} layouts.")
-    found: dict[str, Layout] = {}
+    layouts: dict[str, Layout] = {}
     for number, table in enumerate(tables, 1):
         try:
             layout = layout_from_dict(table)
         except TagidError as error:
             raise FileFormatError(f"{path}, layout {number}: {error.message}", error.remedy) from error
-        if layout.name in found:
+        if layout.name in layouts:
             raise FileFormatError(f"{path}: the name {layout.name} occurs twice", "Rename one of them.")
-        found[layout.name] = layout
-    return Entries(tuple(found.values()), signatures)
+        layouts[layout.name] = layout
+    return Entries(tuple(layouts.values()), signatures)
 
 
 def _signatures(path: Path, tables: Any) -> tuple[Signature, ...]:
@@ -123,7 +123,7 @@ def _signatures(path: Path, tables: Any) -> tuple[Signature, ...]:
             f"{path}: signature is not a list of up to {MAX_SIGNATURES} tables",
             "Export layouts with `tagid layouts export`.",
         )
-    found: dict[tuple[str, str], Signature] = {}
+    signatures: dict[tuple[str, str], Signature] = {}
     for number, table in enumerate(tables, 1):
         where = f"{path}, signature {number}"
         text = table.get("data") if isinstance(table, dict) else None
@@ -135,8 +135,10 @@ def _signatures(path: Path, tables: Any) -> tuple[Signature, ...]:
             raise FileFormatError(
                 f"{where} is not base64", "Export layouts with `tagid layouts export`."
             ) from None
-        one = from_bytes(data, where)
-        if (one.kind, one.name) in found:
-            raise FileFormatError(f"{path}: the {one.kind} {one.name} occurs twice", "Remove one of them.")
-        found[one.kind, one.name] = one
-    return tuple(found.values())
+        signature = from_bytes(data, where)
+        if (signature.kind, signature.name) in signatures:
+            raise FileFormatError(
+                f"{path}: the {signature.kind} {signature.name} occurs twice", "Remove one of them."
+            )
+        signatures[signature.kind, signature.name] = signature
+    return tuple(signatures.values())

@@ -20,12 +20,12 @@ def named_layouts(file: Path | None, registry: Path) -> dict[str, Layout]:
     Raises:
         RegistryError, StorageError, FileFormatError: a file cannot be read.
     """
-    found = dict(builtin_layouts())
+    layouts = dict(builtin_layouts())
     if registry.exists():
-        found |= {layout.name: layout for layout in Registry(registry).layouts()}
+        layouts |= {layout.name: layout for layout in Registry(registry).layouts()}
     if file is not None:
-        found |= {layout.name: layout for layout in read_entries(file).layouts}
-    return found
+        layouts |= {layout.name: layout for layout in read_entries(file).layouts}
+    return layouts
 
 
 def only_layout(file: Path) -> str:

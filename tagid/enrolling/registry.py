@@ -231,10 +231,10 @@ class Registry:
         return version, [self._decode(name, text) for name, text in rows]
 
     def add(self, layout: Layout, source: str, *, replace: bool = False) -> int:
-        """Enrol a layout and return the new version.
+        """Enroll a layout and return the new version.
 
         Raises RegistryError if the name is taken and `replace` is not set. Conflicts with similar layouts are
-        checked by `tagid.enrolling.enrolment`, not here.
+        checked by `tagid.enrolling.enrollment`, not here.
         """
         version = self.add_all([layout], source, replace=replace)
         assert version is not None
@@ -249,7 +249,7 @@ class Registry:
         since: int | None = None,
         signatures: Sequence[Signature] = (),
     ) -> int | None:
-        """Enrol layouts, bodies and objects, all or none, and return the new version.
+        """Enroll layouts, bodies and objects, all or none, and return the new version.
 
         An entry identical to the enrolled one does not change the version.
 
@@ -362,9 +362,11 @@ class Registry:
     def _deeds(connection: sqlite3.Connection) -> list[tuple[int, str]]:
         """(last version, source) of every command that changed something, oldest first."""
         rows = connection.execute("SELECT version, time_utc, source FROM change ORDER BY version")
-        found = [(int(version), (str(time), str(source))) for version, time, source in rows]
-        ends = [i for i, (_, deed) in enumerate(found) if i + 1 == len(found) or found[i + 1][1] != deed]
-        return [(found[i][0], found[i][1][1]) for i in ends]
+        changes = [(int(version), (str(time), str(source))) for version, time, source in rows]
+        ends = [
+            i for i, (_, deed) in enumerate(changes) if i + 1 == len(changes) or changes[i + 1][1] != deed
+        ]
+        return [(changes[i][0], changes[i][1][1]) for i in ends]
 
     @staticmethod
     def _command(connection: sqlite3.Connection, source: str) -> _Command:
@@ -376,11 +378,11 @@ class Registry:
         return now.isoformat(timespec="microseconds"), source
 
     def _entries(self, connection: sqlite3.Connection) -> dict[Key, str | bytes]:
-        found: dict[Key, str | bytes] = {
+        entries: dict[Key, str | bytes] = {
             ("layout", name): text for name, text in connection.execute("SELECT name, definition FROM layout")
         }
         rows = connection.execute("SELECT kind, name, data FROM signature")
-        return found | {(kind, name): data for kind, name, data in rows}
+        return entries | {(kind, name): data for kind, name, data in rows}
 
     @staticmethod
     def _version(connection: sqlite3.Connection) -> int:
@@ -502,7 +504,7 @@ class Registry:
             group = "bodies" if kind == "body" else "layouts"
             raise RegistryError(
                 f"{self.path} holds a damaged signature of the {kind} {name!r}: {str(error)[:200]}",
-                f"Remove it with `tagid {group} --remove NAME` (its history stays) and enrol it again, "
+                f"Remove it with `tagid {group} --remove NAME` (its history stays) and enroll it again, "
                 "go back with `tagid layouts undo --to VERSION`, or restore a backup.",
             ) from None
 

@@ -18,7 +18,7 @@ from tagid.pipeline.settings import ImagingSettings
 if TYPE_CHECKING:
     from tagid.capture import Capture
     from tagid.enrolling.averaging import LayoutEstimate, Sighting
-    from tagid.enrolling.enrolment import Outlook
+    from tagid.enrolling.enrollment import Outlook
     from tagid.enrolling.registry import Key, Registry, RegistryContents
     from tagid.tags.bodies.joint import Joint
     from tagid.tags.bodies.likeness import Likeness
@@ -61,10 +61,10 @@ class LayoutProposal:
 
         Raises LayoutConflictError, RegistryError.
         """
-        from tagid.enrolling.enrolment import enrol
+        from tagid.enrolling.enrollment import enroll
 
         signatures = () if self.signature is None else (self.signature,)
-        done = enrol(
+        done = enroll(
             registry,
             self.layout,
             source,
@@ -117,7 +117,7 @@ class SignatureProposal:
             return None
         return LayoutConflictError(
             f"object {self.signature.name} could be confused with {self.alike[0]}: "
-            f"{self.likenesses[0].left:.1%} of its angle-dependent echo distinguishes them",
+            f"{self.likenesses[0].difference:.1%} of its angle-dependent echo distinguishes them",
             "Change its tag, remove the other, or override with `force`; nothing was stored.",
         )
 
@@ -131,7 +131,7 @@ class SignatureProposal:
 
         Raises LayoutConflictError, RegistryError.
         """
-        from tagid.enrolling.enrolment import undisturbed
+        from tagid.enrolling.enrollment import undisturbed
 
         def compared() -> int | None:
             current = registry.version == self.version
@@ -163,7 +163,7 @@ def propose_layout(
 
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
-    from tagid.enrolling.enrolment import outlook
+    from tagid.enrolling.enrollment import outlook
     from tagid.enrolling.registry import taken
 
     found = outlook(
@@ -187,7 +187,7 @@ def propose_signature(contents: RegistryContents, signature: Signature) -> Signa
 
     one = signature
     others = [other for other in contents.signatures if other.kind == one.kind and other.name != one.name]
-    pairs = sorted((compare(one, other) for other in others), key=lambda pair: pair.left)
+    pairs = sorted((compare(one, other) for other in others), key=lambda pair: pair.difference)
     error = taken((one.kind, one.name), _keys(contents))
     return SignatureProposal(one, tuple(pairs), contents.version, error)
 
@@ -379,7 +379,7 @@ def signature(
 ) -> Joint:
     """Signature of a body or object. Raises DataError if its captures do not confirm it."""
     from tagid.pipeline.identify import aspect_spectra
-    from tagid.tags.bodies.joint import Named, enrol_signature
+    from tagid.tags.bodies.joint import Named, enroll_signature
 
     spectra = []
     for capture in captures:
@@ -388,7 +388,7 @@ def signature(
         except DataError as error:
             raise DataError(f"{capture.name}: {error.message}", error.remedy) from None
         progress(capture.name)
-    joint = enrol_signature(spectra, name, kind)
+    joint = enroll_signature(spectra, name, kind)
     progress("signature")
     return joint
 
@@ -408,7 +408,7 @@ def joint_data(joint: Joint | None) -> dict[str, Any] | None:
         "captures": [
             {
                 "file": residual.name,
-                "residual_over_noise": residual.left / residual.expected,
+                "residual_over_noise": residual.energy / residual.expected,
                 "unexplained": residual.share,
                 "centre_m": list(placed.pose.centre_m),
                 "rotation_deg": degrees(placed.pose.turn_rad) % 360,
@@ -425,7 +425,7 @@ def joint_words(joint: Joint) -> list[str]:
     for residual, placed in zip(joint.residuals, joint.placed, strict=True):
         x, y = (value * 1e3 for value in placed.pose.centre_m)
         lines.append(
-            f"  {Path(residual.name).name}: residual {residual.left / residual.expected:.2f} times noise, "
+            f"  {Path(residual.name).name}: residual {residual.energy / residual.expected:.2f} times noise, "
             f"centre ({x:.1f}, {y:.1f}) mm, rotated {degrees(placed.pose.turn_rad) % 360:.0f} deg"
         )
     return lines

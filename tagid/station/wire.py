@@ -196,7 +196,7 @@ def proposal(found: LayoutProposal | SignatureProposal, measured: Measured | Non
                 {
                     "name": likeness.second,
                     "worst_m": None,
-                    "difference": likeness.left,
+                    "difference": likeness.difference,
                     "confusable": likeness.alike,
                 }
                 for likeness in found.likenesses[:_NEAREST]

@@ -29,7 +29,7 @@ from tagid.pipeline.identify import aspect_spectra
 from tagid.simulate import Acquisition, Placement, ReflectorSpec, parse_body, simulate_capture
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
-from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
@@ -251,4 +251,4 @@ def enrolled_carrier(number: int) -> Signature:
         key, size_mm = f"{POPULATION}/enrol/{i}", carrier.sizes_mm[0]
         shown = capture_of(carrier, None, size_mm, key, 20, 2 + 2 * i, ENROLMENT_VIEWS)
         captures.append(Named(f"{carrier.name} {i}", aspect_spectra(shown)))
-    return enrol_signature(captures, carrier.name, "body").signature
+    return enroll_signature(captures, carrier.name, "body").signature

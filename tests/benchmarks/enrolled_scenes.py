@@ -17,7 +17,7 @@ from reading_bodies_scenes import captured, full_wave
 
 from tagid.capture import Capture
 from tagid.pipeline.identify import aspect_spectra
-from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 
 DISTANCE_M = 1.0
@@ -127,7 +127,7 @@ def enrolled(solved: str, kind: SignatureKind) -> Signature:
         )
         for i in range(3)
     ]
-    return enrol_signature(captures, slug(solved), kind).signature
+    return enroll_signature(captures, slug(solved), kind).signature
 
 
 def scenes(numbers: int) -> list[Scene]:

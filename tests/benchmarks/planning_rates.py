@@ -34,7 +34,7 @@ from tagid.errors import TagidError
 from tagid.pipeline.identify import aspect_spectra, identify
 from tagid.planning.rates import Measured
 from tagid.proportion import wilson
-from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature
 
 RATES = ROOT / "tagid" / "planning" / "rates.json"
@@ -104,7 +104,7 @@ def _named(task: Task) -> str:
         if task.mode == "enrolled":
             shown = body_scenes.enrolment_captures(cell, "development", FIRST_BODY + turn, tagged=False)
             captures = [Named(f"capture {i}", aspect_spectra(own)) for i, own in enumerate(shown)]
-            signatures = [enrol_signature(captures, "body", "body").signature]
+            signatures = [enroll_signature(captures, "body", "body").signature]
     answer = identify(capture, layouts, signatures=signatures)
     if answer.status != "identified" or answer.reading is None:
         return "refused"

@@ -29,7 +29,7 @@ from tagid.capture import Capture
 from tagid.errors import TagidError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.pipeline.identify import aspect_spectra
-from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from train import population, volume_objects
@@ -130,7 +130,7 @@ def _known_body(key: str, cell: reading_bodies_scenes.Cell, number: int, kind: S
     try:
         shown = reading_bodies_scenes.enrolment_captures(cell, "development", number, tagged=kind == "object")
         captures = [Named(f"capture {i + 1}", aspect_spectra(capture)) for i, capture in enumerate(shown)]
-        signature = enrol_signature(captures, name, kind).signature
+        signature = enroll_signature(captures, name, kind).signature
     except TagidError:
         return None
     return replace(scene, group=f"{kind} enrolled, {cell.body}", signatures=(signature,))

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tagid.enrolling import registry as registry_module
-from tagid.enrolling.enrolment import enrol, merge, outlook
+from tagid.enrolling.enrollment import enroll, merge, outlook
 from tagid.enrolling.layout_file import read_layouts, write_layouts
 from tagid.enrolling.registry import Registry
 from tagid.errors import FileFormatError, LayoutConflictError, RegistryError, UsageError
@@ -193,12 +193,12 @@ def test_enrolment_refuses_what_could_be_confused(tmp_path: Path) -> None:
     near = builtin_layouts()["helmet-120"].positions.copy()
     near[0, 0] += 0.006
     with pytest.raises(LayoutConflictError, match="helmet-120"):
-        enrol(registry, Layout("near", near), "numbers")
+        enroll(registry, Layout("near", near), "numbers")
     assert registry.version == 4
-    forced = enrol(registry, Layout("near", near), "numbers", force=True)
+    forced = enroll(registry, Layout("near", near), "numbers", force=True)
     assert forced.outlook.confusable == ("helmet-120",)
     assert registry.version == forced.version == 5
-    fine = enrol(registry, Layout("fine", SCALENE), "numbers")
+    fine = enroll(registry, Layout("fine", SCALENE), "numbers")
     assert not fine.outlook.confusable
     assert {n.name for n in fine.outlook.neighbours} == {*builtin_layouts(), "near"}
 
@@ -211,7 +211,7 @@ def test_of_two_that_enrol_alike_layouts_at_once_only_one_does(tmp_path: Path) -
     def work(worker: int) -> None:
         turned = Layout(f"w{worker}", Layout("x", SCALENE).placed(worker, np.zeros(2)))
         try:
-            enrol(Registry(path), turned, "thread")
+            enroll(Registry(path), turned, "thread")
         except LayoutConflictError as error:
             refused.append(error.message)
 
@@ -228,7 +228,7 @@ def test_a_reflector_outside_the_object_is_refused_but_stays_readable(tmp_path: 
     registry = Registry(tmp_path / "r.db")
     wide = Layout("wide", np.array([[0.3, 0.0], [0.0, 0.1]]), "helmet")
     with pytest.raises(UsageError, match="outside the object: a helmet has a radius up to"):
-        enrol(registry, wide, "numbers", force=True)
+        enroll(registry, wide, "numbers", force=True)
     with pytest.raises(UsageError, match="outside the object"):
         merge(registry, [wide], "file")
     assert registry.version == 4

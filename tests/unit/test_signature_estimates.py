@@ -14,7 +14,16 @@ from tagid.simulate import Acquisition, Placement, ReflectorSpec, parse_body, si
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
 from tagid.tags.bodies import joint, posing, signature
-from tagid.tags.bodies.joint import Basis, Joint, Named, Residual, _Estimate, _left, enrol_signature, estimate
+from tagid.tags.bodies.joint import (
+    Basis,
+    Joint,
+    Named,
+    Residual,
+    _Estimate,
+    _residual_energy,
+    enroll_signature,
+    estimate,
+)
 from tagid.tags.bodies.likeness import compare, least_tag
 from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.posing import PoseSearch, match, refine, round_centre
@@ -34,12 +43,12 @@ def three(thing: Thing, **more: float) -> list[Named]:
 
 @pytest.fixture(scope="module")
 def mug() -> Joint:
-    return enrol_signature(three(MUG), "mug", "body")
+    return enroll_signature(three(MUG), "mug", "body")
 
 
 def test_an_object_is_found_where_it_stands(mug: Joint) -> None:
     """Rotation and shift against the first capture, whose pose is the signature's frame."""
-    assert [round(r.left / r.expected, 1) for r in mug.residuals] == pytest.approx([1, 1, 1], abs=0.35)
+    assert [round(r.energy / r.expected, 1) for r in mug.residuals] == pytest.approx([1, 1, 1], abs=0.35)
     assert mug.signature.model_error < 0.003
     base = mug.placed[0].pose
     for centre, rotation in ((0.003 + 0.006j, 1.0), (-0.007 - 0.002j, 5.5)):
@@ -51,7 +60,7 @@ def test_an_object_is_found_where_it_stands(mug: Joint) -> None:
         off = np.angle(np.exp(1j * (found.pose.turn_rad - base.turn_rad - turn)))
         assert abs(np.rad2deg(off)) < 0.5
         assert abs(found.pose.centre - expected) < 4e-4
-        assert found.left < 1.4 * spectra.noise_energy
+        assert found.residual < 1.4 * spectra.noise_energy
         assert round_centre(spectra)[1] > 30 * spectra.noise_energy
 
 
@@ -61,9 +70,9 @@ def test_the_near_field_carries_a_signature_to_another_distance(
     spectra = named(MUG, 9, 0.002j, 1.0, views=36, distance=0.7).spectra
     turning = round_centre(spectra)[1]
     found = match(spectra, mug.signature)
-    assert found.left < 0.02 * turning
+    assert found.residual < 0.02 * turning
     monkeypatch.setattr(posing, "turned", _turned_wrong)
-    assert match(spectra, mug.signature).left > 3 * found.left
+    assert match(spectra, mug.signature).residual > 3 * found.residual
 
 
 def _turned_wrong(spectra: Spectra, one: Signature, turn: float) -> np.ndarray:
@@ -103,17 +112,17 @@ def test_slopes_are_those_of_the_model(mug: Joint) -> None:
     near = match(spectra, mug.signature)
     start = Pose((near.pose.centre_m[0] + 1e-3, near.pose.centre_m[1] - 1e-3), near.pose.turn_rad + 0.05)
     again = refine(spectra, mug.signature, start)
-    assert again.left == pytest.approx(near.left, rel=1e-3)
+    assert again.residual == pytest.approx(near.residual, rel=1e-3)
 
 
 def test_a_capture_of_a_changed_object_is_to_blame() -> None:
     captures = three(MUG.plus(TAG))
     changed = named(MUG, 7, *PLACES[1])
     with pytest.raises(DataError, match=r"^c7 does not show what the other captures"):
-        enrol_signature([captures[0], changed, captures[2]], "mug-tag", "object")
+        enroll_signature([captures[0], changed, captures[2]], "mug-tag", "object")
     with pytest.raises(DataError, match="do not agree"):
         other = Thing((0.03j, -0.05), (3.0, 2.0), 1.0)
-        enrol_signature([captures[0], changed, named(other, 8, *PLACES[2])], "mug-tag", "object")
+        enroll_signature([captures[0], changed, named(other, 8, *PLACES[2])], "mug-tag", "object")
 
 
 def test_two_captures_of_something_else_are_both_to_blame() -> None:
@@ -122,7 +131,7 @@ def test_two_captures_of_something_else_are_both_to_blame() -> None:
     with pytest.raises(
         DataError, match=r"^c(6 and c8|8 and c6) do not show what the other captures"
     ) as caught:
-        enrol_signature([*captures, other], "mug", "body")
+        enroll_signature([*captures, other], "mug", "body")
     assert "without a tag" in caught.value.remedy
 
 
@@ -147,8 +156,8 @@ def test_an_uneven_turn_is_read_off_the_object(tagged: Signature) -> None:
     for one in (found, even):
         assert np.abs(np.angle(one.spectra.antenna / true.antenna)).max() < 2e-3
     assert abs(found.pose.centre - even.pose.centre) < 1e-5
-    assert rigid.left > 2.5 * found.left
-    assert abs(found.left - even.left) < 0.1 * even.left
+    assert rigid.residual > 2.5 * found.residual
+    assert abs(found.residual - even.residual) < 0.1 * even.residual
     noisy = steadied(replace(stated, noise=1e6 * true.noise), tagged, rigid.pose)
     assert np.abs(np.angle(noisy.spectra.antenna / stated.antenna)).max() < 1e-4
 
@@ -175,7 +184,7 @@ def test_an_oval_is_enrolled_in_poses_in_which_its_round_part_agrees() -> None:
         scene = object_scene("oval", nowhere, body, size, rng=rng, room=room, variation=Variation(2.6))
         acquisition = Acquisition(views=72, snr_db=20.0, placement=Placement(pose.centre_m, pose.turn_rad))
         captures.append(Named(f"{seed}", aspect_spectra(simulate_capture(scene, acquisition, seed)[0])))
-    found = enrol_signature(captures, "oval", "body")
+    found = enroll_signature(captures, "oval", "body")
     assert all(residual.is_noise for residual in found.residuals)
     turns = [one.pose.turn_rad - found.placed[0].pose.turn_rad for one in found.placed]
     # An oval looks the same after half a turn.
@@ -189,27 +198,27 @@ def test_gains_and_harmonics_are_improved_together(mug: Joint) -> None:
     basis = Basis(mug.signature.wavenumbers, mug.signature.radius_m)
     work = _Estimate([one.spectra for one in mug.placed], mug.signature, basis)
     work.placed = dict(enumerate(mug.placed))
-    best = _left(work.placed.values(), basis)
+    best = _residual_energy(work.placed.values(), basis)
     off = 0.3 * rng.standard_normal((3, 2, len(basis.mask)))
     off[work.order[0]] = 0
     work.placed = {
         i: replace(one, gain=one.gain * (1 + off[i, 0] + 1j * off[i, 1])) for i, one in work.placed.items()
     }
-    assert _left(work.placed.values(), basis) > 10 * best
+    assert _residual_energy(work.placed.values(), basis) > 10 * best
     work.balance(8)
-    assert _left(work.placed.values(), basis) < 1.02 * best
+    assert _residual_energy(work.placed.values(), basis) < 1.02 * best
 
 
 def test_captures_that_cannot_make_a_signature_are_refused() -> None:
     captures = three(MUG)
     with pytest.raises(DataError, match="needs 3"):
-        enrol_signature(captures[:2], "mug", "body")
+        enroll_signature(captures[:2], "mug", "body")
     still = [named(MUG, i, *PLACES[0]) for i in range(3)]
     with pytest.raises(DataError, match="same place"):
-        enrol_signature(still, "mug", "body")
+        enroll_signature(still, "mug", "body")
     nothing = Thing((), ())
     with pytest.raises(DataError, match="nothing but noise"):
-        enrol_signature([named(nothing, i, *PLACES[i]) for i in range(3)], "mug", "body")
+        enroll_signature([named(nothing, i, *PLACES[i]) for i in range(3)], "mug", "body")
 
 
 def test_the_order_holds_what_a_point_on_the_rim_returns() -> None:
@@ -224,12 +233,12 @@ def test_the_order_holds_what_a_point_on_the_rim_returns() -> None:
 
 
 def test_likeness_and_what_a_tag_must_return(mug: Joint) -> None:
-    again = enrol_signature(
+    again = enroll_signature(
         [named(MUG, 20 + i, c * 1j, r + 0.7) for i, (c, r) in enumerate(PLACES)], "cup", "body"
     ).signature
     other = enrolled(Thing((0.04, -0.05j), (2.0, 2.0), 6.0), "other", "body")
     assert compare(mug.signature, again).alike
-    assert not compare(mug.signature, other).alike and compare(mug.signature, other).left > 0.2
+    assert not compare(mug.signature, other).alike and compare(mug.signature, other).difference > 0.2
     assert 0.05 < mug.signature.turning_share < 0.9
     assert least_tag(mug.signature) < 0.01
 

@@ -12,7 +12,7 @@ import pytest
 
 import tagid
 from tagid.cli.wording import OPTIONS, in_options, result_in_options
-from tagid.enrolling.enrolment import outlook
+from tagid.enrolling.enrollment import outlook
 from tagid.result import Problem, Result, render
 from tagid.simulate.spec import SceneSpec
 from tagid.station import wire

@@ -82,26 +82,26 @@ class Placed:
 
 @dataclass(frozen=True)
 class Residual:
-    """What the joint estimate leaves of one capture; energies in units of the noise of one value.
+    """Residual of the joint estimate in one capture; energies in units of the noise of one value.
 
     Attributes:
         name: of the capture.
-        left: energy left.
-        expected: what noise alone would leave.
+        energy: of the residual.
+        expected: the energy for noise alone.
         turning: energy beyond the room and a body of revolution, noise subtracted.
         moving: energy beyond the room, noise subtracted.
     """
 
     name: str
-    left: float
+    energy: float
     expected: float
     turning: float
     moving: float
 
     @property
     def excess(self) -> float:
-        """Energy left beyond noise, at least 0."""
-        return max(self.left - self.expected, 0.0)
+        """Residual energy beyond noise, at least 0."""
+        return max(self.energy - self.expected, 0.0)
 
     @property
     def share(self) -> float:
@@ -156,12 +156,12 @@ class Basis:
         self.mask = order_mask(wavenumbers, radius_m, self.order)
         self.m = np.arange(-self.order, self.order + 1)
 
-    def columns(self, one: Placed) -> NDArray[np.complex128]:
+    def columns(self, placed: Placed) -> NDArray[np.complex128]:
         """(F, V, 2 M + 1) in units of the noise, without the room, with pose and gain applied."""
-        at = Standpoint(one.spectra, one.pose.centre)
-        near = near_field(one.spectra.wavenumbers, self.order, one.spectra.distance_m)
-        scale = near * np.exp(-1j * self.m * one.pose.turn_rad) * self.mask
-        scale = scale * (one.gain / np.sqrt(noise_of(one.spectra)))[:, None]
+        at = Standpoint(placed.spectra, placed.pose.centre)
+        near = near_field(placed.spectra.wavenumbers, self.order, placed.spectra.distance_m)
+        scale = near * np.exp(-1j * self.m * placed.pose.turn_rad) * self.mask
+        scale = scale * (placed.gain / np.sqrt(noise_of(placed.spectra)))[:, None]
         columns = at.carrier[..., None] * angular(at.azimuth, self.order)[None] * scale[:, None, :]
         return np.asarray(columns - columns.mean(axis=1, keepdims=True))
 
@@ -182,11 +182,11 @@ class Basis:
         load[self.order] *= ROUND_RIDGE
         diagonal = mean[:, None] * np.where(self.mask, load, 1.0)
         inverse = np.linalg.inv(gram + diagonal[:, :, None] * np.eye(size))
-        found = (inverse @ data[..., None])[..., 0]
+        harmonics = (inverse @ data[..., None])[..., 0]
         variance = np.einsum("fnk,fkl,fln->fn", inverse, gram, inverse).real
         turning = self.mask & (self.m != 0)
         noise = np.where(turning, variance, 0).sum(axis=1) / np.maximum(turning.sum(axis=1), 1)
-        return found, np.maximum(noise, 0)
+        return harmonics, np.maximum(noise, 0)
 
 
 def _whitened(spectra: Spectra) -> NDArray[np.complex128]:
@@ -221,8 +221,8 @@ class _Estimate:
         """Harmonics of the capture with the most views; then every other capture, matched with them."""
         for i in self.order:
             spectra = self.captures[i]
-            centre, left = round_centre(spectra)
-            around = (centre,) if left < ROUND_SHARE * spectra.energy else ()
+            centre, residual = round_centre(spectra)
+            around = (centre,) if residual < ROUND_SHARE * spectra.energy else ()
             if not self.placed:
                 first = around[0] if around else 0j
                 ones = np.ones(len(spectra.wavenumbers), complex)
@@ -231,21 +231,23 @@ class _Estimate:
                 continue
             search = PoseSearch(spectra, self.basis.order, around)
             # One capture does not tell its m = 0 from the room: what turns gives pose and gain.
-            turns = left > (1 + _ROUND_TURNING) * spectra.noise_energy
+            turns = residual > (1 + _ROUND_TURNING) * spectra.noise_energy
             near = matches(spectra, self.signature, search, split=turns)
-            gains = [best_gain(spectra, self.signature, one.pose, split=turns) for one in near]
-            placed = [Placed(spectra, one.pose, gain) for one, gain in zip(near, gains, strict=True)]
+            gains = [best_gain(spectra, self.signature, candidate.pose, split=turns) for candidate in near]
+            placed = [
+                Placed(spectra, candidate.pose, gain) for candidate, gain in zip(near, gains, strict=True)
+            ]
             # What turns may look alike in several poses: an oval turned by a quarter is one with the gain
             # reversed. The gain must suit the round part of the echo, too.
             before = list(self.placed.values())
-            lefts = [_left([*before, one], self.basis) for one in placed]
-            self.placed[i] = placed[int(np.argmin(lefts))]
+            residuals = [_residual_energy([*before, candidate], self.basis) for candidate in placed]
+            self.placed[i] = placed[int(np.argmin(residuals))]
             self.solve(1e-3)
 
     def solve(self, ridge: float = RIDGE) -> None:
         """Harmonics for the present poses and gains."""
-        found, noise = self.basis.solve(list(self.placed.values()), ridge)
-        self.signature = replace(self.signature, harmonics=found, noise=noise)
+        harmonics, noise = self.basis.solve(list(self.placed.values()), ridge)
+        self.signature = replace(self.signature, harmonics=harmonics, noise=noise)
 
     def alternate(self, rounds: int) -> None:
         """Poses and gains of all captures but the first, one by one, then the harmonics."""
@@ -262,10 +264,10 @@ class _Estimate:
         Gains and harmonics are a product: improved in turns, they creep towards their common best.
         """
         for _ in range(steps):
-            found, _ = self.basis.solve(list(self.placed.values()))
-            parts = {i: self.basis.columns(one) for i, one in self.placed.items()}
+            harmonics, _ = self.basis.solve(list(self.placed.values()))
+            parts = {i: self.basis.columns(placed) for i, placed in self.placed.items()}
             columns = np.concatenate(list(parts.values()), axis=1)
-            data = np.concatenate([_whitened(one.spectra) for one in self.placed.values()], axis=1)
+            data = np.concatenate([_whitened(placed.spectra) for placed in self.placed.values()], axis=1)
             inverse = np.linalg.pinv(columns, rcond=RIDGE)
             slopes = np.zeros((*data.shape, len(self.order) - 1), complex)
             first = 0
@@ -273,18 +275,18 @@ class _Estimate:
                 rows = slice(first, first + part.shape[1])
                 first = rows.stop
                 if i != self.order[0]:
-                    slopes[:, rows, self.order.index(i) - 1] = (part @ found[..., None])[..., 0]
+                    slopes[:, rows, self.order.index(i) - 1] = (part @ harmonics[..., None])[..., 0]
             slopes = slopes - columns @ (inverse @ slopes)
-            left = data - (columns @ found[..., None])[..., 0]
-            change = (np.linalg.pinv(slopes) @ left[..., None])[..., 0]
-            before, kept = _left(self.placed.values(), self.basis), self.placed
+            residual = data - (columns @ harmonics[..., None])[..., 0]
+            change = (np.linalg.pinv(slopes) @ residual[..., None])[..., 0]
+            before, kept = _residual_energy(self.placed.values(), self.basis), self.placed
             self.placed = {
-                i: replace(one, gain=one.gain * (1 + change[:, self.order.index(i) - 1]))
+                i: replace(placed, gain=placed.gain * (1 + change[:, self.order.index(i) - 1]))
                 if i != self.order[0]
-                else one
-                for i, one in kept.items()
+                else placed
+                for i, placed in kept.items()
             }
-            if _left(self.placed.values(), self.basis) > before:
+            if _residual_energy(self.placed.values(), self.basis) > before:
                 self.placed = kept
                 break
         self.solve()
@@ -299,10 +301,10 @@ class _Estimate:
 
         def rest(x: NDArray[np.float64]) -> NDArray[np.float64]:
             now = self._moved(moving, x)
-            found, _ = self.basis.solve(list(now.values()))
+            harmonics, _ = self.basis.solve(list(now.values()))
             parts = [
-                _whitened(one.spectra) - (self.basis.columns(one) @ found[..., None])[..., 0]
-                for one in now.values()
+                _whitened(placed.spectra) - (self.basis.columns(placed) @ harmonics[..., None])[..., 0]
+                for placed in now.values()
             ]
             flat = np.concatenate([part.ravel() for part in parts])
             return np.concatenate([flat.real, flat.imag])
@@ -333,10 +335,10 @@ class _Estimate:
         """Errors of the angles of all captures, one by one, then poses, gains and harmonics."""
         for _ in range(_STEADYING):
             for i, recorded in enumerate(self.captures):
-                one = steadied(recorded, self.signature, self.placed[i].pose)
+                corrected = steadied(recorded, self.signature, self.placed[i].pose)
                 # The frame is that of the first.
-                pose = self.placed[i].pose if i == self.order[0] else one.pose
-                self.placed[i] = replace(self.placed[i], spectra=one.spectra, pose=pose)
+                pose = self.placed[i].pose if i == self.order[0] else corrected.pose
+                self.placed[i] = replace(self.placed[i], spectra=corrected.spectra, pose=pose)
             self.solve()
             self.alternate(1)
             self.balance()
@@ -366,7 +368,8 @@ def estimate(
         # Few views alias a large radius, and a small one loses the rim: begin with both.
         begun = [_joint(spectra, name, kind, radius) for radius in START_RADII_M]
         work, chosen = min(
-            ((one, radius) for one in begun for radius in RADII_M), key=lambda pair: _score(spectra, *pair)
+            ((start, radius) for start in begun for radius in RADII_M),
+            key=lambda pair: _score(spectra, *pair),
         )
         if chosen != work.signature.radius_m:
             basis = Basis(spectra[0].wavenumbers, chosen)
@@ -401,20 +404,21 @@ def _joint(spectra: Sequence[Spectra], name: str, kind: SignatureKind, radius_m:
         work.alternate(2)
         work.balance()
         work.descend()
-        now = _left(work.placed.values(), work.basis)
+        now = _residual_energy(work.placed.values(), work.basis)
         if now > (1 - _SETTLED) * before:
             break
         before = now
     return work
 
 
-def _left(captures: Collection[Placed], basis: Basis) -> float:
+def _residual_energy(captures: Collection[Placed], basis: Basis) -> float:
     """Energy that the least squares of a basis leaves of captures, in units of their noise."""
-    found, _ = basis.solve(captures)
+    harmonics, _ = basis.solve(captures)
     return sum(
         float(
             np.sum(
-                np.abs(_whitened(capture.spectra) - (basis.columns(capture) @ found[..., None])[..., 0]) ** 2
+                np.abs(_whitened(capture.spectra) - (basis.columns(capture) @ harmonics[..., None])[..., 0])
+                ** 2
             )
         )
         for capture in captures
@@ -425,8 +429,8 @@ def _score(spectra: Sequence[Spectra], work: _Estimate, radius_m: float) -> floa
     """Residual per squared share of the degrees of freedom, for a radius, at the poses found."""
     basis = Basis(spectra[0].wavenumbers, radius_m)
     return (
-        _left(work.placed.values(), basis)
-        / max(1 - int(basis.mask.sum()) / sum(one.data.size for one in spectra), 1e-3) ** 2
+        _residual_energy(work.placed.values(), basis)
+        / max(1 - int(basis.mask.sum()) / sum(capture.data.size for capture in spectra), 1e-3) ** 2
     )
 
 
@@ -435,20 +439,22 @@ def _residuals(captures: Sequence[Named], work: _Estimate) -> tuple[Residual, ..
     freedom = [frequencies * (capture.spectra.views - 1) for capture in captures]
     spent = int(work.basis.mask.sum()) + (frequencies + 3) * (len(captures) - 1)
     share = max(1 - spent / sum(freedom), 0.05)
-    found = []
-    for i, one in enumerate(captures):
+    residuals = []
+    for i, capture in enumerate(captures):
         placed = work.placed[i]
         model = centred(echo(placed.spectra, work.signature, placed.pose))
         gain = best_gain(placed.spectra, work.signature, placed.pose)
-        noise = noise_of(one.spectra)
-        left = float(np.sum(np.abs(one.spectra.data - gain[:, None] * model) ** 2)) / noise
-        turning = round_centre(one.spectra)[1] / noise - freedom[i]
-        moving = one.spectra.energy / noise - freedom[i]
-        found.append(Residual(one.name, left, freedom[i] * share, max(turning, 0.0), max(moving, 0.0)))
-    return tuple(found)
+        noise = noise_of(capture.spectra)
+        energy = float(np.sum(np.abs(capture.spectra.data - gain[:, None] * model) ** 2)) / noise
+        turning = round_centre(capture.spectra)[1] / noise - freedom[i]
+        moving = capture.spectra.energy / noise - freedom[i]
+        residuals.append(
+            Residual(capture.name, energy, freedom[i] * share, max(turning, 0.0), max(moving, 0.0))
+        )
+    return tuple(residuals)
 
 
-def enrol_signature(captures: Sequence[Named], name: str, kind: SignatureKind) -> Joint:
+def enroll_signature(captures: Sequence[Named], name: str, kind: SignatureKind) -> Joint:
     """A signature that its captures confirm.
 
     Args: as of `estimate`.
@@ -489,7 +495,7 @@ def enrol_signature(captures: Sequence[Named], name: str, kind: SignatureKind) -
 def _check_poses(captures: Sequence[Named], joint: Joint) -> None:
     """Raise DataError where the object was not moved between the captures."""
     turns = any(r.turning > _ROUND_TURNING * r.expected for r in joint.residuals)
-    poses = [one.pose for one in joint.placed]
+    poses = [placed.pose for placed in joint.placed]
     for i, a in enumerate(poses):
         for b in poses[:i]:
             moved = abs(a.centre - b.centre) > SAME_PLACE_M
@@ -506,13 +512,13 @@ def _check_poses(captures: Sequence[Named], joint: Joint) -> None:
 def _refusal(captures: Sequence[Named], joint: Joint, kind: SignatureKind) -> DataError:
     """The error that names the captures which do not show what the others show."""
     name = joint.signature.name
-    groups = _odd_ones(captures, joint.signature, kind)
+    groups = _odd_captures(captures, joint.signature, kind)
     worst = max(joint.residuals, key=lambda r: r.excess / r.expected)
-    amount = f"{worst.left / worst.expected:.1f} times the noise" + (
+    amount = f"{worst.energy / worst.expected:.1f} times the noise" + (
         f", {worst.share:.1%} of the turning echo" if worst.share else ""
     )
     if len(groups) == 1:
-        odd = [one.name for one in groups[0]]
+        odd = [capture.name for capture in groups[0]]
         verb, them = ("does", "it") if len(odd) == 1 else ("do", "them")
         same = "the same body, without a tag" if kind == "body" else "the same object, with its tag unchanged"
         return DataError(
@@ -520,8 +526,8 @@ def _refusal(captures: Sequence[Named], joint: Joint, kind: SignatureKind) -> Da
             f"leave {amount} unexplained, without {them} only noise",
             f"Leave {them} out or record again: {same}, standing firmly on the turntable. Nothing is stored.",
         )
-    every = ", ".join(f"{r.name} {r.left / r.expected:.1f}" for r in joint.residuals)
-    suspects = [one.name for group in groups for one in group] or [worst.name]
+    every = ", ".join(f"{r.name} {r.energy / r.expected:.1f}" for r in joint.residuals)
+    suspects = [capture.name for group in groups for capture in group] or [worst.name]
     blame = f"{' or '.join(suspects)} " + ("may be to blame" if groups else "leaves most")
     return DataError(
         f"the captures of {name} do not agree: they leave more than noise ({every} times the noise); {blame}",
@@ -530,7 +536,7 @@ def _refusal(captures: Sequence[Named], joint: Joint, kind: SignatureKind) -> Da
     )
 
 
-def _odd_ones(captures: Sequence[Named], signature: Signature, kind: SignatureKind) -> list[list[Named]]:
+def _odd_captures(captures: Sequence[Named], signature: Signature, kind: SignatureKind) -> list[list[Named]]:
     """Captures without which the others leave only noise: one, or two where enough others remain.
 
     Several groups where each would do.
@@ -539,9 +545,9 @@ def _odd_ones(captures: Sequence[Named], signature: Signature, kind: SignatureKi
         return []
     rest = []
     for i in range(len(captures)):
-        others = [one for k, one in enumerate(captures) if k != i]
+        others = [capture for k, capture in enumerate(captures) if k != i]
         rest.append(estimate(others, signature.name, kind, signature.radius_m))
-    scores = [sum(r.excess / r.expected for r in one.residuals) for one in rest]
+    scores = [sum(r.excess / r.expected for r in joint.residuals) for joint in rest]
     order = sorted(range(len(captures)), key=lambda i: scores[i])
     good = [i for i in order if all(r.is_noise for r in rest[i].residuals)]
     # Two captures share what differs between them, so a pair may pass that three refute: the exclusion that
@@ -552,4 +558,4 @@ def _odd_ones(captures: Sequence[Named], signature: Signature, kind: SignatureKi
         return [[captures[i]] for i in good]
     first = captures[order[0]]
     others = [capture for capture in captures if capture is not first]
-    return [[first, *group] for group in _odd_ones(others, signature, kind) if len(group) == 1]
+    return [[first, *group] for group in _odd_captures(others, signature, kind) if len(group) == 1]

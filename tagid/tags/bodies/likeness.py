@@ -24,7 +24,7 @@ UNEXPLAINED = 0.15
 """Share of a tag's echo that its layout may leave on a body: the model error of the body must be under it."""
 LEAST_ERROR = 2e-4
 """Model error that is taken for granted, as a share of the turning echo: full-wave objects at the distance of
-their enrolment."""
+their enrollment."""
 
 
 @dataclass(frozen=True)
@@ -34,19 +34,19 @@ class Likeness:
     Attributes:
         first, second: names.
         kind: of both.
-        left: share of the first's turning echo that the second leaves, the smaller of both ways; 1 where the
-            bands differ.
+        difference: share of the first's turning echo that the second does not explain, the smaller of both
+            ways; 1 where the bands differ.
     """
 
     first: str
     second: str
     kind: str
-    left: float
+    difference: float
 
     @property
     def alike(self) -> bool:
         """Whether one would be taken for the other."""
-        return self.left < ALIKE
+        return self.difference < ALIKE
 
 
 def spectra_of(signature: Signature) -> Spectra:
@@ -61,19 +61,19 @@ def spectra_of(signature: Signature) -> Spectra:
     return Spectra(data, signature.wavenumbers, antenna, height, signature.distance_m, noise)
 
 
-def compare(one: Signature, other: Signature) -> Likeness:
+def compare(signature: Signature, other: Signature) -> Likeness:
     """How alike two signatures are, over all poses."""
-    if not same_wavenumbers(one.wavenumbers, other.wavenumbers):
-        return Likeness(one.name, other.name, one.kind, 1.0)
+    if not same_wavenumbers(signature.wavenumbers, other.wavenumbers):
+        return Likeness(signature.name, other.name, signature.kind, 1.0)
     shares = []
-    for first, second in ((one, other), (other, one)):
+    for first, second in ((signature, other), (other, signature)):
         spectra = spectra_of(first)
         turning = round_centre(spectra)[1]
-        left = match(spectra, second).left
+        residual = match(spectra, second).residual
         # A round body turns with nothing but noise, and is alike every round body.
         noise = first.noise_share * turning
-        shares.append((left - noise) / max(turning - noise, 1e-3 * spectra.energy))
-    return Likeness(one.name, other.name, one.kind, float(np.clip(min(shares), 0, 1)))
+        shares.append((residual - noise) / max(turning - noise, 1e-3 * spectra.energy))
+    return Likeness(signature.name, other.name, signature.kind, float(np.clip(min(shares), 0, 1)))
 
 
 def least_tag(signature: Signature) -> float:

@@ -50,16 +50,16 @@ class Linear:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Descent:
     """End of a descent.
 
     Attributes:
         x: (P,) parameters.
-        left: energy left, in the units of the spectra.
+        residual: energy not explained, in the units of the spectra.
     """
 
     x: NDArray[np.float64]
-    left: float
+    residual: float
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,11 @@ class Match:
 
     Attributes:
         pose: the best one.
-        left: energy that the signature leaves, in the units of the spectra.
+        residual: energy that the signature does not explain, in the units of the spectra.
     """
 
     pose: Pose
-    left: float
+    residual: float
 
 
 def noise_of(spectra: Spectra) -> float:
@@ -86,7 +86,7 @@ def descend(
     x: NDArray[np.float64],
     iterations: int = 12,
     sigmas: NDArray[np.float64] | None = None,
-) -> Found:
+) -> Descent:
     """Levenberg-Marquardt with the linear amplitudes eliminated (variable projection, Kaufman 1975).
 
     Args:
@@ -113,19 +113,19 @@ def descend(
         load = 1e-12 * np.abs(r).max(axis=(1, 2), keepdims=True) + 1e-300
         # More amplitudes than views: those that the views cannot tell are 0.
         if lacking := r.shape[2] - r.shape[1]:
-            r, inner = (np.pad(one, ((0, 0), (0, lacking), (0, 0))) for one in (r, inner))
+            r, inner = (np.pad(block, ((0, 0), (0, lacking), (0, 0))) for block in (r, inner))
         return np.asarray(np.linalg.solve(r + load * np.eye(r.shape[-1]), inner)[..., 0])
 
     parts = model(x)
-    left, q, r, inner = rest(parts.columns)
-    cost, damping = float(np.sum(np.abs(left) ** 2) + prior @ x**2), 1e-2
+    residual, q, r, inner = rest(parts.columns)
+    cost, damping = float(np.sum(np.abs(residual) ** 2) + prior @ x**2), 1e-2
     for _ in range(iterations):
         slopes = np.einsum("pfvn,fn->pfv", parts.slopes, amplitudes_of(r, inner))
         slopes = slopes - slopes.mean(axis=2, keepdims=True)
         slopes = slopes - (q @ (q.conj().swapaxes(1, 2) @ slopes[..., None]))[..., 0]
         jacobian = slopes.reshape(len(x), -1)
         normal = np.real(jacobian.conj() @ jacobian.T) + np.diag(prior)
-        gradient = np.real(jacobian.conj() @ left.ravel()) - prior * x
+        gradient = np.real(jacobian.conj() @ residual.ravel()) - prior * x
         gain = 0.0
         for _ in range(4):
             damped = normal + damping * np.diag(np.diag(normal)) + 1e-12 * np.trace(normal) * np.eye(len(x))
@@ -136,12 +136,12 @@ def descend(
             if trial_cost < cost:
                 gain = cost - trial_cost
                 x, parts, cost, damping = trial, trial_parts, trial_cost, damping / 5
-                left, q, r, inner = trial_rest
+                residual, q, r, inner = trial_rest
                 break
             damping *= 6
         if gain < 1e-5 * cost:
             break
-    return Found(x, float(np.sum(np.abs(left) ** 2)))
+    return Descent(x, float(np.sum(np.abs(residual) ** 2)))
 
 
 def round_centre(spectra: Spectra) -> tuple[complex, float]:
@@ -163,8 +163,8 @@ def round_centre(spectra: Spectra) -> tuple[complex, float]:
         at = Standpoint(spectra, complex(x[0], x[1]))
         return Linear(at.carrier[..., None], at.carrier_slopes()[..., None])
 
-    found = descend(spectra, model, np.array([start.real, start.imag]))
-    return complex(found.x[0], found.x[1]), found.left
+    descent = descend(spectra, model, np.array([start.real, start.imag]))
+    return complex(descent.x[0], descent.x[1]), descent.residual
 
 
 def at_pose(at: Standpoint, weights: NDArray[np.complex128]) -> Linear:
@@ -200,15 +200,15 @@ def refine(
         columns, slopes = parts.columns, parts.slopes
         if split:
             slope = at.carrier_slopes()
-            own = np.concatenate([slope, np.zeros_like(slope[:1])])[..., None]
+            round_slopes = np.concatenate([slope, np.zeros_like(slope[:1])])[..., None]
             columns = np.concatenate([at.carrier[..., None], columns], axis=-1)
-            slopes = np.concatenate([own, slopes], axis=-1)
+            slopes = np.concatenate([round_slopes, slopes], axis=-1)
         return Linear(columns, slopes)
 
     start = np.array([*pose.centre_m, pose.turn_rad])
-    found = descend(spectra, model, start, iterations)
-    turn = float(np.mod(found.x[2], 2 * np.pi))
-    return Match(Pose((float(found.x[0]), float(found.x[1])), turn), found.left)
+    descent = descend(spectra, model, start, iterations)
+    turn = float(np.mod(descent.x[2], 2 * np.pi))
+    return Match(Pose((float(descent.x[0]), float(descent.x[1])), turn), descent.residual)
 
 
 class PoseSearch:
@@ -262,12 +262,14 @@ class PoseSearch:
 
         Raises DataError where signature and capture are at different frequencies.
         """
-        left = self._energies(signature)
+        energies = self._energies(signature)
         poses: list[Pose] = []
-        for index in np.argsort(left, axis=None)[:400]:
-            i, turn = np.unravel_index(index, left.shape)
+        for index in np.argsort(energies, axis=None)[:400]:
+            i, turn = np.unravel_index(index, energies.shape)
             pose = self._pose(int(i), int(turn))
-            if all(abs(np.angle(np.exp(1j * (pose.turn_rad - one.turn_rad)))) > APART_RAD for one in poses):
+            if all(
+                abs(np.angle(np.exp(1j * (pose.turn_rad - other.turn_rad)))) > APART_RAD for other in poses
+            ):
                 poses.append(pose)
             if len(poses) == count:
                 break
@@ -285,7 +287,7 @@ class PoseSearch:
         ):
             raise DataError(
                 f"the capture's band is not that in which {signature.name} was enrolled",
-                "Enrol it again with this radar.",
+                "Enroll it again with this radar.",
             )
         order = signature.order
         cut = slice(self._order - order, self._order + order + 1)
@@ -332,8 +334,8 @@ def matches(
 
     Raises DataError where the two are at different frequencies.
     """
-    found: list[Match] = []
+    refined: list[Match] = []
     for start in search.candidates(signature, STARTS):
         near = refine(spectra, signature, start, split=True, iterations=12 if split else 5)
-        found.append(near if split else refine(spectra, signature, near.pose))
-    return sorted(found, key=lambda one: one.left)
+        refined.append(near if split else refine(spectra, signature, near.pose))
+    return sorted(refined, key=lambda candidate: candidate.residual)

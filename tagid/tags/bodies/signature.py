@@ -11,7 +11,7 @@ static room. G is free at each frequency: another pulse, level or range offset c
 factor in m^2 is the near field: the harmonic m comes, by stationary phase, from where m = -kappa r sin(psi),
 and there the spherical wave is late by r^2 sin^2(psi) / (2 d), which is a phase of m^2 / (2 kappa d). It
 carries a signature from one axis distance to another. What it leaves out is of the order r / d in amplitude,
-so enrol at the distance at which you read.
+so enroll at the distance at which you read.
 
 Sampling: a point at radius r answers exp(j kappa r cos(psi)) = sum_m j^m J_m(kappa r) exp(j m psi), and J_m
 falls off faster than exponentially beyond |m| = kappa r; `order_of` says where to stop. The field of sources
@@ -58,8 +58,8 @@ class Signature:
         harmonics: (F, 2 M + 1) complex128, S_m(f) for m = -M..M; zero where |m| exceeds `order_of`.
         noise: (F,) variance of the noise of one harmonic, in the units of |S|^2.
         radius_m: of the smallest circle about the centre that holds the echo, m.
-        distance_m: antenna to axis at the enrolment, m.
-        height_m: antenna above the object's plane at the enrolment, m.
+        distance_m: antenna to axis at the enrollment, m.
+        height_m: antenna above the object's plane at the enrollment, m.
         model_error: share of the turning echo that the captures leave unexplained beyond noise.
         captures: number of captures it was estimated from.
         label: for people.
@@ -119,7 +119,7 @@ class Signature:
             wrong = "an impossible error or number of captures"
         if wrong:
             raise DataError(
-                f"the signature of {str(self.name)[:80]!r} has {wrong}", "Enrol it again from captures."
+                f"the signature of {str(self.name)[:80]!r} has {wrong}", "Enroll it again from captures."
             )
 
     @property
@@ -232,9 +232,9 @@ def echo(spectra: Spectra, signature: Signature, pose: Pose) -> NDArray[np.compl
     return np.asarray(at.carrier * (weights @ angular(at.azimuth, signature.order).T))
 
 
-def same_wavenumbers(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+def same_wavenumbers(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
     """Whether both are the same frequencies, to SAME_WAVENUMBER."""
-    return len(one) == len(other) and bool(np.abs(one - other).max() < SAME_WAVENUMBER)
+    return len(first) == len(second) and bool(np.abs(first - second).max() < SAME_WAVENUMBER)
 
 
 def signature_wavenumbers(center_frequency_hz: float, bandwidth_hz: float) -> NDArray[np.float64]:

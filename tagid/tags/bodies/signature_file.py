@@ -67,7 +67,7 @@ def from_bytes(data: bytes, where: str) -> Signature:
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError, TagidError) as error:
         raise FileFormatError(
             f"{where}: the signature cannot be read: {str(error)[:200]}",
-            "Enrol it again from its captures, go back with `tagid layouts undo`, or restore a backup.",
+            "Enroll it again from its captures, go back with `tagid layouts undo`, or restore a backup.",
         ) from None
 
 

@@ -31,12 +31,12 @@ class Steadied:
     Attributes:
         pose: of the object.
         spectra: the scans, seen from where they were taken.
-        left: energy left.
+        residual: energy not explained, in the units of the spectra.
     """
 
     pose: Pose
     spectra: Spectra
-    left: float
+    residual: float
 
 
 def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
@@ -60,9 +60,13 @@ def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
 
     sigmas = SIGMA_RAD / np.repeat(np.arange(1, HARMONICS + 1), 2)
     start = np.concatenate([[*pose.centre_m, pose.turn_rad], np.zeros(2 * HARMONICS)])
-    found = descend(spectra, model, start, sigmas=np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, *sigmas]))
-    x, y, turn = (float(value) for value in found.x[:3])
-    return Steadied(Pose((x, y), turn % (2 * np.pi)), _turned_by(spectra, found.x[3:] @ shapes), found.left)
+    descent = descend(
+        spectra, model, start, sigmas=np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, *sigmas])
+    )
+    x, y, turn = (float(value) for value in descent.x[:3])
+    return Steadied(
+        Pose((x, y), turn % (2 * np.pi)), _turned_by(spectra, descent.x[3:] @ shapes), descent.residual
+    )
 
 
 def _harmonics(antenna: NDArray[np.complex128]) -> NDArray[np.float64]:

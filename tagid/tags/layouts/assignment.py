@@ -42,7 +42,7 @@ def least_assignment(cost: NDArray[np.floating]) -> NDArray[np.intp]:
             previous = int(before[last])
             owner[last] = row if previous < 0 else owner[previous]
             last = previous
-    found = np.empty(rows, dtype=np.intp)
+    assigned = np.empty(rows, dtype=np.intp)
     taken = np.flatnonzero(owner >= 0)
-    found[owner[taken]] = taken
-    return found
+    assigned[owner[taken]] = taken
+    return assigned

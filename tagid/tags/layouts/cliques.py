@@ -61,15 +61,15 @@ def farthest_set(
     low, high, best = 0, len(levels) - 1, list(range(count))
     while low <= high:
         middle = (low + high) // 2
-        found = clique(distance >= levels[middle] - TIE_M, count, rng)
-        if found is None:
+        members = clique(distance >= levels[middle] - TIE_M, count, rng)
+        if members is None:
             high = middle - 1
         else:
-            best, low = found, middle + 1
+            best, low = members, middle + 1
     tries = CLIMBS
     while tries:
-        found = clique(distance > least_of(distance, best) + TIE_M, count, rng)
-        best, tries = (best, tries - 1) if found is None else (found, CLIMBS)
+        members = clique(distance > least_of(distance, best) + TIE_M, count, rng)
+        best, tries = (best, tries - 1) if members is None else (members, CLIMBS)
     search = _Search(nodes)
     while True:
         try:
@@ -91,8 +91,8 @@ def clique(
     compatible: NDArray[np.bool_], count: int, rng: np.random.Generator, restarts: int = RESTARTS
 ) -> list[int] | None:
     """`count` mutually compatible rows of a symmetric matrix (n, n), or None if none were found."""
-    found = largest_clique(compatible, rng, restarts)
-    return found[:count] if len(found) >= count else None
+    members = largest_clique(compatible, rng, restarts)
+    return members[:count] if len(members) >= count else None
 
 
 def largest_clique(
@@ -104,13 +104,13 @@ def largest_clique(
     runs = np.arange(restarts)
     picks = rng.permutation(n)[:restarts] if restarts <= n else rng.integers(0, n, restarts)
     members = [picks]
-    left = graph[picks] > 0
-    while left.any():
-        freedom = left.astype(np.float32) @ graph
-        freedom = np.where(left, freedom + rng.uniform(0, 1.5, left.shape), -1.0)
-        picks = np.where(left.any(axis=1), freedom.argmax(axis=1), -1)
+    candidates = graph[picks] > 0
+    while candidates.any():
+        freedom = candidates.astype(np.float32) @ graph
+        freedom = np.where(candidates, freedom + rng.uniform(0, 1.5, candidates.shape), -1.0)
+        picks = np.where(candidates.any(axis=1), freedom.argmax(axis=1), -1)
         members.append(picks)
-        left &= (graph[picks] > 0) & (picks >= 0)[:, None]
+        candidates &= (graph[picks] > 0) & (picks >= 0)[:, None]
     chosen = np.array(members)
     longest = int(np.argmax((chosen >= 0).sum(axis=0)))
     return [int(i) for i in chosen[:, runs[longest]] if i >= 0]
@@ -120,7 +120,7 @@ class _Search:
     """The branches of `exact_clique`; sets of rows are bits of integers."""
 
     def __init__(self, nodes: int = NODES) -> None:
-        self.left = nodes
+        self.budget = nodes
         self.near: list[int] = []
 
     def run(self, near: list[int], count: int) -> list[int] | None:
@@ -132,13 +132,13 @@ class _Search:
         """`wanted` compatible rows of the set `rest`, or None."""
         if wanted == 0:
             return []
-        self.left -= 1
-        if self.left < 0:
+        self.budget -= 1
+        if self.budget < 0:
             raise SearchTooLongError
         for row in reversed(self._branches(rest, wanted)):
-            found = self._expand(rest & self.near[row], wanted - 1)
-            if found is not None:
-                return [row, *found]
+            branch = self._expand(rest & self.near[row], wanted - 1)
+            if branch is not None:
+                return [row, *branch]
             rest &= ~(1 << row)
         return None
 
@@ -181,5 +181,5 @@ def exact_clique(
     order = order[np.argsort(graph[np.ix_(order, order)].sum(axis=1), kind="stable")[::-1]]
     part = graph[np.ix_(order, order)]
     near = [sum(1 << int(j) for j in np.flatnonzero(row)) for row in part]
-    found = (search or _Search()).run(near, count)
-    return None if found is None else [int(order[i]) for i in found]
+    members = (search or _Search()).run(near, count)
+    return None if members is None else [int(order[i]) for i in members]

@@ -182,8 +182,8 @@ def best_places(
 def _misfit(
     angle: NDArray[np.float64],
     cross: NDArray[np.complex128],
-    own: NDArray[np.complex128],
-    other: NDArray[np.complex128],
+    centroid: NDArray[np.complex128],
+    other_centroid: NDArray[np.complex128],
     tolerance_m: float,
 ) -> NDArray[np.float64]:
     """Residual mean square distance at an angle, up to a constant, with a limited shift, m^2.
@@ -191,14 +191,14 @@ def _misfit(
     The centred points contribute const - 2 Re(exp(-i angle) cross), the means what the shift cannot absorb.
     """
     turn = np.exp(1j * angle)
-    beyond = np.maximum(np.abs(other - turn * own) - tolerance_m, 0)
+    beyond = np.maximum(np.abs(other_centroid - turn * centroid) - tolerance_m, 0)
     return np.asarray(beyond**2 - 2 * (turn.conj() * cross).real)
 
 
 def _held_turn(
     cross: NDArray[np.complex128],
-    own: NDArray[np.complex128],
-    other: NDArray[np.complex128],
+    centroid: NDArray[np.complex128],
+    other_centroid: NDArray[np.complex128],
     tolerance_m: float,
 ) -> NDArray[np.float64]:
     """Rotations (n,), rad, that minimise `_misfit`.
@@ -213,16 +213,18 @@ def _held_turn(
         tolerance_m: longest shift, m.
     """
     begin = np.angle(cross)
-    arc = np.angle(other * own.conj() * np.exp(-1j * begin))
+    arc = np.angle(other_centroid * centroid.conj() * np.exp(-1j * begin))
     grid = np.linspace(0, 1, _ARC_STEPS + 1)[:, None]
-    best = np.argmin(_misfit(begin + grid * arc, cross, own, other, tolerance_m), axis=0)
+    best = np.argmin(_misfit(begin + grid * arc, cross, centroid, other_centroid, tolerance_m), axis=0)
     low, high = (np.clip(best + step, 0, _ARC_STEPS) / _ARC_STEPS for step in (-1, 1))
-    fall, rise = (_slope(begin + t * arc, cross, own, other, tolerance_m) * arc for t in (low, high))
+    fall, rise = (
+        _slope(begin + t * arc, cross, centroid, other_centroid, tolerance_m) * arc for t in (low, high)
+    )
     for _ in range(_SECANTS):
         # Illinois: a secant method that halves the slope of a retained end, so that both ends converge.
         middle = low + (high - low) * np.clip(fall / np.minimum(fall - rise, -1e-300), 0.0, 1.0)
         middle = np.where((fall < 0) & (rise > 0), middle, np.where(fall >= 0, low, high))
-        slope = _slope(begin + middle * arc, cross, own, other, tolerance_m) * arc
+        slope = _slope(begin + middle * arc, cross, centroid, other_centroid, tolerance_m) * arc
         up = slope > 0
         low, high = np.where(up, low, middle), np.where(up, middle, high)
         fall, rise = np.where(up, fall / 2, slope), np.where(up, slope, rise / 2)
@@ -232,16 +234,16 @@ def _held_turn(
 def _slope(
     angle: NDArray[np.float64],
     cross: NDArray[np.complex128],
-    own: NDArray[np.complex128],
-    other: NDArray[np.complex128],
+    centroid: NDArray[np.complex128],
+    other_centroid: NDArray[np.complex128],
     tolerance_m: float,
 ) -> NDArray[np.float64]:
     """Derivative of `_misfit` with respect to the angle, m^2."""
     turn = np.exp(1j * angle)
-    gap = other - turn * own
+    gap = other_centroid - turn * centroid
     length = np.maximum(np.abs(gap), 1e-30)
     beyond = np.maximum(length - tolerance_m, 0)
-    pull = (gap.conj() * turn * own).imag / length
+    pull = (gap.conj() * turn * centroid).imag / length
     return np.asarray(2 * beyond * pull - 2 * (turn.conj() * cross).imag)
 
 
@@ -272,15 +274,15 @@ def all_distances(
     for at in range(0, n, rows):
         a = slice(at, min(at + rows, n))
         cross = np.stack([centred[a].conj() @ image[at:, list(order)].T for order in orders]) / k
-        own, other = mean[a, None], image_mean[None, at:]
+        centroid, other_centroid = mean[a, None], image_mean[None, at:]
         both = energy[a, None] + energy[None, at:] + _height_differences(points, a, orders)
         size = np.abs(cross)
         least = both - 2 * size
-        shifted = np.abs(other - own * (cross / np.maximum(size, 1e-300)))
+        shifted = np.abs(other_centroid - centroid * (cross / np.maximum(size, 1e-300)))
         by_shape = least + np.maximum(shifted - centre_tolerance_m, 0) ** 2
-        toward = np.exp(1j * np.angle(other * own.conj()))
+        toward = np.exp(1j * np.angle(other_centroid * centroid.conj()))
         by_mean = both - 2 * (toward.conj() * cross).real
-        by_mean += np.maximum(np.abs(np.abs(other) - np.abs(own)) - centre_tolerance_m, 0) ** 2
+        by_mean += np.maximum(np.abs(np.abs(other_centroid) - np.abs(centroid)) - centre_tolerance_m, 0) ** 2
         square = np.minimum(by_shape, by_mean).min(axis=0)
         open_ = (least < square - 1e-15) & (by_shape > least + 1e-15)
         which, i, j = np.nonzero(open_)
@@ -302,9 +304,9 @@ def _height_differences(
     later = points[rows.start :]
     if points.shape[-1] == 2:
         return np.zeros((len(orders), len(points[rows]), len(later)))
-    own = points[rows, None, :, 2]
+    heights = points[rows, None, :, 2]
     return np.stack(
-        [((d := own - later[None, :, list(o), 2]) ** 2).mean(-1) - d.mean(-1) ** 2 for o in orders]
+        [((d := heights - later[None, :, list(o), 2]) ** 2).mean(-1) - d.mean(-1) ** 2 for o in orders]
     )
 
 

@@ -228,7 +228,7 @@ class Layout:
             raise UsageError(
                 f"layout {self.name}: a reflector is {self.radius_m:g} m from the axis, outside the object: "
                 f"a {self.kind} has a radius up to {room:g} m",
-                f"Check the positions, or enrol it as kind other, with a radius up to {MAX_RADIUS_M:g} m.",
+                f"Check the positions, or enroll it as kind other, with a radius up to {MAX_RADIUS_M:g} m.",
             )
 
     def placed(self, rotation_rad: float, centre_m: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -78,7 +78,7 @@ def necklaces(
             f"{weight} reflectors in {slots} slots and {colours} rows give {words:,} words, too many",
             "Use fewer slots, reflectors or rows.",
         )
-    found = []
+    representatives = []
     for gaps in _gaps(slots, weight):
         if min(gaps) < gaps[0]:
             continue
@@ -88,8 +88,8 @@ def necklaces(
                 continue
             if not mirror_counts and mirrored(word) < word:
                 continue
-            found.append(word)
-    return sorted(found)
+            representatives.append(word)
+    return sorted(representatives)
 
 
 def occupied(word: tuple[Bead, ...]) -> list[Bead]:

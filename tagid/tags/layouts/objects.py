@@ -79,13 +79,13 @@ class TaggedObject:
 @cache
 def builtin_objects() -> dict[str, TaggedObject]:
     """The built-in objects by name."""
-    found = {}
+    objects = {}
     for file in (resources.files("tagid.tags.layouts") / "data" / "objects").iterdir():
         if file.name.endswith(".toml"):
             data = parse_toml(file.read_bytes(), file.name)
             rows = tuple(Row(row["radius_m"], row["height_m"]) for row in data["rows"])
-            found[data["name"]] = TaggedObject(data["name"], data["kind"], rows, data["label"])
-    return dict(sorted(found.items()))
+            objects[data["name"]] = TaggedObject(data["name"], data["kind"], rows, data["label"])
+    return dict(sorted(objects.items()))
 
 
 def object_named(name: str) -> TaggedObject:

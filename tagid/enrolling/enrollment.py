@@ -35,7 +35,7 @@ _T = TypeVar("_T")
 
 
 class LayoutStore(Protocol):
-    """The part of a registry that enrolment needs."""
+    """The part of a registry that enrollment needs."""
 
     def snapshot(self) -> tuple[int, list[Layout]]:
         """The registry's version and the layouts enrolled at that version."""
@@ -50,7 +50,7 @@ class LayoutStore(Protocol):
         since: int | None = None,
         signatures: Sequence[Signature] = (),
     ) -> int | None:
-        """Enrol several, all or none; return the new version, or None if the version is no longer `since`."""
+        """Enroll several, all or none; return the new version, or None if it is no longer `since`."""
         ...
 
 
@@ -90,9 +90,9 @@ class Neighbour:
         known = layout.covariance is None and other.covariance is None
         if not self.distance.rms_m < (NEAR_M if known else np.inf):
             return self
-        own = layout.mirrored() if self.mirrored else layout
-        apart = told_apart(own, other, conditions)
-        unsure = _unsure(own, other, conditions.height_weight)
+        oriented = layout.mirrored() if self.mirrored else layout
+        apart = told_apart(oriented, other, conditions)
+        unsure = _unsure(oriented, other, conditions.height_weight)
         return replace(self, apart=apart, unresolved=apart.unresolved(unsure))
 
     @property
@@ -174,7 +174,7 @@ def outlook(
     """
     layout.check_room()
     conditions = Conditions(height_weight=height_weight)
-    found = _by_nearness(
+    neighbours = _by_nearness(
         [
             neighbour(layout, other, direction_known, height_weight)
             for other in others
@@ -182,13 +182,16 @@ def outlook(
         ]
     )
     enrolled = {other.name: other for other in others}
-    near = [one.compared(layout, enrolled[one.name], conditions) for one in found[:MOST_NEAR]]
-    return Outlook(layout, (*near, *found[MOST_NEAR:]), conditions, version)
+    near = [
+        candidate.compared(layout, enrolled[candidate.name], conditions)
+        for candidate in neighbours[:MOST_NEAR]
+    ]
+    return Outlook(layout, (*near, *neighbours[MOST_NEAR:]), conditions, version)
 
 
-def _by_nearness(found: Sequence[Neighbour]) -> tuple[Neighbour, ...]:
+def _by_nearness(neighbours: Sequence[Neighbour]) -> tuple[Neighbour, ...]:
     """Neighbours with as many reflectors as the layout first, each group nearest first."""
-    return tuple(sorted(found, key=lambda n: (not np.isfinite(n.distance.worst_m), n.nearness_m)))
+    return tuple(sorted(neighbours, key=lambda n: (not np.isfinite(n.distance.worst_m), n.nearness_m)))
 
 
 def neighbour(
@@ -233,7 +236,7 @@ def _variance_along(covariance: NDArray[np.float64] | None, along: NDArray[np.fl
 
 
 @dataclass(frozen=True)
-class Enrolment:
+class Enrollment:
     """Result of enrolling a layout.
 
     Attributes:
@@ -245,7 +248,7 @@ class Enrolment:
     version: int
 
 
-def enrol(
+def enroll(
     store: LayoutStore,
     layout: Layout,
     source: str,
@@ -254,14 +257,14 @@ def enrol(
     direction_known: bool = True,
     height_weight: float = 0.0,
     signatures: Sequence[Signature] = (),
-) -> Enrolment:
+) -> Enrollment:
     """Add a layout to the store unless it could be confused with another.
 
     Args:
         store: the registry.
         layout: new layout.
         source: origin of the layout, for the history.
-        force: enrol it despite a conflict, and replace one of the same name.
+        force: enroll it despite a conflict, and replace one of the same name.
         direction_known: whether the direction of rotation is known.
         height_weight: as of `outlook`.
         signatures: signatures of the same object, stored with it.
@@ -271,16 +274,16 @@ def enrol(
         RegistryError: the name is taken.
     """
 
-    def compared() -> Enrolment | None:
+    def compared() -> Enrollment | None:
         version, known = store.snapshot()
-        found = outlook(
+        comparison = outlook(
             layout, known, direction_known=direction_known, height_weight=height_weight, version=version
         )
-        conflict = found.conflict()
+        conflict = comparison.conflict()
         if conflict and not force:
             raise conflict
         done = store.add_all([layout], source, replace=force, since=version, signatures=signatures)
-        return None if done is None else Enrolment(found, done)
+        return None if done is None else Enrollment(comparison, done)
 
     return undisturbed(compared)
 
@@ -299,23 +302,26 @@ def family_outlooks(
     """
     names = {layout.name for layout in layouts}
     fixed = [layout for layout in known if layout.name not in names]
-    found = [
+    outlooks = [
         outlook(
-            one,
+            layout,
             [*fixed, *layouts[:i]],
             direction_known=direction_known,
             height_weight=height_weight,
             version=version,
         )
-        for i, one in enumerate(layouts)
+        for i, layout in enumerate(layouts)
     ]
     # Each layout was compared with the earlier ones only; mirror those comparisons.
     seen: dict[str, list[Neighbour]] = {layout.name: [] for layout in layouts}
-    for one in found:
-        for other in one.neighbours:
+    for prospect in outlooks:
+        for other in prospect.neighbours:
             if other.name in seen:
-                seen[other.name].append(other.turned(one.layout.name))
-    return [replace(one, neighbours=_by_nearness([*one.neighbours, *seen[one.layout.name]])) for one in found]
+                seen[other.name].append(other.turned(prospect.layout.name))
+    return [
+        replace(prospect, neighbours=_by_nearness([*prospect.neighbours, *seen[prospect.layout.name]]))
+        for prospect in outlooks
+    ]
 
 
 def merge(
@@ -348,10 +354,10 @@ def merge(
     def compared() -> int | None:
         version, enrolled = store.snapshot()
         if not force and version != checked:
-            found = family_outlooks(
+            outlooks = family_outlooks(
                 layouts, enrolled, direction_known=direction_known, height_weight=height_weight
             )
-            if error := refusal(found, enrolled):
+            if error := refusal(outlooks, enrolled):
                 raise error
         return store.add_all(layouts, source, since=version, signatures=signatures)
 
@@ -376,12 +382,12 @@ def undisturbed(compared: Callable[[], _T | None]) -> _T:
 def refusal(outlooks: Sequence[Outlook], enrolled: Sequence[Layout]) -> LayoutConflictError | None:
     """Why the layouts compared by `family_outlooks` cannot be added; None if they can."""
     known = {layout.name: layout for layout in enrolled}
-    for one in outlooks:
-        same = known.get(one.layout.name)
-        if same is not None and same.to_dict() != one.layout.to_dict():
+    for prospect in outlooks:
+        same = known.get(prospect.layout.name)
+        if same is not None and same.to_dict() != prospect.layout.to_dict():
             return LayoutConflictError(
                 f"a different layout named {same.name} is already enrolled",
                 "Rename one of them (a design: `prefix=NAME`), or import with `force`; nothing was stored.",
             )
-    conflicts = (one.conflict() for one in reversed(outlooks) if one.layout.name not in known)
+    conflicts = (prospect.conflict() for prospect in reversed(outlooks) if prospect.layout.name not in known)
     return next((conflict for conflict in conflicts if conflict), None)
