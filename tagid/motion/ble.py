@@ -333,24 +333,24 @@ class CharacteristicLink:
         backends = await self._stack.enter_async_context(backends_of(self._address))
         wanted = self._address.target.lower()
 
-        found: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        discovered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
 
         def seen(device: Any, advertisement: Any) -> None:
             name = (advertisement.local_name or device.name or "").lower()
-            if (device.address.lower() == wanted or name.startswith(wanted)) and not found.done():
+            if (device.address.lower() == wanted or name.startswith(wanted)) and not discovered.done():
                 # All names that the lines above accept.
                 prefixes = (name[:end] for end in range(1, _PREFIXES))
                 self._aliases = (device.address, name, *prefixes)
-                found.set_result(device)
+                discovered.set_result(device)
 
         async with scanning(seen, backends, f"looking for {self._address.target}"):
-            await asyncio.wait([found], timeout=self._address.seconds)
-        if not found.done():
+            await asyncio.wait([discovered], timeout=self._address.seconds)
+        if not discovered.done():
             raise DeviceGoneError(
                 f"no device called {masked(self._address.target)!r} within {self._address.seconds:g} s",
                 "Switch it on, and check that no other program or phone is connected to it.",
             )
-        device = found.result()
+        device = discovered.result()
         with bluetooth_errors(f"connecting to {self._address.target}"):
             client = BleakClient(device, self._lost, backend=backends.client)
             await unless_busy(client.connect)

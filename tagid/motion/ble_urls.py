@@ -32,7 +32,7 @@ def ble_address(options: Options, default: str = "") -> BleAddress:
     config = load_config(tolerant=options.stopping)
     passkey = options.secret() or config["motion.passkey"]
     stored = [config.values[name] for name in ("motion.url", "motion.passkey")]
-    in_file = any(one.source == "file" and _holds_key(one.value) for one in stored)
+    in_file = any(setting.source == "file" and _holds_key(setting.value) for setting in stored)
     if passkey is not None and in_file and not options.stopping:
         _refuse_a_readable_file(config.path)
     digits = "" if passkey is None else passkey.reveal()

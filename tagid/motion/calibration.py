@@ -125,6 +125,6 @@ def remember(robot: str, calibration: Calibration) -> Path:
     known[robot] = Calibration(**{**asdict(calibration), "date_utc": stamp})
     path = calibrations_path()
     make_folder(path.parent)
-    text = tomli_w.dumps({name: asdict(one) for name, one in sorted(known.items())})
+    text = tomli_w.dumps({name: asdict(entry) for name, entry in sorted(known.items())})
     write_bytes(path, text.encode())
     return path

@@ -32,7 +32,7 @@ REVOPOINT: Final = "REVO_DUAL_AXIS_TABLE"
 
 
 @dataclass(frozen=True)
-class Found:
+class MotionDevice:
     """A device that may rotate an object.
 
     Attributes:
@@ -48,12 +48,12 @@ class Found:
     signal_dbm: int | None = None
 
 
-def serial_devices() -> list[Found]:
+def serial_devices() -> list[MotionDevice]:
     """Every serial port: those of USB adapters, and those of the computer itself (a Raspberry Pi's UART)."""
     from serial.tools import list_ports
 
-    found = []
-    for port in sorted(list_ports.comports(), key=lambda one: (one.vid is None, one.device)):
+    devices = []
+    for port in sorted(list_ports.comports(), key=lambda port: (port.vid is None, port.device)):
         kind = (port.vid, port.pid)
         if port.vid is None:
             what = _ON_BOARD
@@ -61,12 +61,12 @@ def serial_devices() -> list[Found]:
             what = _ADAPTERS.get((port.vid, port.pid or 0), port.description or "USB adapter")
         scheme = "comxim+serial" if kind == (0x1A86, 0x7523) else "roomba+serial"
         url = "" if kind in _NOT_A_ROBOT else f"{scheme}://{port.device}"
-        found.append(Found(url, what, port.device))
-    return found
+        devices.append(MotionDevice(url, what, port.device))
+    return devices
 
 
-async def _listen(seconds: float, hci: str | None) -> list[Found]:
-    heard: dict[str, Found] = {}
+async def _listen(seconds: float, hci: str | None) -> list[MotionDevice]:
+    heard: dict[str, MotionDevice] = {}
 
     def seen(device: Any, advertisement: Any) -> None:
         name = advertisement.local_name or device.name or ""
@@ -78,17 +78,17 @@ async def _listen(seconds: float, hci: str | None) -> list[Found]:
             url, what = f"revopoint+ble://{device.address}{tail}", f"{name}: a dual-axis table"
         else:
             return
-        heard[device.address] = Found(url, what, device.address, advertisement.rssi)
+        heard[device.address] = MotionDevice(url, what, device.address, advertisement.rssi)
 
     async with (
         backends_of(BleAddress("", hci=hci)) as backends,
         scanning(seen, backends, "looking for devices"),
     ):
         await asyncio.sleep(seconds)
-    return sorted(heard.values(), key=lambda one: -(one.signal_dbm or 0))
+    return sorted(heard.values(), key=lambda device: -(device.signal_dbm or 0))
 
 
-def bluetooth_devices(seconds: float, hci: str | None = None) -> list[Found]:
+def bluetooth_devices(seconds: float, hci: str | None = None) -> list[MotionDevice]:
     """Bridges and tables that advertise within a few seconds, strongest first. Raises DeviceError."""
     with bluetooth_errors("looking for devices"):
         return asyncio.run(asyncio.wait_for(_listen(seconds, hci), seconds + _OPEN_S))

@@ -151,7 +151,7 @@ class FreeTurntable:
             )
         every = -(-len(times_s) // MAX_SEARCH_SCANS)
         try:
-            found = find_period(
+            estimate = find_period(
                 np.stack(list(samples[::every])),
                 np.asarray(times_s[::every], dtype=np.float64),
                 marker=self.marker,
@@ -159,13 +159,13 @@ class FreeTurntable:
         except DataError:
             self._last = None
             return False
-        last, self._last = self._last, found
-        if last is None or abs(found.period_s - last.period_s) > 0.02 * last.period_s:
+        last, self._last = self._last, estimate
+        if last is None or abs(estimate.period_s - last.period_s) > 0.02 * last.period_s:
             return False
-        if found.quality < GOOD_QUALITY:
-            return found.turns >= PARTIAL_TURNS
-        doubtful = found.harmonic_ambiguous or self.marker
-        return found.turns >= (AMBIGUOUS_TURNS if doubtful else OVERLAP_TURNS)
+        if estimate.quality < GOOD_QUALITY:
+            return estimate.turns >= PARTIAL_TURNS
+        doubtful = estimate.harmonic_ambiguous or self.marker
+        return estimate.turns >= (AMBIGUOUS_TURNS if doubtful else OVERLAP_TURNS)
 
     def resolve(
         self, samples: NDArray[Any], times_s: NDArray[np.floating], clock_sigma_s: float = 0.0
@@ -186,15 +186,15 @@ class FreeTurntable:
         times = np.asarray(times_s, dtype=np.float64)
         info: dict[str, Any] = {"kind": "free", "direction": self.direction, "nominal_rpm": self.rpm}
         try:
-            found = find_period(samples, times, self.nominal_s, marker=self.marker)
-            period, sigma = found.period_s, found.sigma_s
+            estimate = find_period(samples, times, self.nominal_s, marker=self.marker)
+            period, sigma = estimate.period_s, estimate.sigma_s
             info |= {
                 "source": "data",
-                "quality": found.quality,
-                "harmonic_ambiguous": found.harmonic_ambiguous,
-                "rivals_s": list(found.rivals_s),
+                "quality": estimate.quality,
+                "harmonic_ambiguous": estimate.harmonic_ambiguous,
+                "rivals_s": list(estimate.rivals_s),
                 "marker": self.marker,
-                "decided_by_nominal": found.harmonic_ambiguous and self.rpm is not None,
+                "decided_by_nominal": estimate.harmonic_ambiguous and self.rpm is not None,
             }
         except DataError as error:
             if self.nominal_s is None:

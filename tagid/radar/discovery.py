@@ -81,13 +81,13 @@ def addresses_from(text: str | None) -> tuple[str, ...]:
     ('127.0.0.1:5000', '127.0.0.1:5001')
     """
     parts = (part.removeprefix("udp://") for part in (text or "").replace(",", " ").split())
-    found = tuple(dict.fromkeys(parts))
-    if len(found) > _MOST_ADDRESSES:
+    addresses = tuple(dict.fromkeys(parts))
+    if len(addresses) > _MOST_ADDRESSES:
         raise ConfigError(
-            f"radar.addresses has {len(found)} addresses",
+            f"radar.addresses has {len(addresses)} addresses",
             f"Give at most {_MOST_ADDRESSES}, separated by commas.",
         )
-    return found
+    return addresses
 
 
 def radar_ports() -> list[tuple[str, str]]:
@@ -136,14 +136,14 @@ def discover(
             worker.start()
     for worker in workers.values():
         worker.join(max(started + _ASKING_S - time.monotonic(), 0.0))
-    found = []
+    radars = []
     for url, kind in candidates.items():
         failure = workers[url].failure
         problem = "did not answer in time" if failure is None else f"could not be asked: {failure!r}"
         radar = answers.get(url, FoundRadar(url, kind, None, problem, WHERE_TO_LOOK))
         if radar.status is not None or kind != "network" or url in urls:
-            found.append(radar)
-    return Search(tuple(found), tuple(candidates), time.monotonic() - started)
+            radars.append(radar)
+    return Search(tuple(radars), tuple(candidates), time.monotonic() - started)
 
 
 def _ask(url: str, kind: str, opener: Callable[[], Any], answers: dict[str, FoundRadar]) -> None:

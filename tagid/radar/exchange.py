@@ -101,8 +101,8 @@ class Exchange:
             self.statistics.retries += attempt > 0
             self.link.send(packet)
             deadline = time.monotonic() + patience
-            while (left := deadline - time.monotonic()) > 0:
-                message = self.receive(left)
+            while (remaining_s := deadline - time.monotonic()) > 0:
+                message = self.receive(remaining_s)
                 if message is None:
                     if self.link.exhausted:
                         break

@@ -99,12 +99,12 @@ class StreamDecoder:
         out: list[bytes] = []
         data, at = self._buffer, 0
         while at < len(data):
-            found = data.find(SYNC, at)
-            if found < 0:
-                found = len(data) - (data[-1] == SYNC[0])
-            if found > at:
-                self._skip(found - at)
-                at = found
+            sync_at = data.find(SYNC, at)
+            if sync_at < 0:
+                sync_at = len(data) - (data[-1] == SYNC[0])
+            if sync_at > at:
+                self._skip(sync_at - at)
+                at = sync_at
             if at >= len(data):
                 break
             size = self._size_at(at)

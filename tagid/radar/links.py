@@ -91,20 +91,20 @@ def resolve(host: str, port: int) -> tuple[str, int]:
     """
     if not 1 <= port <= 65_535:
         raise DeviceError(f"radar port is {port}", "Give a port from 1 to 65535 (a P440 listens on 21210).")
-    found: list[Any] = []
+    infos: list[Any] = []
     worker = Worker(
-        lambda: found.extend(socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)), "resolver"
+        lambda: infos.extend(socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)), "resolver"
     )
     with contextlib.suppress(RuntimeError):
         worker.start()
     ended = worker.join(_RESOLVE_S)
-    if not found:
+    if not infos:
         why = worker.failure if ended else f"no answer within {_RESOLVE_S:g} s"
         raise DeviceError(
             f"radar host {host!r} is unknown ({why})",
             "Give the radar's IPv4 address; kit units use 192.168.1.100 to 103.",
         ) from worker.failure
-    address = found[0][4]
+    address = infos[0][4]
     return str(address[0]), int(address[1])
 
 

@@ -63,8 +63,8 @@ def steady_scans(
         before, join = last, None
         first_id = newest_id = 0
         try:
-            left = count if count == SCAN_FOREVER else count - done
-            for scan in radar.scans(left, interval_us, until):
+            remaining = count if count == SCAN_FOREVER else count - done
+            for scan in radar.scans(remaining, interval_us, until):
                 if join is None:
                     first_id = scan.scan_id
                     join = _Join(0, shift_ms)

@@ -103,8 +103,8 @@ class SerialLink:
         """The next packet, or None after `timeout` seconds. Raises DeviceGoneError if the port is missing."""
         deadline = time.monotonic() + timeout
         while not self._packets:
-            left = deadline - time.monotonic()
-            data = self._read(min(max(left, 0.0), _QUIET_S))
+            remaining_s = deadline - time.monotonic()
+            data = self._read(min(max(remaining_s, 0.0), _QUIET_S))
             if data:
                 self._heard_at = time.monotonic()
                 self._packets.extend(self.decoder.feed(data))

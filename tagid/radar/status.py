@@ -36,15 +36,15 @@ class RadarStatus:
 
     def warnings(self) -> list[str]:
         """Warnings for the user, one sentence each: a failed self test, a high temperature."""
-        found = []
+        sentences = []
         if self.built_in_test:
-            found.append(
+            sentences.append(
                 f"the self test failed (code {self.built_in_test}): power-cycle the radar; "
                 "if it fails again, the unit needs service"
             )
         if self.temperature_c > WARM_C:
-            found.append(f"board at {self.temperature_c:.1f} degC, above {WARM_C:g}: improve its cooling")
-        return found
+            sentences.append(f"board at {self.temperature_c:.1f} degC, above {WARM_C:g}: improve its cooling")
+        return sentences
 
 
 def status_from(message: Message) -> RadarStatus:

@@ -34,18 +34,22 @@ class RadarSurvey:
 
     def warnings(self) -> list[str]:
         """Warnings for the user, one sentence each."""
-        found = self.status.warnings()
+        sentences = self.status.warnings()
         if self.opmode not in (OPMODE_MRM, None):
-            found.append(f"the radar is in operating mode {self.opmode}, not MRM: a recording sets MRM")
+            sentences.append(f"the radar is in operating mode {self.opmode}, not MRM: a recording sets MRM")
         if self.sleep_mode not in (SLEEP_ACTIVE, None):
-            found.append(f"the radar is asleep (mode {self.sleep_mode}): the next recording wakes it")
-        return found
+            sentences.append(f"the radar is asleep (mode {self.sleep_mode}): the next recording wakes it")
+        return sentences
 
 
 def survey(radar: P440) -> RadarSurvey:
     """Query a radar without connecting, then close it. Raises DeviceError and its subclasses."""
     try:
-        status, opmode, sleep = radar.status(), _told(radar.get_opmode), _told(radar.get_sleep_mode)
+        status, opmode, sleep = (
+            radar.status(),
+            _if_answered(radar.get_opmode),
+            _if_answered(radar.get_sleep_mode),
+        )
         if opmode not in (OPMODE_MRM, None):
             return RadarSurvey(status, opmode, sleep)
         return RadarSurvey(status, opmode, sleep, radar.get_config(), radar.uptime_s())
@@ -53,7 +57,7 @@ def survey(radar: P440) -> RadarSurvey:
         radar.close()
 
 
-def _told(question: Callable[[], int]) -> int | None:
+def _if_answered(question: Callable[[], int]) -> int | None:
     try:
         return question()
     except (DeviceRejectedError, DeviceTimeoutError):

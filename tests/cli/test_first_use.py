@@ -20,7 +20,7 @@ from command_server import Ran
 from tagid.cli.app import app
 from tagid.cli.frame import serve
 from tagid.errors import DeviceError
-from tagid.motion.discovery import Found
+from tagid.motion.discovery import MotionDevice
 from tagid.storage.importers import read_any
 
 POINTS = ("--point", "0.1,0", "--point", "-0.05,0.03", "--point", "0.02,-0.09")
@@ -293,10 +293,10 @@ def test_serial_ports_are_listed_without_bluetooth(here: Callable[..., Ran]) -> 
 def test_devices_found_without_bluetooth_are_a_success_with_a_note(
     here: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def no_bluetooth(*_: object) -> list[Found]:
+    def no_bluetooth(*_: object) -> list[MotionDevice]:
         raise DeviceError("there is no Bluetooth controller", "Plug one in.")
 
-    port = Found(url="roomba+serial:///dev/ttyUSB9", what="USB serial", where="/dev/ttyUSB9")
+    port = MotionDevice(url="roomba+serial:///dev/ttyUSB9", what="USB serial", where="/dev/ttyUSB9")
     monkeypatch.setattr("tagid.motion.discovery.bluetooth_devices", no_bluetooth)
     monkeypatch.setattr("tagid.motion.discovery.serial_devices", lambda: [port])
     found = here("motion", "find")

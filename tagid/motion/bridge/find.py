@@ -177,17 +177,19 @@ async def find(wanted: str, seconds: float = 5.0, backends: Backends | None = No
     async with scanning(seen, backends, f"looking for {wanted}"):
         with suppress(TimeoutError):
             await asyncio.wait_for(by_address.wait(), seconds)
-    found = [item for item in heard.values() if wanted.lower() in (item.name.lower(), item.address.lower())]
-    if len(found) > 1:
-        addresses = ", ".join(sorted(item.address for item in found))
+    matching = [
+        item for item in heard.values() if wanted.lower() in (item.name.lower(), item.address.lower())
+    ]
+    if len(matching) > 1:
+        addresses = ", ".join(sorted(item.address for item in matching))
         raise UsageError(
-            f"{len(found)} bridges have the name {masked(wanted)!r}: {addresses}",
+            f"{len(matching)} bridges have the name {masked(wanted)!r}: {addresses}",
             "Give the address instead of the name, or provision one of them with another name.",
         )
-    if not found:
+    if not matching:
         others = ", ".join(sorted(f"{item.name or '?'} ({item.address})" for item in heard.values()))
         raise DeviceGoneError(
             f"no bridge called {masked(wanted)!r} within {seconds:g} s; found: {others or 'none'}",
             "Check the bridge's power and name, and that no other computer is connected to it.",
         )
-    return found[0]
+    return matching[0]

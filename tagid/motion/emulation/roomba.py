@@ -63,7 +63,7 @@ class _State:
     starts_at_s: float | None = None
     buffer: bytearray = field(default_factory=bytearray)
     speeds: tuple[int, int] = (0, 0)
-    told_mm: tuple[float, float] = (0.0, 0.0)
+    reported_mm: tuple[float, float] = (0.0, 0.0)
     """Distance and wheel difference already reported in packets 19 and 20."""
 
 
@@ -178,10 +178,10 @@ class RoombaCore:
             opcode = buffer[0]
             size = _DATA_BYTES.get(opcode)
             if opcode in _COUNTED:
-                place, each = _COUNTED[opcode]
+                place, item_bytes = _COUNTED[opcode]
                 if len(buffer) < place + 2:
                     return None
-                size = place + 1 + each * buffer[place + 1]
+                size = place + 1 + item_bytes * buffer[place + 1]
             if size is None:
                 del buffer[0]
                 self.ignored += 1
@@ -235,7 +235,7 @@ class RoombaCore:
         values = self._sensors(known)
         return b"".join(oi.pack_packet(packet, values) for packet in known)
 
-    def _since_told(self, packets: Iterable[int]) -> dict[int, int]:
+    def _since_reported(self, packets: Iterable[int]) -> dict[int, int]:
         """Packets 19 and 20: distance, mm, and angle, degrees, of the wheels since the last request for each.
 
         A request resets them; the rounding remainder is kept for the next answer.
@@ -243,13 +243,13 @@ class RoombaCore:
         asked = {single for packet in packets for single in oi.members(packet)}
         left, right = self.body.ways_mm()
         way, difference = (left + right) / 2, right - left
-        told_way, told_difference = self._state.told_mm
+        reported_way, reported_difference = self._state.reported_mm
         degree_mm = math.radians(1) * WHEEL_BASE_MM
-        distance = max(-32768, min(32767, math.trunc(way - told_way)))
-        angle = max(-32768, min(32767, math.trunc((difference - told_difference) / degree_mm)))
-        self._state.told_mm = (
-            told_way + distance if oi.Packet.DISTANCE in asked else told_way,
-            told_difference + angle * degree_mm if oi.Packet.ANGLE in asked else told_difference,
+        distance = max(-32768, min(32767, math.trunc(way - reported_way)))
+        angle = max(-32768, min(32767, math.trunc((difference - reported_difference) / degree_mm)))
+        self._state.reported_mm = (
+            reported_way + distance if oi.Packet.DISTANCE in asked else reported_way,
+            reported_difference + angle * degree_mm if oi.Packet.ANGLE in asked else reported_difference,
         )
         return {oi.Packet.DISTANCE: distance, oi.Packet.ANGLE: angle}
 
@@ -272,7 +272,7 @@ class RoombaCore:
             38: len(state.streamed),
             41: state.speeds[0],
             42: state.speeds[1],
-            **self._since_told(packets),
+            **self._since_reported(packets),
         }
 
 

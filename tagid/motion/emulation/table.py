@@ -109,8 +109,8 @@ class ComximCore:
         self._buffer = (self._buffer + data.decode("ascii", "ignore"))[-256:]
         while ";" in self._buffer:
             text, self._buffer = self._buffer.split(";", 1)
-            found = _COMMAND.search(text)
-            out += self._obey(found[1], found[2]) if found else _error(_UNKNOWN)
+            command = _COMMAND.search(text)
+            out += self._obey(command[1], command[2]) if command else _error(_UNKNOWN)
         return out
 
     def advance(self, now_s: float) -> bytes:
@@ -202,10 +202,10 @@ class RevopointCore:
         return out
 
     def _answer(self, text: str) -> str:
-        found = _TEXT.search(text)
-        if found is None:
+        command = _TEXT.search(text)
+        if command is None:
             return f"+FAIL,ERR={_NO_COMMAND};"
-        kind, name, value = found[1], found[2], found[3]
+        kind, name, value = command[1], command[2], command[3]
         number = float(value) if value and re.fullmatch(r"-?\d+(\.\d+)?", value) else None
         if kind == "QT" and name == "CHANGEANGLE":
             return f"+DATA={self.table.angle_deg % 360:.2f};"

@@ -122,8 +122,8 @@ class OpenInterface:
         self.link.write(oi.query(packets))
         answer = b""
         deadline = time.monotonic() + _ANSWER_S
-        while len(answer) < sum(sizes) and (left := deadline - time.monotonic()) > 0:
-            answer += self.link.read(left)
+        while len(answer) < sum(sizes) and (remaining_s := deadline - time.monotonic()) > 0:
+            answer += self.link.read(remaining_s)
         # Without a header, an answer that is too long cannot be used either.
         answer += self.link.read(_SETTLE_S) if len(answer) == sum(sizes) else b""
         if len(answer) != sum(sizes):

@@ -36,7 +36,7 @@ class StreamDecoder:
     def feed(self, data: bytes) -> list[dict[int, int]]:
         """The frames that are complete, oldest first, as {packet: value}."""
         self._buffer += data
-        found: list[dict[int, int]] = []
+        frames: list[dict[int, int]] = []
         start = 0
         buffer = self._buffer
         while start < len(buffer):
@@ -56,11 +56,11 @@ class StreamDecoder:
                 start += 1
                 self.dropped += 1
                 continue
-            found.append(values)
+            frames.append(values)
             self.frames += 1
             start += size + 3
         del buffer[:start]
-        return found
+        return frames
 
     def _body_size(self) -> int:
         return sum(1 + packet_size(packet) for packet in self._packets or ())

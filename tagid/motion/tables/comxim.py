@@ -86,10 +86,10 @@ class Comxim(PolledTable):
     def _ask_angle(self) -> float | None:
         self.link().write(b"CT+GETOFFSETANGLE();")
         text = self.answer("OffsetAngle")
-        found = _ANGLE.search(text)
-        if found is None:
+        match = _ANGLE.search(text)
+        if match is None:
             raise DeviceRejectedError(f"{self.name} answers {text[:40]!r}", "Check the device type.")
-        return float(found[1])
+        return float(match[1])
 
     def _tell_stop(self) -> None:
         try:

@@ -63,7 +63,7 @@ class PolledTable(DrivenMotion):
         self._last_deg: float | None = None
         self._turned_deg = 0.0
         self._moved = self._looked = 0.0
-        self._told = 0.0
+        self._last_answer_s = 0.0
 
     @property
     def commanded(self) -> int:
@@ -104,13 +104,13 @@ class PolledTable(DrivenMotion):
                 self.refuse(text)
                 if wanted in text:
                     return text
-            left = deadline - time.monotonic()
-            if left <= 0:
+            remaining_s = deadline - time.monotonic()
+            if remaining_s <= 0:
                 raise DeviceTimeoutError(
                     f"{self.name} does not answer", "Switch it on; check its connection and its type."
                 )
             self._beat()
-            self._buffer = (self._buffer + self.link().read(min(left, _SLICE_S)))[-_LONGEST_ANSWER:]
+            self._buffer = (self._buffer + self.link().read(min(remaining_s, _SLICE_S)))[-_LONGEST_ANSWER:]
 
     def _beat(self) -> None:
         """Send a heartbeat to the helper process, which may have stopped the table already during a halt."""
@@ -163,11 +163,11 @@ class PolledTable(DrivenMotion):
         answered = hostclock.now_ns()
         if degrees is None:
             return []
-        late = (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._told < _PATIENCE_S
+        late = (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._last_answer_s < _PATIENCE_S
         if late:
             # The time within that interval at which the table sampled its angle is unknown.
             return []
-        self._told = time.monotonic()
+        self._last_answer_s = time.monotonic()
         if self._last_deg is not None:
             step = (degrees - self._last_deg + 180) % 360 - 180
             if abs(step) > 1e-6:

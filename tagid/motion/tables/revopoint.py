@@ -41,10 +41,10 @@ class Revopoint(PolledTable):
     def _ask_angle(self) -> float | None:
         self.link().write(b"+QT,CHANGEANGLE;")
         text = self.answer("+DATA")
-        found = _ANGLE.search(text)
-        if found is None:
+        match = _ANGLE.search(text)
+        if match is None:
             raise DeviceRejectedError(f"{self.name} answers {text[:40]!r}", "Check that it is this table.")
-        return float(found[1])
+        return float(match[1])
 
     def _tell_stop(self) -> None:
         self._command("STOP")

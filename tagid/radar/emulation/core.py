@@ -81,13 +81,15 @@ class ServerFilters:
         envelope = np.abs(analytic(motion[None])[0]).astype(np.float64)
         padded = np.concatenate([[-1.0], envelope, [-1.0]])
         peaks = (padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:])
-        found = np.flatnonzero(peaks & (envelope > self._multiplier * np.median(envelope)) & (envelope >= 1))
-        if len(found) > SAMPLES_PER_MESSAGE:
-            found = np.sort(found[np.argsort(envelope[found])[-SAMPLES_PER_MESSAGE:]])
+        indices = np.flatnonzero(
+            peaks & (envelope > self._multiplier * np.median(envelope)) & (envelope >= 1)
+        )
+        if len(indices) > SAMPLES_PER_MESSAGE:
+            indices = np.sort(indices[np.argsort(envelope[indices])[-SAMPLES_PER_MESSAGE:]])
         detections = np.zeros(SAMPLES_PER_MESSAGE, dtype=[("index", ">u2"), ("magnitude", ">u2")])
-        detections["index"][: len(found)] = found
-        detections["magnitude"][: len(found)] = np.minimum(np.rint(envelope[found]), _LARGEST_U16)
-        return encode(MessageType.DETECTION_LIST_INFO, scan_id, count=len(found), detections=detections)
+        detections["index"][: len(indices)] = indices
+        detections["magnitude"][: len(indices)] = np.minimum(np.rint(envelope[indices]), _LARGEST_U16)
+        return encode(MessageType.DETECTION_LIST_INFO, scan_id, count=len(indices), detections=detections)
 
 
 def _in_band(samples: NDArray[np.int32]) -> NDArray[np.float64]:
