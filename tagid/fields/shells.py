@@ -63,20 +63,20 @@ def reflection(
     # What the polarisation does not change is found once.
     bodies = [replace(shell, polarisation="V") for shell in shells]
     alone = list(dict.fromkeys(bodies))
-    place = {one: i for i, one in enumerate(alone)}
+    place = {shell: i for i, shell in enumerate(alone)}
     at = np.array([place[body] for body in bodies])
     k = np.asarray(wavenumber, dtype=np.float64)[None, :]
-    outer = np.array([one.radius_m for one in alone])[:, None]
-    inner = outer - np.array([one.wall_m for one in alone])[:, None]
+    outer = np.array([shell.radius_m for shell in alone])[:, None]
+    inner = outer - np.array([shell.wall_m for shell in alone])[:, None]
     metal = np.array([shell.metal for shell in shells])[:, None, None]
     electric = np.array([shell.polarisation == "V" for shell in shells])[:, None, None]
-    permittivity = np.array([one.permittivity for one in alone])[:, None]
-    filling = np.array([one.filling for one in alone])[:, None]
+    permittivity = np.array([shell.permittivity for shell in alone])[:, None]
+    filling = np.array([shell.filling for shell in alone])[:, None]
     inside, q = k * np.sqrt(filling), k * np.sqrt(permittivity)
     core, free = _of(bessel(order, inside * inner), at), _of(bessel(order, k * outer), at)
     at_inner, at_outer = _of(bessel(order, q * inner), at), _of(bessel(order, q * outer), at)
     inside, q, inner, outer, permittivity, filling = (
-        one[at] for one in (inside, q, inner, outer, permittivity, filling)
+        values[at] for values in (inside, q, inner, outer, permittivity, filling)
     )
     # The pair of continuous quantities at the inner face: on metal E = 0 (TM) or dG/dr = 0 (TE).
     field = np.where(metal, np.where(electric, 0.0, 1.0), core.j)
@@ -91,8 +91,8 @@ def reflection(
     return np.asarray(-(slope * free.j - k * field * free.dj) / (slope * free.h2 - k * field * free.dh2))
 
 
-def _of(found: Bessel, index: NDArray[np.intp]) -> Bessel:
-    return Bessel(found.j[index], found.y[index], found.dj[index], found.dy[index])
+def _of(values: Bessel, index: NDArray[np.intp]) -> Bessel:
+    return Bessel(values.j[index], values.y[index], values.dj[index], values.dy[index])
 
 
 def _through(

@@ -65,7 +65,7 @@ class ThinShell(ABC):
         """
 
     @abstractmethod
-    def outside_m(self, places: NDArray[np.complex128]) -> NDArray[np.float64]:
+    def outside_m(self, positions: NDArray[np.complex128]) -> NDArray[np.float64]:
         """(...) distance of places x + jy (...) outside the contour, m; negative inside.
 
         Of an ellipse it is that along the ray from its centre.
@@ -91,15 +91,15 @@ class EllipticShell(ThinShell):
         normal = contour.real / a**2 + 1j * contour.imag / b**2
         return Outline(contour, step, np.asarray(normal / np.abs(normal)))
 
-    def outside_m(self, places: NDArray[np.complex128]) -> NDArray[np.float64]:
+    def outside_m(self, positions: NDArray[np.complex128]) -> NDArray[np.float64]:
         """See `ThinShell`."""
-        direction = np.angle(places)
+        direction = np.angle(positions)
         wall = (
             self.across_m
             * self.along_m
             / np.hypot(self.along_m * np.cos(direction), self.across_m * np.sin(direction))
         )
-        return np.asarray(np.abs(places) - wall)
+        return np.asarray(np.abs(positions) - wall)
 
 
 @dataclass(frozen=True)
@@ -114,20 +114,22 @@ class BoxShell(ThinShell):
     def outline(self, points: int) -> Outline:
         """As many cells on every wall, so that sizes change no cell's place along it."""
         half = max(round(points / 8), 1)
-        each = 2 * half
-        along = (2 * np.arange(each) + 1 - each) / each
-        a, b, ones = self.across_m, self.along_m, np.ones(each)
+        cells = 2 * half
+        along = (2 * np.arange(cells) + 1 - cells) / cells
+        a, b, ones = self.across_m, self.along_m, np.ones(cells)
         contour = np.concatenate(
             [a + 1j * b * along, -a * along + 1j * b, -a - 1j * b * along, a * along - 1j * b]
         )
-        step = np.concatenate([b * ones, a * ones, b * ones, a * ones]) * 2 / each
+        step = np.concatenate([b * ones, a * ones, b * ones, a * ones]) * 2 / cells
         normal = np.concatenate([ones + 0j, 1j * ones, -ones + 0j, -1j * ones])
         # From the corner to the middle of the first wall.
         return Outline(np.roll(contour, -half), np.roll(step, -half), np.roll(normal, -half))
 
-    def outside_m(self, places: NDArray[np.complex128]) -> NDArray[np.float64]:
+    def outside_m(self, positions: NDArray[np.complex128]) -> NDArray[np.float64]:
         """Distance beyond the plane of the nearest wall."""
-        return np.asarray(np.maximum(np.abs(places.real) - self.across_m, np.abs(places.imag) - self.along_m))
+        return np.asarray(
+            np.maximum(np.abs(positions.real) - self.across_m, np.abs(positions.imag) - self.along_m)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +176,8 @@ class ShellField:
         k = wavenumber[:, None, None]
         coupling = _line_source(k * apart) * step
         # The mean of Hankel's function over a cell about its singularity, by its leading terms.
-        own = (1 - 2j / np.pi * (np.log(k[:, 0] * step[quadrant] / 4) + np.euler_gamma - 1)) / 4j
-        coupling[:, quadrant, quadrant] = own * step[quadrant]
+        diagonal = (1 - 2j / np.pi * (np.log(k[:, 0] * step[quadrant] / 4) + np.euler_gamma - 1)) / 4j
+        coupling[:, quadrant, quadrant] = diagonal * step[quadrant]
         rows = np.eye(len(quadrant), len(contour)) - k**2 * shell.sheet_m * coupling
         blocks = _even_odd(np.stack([rows[:, :, image] for image in images]))
         return cls(wavenumber, shell, outline, np.asarray(np.linalg.inv(blocks)))
@@ -184,10 +186,10 @@ class ShellField:
         """(F, V) echo of the shell alone to antennas x + jy (V,), m, in any common unit per frequency."""
         return self.seen_from(antenna).echoes(1)[:, 0]
 
-    def reach(self, places: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    def reach(self, positions: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """(F, K, N) from the whole field on the contour to what the shell adds at places x + jy (K,), m."""
         k = self.wavenumber[:, None, None]
-        apart = np.abs(places[:, None] - self.outline.contour)
+        apart = np.abs(positions[:, None] - self.outline.contour)
         return np.asarray(k**2 * self.shell.sheet_m * _line_source(k * apart) * self.outline.step_m)
 
     def whole(self, incident: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -218,9 +220,11 @@ def _even_odd(parts: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
     It is its own inverse but for a factor of 4.
     """
-    left, right = parts[0] + parts[1], parts[2] + parts[3]
+    even_left, even_right = parts[0] + parts[1], parts[2] + parts[3]
     odd_left, odd_right = parts[0] - parts[1], parts[2] - parts[3]
-    return np.stack([left + right, odd_left + odd_right, left - right, odd_left - odd_right])
+    return np.stack(
+        [even_left + even_right, odd_left + odd_right, even_left - even_right, odd_left - odd_right]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,11 +254,11 @@ class ShellView:
         powers = cosine ** np.arange(obliquities)[:, None, None] * outline.step_m[:, None]
         return np.asarray(np.einsum("fnv,pnv->fpv", self.whole * self.incident, powers, optimize=True))
 
-    def relative(self, places: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    def relative(self, positions: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """(F, K, V) echo of small reflectors at places x + jy (K,), m, over that without the shell."""
         field = self.field
-        added = field.reach(places) @ self.whole
-        range_m = np.abs(self.antenna - places[:, None])
+        added = field.reach(positions) @ self.whole
+        range_m = np.abs(self.antenna - positions[:, None])
         return np.asarray((1 + added * range_m * _waves(field.wavenumber, range_m).conj()) ** 2)
 
 
@@ -274,8 +278,8 @@ def _waves(wavenumber: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDAr
 @cache
 def line_source_table() -> tuple[NDArray[np.complex128], float, float]:
     """G of the module's formula at equally spaced arguments, the first of them, and their step."""
-    found = bessel(0, np.arange(_FROM, _TO, _STEP))
-    return np.ascontiguousarray((found.j[:, 0] - 1j * found.y[:, 0]) / 4j), _FROM, _STEP
+    values = bessel(0, np.arange(_FROM, _TO, _STEP))
+    return np.ascontiguousarray((values.j[:, 0] - 1j * values.y[:, 0]) / 4j), _FROM, _STEP
 
 
 @cache

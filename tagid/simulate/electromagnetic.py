@@ -48,9 +48,9 @@ def cylinder_series(ka: Floats, polarisation: str = "TM") -> NDArray[np.complex1
     # The terms fall faster than exponentially for n > ka.
     most = int(np.ceil(ka.max() + 6 * ka.max() ** (1 / 3) + 8))
     total = np.zeros(ka.shape, dtype=np.complex128)
-    found = bessel(most, ka)
+    functions = bessel(most, ka)
     for n in range(most + 1):
-        top, bottom = (found.j, found.h2) if polarisation == "TM" else (found.dj, found.dh2)
+        top, bottom = (functions.j, functions.h2) if polarisation == "TM" else (functions.dj, functions.dh2)
         total -= (1 if n == 0 else 2) * (-1) ** n * top[..., n] / bottom[..., n]
     return total
 

@@ -113,7 +113,7 @@ class Multipoles:
         for inner, layer in pairwise(layers):
             q = k * _index(layer)
             a = q * inner.radius_m
-            at_a, at_b = (bessel(most, (q * each.radius_m)[:, 0]) for each in (inner, layer))
+            at_a, at_b = (bessel(most, (q * boundary.radius_m)[:, 0]) for boundary in (inner, layer))
             # E = c J + d Y, with J Y' - Y J' = 2 / (pi x).
             c = np.pi * a / 2 * (field * at_a.dy - slope / q * at_a.y)
             d = np.pi * a / 2 * (slope / q * at_a.j - field * at_a.dj)
@@ -153,14 +153,14 @@ class Multipoles:
         if not outside and (core.metal or radius_m > core.radius_m):
             raise DataError(f"the point {radius_m * 1e3:g} mm from the axis lies in the body's wall or metal")
         x = self.wavenumber[:, None] * radius_m
-        own = np.arange(self.reflected.shape[1])[None]
+        solved = np.arange(self.reflected.shape[1])[None]
         if outside:
-            n = np.arange(max(own.size, orders(float(x.max())) + 1))[None]
+            n = np.arange(max(solved.size, orders(float(x.max())) + 1))[None]
             radial = first_kind(n.size - 1, x[:, 0]).astype(np.complex128)
             # Beyond the body's own orders R_n vanishes while the Hankel function overflows.
-            radial[:, : own.size] += self.reflected * bessel(own.size - 1, x[:, 0]).h2
+            radial[:, : solved.size] += self.reflected * bessel(solved.size - 1, x[:, 0]).h2
         else:
-            n = own
+            n = solved
             radial = self.transmitted * first_kind(n.size - 1, (x * _index(core))[:, 0])
         weight = np.where(n == 0, 1, 2) * np.array([1, 1j, -1, -1j])[n % 4]
         return np.asarray((radial * weight) @ np.cos(n.T * np.asarray(angle_rad)[None]), dtype=np.complex128)

@@ -174,10 +174,10 @@ def scene_from_name(name: str, seed: int = 0, layouts: Mapping[str, Layout] | No
         return Scene(name, parts, room=room_clutter(rng), reference_amplitude=1.0, description=about)
     chosen = _layouts(layouts).get(name)
     if chosen is not None:
-        places, heights = chosen.positions, chosen.heights
+        positions, heights = chosen.positions, chosen.heights
         if heights is not None and heights.any():
-            places = np.column_stack([places, heights])
-        return scene_from_layout(places, name, seed)
+            positions = np.column_stack([positions, heights])
+        return scene_from_layout(positions, name, seed)
     raise UsageError(
         f"scene {name[:80]!r} is unknown",
         f"Use one of {', '.join(preset_names(layouts))}, or give a designed layout with `file`.",

@@ -131,12 +131,12 @@ def render_bodies(
     power pattern 2^-(2 theta / width)^2, half at half of the -3 dB width.
     """
     local = _placed(antenna, placement)
-    pair = [_placed(each, placement) for each in _pair(antenna, acquisition.antenna_separation_m)]
+    pair = [_placed(position, placement) for position in _pair(antenna, acquisition.antenna_separation_m)]
     axis = _placed(np.zeros((1, 3)), placement)
     out = np.zeros((len(antenna), acquisition.range_window.bins), dtype=np.complex128)
     for body in bodies:
         returns = body.returns(local)
-        ways = [np.linalg.norm(returns.points - each[:, None], axis=2) for each in pair]
+        ways = [np.linalg.norm(returns.points - position[:, None], axis=2) for position in pair]
         distance = ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2
         amplitude = returns.amplitudes
         if acquisition.range_law:

@@ -152,12 +152,12 @@ class Response:
 
     def _nodes(self, polarisation: str) -> tuple[Floats, Floats, NDArray[np.int64]]:
         """Distances (d,), heights (h,), and the ring (h, d) of every combination."""
-        own = {
+        ring_of = {
             (r.height_m, r.distance_m): i for i, r in enumerate(self.rings) if r.polarisation == polarisation
         }
         count = sum(ring.polarisation == polarisation for ring in self.rings)
-        heights, distances = (sorted({key[axis] for key in own}) for axis in (0, 1))
-        if len(own) != count or len(own) != len(heights) * len(distances):
+        heights, distances = (sorted({key[axis] for key in ring_of}) for axis in (0, 1))
+        if len(ring_of) != count or len(ring_of) != len(heights) * len(distances):
             raise DataError(
                 f"the {polarisation} rings are not every combination of {len(distances)} distances and "
                 f"{len(heights)} heights once",
@@ -165,7 +165,7 @@ class Response:
             )
         if max(len(heights), len(distances)) > _MOST_NODES:
             raise DataError(f"more than {_MOST_NODES} distances or heights of polarisation {polarisation}")
-        table = np.array([[own[h, d] for d in distances] for h in heights], dtype=np.int64)
+        table = np.array([[ring_of[h, d] for d in distances] for h in heights], dtype=np.int64)
         return np.array(distances), np.array(heights), table
 
     @cached_property

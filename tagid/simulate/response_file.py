@@ -71,8 +71,8 @@ def read_response(path: Path) -> Response:
         )
     about: dict[str, str] = {}
     if "provenance" in arrays:
-        found = decode_settings(_text(path, arrays, "provenance"), f"{path} (provenance)")
-        about = {str(key): str(value) for key, value in found.items()}
+        provenance = decode_settings(_text(path, arrays, "provenance"), f"{path} (provenance)")
+        about = {str(key): str(value) for key, value in provenance.items()}
     rings = _rings(path, arrays["ring_distance_m"], arrays["ring_polarisation"], arrays["ring_height_m"])
     values = _complex(path, "scattering_length_m", arrays["scattering_length_m"])
     _check_aspects(path, _real(path, "aspect_rad", arrays["aspect_rad"]), values)

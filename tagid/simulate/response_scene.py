@@ -128,20 +128,22 @@ def _levels(
     if reference is None:
         return EchoLevels(1.0, 1.0, (), "the whole object, body included (`snr_reference` takes another)")
     name = reference.name + ("" if reference.difference else ", taken to have no body")
-    count, own = len(reference.reflectors_m), response.reflectors_m
+    count, reflectors = len(reference.reflectors_m), response.reflectors_m
     if count == 0:
         return EchoLevels(1.0, 1.0, (), f"{reference.name}; how many reflectors it has is not stated")
     if count > 1:
         return EchoLevels(1.0, 1.0, ("summed",), f"the {count} of {name}; per reflector it is not known")
-    if len(own) == 0:
+    if len(reflectors) == 0:
         return EchoLevels(1.0, 1.0, ("reflector",), f"{name}; the object's own reflectors are not stated")
     (at,) = reference.reflectors_m
     try:
-        summed = _summed_peak(unit, acquisition, [_moved(at, to) for to in own])
+        summed = _summed_peak(unit, acquisition, [_moved(at, to) for to in reflectors])
     except UsageError:
         # Where they stand, the antenna is nearer than the reference's response allows.
-        return EchoLevels(1.0, 1.0, ("reflector",), f"{name}; of the object's {len(own)} it is not known")
-    return EchoLevels(1.0, summed, reference=f"{len(own)} like that of {name}")
+        return EchoLevels(
+            1.0, 1.0, ("reflector",), f"{name}; of the object's {len(reflectors)} it is not known"
+        )
+    return EchoLevels(1.0, summed, reference=f"{len(reflectors)} like that of {name}")
 
 
 def _moved(at: Floats, to: Floats) -> Placement:

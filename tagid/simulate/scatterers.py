@@ -145,12 +145,12 @@ class Mounted:
 
     def single(self, index: int) -> Mounted:
         """Only one of the scatterers, including the effect of its body."""
-        one = slice(index, index + 1)
+        part = slice(index, index + 1)
         return Mounted(
             self.scatterer,
-            self.positions[one],
-            self.amplitudes[one],
-            self.bodies[one],
+            self.positions[part],
+            self.amplitudes[part],
+            self.bodies[part],
             self.axis_m,
             self.unit_m,
         )

@@ -82,13 +82,13 @@ class Points:
 
     def single(self, index: int) -> Points:
         """One of the points, in the same class as the points."""
-        one = copy(self)
+        point = copy(self)
         part = slice(index, index + 1)
-        object.__setattr__(one, "positions", self.positions[part])
-        object.__setattr__(one, "amplitudes", self.amplitudes[part])
+        object.__setattr__(point, "positions", self.positions[part])
+        object.__setattr__(point, "amplitudes", self.amplitudes[part])
         if self.facing_rad is not None:
-            object.__setattr__(one, "facing_rad", self.facing_rad[part])
-        return one
+            object.__setattr__(point, "facing_rad", self.facing_rad[part])
+        return point
 
     def returns(self, antennas: Floats) -> Returns:
         """All points in every view; aspect changes the amplitude only."""
