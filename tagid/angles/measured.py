@@ -75,20 +75,20 @@ def measured_angles(
     scale = 1.0
     info: dict[str, Any] = {**track.info, "source": "measured", **aligned.facts()}
     try:
-        found = turn_in_own_angle(samples, aligned.angles_rad, scale_sigma)
+        estimate = turn_in_own_angle(samples, aligned.angles_rad, scale_sigma)
     except DataError as error:
         info |= {"checked_by_radar": False, "reason": error.message}
     else:
-        sigma = found.sigma_s / found.period_s
+        sigma = estimate.sigma_s / estimate.period_s
         info |= {
             "checked_by_radar": True,
-            "radar_turn_in_own_rad": found.period_s,
-            "radar_turn_sigma_rad": found.sigma_s,
-            "quality": found.quality,
-            "harmonic_ambiguous": found.harmonic_ambiguous,
+            "radar_turn_in_own_rad": estimate.period_s,
+            "radar_turn_sigma_rad": estimate.sigma_s,
+            "quality": estimate.quality,
+            "harmonic_ambiguous": estimate.harmonic_ambiguous,
         }
         if sigma < scale_sigma:
-            scale, scale_sigma = TURN / found.period_s, sigma
+            scale, scale_sigma = TURN / estimate.period_s, sigma
     since = aligned.angles_rad - aligned.angles_rad[0]
     angles = scale * since
     spread = np.hypot(scale * aligned.sigma_rad, scale_sigma * np.abs(angles))

@@ -321,7 +321,7 @@ def _rivals(
 
     With strong noise, "similar" means within two standard deviations of chance.
     """
-    found: list[float] = []
+    rivals: list[float] = []
     value = float(rho[peak])
     for divisor in (2, 3, 4):
         lag = period / divisor
@@ -329,11 +329,11 @@ def _rivals(
             continue
         k, other = _near(rho, lag, 0.5 * half_width / lag)
         if other >= min(RIVAL * value, value - 2 * ac.noise[peak]) and other >= 4 * ac.noise[k]:
-            found.append(lag)
+            rivals.append(lag)
     _, other = _near(rho[: int(ac.scans / (1 + OVERLAP)) + 1], 2 * period, 0.5 * half_width / period)
     if value < 0.85 * other:
-        found.append(2 * period)
-    return found
+        rivals.append(2 * period)
+    return rivals
 
 
 def _slower(

@@ -210,10 +210,10 @@ def _independent_bins(x: NDArray[np.float32]) -> float:
 
 def _signal_energy(x: NDArray[np.float32], both: NDArray[np.bool_]) -> float:
     """Noise-free energy: products of scans 1 and 2 apart, fitted back to lag zero by an even parabola."""
-    one = float(np.einsum("ib,ib->", x[1:][both], x[:-1][both]))
+    lag_one = float(np.einsum("ib,ib->", x[1:][both], x[:-1][both]))
     pairs = both[1:] & both[:-1]
-    two = float(np.einsum("ib,ib->", x[2:][pairs], x[:-2][pairs]))
-    mean_one = one / max(1, int(np.count_nonzero(both)))
-    mean_two = two / max(1, int(np.count_nonzero(pairs)))
+    lag_two = float(np.einsum("ib,ib->", x[2:][pairs], x[:-2][pairs]))
+    mean_one = lag_one / max(1, int(np.count_nonzero(both)))
+    mean_two = lag_two / max(1, int(np.count_nonzero(pairs)))
     received = int(np.count_nonzero((x != 0).any(axis=1)))
     return received * max(mean_one, (4 * mean_one - mean_two) / 3)

@@ -76,15 +76,15 @@ def find_standstill(
     kept = count * together
     flat = np.concatenate([samples.real, samples.imag], axis=1) if np.iscomplexobj(samples) else samples
     scans = flat[:kept].reshape(count, together, -1).mean(axis=1, dtype=np.float64).astype(np.float32)
-    places = np.asarray(turns, dtype=np.float64)[:kept].reshape(count, together).mean(axis=1)
+    positions = np.asarray(turns, dtype=np.float64)[:kept].reshape(count, together).mean(axis=1)
     scans -= scans.mean(axis=0)
     parts = 2 if np.iscomplexobj(samples) else 1
     echo = moving_echo(scans, np.ones(count - 1, dtype=bool), parts).astype(np.float64)
-    found = _Search(echo, places).longest() if echo.shape[1] else None
-    if found is None or not _Witness(echo, places, found).confirms(tolerance):
+    still = _Search(echo, positions).longest() if echo.shape[1] else None
+    if still is None or not _Witness(echo, positions, still).confirms(tolerance):
         return None
-    last = found.stop == count
-    return Still(found.first * together, len(turns) if last else found.stop * together)
+    last = still.stop == count
+    return Still(still.first * together, len(turns) if last else still.stop * together)
 
 
 class _Search:

@@ -95,13 +95,13 @@ class LiveAngles:
             return
         every = -(-len(scans) // _MOST_SEARCHED)
         samples = np.stack([scan.samples for scan in scans[::every]])
-        found = find_standstill(samples, turns[::every], NOMINAL_TOLERANCE)
+        still = find_standstill(samples, turns[::every], NOMINAL_TOLERANCE)
         self._next_look_s = time.monotonic() + max(_LOOK_S, (time.monotonic() - now) / _LOOK_SHARE)
-        if found is not None:
-            last = found.stop == len(samples)
-            found = Still(found.first * every, len(scans) if last else found.stop * every)
-        self._still = found
-        self._stopped = "" if found is None else stopped_words(standstill_facts(found, times, turns))
+        if still is not None:
+            last = still.stop == len(samples)
+            still = Still(still.first * every, len(scans) if last else still.stop * every)
+        self._still = still
+        self._stopped = "" if still is None else stopped_words(standstill_facts(still, times, turns))
 
     def _search(self, scans: Sequence[Scan], times: NDArray[np.float64]) -> None:
         """Correct a nominal speed once the scans cover more than one turn.
@@ -118,11 +118,11 @@ class LiveAngles:
         every = -(-len(scans) // _MOST_SEARCHED)
         samples = np.stack([scan.samples for scan in scans[::every]])
         try:
-            found = self._motion.resolve(samples, times[::every]).info
+            resolved = self._motion.resolve(samples, times[::every]).info
         except DataError:
             return
-        if found.source == "data" and found.period_s:
-            self.learn(found.period_s)
+        if resolved.source == "data" and resolved.period_s:
+            self.learn(resolved.period_s)
 
 
 def _measured(scans: Sequence[Scan], track: Track | None) -> NDArray[np.float64] | None:

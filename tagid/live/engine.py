@@ -126,16 +126,16 @@ class LiveView:
     def resolving(self, resolve: Callable[[Capture, str], Capture]) -> Callable[[Capture, str], Capture]:
         """The function for `Watch.resolve` that also passes the estimated period to the view."""
 
-        def told(capture: Capture, motion: str) -> Capture:
-            found = resolve(capture, motion)
-            resolved = found.motion.resolved
+        def learning(capture: Capture, motion: str) -> Capture:
+            result = resolve(capture, motion)
+            resolved = result.motion.resolved
             # A multiple of the shortest repetition is resolved by imaging, and then counts as stated.
             unknown = self._settings.motion.nominal_s is None
             if resolved is not None and resolved.period_s and (unknown or resolved.source == "data"):
                 self._angles.learn(resolved.period_s)
-            return found
+            return result
 
-        return told
+        return learning
 
     def settle(self, prepared: Capture, answer: Identification) -> None:
         """Set the answer of the stored capture, and the prepared capture for the last frame."""
@@ -162,7 +162,7 @@ class LiveView:
     def close(self) -> None:
         """End the threads; the state is kept. After `settle` the last frame is still computed."""
         self._hurry.set()
-        workers = [one for one in (self._worker, self._fitter, self._reader) if one is not None]
+        workers = [worker for worker in (self._worker, self._fitter, self._reader) if worker is not None]
         if all(worker.join(_JOIN_S) for worker in workers):
             self._forget()
 
@@ -363,7 +363,7 @@ def _sinogram(session: Session, scans: list[Scan]) -> tuple[Sinogram | None, flo
     return Sinogram(rows, (start, start + RANGE_STEP_M * (rows.shape[1] - 1))), snr
 
 
-def _same(one: Identification, other: Identification) -> bool:
+def _same(first: Identification, second: Identification) -> bool:
     """Whether two answers are the same for the user."""
-    names = (one.reading and one.reading.layout, other.reading and other.reading.layout)
-    return one.status == other.status and names[0] == names[1]
+    names = (first.reading and first.reading.layout, second.reading and second.reading.layout)
+    return first.status == second.status and names[0] == names[1]

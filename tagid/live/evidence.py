@@ -70,8 +70,10 @@ class GrowingEvidence:
         self._false_accept = false_accept
         self._radius = max(layout.radius_m for layout in layouts) + self._search.centre_range_m * np.sqrt(2)
         self._grids = [CoarseGrid.of(layout, self._search) for layout in layouts]
-        places = sum(2 * np.pi * layout.radius_m / layout.symmetry for layout in layouts) * PLACES_PER_METRE
-        self._places = places * len(self._search.patterns)
+        positions = (
+            sum(2 * np.pi * layout.radius_m / layout.symmetry for layout in layouts) * PLACES_PER_METRE
+        )
+        self._places = positions * len(self._search.patterns)
         self._range: RangeProfiles | None = None
         self._sums: list[_PatternSums] = []
         self._reference = np.zeros(0, dtype=np.complex64)
@@ -124,7 +126,7 @@ class GrowingEvidence:
         profile_energy = np.sum(np.abs(self._range.profiles) ** 2, axis=1)
         template_energy = float(self.views * np.median(profile_energy))
         images = [sums.image(self.views, mean) for sums in self._sums]
-        found = []
+        evidence = []
         for number, layout in enumerate(self._layouts):
             explained = max(
                 float(
@@ -134,7 +136,7 @@ class GrowingEvidence:
                 )
                 for image, sums in zip(images, self._sums, strict=True)
             )
-            found.append(
+            evidence.append(
                 LayoutEvidence(
                     layout.name,
                     float(np.clip(explained / signal, 0, 1)),
@@ -143,7 +145,7 @@ class GrowingEvidence:
                     nats_needed(layout.size, self._places, self._false_accept),
                 )
             )
-        return tuple(found)
+        return tuple(evidence)
 
 
 class _PatternSums:

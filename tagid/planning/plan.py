@@ -71,7 +71,7 @@ class Setup:
         if not 0.05 <= self.distance_m <= 20:
             raise UsageError(f"the distance is {self.distance_m:g} m", "Give 0.05 to 20, in metres.")
         if self.enrolled and self.body.kind == "none":
-            raise UsageError("a bare tag has no body to enrol", "Give `body`, or omit `enrolled`.")
+            raise UsageError("a bare tag has no body to enroll", "Give `body`, or omit `enrolled`.")
 
 
 @dataclass(frozen=True)
@@ -157,12 +157,12 @@ def plan(setup: Setup) -> Plan:
 
 def _rates(setup: Setup, body: str, views: int, view_db: float) -> Expected:
     """The rates of the tables, with a note where the reflectors are smaller than those that were measured."""
-    found = expected(body, views, view_db, enrolled=setup.enrolled)
-    if found.note or body == "none" or setup.reflector.size_m >= SMALLEST_M:
-        return found
+    rates = expected(body, views, view_db, enrolled=setup.enrolled)
+    if rates.note or body == "none" or setup.reflector.size_m >= SMALLEST_M:
+        return rates
     size = f"{SMALLEST_M * 1e3:.0f} mm"
     note = f"measured with reflectors of {size} and more; of smaller ones beside a body, fewer are named"
-    return replace(found, note=note)
+    return replace(rates, note=note)
 
 
 def moved_distance_m(body_db: float) -> float:
@@ -198,7 +198,7 @@ def _on_body(
     antenna = antennas(angles, np.full(_LEVEL_VIEWS, distance_m), 0.0)
     table = PulseTable.of(None)
     level = echo_levels(scene, acquisition, antenna, table).reflector
-    others = tuple(one for one in scene.object if one is not scene.tag)
+    others = tuple(item for item in scene.object if item is not scene.tag)
     echo = render_bodies(others, acquisition.placement, antenna, acquisition, table)
     alone = effective_length_m(Octahedron(reflector.size_m))
     unit = alone / unit_of(Octahedron(reflector.size_m))
@@ -261,14 +261,18 @@ def _first(setups: Sequence[Setup], rate: float) -> Plan | None:
     """The first setup that reaches a rate without clipping and with enough views."""
     for setup in setups:
         try:
-            found = plan(setup)
+            candidate = plan(setup)
         except (ConfigError, UsageError):
             continue
         # Below the table's lowest SNR its last rate is no promise.
-        if found.rates.note:
+        if candidate.rates.note:
             continue
-        if found.rates.named.value >= rate and found.margin_db > 0 and found.views >= _LEAST_VIEWS:
-            return found
+        if (
+            candidate.rates.named.value >= rate
+            and candidate.margin_db > 0
+            and candidate.views >= _LEAST_VIEWS
+        ):
+            return candidate
     return None
 
 

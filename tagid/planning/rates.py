@@ -133,10 +133,10 @@ def expected(body: str, views: int, snr_db: float, *, enrolled: bool = False) ->
 
 def _at(rows: tuple[Measured, ...], views: int, snr_db: float) -> tuple[float, float, int]:
     """Shares named and wrong at an SNR, and the fewest scenes of the rows used."""
-    own = sorted((row for row in rows if row.views == views), key=lambda row: row.snr_db)
-    held = min(max(snr_db, own[0].snr_db), own[-1].snr_db)
-    low = max((row for row in own if row.snr_db <= held), key=lambda row: row.snr_db)
-    high = min((row for row in own if row.snr_db >= held), key=lambda row: row.snr_db)
+    measured = sorted((row for row in rows if row.views == views), key=lambda row: row.snr_db)
+    held = min(max(snr_db, measured[0].snr_db), measured[-1].snr_db)
+    low = max((row for row in measured if row.snr_db <= held), key=lambda row: row.snr_db)
+    high = min((row for row in measured if row.snr_db >= held), key=lambda row: row.snr_db)
     weight = 0.0 if low is high else (held - low.snr_db) / (high.snr_db - low.snr_db)
     shares = [
         (1 - weight) * a / low.scenes + weight * b / high.scenes

@@ -105,7 +105,7 @@ def estimate_delay(
     background = np.zeros(target.bins) if empty is None else empty
     raw, matched = _envelopes(scans.mean(axis=0) - background, step_ps * 1e-12)
     peak = peak_place(matched, low, high)
-    snr_db = _check_echo(target, scans, matched, _Found(low, high, peak, start_ps, step_ps))
+    snr_db = _check_echo(target, scans, matched, _Echo(low, high, peak, start_ps, step_ps))
     edges = np.linspace(0, len(scans), _BLOCKS + 1).astype(int)
     near = round(_APART_PS / step_ps * _FINER)
     around = max(low, round(peak) - near), min(high, round(peak) + near)
@@ -238,7 +238,7 @@ def _envelopes(scan: NDArray[np.float64], step_s: float) -> tuple[NDArray[np.flo
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Echo:
     """The strongest echo of an envelope.
 
     Attributes:
@@ -259,10 +259,10 @@ class _Found:
 
 
 def _check_echo(
-    target: Capture, scans: NDArray[np.float64], matched: NDArray[np.float64], found: _Found
+    target: Capture, scans: NDArray[np.float64], matched: NDArray[np.float64], echo: _Echo
 ) -> float:
     """`DelayEstimate.snr_db`; DataError if there is no echo, more than one, or a clipped one."""
-    low, high, peak, step_ps = found.low, found.high, found.peak, found.step_ps
+    low, high, peak, step_ps = echo.low, echo.high, echo.peak, echo.step_ps
     near = round(_APART_PS / step_ps * _FINER)
     away = np.ones(len(matched), dtype=bool)
     away[max(0, round(peak) - 2 * near) : round(peak) + 2 * near + 1] = False
@@ -283,7 +283,7 @@ def _check_echo(
     rivals[max(0, round(peak) - near) : round(peak) + near + 1] = 0
     rival = low + int(rivals[low : high + 1].argmax())
     if rivals[rival] > _SIMILAR * height:
-        times = [f"{found.time_ps(each) / 1e3:.2f} ns" for each in sorted((peak, rival))]
+        times = [f"{echo.time_ps(index) / 1e3:.2f} ns" for index in sorted((peak, rival))]
         raise DataError(
             f"two echoes of similar strength stand out, at {times[0]} and {times[1]}",
             "Record the scene without the target first (`step=both`), or use a larger reflector.",

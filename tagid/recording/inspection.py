@@ -119,13 +119,13 @@ def inspect(capture: Capture) -> RecordingSummary:
     turning = turning_period(some) if changing_snr is not None else NO_CHANGE
     ranges = capture.ranges_m
     # Half of a real sample's analytic noise power is the sample's own.
-    own = 1.0 if np.iscomplexobj(capture.samples) else 0.5
+    noise_share = 1.0 if np.iscomplexobj(capture.samples) else 0.5
     return RecordingSummary(
         views=capture.views,
         bins=capture.bins,
         range_from_m=float(ranges[0]),
         range_to_m=float(ranges[-1]),
-        noise=None if noise_power is None else math.sqrt(own * noise_power),
+        noise=None if noise_power is None else math.sqrt(noise_share * noise_power),
         snr_db=over_noise_db(signal, noise_power)[0],
         changing_snr_db=changing_snr,
         changing_range_m=None if changing_bin is None else float(ranges[changing_bin]),
@@ -219,16 +219,16 @@ def turning_period(capture: Capture) -> Turning:
     try:
         if capture.radar_time_ms is not None:
             times = fit_clock(capture.radar_time_ms, capture.scan_id).times_s
-        found = find_period(capture.samples, times, nominal_s=nominal)
+        estimate = find_period(capture.samples, times, nominal_s=nominal)
     except DataError as error:
         return Turning(note=error.message)
     notes = []
     if nominal is None:
         notes.append("shortest repetition; an n-fold symmetric object takes n times as long")
-    if found.harmonic_ambiguous:
-        others = ", ".join(f"{rival:.2f} s" for rival in found.rivals_s)
+    if estimate.harmonic_ambiguous:
+        others = ", ".join(f"{rival:.2f} s" for rival in estimate.rivals_s)
         notes.append(f"the scans also repeat after {others}" if others else "a multiple is possible")
-    return Turning(float(found.period_s), float(found.sigma_s), "; ".join(notes))
+    return Turning(float(estimate.period_s), float(estimate.sigma_s), "; ".join(notes))
 
 
 def nominal_period_s(capture: Capture, duration_s: float) -> float | None:
@@ -243,9 +243,9 @@ def nominal_period_s(capture: Capture, duration_s: float) -> float | None:
             return 60 / rpm
     if resolved.source == "data":
         return None
-    told = _sensible(resolved.period_s)
-    if told is not None or capture.angles_rad is None:
-        return told
+    nominal = _sensible(resolved.period_s)
+    if nominal is not None or capture.angles_rad is None:
+        return nominal
     turns = abs(float(capture.angles_rad[-1] - capture.angles_rad[0])) / (2 * math.pi)
     return duration_s / turns if turns > 0.5 else None
 

@@ -65,8 +65,8 @@ def emulated_object(url: str) -> ObjectInfo | None:
         return None
     from tagid.simulate.spec import SceneSpec, turning_scene
 
-    own = ("rate", "delay_s", *_PROBABILITIES)
-    options = {key: text for key, text in parsed.options.items() if key not in own}
+    radar_options = ("rate", "delay_s", *_PROBABILITIES)
+    options = {key: text for key, text in parsed.options.items() if key not in radar_options}
     return turning_scene(SceneSpec.from_url(parsed.target, options)).about()
 
 

@@ -83,7 +83,7 @@ class Written(Generic[_Result]):
     paths: tuple[Path, ...]
 
 
-class Told(Protocol):
+class Listener(Protocol):
     """Callbacks of a recording."""
 
     @property
@@ -110,7 +110,9 @@ class Steps(Generic[_Result]):
     write: Callable[[Recorded], Written[_Result]]
 
 
-def run_recording(radar: P440, plan: RecordingPlan, path: Path, steps: Steps[_Result], told: Told) -> _Result:
+def run_recording(
+    radar: P440, plan: RecordingPlan, path: Path, steps: Steps[_Result], listener: Listener
+) -> _Result:
     """Record into a journal, write its capture files, and remove it once they were read back and compared.
 
     A stop signal takes effect while the radar is configured and while scans arrive, not while the journal is
@@ -140,8 +142,8 @@ def run_recording(radar: P440, plan: RecordingPlan, path: Path, steps: Steps[_Re
                 with start_journal(path, header, plan.renumber) as journal:
                     marked.enter_context(journal.locked())
                     taken.append(capture_beside(journal.path))
-                    told.named(taken[-1])
-                    recorded = _fill(journal, radar, plan, steps.receive, told, signals)
+                    listener.named(taken[-1])
+                    recorded = _fill(journal, radar, plan, steps.receive, listener, signals)
             return _keep(recorded, steps.write)
     except KeyboardInterrupt as stop:
         raise interrupts.stopped_by_user(stop, where_kept(taken[-1])) from stop
@@ -159,7 +161,7 @@ def _fill(
     radar: P440,
     plan: RecordingPlan,
     receive: Callable[[Session], bool],
-    told: Told,
+    listener: Listener,
     signals: interrupts.Deferred,
 ) -> Recorded:
     """Write the scans to the journal, with its end record if `receive` reports a complete recording."""
@@ -167,7 +169,7 @@ def _fill(
     complete = False
     try:
         with JournalQueue(journal) as queue:
-            intake = Intake(radar, queue, plan.resume_s, told.gap)
+            intake = Intake(radar, queue, plan.resume_s, listener.gap)
             intake.guard(journal)
             try:
                 with signals.listening():
@@ -205,8 +207,8 @@ def _keep(recorded: Recorded, write: Callable[[Recorded], Written[_Result]]) -> 
         raise with_recovery(error, journal) from error
     journal.unlink(missing_ok=True)
     if ended_by is not None:
-        places = ", ".join(str(path) for path in written.paths)
-        raise with_remedy(ended_by, f"The {written.views} scans that arrived are in {places}.") from ended_by
+        paths = ", ".join(str(path) for path in written.paths)
+        raise with_remedy(ended_by, f"The {written.views} scans that arrived are in {paths}.") from ended_by
     return written.result
 
 
