@@ -219,9 +219,9 @@ class Capture:
 
     def select(self, views: NDArray[np.integer] | slice) -> Capture:
         """The capture with selected views only; the provenance is kept."""
-        places = ("angles_rad", "angle_sigma_rad", "antenna_positions_m", "receive_positions_m")
+        geometry = ("angles_rad", "angle_sigma_rad", "antenna_positions_m", "receive_positions_m")
         parts: dict[str, Any] = {
             name: None if getattr(self, name) is None else getattr(self, name)[views]
-            for name in (*places, "host_time_ns", "radar_time_ms", "scan_id", "flags")
+            for name in (*geometry, "host_time_ns", "radar_time_ms", "scan_id", "flags")
         }
         return replace(self, samples=self.samples[views], **parts)

@@ -236,7 +236,7 @@ def read_file(path: Path, tolerant: bool = False) -> dict[str, Any]:
             tables = files.read_toml(path, MAX_BYTES, missing_ok=True)
         except FileFormatError as error:
             raise ConfigError(error.message, "Repair or delete it.") from None
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     for section, table in tables.items():
         if not isinstance(table, dict):
             with _remarked(tolerant):
@@ -246,8 +246,8 @@ def read_file(path: Path, tolerant: bool = False) -> dict[str, Any]:
             continue
         for key, raw in table.items():
             with _remarked(tolerant):
-                found[f"{section}.{key}"] = parse_value(f"{section}.{key}", raw, str(path))
-    return found
+                settings[f"{section}.{key}"] = parse_value(f"{section}.{key}", raw, str(path))
+    return settings
 
 
 def load_config(overrides: Mapping[str, Any] | None = None, tolerant: bool = False) -> Config:
@@ -314,26 +314,26 @@ def change_settings(changes: Mapping[str, Any | None]) -> Path:
     """
     path = config_path()
     known = {setting.name for setting in SETTINGS}
-    found = read_file(path)
+    settings = read_file(path)
     for name, raw in changes.items():
         if raw is None and name in known:
-            found.pop(name, None)
+            settings.pop(name, None)
         else:
-            found[name] = parse_value(name, raw, "command line")
-    _write(path, found)
+            settings[name] = parse_value(name, raw, "command line")
+    _write(path, settings)
     return path
 
 
-def _write(path: Path, found: Mapping[str, Any]) -> None:
+def _write(path: Path, settings: Mapping[str, Any]) -> None:
     import tomli_w
 
     from tagid import files
 
     tables: dict[str, dict[str, Any]] = {}
-    for name, value in found.items():
+    for name, value in settings.items():
         if isinstance(value, str) and displayable(value) != value:
             raise ConfigError(f"{name} is {value!r}, not text in UTF-8", "Choose another name.")
-    for name, value in sorted(found.items()):
+    for name, value in sorted(settings.items()):
         section, key = name.split(".", 1)
         tables.setdefault(section, {})[key] = value.reveal() if isinstance(value, Secret) else value
     try:

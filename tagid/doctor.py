@@ -59,12 +59,12 @@ def examine(config: Config) -> list[Finding]:
 
 def _versions() -> list[Finding]:
     names = [*_PACKAGES, *([_EXTRA] if importlib.util.find_spec(_EXTRA) is not None else [])]
-    found = ", ".join(f"{name} {metadata.version(name)}" for name in names)
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in names)
     if _EXTRA not in names:
-        found += f"; without {_EXTRA}: no MATLAB files"
+        versions += f"; without {_EXTRA}: no MATLAB files"
     return [
         Finding("tagid", "ok", f"{__version__} on Python {platform.python_version()}, {platform.system()}"),
-        Finding("packages", "ok", found),
+        Finding("packages", "ok", versions),
     ]
 
 
@@ -137,12 +137,16 @@ def _system() -> list[Finding]:
         return []
     folder = Path(__file__).resolve().parent / "system"
     rule, unit = folder / "70-tagid.rules", folder / "tagid-station.service"
-    places = [Path(root) / "udev" / "rules.d" / rule.name for root in ("/etc", "/run", "/usr/lib", "/lib")]
-    found = next((place for place in places if place.exists()), None)
-    if found is not None and _same(found, rule):
-        access = Finding("device access", "ok", f"udev rule {found}")
-    elif found is not None:
-        access = Finding("device access", "warning", f"{found} is of another version", _install_rule(rule))
+    candidates = [
+        Path(root) / "udev" / "rules.d" / rule.name for root in ("/etc", "/run", "/usr/lib", "/lib")
+    ]
+    installed = next((place for place in candidates if place.exists()), None)
+    if installed is not None and _same(installed, rule):
+        access = Finding("device access", "ok", f"udev rule {installed}")
+    elif installed is not None:
+        access = Finding(
+            "device access", "warning", f"{installed} is of another version", _install_rule(rule)
+        )
     else:
         access = Finding(
             "device access", "ok", "no udev rule, needed if access to ports is denied", _install_rule(rule)
@@ -185,17 +189,17 @@ def _radar(config: Config) -> Finding:
         remedy = "tagid config set radar.url udp://192.168.1.100 (kit units: .100 to .103)"
         return Finding("radar", "warning", "none configured", remedy, answers=False)
     try:
-        found = survey(open_radar(url, config["radar.timeout_s"]))
+        state = survey(open_radar(url, config["radar.timeout_s"]))
     except TagidError as error:
         return Finding("radar", "problem", f"{url}: {error.message}", error.remedy, answers=False)
-    status = found.status
+    status = state.status
     text = f"{url} answers: serial {status.serial}, MRM {status.mrm_version}, {status.temperature_c:.1f} degC"
-    if found.config is not None:
-        text += f", {found.config.samples} samples"
+    if state.config is not None:
+        text += f", {state.config.samples} samples"
     if status.built_in_test:
         remedy = "Power-cycle the radar; if the error persists, the unit needs service."
         return Finding("radar", "problem", f"{text}, self test {status.built_in_test}", remedy, answers=True)
-    if odd := found.warnings():
+    if odd := state.warnings():
         remedy = "`tagid radar info` shows more."
         return Finding("radar", "warning", f"{text}; {'; '.join(odd)}", remedy, answers=True)
     return Finding("radar", "ok", text, answers=True)

@@ -41,7 +41,7 @@ def visible(text: str) -> str:
     >>> visible("red \\x1b[31m")
     'red \\\\x1b[31m'
     """
-    return _CONTROLS.sub(lambda found: _escaped(ord(found.group())), text)
+    return _CONTROLS.sub(lambda match: _escaped(ord(match.group())), text)
 
 
 _CONTROLS = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")

@@ -359,10 +359,12 @@ def clear_abandoned(folder: Path) -> None:
     Files locked by a running process are kept, as are those that cannot be locked or removed.
     """
     try:
-        found = [path for path in folder.iterdir() if path.name[0] == "." and path.name.endswith(_TEMPORARY)]
+        leftovers = [
+            path for path in folder.iterdir() if path.name[0] == "." and path.name.endswith(_TEMPORARY)
+        ]
     except OSError:
         return
-    for path in found:
+    for path in leftovers:
         with suppress(OSError):
             descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
             try:
@@ -425,9 +427,9 @@ def make_folder(folder: Path) -> None:
     while not place.is_dir() and place != place.parent:
         missing.append(place)
         place = place.parent
-    for each in reversed(missing):
-        each.mkdir(exist_ok=True)
-        sync_folder(each.parent)
+    for created in reversed(missing):
+        created.mkdir(exist_ok=True)
+        sync_folder(created.parent)
 
 
 def sync_folder(folder: Path) -> None:

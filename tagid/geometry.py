@@ -89,10 +89,10 @@ class Aperture:
     @classmethod
     def two_antennas(cls, transmitters: NDArray[np.floating], receivers: NDArray[np.floating]) -> Aperture:
         """Free positions (views, 3) of a transmitting and a receiving antenna, m."""
-        one, other = (np.asarray(p, dtype=np.float64) for p in (transmitters, receivers))
-        if one.shape != other.shape:
-            raise DataError(f"transmitters have shape {one.shape}, receivers {other.shape}")
-        return cls((one + other) / 2, half_baseline=(one - other) / 2)
+        transmit, receive = (np.asarray(p, dtype=np.float64) for p in (transmitters, receivers))
+        if transmit.shape != receive.shape:
+            raise DataError(f"transmitters have shape {transmit.shape}, receivers {receive.shape}")
+        return cls((transmit + receive) / 2, half_baseline=(transmit - receive) / 2)
 
     @property
     def views(self) -> int:

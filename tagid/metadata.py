@@ -53,19 +53,19 @@ class JsonValue:
                 extra[key] = value
         if extra and "extra" not in kinds:
             raise DataError(f"{_label(cls)} has no field {next(iter(extra))!r}")
-        needed = {each.name for each in fields(cls) if _required(each)}  # type: ignore[arg-type]
+        needed = {item.name for item in fields(cls) if _required(item)}  # type: ignore[arg-type]
         if missing := sorted(needed - set(known)):
             raise DataError(f"{_label(cls)} lacks {', '.join(missing)}")
         return cls(**known, **({"extra": extra} if extra else {}))
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values; fields that are not known are absent."""
-        found: dict[str, Any] = {}
-        for each in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, each.name)
-            if each.name != "extra" and not _unknown(value):
-                found[each.name] = _encoded(value)
-        return {**found, **getattr(self, "extra", {})}
+        values: dict[str, Any] = {}
+        for item in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, item.name)
+            if item.name != "extra" and not _unknown(value):
+                values[item.name] = _encoded(value)
+        return {**values, **getattr(self, "extra", {})}
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ class RadarInfo(JsonValue):
 
     def with_known(self, other: RadarInfo) -> RadarInfo:
         """The same with every field that `other` knows."""
-        known = {each.name: getattr(other, each.name) for each in fields(other) if each.name != "extra"}
+        known = {item.name: getattr(other, item.name) for item in fields(other) if item.name != "extra"}
         return replace(self, **{name: value for name, value in known.items() if not _unknown(value)})
 
     @property
@@ -506,7 +506,7 @@ def _kinds(cls: type) -> dict[str, Any]:
     """Type of each field; resolved once per class, since a hint is a text until then."""
     if cls not in _KINDS:
         hints = typing.get_type_hints(cls)
-        _KINDS[cls] = {each.name: hints[each.name] for each in fields(cls)}
+        _KINDS[cls] = {item.name: hints[item.name] for item in fields(cls)}
     return _KINDS[cls]
 
 
@@ -520,8 +520,8 @@ def _unknown(value: Any) -> bool:
     return value is None or (isinstance(value, tuple) and not value)
 
 
-def _required(each: Field[Any]) -> bool:
-    return each.default is MISSING and each.default_factory is MISSING
+def _required(item: Field[Any]) -> bool:
+    return item.default is MISSING and item.default_factory is MISSING
 
 
 def _label(cls: type) -> str:
@@ -536,7 +536,7 @@ def _fits(value: Any, kind: Any) -> bool:
     if kind is Any:
         return True
     if origin is types.UnionType or origin is typing.Union:
-        return any(_fits(value, each) for each in inner)
+        return any(_fits(value, option) for option in inner)
     if kind is type(None):
         return value is None
     if kind is bool:
@@ -559,8 +559,8 @@ def _decoded(value: Any, kind: Any, where: str) -> Any:
     if origin is types.UnionType or origin is typing.Union:
         if value is None:
             return None
-        rest = [each for each in inner if each is not type(None)]
-        fitting = [each for each in rest if _fits(value, each)]
+        rest = [option for option in inner if option is not type(None)]
+        fitting = [option for option in rest if _fits(value, option)]
         return _decoded(value, (fitting or rest)[0], where)
     if origin is tuple and isinstance(value, list | tuple):
         return tuple(_decoded(item, inner[0], where) for item in value)
@@ -584,7 +584,7 @@ def _encoded(value: Any) -> Any:
 def _words(kind: Any) -> str:
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin is types.UnionType or origin is typing.Union:
-        return " or ".join(_words(each) for each in inner if each is not type(None))
+        return " or ".join(_words(option) for option in inner if option is not type(None))
     if origin is tuple:
         return f"a list of {_words(inner[0])}"
     if origin is Mapping or (isinstance(kind, type) and issubclass(kind, JsonValue)):

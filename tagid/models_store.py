@@ -120,7 +120,7 @@ class Tensor:
 
 
 @dataclass(frozen=True)
-class Entry:
+class ModelEntry:
     """A model's entry in the manifest.
 
     Attributes:
@@ -142,7 +142,7 @@ class Entry:
     facts: Mapping[str, Any]
 
     @classmethod
-    def from_json(cls, name: str, item: Mapping[str, Any]) -> Entry:
+    def from_json(cls, name: str, item: Mapping[str, Any]) -> ModelEntry:
         """Parse one entry. Raises KeyError, TypeError or ValueError if it is invalid."""
         file = str(item["file"])
         if Path(file).name != file:
@@ -171,7 +171,7 @@ class Model:
         entry: its manifest entry.
     """
 
-    def __init__(self, entry: Entry, session: Any) -> None:
+    def __init__(self, entry: ModelEntry, session: Any) -> None:
         self.entry = entry
         self._session = session
         self._outputs = list(entry.outputs)
@@ -213,7 +213,7 @@ class Model:
 
 
 @cache
-def manifest(folder: Path = FOLDER) -> Mapping[str, Entry]:
+def manifest(folder: Path = FOLDER) -> Mapping[str, ModelEntry]:
     """Every shipped model by name.
 
     Raises:
@@ -222,16 +222,16 @@ def manifest(folder: Path = FOLDER) -> Mapping[str, Entry]:
     """
     path = folder / "manifest.json"
     try:
-        found = json.loads(read_bytes(path, _MAX_MANIFEST_BYTES))
-        if found["manifest_version"] != MANIFEST_VERSION:
-            version = found["manifest_version"]
+        data = json.loads(read_bytes(path, _MAX_MANIFEST_BYTES))
+        if data["manifest_version"] != MANIFEST_VERSION:
+            version = data["manifest_version"]
             raise ModelError(f"{path} has version {version}, expected {MANIFEST_VERSION}", _REINSTALL)
-        return {str(name): Entry.from_json(str(name), item) for name, item in found["models"].items()}
+        return {str(name): ModelEntry.from_json(str(name), item) for name, item in data["models"].items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{path} is not a model manifest: {error!r}", _REINSTALL) from None
 
 
-def model_bytes(name: str, folder: Path = FOLDER) -> tuple[bytes, Entry]:
+def model_bytes(name: str, folder: Path = FOLDER) -> tuple[bytes, ModelEntry]:
     """Content of a model file whose size, sha256 and opset match the manifest.
 
     Raises:
@@ -250,9 +250,9 @@ def model_bytes(name: str, folder: Path = FOLDER) -> tuple[bytes, Entry]:
         raise StorageError(error.message, _REINSTALL) from error
     if len(content) != entry.size:
         raise ModelError(f"{path} has {len(content)} bytes, the manifest says {entry.size}", _REINSTALL)
-    found = hashlib.sha256(content).hexdigest()
-    if found != entry.sha256:
-        raise ModelError(f"{path} has sha256 {found}, the manifest says {entry.sha256}", _REINSTALL)
+    digest = hashlib.sha256(content).hexdigest()
+    if digest != entry.sha256:
+        raise ModelError(f"{path} has sha256 {digest}, the manifest says {entry.sha256}", _REINSTALL)
     if refers_to_files(content):
         raise ModelError(f"{path} keeps data in other files, which are not followed", _REINSTALL)
     return content, entry
@@ -296,12 +296,14 @@ def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
     except Exception as error:  # onnxruntime's exceptions have no common base
         raise ModelError(f"onnxruntime cannot run model {name}: {error}", _REINSTALL) from None
     for side, wanted in ((session.get_inputs(), entry.inputs), (session.get_outputs(), entry.outputs)):
-        found = {item.name: (item.type, _shape(item.shape)) for item in side}
-        said = {n: (_DTYPES.get(tensor.dtype, tensor.dtype), tensor.shape) for n, tensor in wanted.items()}
-        odd = [n for n in {**found, **said} if found.get(n) != said.get(n)]
+        actual = {item.name: (item.type, _shape(item.shape)) for item in side}
+        expected = {
+            n: (_DTYPES.get(tensor.dtype, tensor.dtype), tensor.shape) for n, tensor in wanted.items()
+        }
+        odd = [n for n in {**actual, **expected} if actual.get(n) != expected.get(n)]
         if odd:
             raise ModelError(
-                f"model {name}: {odd[0]} is {found.get(odd[0])}, the manifest says {said.get(odd[0])}",
+                f"model {name}: {odd[0]} is {actual.get(odd[0])}, the manifest says {expected.get(odd[0])}",
                 _REINSTALL,
             )
     return Model(entry, session)
@@ -313,16 +315,16 @@ def check_all(folder: Path = FOLDER) -> None:
         model_bytes(name, folder)
 
 
-def write_entry(entry: Entry, content: bytes, folder: Path = FOLDER) -> None:
+def write_entry(entry: ModelEntry, content: bytes, folder: Path = FOLDER) -> None:
     """Add a model and its manifest entry to a folder, replacing one of the same name."""
     path = folder / "manifest.json"
-    found: dict[str, Any] = {"manifest_version": MANIFEST_VERSION, "models": {}}
+    data: dict[str, Any] = {"manifest_version": MANIFEST_VERSION, "models": {}}
     if path.exists():
-        found["models"] = {name: old.to_json() for name, old in manifest(folder).items()}
-    found["models"][entry.name] = entry.to_json()
+        data["models"] = {name: old.to_json() for name, old in manifest(folder).items()}
+    data["models"][entry.name] = entry.to_json()
     with interrupts.deferred():
         write_bytes(folder / entry.file, content)
-        write_bytes(path, (json.dumps(found, indent=1, sort_keys=True) + "\n").encode())
+        write_bytes(path, (json.dumps(data, indent=1, sort_keys=True) + "\n").encode())
     manifest.cache_clear()
 
 
@@ -332,10 +334,10 @@ def entry_of(
     inputs: Mapping[str, Tensor],
     outputs: Mapping[str, Tensor],
     facts: Mapping[str, Any],
-) -> Entry:
+) -> ModelEntry:
     """The manifest entry of a graph with these inputs and outputs."""
     digest = hashlib.sha256(content).hexdigest()
-    return Entry(name, f"{name}.onnx", digest, len(content), OPSET, inputs, outputs, facts)
+    return ModelEntry(name, f"{name}.onnx", digest, len(content), OPSET, inputs, outputs, facts)
 
 
 def _shape(dimensions: Any) -> Shape:

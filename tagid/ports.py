@@ -104,9 +104,9 @@ def open_port(path: str, baud: int, write_timeout_s: float, find: str) -> serial
         text = str(error)
         if number in (errno.EAGAIN, errno.EBUSY) or "exclusively lock" in text:
             opened = holders(path)
-            opened = [one for one in opened if one.locks] or opened
+            opened = [holder for holder in opened if holder.locks] or opened
             who = ", ".join(map(str, opened))
-            kill = " or ".join(f"`kill {one.pid}`" for one in opened)
+            kill = " or ".join(f"`kill {holder.pid}`" for holder in opened)
             raise PortInUseError(
                 f"{path} is in use by another program{f': {who}' if who else ''}",
                 "Close the other program (a terminal, another tagid, ModemManager"

@@ -86,9 +86,9 @@ def start_alone(program: Path, *, scope: bool, **options: Any) -> subprocess.Pop
     command = [sys.executable, "-I", "-S", str(program)]
     more: dict[str, str] = {}
     if scope:
-        places = os.environ.get("PATH", os.defpath).split(os.pathsep)
+        folders = os.environ.get("PATH", os.defpath).split(os.pathsep)
         systemd_run = shutil.which(
-            "systemd-run", path=os.pathsep.join(place for place in places if Path(place).is_absolute())
+            "systemd-run", path=os.pathsep.join(place for place in folders if Path(place).is_absolute())
         )
         if systemd_run is None:
             return None

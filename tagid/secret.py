@@ -21,7 +21,7 @@ def masked(text: str) -> str:
     >>> masked("looking for R2,passkey=123456"), masked("R2:123456")
     ('looking for R2,passkey=***', 'R2:***')
     """
-    return _KEYS.sub(lambda found: f"{found[1]}{found[2]}{HIDDEN}" if found[1] else HIDDEN, text)
+    return _KEYS.sub(lambda match: f"{match[1]}{match[2]}{HIDDEN}" if match[1] else HIDDEN, text)
 
 
 class Secret:

@@ -13,7 +13,7 @@ import torch
 from tagid._version import __version__
 from tagid.imaging.ats.fit_native import HIDDEN, LEVELS, MODEL, input_names, state_names
 from tagid.imaging.ats.fit_torch import Step, optimise
-from tagid.models_store import FOLDER, OPSET, Entry, Tensor, entry_of, write_entry
+from tagid.models_store import FOLDER, OPSET, ModelEntry, Tensor, entry_of, write_entry
 
 
 class _Module(torch.nn.Module):  # type: ignore[misc]
@@ -24,7 +24,7 @@ class _Module(torch.nn.Module):  # type: ignore[misc]
         return optimise(Step(*parts))
 
 
-def export_step() -> tuple[bytes, Entry]:
+def export_step() -> tuple[bytes, ModelEntry]:
     """The graph with named, dynamic dimensions, and its manifest entry."""
     import onnx
 
