@@ -62,11 +62,11 @@ def lead_of(seed: int, views: Sequence[int] = ()) -> Row | None:
 
 def strata(rows: Sequence[Row], views: Sequence[int] = VIEWS) -> tuple[Stratum, ...]:
     """The rows by views."""
-    found = []
+    groups = []
     for low, high in pairwise(views):
         leads = [row["lead"] for row in rows if low <= row["views"] < high]
-        found.append(Stratum(low, high, len(leads), largest(leads)))
-    return tuple(found)
+        groups.append(Stratum(low, high, len(leads), largest(leads)))
+    return tuple(groups)
 
 
 def ranges(seeds: list[int]) -> tuple[tuple[int, int], ...]:
@@ -91,9 +91,9 @@ def main() -> None:
     if any(seed >= SEALED for seed in seeds):
         parser.error(f"seeds from {SEALED} on are sealed")
     if arguments.count:
-        one = partial(lead_of, views=tuple(arguments.views))
+        lead = partial(lead_of, views=tuple(arguments.views))
         with processes.spawn_context().Pool(arguments.jobs) as pool, arguments.rows.open("a") as file:
-            for row in pool.imap_unordered(one, seeds, chunksize=4):
+            for row in pool.imap_unordered(lead, seeds, chunksize=4):
                 if row is not None:
                     file.write(json.dumps(row) + "\n")
                     file.flush()

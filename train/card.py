@@ -70,7 +70,7 @@ def measure(work: Path, scenes: int, ats_every: int) -> Measured:
 
     Args:
         work: folder of the dataset and the checkpoint.
-        scenes, ats_every: size of the dataset, as in `train.dataset.Plan`.
+        scenes, ats_every: size of the dataset, as in `train.dataset.DatasetPlan`.
 
     Raises StorageError if the dataset or the checkpoint is missing.
     """
@@ -79,10 +79,10 @@ def measure(work: Path, scenes: int, ats_every: int) -> Measured:
     validation = load(work, split["validation"])
     contract = calibrate(network, validation)
     test = load(work, split["test"])
-    found = outcomes(network, test, contract)
+    results = outcomes(network, test, contract)
     threshold = contract.threshold(PFA)
     figures = {
-        name: Figures.of([o for o, yes in zip(found, keep, strict=True) if yes], threshold, contract)
+        name: Figures.of([o for o, yes in zip(results, keep, strict=True) if yes], threshold, contract)
         for name, keep in conditions(test).items()
     }
     for i, method in enumerate(METHODS):

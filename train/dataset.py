@@ -38,7 +38,7 @@ class ImageOf:
 
 
 @dataclass(frozen=True)
-class Plan:
+class DatasetPlan:
     """Which scenes a dataset holds.
 
     Attributes:
@@ -145,7 +145,7 @@ def _write(shard: _Shard) -> None:
 
 def build(
     folder: Path,
-    plan: Plan,
+    plan: DatasetPlan,
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
     distribution: Distribution | None = None,
@@ -156,13 +156,13 @@ def build(
         UsageError: the folder holds a dataset of another kind. StorageError: it cannot be written.
     """
     dist = distribution or Distribution()
-    own = {"distribution": dist.fingerprint(), "ats_every": plan.ats_every, "shard": SHARD}
+    settings = {"distribution": dist.fingerprint(), "ats_every": plan.ats_every, "shard": SHARD}
     about = folder / plan.split / "about.json"
     try:
         about.parent.mkdir(parents=True, exist_ok=True)
-        if about.exists() and json.loads(about.read_text()) != own:
+        if about.exists() and json.loads(about.read_text()) != settings:
             raise UsageError(f"{about.parent} holds a dataset of another kind", "Choose another folder.")
-        about.write_text(json.dumps(own) + "\n")
+        about.write_text(json.dumps(settings) + "\n")
     except (OSError, ValueError) as error:
         raise StorageError(f"{about}: {error}", "Choose a folder that can be written.") from error
     tasks = []
@@ -181,7 +181,7 @@ def build(
                 progress(done, plan.shards)
 
 
-def load(folder: Path, plan: Plan) -> Samples:
+def load(folder: Path, plan: DatasetPlan) -> Samples:
     """All samples of a plan, in order.
 
     Raises StorageError if a shard is missing or damaged.

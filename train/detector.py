@@ -56,12 +56,12 @@ class Detections:
 
     Attributes:
         present: probability that there is any reflector.
-        found: detections above the threshold, surest first.
+        detections: those above the threshold, surest first.
         threshold: probability that was asked of them.
     """
 
     present: float
-    found: tuple[Detection, ...]
+    detections: tuple[Detection, ...]
     threshold: float
 
 
@@ -161,12 +161,12 @@ def decode(cells: NDArray[np.float32], seen: NetworkInput, contract: Contract) -
     """All detections in the network's cells (5, 48, 48), surest first, none nearer than `SEPARATION_M`."""
     detections: list[Detection] = []
     for row, column in candidates(cells):
-        own, ghost, dx, dy, log_sigma = cells[:, row, column].tolist()
+        score, ghost, dx, dy, log_sigma = cells[:, row, column].tolist()
         x = (column + min(max(dx, -1.0), 1.0) - CELLS / 2 + 0.5) * CELL_M
         y = (row + min(max(dy, -1.0), 1.0) - CELLS / 2 + 0.5) * CELL_M
         if any(hypot(x - d.x_m, y - d.y_m) < SEPARATION_M for d in detections):
             continue
-        logit = contract.slope * own + contract.intercept
+        logit = contract.slope * score + contract.intercept
         detections.append(
             Detection(
                 x,
@@ -215,6 +215,6 @@ class Detector:
         """
         cells, present = self.run(seen)
         threshold = self.contract.threshold(pfa)
-        found = tuple(d for d in decode(cells, seen, self.contract) if d.probability >= threshold)
+        detections = tuple(d for d in decode(cells, seen, self.contract) if d.probability >= threshold)
         there = self.contract.present_slope * present + self.contract.present_intercept
-        return Detections(float(sigmoid(there)), found, threshold)
+        return Detections(float(sigmoid(there)), detections, threshold)

@@ -48,16 +48,16 @@ class Outcome:
 
 def score(detections: list[Detection], reflectors: NDArray[np.floating], present: float = 0.0) -> Outcome:
     """Pair detections, surest first, with reflectors (K, 2), m; rows of nan are none."""
-    left = [r for r in reflectors if np.isfinite(r[0])]
+    remaining = [r for r in reflectors if np.isfinite(r[0])]
     hits, errors = [], []
     for d in detections:
-        gaps = [float(np.hypot(d.x_m - r[0], d.y_m - r[1])) for r in left]
+        gaps = [float(np.hypot(d.x_m - r[0], d.y_m - r[1])) for r in remaining]
         hit = bool(gaps) and min(gaps) <= HIT_M
         hits.append(hit)
         if hit:
-            r = left.pop(int(np.argmin(gaps)))
+            r = remaining.pop(int(np.argmin(gaps)))
             errors.append((d.x_m - r[0], d.y_m - r[1]))
-    return Outcome(detections, hits, np.array(errors).reshape(-1, 2), len(left), present)
+    return Outcome(detections, hits, np.array(errors).reshape(-1, 2), len(remaining), present)
 
 
 def seen(samples: Samples, i: int) -> NetworkInput:
@@ -69,7 +69,7 @@ def seen(samples: Samples, i: int) -> NetworkInput:
 
 def outcomes(network: DetectorNetwork, samples: Samples, contract: Contract = RAW) -> list[Outcome]:
     """What the network says of every sample."""
-    found = []
+    results = []
     network.eval()
     with torch.no_grad():
         for start in range(0, len(samples), 64):
@@ -77,8 +77,8 @@ def outcomes(network: DetectorNetwork, samples: Samples, contract: Contract = RA
             cells, present = network(make_batch(samples, which).planes)
             for i, c, p in zip(which, cells.numpy(), present.numpy(), strict=True):
                 decoded = decode(c, seen(samples, int(i)), contract)
-                found.append(score(decoded, samples.reflectors[i], float(p)))
-    return found
+                results.append(score(decoded, samples.reflectors[i], float(p)))
+    return results
 
 
 def _logistic(logit: NDArray[np.float64], label: NDArray[np.float64]) -> tuple[float, float]:
@@ -140,23 +140,23 @@ class Figures:
     presence: float
 
     @classmethod
-    def of(cls, found: list[Outcome], threshold: float, contract: Contract = RAW) -> Figures:
+    def of(cls, results: list[Outcome], threshold: float, contract: Contract = RAW) -> Figures:
         """At a probability threshold."""
-        pairs = [list(zip(o.detections, o.hits, strict=True)) for o in found]
+        pairs = [list(zip(o.detections, o.hits, strict=True)) for o in results]
         kept = [[hit for d, hit in pair if d.probability >= threshold] for pair in pairs]
-        truths = [o.missed + sum(o.hits) for o in found]
+        truths = [o.missed + sum(o.hits) for o in results]
         hits = sum(sum(k) for k in kept)
         errors = [
             error
-            for o, pair in zip(found, pairs, strict=True)
+            for o, pair in zip(results, pairs, strict=True)
             for error, d in zip(o.errors_m, [d for d, hit in pair if hit], strict=True)
             if d.probability >= threshold
         ]
         empty = [len(k) > 0 for k, t in zip(kept, truths, strict=True) if t == 0]
-        said = [contract.present_slope * o.present + contract.present_intercept > 0 for o in found]
+        said = [contract.present_slope * o.present + contract.present_intercept > 0 for o in results]
         right = [s == (t > 0) for s, t in zip(said, truths, strict=True)]
         return cls(
-            len(found),
+            len(results),
             sum(truths),
             hits / max(1, sum(truths)),
             hits / max(1, sum(len(k) for k in kept)),
@@ -169,14 +169,16 @@ class Figures:
 def conditions(samples: Samples) -> dict[str, NDArray[np.bool_]]:
     """Named subsets, by image method, views and SNR."""
     snr, views = samples.scene_snr_db, samples.views
-    found: dict[str, NDArray[np.bool_]] = {"all": np.ones(len(samples), dtype=bool)}
+    subsets: dict[str, NDArray[np.bool_]] = {"all": np.ones(len(samples), dtype=bool)}
     for i, method in enumerate(METHODS):
-        found[f"{method} images"] = samples.method == i
+        subsets[f"{method} images"] = samples.method == i
     for low, high in ((-3, 5), (5, 12), (12, 26)):
-        found[f"{low} to {high} dB"] = (snr >= low) & (snr < high)
+        subsets[f"{low} to {high} dB"] = (snr >= low) & (snr < high)
     for low, high in ((12, 18), (36, 36), (72, 360)):
-        found[f"{low} to {high} views" if low != high else f"{low} views"] = (views >= low) & (views <= high)
-    return {name: keep for name, keep in found.items() if keep.any()}
+        subsets[f"{low} to {high} views" if low != high else f"{low} views"] = (views >= low) & (
+            views <= high
+        )
+    return {name: keep for name, keep in subsets.items() if keep.any()}
 
 
 def local_maxima(seen_now: NetworkInput) -> list[Detection]:
@@ -185,27 +187,27 @@ def local_maxima(seen_now: NetworkInput) -> list[Detection]:
     Peaks under half of the brightest are taken for sidelobes (7.9 dB down in a full turn).
     """
     peaks = pick_peaks(Image(seen_now.relative, GRID), 8, threshold=0.5)
-    found = []
+    detections = []
     for x, y in peaks:
         value = seen_now.value_at(float(x), float(y))
         snr_db = seen_now.snr_db + 20 * np.log10(max(abs(value), 1e-6))
         p = 1 / (1 + np.exp(-(snr_db - 20) / 4))
-        found.append(Detection(float(x), float(y), 3e-3, float(p), 0.0, value))
-    return sorted(found, key=lambda d: -d.probability)
+        detections.append(Detection(float(x), float(y), 3e-3, float(p), 0.0, value))
+    return sorted(detections, key=lambda d: -d.probability)
 
 
 def maxima_figures(validation: Samples, test: Samples, pfa: float) -> Figures:
     """The baseline's figures at the threshold that gives the false-alarm rate on the validation scenes."""
 
     def scored(samples: Samples) -> list[Outcome]:
-        each = range(len(samples))
-        return [score(local_maxima(seen(samples, i)), samples.reflectors[i]) for i in each]
+        indices = range(len(samples))
+        return [score(local_maxima(seen(samples, i)), samples.reflectors[i]) for i in indices]
 
     return Figures.of(scored(test), threshold_at(scored(validation), pfa))
 
 
-def threshold_at(found: list[Outcome], pfa: float) -> float:
+def threshold_at(results: list[Outcome], pfa: float) -> float:
     """The probability that a share pfa of the images without reflectors exceeds; 0.5 where there are none."""
-    empty = [o for o in found if o.missed + sum(o.hits) == 0]
+    empty = [o for o in results if o.missed + sum(o.hits) == 0]
     best = [max((d.probability for d in o.detections), default=0.0) for o in empty]
     return float(np.quantile(best, 1 - pfa)) if best else 0.5

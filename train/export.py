@@ -70,7 +70,7 @@ def export(
     content = onnx_bytes(network, contract)
     planes = Tensor("float32", (1, PLANES, GRID.pixels, GRID.pixels))
     outputs = {"cells": Tensor("float32", (1, CHANNELS, CELLS, CELLS)), "present": Tensor("float32", (1,))}
-    shown = {name: _rounded(one) for name, one in figures.items()}
+    shown = {name: _rounded(figure) for name, figure in figures.items()}
     facts = {"purpose": "reflectors in an image of a turn", "source": "train/", "figures": shown}
     write_entry(entry_of(MODEL, content, {"planes": planes}, outputs, facts), content, folder)
     return folder / f"{MODEL}.onnx"

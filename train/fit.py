@@ -97,8 +97,8 @@ def fit(
         optimiser, s.rate, total_steps=max(1, steps), pct_start=0.2
     )
     parts: Parts = {"network": network, "optimiser": optimiser, "schedule": schedule}
-    own = {**asdict(s), "samples": len(training)}
-    first = _resume(checkpoint, parts, own)
+    identity = {**asdict(s), "samples": len(training)}
+    first = _resume(checkpoint, parts, identity)
     with _batches(training, jobs) as batches:
         for epoch in range(first, s.epochs):
             rng = np.random.default_rng((s.seed, epoch))
@@ -123,7 +123,7 @@ def fit(
                 total += float(value.detach())
                 if progress:
                     progress(epoch * count + step + 1, steps, float(value.detach()))
-            _save(checkpoint, parts, own, epoch + 1)
+            _save(checkpoint, parts, identity, epoch + 1)
             if report:
                 report(
                     Epoch(
@@ -187,24 +187,24 @@ def mean_loss(
 def _save(
     path: Path,
     parts: Parts,
-    own: dict[str, object],
+    identity: dict[str, object],
     epoch: int,
 ) -> None:
     buffer = io.BytesIO()
-    torch.save({"epoch": epoch, "own": own, **{k: v.state_dict() for k, v in parts.items()}}, buffer)
+    torch.save({"epoch": epoch, "own": identity, **{k: v.state_dict() for k, v in parts.items()}}, buffer)
     write_bytes(path, buffer.getvalue())
 
 
 def _resume(
     path: Path,
     parts: Parts,
-    own: dict[str, object],
+    identity: dict[str, object],
 ) -> int:
     if not path.exists():
         return 0
     try:
         state = torch.load(io.BytesIO(read_bytes(path)), map_location="cpu", weights_only=True)
-        if state["own"] != own:
+        if state["own"] != identity:
             raise StorageError(f"{path}: is of another training", "Choose another folder, or remove it.")
         for name, part in parts.items():
             part.load_state_dict(state[name])

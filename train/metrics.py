@@ -84,11 +84,11 @@ def localise(
     """Compare points (n, 2) and (m, 2), m; pairs farther apart than the radius do not count."""
     from scipy.optimize import linear_sum_assignment
 
-    found = np.asarray(estimated, dtype=np.float64).reshape(-1, 2)
+    points = np.asarray(estimated, dtype=np.float64).reshape(-1, 2)
     truth = np.asarray(true, dtype=np.float64).reshape(-1, 2)
-    if len(found) == 0 or len(truth) == 0:
-        return Localisation(float("nan"), 0, len(truth), len(found))
-    distance = np.linalg.norm(found[:, None] - truth[None], axis=2)
+    if len(points) == 0 or len(truth) == 0:
+        return Localisation(float("nan"), 0, len(truth), len(points))
+    distance = np.linalg.norm(points[:, None] - truth[None], axis=2)
     # A pair beyond the radius costs more than all pairs within it, so the number of matches is maximised
     # first.
     cost = np.where(distance <= radius_m, distance, 1e3 * radius_m * max(distance.shape))
@@ -96,7 +96,7 @@ def localise(
     pairs = distance[rows, columns]
     pairs = pairs[pairs <= radius_m]
     rmse = float(np.sqrt((pairs**2).mean())) if len(pairs) else float("nan")
-    return Localisation(rmse, len(pairs), len(truth) - len(pairs), len(found) - len(pairs))
+    return Localisation(rmse, len(pairs), len(truth) - len(pairs), len(points) - len(pairs))
 
 
 def pick_peaks(
@@ -109,17 +109,17 @@ def pick_peaks(
     """
     power = np.abs(image.values).astype(np.float64) ** 2
     least = float(power.max()) * threshold**2
-    left = power.copy()
+    remaining = power.copy()
     x, y = np.meshgrid(image.grid.axis, image.grid.axis)
     peaks: list[tuple[float, float]] = []
     while len(peaks) < count:
-        row, column = np.unravel_index(int(np.argmax(left)), left.shape)
-        if left[row, column] <= 0 or left[row, column] < least:
+        row, column = np.unravel_index(int(np.argmax(remaining)), remaining.shape)
+        if remaining[row, column] <= 0 or remaining[row, column] < least:
             break
         near = (slice(max(0, row - 1), row + 2), slice(max(0, column - 1), column + 2))
         share = power[near] / power[near].sum()
         peaks.append((float((x[near] * share).sum()), float((y[near] * share).sum())))
-        left[np.hypot(x - x[row, column], y - y[row, column]) < separation_m] = 0
+        remaining[np.hypot(x - x[row, column], y - y[row, column]) < separation_m] = 0
     return np.array(peaks, dtype=np.float64).reshape(-1, 2)
 
 

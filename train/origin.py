@@ -20,7 +20,7 @@ class Origin:
     Attributes:
         commit: of the code; "unknown" outside a checkout.
         seed, epochs: of the training.
-        scenes, ats_every: size of the dataset, as in `train.dataset.Plan`.
+        scenes, ats_every: size of the dataset, as in `train.dataset.DatasetPlan`.
         distribution: fingerprint of the scenes' distribution.
         torch, tagid: versions.
     """

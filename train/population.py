@@ -44,7 +44,7 @@ class Specimen:
         capture: as recorded.
         truth: the layout's name; None where the object carries none of the enrolled ones.
         body, clutter: kinds.
-        places: (K,) of the reflectors on the object, x + jy, m.
+        positions: (K,) of the reflectors on the object, x + jy, m.
         views, snr_db: of the recording, SNR per reflector at the peak of one sample.
     """
 
@@ -52,26 +52,26 @@ class Specimen:
     truth: str | None
     body: str
     clutter: str
-    places: NDArray[np.complex128]
+    positions: NDArray[np.complex128]
     views: int
     snr_db: float
 
     @property
     def reflectors(self) -> int:
         """Their number."""
-        return len(self.places)
+        return len(self.positions)
 
     @property
     def is_enrolled_pair(self) -> bool:
         """Whether it is an enrolled pair without a body, though it was drawn as a foreign one."""
-        return self.truth is None and self.body == "none" and has_enrolled_spacing(self.places)
+        return self.truth is None and self.body == "none" and has_enrolled_spacing(self.positions)
 
 
-def has_enrolled_spacing(places: NDArray[np.complex128]) -> bool:
+def has_enrolled_spacing(positions: NDArray[np.complex128]) -> bool:
     """Whether reflectors at x + jy (K,), m, are two, as far apart as those of an enrolled pair."""
-    if len(places) != 2:
+    if len(positions) != 2:
         return False
-    spacing = abs(places[0] - places[1])
+    spacing = abs(positions[0] - positions[1])
     pairs = [layout.positions for layout in builtin_layouts().values() if len(layout.positions) == 2]
     return any(abs(spacing - np.linalg.norm(pair[0] - pair[1])) < PAIR_APART_M for pair in pairs)
 
@@ -109,10 +109,10 @@ def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: floa
         names = list(builtin_layouts()) if body == "none" else ["container-90", "container-180"]
         truth = str(rng.choice(names))
         layout = builtin_layouts()[truth]
-        places = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+        positions = layout.positions[:, 0] + 1j * layout.positions[:, 1]
     else:
-        places = foreign(rng, body)
-    radius = _wall(rng, body, places)
+        positions = foreign(rng, body)
+    radius = _wall(rng, body, positions)
     distance = rng.uniform(0.8, 1.2)
     angles = np.arange(views) * 2 * np.pi / views
     wobble = rng.uniform(0, 0.01) * np.sin(rng.integers(1, 3) * angles + rng.uniform(0, 2 * np.pi))
@@ -122,7 +122,7 @@ def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: floa
         np.asarray((distance * np.exp(-1j * (angles + wobble)) - centre) * spin),
         4 * np.pi * _BAND / SPEED_OF_LIGHT,
     )
-    echo = _tag(rng, antenna, places, body) + _body(rng, antenna, body, radius)
+    echo = _tag(rng, antenna, positions, body) + _body(rng, antenna, body, radius)
     echo = echo + _clutter(rng, antenna, clutter)
     samples = _recorded(rng, echo, distance, snr)
     error = rng.uniform(-0.01, 0.01)
@@ -133,7 +133,7 @@ def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: floa
         angles_rad=angles,
         axis_distance_m=distance + error,
     )
-    return Specimen(capture, truth, body, clutter, places, views, snr)
+    return Specimen(capture, truth, body, clutter, positions, views, snr)
 
 
 def difference_deg(gaps: NDArray[np.floating], other: NDArray[np.floating]) -> float:
@@ -173,20 +173,20 @@ def foreign(rng: np.random.Generator, body: str) -> NDArray[np.complex128]:
 def _differs(angles: NDArray[np.float64], radius: float, layout: Layout) -> bool:
     place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
     off = np.abs(place) > 0.01
-    own = gaps_deg(np.angle(place[off]))
-    near = difference_deg(gaps_deg(angles), own) <= APART_DEG if len(angles) == int(off.sum()) else False
+    gaps = gaps_deg(np.angle(place[off]))
+    near = difference_deg(gaps_deg(angles), gaps) <= APART_DEG if len(angles) == int(off.sum()) else False
     return not (near and abs(radius - float(np.abs(place[off]).mean())) < 0.04)
 
 
-def _wall(rng: np.random.Generator, body: str, places: NDArray[np.complex128]) -> float:
+def _wall(rng: np.random.Generator, body: str, positions: NDArray[np.complex128]) -> float:
     """Radius of the body, m: a little inside its reflectors."""
-    if len(places):
-        return float(max(np.abs(places).max() - rng.uniform(0.008, 0.022), 0.018))
+    if len(positions):
+        return float(max(np.abs(positions).max() - rng.uniform(0.008, 0.022), 0.018))
     return float(rng.uniform(0.08, 0.11) if body == "shell" else rng.uniform(0.02, 0.06))
 
 
 def _tag(
-    rng: np.random.Generator, antenna: _Antenna, places: NDArray[np.complex128], body: str
+    rng: np.random.Generator, antenna: _Antenna, positions: NDArray[np.complex128], body: str
 ) -> NDArray[np.complex128]:
     """(F, V) echo of the reflectors, with their shadow and the bounce at the wall."""
     total = np.zeros((len(antenna.kappa), len(antenna.place)), dtype=np.complex128)
@@ -195,15 +195,15 @@ def _tag(
     if body in ("none", "shell"):
         dark, bounce = rng.uniform(0.5, 1.0), rng.uniform(0.0, 0.2)
     level = (antenna.kappa / antenna.kappa.mean()) ** slope
-    for place in places:
+    for place in positions:
         toward = antenna.place - place
         cosine = np.cos(np.angle(toward) - np.angle(place)) if abs(place) > 1e-3 else np.ones(len(toward))
         shade = dark + (1 - dark) * ((1 + cosine) / 2) ** sharp
         # The path by the wall is longer by twice its depth behind the reflector, less where seen aslant.
         image = place - 2 * depth * place / max(abs(place), 1e-3)
         lit = bounce * np.clip(cosine, 0, 1)
-        own = antenna.point(place, shade) + np.exp(1j * phase) * antenna.point(image, shade * lit)
-        total += rng.uniform(0.9, 1.1) * own
+        echo = antenna.point(place, shade) + np.exp(1j * phase) * antenna.point(image, shade * lit)
+        total += rng.uniform(0.9, 1.1) * echo
     return np.asarray(total * level[:, None])
 
 

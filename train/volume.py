@@ -100,7 +100,7 @@ def metal(outline: Complex, step_m: float = 2.5e-3) -> Cells:
     return Cells.of(centre, step / (2 * np.pi), METAL)
 
 
-def _own(k: float, cells: Cells) -> Complex:
+def _self_term(k: float, cells: Cells) -> Complex:
     """(N,) field at each cell that excites it with q = 1, less what the others radiate to it."""
     x, wires = k * cells.radius_m, np.isinf(cells.permittivity.real)
     contrast = np.where(wires, 1.0, cells.permittivity - 1)
@@ -127,8 +127,8 @@ def echo(cells: Cells, frequency_hz: Floats, antennas_m: Complex) -> Complex:
     out = np.zeros((len(frequency_hz), len(antennas_m)), dtype=np.complex128)
     for i, k in enumerate(2 * np.pi * frequency_hz / SPEED_OF_LIGHT):
         matrix = -_hankel(k * apart)
-        np.fill_diagonal(matrix, _own(k, cells))
+        np.fill_diagonal(matrix, _self_term(k, cells))
         field = _hankel(k * away)
-        own = j0(k * np.abs(antennas_m)) - 1j * y0(k * np.abs(antennas_m))
-        out[i] = (field * np.linalg.solve(matrix, field)).sum(axis=0) / own**2
+        incident = j0(k * np.abs(antennas_m)) - 1j * y0(k * np.abs(antennas_m))
+        out[i] = (field * np.linalg.solve(matrix, field)).sum(axis=0) / incident**2
     return out

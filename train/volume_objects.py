@@ -72,15 +72,17 @@ class Target:
 def target(seed: int) -> Target:
     """The object of a seed: `BODIES` in turn, `TAGS` round after round."""
     rng, kind = np.random.default_rng([seed, 11]), BODIES[seed % len(BODIES)]
-    truth, places = _tag(rng, kind, TAGS[seed // len(BODIES) % len(TAGS)])
-    body, empty, radius = _body(rng, kind, places)
+    truth, positions = _tag(rng, kind, TAGS[seed // len(BODIES) % len(TAGS)])
+    body, empty, radius = _body(rng, kind, positions)
     sigma = rng.uniform(0.5e-3, 1.5e-3)
-    placed = places + sigma * (rng.standard_normal(len(places)) + 1j * rng.standard_normal(len(places)))
+    placed = positions + sigma * (
+        rng.standard_normal(len(positions)) + 1j * rng.standard_normal(len(positions))
+    )
     # A wire of half the radius returns 1 dB less.
-    tag = Cells.of(placed, WIRE_M * np.exp(0.7 * rng.standard_normal(len(places))), METAL)
+    tag = Cells.of(placed, WIRE_M * np.exp(0.7 * rng.standard_normal(len(positions))), METAL)
     odd = NOTHING
-    if rng.uniform() < 0.2 or (kind == "bare" and not len(places)):
-        at = _beside(rng, radius + rng.uniform(0.02, 0.05), np.append(places, body.centre_m), 0.019)
+    if rng.uniform() < 0.2 or (kind == "bare" and not len(positions)):
+        at = _beside(rng, radius + rng.uniform(0.02, 0.05), np.append(positions, body.centre_m), 0.019)
         odd = Cells.of(np.array([at]), WIRE_M * np.exp(rng.uniform(-2.0, 2.0)), METAL)
     return Target(kind, truth, tag, body, odd, empty)
 
@@ -138,10 +140,10 @@ def _tag(rng: np.random.Generator, kind: str, what: str) -> tuple[str | None, Co
         name = str(rng.choice([name for name in builtin_layouts() if name.startswith(fits)]))
         at = builtin_layouts()[name].positions
         return name, np.asarray(at[:, 0] + 1j * at[:, 1])
-    places = np.zeros(0, complex)
-    while what == "foreign" and (not 2 <= len(places) <= 4 or has_enrolled_spacing(places)):
-        places = foreign(rng, {"bare": "none", "carton": "none", "helmet": "shell"}.get(kind, "can"))
-    return None, places
+    positions = np.zeros(0, complex)
+    while what == "foreign" and (not 2 <= len(positions) <= 4 or has_enrolled_spacing(positions)):
+        positions = foreign(rng, {"bare": "none", "carton": "none", "helmet": "shell"}.get(kind, "can"))
+    return None, positions
 
 
 def _cell(permittivity: complex) -> float:
@@ -150,9 +152,9 @@ def _cell(permittivity: complex) -> float:
     return max(inside, _WATER_CELL_M)
 
 
-def _body(rng: np.random.Generator, kind: str, places: Complex) -> tuple[Cells, Cells, float]:
+def _body(rng: np.random.Generator, kind: str, positions: Complex) -> tuple[Cells, Cells, float]:
     """A body with its reflectors outside, or inside of a carton; it empty, if it is full; its radius, m."""
-    outside = places[np.abs(places) > 0.01]
+    outside = positions[np.abs(positions) > 0.01]
     reach = np.abs(outside)
     gap = rng.uniform(0.008, 0.022)
     radius = float(reach.min() - gap if len(reach) else rng.uniform(0.025, 0.045))
@@ -163,7 +165,7 @@ def _body(rng: np.random.Generator, kind: str, places: Complex) -> tuple[Cells, 
         least = max(0.06, reach.max(initial=0.0) + 0.012)
         half = rng.uniform(least, 0.15, 2) if rng.uniform() < 0.5 else np.full(2, rng.uniform(least, 0.15))
         board = wall(box(*half), rng.uniform(3e-3, 4e-3), rng.uniform(1.4, 2.0), 4e-3)
-        inner = _body(rng, "empty bottle", places)[0] if rng.uniform() < 0.5 else NOTHING
+        inner = _body(rng, "empty bottle", positions)[0] if rng.uniform() < 0.5 else NOTHING
         return board + inner, NOTHING, float(np.hypot(*half))
     if kind == "helmet":
         half_x = min(radius, 0.082) if len(reach) else rng.uniform(0.07, 0.082)
@@ -175,17 +177,17 @@ def _body(rng: np.random.Generator, kind: str, places: Complex) -> tuple[Cells, 
         shell = wall(ellipse(half_x, half_y), 3e-3, rng.uniform(2.5, 3.0), 3e-3)
         along = -1j * (half_y + 3e-3 * np.arange(1, 14))
         brim = Cells.of(along.astype(np.complex128), 3e-3 / np.sqrt(np.pi), 2.7)
-        clear = np.abs(places[:, None] - brim.centre_m).min(initial=1.0) > 0.012
+        clear = np.abs(positions[:, None] - brim.centre_m).min(initial=1.0) > 0.012
         return shell + brim if clear else shell, NOTHING, half_y
     if kind.startswith("can"):
         can = metal(ellipse(radius, radius * oval))
-        return can + _fitting(rng, kind, radius, places, METAL), NOTHING, radius
+        return can + _fitting(rng, kind, radius, positions, METAL), NOTHING, radius
     ceramic = kind.startswith("ceramic")
     thickness = 4e-3 if ceramic else rng.uniform(2e-3, 3e-3)
     material = complex(rng.uniform(5.0, 6.5) if ceramic else rng.uniform(2.3, 2.8))
     middle = radius - thickness / 2
     shell = wall(ellipse(middle, middle * oval), thickness, material, _cell(material))
-    shell += _fitting(rng, kind, radius, places, material)
+    shell += _fitting(rng, kind, radius, positions, material)
     if kind not in FILLINGS:
         return shell, NOTHING, radius
     permittivity, loss = (rng.uniform(*limits) for limits in FILLINGS[kind])
@@ -197,20 +199,22 @@ def _rod(radius_m: float, permittivity: complex) -> Cells:
     return wall(ellipse(radius_m / 2, radius_m / 2), radius_m, permittivity, _cell(permittivity))
 
 
-def _beside(rng: np.random.Generator, radius_m: float, places: Complex, gap_m: float = 0.02) -> complex:
+def _beside(rng: np.random.Generator, radius_m: float, positions: Complex, gap_m: float = 0.02) -> complex:
     """A place at a radius, clear of others."""
     while True:
         at = complex(radius_m * np.exp(2j * np.pi * rng.uniform()))
-        if all(np.abs(places - at) > gap_m):
+        if all(np.abs(positions - at) > gap_m):
             return at
 
 
-def _fitting(rng: np.random.Generator, kind: str, radius: float, places: Complex, material: complex) -> Cells:
+def _fitting(
+    rng: np.random.Generator, kind: str, radius: float, positions: Complex, material: complex
+) -> Cells:
     """The grip of a handle, or the metal seam of some cans, at the height of the tag."""
     if kind.endswith("handle"):
-        at, thick = _beside(rng, radius + rng.uniform(0.018, 0.03), places), rng.uniform(4e-3, 7e-3)
+        at, thick = _beside(rng, radius + rng.uniform(0.018, 0.03), positions), rng.uniform(4e-3, 7e-3)
         return (metal(ellipse(thick, thick)) if material == METAL else _rod(thick, material)).moved(at)
     if material == METAL and rng.uniform() < 0.4:
-        at = _beside(rng, radius + rng.uniform(1.5e-3, 2.5e-3), places, 8e-3)
+        at = _beside(rng, radius + rng.uniform(1.5e-3, 2.5e-3), positions, 8e-3)
         return Cells.of(np.array([at]), rng.uniform(4e-4, 8e-4), METAL)
     return NOTHING

@@ -62,7 +62,7 @@ def captures(others: int) -> Iterator[tuple[str, Capture]]:
         yield name, scenes.draw(cell, "development", NUMBER).capture
     for seed in range(FIRST, FIRST + others):
         drawn = draw(seed, views=VIEWS)
-        yield ("foreign tag" if len(drawn.places) else "untagged"), drawn.capture
+        yield ("foreign tag" if len(drawn.positions) else "untagged"), drawn.capture
 
 
 def timed(group: str, capture: Capture) -> Timed:

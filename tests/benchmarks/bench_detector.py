@@ -92,7 +92,7 @@ def main() -> None:
         for name, found in (
             ("BP, local maxima", local_maxima(seen)),
             ("scans, CLEAN", cleaned(scene.capture)),
-            ("BP, network", list(cells.found)),
+            ("BP, network", list(cells.detections)),
         ):
             results[name].append(score(found, scene.reflectors_m))
     network = results["BP, network"]

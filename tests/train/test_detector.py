@@ -66,9 +66,9 @@ def test_the_shipped_network_finds_reflectors_where_they_are() -> None:
     points = np.array([[0.1, 0.02], [-0.06, 0.07], [-0.03, -0.09]])
     answer = Detector.shipped().detect(seen_points(points))
     assert answer.present > 0.9
-    assert len(answer.found) == 3
+    assert len(answer.detections) == 3
     for point in points:
-        gap = min(np.hypot(d.x_m - point[0], d.y_m - point[1]) for d in answer.found)
+        gap = min(np.hypot(d.x_m - point[0], d.y_m - point[1]) for d in answer.detections)
         assert gap < 0.005
 
 
@@ -78,7 +78,7 @@ def test_noise_alone_holds_no_reflector() -> None:
     for seed in range(20):
         capture, _ = simulate_capture(scene, Acquisition(views=36, snr_db=5.0), seed=seed)
         scans = preprocess(capture)
-        false += bool(Detector.shipped().detect(NetworkInput.of(backproject(scans, GRID), scans)).found)
+        false += bool(Detector.shipped().detect(NetworkInput.of(backproject(scans, GRID), scans)).detections)
     assert false <= 2
 
 

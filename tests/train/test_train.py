@@ -11,7 +11,7 @@ import torch
 
 from tagid.errors import StorageError, UsageError
 from tagid.models_store import open_model
-from train.dataset import MOST_REFLECTORS, ImageOf, Plan, Samples, build, load, make_shard
+from train.dataset import MOST_REFLECTORS, DatasetPlan, ImageOf, Samples, build, load, make_shard
 from train.detector import CELL_M, CELLS, MODEL, Contract, Detector
 from train.distributions import Distribution, ObjectDistribution
 from train.evaluate import Figures, score
@@ -89,7 +89,7 @@ def test_targets_lead_back_to_the_reflector() -> None:
 
 
 def test_a_shard_is_made_once_and_a_lost_one_again(tmp_path: Path) -> None:
-    plan = Plan("validation", 2, ats_every=0)
+    plan = DatasetPlan("validation", 2, ats_every=0)
     build(tmp_path, plan)
     first = load(tmp_path, plan)
     (shard,) = (tmp_path / "validation").glob("*.npz")
@@ -102,7 +102,7 @@ def test_a_shard_is_made_once_and_a_lost_one_again(tmp_path: Path) -> None:
     build(tmp_path, plan)
     assert np.array_equal(load(tmp_path, plan).relative, first.relative)
     with pytest.raises(UsageError, match="another kind"):
-        build(tmp_path, Plan("validation", 2, ats_every=2))
+        build(tmp_path, DatasetPlan("validation", 2, ats_every=2))
 
 
 def test_training_learns_and_goes_on_where_it_was_killed(few: Samples, tmp_path: Path) -> None:

@@ -181,18 +181,20 @@ class Efie:
     def _sheet_gram(self) -> sparse.csr_array | None:
         """int f_m . f_n / ((eps - 1) t) dS over the dielectric sheets; None if all is metal."""
         mesh, scale = self.mesh, self.halves.scale
-        own = np.flatnonzero(mesh.sheet_m != 0).astype(np.int64)
-        if not len(own):
+        sheets = np.flatnonzero(mesh.sheet_m != 0).astype(np.int64)
+        if not len(sheets):
             return None
         bary, weight = RULE_3  # exact: the integrand is of degree two
-        r = np.einsum("qi,tic->tqc", bary, mesh.corners[own])
-        arm = r[:, :, None] - mesh.corners[own][:, None]
+        r = np.einsum("qi,tic->tqc", bary, mesh.corners[sheets])
+        arm = r[:, :, None] - mesh.corners[sheets][:, None]
         gram = np.einsum("q,tqic,tqjc->tij", weight, arm, arm, optimize=True)
-        factor = scale[own][:, :, None] * scale[own][:, None, :]
+        factor = scale[sheets][:, :, None] * scale[sheets][:, None, :]
         gram = (
-            gram * factor * (mesh.areas_m2 / np.where(mesh.sheet_m == 0, 1, mesh.sheet_m))[own][:, None, None]
+            gram
+            * factor
+            * (mesh.areas_m2 / np.where(mesh.sheet_m == 0, 1, mesh.sheet_m))[sheets][:, None, None]
         )
-        return self._functions_of(gram, own, own)
+        return self._functions_of(gram, sheets, sheets)
 
     def _near_remainder(self, k: float) -> sparse.csr_array:
         """The smooth part (exp(-jkR) - 1) / R of the near pairs, seven by seven points."""
@@ -239,11 +241,11 @@ class Efie:
             kernel[: 3 * width] *= 0.5  # the diagonal block is full already, and the transpose is added below
             flat = kernel.view(np.float64)
             for part, factor in zip(self._sampled, (1.0, 1.0, 1.0, -1 / k**2), strict=True):
-                own = part[3 * begin : 3 * end]
-                used = np.unique(own.indices)
+                sampled = part[3 * begin : 3 * end]
+                used = np.unique(sampled.indices)
                 # (functions, points of the block)
                 right = (part[3 * begin :].T.tocsr() @ flat).view(np.complex128)
-                upper[:, used] += factor * (right @ own[:, used])
+                upper[:, used] += factor * (right @ sampled[:, used])
         upper += upper.T
         near = self._near.vector - self._near.scalar / k**2 + self._near_remainder(k)
         if self._gram is not None:
