@@ -52,15 +52,15 @@ class Board:
             "getattr(s.implementation,'_machine',s.platform),getattr(s.implementation,'_mpy',0),g.mem_free()))"
             "(__import__('sys'),__import__('gc'))"
         )
-        found = Python(str(version), str(machine), int(mpy), int(free))
-        numbers = tuple(int(part) for part in re.findall(r"\d+", found.version)[:2])
-        if numbers < _OLDEST or found.mpy & 0xFF != MPY_VERSION:
+        python = Python(str(version), str(machine), int(mpy), int(free))
+        numbers = tuple(int(part) for part in re.findall(r"\d+", python.version)[:2])
+        if numbers < _OLDEST or python.mpy & 0xFF != MPY_VERSION:
             raise DeviceRejectedError(
-                f"the board on {self.port} runs MicroPython {found.version} (bytecode {found.mpy & 0xFF}), "
+                f"the board on {self.port} runs MicroPython {python.version} (bytecode {python.mpy & 0xFF}), "
                 f"too old for the bridge: it needs {_OLDEST[0]}.{_OLDEST[1]} (bytecode {MPY_VERSION})",
                 "Flash a newer image: `tagid-firmware flash IMAGE`.",
             )
-        return found
+        return python
 
     def evaluate(self, expression: str) -> Any:
         """Evaluate an expression on the board. Raises DeviceError."""

@@ -106,13 +106,13 @@ def ports() -> list[Port]:
     """Every serial port with a USB device behind it, boards first."""
     from serial.tools import list_ports
 
-    found = []
+    listed = []
     for item in list_ports.comports():
         if item.vid is None:
             continue
         name = _ADAPTERS.get((item.vid, item.pid)) or _ADAPTERS.get((item.vid, None))
-        found.append(Port(item.device, name or item.description or "?", name is not None))
-    return sorted(found, key=lambda port: (not port.likely, port.path))
+        listed.append(Port(item.device, name or item.description or "?", name is not None))
+    return sorted(listed, key=lambda port: (not port.likely, port.path))
 
 
 def choose_port(given: str | None) -> str:
@@ -124,14 +124,14 @@ def choose_port(given: str | None) -> str:
     """
     if given:
         return given
-    found = ports()
-    likely = [port for port in found if port.likely]
+    available = ports()
+    likely = [port for port in available if port.likely]
     if len(likely) == 1:
         return likely[0].path
     if likely:
         names = ", ".join(f"{port.path} ({port.adapter})" for port in likely)
         raise UsageError(f"{len(likely)} boards are connected: {names}", "Choose one with --port.")
-    others = ", ".join(port.path for port in found) or "none"
+    others = ", ".join(port.path for port in available) or "none"
     raise DeviceGoneError(
         f"no board is connected (USB serial ports: {others})",
         "Connect the ESP32 with a USB data cable, or give its port with --port.",

@@ -88,6 +88,6 @@ def check_image(path: Path, sha256: str) -> Image:
         raise FileFormatError(f"{path}: is an image for the {chip.name}, but not MicroPython", source)
     if len(data) < _SMALLEST:
         raise FileFormatError(f"{path}: has only {len(data)} bytes", "Download it again; it is truncated.")
-    found = _VERSION.search(data)
-    version = (found.group(1) or found.group(2)).decode() if found else ""
+    match = _VERSION.search(data)
+    version = (match.group(1) or match.group(2)).decode() if match else ""
     return Image(data, actual, chip, version)

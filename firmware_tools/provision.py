@@ -155,8 +155,8 @@ def compare(board: Board, build: Build, progress: Callable[[float, str], None]) 
     files = {}
     for done, (name, digest) in enumerate(build.hashes.items()):
         progress(done, name)
-        found = board.hash_of(name)
-        files[name] = "missing" if found is None else "same" if found == digest else "differs"
+        actual = board.hash_of(name)
+        files[name] = "missing" if actual is None else "same" if actual == digest else "differs"
     data = board.read(CONFIG)
     config, passkey, problem = None, False, ""
     if data is None:

@@ -38,7 +38,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SelftestPlan:
     """Options of the test.
 
     Attributes:
@@ -57,7 +57,7 @@ class Plan:
 
 
 async def selftest(
-    plan: Plan, progress: Callable[[float, str], None], backends: Backends | None = None
+    plan: SelftestPlan, progress: Callable[[float, str], None], backends: Backends | None = None
 ) -> list[Step]:
     """Run the steps in order. Raises the errors of `find` and `Bridge` if there is no bridge to test."""
     steps: list[Step] = []
@@ -107,7 +107,7 @@ async def _echo(bridge: Bridge) -> Step:
     return Step("echo", "passed", text)
 
 
-async def _loopback(bridge: Bridge, plan: Plan) -> Step:
+async def _loopback(bridge: Bridge, plan: SelftestPlan) -> Step:
     if not plan.loopback:
         return Step("UART loopback", "skipped", "connect TX and RX, without the robot, and give --loopback")
     reply = await bridge.ask(Op.LOOPBACK, 256, timeout=20.0)
@@ -120,7 +120,7 @@ async def _loopback(bridge: Bridge, plan: Plan) -> Step:
     return Step("UART loopback", "passed", f"{sent} bytes returned in {1000 * seconds:.0f} ms")
 
 
-async def _brc(bridge: Bridge, plan: Plan) -> Step:
+async def _brc(bridge: Bridge, plan: SelftestPlan) -> Step:
     if not plan.brc:
         return Step("BRC", "skipped", "as asked")
     if Flag.BRC not in bridge.info.flags:
@@ -129,7 +129,7 @@ async def _brc(bridge: Bridge, plan: Plan) -> Step:
     return Step("BRC", "passed", f"one low pulse of {WAKE_S:g} s")
 
 
-async def _robot(bridge: Bridge, plan: Plan, arrived: bytearray) -> Step:
+async def _robot(bridge: Bridge, plan: SelftestPlan, arrived: bytearray) -> Step:
     """Query voltage and mode; this cannot move a wheel."""
     if plan.loopback:
         return Step("robot", "skipped", "TX and RX are connected")
@@ -159,7 +159,9 @@ async def _counters(bridge: Bridge) -> Step:
     return Step("counters", "failed" if lost else "passed", text)
 
 
-def run_selftest(plan: Plan, progress: Callable[[float, str], None], hci: str | None = None) -> list[Step]:
+def run_selftest(
+    plan: SelftestPlan, progress: Callable[[float, str], None], hci: str | None = None
+) -> list[Step]:
     """Run `selftest` in its own event loop.
 
     Args:

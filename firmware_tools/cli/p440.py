@@ -62,7 +62,7 @@ def p440(
         if store:
             advance(1, "storing")
             after = device.set_config(replace(wanted, persist=1))
-        found = RadarSurvey(status, device.get_opmode(), device.get_sleep_mode(), after, device.uptime_s())
+        survey = RadarSurvey(status, device.get_opmode(), device.get_sleep_mode(), after, device.uptime_s())
     refused = [key for key in given if store and getattr(after, key) != getattr(wanted, key)]
     data = {
         "url": radar_url(config),
@@ -73,7 +73,7 @@ def p440(
         "differs": differs,
         "stored": store and not refused,
     }
-    notes = found.warnings()
+    notes = survey.warnings()
     if differs and not store:
         notes.append(
             f"the radar differs from tagid's settings in {', '.join(differs)}; --store writes tagid's"
@@ -92,7 +92,7 @@ def p440(
     return Result(
         "p440",
         data,
-        info_table(radar_url(config), found),
+        info_table(radar_url(config), survey),
         exit_code=EXIT_FAILED if errors else EXIT_OK,
         messages=tuple(notes),
         errors=tuple(errors),

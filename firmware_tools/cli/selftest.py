@@ -37,9 +37,9 @@ def selftest(
     """
     from rich.table import Table
 
-    from firmware_tools.selftest import Plan, run_selftest
+    from firmware_tools.selftest import SelftestPlan, run_selftest
 
-    plan = Plan(name, passkey, loopback, brc, listen)
+    plan = SelftestPlan(name, passkey, loopback, brc, listen)
     with terminal.progress("testing", 5) as advance:
         steps = run_selftest(plan, advance, hci)
     table = Table(show_header=False, box=None)

@@ -28,26 +28,32 @@ def verify(terminal: Terminal, port: shared.PortOption = None, build: shared.Bui
     chosen = choose_port(port)
     made = load_build(build, terminal)
     with open_board(chosen) as board, terminal.progress("comparing", len(made.files)) as advance:
-        found = compare(board, made, advance)
+        comparison = compare(board, made, advance)
         board.restart()
     table = Table(show_header=False, box=None)
-    table.add_row("board", f"{found.python.machine}, MicroPython {found.python.version}, on {chosen}")
+    table.add_row(
+        "board", f"{comparison.python.machine}, MicroPython {comparison.python.version}, on {chosen}"
+    )
     table.add_row("build", f"firmware {made.version}, {made.compiler}")
-    for name, verdict in found.files.items():
+    for name, verdict in comparison.files.items():
         table.add_row(name, verdict, style=None if verdict == "same" else "red")
-    table.add_row("configuration", found.problem or f"valid, name {(found.config or {}).get('name')}")
-    table.add_row("pass-key", "set" if found.passkey else "none: anyone within range can drive the robot")
+    table.add_row(
+        "configuration", comparison.problem or f"valid, name {(comparison.config or {}).get('name')}"
+    )
+    table.add_row(
+        "pass-key", "set" if comparison.passkey else "none: anyone within range can drive the robot"
+    )
     data = {
         "port": chosen,
         "ports": [asdict(item) for item in ports()],
         "build": {"version": made.version, "compiler": made.compiler},
-        "good": found.good,
-        **asdict(found),
+        "good": comparison.good,
+        **asdict(comparison),
     }
-    wrong = [f"{name} {verdict}" for name, verdict in found.files.items() if verdict != "same"]
-    if found.problem:
-        wrong.append(f"configuration: {found.problem}")
+    wrong = [f"{name} {verdict}" for name, verdict in comparison.files.items() if verdict != "same"]
+    if comparison.problem:
+        wrong.append(f"configuration: {comparison.problem}")
     errors = tuple(Problem("firmware", text, "Run `tagid-firmware provision` again.") for text in wrong)
-    notes = tuple(f"{name} on the board is not part of this build" for name in found.extra)
-    code = EXIT_OK if found.good else EXIT_FAILED
+    notes = tuple(f"{name} on the board is not part of this build" for name in comparison.extra)
+    code = EXIT_OK if comparison.good else EXIT_FAILED
     return Result("verify", data, table, exit_code=code, messages=notes, errors=errors)

@@ -70,7 +70,7 @@ class BumbleScanner(BaseBleakScanner):
         super().__init__(detection_callback, service_uuids)
 
     def _seen(self, heard: Any) -> None:
-        services = [_text(item) for kind in _SERVICES for found in heard.data.get_all(kind) for item in found]
+        services = [_text(item) for kind in _SERVICES for uuids in heard.data.get_all(kind) for item in uuids]
         name = heard.data.get(AdvertisingData.Type.COMPLETE_LOCAL_NAME)
         advertisement = AdvertisementData(name, {}, {}, services, None, heard.rssi, (heard,))
         address = heard.address.to_string(False)
@@ -156,18 +156,18 @@ class BumbleClient(BaseBleakClient):
 
     async def _discover(self, peer: Peer) -> BleakGATTServiceCollection:
         await peer.discover_services()
-        found = BleakGATTServiceCollection()
+        collection = BleakGATTServiceCollection()
         for service in peer.services:
-            own = BleakGATTService(service, service.handle, _text(service.uuid))
-            found.add_service(own)
+            wrapped = BleakGATTService(service, service.handle, _text(service.uuid))
+            collection.add_service(wrapped)
             for item in await service.discover_characteristics():
                 properties = [name for bit, name in _PROPERTIES.items() if item.properties & bit]
-                found.add_characteristic(
+                collection.add_characteristic(
                     BleakGATTCharacteristic(
-                        item, item.handle, _text(item.uuid), properties, lambda: self.mtu_size - 3, own
+                        item, item.handle, _text(item.uuid), properties, lambda: self.mtu_size - 3, wrapped
                     )
                 )
-        return found
+        return collection
 
     async def disconnect(self) -> None:
         if self._connection is not None:
@@ -250,8 +250,10 @@ async def open_backend(
         secure: whether it supports LE Secure Connections; otherwise it uses legacy pairing.
     """
     async with await open_transport(where) as transport:
-        own = address or "F2:" + ":".join(f"{byte:02X}" for byte in secrets.token_bytes(5))
-        device = Device(name="host", address=hci.Address(own), host=Host(transport.source, transport.sink))
+        host_address = address or "F2:" + ":".join(f"{byte:02X}" for byte in secrets.token_bytes(5))
+        device = Device(
+            name="host", address=hci.Address(host_address), host=Host(transport.source, transport.sink)
+        )
         device.command_timeout = COMMAND_TIMEOUT_S
         device.keystore = store or MemoryKeyStore()
         config = pairing.PairingConfig(sc=secure, mitm=passkey is not None, delegate=_Keyboard(passkey))

@@ -79,8 +79,8 @@ def _nimble_bond(name: str, keys: keys.PairingKeys) -> bytes:
     """
     if keys.ltk is not None:
         return _NIMBLE_BOND.pack(_peer(name), 16, 0, bytes(8), keys.ltk.value)
-    own = keys.ltk_central or keys.ltk_peripheral
-    ltk = bytes(16) if own is None else own.value
+    stored = keys.ltk_central or keys.ltk_peripheral
+    ltk = bytes(16) if stored is None else stored.value
     return _NIMBLE_BOND.pack(_peer(name), 16, secrets.randbits(16), secrets.token_bytes(8), ltk)
 
 
@@ -150,13 +150,13 @@ class VirtualBle:
     def gatts_register_services(self, services: Any) -> tuple[tuple[int, ...], ...]:
         handles = []
         for service, characteristics in services:
-            own = []
+            value_handles = []
             made = []
             for uuid_, flags, *_ in characteristics:
                 handle = len(self._characteristics) + 1
                 made.append(self._characteristic(handle, uuid_, flags))
-                own.append(handle)
-            handles.append(tuple(own))
+                value_handles.append(handle)
+            handles.append(tuple(value_handles))
             self._call(self._device.add_service, gatt.Service(UUID.from_bytes(bytes(service)), made))
         return tuple(handles)
 
@@ -294,8 +294,8 @@ class VirtualBle:
 
         async def look() -> None:
             store = self._device.keystore
-            found = await store.get(str(connection.peer_address)) if store else None
-            self._now(connection, bool(found and found.ltk and found.ltk.authenticated))
+            bond = await store.get(str(connection.peer_address)) if store else None
+            self._now(connection, bool(bond and bond.ltk and bond.ltk.authenticated))
 
         self._loop.create_task(look())
 

@@ -175,12 +175,12 @@ class Robot:
 
     def overflows(self):
         """(direction, bytes lost so far) of each direction that lost bytes since the last call."""
-        found = []
+        losses = []
         for direction, lost in enumerate((self.lost_out, self.lost_in)):
             if self._overflows[direction]:
                 self._overflows[direction] = False
-                found.append((direction, lost))
-        return found
+                losses.append((direction, lost))
+        return losses
 
     # Periodic work.
 
