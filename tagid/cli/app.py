@@ -20,7 +20,7 @@ from tagid.constants import BLAS_THREADS
 
 
 @dataclass(frozen=True)
-class Entry:
+class CommandEntry:
     """A command or a group, imported when it is called: `tagid --help` costs no imports.
 
     Attributes:
@@ -49,47 +49,49 @@ class Entry:
 
 
 COMMANDS = {
-    "plan": Entry(
+    "plan": CommandEntry(
         "Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named."
     ),
-    "scan": Entry("Record one revolution of the object, image it and name it."),
-    "station": Entry("Serve a web page with a Scan button, live image, answer, health and history."),
-    "identify": Entry("Name the object in one or more captures."),
-    "enroll": Entry(
+    "scan": CommandEntry("Record one revolution of the object, image it and name it."),
+    "station": CommandEntry("Serve a web page with a Scan button, live image, answer, health and history."),
+    "identify": CommandEntry("Name the object in one or more captures."),
+    "enroll": CommandEntry(
         "Enrol a layout from coordinates, a file or captures of the real object, or an untagged body."
     ),
-    "history": Entry("List the identifications made on this computer, newest first, or export them."),
-    "report": Entry("Identify many captures: write a page, tables and a test report."),
-    "reconstruct": Entry("Reconstruct an image from a capture."),
-    "join": Entry(
+    "history": CommandEntry("List the identifications made on this computer, newest first, or export them."),
+    "report": CommandEntry("Identify many captures: write a page, tables and a test report."),
+    "reconstruct": CommandEntry("Reconstruct an image from a capture."),
+    "join": CommandEntry(
         "Join captures of one object from several antenna heights into one capture with antenna positions.",
         ("volume",),
     ),
-    "show": Entry(
+    "show": CommandEntry(
         "Draw range profile, scans over time and spectrum of a recording, and print its statistics."
     ),
-    "import": Entry("Convert another tool's recording to a capture file.", ("transfer",)),
-    "export": Entry(
+    "import": CommandEntry("Convert another tool's recording to a capture file.", ("transfer",)),
+    "export": CommandEntry(
         "Write a capture as NPZ, MATLAB (.mat), P440 recording (.out, .prd), MRM-RET log (.csv) or .h5.",
         ("transfer",),
     ),
-    "recover": Entry("Create a capture file from the journal of an interrupted recording.", ("transfer",)),
-    "simulate": Entry("Simulate a capture of a rotating scene, or of an object with a response file."),
-    "doctor": Entry("Check ports, radar, disk, layouts and versions."),
-    "config": Entry("Show or change the stored settings."),
-    "layouts": Entry(
+    "recover": CommandEntry(
+        "Create a capture file from the journal of an interrupted recording.", ("transfer",)
+    ),
+    "simulate": CommandEntry("Simulate a capture of a rotating scene, or of an object with a response file."),
+    "doctor": CommandEntry("Check ports, radar, disk, layouts and versions."),
+    "config": CommandEntry("Show or change the stored settings."),
+    "layouts": CommandEntry(
         "List, design, draw, exchange and check layouts; without a command, list the enrolled ones.",
         ("layouts", "layouts_design"),
     ),
-    "bodies": Entry("List, draw and check enrolled bodies and objects; without a command, list them."),
-    "emulate": Entry(
+    "bodies": CommandEntry("List, draw and check enrolled bodies and objects; without a command, list them."),
+    "emulate": CommandEntry(
         "Emulate a device on a real network, serial or Bluetooth interface.", ("emulate", "emulate_motion")
     ),
-    "radar": Entry(
+    "radar": CommandEntry(
         "Find, query, configure, monitor and calibrate the radar, and record scans.",
         ("radar", "radar_monitor", "radar_calibrate"),
     ),
-    "motion": Entry("Find, query, rotate, stop and calibrate robots and turntables."),
+    "motion": CommandEntry("Find, query, rotate, stop and calibrate robots and turntables."),
 }
 """Every command, in the order of the help."""
 
