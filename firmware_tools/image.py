@@ -36,7 +36,7 @@ class Image:
 
 
 def wanted_hash(path: Path, given: str | None) -> str:
-    """The hash to expect: the one given, or that of the file IMAGE.sha256 beside the image.
+    """The hash to expect: the one given, or that of the file IMAGE.sha256 next to the image.
 
     Raises:
         UsageError: no hash is known, or it is not a SHA-256.

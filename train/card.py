@@ -104,7 +104,7 @@ def figures_table(figures: dict[str, Figures]) -> str:
 
 
 def write_card(measured: Measured, origin: Origin, model: Path) -> Path:
-    """Write the card of a model beside its file; returns its path."""
+    """Write the card of a model next to its file; returns its path."""
     parameters = sum(p.numel() for p in DetectorNetwork().parameters())
     text = CARD.format(
         scenes=origin.scenes,

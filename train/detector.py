@@ -52,12 +52,12 @@ class Detection:
 
 @dataclass(frozen=True)
 class Detections:
-    """What the network says of one image.
+    """Answer of the network for one image.
 
     Attributes:
         present: probability that there is any reflector.
         detections: those above the threshold, surest first.
-        threshold: probability that was asked of them.
+        threshold: required probability.
     """
 
     present: float
@@ -67,7 +67,7 @@ class Detections:
 
 @dataclass(frozen=True)
 class Contract:
-    """What the model's file says of itself (metadata_props, key `tagid.contract`).
+    """The contract in the model's file (metadata_props, key `tagid.contract`).
 
     Attributes:
         slope, intercept: calibrated logit = slope * logit + intercept.
@@ -106,7 +106,7 @@ class Contract:
 
     @classmethod
     def from_text(cls, text: str, where: str) -> Contract:
-        """Read and check the JSON. Raises ModelError naming what it says and what is needed."""
+        """Read and check the JSON. Raises ModelError naming the given and the required value."""
         try:
             raw = json.loads(text)
             said = (raw["kind"], raw["schema"], raw["grid"]["extent_m"], raw["grid"]["pixels"], raw["planes"])

@@ -1,6 +1,6 @@
 """What the detector is trained on, declared as distributions: frozen values, each range with its reason.
 
-A network knows only what it has seen; this file says where it may fail.
+A network knows only what it was trained on; this file shows where it may fail.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class RecordingDistribution:
         interference, interference_db: share of scenes with a narrow-band tone, and its level over the noise.
         centre_m: distance of the object from the axis.
         elevation_m: height of the tag over the plane that the capture states.
-        axis_error_m: stated minus true axis distance.
+        axis_error_m: given minus true axis distance.
         wobble: RMS deviation of the speed, relative.
         radial_m: RMS deviation of the axis distance.
         axis_distance_m: radar to axis.

@@ -68,7 +68,7 @@ def seen(samples: Samples, i: int) -> NetworkInput:
 
 
 def outcomes(network: DetectorNetwork, samples: Samples, contract: Contract = RAW) -> list[Outcome]:
-    """What the network says of every sample."""
+    """Outcome of the network for every sample."""
     results = []
     network.eval()
     with torch.no_grad():

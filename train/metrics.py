@@ -1,6 +1,6 @@
 """Scores of images against known points, defined once so that figures of different methods are comparable.
 
-Published figures often cannot be compared because normalisation, ground truth and data range are not stated.
+Published figures often cannot be compared because normalisation, ground truth and data range are not given.
 Here magnitudes are normalised to their peak, points are Gaussians of 1 cm, and the data range is 1.
 """
 
@@ -126,7 +126,7 @@ def pick_peaks(
 def peak_to_sidelobe_db(
     image: Image, points: NDArray[np.floating], mainlobe_m: float = MATCH_RADIUS_M
 ) -> float:
-    """Brightest magnitude within `mainlobe_m` of a true point over the brightest elsewhere, dB.
+    """Brightest magnitude within `mainlobe_m` of a true point over the brightest outside, dB.
 
     Infinite if everything else is zero, minus infinity if the image is zero at the points.
     """

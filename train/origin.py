@@ -1,4 +1,4 @@
-"""What made a network: it travels in the model's file and is told by its card."""
+"""What made a network: it is stored in the model's file and listed on its card."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ NORMALISATION = {
     "snr": f"dB / {_FULL_SNR_DB:g}, 0 to 1",
     "views": f"log views / log {_FULL_VIEWS}, 0 to 1",
 }
-"""What `NetworkInput.planes` does, as the model file says it; a file that says otherwise is refused."""
+"""What `NetworkInput.planes` does, as the model file describes it; another description is rejected."""
 
 
 def image_snr_db(scans: BasebandScans, peak: float) -> float:

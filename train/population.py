@@ -242,7 +242,7 @@ def _body(rng: np.random.Generator, antenna: _Antenna, body: str, radius: float)
 
 
 def _clutter(rng: np.random.Generator, antenna: _Antenna, kind: str) -> NDArray[np.complex128]:
-    """(F, V) echo of what lies on the table beside the object and turns with it."""
+    """(F, V) echo of clutter on the table next to the object, which turns with it."""
     total = np.zeros((len(antenna.kappa), len(antenna.place)), dtype=np.complex128)
     if kind == "hand":
         middle = rng.uniform(0.06, 0.13) * np.exp(1j * rng.uniform(0, 6.28))

@@ -1,4 +1,4 @@
-"""What the network should have said: cells with reflectors, ghosts and offsets, and the loss against them.
+"""Targets of the network: cells with reflectors, ghosts and offsets, and the loss against them.
 
 The reflector map follows the centre-point way of detection (X. Zhou, D. Wang, P. Kraehenbuehl, "Objects as
 Points", 2019): a focal loss that spares the neighbours of a hit.
