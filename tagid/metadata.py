@@ -1,4 +1,4 @@
-"""What a capture says of its radar, its motion and its object, as frozen, validated values.
+"""The metadata of a capture: its radar, its motion and its object, as frozen, validated values.
 
 This is the only place that spells the keys. `from_json` and `to_json` convert to the JSON objects
 that files hold; keys that no field has are kept in `extra`, so a file of another program loses nothing.

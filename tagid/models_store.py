@@ -41,7 +41,7 @@ _DATA_LOCATION: Final = 14
 def refers_to_files(content: bytes) -> bool:
     """Whether a tensor of a model (its serialized ModelProto) lies in another file.
 
-    A content that is no protocol buffer message counts as such: onnxruntime refuses it as well.
+    A content that is no protocol buffer message counts as such: onnxruntime rejects it as well.
     """
     waiting = [("model", memoryview(content))]
     try:

@@ -13,7 +13,7 @@ MAX_SEED: Final = 2**53
 
 
 class Query(ABC):
-    """Options by name; each is taken once, and `done` rejects those left over.
+    """Options by name; each is taken once, and `done` rejects the remaining ones.
 
     Attributes:
         given: options not yet taken.
@@ -23,7 +23,7 @@ class Query(ABC):
 
     @abstractmethod
     def wrong(self, why: str) -> UsageError:
-        """The error that names what was given and says why it is wrong."""
+        """The error that names the given text and why it is wrong."""
 
     @overload
     def number(self, name: str, default: float, low: float, high: float) -> float: ...

@@ -155,7 +155,7 @@ def _near(rho: NDArray[np.float64], lag: float, tolerance: float) -> tuple[int, 
 
 
 def _enough(ac: Autocorrelation) -> NDArray[np.float64]:
-    """(lags,) minimum correlation of a repetition: high enough, and not by chance.
+    """(lags,) minimum correlation of a repetition: high enough, and significant.
 
     Significance is tested on Fisher's z = artanh(rho), which is normal also for the few samples of a short
     overlap.
@@ -319,7 +319,7 @@ def _rivals(
 ) -> list[float]:
     """Other periods, in lags, that fit the scans: a fraction if similar, the double if clearly better.
 
-    With strong noise, "similar" means within two standard deviations of chance.
+    With strong noise, "similar" means within two standard deviations of the noise.
     """
     rivals: list[float] = []
     value = float(rho[peak])

@@ -33,7 +33,7 @@ _VISIBLE, _VISIBLE_BETWEEN = 0.15, 0.07
 """Largest change that noise could hide over the lag of the usual change, as a share of it: where the
 recording ends with the standstill, and where the object would have gone on."""
 _ABRUPT = 0.3
-"""Smallest change beside the standstill, as a share of the usual change over the same angle."""
+"""Smallest change around the standstill, as a share of the usual change over the same angle."""
 _SHOWN, _SHOWN_LAST = 10.0, 0.4
 """Smallest echo in the still scans beyond their background: that many times the change that noise could hide;
 where the recording ends with the standstill, no more than this share of the usual change."""

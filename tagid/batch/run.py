@@ -60,7 +60,7 @@ class Hooks:
     """Callbacks during a run.
 
     Attributes:
-        progress: called with (finished, total, items per second of this run, seconds left or None).
+        progress: called with (finished, total, items per second of this run, remaining seconds or None).
         stopped: polled often; True ends the run with a report of the finished items.
         history: file of the history where answers are stored; None stores none.
         item: called with every record.

@@ -163,7 +163,7 @@ def _failed(source: Source, error: TagidError) -> Answer:
 
 
 def _pictures(prepared: PreparedCapture, answer: Identification, job: Job) -> Thumbnails:
-    # The report's pictures say nothing about what lies beside them, and the search takes a third of an item.
+    # The report's pictures show nothing outside their extent, and the search takes a third of an item.
     result = reconstruct(pictured(prepared, answer), tell_outside=False)
     named = answer.reading.layout if answer.reading else None
     layout = next((layout for layout in job.setup.enrolled.layouts if layout.name == named), None)
@@ -173,7 +173,7 @@ def _pictures(prepared: PreparedCapture, answer: Identification, job: Job) -> Th
 def pictured(prepared: PreparedCapture, answer: Identification) -> PreparedCapture:
     """The capture at the axis distance that the reading found, which need not be searched again.
 
-    Only a name without a body has told it; the pictures do not show how well they predict held-out views.
+    Only a name without a body determines it; the pictures do not show how well they predict held-out views.
     """
     reading, distance = answer.reading, prepared.given.axis_distance_m
     identified = reading is not None and reading.status == "identified" and reading.kind is Kind.BARE

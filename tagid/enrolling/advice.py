@@ -31,9 +31,9 @@ def alternatives(
 
     Args:
         target: the object with all its rows.
-        rows: number of them that were asked for.
-        rules, count: as asked for.
-        enrolled: layouts beside which the set is to stand.
+        rows: number of them requested.
+        rules, count: as requested.
+        enrolled: layouts already in use.
     """
     suggestions: list[str] = []
     for words, used, tried, number in _variations(target, rows, rules, count):
@@ -78,7 +78,7 @@ def _variations(
 
 
 def works(target: TaggedObject, rules: DesignRules, count: int, enrolled: Sequence[Layout]) -> bool:
-    """Whether a set can be designed, and enrolled beside the layouts that are."""
+    """Whether a set can be designed, and enrolled in addition to the layouts already in use."""
     try:
         family = design(target, rules, count, None, enrolled)
     except UsageError:

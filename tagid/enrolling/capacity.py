@@ -1,6 +1,6 @@
 """Capacity of an object: the number of layouts that readings can still tell apart.
 
-The capacity is the size of the largest family in which the evidence leaves few readings without a name.
+The capacity is the size of the largest family in which few readings get no name.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Capacity:
 
     Attributes:
         reflectors: reflectors per layout.
-        identities: size of the largest family found for the error rate; 1 if no two can be told apart.
+        identities: size of the largest family found for the error rate; 1 if no two can be distinguished.
         distance_m: least rotational distance (RMS over reflectors) in that family, m.
-        error_rate: share of the readings that it leaves without a name, at most: the union bound.
+        error_rate: share of the readings without a name, at most: the union bound.
     """
 
     reflectors: int
@@ -42,7 +42,7 @@ class Capacity:
 def capacity(
     target: TaggedObject, rules: DesignRules, error_rate: float, conditions: Conditions = Conditions()
 ) -> Capacity:
-    """The largest family found on an object that leaves no more readings without a name than allowed.
+    """The largest family found on an object with no more readings without a name than allowed.
 
     Args:
         target: object with the rows to use.

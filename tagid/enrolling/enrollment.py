@@ -1,7 +1,6 @@
-"""Enrolling layouts: distance to every other layout, how far a reading tells them apart, reasons to refuse.
+"""Enrolling layouts: distance to every other layout, evidence that distinguishes them, reasons to reject.
 
-If two enrolled layouts can be confused, no later reading of either can be relied on. Such layouts are refused
-here.
+If two enrolled layouts can be confused, no later reading of either is reliable; such layouts are rejected.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ from tagid.tags.layouts.codebook import (
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 
 MAX_UNRESOLVED = 1e-2
-"""Share of the readings that one neighbour may leave without a name; a layout that leaves more is refused."""
+"""Largest share of the readings without a name because of one neighbour; a layout above it is rejected."""
 NEAR_M = 25e-3
-"""Layouts farther apart (RMS) are told apart by more than 100 nats on any body."""
+"""Layouts farther apart (RMS) are distinguished by more than 100 nats on any body."""
 MOST_NEAR = 3
 """Neighbours whose evidence is compared, the nearest ones."""
 _TRIES = 20
@@ -62,7 +61,7 @@ class Neighbour:
         name: name of the enrolled layout.
         distance: distance between the two.
         apart: how far a reading tells the two apart; None where they are far from alike, or differ in number.
-        unresolved: share of the readings that this neighbour leaves without a name, the uncertainty of both
+        unresolved: share of the readings without a name because of this neighbour, the uncertainty of both
             layouts' positions included.
         mirrored: whether the comparison is with the new layout's mirror image, which gives the same reading
             if the direction of rotation is unknown.
@@ -76,7 +75,7 @@ class Neighbour:
 
     @property
     def confusable(self) -> bool:
-        """Whether the two are too close to be told apart."""
+        """Whether the two are too close to be distinguished."""
         return self.unresolved > MAX_UNRESOLVED
 
     def turned(self, name: str) -> Neighbour:
@@ -86,7 +85,7 @@ class Neighbour:
         return replace(self, name=name, distance=replace(self.distance, rotation_deg=back))
 
     def compared(self, layout: Layout, other: Layout, conditions: Conditions) -> Neighbour:
-        """The same with what the evidence of a reading says; as it is where the two are far from alike."""
+        """The same with the evidence of a reading; unchanged where the two are far from alike."""
         known = layout.covariance is None and other.covariance is None
         if not self.distance.rms_m < (NEAR_M if known else np.inf):
             return self
@@ -134,7 +133,7 @@ class Outlook:
         return tuple(sorted(n.name for n in self.neighbours if n.confusable))
 
     def conflict(self) -> LayoutConflictError | None:
-        """The error that refuses the layout, or None if it may be enrolled."""
+        """The error that rejects the layout, or None if it may be enrolled."""
         near = [n for n in self.neighbours if n.confusable]
         if not near:
             return None

@@ -1,4 +1,4 @@
-"""The field beside many round shells at once: cylinders of metal, of a dielectric wall, or of both.
+"""The field next to many round shells at once: cylinders of metal, of a dielectric wall, or of both.
 
 An infinite upright cylinder in a plane wave, the antenna in the direction 0, phases referred to the axis,
 time convention exp(+j omega t). For upright polarisation the axial field is electric (TM), for horizontal
@@ -111,10 +111,10 @@ def _through(
 def echoes(
     wavenumber: NDArray[np.float64], shells: Sequence[Shell], radius_m: float, angle_rad: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Two-way responses of a small isotropic reflector beside every shell, (2, S, F, P).
+    """Two-way responses of a small isotropic reflector next to every shell, (2, S, F, P).
 
     First that of an electric dipole, E . E, then that of a magnetic one, H . H, in units of the incident
-    field. In free space both are exp(2jk r cos phi), and only their sum is known; beside a wall they differ.
+    field. In free space both are exp(2jk r cos phi), and only their sum is known; next to a wall they differ.
     By reciprocity they hold the direct way, those by way of the body once and twice; only what bounces
     between reflector and body more than once is missing.
 

@@ -1,4 +1,4 @@
-"""The field at and beside thin shells: a helmet's, about an ellipse from above, and the walls of a carton.
+"""The field at and next to thin shells: a helmet's, about an ellipse from above, and the walls of a carton.
 
 An infinite upright cylinder, of elliptic or rectangular cross section, carries a sheet whose thickness d is
 far below the wavelength. For upright polarisation the electric field E is axial, and the sheet's polarisation
@@ -7,9 +7,10 @@ current radiates as a line source at every point s of the contour (time conventi
     E(r) = E0(r) + k^2 (eps - 1) d  integral G(|r - s|) E(s) ds,   G(x) = H_0^(2)(k x) / (4 j).
 
 On the contour this is a linear system, solved by collocation in steps of a twelfth of the wavelength; the
-field elsewhere follows from it. By reciprocity a small reflector at r returns E(r)^2, and the shell itself
-the integral of E0 E ds. Source: Richmond, Scattering by a dielectric cylinder of arbitrary cross section
-shape, IEEE Transactions on Antennas and Propagation 13(3), 1965, for a body that is one cell thick.
+field at another point follows from it. By reciprocity a small reflector at r returns E(r)^2, and the
+shell itself the integral of E0 E ds. Source: Richmond, Scattering by a dielectric cylinder of arbitrary
+cross section shape, IEEE Transactions on Antennas and Propagation 13(3), 1965, for a body that is one cell
+thick.
 
 Amplitudes of a cylinder are not those of a half ellipsoid. With one free amplitude per frequency it leaves
 1 to 3 % of the echo of solved helmet shells, and 2.5 to 5 % of that of the reflectors on them; of solved

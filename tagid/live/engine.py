@@ -129,7 +129,7 @@ class LiveView:
         def learning(capture: Capture, motion: str) -> Capture:
             result = resolve(capture, motion)
             resolved = result.motion.resolved
-            # A multiple of the shortest repetition is resolved by imaging, and then counts as stated.
+            # A multiple of the shortest repetition is resolved by imaging, and then counts as given.
             unknown = self._settings.motion.nominal_s is None
             if resolved is not None and resolved.period_s and (unknown or resolved.source == "data"):
                 self._angles.learn(resolved.period_s)
@@ -225,7 +225,7 @@ class LiveView:
 
     def _remark(self, stopped: str, error: BaseException) -> None:
         why = error.message if isinstance(error, TagidError) else f"unexpected {type(error).__name__}"
-        # What is told may be what failed; the state keeps the remark.
+        # The publication itself may be what failed; the state keeps the remark.
         with suppress(Exception):
             self._publish(note=f"{stopped} ({why}); the recording continues")
 

@@ -1,7 +1,7 @@
 """`python -m tagid.motion.emergency`: with it a guardian stops a device that has no port to share.
 
 The device's URL comes on standard input, because every user can read command lines and a URL may hold a
-pass-key. The guardian is not asked: it is the one that waits for this command.
+pass-key. The guardian is not involved: it waits for this command.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def peer(line: socket.socket) -> tuple[int, int]:
 
 
 class Parameters(NamedTuple):
-    """What the guardian is told, see `tagid.motion.guardian.Watch`; as JSON on its standard input.
+    """Parameters of the guardian, see `tagid.motion.guardian.Watch`; as JSON on its standard input.
 
     Attributes:
         name, limit_s, port, command, command_input, remedy: as there.
@@ -121,7 +121,7 @@ class Guard:
                     tell(b"e")
             late = not tripped and not ended and now() - heard > limit
             if asked or gone or late:
-                # Told first: the driver must not take the device's answer to the halt bytes for an error.
+                # Before the halt: the driver must not take the device's answer to its bytes for an error.
                 tell(b"a" if asked else b"t")
                 self.stop(OWNER_S if asked and not ended else 0.0)
                 tripped = True

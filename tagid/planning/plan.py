@@ -36,10 +36,10 @@ INDICES = tuple(range(9, 16))
 SMALLEST_M = 0.020
 """Reflectors of the scenes on bodies in which the rates were measured: 20 and 40 mm."""
 CENTRING_M = 0.010
-"""Offset from the axis that the reader allows: it refuses beyond 13 mm, and needs a margin."""
+"""Offset from the axis that the reader allows: it rejects beyond 13 mm, and needs a margin."""
 _LEAST_VIEWS = 72
 """Required views per turn when the integration is selected: the alias-free step of a helmet is 9
-degrees, and half of it leaves a margin for lost scans."""
+degrees, and half of it is a margin for lost scans."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def planned_snr_db(setup: Setup) -> float:
     acquisition = Acquisition(axis_distance_m=distance, range_law=True, window=RangeWindow.around(distance))
     angles = np.arange(_LEVEL_VIEWS) * 2 * np.pi / _LEVEL_VIEWS
     antenna = antennas(angles, np.full(_LEVEL_VIEWS, distance), 0.0)
-    # Where a handle is, beside which reflectors, is not known: the mean over some places.
+    # The handle's place among the reflectors is not known: the mean over some places.
     seeds = range(_HANDLES if setup.body.parts else 1)
     power = 0.0
     for seed in seeds:
@@ -264,7 +264,7 @@ def _first(setups: Sequence[Setup], rate: float) -> Plan | None:
             candidate = plan(setup)
         except (ConfigError, UsageError):
             continue
-        # Below the table's lowest SNR its last rate is no promise.
+        # Below the table's lowest SNR no rate is known.
         if candidate.rates.note:
             continue
         if (

@@ -123,7 +123,7 @@ def run_recording(
         plan: what to record.
         path: path of the first capture file; the next free name is used if the plan says so.
         steps: how scans are taken and files written.
-        told: callbacks.
+        listener: callbacks.
 
     Raises:
         DeviceError or a subclass: the radar failed; the received scans are in the files that the error names.

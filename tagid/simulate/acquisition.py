@@ -1,4 +1,4 @@
-"""How a scene is recorded: geometry, rotation, noise, imperfections, and the metadata stated in the file.
+"""How a scene is recorded: geometry, rotation, noise, imperfections, and the metadata in the file.
 
 Each imperfection of a field recording is one field here, zero by default, so that a test can enable them
 individually.
@@ -58,7 +58,7 @@ class Placement:
         centre_m: (x, y) of the object's origin from the rotation axis, at most `MAX_CENTRE_M` away, m.
         rotation_rad: rotation about its origin, rad.
         height_m: height of the tag's plane above the plane to which the capture's antenna height refers;
-            not stated in the capture.
+            not given in the capture.
     """
 
     centre_m: tuple[float, float] = (0.0, 0.0)
@@ -150,8 +150,8 @@ class Acquisition:
             snr_db.
         noise: colour and interference.
         placement, wobble: see the classes.
-        axis_distance_error_m: stated minus true axis distance, m.
-        angle_error_rad: standard deviation of the error of the stated angles, rad.
+        axis_distance_error_m: given minus true axis distance, m.
+        angle_error_rad: standard deviation of the error of the given angles, rad.
         beam_width_rad: full -3 dB width of the Gaussian one-way power pattern, rad; None for isotropic.
         range_law: amplitude ~ 1/R^2 (power 1/R^4), 1 at the axis.
         recording: counts, type and clipping.

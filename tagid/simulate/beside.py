@@ -1,4 +1,4 @@
-"""What stands beside a small scatterer, and what it does to the scatterer's echo.
+"""Bodies next to a small scatterer, and their effect on its echo.
 
 By reciprocity the echo is that in free space times the square of the field at the scatterer over that of the
 wave alone: the wave comes and goes directly, via the body, or both (`Multipoles.field`). Only what bounces
@@ -27,7 +27,7 @@ POINTS = 84
 
 
 class Beside(Protocol):
-    """A body beside a scatterer; implementations are frozen and hashable."""
+    """A body next to a scatterer; implementations are frozen and hashable."""
 
     @property
     def reach_m(self) -> tuple[float, float]:
@@ -84,8 +84,8 @@ class BesideRound:
 class BesideShell:
     """A thin shell, as that of a helmet, or the walls of a carton.
 
-    It leaves 4 to 7 % of the echo of tags on solved helmet shells with one amplitude per frequency, where a
-    round wall as far away as the shell leaves 14 to 16 % and no shell 18 to 28 %.
+    With one amplitude per frequency its residual is 4 to 7 % of the echo of tags on solved helmet shells; a
+    round wall as far away as the shell has 14 to 16 %, and no shell 18 to 28 %.
 
     Attributes:
         shell: about the object's axis.

@@ -36,7 +36,7 @@ class Carrier(Protocol):
         ...
 
     def around(self, position_m: Floats) -> Beside | None:
-        """What stands beside a scatterer at (x, y), or (x, y, z) with its height, m; None for nothing.
+        """The body next to a scatterer at (x, y), or (x, y, z) with its height, m; None for nothing.
 
         Raises:
             DataError: the position is inside a wall or metal.

@@ -1,6 +1,6 @@
 """A simulated recording as an ordinary capture, together with its ground truth.
 
-The values stated in the capture (angles, axis distance, height) may deliberately differ from the truth.
+The values given in the capture (angles, axis distance, height) may deliberately differ from the truth.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Exact scattering of round bodies in a plane wave, and the field at a point beside or inside them.
+"""Exact scattering of round bodies in a plane wave, and the field at a point next to or inside them.
 
 An infinite round cylinder with an upright axis, of metal or of concentric layers, in a plane wave whose
 electric field is parallel to the axis (TM). With the antenna in the direction phi = 0, the phase reference on

@@ -99,7 +99,7 @@ class Rod:
 
 @lru_cache(maxsize=512)
 def _taps_beside(scatterer: Scatterer, body: Beside | None) -> AspectTaps:
-    """Echo of a scatterer beside a body, over the antenna's direction."""
+    """Echo of a scatterer next to a body, over the antenna's direction."""
 
     def response(frequency_hz: Floats, angle_rad: Floats) -> Complex:
         length = scatterer.scattering_length(frequency_hz)[:, None]
@@ -115,14 +115,14 @@ def _taps_beside(scatterer: Scatterer, body: Beside | None) -> AspectTaps:
 class Mounted:
     """Identical small scatterers on an object, with the effect of its body on the wave in both directions.
 
-    Beside a body the echo includes the double bounce between scatterer and wall, whose phase changes with the
-    aspect, and the body's shadow (`beside`).
+    Next to a body the echo includes the double bounce between scatterer and wall, whose phase changes with
+    the aspect, and the body's shadow (`beside`).
 
     Attributes:
         scatterer: the scatterer at each position.
         positions: (n, 3) m, in the object's frame.
         amplitudes: (n,) complex128 relative strengths; 1 is the unscaled scatterer.
-        bodies: one entry per position: the body beside it; None for none.
+        bodies: one entry per position: the body next to it; None for none.
         axis_m: (x, y) of the body's axis, m.
         unit_m: scattering length that is rendered as amplitude 1, m.
     """

@@ -18,7 +18,7 @@ BAND_HZ = (1.8e9, 6.2e9)
 """Frequencies over which the taps are fitted: the P440's pulse is 40 dB down at 2.2 and 5.7 GHz."""
 
 CENTRE_HZ = 4.0e9
-"""Frequency at which strengths are stated and narrow-band factors are evaluated: the middle of the P440's
+"""Frequency at which strengths are specified and narrow-band factors are evaluated: the middle of the P440's
 band, 3.1 to 4.8 GHz."""
 
 _STEP_M = 0.016

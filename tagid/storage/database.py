@@ -50,7 +50,7 @@ class Schema:
         restore: remedy if the file is damaged, one sentence.
         error: class of the errors.
         write_ahead: keep a write-ahead log, so that readers and one writer do not wait for each other.
-        move: how to put the file elsewhere, a clause.
+        move: how to put the file at another location, a clause.
         busy: remedy if another process holds the file.
         room: what else helps on a full disk, a clause.
     """

@@ -1,6 +1,6 @@
 """Image files: the output of `tagid reconstruct --out` for other programs.
 
-One NPZ with the complex image, its axes and every setting, so that figures can be checked elsewhere.
+One NPZ with the complex image, its axes and every setting, so that other programs can check the figures.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ _PROBE, _SURE = 64, 192
 _BLOCK_BYTES = 1 << 18
 _MOST_MESSAGES = files.MAX_FILE_BYTES // SCAN_INFO_DTYPE.itemsize
 _RESYNC_BYTES = 64
-"""Bytes searched for the next message of another type: more noise holds types by chance."""
+"""Bytes searched for the next message of another type: more noise contains random types."""
 _MOST_GAP_BYTES = 1 << 20
 """Bytes between the messages that are looked at; more are only counted."""
 
@@ -212,7 +212,7 @@ def _type_bytes(order: str) -> bytes:
 def _search(stream: BinaryIO, order: str) -> Iterator[tuple[NDArray[np.int64], NDArray[np.void]]]:
     """Positions and headers of the SCAN_INFO messages in a byte stream, block by block.
 
-    Noise does not pass: type, counts and lengths of a header agree by chance once in 2^90 bytes. Cut messages
+    Noise does not pass: type, counts and lengths of a header agree at random once in 2^90 bytes. Cut messages
     are among them; a message begins inside another one only where that is cut.
     """
     dtype = _HEAD_DTYPE.newbyteorder(order)  # type: ignore[arg-type]
@@ -326,7 +326,7 @@ class _Ignored:
 def _read_gaps(stream: BinaryIO, messages: _Messages, head: np.void, ignored: _Ignored) -> dict[str, Any]:
     """The configuration in the bytes between the messages ({} if none); the rest of them is counted.
 
-    A recording usually begins with the bare block, which is believed even if it is stale. Elsewhere it is in
+    A recording usually begins with the bare block, which is believed even if it is stale. Otherwise it is in
     a request or confirm, or in what another program wrote: it has the node and the window of the scans.
     """
     config: dict[str, Any] = {}

@@ -1,7 +1,7 @@
 """Units of files from other programs: degrees, millimetres or ticks instead of radians, metres and seconds.
 
 Such a file is valid, number by number, and fails much later for another reason. Only what cannot be in the
-stated unit is refused.
+declared unit is rejected.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ _TIMES = (
 
 
 def check_times(path: Path, seconds: NDArray[np.float64]) -> None:
-    """Refuse timestamps_s (views,) in another unit.
+    """Reject timestamps_s (views,) in another unit.
 
     These are times beyond the year 5138, scans 30 s and more apart, or 1 s and more over 3 hours, and 16
     scans and more within 0.05 s.
@@ -116,7 +116,7 @@ def check_times(path: Path, seconds: NDArray[np.float64]) -> None:
 
 
 def check_positions(path: Path, capture: Capture) -> None:
-    """Refuse antenna positions in millimetres, centimetres, kilometres or degrees.
+    """Reject antenna positions in millimetres, centimetres, kilometres or degrees.
 
     Raises FileFormatError: naming the unit and the conversion.
     """
@@ -158,7 +158,7 @@ def check_positions(path: Path, capture: Capture) -> None:
 
 
 def check_units(path: Path, capture: Capture) -> None:
-    """Refuse angles that are degrees, ranges that are millimetres, and positions that are not metres.
+    """Reject angles that are degrees, ranges that are millimetres, and positions that are not metres.
 
     Angles are no radians if steps of 0.1 or more, most of them about even, make up one turn of 360 or 400; in
     radians, these would be 57.3 turns of at most 63 views. Steps of 0.9 or more need no whole turn, only more
@@ -216,7 +216,7 @@ def _angle_units(angles: NDArray[np.float64]) -> list[str]:
 
 
 def check_frequencies(path: Path, capture: Capture) -> None:
-    """Refuse a centre frequency or bandwidth in GHz, MHz or kHz.
+    """Reject a centre frequency or bandwidth in GHz, MHz or kHz.
 
     Raises FileFormatError: naming the units that fit.
     """

@@ -1,4 +1,4 @@
-"""Answers the system's pass-key prompt on Linux, which the user would otherwise have to answer elsewhere.
+"""Answers the system's pass-key prompt on Linux, which the user would otherwise answer outside tagid.
 
 BlueZ asks an agent on the system bus; macOS and Windows show their own dialog and need no agent.
 """

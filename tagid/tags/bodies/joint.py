@@ -1,9 +1,9 @@
 """A signature from several captures of one object: poses, gains and harmonics together, and checked.
 
 For given poses and gains the harmonics are a linear least squares over all captures; for given harmonics and
-poses so are the gains. The poses follow by Levenberg-Marquardt on what the joint least squares leaves. What
-is left must be noise: a capture of something else, or of the object after a reflector moved, would spoil
-every later reading, so it is found and named.
+poses so are the gains. The poses follow by Levenberg-Marquardt on the residual of the joint least squares,
+which must be noise: a capture of something else, or of the object after a reflector moved, would spoil every
+later reading, so it is reported.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ RIDGE = 1e-4
 """Load of the normal equations as a share of their mean diagonal."""
 ROUND_RIDGE = 1e-3
 """The same for m = 0, relative to RIDGE. The echo of a centred round body is constant over the views, like
-the room; the two are told apart only by centres that differ, and a load on m = 0 would turn the body into
+the room; only centres that differ distinguish the two, and a load on m = 0 would turn the body into
 room."""
 ROUND_SHARE = 0.3
-"""A body of revolution that leaves less than this share of the moving echo gives the object's centre."""
+"""A body of revolution with a residual under this share of the moving echo gives the object's centre."""
 NOISE_SLACK = 0.4
 """What a capture may keep beyond its noise, as a share of it: the noise is known to 10 %, and coloured noise
 or interference inside the band is not in the estimate."""
@@ -51,13 +51,13 @@ MODEL_SHARE = 0.008
 """What a capture may keep of its turning echo. Full-wave captures of one object keep up to 0.2 % (other
 distance and place); one from which a tag 17 dB under the turning echo was taken keeps over 1 %."""
 MOVING_SHARE = 0.001
-"""And of all that moves: a round body far off the axis is 20 to 35 dB over its noise. A signature left 0.04 %
-of a cup's, as an uneven turn would; a tag that is worth a name returns more."""
+"""And of all that moves: a round body far off the axis is 20 to 35 dB over its noise. The residual
+of a cup was 0.04 %, as that of an uneven turn would be; a tag that is worth a name returns more."""
 UNEVEN_SHARE = 0.001
-"""Where a capture keeps more of its turning echo, its turn may have been uneven: a speed that varies by 1 %
-leaves 0.2 to 1.5 % of a mug, a helmet or a box with its tag."""
+"""Where a capture keeps more of its turning echo, its turn may have been uneven: with a speed that varies
+by 1 % the residual of a mug, a helmet or a box with its tag is 0.2 to 1.5 %."""
 CLEARLY = 0.4
-"""A capture is to blame where leaving it out leaves this part of what leaving out another one leaves."""
+"""A capture is to blame where the residual without it is this part of the residual without any other."""
 SAME_PLACE_M, SAME_TURN_RAD = 1e-3, np.deg2rad(15.0)
 """Captures nearer than both show the object in one pose."""
 _ROUNDS, _SETTLED, _STEADYING = 5, 0.02, 3
@@ -116,7 +116,7 @@ class Residual:
 
     @property
     def is_noise(self) -> bool:
-        """Whether what is left is noise, within NOISE_SLACK, MODEL_SHARE and MOVING_SHARE."""
+        """Whether the residual is noise, within NOISE_SLACK, MODEL_SHARE and MOVING_SHARE."""
         return self.over <= 0
 
 
@@ -127,7 +127,7 @@ class Joint:
     Attributes:
         signature: of the object, in the frame of the capture with the most views.
         placed: the captures with their poses and gains, in the order given.
-        residuals: what is left of each.
+        residuals: of each capture.
     """
 
     signature: Signature
@@ -412,7 +412,7 @@ def _joint(spectra: Sequence[Spectra], name: str, kind: SignatureKind, radius_m:
 
 
 def _residual_energy(captures: Collection[Placed], basis: Basis) -> float:
-    """Energy that the least squares of a basis leaves of captures, in units of their noise."""
+    """Residual energy of captures after the least squares of a basis, in units of their noise."""
     harmonics, _ = basis.solve(captures)
     return sum(
         float(

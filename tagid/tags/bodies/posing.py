@@ -145,7 +145,7 @@ def descend(
 
 
 def round_centre(spectra: Spectra) -> tuple[complex, float]:
-    """Centre of the body of revolution that explains a capture best, m, and the energy it leaves.
+    """Centre of the body of revolution that explains a capture best, m, and the residual energy.
 
     The centre of a round body that stands off the axis comes out to about 0.3 mm.
     """
@@ -221,8 +221,8 @@ class PoseSearch:
 
     Args:
         spectra: capture.
-        order: largest harmonic that will be asked for.
-        around: centres tried beside those of the grid, x + jy, m.
+        order: largest harmonic that will be requested.
+        around: centres tried in addition to those of the grid, x + jy, m.
     """
 
     def __init__(self, spectra: Spectra, order: int, around: tuple[complex, ...] = ()) -> None:
@@ -280,7 +280,7 @@ class PoseSearch:
         return Pose((at.real, at.imag), 2 * np.pi * turn / ROTATIONS)
 
     def _energies(self, signature: Signature) -> NDArray[np.float64]:
-        """(C, ROTATIONS) energy left with every centre and rotation."""
+        """(C, ROTATIONS) residual energy with every centre and rotation."""
         if (
             not same_wavenumbers(self.spectra.wavenumbers, signature.wavenumbers)
             or signature.order > self._order

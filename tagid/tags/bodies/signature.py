@@ -10,7 +10,7 @@ with rho_v and phi_v the distance and azimuth of the antenna seen from c, and d 
 static room. G is free at each frequency: another pulse, level or range offset changes nothing else. The
 factor in m^2 is the near field: the harmonic m comes, by stationary phase, from where m = -kappa r sin(psi),
 and there the spherical wave is late by r^2 sin^2(psi) / (2 d), which is a phase of m^2 / (2 kappa d). It
-carries a signature from one axis distance to another. What it leaves out is of the order r / d in amplitude,
+carries a signature from one axis distance to another. What it neglects is of the order r / d in amplitude,
 so enroll at the distance at which you read.
 
 Sampling: a point at radius r answers exp(j kappa r cos(psi)) = sum_m j^m J_m(kappa r) exp(j m psi), and J_m

@@ -1,8 +1,8 @@
 """The uneven turn of a turntable, read off an enrolled object.
 
-The stated angles of the views are off by a few milliradians: a bent axle, an off-centre belt. A handle 65 mm
-from the axis then moves by some tenths of a millimetre, and what a signature leaves of a loud object is more
-than its noise. The errors of the angles are parameters of the object's place, like its turn, with a prior.
+The given angles of the views are off by a few milliradians: a bent axle, an off-centre belt. A handle 65 mm
+from the axis then moves by some tenths of a millimetre, and the residual of a strong echo exceeds
+its noise. The errors of the angles are parameters of the object's place, like its turn, with a prior.
 """
 
 from __future__ import annotations

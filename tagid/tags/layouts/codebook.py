@@ -1,4 +1,4 @@
-"""Rotation-invariant distance of layouts, which decides whether two can be told apart.
+"""Rotation-invariant distance of layouts, which decides whether two can be distinguished.
 
 A family of tags is rated by its minimum distance, as AprilTag families are by their Hamming distance.
 """
