@@ -18,7 +18,7 @@ from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, Miss
 from tagid.ports import open_port
 
 _BAUD: Final = 115200
-Progress = Callable[[float, str], None]
+FlashProgress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Flashed:
     verified: bool
 
 
-def flash(image: Image, connection: Connection, progress: Progress, erase: bool = False) -> Flashed:
+def flash(image: Image, connection: Connection, progress: FlashProgress, erase: bool = False) -> Flashed:
     """Write the image and verify it.
 
     Args:
@@ -84,7 +84,7 @@ def _connect(tool: Any, connection: Connection) -> Any:
 
 
 def _write(
-    tool: Any, esp: Any, image: Image, connection: Connection, progress: Progress, erase: bool
+    tool: Any, esp: Any, image: Image, connection: Connection, progress: FlashProgress, erase: bool
 ) -> Flashed:
     if image.chip.name != esp.CHIP_NAME:
         raise DeviceRejectedError(
@@ -140,7 +140,7 @@ def _line(error: BaseException) -> str:
 
 
 @contextmanager
-def _esptool(progress: Progress) -> Iterator[Any]:
+def _esptool(progress: FlashProgress) -> Iterator[Any]:
     """esptool's functions, its output turned into progress. Raises MissingExtraError."""
     try:
         from esptool import cmds

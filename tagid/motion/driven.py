@@ -28,7 +28,7 @@ _JOIN_S: Final = 5.0
 MEASURED_TURNS: Final = 1.15
 """Turns to record with measured angles: one, plus enough overlap to compare them with the period in the
 scans (`find_period` needs 1.1)."""
-Reading = tuple[int, float, float]
+AngleReading = tuple[int, float, float]
 """host_time_ns, angle_rad, sigma_rad."""
 
 
@@ -71,7 +71,7 @@ class DrivenMotion(ABC):
         self.scale_sigma, self.max_seconds = scale_sigma, max_seconds
         # Three sigma more, so that a turn is complete even if the device overestimates its angle.
         self.turns = turns if turns is not None else MEASURED_TURNS * (1 + 3 * scale_sigma)
-        self._readings: list[Reading] = []
+        self._readings: list[AngleReading] = []
         self._error: TagidError | None = None
         self._unconfirmed = False
         self._worker: Worker | None = None
@@ -83,7 +83,7 @@ class DrivenMotion(ABC):
         """Open the link, arm the emergency stop for the case that this program dies, and start the motion."""
 
     @abstractmethod
-    def _poll(self) -> list[Reading]:
+    def _poll(self) -> list[AngleReading]:
         """Wait briefly for readings; raise if the motion has to stop."""
 
     @abstractmethod

@@ -29,7 +29,7 @@ from tagid.storage.journal_capture import journal_to_capture
 _JUDGED_SCANS = 2000
 """Maximum number of scans examined during recording; more are decimated to keep the radar's queue short."""
 
-Progress = Callable[[int, float], None]
+ScanProgress = Callable[[int, float], None]
 """Called with (scans, seconds)."""
 
 
@@ -51,7 +51,7 @@ class Watch:
             then complete, and is stored with it.
     """
 
-    progress: Progress | None = None
+    progress: ScanProgress | None = None
     resolve: Callable[[Capture, str], Capture] | None = None
     gap: Callable[[ScanGap], None] = lambda gap: None
     named: Callable[[Path], None] = lambda path: None

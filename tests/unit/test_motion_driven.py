@@ -14,7 +14,7 @@ import pytest
 
 from tagid.errors import DeviceError, DeviceGoneError
 from tagid.motion.device import MotionStoppedError, PausedError
-from tagid.motion.driven import DrivenMotion, Reading
+from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.links import SerialLink
 from tagid.station.errors import OverloadedError, begin
 from tagid.workers import Worker
@@ -39,7 +39,7 @@ class Scripted(DrivenMotion):
         if self._begin_error is not None:
             raise self._begin_error
 
-    def _poll(self) -> list[Reading]:
+    def _poll(self) -> list[AngleReading]:
         time.sleep(1e-3)
         if self._poll_error is not None and self._readings:
             raise self._poll_error

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
 from tagid.motion.device import MotionStoppedError, PausedError
-from tagid.motion.driven import DrivenMotion, Reading
+from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.links import ByteLink
 from tagid.motion.roomba.client import FAREWELL, OpenInterface, RobotStatus
 from tagid.motion.roomba.messages import FRAME_S, Mode, Packet
@@ -187,7 +187,7 @@ class Roomba(DrivenMotion):
                 f"the battery of {self.name} has {status.temperature_c} degC", "Let it cool."
             )
 
-    def _poll(self) -> list[Reading]:
+    def _poll(self) -> list[AngleReading]:
         oi = self._interface()
         oi.link.beat()
         now = time.monotonic()
@@ -207,7 +207,7 @@ class Roomba(DrivenMotion):
             # Repeated regularly: these writes keep the dead-man from stopping the wheels.
             self._spin(round(self.settings.step * SPEED_STEP_MM_S) if self._readings else 0)
             self._fed = now
-        readings: list[Reading] = []
+        readings: list[AngleReading] = []
         for stamp, values in oi.frames(0.02):
             self._watch(values)
             angle = self._odometry.add(values[Packet.LEFT_ENCODER], values[Packet.RIGHT_ENCODER])

@@ -10,7 +10,7 @@ import re
 from typing import Final
 
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
-from tagid.motion.driven import Reading
+from tagid.motion.driven import AngleReading
 from tagid.motion.links import SerialLink
 from tagid.motion.tables.polled import PolledTable
 from tagid.motion.urls import Options
@@ -64,7 +64,7 @@ class Comxim(PolledTable):
             return False
         return True
 
-    def _poll(self) -> list[Reading]:
+    def _poll(self) -> list[AngleReading]:
         readings = super()._poll()
         turned = abs(self._turned_deg)
         if self._renewed_deg is not None and turned - self._renewed_deg > self.step_deg / 2:

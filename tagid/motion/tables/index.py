@@ -17,7 +17,7 @@ from tagid.errors import DeviceRejectedError
 from tagid.motion.ble import BleAddress, BridgeLink
 from tagid.motion.ble_urls import ble_address
 from tagid.motion.bridge import Event, IndexPulse, Op
-from tagid.motion.driven import DrivenMotion, Reading
+from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.urls import Options
 
 _LOOK_S: Final = 0.05
@@ -77,7 +77,7 @@ class IndexTable(DrivenMotion):
             self._offset_ns = (asked + answered) // 2 - uptime_us * 1000
         self._clock_at = time.monotonic()
 
-    def _poll(self) -> list[Reading]:
+    def _poll(self) -> list[AngleReading]:
         if time.monotonic() - self._clock_at > _CLOCK_EVERY_S:
             self._fit_clock()
         with self._new:

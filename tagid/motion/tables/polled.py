@@ -14,7 +14,7 @@ from typing import Any, Final
 from tagid import hostclock
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
 from tagid.motion.device import MotionStoppedError, PausedError
-from tagid.motion.driven import DrivenMotion, Reading
+from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.links import ByteLink
 
 POLL_S: Final = 0.05
@@ -143,7 +143,7 @@ class PolledTable(DrivenMotion):
         self._looked = time.monotonic()
         self._moved = time.monotonic()
 
-    def _poll(self) -> list[Reading]:
+    def _poll(self) -> list[AngleReading]:
         time.sleep(POLL_S)
         self._beat()
         if time.monotonic() - self._looked > PAUSE_S:
