@@ -110,7 +110,7 @@ def _competing(reading: Reading) -> Iterator[RenderableType]:
         bar = list("#" * round(behind) if behind <= _BAR else "#" * _BAR + "+")
         if needed is not None and needed < len(bar):
             bar[needed] = "|"
-        table.add_row(f"{behind:7.1f}", "".join(bar), f"{row.words}, {left_words(row.left)}")
+        table.add_row(f"{behind:7.1f}", "".join(bar), f"{row.words}, {left_words(row.unexplained)}")
     yield Padding(table, (0, 0, 0, 2))
 
 

@@ -103,7 +103,7 @@ def hypothesis_words(reading: Reading) -> str:
     if won is None or reading.code == "no_echo":
         return ""
     x, y = (round(value * 1e3) for value in won.centre_m)
-    return f"{won.words}, centre ({x}, {y}) mm, {left_words(won.left)}"
+    return f"{won.words}, centre ({x}, {y}) mm, {left_words(won.unexplained)}"
 
 
 def left_words(left: float) -> str:

@@ -136,7 +136,7 @@ class Identification:
                 "layout": one.layout,
                 "words": one.words,
                 "log_evidence": one.log_evidence,
-                "unexplained": one.left,
+                "unexplained": one.unexplained,
                 "centre_m": list(one.centre_m),
                 "radius_m": one.radius_m,
                 "outline_m": [list(corner) for corner in one.outline_m],

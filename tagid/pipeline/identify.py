@@ -261,7 +261,7 @@ def without_body(prepared: PreparedCapture, answer: Identification) -> PreparedC
 def _selected_body(reading: Reading) -> Hypothesis | None:
     """The hypothesis that won if it has a body, whose echo is no part of the tag; else None."""
     winner = reading.winner
-    return None if winner is None or not winner.found.model.body_columns else winner
+    return None if winner is None or not winner.estimate.model.body_columns else winner
 
 
 def identify_together(

@@ -34,7 +34,7 @@ ENERGY_0DB = 0.13
 """Energy of a reflector's echo per view and frequency over the noise's at an SNR of 0 dB (`tagid simulate`),
 where its loudest sample is as loud as the noise."""
 _KAPPA = 4 * np.pi / SPEED_OF_LIGHT * np.linspace(3.3e9, 4.7e9, 9)
-_UPRIGHT = tuple(one for one in (*WALLS, *RODS) if one.name.endswith("V"))
+_UPRIGHT = tuple(wall for wall in (*WALLS, *RODS) if wall.name.endswith("V"))
 BODIES: dict[str, tuple[Transfer, ...]] = {"helmet": (BARE,)}
 """What objects of a kind may be, for upright antennas: a helmet's shell hardly changes its reflectors."""
 _ANY: tuple[Transfer, ...] = (BARE, *_UPRIGHT)
@@ -89,13 +89,13 @@ class Apart:
 
 def told_apart(layout: Layout, other: Layout, conditions: Conditions = Conditions()) -> Apart:
     """How far recordings tell two layouts of as many reflectors apart, of the one that they tell less."""
-    found = []
+    candidates = []
     for recorded, rival in ((layout, other), (other, layout)):
         for body in BODIES.get(recorded.kind, _ANY):
             spectra = _recorded(recorded, body, conditions)
             lead = _best(spectra, recorded, recorded, body) - _best(spectra, rival, recorded, body)
-            found.append(Apart(float(lead), body.words if body.body else ""))
-    return min(found, key=lambda one: one.lead)
+            candidates.append(Apart(float(lead), body.words if body.body else ""))
+    return min(candidates, key=lambda candidate: candidate.lead)
 
 
 def _recorded(layout: Layout, body: Transfer, conditions: Conditions) -> Spectra:
@@ -138,20 +138,22 @@ def _best(spectra: Spectra, layout: Layout, recorded: Layout, body: Transfer) ->
 
     def tried(transfer: Transfer, poses: Iterable[tuple[complex, float]]) -> list[Candidate]:
         model, x = _placed(spectra, layout, transfer)
-        found = []
+        starts = []
         for centre, turn in poses:
             x = x.copy()
             x[0], x[1], x[model.head] = centre.real, centre.imag, turn
-            found.append(Candidate(best_powers(spectra, model, x, 1e-2)[1], layout, model, x, False))
-        return sorted(found, key=lambda one: -one.log)
+            starts.append(Candidate(best_powers(spectra, model, x, 1e-2)[1], layout, model, x, False))
+        return sorted(starts, key=lambda start: -start.log)
 
     about = [(0j, float(turn)) for turn in 2 * np.pi * np.arange(_TURNS) / _TURNS]
     pair = best_pairing(layout.positions, recorded.positions)
     poses = [(complex(*pair.shift_m), pair.rotation_rad)]
-    poses += [(complex(*one.x[:2]), float(one.x[one.model.head])) for one in tried(body, about)[:_TRIED]]
+    poses += [
+        (complex(*start.x[:2]), float(start.x[start.model.head])) for start in tried(body, about)[:_TRIED]
+    ]
     starts = sorted(
-        (one for transfer in TRANSFERS for one in tried(transfer, poses)), key=lambda one: -one.log
+        (start for transfer in TRANSFERS for start in tried(transfer, poses)), key=lambda start: -start.log
     )
-    found = [refined(spectra, start.model, start.x) for start in starts[:_REFINED]]
-    glued = [refined(spectra, *one.by_hand(), (None,)) for one in found]
-    return max(one.log_z for one in (*found, *glued))
+    estimates = [refined(spectra, start.model, start.x) for start in starts[:_REFINED]]
+    glued = [refined(spectra, *estimate.by_hand(), (None,)) for estimate in estimates]
+    return max(estimate.log_z for estimate in (*estimates, *glued))

@@ -55,45 +55,45 @@ class Arrangement:
         return cls.rigid(positions[:, 0] + 1j * positions[:, 1], heights)
 
     @classmethod
-    def rigid(cls, places: Complex, heights: Floats | None = None) -> Arrangement:
+    def rigid(cls, positions: Complex, heights: Floats | None = None) -> Arrangement:
         """Reflectors at known places (K,), x + jy, and heights (K,), m, that turn together."""
-        zero = np.zeros(len(places), dtype=np.intp)
-        up = np.zeros(len(places)) if heights is None else np.asarray(heights, dtype=float)
+        zero = np.zeros(len(positions), dtype=np.intp)
+        up = np.zeros(len(positions)) if heights is None else np.asarray(heights, dtype=float)
         rigid = np.zeros(1, dtype=bool)
-        return cls(np.abs(places), np.angle(places), up, zero, zero, rigid, zero, bool(np.ptp(up) > 0))
+        return cls(np.abs(positions), np.angle(positions), up, zero, zero, rigid, zero, bool(np.ptp(up) > 0))
 
     @classmethod
     def ring(cls, radius_m: float, angle: Floats) -> Arrangement:
         """Reflectors at any angles (K,), rad, of one free ring."""
         k = len(angle)
-        each, zero, free = np.arange(k), np.zeros(k, dtype=np.intp), np.ones(1, dtype=bool)
-        return cls(np.full(k, radius_m), np.asarray(angle), np.zeros(k), each, zero, free, each)
+        numbers, zero, free = np.arange(k), np.zeros(k, dtype=np.intp), np.ones(1, dtype=bool)
+        return cls(np.full(k, radius_m), np.asarray(angle), np.zeros(k), numbers, zero, free, numbers)
 
     @classmethod
-    def points(cls, places: Complex) -> Arrangement:
+    def points(cls, positions: Complex) -> Arrangement:
         """Reflectors anywhere (K,), x + jy, m."""
-        k = np.arange(len(places))
+        k = np.arange(len(positions))
         free = np.ones(len(k), dtype=bool)
-        return cls(np.abs(places), np.angle(places), np.zeros(len(k)), k, k, free, k)
+        return cls(np.abs(positions), np.angle(positions), np.zeros(len(k)), k, k, free, k)
 
     @classmethod
-    def about(cls, places: Complex, apart_m: float = 2 * MOUNTING_SD_M) -> Arrangement:
+    def about(cls, positions: Complex, apart_m: float = 2 * MOUNTING_SD_M) -> Arrangement:
         """Free reflectors near places (K,), x + jy, m: of one ring where their radii differ by no more."""
-        out = np.abs(places)
+        out = np.abs(positions)
         if np.ptp(out) > apart_m:
-            return cls.points(places)
-        return cls.ring(float(out.mean()), np.angle(places))
+            return cls.points(positions)
+        return cls.ring(float(out.mean()), np.angle(positions))
 
     def of(self, which: NDArray[np.intp]) -> Arrangement:
         """Some of the reflectors."""
-        places = self.radius_m[which], self.angle[which], self.height_m[which]
+        positions = self.radius_m[which], self.angle[which], self.height_m[which]
         groups = self.turn[which], self.stretch[which]
-        return Arrangement(*places, *groups, self.free, self.lift[which], self.tall)
+        return Arrangement(*positions, *groups, self.free, self.lift[which], self.tall)
 
     def by_hand(self) -> Arrangement:
         """The same with every reflector a little off its place."""
-        each = np.arange(self.count)
-        return replace(self, turn=each, stretch=each, free=np.zeros(self.count, dtype=bool), glued=True)
+        numbers = np.arange(self.count)
+        return replace(self, turn=numbers, stretch=numbers, free=np.zeros(self.count, dtype=bool), glued=True)
 
     def glue(self, common_sd_m: float) -> tuple[float, Floats]:
         """Log density at the enrolled places, and precision (2 K, 2 K), of turns and stretches.
@@ -116,8 +116,8 @@ class Arrangement:
 
     def unbound(self, turn: Floats) -> Arrangement:
         """The same reflectors turned by (K,), rad, every one free to go anywhere."""
-        each, free = np.arange(self.count), np.ones(self.count, dtype=bool)
-        return replace(self, angle=self.angle + turn, turn=each, stretch=each, free=free, glued=False)
+        numbers, free = np.arange(self.count), np.ones(self.count, dtype=bool)
+        return replace(self, angle=self.angle + turn, turn=numbers, stretch=numbers, free=free, glued=False)
 
     def resized(self, radius_m: float) -> Arrangement:
         """The same angles at any distance from the centre, about so much at most, m."""

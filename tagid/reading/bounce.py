@@ -19,7 +19,7 @@ TOUCH_M = 1e-3
 
 def bounced(
     spectra: Spectra,
-    places: Complex,
+    positions: Complex,
     heights: Floats,
     range_m: Floats,
     toward: Complex,
@@ -32,9 +32,14 @@ def bounced(
     """
     half = -0.5j * spectra.kappa[:, None, None]
     waves = (spectra.distance_m / range_m) * np.exp(half * (range_m - spectra.distance_m)) * seen
-    apart = np.stack([np.subtract.outer(one, one) for one in (places.real, places.imag, heights)])
+    apart = np.stack(
+        [
+            np.subtract.outer(coordinate, coordinate)
+            for coordinate in (positions.real, positions.imag, heights)
+        ]
+    )
     far = np.sqrt((apart**2).sum(axis=0) + TOUCH_M**2)
-    pair = BOUNCE_M / far * np.exp(half * far) * ~np.eye(len(places), dtype=bool)
+    pair = BOUNCE_M / far * np.exp(half * far) * ~np.eye(len(positions), dtype=bool)
     back = pair @ waves
     drawn = pair * (half - 1 / far) * apart[:, None] / far
     moved = waves * back * (half - 1 / range_m)

@@ -79,7 +79,7 @@ class Stratum:
 
     def p_value(self, lead: float) -> float:
         """(k + 1) / (n + 1), k the objects that reach the lead: all of them below the smallest one kept."""
-        reached = sum(own >= lead for own in self.leads)
+        reached = sum(score >= lead for score in self.leads)
         if self.leads and lead < self.leads[-1]:
             reached = self.objects
         return min((reached + 1) / (self.objects + 1), 1.0)
@@ -124,12 +124,12 @@ class Calibration:
                 raise ValueError(f"version {data['format_version']}")
             strata = tuple(
                 Stratum(
-                    int(one["views"][0]),
-                    int(one["views"][1]),
-                    int(one["objects"]),
-                    tuple(sorted((float(lead) for lead in one["leads"]), reverse=True)),
+                    int(stratum["views"][0]),
+                    int(stratum["views"][1]),
+                    int(stratum["objects"]),
+                    tuple(sorted((float(lead) for lead in stratum["leads"]), reverse=True)),
                 )
-                for one in data["strata"]
+                for stratum in data["strata"]
             )
             seeds = tuple((int(first), int(last)) for first, last in data["seeds"])
             return cls(str(data["population"]), seeds, strata)
@@ -143,8 +143,12 @@ class Calibration:
             "population": self.population,
             "seeds": [list(pair) for pair in self.seeds],
             "strata": [
-                {"views": [one.views_from, one.views_to], "objects": one.objects, "leads": list(one.leads)}
-                for one in self.strata
+                {
+                    "views": [stratum.views_from, stratum.views_to],
+                    "objects": stratum.objects,
+                    "leads": list(stratum.leads),
+                }
+                for stratum in self.strata
             ],
         }
         return json.dumps(data, indent=1) + "\n"
@@ -154,19 +158,19 @@ class Calibration:
 
         Where the hypotheses are complete it is ln(1 / false_accept), which is needed at least, and 6.9.
         """
-        found, theory = self._stratum(views), max(log(1 / false_accept), SURE)
-        least = inf if found is None else found.needed(false_accept)
+        stratum, theory = self._stratum(views), max(log(1 / false_accept), SURE)
+        least = inf if stratum is None else stratum.needed(false_accept)
         return Needed(max(least, theory), max(least / BARE_WORTH, theory))
 
     def bound(self, lead: float, views: int, false_accept: float) -> Bound:
         """The promise for what a lead counts (`worth`); no objects where no stratum fits."""
-        found = self._stratum(views)
-        if found is None:
+        stratum = self._stratum(views)
+        if stratum is None:
             return Bound(1.0, false_accept, 0, f"{views} views", self.population)
-        return Bound(found.p_value(lead), false_accept, found.objects, found.name, self.population)
+        return Bound(stratum.p_value(lead), false_accept, stratum.objects, stratum.name, self.population)
 
     def _stratum(self, views: int) -> Stratum | None:
-        inside = (one for one in self.strata if one.views_from <= views < one.views_to)
+        inside = (stratum for stratum in self.strata if stratum.views_from <= views < stratum.views_to)
         return next(inside, None)
 
 

@@ -271,8 +271,8 @@ class Model:
 
     def _centre(self, x: Floats) -> Complex:
         a = self.body_parameters
-        own = x[..., a] + 1j * x[..., a + 1]
-        return np.asarray(own + (x[..., 0] + 1j * x[..., 1]) if a else own)
+        offset = x[..., a] + 1j * x[..., a + 1]
+        return np.asarray(offset + (x[..., 0] + 1j * x[..., 1]) if a else offset)
 
     def _spots(self, x: Floats) -> Complex:
         odd = x[..., self._cuts[2]]
@@ -297,7 +297,7 @@ class Model:
         """The columns at parameters x (P,); slopes: those are wanted, too."""
         return Columns.of(self, spectra, x, slopes)
 
-    def places(self, x: Floats) -> Complex:
+    def positions(self, x: Floats) -> Complex:
         """(.., K) of the reflectors, x + jy, m, at parameters (.., P)."""
         if self.tag is None:
             return np.zeros((*x.shape[:-1], 0), dtype=complex)
@@ -344,8 +344,8 @@ class Model:
         """(P,) which parameters have a Gaussian prior."""
         flags = [True, True] + [False] * self.shapes
         if self.tag is not None:
-            own = [not (free or self.tag.glued) for free in self.tag.free]
-            flags += [False] * self.tag.turns + own + [True] * self.lifts
+            certain = [not (free or self.tag.glued) for free in self.tag.free]
+            flags += [False] * self.tag.turns + certain + [True] * self.lifts
         return np.array(flags + [False, False, True][: self.spot] * self.odd)
 
     def log_prior(self, x: Floats, *, slopes: bool = False) -> tuple[float, Floats, Floats]:
@@ -380,8 +380,8 @@ class Model:
         """(P, P) precision of the Gaussian priors."""
         pull = np.diag(np.where(self._normal, self.precision, 0.0))
         if self.tag is not None and self.tag.glued:
-            own = slice(self.head, self.head + 2 * self.tag.count)
-            pull[own, own] = self._glue[1]
+            turns_and_stretches = slice(self.head, self.head + 2 * self.tag.count)
+            pull[turns_and_stretches, turns_and_stretches] = self._glue[1]
         return pull
 
     @cached_property
@@ -403,8 +403,8 @@ class Model:
         # Nothing odd stands farther out: a scatterer that is worth nothing would be free to leave.
         parts = [np.abs(self._spots(x)) - self.priors.reach_m]
         if len(first):
-            places = np.concatenate([self.places(x), self._spots(x)], axis=-1)
-            apart = places[..., first] - places[..., second]
+            positions = np.concatenate([self.positions(x), self._spots(x)], axis=-1)
+            apart = positions[..., first] - positions[..., second]
             parts.append(least - np.sqrt(apart.real**2 + apart.imag**2 + rise))
         if self.tag is not None and self.tag.free.any():
             free = self.tag.free[self.tag.stretch]
@@ -428,10 +428,10 @@ def pairs(tag: Arrangement | None, odd: int) -> tuple[NDArray[np.intp], NDArray[
     least = np.where(second < len(height) - odd, APART_M, CLOSEST_M)
     if tag is not None and tag.count > 1:
         # An enrolled tag stands as it was built.
-        places = tag.radius_m * np.exp(1j * tag.angle)
-        own = second < len(places)
-        built = np.hypot(np.abs(places[first[own]] - places[second[own]]), np.sqrt(rise[own]))
-        least[own] = APART_M if tag.turns > 1 and not tag.glued else np.minimum(built, APART_M)
+        positions = tag.radius_m * np.exp(1j * tag.angle)
+        alike = second < len(positions)
+        built = np.hypot(np.abs(positions[first[alike]] - positions[second[alike]]), np.sqrt(rise[alike]))
+        least[alike] = APART_M if tag.turns > 1 and not tag.glued else np.minimum(built, APART_M)
     return first, second, rise, least
 
 
@@ -476,13 +476,13 @@ class Columns:
         centre, turn, _, odd = model.split(x)
         tag = model.tag
         body = 1 if model.transfer.body else 0
-        places = np.concatenate([[centre] * body, model.places(x), odd])
-        heights = np.zeros(len(places))
+        positions = np.concatenate([[centre] * body, model.positions(x), odd])
+        heights = np.zeros(len(positions))
         k = 0 if tag is None else tag.count
         heights[body : body + k], heights[body + k :] = model.heights_of(x)
-        waves, range_m = spectra.waves(places, heights)
+        waves, range_m = spectra.waves(positions, heights)
         waves[:, body + k :] *= model.windows(spectra.direction)
-        toward = (places[:, None] - spectra.antenna) / range_m
+        toward = (positions[:, None] - spectra.antenna) / range_m
         up = (heights[:, None] - spectra.height_m) / range_m
         parts, pattern, turned, oval, bounce = [], None, None, None, None
         if model.shapes:
@@ -505,8 +505,8 @@ class Columns:
                 turned = turned if turned is None else turned * seen
             parts.append(np.einsum("kpfv,fkv->fpv", pattern, waves[:, body : body + k]))
             if model.bounces:
-                own = slice(body, body + k)
-                there = places[own], heights[own], range_m[own], toward[own], up[own]
+                tagged = slice(body, body + k)
+                there = positions[tagged], heights[tagged], range_m[tagged], toward[tagged], up[tagged]
                 value, bounce = bounced(spectra, *there, model.seeing(spectra.direction))
                 parts.append(value[:, None])
             if model.unlike:
@@ -538,10 +538,10 @@ class Columns:
                 turned = np.einsum("kpfv,fpv->fkv", self.turned, w)
             body += model.bounces
             if model.unlike:
-                own = weights[:, body : body + k]
-                out[:, first : first + k] += np.moveaxis(self.pattern[:, 0], 0, 1) * own
+                weight = weights[:, body : body + k]
+                out[:, first : first + k] += np.moveaxis(self.pattern[:, 0], 0, 1) * weight
                 if turned is not None and self.turned is not None:
-                    turned += np.moveaxis(self.turned[:, 0], 0, 1) * own
+                    turned += np.moveaxis(self.turned[:, 0], 0, 1) * weight
                 body += k
         out[:, first + k :] = weights[:, body:]
         return out, turned
@@ -574,17 +574,17 @@ class Columns:
             centre, turn, _, _ = model.split(x)
             direction = model.tag.angle + turn[model.tag.turn]
             outward = np.exp(1j * direction)
-            across = 1j * (model.places(x) - centre)
-            own = slice(first, first + k)
-            faced = np.asarray(-turned * self.waves[:, own])
+            across = 1j * (model.positions(x) - centre)
+            tagged = slice(first, first + k)
+            faced = np.asarray(-turned * self.waves[:, tagged])
             spun = faced.copy()
             if self.tilt is not None:
                 cosine, sine = twice = _twice(direction)
                 out[-2:] = np.einsum("fkv,ck->cfv", faced, twice)
                 # A turn about the centre moves the reflector along a wall whose normal changes.
                 spun += faced * (2 * (self.tilt[1] * cosine - self.tilt[0] * sine))[:, None]
-            spun += along_x[:, own] * across.real[:, None] + along_y[:, own] * across.imag[:, None]
-            drawn = along_x[:, own] * outward.real[:, None] + along_y[:, own] * outward.imag[:, None]
+            spun += along_x[:, tagged] * across.real[:, None] + along_y[:, tagged] * across.imag[:, None]
+            drawn = along_x[:, tagged] * outward.real[:, None] + along_y[:, tagged] * outward.imag[:, None]
             for i in range(k):
                 out[row + model.tag.turn[i]] += spun[:, i]
                 out[row + model.tag.turns + model.tag.stretch[i]] += drawn[:, i]

@@ -63,8 +63,8 @@ class Compiled:
     @staticmethod
     def of(spectra: Spectra, model: Model) -> Compiled | None:
         """That of a model; None where numpy is to do it: without the compiled loop, or for other columns."""
-        own = type(model) in (Model, SheetModel) and fits(model)
-        return _of(spectra, model) if own else None
+        is_compiled = type(model) in (Model, SheetModel) and fits(model)
+        return _of(spectra, model) if is_compiled else None
 
     def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
         """(G, H) log densities under G powers of the clutter and H of the others."""
@@ -114,7 +114,7 @@ class Compiled:
         power = _POWERS.get((kind, some))
         if power is None:
             unit = np.ones(1)
-            power = np.concatenate([model.power(unit, *one) for one in some])
+            power = np.concatenate([model.power(unit, *amplitudes) for amplitudes in some])
             _POWERS[kind, some] = power
         return power
 
@@ -153,9 +153,9 @@ class Given(Compiled):
             if at == place and not (slopes and rates is None):
                 return values, rates
         here = self.model.at(self._spectra, x, slopes)
-        found = here.expanded if isinstance(here, SheetColumns) and slopes else (here.values, None)
-        self._last = [(place, *found), *self._last[:_KEPT]]
-        return found
+        expanded = here.expanded if isinstance(here, SheetColumns) and slopes else (here.values, None)
+        self._last = [(place, *expanded), *self._last[:_KEPT]]
+        return expanded
 
     def foresee(self, x: Floats) -> None:
         """See `Compiled.foresee`: the columns come with slopes at once."""
@@ -200,7 +200,7 @@ def _recording(spectra: Spectra) -> tuple[Floats, list[Floats], list[Complex], l
     return (
         np.stack([spectra.kappa, spectra.moving]),
         [pack(whitener.variance) for whitener in spectra.whiteners],
-        [pack(one) for one in spectra.white],
+        [pack(white) for white in spectra.white],
         [turn if whitener.basis is None else pack(whitener.basis) for whitener in spectra.whiteners],
     )
 

@@ -67,11 +67,12 @@ class Decision:
 def decide(hypotheses: Sequence[Hypothesis], needed: Needed = Needed()) -> Decision:
     """The decision over the hypotheses of one recording."""
     named = [hypothesis for hypothesis in hypotheses if hypothesis.name is not None]
-    best = max(named, key=lambda one: one.log_z, default=None)
+    best = max(named, key=lambda hypothesis: hypothesis.log_z, default=None)
     others = [hypothesis for hypothesis in hypotheses if best is None or not is_same(hypothesis, best)]
-    rival = max(others, key=lambda one: one.log_z)
+    rival = max(others, key=lambda hypothesis: hypothesis.log_z)
     untagged = max(
-        (hypothesis for hypothesis in hypotheses if not hypothesis.tagged), key=lambda one: one.log_z
+        (hypothesis for hypothesis in hypotheses if not hypothesis.tagged),
+        key=lambda hypothesis: hypothesis.log_z,
     )
     if best is None:
         return settled(None, Joint(rival.log_z, rival), Joint(untagged.log_z, untagged), needed)
@@ -107,55 +108,61 @@ def settled(named: Joint | None, other: Joint, untagged: Joint, needed: Needed =
     return refused("unknown", f"{words(best)}, or nearly as likely: {words(rival)}", best, code)
 
 
-def _without_tag(one: Hypothesis) -> Code:
+def _without_tag(winner: Hypothesis) -> Code:
     """Whether an untagged hypothesis is that nothing turns there but noise."""
-    silent = not one.found.model.transfer.body and not one.found.model.odd and not one.found.powers.clutter
+    silent = (
+        not winner.estimate.model.transfer.body
+        and not winner.estimate.model.odd
+        and not winner.estimate.powers.clutter
+    )
     return Code.NO_ECHO if silent else Code.NO_TAG
 
 
-def _difference(one: Hypothesis, best: Hypothesis) -> Code:
+def _difference(winner: Hypothesis, best: Hypothesis) -> Code:
     """How an arrangement that is not enrolled differs from the likeliest layout."""
-    if best.layout is None or one.found.model.tag is None:
+    if best.layout is None or winner.estimate.model.tag is None:
         return Code.OTHER
-    target, places = best.found.places, one.found.places
-    if best.middle and not one.found.model.covers_middle:
-        target = np.append(target, best.found.centre)
-    apart = np.abs(target[:, None] - places)
+    target, positions = best.estimate.positions, winner.estimate.positions
+    if best.middle and not winner.estimate.model.covers_middle:
+        target = np.append(target, best.estimate.centre)
+    apart = np.abs(target[:, None] - positions)
     kept = int((apart.min(axis=1) < SAME_M).sum())
-    if kept == len(target) == len(places) - 1:
+    if kept == len(target) == len(positions) - 1:
         return Code.EXTRA
-    if len(places) < len(target) and (apart.min(axis=0) < SAME_M).all():
+    if len(positions) < len(target) and (apart.min(axis=0) < SAME_M).all():
         return Code.MISSING
-    if len(places) == len(target):
-        pose = pose_of(Arrangement.rigid(target - best.found.centre), places)
+    if len(positions) == len(target):
+        pose = pose_of(Arrangement.rigid(target - best.estimate.centre), positions)
         if pose is not None or 2 * kept >= len(target):
             return Code.DISPLACED
-        if _turned_alike(target - best.found.centre, places - one.found.centre):
+        if _turned_alike(target - best.estimate.centre, positions - winner.estimate.centre):
             return Code.RADIUS
     return Code.OTHER
 
 
-def _turned_alike(target: Complex, places: Complex) -> bool:
+def _turned_alike(target: Complex, positions: Complex) -> bool:
     """Whether reflectors about their centres stand in the same directions, at other distances."""
-    apart = np.sort(gaps_deg(np.angle(target))) - np.sort(gaps_deg(np.angle(places)))
+    apart = np.sort(gaps_deg(np.angle(target))) - np.sort(gaps_deg(np.angle(positions)))
     return bool(np.abs(apart).max() < ALIKE_DEG)
 
 
-def is_same(one: Hypothesis, best: Hypothesis) -> bool:
+def is_same(hypothesis: Hypothesis, best: Hypothesis) -> bool:
     """The hypothesis describes the reflectors of the layout `best`, or is the same enrolled object."""
-    if one is best or one.name is not None:
-        return one.name == best.name
-    if one.found.model.tag is None or best.layout is None:
+    if hypothesis is best or hypothesis.name is not None:
+        return hypothesis.name == best.name
+    if hypothesis.estimate.model.tag is None or best.layout is None:
         return False
-    own, other = one.found, best.found
-    empty = not own.model.transfer.body or own.model.transfer.clear
-    target = other.places
-    if differ_in_height(own, other):
+    estimate, other = hypothesis.estimate, best.estimate
+    empty = not estimate.model.transfer.body or estimate.model.transfer.clear
+    target = other.positions
+    if differ_in_height(estimate, other):
         return False
     if best.middle and empty:
         target = np.append(target, other.centre)
-    alike = own.places
-    every = np.concatenate([alike, own.odd] + ([] if empty or not has_middle(best) else [[own.centre]]))
+    alike = estimate.positions
+    every = np.concatenate(
+        [alike, estimate.odd] + ([] if empty or not has_middle(best) else [[estimate.centre]])
+    )
     apart = np.abs(target[:, None] - every)
     stray = np.abs(alike[:, None] - target).min(axis=1) >= SAME_M
     if (apart.min(axis=1) >= SAME_M).any() or stray.any():
@@ -165,21 +172,21 @@ def is_same(one: Hypothesis, best: Hypothesis) -> bool:
         return True
     nominal = tag.radius_m * np.exp(1j * tag.angle)
     there = every[apart.argmin(axis=1)]
-    if own.model.transfer in (BARE, FACING, POINTS):
+    if estimate.model.transfer in (BARE, FACING, POINTS):
         # Their echo is the same from all sides: the body's centre says nothing of the ring's.
         return _off(nominal, there) < BUILT_M
-    return _about(own.centre, nominal, there, max(SAME_M, 3 * own.model.transfer.radius_sd_m))
+    return _about(estimate.centre, nominal, there, max(SAME_M, 3 * estimate.model.transfer.radius_sd_m))
 
 
-def has_middle(one: Hypothesis) -> bool:
+def has_middle(hypothesis: Hypothesis) -> bool:
     """The layout has a reflector in the middle, which looks like a body."""
-    tag = one.found.model.tag
-    return one.middle or (tag is not None and bool((tag.radius_m < SAME_M).any()))
+    tag = hypothesis.estimate.model.tag
+    return hypothesis.middle or (tag is not None and bool((tag.radius_m < SAME_M).any()))
 
 
-def _about(centre: complex, nominal: Complex, places: Complex, slack_m: float) -> bool:
+def _about(centre: complex, nominal: Complex, positions: Complex, slack_m: float) -> bool:
     """Whether places (K,) are those of a layout that stands about a body's centre, out by some slack."""
-    seen = places - centre
+    seen = positions - centre
     out = np.abs(nominal) > 0
     turn = np.vdot(nominal, seen)
     aside = np.angle(seen[out] * np.conj(nominal[out] * turn)) * np.abs(nominal[out])
@@ -193,26 +200,26 @@ def _off(a: Complex, b: Complex) -> float:
     return float(np.abs(u * (turn / max(abs(turn), 1e-30)) - v).max())
 
 
-def words(one: Hypothesis) -> str:
+def words(hypothesis: Hypothesis) -> str:
     """A hypothesis for people."""
-    model = one.found.model
+    model = hypothesis.estimate.model
     odd = {0: "", 1: " and one odd scatterer"}.get(model.odd, f" and {model.odd} odd scatterers")
     where = f" on {model.words}" if model.transfer.body else ""
     if model.whole:
         where = f", less or more than on {model.words}"
-    if one.layout is not None:
-        return f"{one.layout.name}{where}{odd}"
+    if hypothesis.layout is not None:
+        return f"{hypothesis.layout.name}{where}{odd}"
     if model.tag is None and model.tagged:
         return model.words + odd
     if model.tag is None:
         body = "an object" if model.transfer is POINTS and not model.body_parameters else model.words
         return (f"{body} without a tag" if model.transfer.body else "nothing but clutter") + odd
-    places = one.found.places - one.found.centre
-    count = len(places)
+    positions = hypothesis.estimate.positions - hypothesis.estimate.centre
+    count = len(positions)
     if count == 1:
         return f"one reflector{where}{odd}"
-    gaps = gaps_deg(np.angle(places))
+    gaps = gaps_deg(np.angle(positions))
     gaps = np.sort(gaps)[:-1] if count == 2 else gaps
     apart = " and ".join(f"{g:.0f}" for g in gaps)
-    out = np.abs(places).mean() * 1e3
+    out = np.abs(positions).mean() * 1e3
     return f"{count} reflectors {apart} degrees apart, {out:.0f} mm from the centre{where}{odd}"

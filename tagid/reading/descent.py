@@ -42,7 +42,7 @@ class Powers:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Estimate:
     """A model at its most probable parameters.
 
     Attributes:
@@ -94,9 +94,9 @@ class Found:
         return more, np.concatenate([x[:turns], *rest])
 
     @property
-    def places(self) -> NDArray[np.complex128]:
+    def positions(self) -> NDArray[np.complex128]:
         """(K,) of the reflectors, m."""
-        return self.model.places(self.x)
+        return self.model.positions(self.x)
 
     @property
     def odd(self) -> NDArray[np.complex128]:
@@ -125,7 +125,7 @@ class _Numpy:
     def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
         spectra, model = self.spectra, self.model
         columns = spectra.whiteners[model.disc].apply(model.at(spectra, x, slopes=False).values)
-        power = np.stack([model.power(spectra.moving, *one) for one in some])
+        power = np.stack([model.power(spectra.moving, *amplitudes) for amplitudes in some])
         variances = [variance(spectra, model, sigma)[None] for sigma in clutter]
         logs = [log_evidence(columns, spectra.white[model.disc], lam, power) for lam in variances]
         return np.stack(logs) + model.log_prior(x)[0]
@@ -137,13 +137,13 @@ class _Numpy:
         spectra, model = self.spectra, self.model
         lam, power = variance(spectra, model, clutter), model.power(spectra.moving, *powers)
         columns, whitener = model.at(spectra, x), spectra.whiteners[model.disc]
-        found = fit(whitener.apply(columns.values), spectra.white[model.disc], lam, power)
-        back = whitener.adjoint(found.adjoint)
+        fitted = fit(whitener.apply(columns.values), spectra.white[model.disc], lam, power)
+        back = whitener.adjoint(fitted.adjoint)
         gradient = 2 * columns.slopes(back.conj()).sum(axis=(1, 2)).real
-        moved = np.swapaxes(columns.slopes(found.amplitudes[..., None]), 0, 1)
-        hessian = found.curvature(whitener.apply(moved) / np.sqrt(lam)[:, None])
+        moved = np.swapaxes(columns.slopes(fitted.amplitudes[..., None]), 0, 1)
+        hessian = fitted.curvature(whitener.apply(moved) / np.sqrt(lam)[:, None])
         log, slope, pull = model.log_prior(x, slopes=True)
-        return found.log + log, gradient + slope, hessian + pull
+        return fitted.log + log, gradient + slope, hessian + pull
 
 
 class _OwnColumns(_Numpy):
@@ -163,19 +163,19 @@ def best_powers(
 ) -> tuple[Powers, float]:
     """The powers of the largest evidence at some parameters, and its log density."""
     likelihood = _likelihood(spectra, model)
-    best, found = -np.inf, Powers(0.0)
+    best, likeliest = -np.inf, Powers(0.0)
     bodies = BODY if model.transfer.body else BODY[:1]
     tags = TAG if model.tag is not None else TAG[1:2]
     sigmas = CLUTTER if clutter is None else (clutter,)
     for ovals in (OVAL[1:2], OVAL) if model.oval and model.transfer.body else (OVAL[1:2],):
         if len(ovals) > 1:
-            bodies, tags, sigmas = (found.body,), (found.tag,), (found.clutter,)
+            bodies, tags, sigmas = (likeliest.body,), (likeliest.tag,), (likeliest.clutter,)
         some = list(product(bodies, tags, ovals))
         values = likelihood.values(x, some, sigmas)
         i, j = divmod(int(values.argmax()), len(some))
         if values[i, j] > best:
-            best, found = float(values[i, j]), Powers(sigmas[i], *some[j])
-    return found, best
+            best, likeliest = float(values[i, j]), Powers(sigmas[i], *some[j])
+    return likeliest, best
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,11 +225,11 @@ def climbed(
 
 def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: int) -> tuple[Floats, Here]:
     """To the most probable parameters near x at fixed powers."""
-    likelihood, own = _likelihood(spectra, model), ((powers.body, powers.tag, powers.oval), powers.clutter)
+    likelihood, given = _likelihood(spectra, model), ((powers.body, powers.tag, powers.oval), powers.clutter)
     if isinstance(likelihood, Compiled) and not isinstance(likelihood, Given):
-        x, log, gradient, hessian = likelihood.descended(x, *own, rounds, FAR_M, ENOUGH)
+        x, log, gradient, hessian = likelihood.descended(x, *given, rounds, FAR_M, ENOUGH)
         return x, Here(log, gradient, hessian)
-    return climbed(lambda there: likelihood.expanded(there, *own), model.precision, x, rounds)
+    return climbed(lambda there: likelihood.expanded(there, *given), model.precision, x, rounds)
 
 
 def spread(hessian: Floats, precision: Floats) -> tuple[Floats, float]:
@@ -245,7 +245,7 @@ def refined(
     x: Floats,
     stages: tuple[float | None, ...] = (1e-2, None),
     rounds: int = 6,
-) -> Found:
+) -> Estimate:
     """The most probable parameters near a start.
 
     Args:
@@ -261,4 +261,4 @@ def refined(
     curved, volume = spread(here.hessian, model.precision)
     log_z = log + 0.5 * len(x) * np.log(2 * np.pi) - 0.5 * volume
     centre_sd = float(1 / np.sqrt(max(np.linalg.eigvalsh(curved[:2, :2])[0], 1e-30)))
-    return Found(model, x, powers, log, log_z, centre_sd)
+    return Estimate(model, x, powers, log, log_z, centre_sd)

@@ -107,7 +107,7 @@ class EndingCalibration:
         newest = looks[-1]
         if newest.views_per_turn < self.fewest_views:
             return self._bound(1.0, false_accept, 0)
-        reached = sum(own >= score for own in self.scores)
+        reached = sum(reached_score >= score for reached_score in self.scores)
         p_value = 1.0 if score == -inf else min((reached + 1) / (self.turns + 1), 1.0)
         return self._bound(p_value, false_accept, self.turns)
 

@@ -41,8 +41,8 @@ class Fit:
             slopes: (F, P, M) how the sum of columns times amplitudes changes, behind lambda^-1/2.
         """
         held = slopes @ np.swapaxes(self.scaled.conj(), 1, 2)
-        left = slopes - (held @ np.swapaxes(self.inverse, 1, 2)) @ self.scaled
-        return 2 * np.asarray(np.einsum("fpm,fqm->pq", slopes.conj(), left).real)
+        residual = slopes - (held @ np.swapaxes(self.inverse, 1, 2)) @ self.scaled
+        return 2 * np.asarray(np.einsum("fpm,fqm->pq", slopes.conj(), residual).real)
 
 
 def log_evidence(columns: Complex, data: Complex, lam: Floats, power: Floats) -> Floats:
@@ -80,8 +80,8 @@ def fit(columns: Complex, data: Complex, lam: Floats, power: Floats) -> Fit:
     right = (scaled.conj() @ y[..., None])[..., 0]
     inverse = np.asarray(np.linalg.inv(matrix), dtype=np.complex128)
     amplitudes = (inverse @ right[..., None])[..., 0]
-    left = y - (amplitudes[:, None] @ scaled)[:, 0]
-    adjoint = left[:, None] * amplitudes.conj()[..., None] - np.swapaxes(inverse, 1, 2) @ scaled
+    residual = y - (amplitudes[:, None] @ scaled)[:, 0]
+    adjoint = residual[:, None] * amplitudes.conj()[..., None] - np.swapaxes(inverse, 1, 2) @ scaled
     log = (right.conj() * amplitudes).sum().real + np.linalg.slogdet(inverse)[1].sum()
     log -= (np.abs(y) ** 2).sum() + np.log(lam).sum() + np.log(power).sum()
     return Fit(float(log), amplitudes, adjoint / root[:, None], scaled, inverse)

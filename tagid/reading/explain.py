@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tagid.fields.thin_shell import BoxShell
 from tagid.reading.decision import is_same, words
-from tagid.reading.descent import Found, variance
+from tagid.reading.descent import Estimate, variance
 from tagid.reading.evidence import fit
 from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.reading import Explanation, Kind, Residuals
@@ -44,39 +44,41 @@ class Explained:
 
     hypothesis: Hypothesis
     amplitudes: Complex
-    left: float
+    unexplained: float
 
     @classmethod
-    def of(cls, spectra: Spectra, one: Hypothesis) -> Explained:
+    def of(cls, spectra: Spectra, hypothesis: Hypothesis) -> Explained:
         """That of a hypothesis of a recording."""
-        found, model = one.found, one.found.model
-        columns = spectra.whiteners[model.disc].apply(model.at(spectra, found.x, slopes=False).values)
+        estimate, model = hypothesis.estimate, hypothesis.estimate.model
+        columns = spectra.whiteners[model.disc].apply(model.at(spectra, estimate.x, slopes=False).values)
         data = spectra.white[model.disc]
-        powers = found.powers
+        powers = estimate.powers
         power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
         amplitudes = fit(columns, data, variance(spectra, model, powers.clutter), power).amplitudes
         residual = data - (amplitudes[:, None] @ columns)[:, 0]
         noise = data.shape[1] * (1 - MODEL_ERROR**2 * spectra.moving).sum()
-        left = (np.abs(residual) ** 2).sum() - noise
-        return cls(one, amplitudes, float(np.clip(left / (spectra.views * spectra.moving.sum()), 0, 1)))
+        unexplained = (np.abs(residual) ** 2).sum() - noise
+        return cls(
+            hypothesis, amplitudes, float(np.clip(unexplained / (spectra.views * spectra.moving.sum()), 0, 1))
+        )
 
     def reflectors(self, spectra: Spectra) -> tuple[Reflector, ...]:
         """The reflectors of the hypothesis, and its odd scatterers, as measured."""
-        found, model = self.hypothesis.found, self.hypothesis.found.model
-        count, first = len(found.places), model.body_columns
-        own = np.zeros((len(self.amplitudes), count), dtype=np.complex128)
+        estimate, model = self.hypothesis.estimate, self.hypothesis.estimate.model
+        count, first = len(estimate.positions), model.body_columns
+        spectrum = np.zeros((len(self.amplitudes), count), dtype=np.complex128)
         if count:
-            own += self.amplitudes[:, first : first + 1]
+            spectrum += self.amplitudes[:, first : first + 1]
             if model.unlike:
                 last = model.columns - model.odd
-                own += self.amplitudes[:, last - model.unlike : last]
+                spectrum += self.amplitudes[:, last - model.unlike : last]
         odd = self.amplitudes[:, model.columns - model.odd :]
-        levels = np.concatenate([own, odd], axis=1)
+        levels = np.concatenate([spectrum, odd], axis=1)
         turned = levels * np.exp(1j * spectra.kappa * self.offset_m(spectra))[:, None]
         energy = (np.abs(levels) ** 2).sum(axis=0)
         loudest = max(float(energy.max(initial=0.0)), 1e-30)
-        heights = np.concatenate(model.heights_of(found.x)) if model.lifts or model.spot > 2 else None
-        places = np.concatenate([found.places, found.odd])
+        heights = np.concatenate(model.heights_of(estimate.x)) if model.lifts or model.spot > 2 else None
+        positions = np.concatenate([estimate.positions, estimate.odd])
         return tuple(
             Reflector(
                 float(place.real),
@@ -87,29 +89,29 @@ class Explained:
                 i < count and self.hypothesis.layout is not None,
                 None if heights is None else float(heights[i]),
             )
-            for i, place in enumerate(places)
+            for i, place in enumerate(positions)
         )
 
     def residual(self, spectra: Spectra) -> Complex:
         """(F, V) what it leaves of the data, the room projected out."""
-        found = self.hypothesis.found
-        columns = found.model.at(spectra, found.x, slopes=False).values
+        estimate = self.hypothesis.estimate
+        columns = estimate.model.at(spectra, estimate.x, slopes=False).values
         echo = (self.amplitudes[:, None] @ columns)[:, 0]
         return np.asarray(spectra.data - echo + (echo @ spectra.rooms.T) @ spectra.rooms)
 
     def offset_m(self, spectra: Spectra) -> float:
         """Range beyond the axis distance at which the reflectors' amplitudes are most alike, m."""
-        model = self.hypothesis.found.model
+        model = self.hypothesis.estimate.model
         if model.tag is None:
             return 0.0
-        own = self.amplitudes[:, model.body_columns]
-        together = np.abs(np.exp(1j * OFFSETS_M[:, None] * spectra.kappa) @ own)
+        body = self.amplitudes[:, model.body_columns]
+        together = np.abs(np.exp(1j * OFFSETS_M[:, None] * spectra.kappa) @ body)
         return float(OFFSETS_M[together.argmax()])
 
 
-def kind_of(one: Hypothesis) -> Kind:
+def kind_of(hypothesis: Hypothesis) -> Kind:
     """What stands there by a hypothesis."""
-    model = one.found.model
+    model = hypothesis.estimate.model
     if not model.tagged:
         return Kind.NO_TAG
     if isinstance(model, SignatureModel):
@@ -126,44 +128,44 @@ def ranked(hypotheses: Sequence[Hypothesis], winner: Hypothesis) -> list[Hypothe
         winner: comes first, whatever its evidence.
     """
     kinds = {(kind_of(winner), winner.name): winner}
-    for one in sorted(hypotheses, key=lambda one: -one.log_z):
-        if winner.name is None or one.name is not None or not is_same(one, winner):
-            kinds.setdefault((kind_of(one), one.name), one)
+    for hypothesis in sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_z):
+        if winner.name is None or hypothesis.name is not None or not is_same(hypothesis, winner):
+            kinds.setdefault((kind_of(hypothesis), hypothesis.name), hypothesis)
     return list(kinds.values())[:MOST]
 
 
 def explanations(every: Sequence[Explained]) -> tuple[Explanation, ...]:
     """Hypotheses as the answer reports them."""
-    best = max(one.hypothesis.log_z for one in every)
-    return tuple(_explanation(one, one.hypothesis.log_z - best) for one in every)
+    best = max(explained.hypothesis.log_z for explained in every)
+    return tuple(_explanation(explained, explained.hypothesis.log_z - best) for explained in every)
 
 
 def _explanation(explained: Explained, log_evidence: float) -> Explanation:
-    one = explained.hypothesis
-    found, model = one.found, one.found.model
+    hypothesis = explained.hypothesis
+    estimate, model = hypothesis.estimate, hypothesis.estimate.model
     return Explanation(
-        kind_of(one),
+        kind_of(hypothesis),
         model.body.signature.name if isinstance(model, SignatureModel) else "",
-        one.name,
-        words(one),
+        hypothesis.name,
+        words(hypothesis),
         float(log_evidence),
-        explained.left,
-        (found.centre.real, found.centre.imag),
-        float(np.abs(found.places - found.centre).mean()) if len(found.places) else None,
-        _outline(found),
+        explained.unexplained,
+        (estimate.centre.real, estimate.centre.imag),
+        float(np.abs(estimate.positions - estimate.centre).mean()) if len(estimate.positions) else None,
+        _outline(estimate),
     )
 
 
-def _outline(found: Found) -> tuple[tuple[float, float], ...]:
+def _outline(estimate: Estimate) -> tuple[tuple[float, float], ...]:
     """Corners of a sheet, m; none of a body whose own echo does not tell its size."""
-    model, x = found.model, found.x
+    model, x = estimate.model, estimate.x
     if not isinstance(model, SheetModel):
         return ()
     sheet = model.sheet(x)
     unit = _BOX if model.kind.shell is BoxShell else _ROUND
     corners = sheet.across_m * unit.real + 1j * sheet.along_m * unit.imag
     placed = complex(x[0], x[1]) + corners * np.exp(1j * x[2])
-    return tuple((float(one.real), float(one.imag)) for one in placed)
+    return tuple((float(point.real), float(point.imag)) for point in placed)
 
 
 def residuals(spectra: Spectra, every: Sequence[Explained]) -> Residuals:
@@ -174,5 +176,5 @@ def residuals(spectra: Spectra, every: Sequence[Explained]) -> Residuals:
     def profiles(data: Complex) -> NDArray[np.float16]:
         return np.asarray(np.abs(waves @ data[:, order]), dtype=np.float16)
 
-    left = np.stack([profiles(one.residual(spectra)) for one in every[:DRAWN]])
-    return Residuals(spectra.direction[order], RANGES_M, profiles(spectra.data), left)
+    by_hypothesis = np.stack([profiles(explained.residual(spectra)) for explained in every[:DRAWN]])
+    return Residuals(spectra.direction[order], RANGES_M, profiles(spectra.data), by_hypothesis)

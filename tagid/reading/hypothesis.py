@@ -11,7 +11,7 @@ import numpy as np
 
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import Model
-from tagid.reading.descent import Found, Powers
+from tagid.reading.descent import Estimate, Powers
 from tagid.reading.search import Group
 from tagid.reading.signature import HEAD, EnrolledBody, SignatureModel
 from tagid.reading.spectra import Spectra
@@ -39,7 +39,7 @@ class Hypothesis:
     """
 
     layout: Layout | None
-    found: Found
+    estimate: Estimate
     log_z: float
     middle: bool = False
     prior: float = 0.0
@@ -47,12 +47,12 @@ class Hypothesis:
     @property
     def tagged(self) -> bool:
         """It has reflectors."""
-        return self.found.model.tagged
+        return self.estimate.model.tagged
 
     @property
     def name(self) -> str | None:
         """Of the layout, or of the enrolled object that stands there as it was."""
-        return self.found.model.identity if self.layout is None else self.layout.name
+        return self.estimate.model.identity if self.layout is None else self.layout.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +103,8 @@ class Arranged:
     def group(self, rise_m: float) -> Group:
         """Radius, m, angle, rad, and height, m, of every reflector, risen by so much."""
         tag = self.tag
-        places = zip(tag.radius_m.tolist(), tag.angle.tolist(), tag.height_m.tolist(), strict=True)
-        return tuple((radius, angle, height + rise_m) for radius, angle, height in places)
+        reflectors = zip(tag.radius_m.tolist(), tag.angle.tolist(), tag.height_m.tolist(), strict=True)
+        return tuple((radius, angle, height + rise_m) for radius, angle, height in reflectors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +125,13 @@ class Stand:
     powers: Powers
 
     @classmethod
-    def of(cls, spectra: Spectra, found: Found) -> Stand:
+    def of(cls, spectra: Spectra, estimate: Estimate) -> Stand:
         """That of a hypothesis."""
-        assert isinstance(found.model, SignatureModel)
-        echo = found.model.at(spectra, found.x, slopes=False).values[:, 0]
-        centres = found.centre, complex(found.x[0], found.x[1])
-        powers = Powers(1e-2, found.powers.body)
-        return cls(found.model.body, found.x[:HEAD], echo, centres, powers)
+        assert isinstance(estimate.model, SignatureModel)
+        echo = estimate.model.at(spectra, estimate.x, slopes=False).values[:, 0]
+        centres = estimate.centre, complex(estimate.x[0], estimate.x[1])
+        powers = Powers(1e-2, estimate.powers.body)
+        return cls(estimate.model.body, estimate.x[:HEAD], echo, centres, powers)
 
     def head(self, centre: complex) -> Floats:
         """Parameters before those of reflectors about a centre."""
@@ -144,15 +144,15 @@ def best_bare(hypotheses: Sequence[Hypothesis], name: str) -> Hypothesis | None:
     bare = [
         hypothesis
         for hypothesis in hypotheses
-        if hypothesis.name == name and not hypothesis.found.model.body_columns
+        if hypothesis.name == name and not hypothesis.estimate.model.body_columns
     ]
-    return max(bare, key=lambda one: one.log_z, default=None)
+    return max(bare, key=lambda hypothesis: hypothesis.log_z, default=None)
 
 
-def distinct(places: Sequence[complex], apart_m: float) -> list[complex]:
+def distinct(positions: Sequence[complex], apart_m: float) -> list[complex]:
     """Places x + jy, m, without those that stand nearer to one before them."""
     out: list[complex] = []
-    for place in places:
+    for place in positions:
         if all(abs(place - other) > apart_m for other in out):
             out.append(place)
     return out
@@ -163,48 +163,48 @@ def disc_of(radius_m: float) -> int:
     return 0 if radius_m < 0.08 else 1
 
 
-def bodies_apart(some: Sequence[Hypothesis]) -> list[Found]:
+def bodies_apart(some: Sequence[Hypothesis]) -> list[Estimate]:
     """One enrolled body in all poses that differ."""
-    out: list[Found] = []
-    for found in (one.found for one in some):
+    out: list[Estimate] = []
+    for estimate in (hypothesis.estimate for hypothesis in some):
         if all(
-            abs(np.angle(np.exp(1j * (found.x[2] - other.x[2])))) > 0.05
-            or np.abs(found.x[:2] - other.x[:2]).max() > 2e-3
+            abs(np.angle(np.exp(1j * (estimate.x[2] - other.x[2])))) > 0.05
+            or np.abs(estimate.x[:2] - other.x[:2]).max() > 2e-3
             for other in out
         ):
-            out.append(found)
+            out.append(estimate)
     return out
 
 
-def pose_of(tag: Arrangement, places: Complex) -> tuple[complex, float] | None:
+def pose_of(tag: Arrangement, positions: Complex) -> tuple[complex, float] | None:
     """Centre and turn that lay a tag's reflectors on places (K,), x + jy, m; None where they are far off."""
-    if tag.count != len(places) or tag.count < 2:
+    if tag.count != len(positions) or tag.count < 2:
         return None
     flat = tag.radius_m * np.exp(1j * tag.angle)
-    best, found = FITS_M, None
+    best, pose = FITS_M, None
     for order in permutations(range(tag.count)):
-        p = places[list(order)]
+        p = positions[list(order)]
         turn = np.vdot(flat - flat.mean(), p - p.mean())
         turn = turn / max(abs(turn), 1e-30)
         off = np.abs((flat - flat.mean()) * turn - (p - p.mean())).max()
         if off < best:
-            best, found = float(off), (complex(p.mean() - flat.mean() * turn), float(np.angle(turn)))
-    return found
+            best, pose = float(off), (complex(p.mean() - flat.mean() * turn), float(np.angle(turn)))
+    return pose
 
 
 def as_layouts(
-    found: Found, layouts: Sequence[Layout], most_odd: int
+    estimate: Estimate, layouts: Sequence[Layout], most_odd: int
 ) -> Iterator[tuple[Layout, Model, Floats, bool]]:
     """Layouts where points of a hypothesis, alike or odd, stand about as theirs do; the other points are odd.
 
     Gives layout, model, parameters, and whether the body covers the layout's middle.
     """
-    model = found.model
-    head = found.x[: model.head].copy()
+    model = estimate.model
+    head = estimate.x[: model.head].copy()
     # The centre is counted from that of a sheet or an enrolled body.
-    origin = found.centre - complex(*head[model.about])
-    points, alike = np.concatenate([found.places, found.odd]), tuple(range(len(found.places)))
-    heights = np.concatenate(model.heights_of(found.x))
+    origin = estimate.centre - complex(*head[model.about])
+    points, alike = np.concatenate([estimate.positions, estimate.odd]), tuple(range(len(estimate.positions)))
+    heights = np.concatenate(model.heights_of(estimate.x))
     for layout in layouts:
         arranged = Arranged.of(layout, model.covers_middle)
         for some in combinations(range(len(points)), arranged.tag.count):
@@ -213,55 +213,56 @@ def as_layouts(
             if pose is None:
                 continue
             head[model.about] = (pose[0] - origin).real, (pose[0] - origin).imag
-            own = replace(model, tag=arranged.tag, disc=disc_of(arranged.radius_m), odd=0)
-            rise = [float(np.mean(heights[list(some)] - arranged.tag.height_m))] * own.lifts
+            placed = replace(model, tag=arranged.tag, disc=disc_of(arranged.radius_m), odd=0)
+            rise = [float(np.mean(heights[list(some)] - arranged.tag.height_m))] * placed.lifts
             x = np.r_[head, pose[1], 0.0, rise]
             for i in rest:
-                own, spot = own.and_odd(), [points[i].real, points[i].imag, heights[i]]
-                x = np.append(x, spot[: own.spot])
-            yield layout, own, x, arranged.middle
+                placed, spot = placed.and_odd(), [points[i].real, points[i].imag, heights[i]]
+                x = np.append(x, spot[: placed.spot])
+            yield layout, placed, x, arranged.middle
 
 
-def middle_of(places: Complex) -> complex:
+def middle_of(positions: Complex) -> complex:
     """Centre of the circle nearest to three places or more (K,), x + jy, m."""
-    rows = np.stack([places.real, places.imag, np.ones(len(places))], axis=1)
-    across, along, _ = np.linalg.lstsq(rows, np.abs(places) ** 2, rcond=None)[0]
+    rows = np.stack([positions.real, positions.imag, np.ones(len(positions))], axis=1)
+    across, along, _ = np.linalg.lstsq(rows, np.abs(positions) ** 2, rcond=None)[0]
     return complex(across, along) / 2
 
 
 def unlike(starts: list[Candidate], count: int) -> list[Candidate]:
     """The best starts of one layout whose reflectors stand in other places."""
     out: list[Candidate] = []
-    for one in sorted(starts, key=lambda one: -one.log):
-        places = one.model.places(one.x)
+    for start in sorted(starts, key=lambda start: -start.log):
+        positions = start.model.positions(start.x)
         if all(
-            np.abs(places[:, None] - other.model.places(other.x)).min(axis=1).max() > 0.015 for other in out
+            np.abs(positions[:, None] - other.model.positions(other.x)).min(axis=1).max() > 0.015
+            for other in out
         ):
-            out.append(one)
+            out.append(start)
         if len(out) == count:
             break
     return out
 
 
-def same_place(one: Found, other: Found) -> bool:
+def same_place(estimate: Estimate, other: Estimate) -> bool:
     """Both are of one model and stand at one place."""
-    if one.model.transfer is not other.model.transfer or len(one.places) != len(other.places):
+    if estimate.model.transfer is not other.model.transfer or len(estimate.positions) != len(other.positions):
         return False
-    if differ_in_height(one, other):
+    if differ_in_height(estimate, other):
         return False
-    return bool((np.abs(one.places[:, None] - other.places).min(axis=1) < 5e-3).all())
+    return bool((np.abs(estimate.positions[:, None] - other.positions).min(axis=1) < 5e-3).all())
 
 
-def differ_in_height(one: Found, other: Found) -> bool:
+def differ_in_height(estimate: Estimate, other: Estimate) -> bool:
     """Whether reflectors of `one` stand at other heights than the nearest of `other`, or at any.
 
     A height that is common to all is that of the object's plane.
     """
-    tag = one.model.tag
-    if not (one.model.lifts or other.model.lifts) or tag is None or not len(other.places):
+    tag = estimate.model.tag
+    if not (estimate.model.lifts or other.model.lifts) or tag is None or not len(other.positions):
         return False
     if tag.tall and tag.lifts > 1:
         return True
-    nearest = np.abs(one.places[:, None] - other.places).argmin(axis=1)
-    off = one.model.heights_of(one.x)[0] - other.model.heights_of(other.x)[0][nearest]
+    nearest = np.abs(estimate.positions[:, None] - other.positions).argmin(axis=1)
+    off = estimate.model.heights_of(estimate.x)[0] - other.model.heights_of(other.x)[0][nearest]
     return bool(np.abs(off - off.mean()).max() > LEVEL_M)

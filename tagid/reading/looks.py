@@ -108,11 +108,11 @@ def look(
         scans = preprocess(part, settings=PreprocessSettings(matched_filter=False, extent_m=_EXTENT_M))
         if not _outlined(scans, layouts):
             return nothing
-        own = contest(scans, layouts, signatures)
-        own.run()
+        contest_of_look = contest(scans, layouts, signatures)
+        contest_of_look.run()
     except DataError:
         return nothing
-    decision = decide(own.hypotheses)
+    decision = decide(contest_of_look.hypotheses)
     best = decision.best
     if best is None or best.layout is None or best.layout.size < LEAST_REFLECTORS or decision.lead < SURE:
         return nothing

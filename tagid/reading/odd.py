@@ -21,7 +21,7 @@ from tagid.reading.columns import (
     Face,
     seen_of,
 )
-from tagid.reading.descent import Found, variance
+from tagid.reading.descent import Estimate, variance
 from tagid.reading.sheet import SheetModel
 from tagid.reading.spectra import Spectra
 from tagid.signal import median
@@ -69,8 +69,8 @@ class OddMap:
     def _spots_of(self) -> tuple[Complex, Floats]:
         """(Q,) places of the map, x + jy, and their heights, m: of points, then of faces of every width."""
         rises, faces = self._spectra.rises(2 * OWN_SD_M), np.tile(_outside(), len(self._widths))
-        places = np.concatenate([np.tile(_places(), len(rises)), faces])
-        return places, np.append(np.repeat(rises, len(_places())), np.zeros(len(faces)))
+        positions = np.concatenate([np.tile(_places(), len(rises)), faces])
+        return positions, np.append(np.repeat(rises, len(_places())), np.zeros(len(faces)))
 
     @cached_property
     def _faces(self) -> tuple[Floats, Floats]:
@@ -89,41 +89,41 @@ class OddMap:
         apart = float(median(np.diff(np.sort(self._spectra.direction))))
         return [width for width in WIDTHS_RAD if 2 * np.sqrt(2 * np.log(2)) * width > apart]
 
-    def likeliest(self, found: Found, *, faces: bool = True) -> list[tuple[Floats, Face | None]]:
+    def likeliest(self, estimate: Estimate, *, faces: bool = True) -> list[tuple[Floats, Face | None]]:
         """Parameters of the point and of the face that add most evidence to a hypothesis, the better first.
 
         Beside a sheet the point may stand in its field or be seen past it. What adds less than `GAIN` is left
         out, and what adds less than the other by `CLOSE`.
         """
-        spectra, model, (places, heights) = self._spectra, found.model, self._spots_of
+        spectra, model, (positions, heights) = self._spectra, estimate.model, self._spots_of
         spots, _ = self._whitened(model.disc)
-        lam = variance(spectra, model, found.powers.clutter)
-        columns = spectra.whiteners[model.disc].apply(model.at(spectra, found.x, slopes=False).values)
+        lam = variance(spectra, model, estimate.powers.clutter)
+        columns = spectra.whiteners[model.disc].apply(model.at(spectra, estimate.x, slopes=False).values)
         columns = columns / np.sqrt(lam)[:, None]
         y = spectra.white[model.disc] / np.sqrt(lam)
-        power = model.power(spectra.moving, found.powers.body, found.powers.tag, found.powers.oval)
+        power = model.power(spectra.moving, estimate.powers.body, estimate.powers.tag, estimate.powers.oval)
         matrix = columns.conj() @ np.swapaxes(columns, 1, 2) + np.eye(columns.shape[1]) / power[:, None, :]
         held = np.linalg.solve(np.linalg.cholesky(matrix), columns.conj())
-        left = y - ((held @ y[..., None])[..., 0][:, None] @ held.conj())[:, 0]
+        residual = y - ((held @ y[..., None])[..., 0][:, None] @ held.conj())[:, 0]
         # Single precision is enough to find the spot, which is refined.
-        against = np.concatenate([held.conj(), left[:, None]], axis=1) / np.sqrt(lam)[:, None]
+        against = np.concatenate([held.conj(), residual[:, None]], axis=1) / np.sqrt(lam)[:, None]
         product = spots @ np.swapaxes(against.astype(np.complex64), 1, 2)
         product = product.real**2 + product.imag**2
         size = self._size(model.disc, lam) - product[..., :-1].sum(axis=-1)
         points = self._points
-        prior = np.full((len(spectra.moving), len(places)), ODD_POWER)
+        prior = np.full((len(spectra.moving), len(positions)), ODD_POWER)
         prior[:, points:] = FACE_POWER
         prior *= spectra.moving[:, None]
         gain = (product[..., -1] / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0)
         gain[points:] += np.log(FACES)
-        used = np.concatenate([found.places, found.odd])
-        gain[(np.abs(places[:, None] - used) < CLOSEST_M).any(axis=1)] = -np.inf
+        used = np.concatenate([estimate.positions, estimate.odd])
+        gain[(np.abs(positions[:, None] - used) < CLOSEST_M).any(axis=1)] = -np.inf
         best = [int(gain[:points].argmax())]
         if faces and points < len(gain):
             best.insert(0, points + int(gain[points:].argmax()))
         least = max(GAIN, float(gain[best].max()) - CLOSE)
         return [
-            (np.array([places[i].real, places[i].imag, heights[i]])[: model.spot], seen)
+            (np.array([positions[i].real, positions[i].imag, heights[i]])[: model.spot], seen)
             for i in sorted(best, key=lambda i: -gain[i])
             if gain[i] > least
             for seen in ((None, PAST) if i < points and isinstance(model, SheetModel) else (self._face(i),))
@@ -139,8 +139,8 @@ class OddMap:
 @cache
 def _outside() -> Complex:
     """Those of the map at which faces are looked for, every other one: they are wide along their rings."""
-    places = _places()
-    return np.asarray(places[np.abs(places) > _FACES_FROM_M][::2])
+    positions = _places()
+    return np.asarray(positions[np.abs(positions) > _FACES_FROM_M][::2])
 
 
 @cache

@@ -56,7 +56,7 @@ def contest(
 ) -> Contest:
     """What competes in a recording; arguments as of `read`."""
     enrolled = enrolled_in(scans, signatures)
-    radius_m = max([RADIUS_M, *(one.signature.radius_m for one in enrolled)])
+    radius_m = max([RADIUS_M, *(body.signature.radius_m for body in enrolled)])
     kappa = enrolled[0].signature.wavenumbers if enrolled else None
     spectra = Spectra.of(scans, radius_m, kappa=kappa)
     return Contest(spectra, layouts, enrolled=enrolled, priors=priors or Priors())
@@ -107,12 +107,12 @@ def read_together(
     if not settings.direction_known:
         candidates += [layout.mirrored() for layout in layouts]
     contests = [contest(recording, candidates, signatures, settings.priors) for recording in recordings]
-    for one in contests:
-        one.run()
+    for recorded in contests:
+        recorded.run()
     views = [min(len(recording.samples), MOST_VIEWS) for recording in recordings]
     alone = [
-        _reading(decide_together([own], _needed(settings, count)), own, settings, count)
-        for own, count in zip(contests, views, strict=True)
+        _reading(decide_together([recorded], _needed(settings, count)), recorded, settings, count)
+        for recorded, count in zip(contests, views, strict=True)
     ]
     if len(contests) == 1:
         return alone[0], alone
@@ -124,11 +124,11 @@ def read_together(
 
 def _shown(contests: Sequence[Contest], winner: Hypothesis) -> tuple[Contest, Hypothesis]:
     """The recording in which a hypothesis of several is shown, and what it is there."""
-    for own in contests:
-        if winner in own.hypotheses:
-            return own, winner
-    own = clearest(contests)
-    return own, (best_of(own, winner.name) if winner.name else None) or winner
+    for recorded in contests:
+        if winner in recorded.hypotheses:
+            return recorded, winner
+    recorded = clearest(contests)
+    return recorded, (best_of(recorded, winner.name) if winner.name else None) or winner
 
 
 def _calibration(settings: ReaderSettings) -> Calibration:
@@ -143,27 +143,29 @@ def _reading(decision: Decision, contest: Contest, settings: ReaderSettings, vie
     """A decision as an answer, with what a recording shows of it."""
     spectra, winner = contest.spectra, _plainest(contest, decision.winner)
     best = best_of(contest, decision.best.name) if decision.best is not None and decision.best.name else None
-    every = [Explained.of(spectra, one) for one in ranked(contest.hypotheses, winner)]
+    every = [Explained.of(spectra, hypothesis) for hypothesis in ranked(contest.hypotheses, winner)]
     explained = every[0]
     scores = _scores(contest)
     nearest = (best.name if best is not None else None) or (scores[0].name if scores else "")
     named = decision.status == "identified"
     layout = nearest if decision.status in ("identified", "ambiguous") else None
-    rotation, centre = (0.0, (winner.found.centre.real, winner.found.centre.imag))
+    rotation, centre = (0.0, (winner.estimate.centre.real, winner.estimate.centre.imag))
     if best is not None and best.layout is not None and layout is not None:
         rotation, centre = _pose(best)
     bound = None
     if named:
         reached = worth(decision.lead, decision.bare)
         bound = _calibration(settings).bound(reached, views, settings.false_accept)
-    share = 0.0 if decision.status == "no_tag" or best is None else 1 - Explained.of(spectra, best).left
+    share = (
+        0.0 if decision.status == "no_tag" or best is None else 1 - Explained.of(spectra, best).unexplained
+    )
     reflectors = explained.reflectors(spectra)
     if winner.layout is None:
         reflectors = tuple(replace(reflector, matched=False) for reflector in reflectors)
     expected = 0 if best is None or best.layout is None else best.layout.size
-    if best is not None and winner.found.model.covers_middle:
+    if best is not None and winner.estimate.model.covers_middle:
         expected -= has_middle(best)
-    count = len(winner.found.places)
+    count = len(winner.estimate.positions)
     differs = not named and decision.status == "unknown" and count > 0
     return Reading(
         decision.status,
@@ -205,28 +207,30 @@ def _scores(contest: Contest) -> tuple[LayoutScore, ...]:
     """Every layout by its best hypothesis, best first."""
     untagged = max(hypothesis.log_z for hypothesis in contest.hypotheses if not hypothesis.tagged)
     best: dict[str, Hypothesis] = {}
-    for one in sorted(contest.hypotheses, key=lambda one: -one.log_z):
-        if one.layout is not None:
-            best.setdefault(one.layout.name, one)
+    for hypothesis in sorted(contest.hypotheses, key=lambda hypothesis: -hypothesis.log_z):
+        if hypothesis.layout is not None:
+            best.setdefault(hypothesis.layout.name, hypothesis)
     return tuple(
-        LayoutScore(name, untagged - one.log_z, 1 - Explained.of(contest.spectra, one).left)
-        for name, one in best.items()
+        LayoutScore(
+            name, untagged - hypothesis.log_z, 1 - Explained.of(contest.spectra, hypothesis).unexplained
+        )
+        for name, hypothesis in best.items()
     )
 
 
 def _pose(best: Hypothesis) -> tuple[float, tuple[float, float]]:
     """Rotation of a layout within its symmetry, deg, and where its origin lies, m."""
-    assert best.layout is not None and best.found.model.tag is not None
-    tag, places = best.found.model.tag, best.found.places
+    assert best.layout is not None and best.estimate.model.tag is not None
+    tag, positions = best.estimate.model.tag, best.estimate.positions
     flat = tag.radius_m * np.exp(1j * tag.angle)
-    own = best.layout.positions[:, 0] + 1j * best.layout.positions[:, 1]
+    nominal = best.layout.positions[:, 0] + 1j * best.layout.positions[:, 1]
     # By hand, turns are in the angles: the layout's own say by how much.
-    if len(own) == len(flat):
-        flat = own
+    if len(nominal) == len(flat):
+        flat = nominal
     elif best.middle:
-        flat = own[np.abs(own) > 5e-3]
-    turn = np.vdot(flat - flat.mean(), places - places.mean())
+        flat = nominal[np.abs(nominal) > 5e-3]
+    turn = np.vdot(flat - flat.mean(), positions - positions.mean())
     turn = turn / max(abs(turn), 1e-30)
-    centre = complex(places.mean() - turn * flat.mean())
+    centre = complex(positions.mean() - turn * flat.mean())
     period = 360 / best.layout.symmetry
     return float(np.rad2deg(np.angle(turn)) % period), (centre.real, centre.imag)

@@ -58,7 +58,7 @@ class Explanation:
         layout: the layout or enrolled object that it would name; None where it names none.
         words: the hypothesis in words.
         log_evidence: over that of the best hypothesis, nats: 0 or less.
-        left: share of the moving echo above noise that it leaves unexplained, 0..1.
+        unexplained: residual share of the moving echo above noise, 0..1.
         centre_m: (x, y) of the body or, beside none, of the tag, m.
         radius_m: mean distance of the reflectors from the centre, m; None without reflectors.
         outline_m: corners (x, y) of the body, m, counter-clockwise; empty where its size is not known.
@@ -69,7 +69,7 @@ class Explanation:
     layout: str | None
     words: str
     log_evidence: float
-    left: float
+    unexplained: float
     centre_m: tuple[float, float]
     radius_m: float | None = None
     outline_m: tuple[tuple[float, float], ...] = ()
@@ -77,19 +77,19 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """What is left of the echo that changes over the views where hypotheses are subtracted.
+    """Residual range profiles of the echo that changes over the views, for the first hypotheses.
 
     Attributes:
         angle_rad: (V,) direction of the antenna, as the object sees it.
         range_m: (R,) beyond the axis distance, m.
         recorded: (R, V) magnitude of the recording, over the root mean square of the noise.
-        left: (H, R, V) the same of what the first hypotheses leave.
+        by_hypothesis: (H, R, V) the same of the residuals of the first hypotheses.
     """
 
     angle_rad: NDArray[np.float64]
     range_m: NDArray[np.float64]
     recorded: NDArray[np.float16]
-    left: NDArray[np.float16]
+    by_hypothesis: NDArray[np.float16]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import APART_M, REACH_M, Model
-from tagid.reading.descent import Found, Powers, refined, variance
+from tagid.reading.descent import Estimate, Powers, refined, variance
 from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.search import Blocks, Choice, Tables, about, held_in
 from tagid.reading.spectra import Spectra, Whitener
@@ -82,34 +82,34 @@ class Remainder:
 def grid(radius_m: float) -> Complex:
     """Places x + jy within a radius, m."""
     line = np.arange(-radius_m, radius_m + SPOT_M / 2, SPOT_M)
-    places = (line[:, None] + 1j * line).ravel()
-    return np.asarray(places[np.abs(places) <= radius_m])
+    positions = (line[:, None] + 1j * line).ravel()
+    return np.asarray(positions[np.abs(positions) <= radius_m])
 
 
-def sets(table: Tables, places: Complex, most: int) -> list[tuple[float, Complex]]:
+def sets(table: Tables, positions: Complex, most: int) -> list[tuple[float, Complex]]:
     """The best sets of one to `most` reflectors, `KEPT` of each number: log evidence and places.
 
     Args:
         table: of reflectors at places (N,), x + jy, m.
     """
-    clear = np.abs(places[:, None] - places) >= APART_M
-    choice = Choice(np.arange(len(places), dtype=np.int32), clear, clear)
+    clear = np.abs(positions[:, None] - positions) >= APART_M
+    choice = Choice(np.arange(len(positions), dtype=np.int32), clear, clear)
     best = table.grown(choice, most, KEPT)
-    return [(log, places[chosen]) for log, chosen in best]
+    return [(log, positions[chosen]) for log, chosen in best]
 
 
-def anywhere(spectra: Spectra, before: Sequence[Hypothesis], height_m: float, most: int) -> list[Found]:
+def anywhere(spectra: Spectra, before: Sequence[Hypothesis], height_m: float, most: int) -> list[Estimate]:
     """The best arrangements of one to `most` alike reflectors anywhere, under much clutter.
 
     Args:
         before: hypotheses; beside the best untagged ones of points with one odd scatterer and without.
         height_m: of the reflectors.
     """
-    bodies: dict[tuple[Transfer, int], Found] = {}
+    bodies: dict[tuple[Transfer, int], Estimate] = {}
     for hypothesis in sorted(before, key=lambda hypothesis: -hypothesis.log_z):
-        model = hypothesis.found.model
+        model = hypothesis.estimate.model
         if type(model) is Model and model.tag is None and model.odd < 2:
-            bodies.setdefault((model.transfer, model.odd), hypothesis.found)
+            bodies.setdefault((model.transfer, model.odd), hypothesis.estimate)
     fitted, nodes = [], grid(REACH_M)
     waves, _ = spectra.waves(nodes, np.full(len(nodes), height_m))
     for body in bodies.values():

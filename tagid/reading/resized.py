@@ -24,20 +24,22 @@ def resized(
         hypothesis: of a layout.
     """
     assert hypothesis.layout is not None
-    found, own = hypothesis.found, hypothesis.found.model
-    powers = Powers(max(found.powers.clutter, 1e-3), found.powers.body)
-    rise = float(own.heights_of(found.x)[0].min())
+    estimate, of_layout = hypothesis.estimate, hypothesis.estimate.model
+    powers = Powers(max(estimate.powers.clutter, 1e-3), estimate.powers.body)
+    rise = float(of_layout.heights_of(estimate.x)[0].min())
     for transfer in transfers:
         for disc in (0, 1):
             radii = [radius for radius in radii_m if disc_of(radius) == disc]
-            model = Model(transfer, None, transfer.body, disc, levels=own.levels, priors=own.priors)
-            shape = found.x[2:4] if own.shapes else np.zeros(2)
-            head = np.r_[found.centre.real, found.centre.imag, shape[: model.shapes]]
+            model = Model(
+                transfer, None, transfer.body, disc, levels=of_layout.levels, priors=of_layout.priors
+            )
+            shape = estimate.x[2:4] if of_layout.shapes else np.zeros(2)
+            head = np.r_[estimate.centre.real, estimate.centre.imag, shape[: model.shapes]]
             arranged = Arranged.of(hypothesis.layout, model.covers_middle)
             rings = [replace(arranged, tag=arranged.tag.resized(radius)) for radius in radii]
             echo = model.at(spectra, head, slopes=False).values[:, 0] if transfer.body else spectra.data
             groups = [ring.group(rise) for ring in rings]
-            (table,) = search.tables(spectra, model, [found.centre], groups, powers, echo[None])
+            (table,) = search.tables(spectra, model, [estimate.centre], groups, powers, echo[None])
             for ring, starts in zip(rings, search.turned(table, 1), strict=True):
                 tagged = replace(model, tag=ring.tag)
                 for start in starts:

@@ -59,7 +59,7 @@ class Blocks:
     count: int
 
     @cached_property
-    def each(self) -> list[Blocks]:
+    def by_group(self) -> list[Blocks]:
         """Those of every group alone."""
         parts = np.split(self.columns, self.columns.shape[1] // self.count, axis=1)
         return [Blocks(part, self.shifts, self.count) for part in parts]
@@ -112,7 +112,7 @@ class Blocks:
         return out
 
     @cached_property
-    def own(self) -> Parts:
+    def gram(self) -> Parts:
         """(B, T, 2, F), see `_sets.c`."""
         row, column = np.tril_indices(self.columns.shape[2])
         return _apart((self.columns.conj() @ np.swapaxes(self.columns, 2, 3))[:, :, row, column])
@@ -121,7 +121,7 @@ class Blocks:
         """(H, F, T) inner products of sets of reflectors."""
         v = self.shifts
         block, shift = sets // v, sets % v
-        below = _joined(self.own[block].sum(axis=1))
+        below = _joined(self.gram[block].sum(axis=1))
         for a, c in combinations(range(sets.shape[1]), 2):
             below = below + _joined(self.pair[block[:, a], block[:, c], (shift[:, c] - shift[:, a]) % v])
         return below
@@ -173,9 +173,9 @@ class Tables:
         return np.asarray((group * count + i % count) * shifts + i // count, dtype=np.int32)
 
     @property
-    def each(self) -> list[Tables]:
+    def by_group(self) -> list[Tables]:
         """Those of every group alone."""
-        blocks = self.blocks.each
+        blocks = self.blocks.by_group
         right, held = np.split(self.right, len(blocks)), np.split(self.held, len(blocks))
         return [
             replace(self, blocks=b, right=r, held=h, pairs=[])
@@ -200,7 +200,7 @@ class Tables:
     def _parts(self, members: int) -> tuple[Parts, ...]:
         """What the compiled loop takes for sets of so many."""
         pair = self.blocks.pair if members > 1 else np.zeros(0, dtype=np.float32)
-        return self.blocks.own, pair, self.held, self.right, self.power
+        return self.blocks.gram, pair, self.held, self.right, self.power
 
     @property
     def _sizes(self) -> tuple[int, ...]:
@@ -243,13 +243,15 @@ class Tables:
             if not len(sets):
                 break
             scores = self.scores(ids[sets])
-            left = order = np.argsort(-scores, kind="stable")
+            unlike_sets = order = np.argsort(-scores, kind="stable")
             for _ in range(kept):
-                if not len(left):
+                if not len(unlike_sets):
                     break
-                best.append((float(scores[left[0]]), sets[left[0]]))
+                best.append((float(scores[unlike_sets[0]]), sets[unlike_sets[0]]))
                 if kept > 1:
-                    left = left[unlike[sets[left][:, :, None], sets[left[0]]].all(axis=2).any(axis=1)]
+                    unlike_sets = unlike_sets[
+                        unlike[sets[unlike_sets][:, :, None], sets[unlike_sets[0]]].all(axis=2).any(axis=1)
+                    ]
         return best
 
     def _scored(self, sets: NDArray[np.int32], below: Complex) -> Floats:
@@ -332,8 +334,8 @@ def tables(
         seen.append(moved * (np.moveaxis(waves[:, :-1], 1, 0) if bodies is None else bodies))
     every = np.stack([*seen, moved * spectra.data]).transpose(2, 0, 1, 3)
     white = spectra.whole[model.disc].apply(every.reshape(len(every), -1, views)) / root[:, None]
-    *own, y = white.reshape(every.shape).transpose(1, 2, 0, 3)
-    held, charge = _orthogonal(own, powers.body * spectra.moving)
+    *held_out, y = white.reshape(every.shape).transpose(1, 2, 0, 3)
+    held, charge = _orthogonal(held_out, powers.body * spectra.moving)
     y, base = _cleared(y, held)
     variance = spectra.whiteners[model.disc].variance
     base -= float(np.log1p(powers.clutter * spectra.moving[:, None] * variance).sum())
@@ -371,8 +373,8 @@ def _columns(
     """(F, T, P, V) of a group about the axis at so many turns."""
     parts = []
     for radius, angle, height in group:
-        places = radius * np.exp(1j * (angle + step_rad * np.arange(turns)))
-        waves, _ = spectra.waves(places, np.full(turns, height))
+        positions = radius * np.exp(1j * (angle + step_rad * np.arange(turns)))
+        waves, _ = spectra.waves(positions, np.full(turns, height))
         parts.append(
             waves.astype(np.complex64)[:, :, None] * _seen(spectra, transfer, radius, angle, turns, step_rad)
         )
@@ -396,7 +398,9 @@ def about(
 ) -> list[Tables]:
     """Tables about C centres, of data (C, F, M) and of what is held out (C, F, J, M); others as `Tables`."""
     some = len(blocks.columns)
-    right, out = (blocks.against(np.swapaxes(one[:, :some], 0, 1)) for one in (data[:, :, None], held))
+    right, out = (
+        blocks.against(np.swapaxes(vectors[:, :some], 0, 1)) for vectors in (data[:, :, None], held)
+    )
     right = right[:, :, :, 0] * np.array([[1.0], [-1.0]], dtype=np.float32)
     angles, filled, share = blocks.shifts * blocks.count, _filled(power[:, :some]), some / power.shape[1]
     return [
@@ -449,8 +453,8 @@ def turned(table: Tables, count: int) -> list[list[Start]]:
     scores = np.where(peaks, scores, -np.inf)
     best = np.argsort(-scores, axis=1)[:, :count]
     return [
-        [Start(float(own[i]), (float(table.step_rad * i),)) for i in which if own[i] > -np.inf]
-        for own, which in zip(scores, best, strict=True)
+        [Start(float(of_group[i]), (float(table.step_rad * i),)) for i in which if of_group[i] > -np.inf]
+        for of_group, which in zip(scores, best, strict=True)
     ]
 
 

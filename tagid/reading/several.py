@@ -17,7 +17,7 @@ import numpy as np
 
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.decision import Decision, Needed, decide, has_middle, is_same, settled
-from tagid.reading.descent import Found, best_powers, refined
+from tagid.reading.descent import Estimate, best_powers, refined
 from tagid.reading.hypotheses import Contest
 from tagid.reading.hypothesis import Arranged, Candidate, Hypothesis, Joint, best_bare, disc_of, pose_of
 from tagid.reading.smooth import smoothed
@@ -47,43 +47,47 @@ def decide_together(contests: Sequence[Contest], needed: Needed = Needed()) -> D
     """The decision over contests of one object that were run."""
     if len(contests) == 1:
         return decide(contests[0].hypotheses, needed)
-    untagged = _sum([best_of(own, None) for own in contests])
+    untagged = _sum([best_of(contest, None) for contest in contests])
     named: dict[str, Joint] = {}
     for layout in {
         hypothesis.layout.name: hypothesis.layout
-        for own in contests
-        for hypothesis in own.hypotheses
+        for contest in contests
+        for hypothesis in contest.hypotheses
         if hypothesis.layout
     }.values():
-        known = [best_of(own, layout.name) or look_for(own, layout) for own in contests]
+        known = [best_of(contest, layout.name) or look_for(contest, layout) for contest in contests]
         named[layout.name] = _sum(known)
     for name in {
         hypothesis.name
-        for own in contests
-        for hypothesis in own.hypotheses
+        for contest in contests
+        for hypothesis in contest.hypotheses
         if hypothesis.name and not hypothesis.layout
     }:
-        objects = [best_of(own, name) for own in contests]
+        objects = [best_of(contest, name) for contest in contests]
         if all(objects):
             named[name] = _sum(objects)
     if not named:
         return settled(None, untagged, untagged, needed)
     first = clearest(contests)
     for name in sorted(named, key=lambda name: -named[name].log_z)[:NAMES]:
-        one = best_of(first, name)
-        if one is not None and one.found.model.tag is not None:
-            named[name] = max(named[name], _chain(contests, first, one), key=_log_z)
+        hypothesis = best_of(first, name)
+        if hypothesis is not None and hypothesis.estimate.model.tag is not None:
+            named[name] = max(named[name], _chain(contests, first, hypothesis), key=_log_z)
     best = max(named, key=lambda name: named[name].log_z)
     others = [untagged, *(named[name] for name in named if name != best)]
     same = best_of(first, best)
     for contest in contests:
-        for one in _shown(contest, best):
-            there = one if contest is first else freed(first, look_for(first, None, _rigid(one)))
+        for hypothesis in _shown(contest, best):
+            there = (
+                hypothesis if contest is first else freed(first, look_for(first, None, _rigid(hypothesis)))
+            )
             if same is None or not is_same(there, same):
                 others.append(_chain(contests, first, there, best))
     others += _mixed(contests, best)
-    bare = [best_bare(own.hypotheses, best) for own in contests]
-    joint = replace(named[best], bare=sum(-np.inf if one is None else one.log_z for one in bare))
+    bare = [best_bare(contest.hypotheses, best) for contest in contests]
+    joint = replace(
+        named[best], bare=sum(-np.inf if hypothesis is None else hypothesis.log_z for hypothesis in bare)
+    )
     return settled(joint, max(others, key=_log_z), untagged, needed)
 
 
@@ -91,7 +95,10 @@ def _mixed(contests: Sequence[Contest], name: str) -> list[Joint]:
     """The recordings as of a name or, where they show something else clearly, of another object."""
     total, another = 0.0, None
     for contest in contests:
-        winner, named = max(contest.hypotheses, key=lambda one: one.log_z), best_of(contest, name)
+        winner, named = (
+            max(contest.hypotheses, key=lambda hypothesis: hypothesis.log_z),
+            best_of(contest, name),
+        )
         if named is None or winner.log_z + ANOTHER > named.log_z:
             total, another = total + winner.log_z + ANOTHER, winner
         else:
@@ -112,25 +119,29 @@ def _shows(contest: Contest) -> float:
     return float(tagged - max(hypothesis.log_z for hypothesis in contest.hypotheses if not hypothesis.tagged))
 
 
-def _chain(contests: Sequence[Contest], first: Contest, one: Hypothesis, other: str | None = None) -> Joint:
+def _chain(contests: Sequence[Contest], first: Contest, shown: Hypothesis, other: str | None = None) -> Joint:
     """What a recording has shown, and its reflectors just where they stand in the others.
 
     Args:
         other: name of a layout that it is not. Where that has a reflector in the middle and nothing stands
             there in this recording, nothing does in the others.
     """
-    tag, log = _rigid(one), one.log_z
-    for own in contests:
-        named = None if other is None else best_of(own, other)
-        empty = named is not None and has_middle(named) and not one.found.model.covers_middle
-        if own is not first:
-            log += look_for(own, None, tag, partial(is_same, best=named) if empty and named else None).log_z
-    return Joint(log, one)
+    tag, log = _rigid(shown), shown.log_z
+    for contest in contests:
+        named = None if other is None else best_of(contest, other)
+        empty = named is not None and has_middle(named) and not shown.estimate.model.covers_middle
+        if contest is not first:
+            log += look_for(
+                contest, None, tag, partial(is_same, best=named) if empty and named else None
+            ).log_z
+    return Joint(log, shown)
 
 
-def _rigid(one: Hypothesis) -> Arrangement:
-    tag = one.found.model.tag
-    return Arrangement.rigid(one.found.places - one.found.centre, None if tag is None else tag.height_m)
+def _rigid(hypothesis: Hypothesis) -> Arrangement:
+    tag = hypothesis.estimate.model.tag
+    return Arrangement.rigid(
+        hypothesis.estimate.positions - hypothesis.estimate.centre, None if tag is None else tag.height_m
+    )
 
 
 def best_of(contest: Contest, name: str | None) -> Hypothesis | None:
@@ -144,8 +155,8 @@ def best_of(contest: Contest, name: str | None) -> Hypothesis | None:
 
 
 def _sum(some: Sequence[Hypothesis | None]) -> Joint:
-    known = [one for one in some if one is not None]
-    return Joint(sum(one.log_z for one in known), max(known, key=_log_z))
+    known = [hypothesis for hypothesis in some if hypothesis is not None]
+    return Joint(sum(hypothesis.log_z for hypothesis in known), max(known, key=_log_z))
 
 
 def _shown(contest: Contest, name: str) -> list[Hypothesis]:
@@ -153,12 +164,14 @@ def _shown(contest: Contest, name: str) -> list[Hypothesis]:
     named = best_of(contest, name)
     limit = max(hypothesis.log_z for hypothesis in contest.hypotheses) - REACH
     out: list[Hypothesis] = []
-    for one in sorted(contest.hypotheses, key=lambda one: -one.log_z):
-        strange = one.found.model.tag is not None and one.name is None and one.log_z > limit
-        if not strange or (named and is_same(one, named)):
+    for hypothesis in sorted(contest.hypotheses, key=lambda hypothesis: -hypothesis.log_z):
+        strange = (
+            hypothesis.estimate.model.tag is not None and hypothesis.name is None and hypothesis.log_z > limit
+        )
+        if not strange or (named and is_same(hypothesis, named)):
             continue
-        if all(pose_of(_rigid(other), one.found.places) is None for other in out):
-            out.append(one)
+        if all(pose_of(_rigid(other), hypothesis.estimate.positions) is None for other in out):
+            out.append(hypothesis)
     return out[:STRANGERS]
 
 
@@ -173,40 +186,44 @@ def look_for(
     Args:
         same: it is not, which it were with a body in its middle.
     """
-    bodies: dict[object, Found] = {}
-    for one in sorted(contest.hypotheses, key=lambda one: -one.log_z):
-        if not one.found.model.whole and (same is None or not one.found.model.covers_middle):
-            bodies.setdefault((type(one.found.model), one.found.model.transfer), one.found)
+    bodies: dict[object, Estimate] = {}
+    for hypothesis in sorted(contest.hypotheses, key=lambda hypothesis: -hypothesis.log_z):
+        if not hypothesis.estimate.model.whole and (
+            same is None or not hypothesis.estimate.model.covers_middle
+        ):
+            bodies.setdefault(
+                (type(hypothesis.estimate.model), hypothesis.estimate.model.transfer), hypothesis.estimate
+            )
     starts: list[Candidate] = []
-    for found in list(bodies.values())[:LOOKED_FOR]:
-        arranged = None if layout is None else Arranged.of(layout, found.model.covers_middle)
-        own = tag if arranged is None else arranged.tag
-        assert own is not None
-        disc = disc_of(float(own.radius_m.max()))
-        model = replace(found.model, tag=own, odd=0, disc=disc)
+    for estimate in list(bodies.values())[:LOOKED_FOR]:
+        arranged = None if layout is None else Arranged.of(layout, estimate.model.covers_middle)
+        arrangement = tag if arranged is None else arranged.tag
+        assert arrangement is not None
+        disc = disc_of(float(arrangement.radius_m.max()))
+        model = replace(estimate.model, tag=arrangement, odd=0, disc=disc)
         for turn in TURNS_RAD:
-            x = np.concatenate([found.x[: model.head], [turn, 0.0], np.zeros(model.lifts)])
+            x = np.concatenate([estimate.x[: model.head], [turn, 0.0], np.zeros(model.lifts)])
             log = best_powers(contest.spectra, model, x, 1e-2)[1]
             starts.append(Candidate(log, layout, model, x, arranged is not None and arranged.middle))
-    starts.sort(key=lambda one: -one.log)
+    starts.sort(key=lambda start: -start.log)
     before = len(contest.hypotheses)
     for start in starts[:LOOKED_FOR]:
-        found = refined(contest.spectra, start.model, start.x, (1e-2, None))
-        contest.grow(contest.add(layout, found, start.middle), contest.most_odd)
+        estimate = refined(contest.spectra, start.model, start.x, (1e-2, None))
+        contest.grow(contest.add(layout, estimate, start.middle), contest.most_odd)
     some = [hypothesis for hypothesis in contest.hypotheses[before:] if same is None or not same(hypothesis)]
     # What another recording has shown is no hypothesis of this one.
     del contest.hypotheses[before:]
     return smoothed(contest.spectra, some)[0]
 
 
-def freed(contest: Contest, one: Hypothesis) -> Hypothesis:
+def freed(contest: Contest, hypothesis: Hypothesis) -> Hypothesis:
     """The same reflectors with free angles, on a free ring or anywhere."""
-    found, model = one.found, one.found.model
+    estimate, model = hypothesis.estimate, hypothesis.estimate.model
     assert model.tag is not None
-    places, rise = found.places - found.centre, float(np.mean(model.heights_of(found.x)[0]))
-    tag = Arrangement.about(places, ON_RING_M)
-    own = replace(model, tag=tag)
-    odd = found.x[len(found.x) - model.spot * model.odd :]
-    x = np.r_[found.x[: model.head], np.zeros(tag.turns + tag.stretches), own.lifts * [rise], odd]
-    freed = refined(contest.spectra, own, x, (None,))
+    positions, rise = estimate.positions - estimate.centre, float(np.mean(model.heights_of(estimate.x)[0]))
+    tag = Arrangement.about(positions, ON_RING_M)
+    free = replace(model, tag=tag)
+    odd = estimate.x[len(estimate.x) - model.spot * model.odd :]
+    x = np.r_[estimate.x[: model.head], np.zeros(tag.turns + tag.stretches), free.lifts * [rise], odd]
+    freed = refined(contest.spectra, free, x, (None,))
     return smoothed(contest.spectra, [Hypothesis(None, freed, freed.log_z)])[0]

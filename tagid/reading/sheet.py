@@ -162,8 +162,8 @@ class SheetModel(Model):
     @property
     def heights(self) -> Floats:
         """(K + odd,) of the reflectors and the odd scatterers, m."""
-        own = np.zeros(0) if self.tag is None else self.tag.height_m
-        return np.concatenate([own, np.zeros(self.odd)])
+        tagged = np.zeros(0) if self.tag is None else self.tag.height_m
+        return np.concatenate([tagged, np.zeros(self.odd)])
 
     @property
     def past(self) -> NDArray[np.bool_]:
@@ -178,16 +178,16 @@ class SheetModel(Model):
 
     def shape(self, x: Floats) -> Floats:
         """(6,) half sizes and strength, m, and their slopes over their parameters, over the strength."""
-        one = self.sheet(x)
-        inside = [HALF_M[0] < half < HALF_M[1] for half in (one.across_m, one.along_m)]
-        slopes = one.across_m * inside[0], one.along_m * inside[1], float(abs(x[5]) < WEAKEST)
-        return np.array([one.across_m, one.along_m, one.sheet_m, *slopes])
+        sheet = self.sheet(x)
+        inside = [HALF_M[0] < half < HALF_M[1] for half in (sheet.across_m, sheet.along_m)]
+        slopes = sheet.across_m * inside[0], sheet.along_m * inside[1], float(abs(x[5]) < WEAKEST)
+        return np.array([sheet.across_m, sheet.along_m, sheet.sheet_m, *slopes])
 
     def power(self, moving: Floats, body: float, tag: float, oval: float) -> Floats:
         """(F, n) prior variances of the amplitudes; oval: of the obliquities."""
         rest = super().power(moving, body, tag, oval)[:, 3:]
-        own = body * np.array([1.0] + [oval] * (OBLIQUITIES - 1))
-        return np.asarray(np.concatenate([moving[:, None] * own, rest], axis=1))
+        body_powers = body * np.array([1.0] + [oval] * (OBLIQUITIES - 1))
+        return np.asarray(np.concatenate([moving[:, None] * body_powers, rest], axis=1))
 
     def _sds(self) -> Floats:
         size, rest = self.kind.size_sd, super()._sds()
@@ -206,7 +206,7 @@ class SheetModel(Model):
 
     def crowding(self, x: Floats) -> Floats:
         """See `Model`: no reflector stands in the sheet, and nothing inside metal, where it is not seen."""
-        points = self.places(x)
+        points = self.positions(x)
         if not self.transfer.clear:
             points = np.concatenate([points, self._spots(x)[..., ~self.past]], axis=-1)
         halves = np.clip(self.kind.size_m * np.exp(np.minimum(x[..., 3:5], 9.0)), *HALF_M)
@@ -251,9 +251,9 @@ class SheetColumns:
         """The sheet from all antennas."""
         return _view(self._field, self.spectra, self.x)
 
-    def reflectors(self, places: Complex, heights: Floats) -> Complex:
+    def reflectors(self, positions: Complex, heights: Floats) -> Complex:
         """(F, K, V) echoes of small reflectors at places x + jy, m."""
-        return _reflectors(self.view, self.spectra, self.x, places, heights)
+        return _reflectors(self.view, self.spectra, self.x, positions, heights)
 
     @cached_property
     def values(self) -> Complex:
@@ -262,7 +262,7 @@ class SheetColumns:
 
     def _seen(self, view: ShellView, x: Floats) -> Complex:
         model = self.model
-        tag, odd = model.places(x), model.split(x)[3]
+        tag, odd = model.positions(x), model.split(x)[3]
         echoes = view.echoes(OBLIQUITIES)
         parts = [echoes / np.sqrt((np.abs(echoes[:, :1]) ** 2).mean(axis=2, keepdims=True))]
         if len(tag):
@@ -296,8 +296,8 @@ class SheetColumns:
         centre, turn, _, odd = model.split(x)
         step = float(_STEP[0])
         if model.tag is not None:
-            tag, places = model.tag, model.places(x)
-            near = np.concatenate([places, places + step, places + 1j * step])
+            tag, positions = model.tag, model.positions(x)
+            near = np.concatenate([positions, positions + step, positions + 1j * step])
             seen = self.reflectors(near, np.tile(model.heights[: tag.count], 3))
             here, right, up = np.split(seen, 3, axis=1)
             along_x, along_y = (right - here) / step, (up - here) / step
@@ -307,7 +307,7 @@ class SheetColumns:
                 for row, way in (
                     (HEAD, 1.0 + 0j),
                     (HEAD + 1, 1j),
-                    (first + tag.turn[i], 1j * (places[i] - centre)),
+                    (first + tag.turn[i], 1j * (positions[i] - centre)),
                     (first + tag.turns + tag.stretch[i], outward[i]),
                 ):
                     moved = along_x[:, i] * way.real + along_y[:, i] * way.imag
@@ -359,6 +359,6 @@ def _view(field: ShellField, spectra: Spectra, x: Floats) -> ShellView:
     return field.seen_from(in_frame(x, spectra.antenna))
 
 
-def _reflectors(view: ShellView, spectra: Spectra, x: Floats, places: Complex, heights: Floats) -> Complex:
-    direct, _ = spectra.waves(places, heights)
-    return np.asarray(direct * view.relative(in_frame(x, places)))
+def _reflectors(view: ShellView, spectra: Spectra, x: Floats, positions: Complex, heights: Floats) -> Complex:
+    direct, _ = spectra.waves(positions, heights)
+    return np.asarray(direct * view.relative(in_frame(x, positions)))

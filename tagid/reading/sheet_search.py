@@ -80,11 +80,11 @@ def _harmonics(kappa: bytes, distance_m: float, kind: Kind, half_m: tuple[float,
     )
     x = np.r_[np.zeros(3), np.log(np.array(half_m) / kind.size_m), np.zeros(HEAD - 3)]
     echo = SheetColumns(SheetModel.of(kind, half_m, 0), around, x).values[:, 0]
-    found = echo @ np.cos(2 * np.arange(count) * aspect[:, None]) * (2 / count)
-    found[:, 0] /= 2
-    energy = np.cumsum(_power(found[:, ::-1]), axis=1)[:, ::-1]
+    harmonics = echo @ np.cos(2 * np.arange(count) * aspect[:, None]) * (2 / count)
+    harmonics[:, 0] /= 2
+    energy = np.cumsum(_power(harmonics[:, ::-1]), axis=1)[:, ::-1]
     strong = int((energy > _FAINT * energy[:, :1]).any(axis=0).sum())
-    return np.asarray(found[:, : -(-strong // GROUPED) * GROUPED], dtype=np.complex64)
+    return np.asarray(harmonics[:, : -(-strong // GROUPED) * GROUPED], dtype=np.complex64)
 
 
 class Seeker:
@@ -106,9 +106,9 @@ class Seeker:
         moved = np.exp(1j * self._kappa[:, None, None] * (from_centre - spectra.distance_m))
         keep = [np.ones_like(data)] + ([] if held is None else list(np.moveaxis(held[::EVERY], 1, 0)))
         basis = np.linalg.qr(np.stack(keep, axis=2))[0]
-        left = data - (basis @ (np.swapaxes(basis.conj(), 1, 2) @ data[..., None]))[..., 0]
-        self._energy = (np.abs(left) ** 2).sum(axis=1)
-        every = np.concatenate([left[:, :, None], basis], axis=2)
+        residual = data - (basis @ (np.swapaxes(basis.conj(), 1, 2) @ data[..., None]))[..., 0]
+        self._energy = (np.abs(residual) ** 2).sum(axis=1)
+        every = np.concatenate([residual[:, :, None], basis], axis=2)
         # (F, V, (1 + J) C) data and held columns about every centre.
         seen = every[..., None] * np.swapaxes(moved, 1, 2)[:, :, None]
         self._parts = every.shape[2]
@@ -151,10 +151,10 @@ class Seeker:
             some, echoes = groups.setdefault((echo.shape[1], alike), ([], []))
             some.append(half_m)
             echoes.append(echo)
-        found: list[Start] = []
+        starts: list[Start] = []
         for (_, alike), (some, echoes) in groups.items():
-            found += self._fitted(kind, some, np.stack(echoes, axis=1), alike)
-        return found
+            starts += self._fitted(kind, some, np.stack(echoes, axis=1), alike)
+        return starts
 
     def _fitted(
         self, kind: Kind, sizes: Sequence[tuple[float, float]], echo: Complex, alike: int
@@ -169,13 +169,13 @@ class Seeker:
         least = np.maximum(size - power[:, :, 1:].sum(axis=2), 1e-4 * views)
         share = power[:, :, 0] / least / self._energy.astype(np.float32)[:, None, None, None]
         rest = (np.maximum(1 - share, 0) + _FLOOR).prod(axis=0)
-        left = rest.reshape(len(sizes), -1)
-        best = left.argmin(axis=1)
+        residual = rest.reshape(len(sizes), -1)
+        best = residual.argmin(axis=1)
         return [
             Start(
                 kind,
                 half_m,
-                -float(np.log(left[s, i])) * views * EVERY,
+                -float(np.log(residual[s, i])) * views * EVERY,
                 complex(self._centres[i % len(self._centres)]),
                 float(turn[i // len(self._centres)]),
             )
@@ -189,14 +189,14 @@ class Seeker:
             pairs = [(a, b) for i, a in enumerate(sizes) for b in sizes[i:] if b < LONGEST * a]
             return _unlike(self.fitted(kind, pairs), count)
         # A square whose side is one of two of an oblong box explains the flashes of two of its walls.
-        found = self.fitted(kind, [(a, a) for a in sizes])
-        sides = sorted(one.half_m[0] for one in _unlike(found, _KEPT))
-        found += self.fitted(kind, [(a, b) for i, a in enumerate(sides) for b in sides[i + 1 :]])
-        for one in _unlike(found, 2):
-            a, b = one.half_m
+        starts = self.fitted(kind, [(a, a) for a in sizes])
+        sides = sorted(start.half_m[0] for start in _unlike(starts, _KEPT))
+        starts += self.fitted(kind, [(a, b) for i, a in enumerate(sides) for b in sides[i + 1 :]])
+        for start in _unlike(starts, 2):
+            a, b = start.half_m
             near = ((a * STEP, b), (a / STEP, b), (a, b * STEP), (a, b / STEP))
-            found += self.fitted(kind, near)
-        return _unlike(found, count)
+            starts += self.fitted(kind, near)
+        return _unlike(starts, count)
 
 
 def _power(x: NDArray[Any]) -> NDArray[Any]:
@@ -204,13 +204,13 @@ def _power(x: NDArray[Any]) -> NDArray[Any]:
 
 
 def _unlike(starts: Sequence[Start], count: int) -> list[Start]:
-    found: list[Start] = []
-    for start in sorted(starts, key=lambda one: -one.score):
-        if all(np.abs(np.log(np.array(start.half_m) / one.half_m)).max() > 0.06 for one in found):
-            found.append(start)
-            if len(found) == count:
+    kept: list[Start] = []
+    for start in sorted(starts, key=lambda other: -other.score):
+        if all(np.abs(np.log(np.array(start.half_m) / other.half_m)).max() > 0.06 for other in kept):
+            kept.append(start)
+            if len(kept) == count:
                 break
-    return found
+    return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +224,7 @@ class Beside:
 
     layouts: Tables
     spots: Tables
-    places: Complex
+    positions: Complex
 
 
 def beside(
@@ -241,25 +241,29 @@ def beside(
         x: parameters of the untagged model.
         tags: of the layouts, about a centre x + jy, m.
     """
-    own = [list(zip(np.round(tag.radius_m, 4), tag.height_m, strict=True)) for tag in tags]
-    rings = sorted({one for some in own for one in some})
+    rings_of_tags = [list(zip(np.round(tag.radius_m, 4), tag.height_m, strict=True)) for tag in tags]
+    rings = sorted({spot_ring for some in rings_of_tags for spot_ring in some})
     columns = SheetColumns(model, spectra, x)
     remainder = Remainder.of(spectra, model, columns.values, powers)
     turns = np.exp(2j * np.pi * np.arange(RING) / RING)
-    places = np.concatenate([centre + r * turns for r, _ in rings])
-    ring = remainder.whitened(columns.reflectors(places, np.repeat([z for _, z in rings], RING)))
+    positions = np.concatenate([centre + r * turns for r, _ in rings])
+    ring = remainder.whitened(columns.reflectors(positions, np.repeat([z for _, z in rings], RING)))
     anywhere = complex(x[0], x[1]) + grid(min(max(model.sheet(x).radius_m * 1.2, 0.05), 1.5 * REACH_M))
     if not model.transfer.clear:
         anywhere = anywhere[model.sheet(x).outside_m(in_frame(x, anywhere)) >= 0]
     spots = remainder.whitened(columns.reflectors(anywhere, np.zeros(len(anywhere))))
     chosen = remainder.likeliest(spots)
     turned = []
-    for tag, some in zip(tags, own, strict=True):
+    for tag, some in zip(tags, rings_of_tags, strict=True):
         steps = np.rint(tag.angle / (2 * np.pi / RING)).astype(np.intp) + np.arange(RING)[:, None]
-        turned.append(ring[:, np.array([rings.index(one) for one in some]) * RING + steps % RING].sum(axis=2))
-    level = np.repeat([z == 0 for _, z in rings], RING) & (np.arange(len(places)) % 2 == 0)
+        turned.append(
+            ring[:, np.array([rings.index(spot_ring) for spot_ring in some]) * RING + steps % RING].sum(
+                axis=2
+            )
+        )
+    level = np.repeat([z == 0 for _, z in rings], RING) & (np.arange(len(positions)) % 2 == 0)
     spots = np.concatenate([ring[:, level], spots[:, chosen]], axis=1)
-    every = np.concatenate([places[level], anywhere[chosen]])
+    every = np.concatenate([positions[level], anywhere[chosen]])
     return Beside(
         remainder.tables(np.concatenate(turned, axis=1), RING), remainder.tables(spots, len(every)), every
     )

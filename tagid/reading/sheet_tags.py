@@ -11,7 +11,7 @@ import numpy as np
 from tagid.reading import search
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import Priors
-from tagid.reading.descent import BODY, OVAL, Found, Powers, best_powers, refined
+from tagid.reading.descent import BODY, OVAL, Estimate, Powers, best_powers, refined
 from tagid.reading.evidence import log_evidence
 from tagid.reading.remainder import sets
 from tagid.reading.sheet import HEAD, Kind, SheetModel
@@ -34,7 +34,7 @@ ODD_ALONE, ODD_TAGGED, GROWN = 5, 2, 2
 MOST = 4
 """Reflectors anywhere about a sheet."""
 
-Enter = Callable[[Layout | None, Found, int], Found]
+Enter = Callable[[Layout | None, Estimate, int], Estimate]
 
 
 class Entry(Protocol):
@@ -44,7 +44,7 @@ class Entry(Protocol):
     def layout(self) -> Layout | None: ...
 
     @property
-    def found(self) -> Found: ...
+    def estimate(self) -> Estimate: ...
 
     @property
     def log_z(self) -> float: ...
@@ -66,30 +66,32 @@ def explain(
         enter: enters a hypothesis beside up to so many odd scatterers, and gives the best of them.
         priors: of centre and mounting.
     """
-    best = max(one.log_z for one in before)
+    best = max(hypothesis.log_z for hypothesis in before)
     thin = spectra.thinned(2)
-    sheets: list[tuple[Layout | None, Found]] = []
+    sheets: list[tuple[Layout | None, Estimate]] = []
 
     def fitted(layout: Layout | None, model: SheetModel, x: Floats) -> None:
         x = refined(thin, model, x, (1e-2,), 8).x
-        found = refined(spectra, model, x, (None,), 4)
-        if not any(layout is other and _same(found, one) for other, one in sheets):
-            sheets.append((layout, found))
+        estimate = refined(spectra, model, x, (None,), 4)
+        if not any(layout is other and _same(estimate, other_estimate) for other, other_estimate in sheets):
+            sheets.append((layout, estimate))
 
     def fit_best(some: list[_Start], most: tuple[int, int]) -> None:
-        some.sort(key=lambda one: -one.log)
+        some.sort(key=lambda start: -start.log)
         for named, count in zip((True, False), most, strict=True):
-            for _, layout, model, x in [one for one in some if (one.layout is not None) == named][:count]:
+            for _, layout, model, x in [start for start in some if (start.layout is not None) == named][
+                :count
+            ]:
                 fitted(layout, model, x)
 
     alone = Seeker(spectra)
     likely = [start for kind in kinds for start in alone.best(kind, SHEETS)]
-    for start in sorted(likely, key=lambda one: -one.score)[:ALONE]:
+    for start in sorted(likely, key=lambda start: -start.score)[:ALONE]:
         model, x = start.begun(_disc(max(start.half_m)), priors)
         if possible(spectra, model, x) > best:
             fitted(None, model, x)
-    sheets.sort(key=lambda one: -one[1].log_z)
-    sheets = [(None, enter(None, found, 0 if i else ODD_ALONE)) for i, (_, found) in enumerate(sheets)]
+    sheets.sort(key=lambda entry: -entry[1].log_z)
+    sheets = [(None, enter(None, estimate, 0 if i else ODD_ALONE)) for i, (_, estimate) in enumerate(sheets)]
     joint = []
     for layout, guest in _guests(before):
         seeker = Seeker(spectra, guest.beside(spectra)[:, : len(guest.model.transfer.power)])
@@ -100,15 +102,15 @@ def explain(
                 model, x = _with(model, x, guest)
                 joint.append(_Start(best_powers(spectra, model, x)[1], layout, model, x))
     alone_only = len(sheets)
-    joint.sort(key=lambda one: -one.log)
+    joint.sort(key=lambda start: -start.log)
     nearer = [
         (refined(thin, model, x, (1e-2,), 3), layout, model) for _, layout, model, x in joint[:FOLLOWED]
     ]
-    for found, layout, model in sorted(nearer, key=lambda one: -one[0].log_z)[:JOINT]:
-        fitted(layout, model, found.x)
+    for estimate, layout, model in sorted(nearer, key=lambda entry: -entry[0].log_z)[:JOINT]:
+        fitted(layout, model, estimate.x)
     starts: list[_Start] = []
-    for _, found in sorted(sheets, key=lambda one: -one[1].log_z)[:ABOUT]:
-        starts += _about(spectra, layouts, _bare(found), found.x, found.centre, found.powers)
+    for _, estimate in sorted(sheets, key=lambda entry: -entry[1].log_z)[:ABOUT]:
+        starts += _about(spectra, layouts, _bare(estimate), estimate.x, estimate.centre, estimate.powers)
     usual: list[_Start] = []
     for model, x in _round(kinds, sheets):
         powers, _ = best_powers(spectra, model, x, 1e-2)
@@ -117,22 +119,27 @@ def explain(
     fit_best(usual, FITTED_USUAL)
     # A handle may be louder than the tag: then that is looked for beside it.
     singles: dict[str, _Start] = {}
-    for one in sorted((one for one in (*starts, *usual) if one.single), key=lambda one: -one.log):
-        singles.setdefault(one.model.transfer.name, one)
+    for single in sorted(
+        (candidate for candidate in (*starts, *usual) if candidate.single),
+        key=lambda candidate: -candidate.log,
+    ):
+        singles.setdefault(single.model.transfer.name, single)
     beside_loud: list[_Start] = []
     for _, _, model, x in list(singles.values())[:LOUD]:
-        own, x = _as_odd(model, refined(thin, model, x, (1e-2,), 8).x)
-        loud = refined(spectra, own, x, (None,), 8)
-        beside_loud += _about(spectra, layouts, own, loud.x, loud.centre, loud.powers)
+        loud_model, x = _as_odd(model, refined(thin, model, x, (1e-2,), 8).x)
+        loud = refined(spectra, loud_model, x, (None,), 8)
+        beside_loud += _about(spectra, layouts, loud_model, loud.x, loud.centre, loud.powers)
     fit_best(beside_loud, FITTED_USUAL)
-    tagged = sorted(sheets[alone_only:], key=lambda one: -one[1].log_z)
+    tagged = sorted(sheets[alone_only:], key=lambda entry: -entry[1].log_z)
     for named in (True, False):
-        for i, (layout, found) in enumerate(one for one in tagged if (one[0] is not None) == named):
-            enter(layout, found, ODD_TAGGED if i < GROWN else 0)
+        for i, (layout, estimate) in enumerate(entry for entry in tagged if (entry[0] is not None) == named):
+            enter(layout, estimate, ODD_TAGGED if i < GROWN else 0)
     if tagged:
         # The sheet that a tag has shown, with anything else about it.
-        found = tagged[0][1]
-        enter(None, refined(spectra, _bare(found), np.r_[found.x[:HEAD], 0.0, 0.0], (None,), 4), ODD_ALONE)
+        estimate = tagged[0][1]
+        enter(
+            None, refined(spectra, _bare(estimate), np.r_[estimate.x[:HEAD], 0.0, 0.0], (None,), 4), ODD_ALONE
+        )
 
 
 class _Start(NamedTuple):
@@ -151,24 +158,24 @@ class _Start(NamedTuple):
 
 def _as_odd(model: SheetModel, x: Floats) -> tuple[SheetModel, Floats]:
     """The same with its only reflector as an odd scatterer."""
-    (place,) = model.places(x)
+    (place,) = model.positions(x)
     return replace(model, tag=None).and_odd(), np.r_[x[:HEAD], 0.0, 0.0, place.real, place.imag]
 
 
-def _bare(found: Found) -> SheetModel:
+def _bare(estimate: Estimate) -> SheetModel:
     """The sheet of a hypothesis, alone."""
-    assert isinstance(found.model, SheetModel)
-    return replace(found.model, tag=None, odd=0)
+    assert isinstance(estimate.model, SheetModel)
+    return replace(estimate.model, tag=None, odd=0)
 
 
-def _same(one: Found, other: Found) -> bool:
+def _same(estimate: Estimate, other: Estimate) -> bool:
     """The same sheet with the same reflectors."""
-    if one.model.transfer is not other.model.transfer or len(one.places) != len(other.places):
+    if estimate.model.transfer is not other.model.transfer or len(estimate.positions) != len(other.positions):
         return False
-    alike = abs(one.log_z - other.log_z) < 3
-    if len(one.places):
-        return alike and bool(np.abs(one.places[:, None] - other.places).min(axis=1).max() < 3e-3)
-    return alike and abs(one.x[3:5].sum() - other.x[3:5].sum()) < 0.03
+    alike = abs(estimate.log_z - other.log_z) < 3
+    if len(estimate.positions):
+        return alike and bool(np.abs(estimate.positions[:, None] - other.positions).min(axis=1).max() < 3e-3)
+    return alike and abs(estimate.x[3:5].sum() - other.x[3:5].sum()) < 0.03
 
 
 def possible(spectra: Spectra, model: SheetModel, x: Floats) -> float:
@@ -183,12 +190,12 @@ def possible(spectra: Spectra, model: SheetModel, x: Floats) -> float:
 
 
 def _round(
-    kinds: Sequence[Kind], sheets: Sequence[tuple[Layout | None, Found]]
+    kinds: Sequence[Kind], sheets: Sequence[tuple[Layout | None, Estimate]]
 ) -> Iterator[tuple[SheetModel, Floats]]:
     """Round sheets of usual sizes where the best one stands: a round echo hardly tells the size."""
     if not sheets:
         return
-    best = max((found for _, found in sheets), key=lambda one: one.log_z)
+    best = max((estimate for _, estimate in sheets), key=lambda entry: entry.log_z)
     for kind in kinds:
         for half_m in kind.tagged_m:
             size = float(np.log(half_m / kind.size_m))
@@ -200,19 +207,19 @@ def _disc(half_m: float) -> int:
     return 0 if half_m < 0.07 else 1
 
 
-def _guests(before: Sequence[Entry]) -> list[tuple[Layout | None, Found]]:
+def _guests(before: Sequence[Entry]) -> list[tuple[Layout | None, Estimate]]:
     """The best layouts, and the best free arrangements of different numbers."""
-    out: dict[tuple[Layout | None, int], Found] = {}
-    for one in sorted(before, key=lambda one: -one.log_z):
-        if one.found.model.tag is not None:
-            count = 0 if one.layout is not None else one.found.model.tag.count
-            out.setdefault((one.layout, count), one.found)
-    kept = [(layout, found) for (layout, _), found in out.items()]
-    named = [one for one in kept if one[0] is not None]
-    return named[:GUESTS] + [one for one in kept if one[0] is None][:GUESTS]
+    out: dict[tuple[Layout | None, int], Estimate] = {}
+    for entry in sorted(before, key=lambda entry: -entry.log_z):
+        if entry.estimate.model.tag is not None:
+            count = 0 if entry.layout is not None else entry.estimate.model.tag.count
+            out.setdefault((entry.layout, count), entry.estimate)
+    kept = [(layout, estimate) for (layout, _), estimate in out.items()]
+    named = [entry for entry in kept if entry[0] is not None]
+    return named[:GUESTS] + [entry for entry in kept if entry[0] is None][:GUESTS]
 
 
-def _with(model: SheetModel, x: Floats, guest: Found) -> tuple[SheetModel, Floats]:
+def _with(model: SheetModel, x: Floats, guest: Estimate) -> tuple[SheetModel, Floats]:
     """A sheet with the reflectors of another hypothesis."""
     centre, turn, stretch, _ = guest.model.split(guest.x)
     off = centre - complex(x[0], x[1])
@@ -244,7 +251,7 @@ def _about(
         for layout, a, turns in zip(layouts, arranged, search.turned(near.layouts, 2), strict=True):
             for turn in turns:
                 yield _Start(turn.log, layout, replace(model, tag=a), np.r_[head, turn.angles[0], 0.0, odd])
-        for log, places in sets(near.spots, near.places, MOST):
-            tag = Arrangement.points(places - sheet_centre)
+        for log, positions in sets(near.spots, near.positions, MOST):
+            tag = Arrangement.points(positions - sheet_centre)
             free = np.r_[x[: HEAD + 2], np.zeros(2 * tag.count), odd]
             yield _Start(log, None, replace(model, tag=tag), free)

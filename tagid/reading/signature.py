@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from tagid.imaging.types import BasebandScans
 from tagid.reading.columns import Columns, Model, Priors, table_of
-from tagid.reading.descent import Found
+from tagid.reading.descent import Estimate
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import POINTS
 from tagid.reading.transfers.transfer import Transfer
@@ -80,9 +80,9 @@ class EnrolledBody:
     @cached_property
     def error(self) -> Floats:
         """(F, 2 M + 1) variance of the turning harmonics, over the energy of all."""
-        own = self.signature
-        energy = np.abs(own.harmonics) ** 2
-        noise = np.minimum(own.noise[:, None], energy)
+        signature = self.signature
+        energy = np.abs(signature.harmonics) ** 2
+        noise = np.minimum(signature.noise[:, None], energy)
         error = ECHO_ERROR**2 * (energy - noise) + noise
         error[:, self.order] = 0.0
         return np.asarray(error / np.maximum((energy - noise).sum(axis=1, keepdims=True), 1e-300))
@@ -200,19 +200,19 @@ class SignatureModel(Model):
         along = np.abs((echo.conj() * spectra.white[self.disc]).sum(axis=1))
         return replace(self, level=(along / (np.abs(echo) ** 2).sum(axis=1)) ** 2)
 
-    def with_guest(self, guest: Found, head: Floats) -> tuple[SignatureModel, Floats]:
+    def with_guest(self, guest: Estimate, head: Floats) -> tuple[SignatureModel, Floats]:
         """The body (HEAD,) beside the reflectors of another hypothesis, and the parameters."""
         model = guest.model
         transfer = model.transfer if model.transfer.body else POINTS
         centre, turn, stretch, _ = model.split(guest.x)
         off = centre - complex(head[0], head[1])
-        own = replace(self, transfer=transfer, tag=model.tag, disc=model.disc)
-        return own, np.r_[head, off.real, off.imag, turn, stretch, np.zeros(own.lifts)]
+        joined = replace(self, transfer=transfer, tag=model.tag, disc=model.disc)
+        return joined, np.r_[head, off.real, off.imag, turn, stretch, np.zeros(joined.lifts)]
 
     def power(self, moving: Floats, body: float, tag: float, oval: float) -> Floats:
         """(F, n) prior variances of the amplitudes."""
-        own = moving[:, None] * body * np.array([1.0, SLOPE**2])
-        return np.concatenate([own, self.rest.power(moving, body, tag, oval)], axis=1)
+        body_powers = moving[:, None] * body * np.array([1.0, SLOPE**2])
+        return np.concatenate([body_powers, self.rest.power(moving, body, tag, oval)], axis=1)
 
     def _sds(self) -> Floats:
         rest = super()._sds()
@@ -294,18 +294,18 @@ class SignatureColumns:
         placed = [moved * across.real + around * across.imag, moved * across.imag - around * across.real]
         ahead = 1j * self.spectra.antenna
         uneven = placed[0] * ahead.real + placed[1] * ahead.imag
-        own = np.stack([*placed, -turned, *(uneven * cycle for cycle in self.cycles)])
-        own = own * weights[:, 0] + np.gradient(own, axis=1) * weights[:, 1]
+        body_slopes = np.stack([*placed, -turned, *(uneven * cycle for cycle in self.cycles)])
+        body_slopes = body_slopes * weights[:, 0] + np.gradient(body_slopes, axis=1) * weights[:, 1]
         beside = self.rest.slopes(weights[:, OWN:])
-        own[:2] += beside[:2]
+        body_slopes[:2] += beside[:2]
         beside, tilted = np.split(beside, [self.rest.model.parameters])
         tilt = self.x[_TURNED:HEAD]
         # The wall turns with all that stands on it.
         turned_wall = 2 * (tilt[1] * tilted[0] - tilt[0] * tilted[1])
-        own[3:] += (np.tensordot(spin(self.rest.model, self.rest.x), beside, 1) - turned_wall) * self.cycles[
-            :, None
-        ]
-        return np.concatenate([own, tilted, beside])
+        body_slopes[3:] += (
+            np.tensordot(spin(self.rest.model, self.rest.x), beside, 1) - turned_wall
+        ) * self.cycles[:, None]
+        return np.concatenate([body_slopes, tilted, beside])
 
 
 @lru_cache(maxsize=64)

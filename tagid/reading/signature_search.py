@@ -129,7 +129,7 @@ def altered(
         for start in search.free(table, 2 * float(np.arcsin(APART_M / 2 / radius)), most, 1):
             count = len(start.angles)
             if count not in best or start.log > best[count][0]:
-                own = replace(model, tag=Arrangement.ring(radius, np.array(start.angles)))
+                ringed = replace(model, tag=Arrangement.ring(radius, np.array(start.angles)))
                 head = np.append(x[:HEAD], [0.0, 0.0])
-                best[count] = start.log, own, np.append(head, np.zeros(count + 1))
+                best[count] = start.log, ringed, np.append(head, np.zeros(count + 1))
     return [(model, x) for _, model, x in best.values()]

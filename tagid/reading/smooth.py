@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tagid.reading.descent import Found, variance
+from tagid.reading.descent import Estimate, variance
 from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.spectra import Spectra
 from tagid.types import Complex, Floats
@@ -39,14 +39,14 @@ def smoothed(spectra: Spectra, hypotheses: Sequence[Hypothesis]) -> list[Hypothe
     ranked = sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_z)
     root = roots(spectra.kappa)
     likely = [first for first in _firsts(ranked) if first.log_z > ranked[0].log_z - REACH][:MOST]
-    scored = {first: gains(spectra, first.found, root) for first in likely}
+    scored = {first: gains(spectra, first.estimate, root) for first in likely}
     if not scored:
         return ranked
     delay = int(np.max([first.log_z + gain for first, gain in scored.items()], axis=0).argmax())
     free = -np.log(len(FREE))
     out = []
     for hypothesis in ranked:
-        tagged = hypothesis.found.model.tag is not None
+        tagged = hypothesis.estimate.model.tag is not None
         gain = scored[hypothesis][delay] if hypothesis in scored else free * tagged
         out.append(replace(hypothesis, log_z=hypothesis.log_z + float(gain)))
     return sorted(out, key=lambda hypothesis: -hypothesis.log_z)
@@ -56,21 +56,21 @@ def _firsts(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The best with reflectors of every kind."""
     firsts: dict[object, Hypothesis] = {}
     for hypothesis in ranked:
-        model = hypothesis.found.model
+        model = hypothesis.estimate.model
         if model.tag is not None:
             kind = hypothesis.layout, type(model), model.transfer, model.odd, model.tag.count
             firsts.setdefault(kind, hypothesis)
     return list(firsts.values())
 
 
-def gains(spectra: Spectra, found: Found, root: Complex) -> Floats:
+def gains(spectra: Spectra, estimate: Estimate, root: Complex) -> Floats:
     """(D,) what a fitted model with reflectors gains for every delay, nats."""
-    model, powers = found.model, found.powers
-    columns = spectra.whiteners[model.disc].apply(model.at(spectra, found.x, slopes=False).values)
+    model, powers = estimate.model, estimate.powers
+    columns = spectra.whiteners[model.disc].apply(model.at(spectra, estimate.x, slopes=False).values)
     power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
     lam = variance(spectra, model, powers.clutter)
-    own = slice(model.body_columns, model.columns - model.odd)
-    logs = [log_evidence(columns, spectra.white[model.disc], lam, power, own, root, free) for free in FREE]
+    tagged = slice(model.body_columns, model.columns - model.odd)
+    logs = [log_evidence(columns, spectra.white[model.disc], lam, power, tagged, root, free) for free in FREE]
     return np.asarray(np.logaddexp.reduce(logs, axis=0) - logs[-1] - np.log(len(FREE)))
 
 
@@ -84,7 +84,7 @@ def roots(kappa: Floats) -> Complex:
 
 
 def log_evidence(
-    columns: Complex, data: Complex, lam: Floats, power: Floats, own: slice, root: Complex, free: float
+    columns: Complex, data: Complex, lam: Floats, power: Floats, tagged: slice, root: Complex, free: float
 ) -> Floats:
     """(D,) log Z; columns (F, n, M), data, lam and power as of `evidence.fit`.
 
@@ -95,7 +95,7 @@ def log_evidence(
     """
     scaled, y = columns / np.sqrt(lam)[:, None], data / np.sqrt(lam)
     loose = power.copy()
-    loose[:, own] *= free
+    loose[:, tagged] *= free
     gram = scaled.conj() @ np.swapaxes(scaled, 1, 2)
     right = scaled.conj() @ y[..., None]
     inverse = np.linalg.inv(gram + np.eye(power.shape[1]) / loose[:, None])
@@ -103,9 +103,9 @@ def log_evidence(
     held = gram @ inverse
     log = (right.conj() * (inverse @ right)).sum().real + np.linalg.slogdet(inverse)[1].sum()
     log -= np.log(loose).sum() + (np.abs(y) ** 2).sum() + np.log(lam).sum()
-    size = np.sqrt((1 - free) * power[:, own])
-    inner = (gram - held @ gram)[:, own, own] * size[:, :, None] * size[:, None]
-    outer = (right - held @ right)[:, own, 0] * size
+    size = np.sqrt((1 - free) * power[:, tagged])
+    inner = (gram - held @ gram)[:, tagged, tagged] * size[:, :, None] * size[:, None]
+    outer = (right - held @ right)[:, tagged, 0] * size
     count = size.shape[1] * root.shape[2]
     joint = np.einsum("dfr,fij,dfs->dirjs", root.conj(), inner, root, optimize=True).reshape(-1, count, count)
     factor = np.linalg.cholesky(joint + np.eye(count))

@@ -203,7 +203,7 @@ class Spectra:
         if self.stated is not None:
             return self.stated.whiteners
         if self.full_turn:
-            return tuple(Whitener(one.variance[:, 1:], None) for one in self.whole)
+            return tuple(Whitener(whitener.variance[:, 1:], None) for whitener in self.whole)
         free = np.linalg.svd(self.rooms)[2][len(self.rooms) :]
         return tuple(_diagonal(covariance, free) for covariance in self._covariances)
 
@@ -214,11 +214,11 @@ class Spectra:
             return self.stated.whole
         if not self.full_turn:
             return tuple(_diagonal(covariance, np.eye(self.views)) for covariance in self._covariances)
-        apart, found = 2 * np.abs(np.sin((self.direction[0] - self.direction) / 2)), []
+        apart, whiteners = 2 * np.abs(np.sin((self.direction[0] - self.direction) / 2)), []
         for radius in CLUTTER_RADII_M:
             row = _j0(self.kappa[:, None, None] * (radius * _RINGS)[None, :, None] * apart).mean(axis=1)
-            found.append(Whitener(np.maximum(np.fft.fft(row, axis=1).real, 0), None))
-        return tuple(found)
+            whiteners.append(Whitener(np.maximum(np.fft.fft(row, axis=1).real, 0), None))
+        return tuple(whiteners)
 
     @cached_property
     def _covariances(self) -> tuple[Floats, ...]:
@@ -247,9 +247,9 @@ class Spectra:
         """The same with the antenna turned by errors (V,) of the angles, rad."""
         return replace(self, antenna=self.antenna * np.exp(1j * error), stated=self)
 
-    def waves(self, places: Complex, heights: Floats) -> tuple[Complex, Floats]:
+    def waves(self, positions: Complex, heights: Floats) -> tuple[Complex, Floats]:
         """Echoes (F, S, V) of unit points at places x + jy (S,) and heights (S,), m; their ranges (S, V)."""
-        range_m = np.hypot(np.abs(self.antenna - places[:, None]), self.height_m - heights[:, None])
+        range_m = np.hypot(np.abs(self.antenna - positions[:, None]), self.height_m - heights[:, None])
         path = range_m - self.distance_m
         step = np.exp(-1j * (self.kappa[1] - self.kappa[0]) * path)
         out = np.empty((len(self.kappa), *path.shape), dtype=np.complex128)

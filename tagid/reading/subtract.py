@@ -99,12 +99,12 @@ class _Band:
 
     def echo(self, hypothesis: Hypothesis) -> Complex:
         """(views, n) transform of the body's echo."""
-        found, spectra = hypothesis.found, self.spectra
+        estimate, spectra = hypothesis.estimate, self.spectra
         # As points, reflectors have amplitudes of their own at every frequency, whatever a wall does to them.
-        as_they_are = isinstance(found.model, SheetModel) or not found.model.transfer.body
-        model = found.model if as_they_are else replace(found.model, transfer=POINTS)
-        values = model.at(spectra, found.x, slopes=False).values
-        powers = found.powers
+        as_they_are = isinstance(estimate.model, SheetModel) or not estimate.model.transfer.body
+        model = estimate.model if as_they_are else replace(estimate.model, transfer=POINTS)
+        values = model.at(spectra, estimate.x, slopes=False).values
+        powers = estimate.powers
         power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
         rooms = spectra.rooms
         columns = values - (values @ rooms.T) @ rooms
@@ -113,7 +113,7 @@ class _Band:
         matrix = matrix + np.eye(columns.shape[1]) * (NOISE * spectra.moving[:, None] / power)[:, None]
         right = columns.conj() @ data[..., None]
         amplitudes = np.linalg.solve(matrix, right)
-        own = slice(0, model.body_columns)
+        body = slice(0, model.body_columns)
         taken = np.zeros(self.shape, dtype=np.complex128)
-        taken[:, self.used] = (amplitudes[:, own] * values[:, own]).sum(axis=1).T / self.reference
+        taken[:, self.used] = (amplitudes[:, body] * values[:, body]).sum(axis=1).T / self.reference
         return taken

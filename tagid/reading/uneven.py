@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagid.reading.columns import Model
-from tagid.reading.descent import Found, climbed, spread, variance
+from tagid.reading.descent import Estimate, climbed, spread, variance
 from tagid.reading.evidence import fit
 from tagid.reading.spectra import Spectra
 from tagid.types import Floats
@@ -53,8 +53,8 @@ def errors(spectra: Spectra) -> Floats:
 def spin(model: Model, x: Floats) -> Floats:
     """(P,) how the parameters change as the whole object turns about the axis, per rad."""
     out, tag, about = np.zeros(len(x)), model.tag, model.about
-    places = {0, about.start, *range(len(x) - model.spot * model.odd, len(x), model.spot)}
-    for at in places:
+    position_rows = {0, about.start, *range(len(x) - model.spot * model.odd, len(x), model.spot)}
+    for at in position_rows:
         out[at], out[at + 1] = -x[at + 1], x[at]
     if model.body_parameters:
         out[2] = 1.0
@@ -79,33 +79,33 @@ class Turned:
     cost: float
 
 
-def fitted(spectra: Spectra, found: Found, least: float = -np.inf) -> Turned | None:
+def fitted(spectra: Spectra, estimate: Estimate, least: float = -np.inf) -> Turned | None:
     """The angles that suit a hypothesis; None where its log evidence will hardly reach the least, nats."""
-    model, powers = found.model, found.powers
+    model, powers = estimate.model, estimate.powers
     rows, whitener, white = errors(spectra), spectra.whiteners[model.disc], spectra.white[model.disc]
     lam = variance(spectra, model, powers.clutter)
     power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
-    size = len(found.x)
+    size = len(estimate.x)
 
     def expanded(z: Floats) -> tuple[float, Floats, Floats]:
         x, t = z[:size], z[size:]
         columns = model.at(spectra.turned(t @ rows), x)
-        one = fit(whitener.apply(columns.values), white, lam, power)
-        back = columns.slopes(whitener.adjoint(one.adjoint).conj())
-        moved = columns.slopes(one.amplitudes[..., None])
+        fit_here = fit(whitener.apply(columns.values), white, lam, power)
+        back = columns.slopes(whitener.adjoint(fit_here.adjoint).conj())
+        moved = columns.slopes(fit_here.amplitudes[..., None])
         turned = -spin(model, x)
         back = np.concatenate([back, np.tensordot(turned, back, 1) * rows[:, None]])
         moved = np.concatenate([moved, np.tensordot(turned, moved, 1) * rows[:, None]])
-        hessian = one.curvature(whitener.apply(np.swapaxes(moved, 0, 1)) / np.sqrt(lam)[:, None])
+        hessian = fit_here.curvature(whitener.apply(np.swapaxes(moved, 0, 1)) / np.sqrt(lam)[:, None])
         log, slope, pull = model.log_prior(x, slopes=True)
         hessian[:size, :size] += pull
         hessian[size:, size:] += np.eye(len(t))
         gradient = 2 * back.sum(axis=(1, 2)).real + np.append(slope, -t)
-        return one.log + log - 0.5 * float(t @ t), gradient, hessian
+        return fit_here.log + log - 0.5 * float(t @ t), gradient, hessian
 
-    z = np.append(found.x, np.zeros(len(rows)))
+    z = np.append(estimate.x, np.zeros(len(rows)))
     precision = np.append(model.precision, np.ones(len(rows)))
-    z, here = climbed(expanded, precision, z, _ROUNDS, least - found.log_z + found.log)
+    z, here = climbed(expanded, precision, z, _ROUNDS, least - estimate.log_z + estimate.log)
     t, (curved, volume) = z[size:], spread(here.hessian, precision)
     log_z = here.log + 0.5 * size * np.log(2 * np.pi) - 0.5 * volume
     if log_z < least or np.abs(t).max() > FARTHEST:
@@ -114,7 +114,7 @@ def fitted(spectra: Spectra, found: Found, least: float = -np.inf) -> Turned | N
     return Turned(spectra.turned(t @ rows), float(log_z), cost)
 
 
-def straightened(spectra: Spectra, every: Sequence[Found], best: float) -> Turned | None:
+def straightened(spectra: Spectra, every: Sequence[Estimate], best: float) -> Turned | None:
     """The recording at the angles that hypotheses show; None for a whole turn, and where those do as well.
 
     Args:
@@ -123,9 +123,15 @@ def straightened(spectra: Spectra, every: Sequence[Found], best: float) -> Turne
     """
     if spectra.full_turn:
         return None
-    kinds: dict[tuple[bool, int, int], Found] = {}
-    for one in sorted(every, key=lambda one: -one.log_z):
-        turns, count = (0, 0) if one.model.tag is None else (one.model.tag.turns, one.model.tag.count)
-        kinds.setdefault((one.model.odd > 0, turns, count), one)
-    found = [fitted(spectra, kind, best + PAYS) for kind in list(kinds.values())[:MOST]]
-    return max((one for one in found if one is not None), key=lambda one: one.log_z, default=None)
+    kinds: dict[tuple[bool, int, int], Estimate] = {}
+    for estimate in sorted(every, key=lambda estimate: -estimate.log_z):
+        turns, count = (
+            (0, 0) if estimate.model.tag is None else (estimate.model.tag.turns, estimate.model.tag.count)
+        )
+        kinds.setdefault((estimate.model.odd > 0, turns, count), estimate)
+    turned = [fitted(spectra, kind, best + PAYS) for kind in list(kinds.values())[:MOST]]
+    return max(
+        (turned_scans for turned_scans in turned if turned_scans is not None),
+        key=lambda turned_scans: turned_scans.log_z,
+        default=None,
+    )

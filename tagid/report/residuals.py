@@ -32,10 +32,10 @@ def draw_residuals(residuals: Residuals, hypotheses: Sequence[Explanation], path
     """
     titles = ["recorded, without what stands still"]
     titles += [
-        f"left by: {hypothesis.words} ({100 * hypothesis.left:.2g} %)"
-        for hypothesis in hypotheses[: len(residuals.left)]
+        f"left by: {hypothesis.words} ({100 * hypothesis.unexplained:.2g} %)"
+        for hypothesis in hypotheses[: len(residuals.by_hypothesis)]
     ]
-    rows = [residuals.recorded, *residuals.left]
+    rows = [residuals.recorded, *residuals.by_hypothesis]
     canvas = Canvas(_WIDTH, _TOP + len(rows) * (_HEIGHT + _GAP) + 30)
     reference = float(np.max(residuals.recorded, initial=1e-6))
     for i, (title, profiles) in enumerate(zip(titles, rows, strict=True)):

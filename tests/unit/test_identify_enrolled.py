@@ -58,7 +58,7 @@ def test_a_tag_is_named_on_an_enrolled_body_alone() -> None:
     reading = read(MUG.plus(TAG), "mug")
     assert (reading.status, reading.layout, reading.kind) == ("identified", "container-90", Kind.BODY)
     assert (reading.hypotheses[0].name, reading.hypotheses[0].layout) == ("mug", "container-90")
-    assert reading.hypotheses[0].left < 0.01
+    assert reading.hypotheses[0].unexplained < 0.01
     assert len(reading.reflectors) == 2 and all(one.matched for one in reading.reflectors)
     assert nearest_m(reading, TAG.points) < 3e-3
     assert hypothesis_words(reading) == (

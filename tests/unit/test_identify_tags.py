@@ -129,7 +129,7 @@ def test_another_tag_on_a_can_is_refused_where_it_stands() -> None:
     assert (reading.status, reading.layout, reading.kind) == ("unknown", None, Kind.ROUND)
     assert len(reading.reflectors) == 3 and nearest_m(reading, odd) < 3e-3
     won = reading.explained_by
-    assert won is not None and won.layout is None and won.left < 0.02
+    assert won is not None and won.layout is None and won.unexplained < 0.02
     assert complex(*won.centre_m) == pytest.approx(CENTRE, abs=2e-3)
     assert won.radius_m == pytest.approx(0.045, abs=3e-3)
 

@@ -12,7 +12,7 @@ from tags_synthetic import synthetic_scans
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import Model
 from tagid.reading.decision import Needed, _difference, decide, settled
-from tagid.reading.descent import Found, Powers, refined
+from tagid.reading.descent import Estimate, Powers, refined
 from tagid.reading.explain import MOST, Explained, explanations, kind_of, ranked, residuals
 from tagid.reading.hypothesis import Arranged, Hypothesis, Joint
 from tagid.reading.reading import Kind
@@ -76,8 +76,8 @@ def test_reflectors_have_their_places_levels_and_phases() -> None:
 
 def test_what_a_hypothesis_leaves_is_the_share_of_what_it_lacks() -> None:
     spectra = spectra_of(0.0)
-    assert explained(spectra, 1).left < 0.01
-    assert explained(spectra, 0).left == pytest.approx(0.25 / 2.25, abs=0.03)
+    assert explained(spectra, 1).unexplained < 0.01
+    assert explained(spectra, 0).unexplained == pytest.approx(0.25 / 2.25, abs=0.03)
 
 
 def hypothesis(
@@ -92,7 +92,7 @@ def hypothesis(
         arranged = Arranged.of(layout, transfer.body and not transfer.clear)
         tag, middle = arranged.tag, arranged.middle
     model = Model(transfer, tag, transfer.body, 0)
-    found = Found(model, np.zeros(model.parameters), Powers(0.0), log_z, log_z, 1e-3)
+    found = Estimate(model, np.zeros(model.parameters), Powers(0.0), log_z, log_z, 1e-3)
     return Hypothesis(layout, found, log_z, middle)
 
 
@@ -127,7 +127,7 @@ def test_a_middle_reflector_counts_where_no_body_covers_it() -> None:
     linear = LAYOUTS["helmet-linear"]
     outer = flat(linear)[np.abs(flat(linear)) > 0.01]
     opaque = hypothesis(NOTHING, layout=linear, transfer=WALLS[0])
-    assert opaque.middle and len(opaque.found.places) == len(outer) == linear.size - 1
+    assert opaque.middle and len(opaque.estimate.positions) == len(outer) == linear.size - 1
     assert _difference(hypothesis(outer), opaque) is Code.MISSING
     assert _difference(hypothesis(outer, transfer=WALLS[0]), opaque) is not Code.MISSING
 
@@ -189,7 +189,7 @@ def test_the_winner_and_the_best_of_every_kind_are_reported() -> None:
     ]
     assert [one.log_evidence for one in rows] == pytest.approx([0, -30, -50, -400])
     assert rows[0].radius_m == pytest.approx(0.045, abs=2e-3) and rows[3].radius_m is None
-    assert rows[0].left < 0.01 < rows[1].left <= 1 and len(rows) <= MOST
+    assert rows[0].unexplained < 0.01 < rows[1].unexplained <= 1 and len(rows) <= MOST
     assert kind_of(others[0]) is Kind.NO_TAG and ranked(others, others[0])[0] is others[0]
 
 
@@ -198,9 +198,9 @@ def test_what_is_left_of_a_recording_is_noise_where_the_hypothesis_is_right() ->
     real = explained(spectra, 1)
     wrong = Explained.of(spectra, hypothesis(ring(0, 140), real.hypothesis.log_z - 40))
     left = residuals(spectra, [real, wrong])
-    assert left.left.shape == (2, len(left.range_m), spectra.views)
+    assert left.by_hypothesis.shape == (2, len(left.range_m), spectra.views)
     assert (np.diff(left.angle_rad) > 0).all()
-    energies = [float((own.astype(float) ** 2).sum()) for own in (left.recorded, *left.left)]
+    energies = [float((own.astype(float) ** 2).sum()) for own in (left.recorded, *left.by_hypothesis)]
     assert energies[1] < 0.02 * energies[0] < energies[2]
     residual = real.residual(spectra)
     assert np.abs(residual @ spectra.rooms.T).max() < 1e-9 * np.abs(spectra.data).max()

@@ -90,7 +90,7 @@ def test_the_disc_holds_what_points_leave(kind: str) -> None:
     for count in (0, 2):
         data = field.data - amplitudes[:count] @ field.templates(places[:count])
         wanted = np.abs(field.templates(disc.points).conj() @ data) ** 2
-        assert_alike(disc.left(places[:count], amplitudes[:count]), wanted, 1e-4)
+        assert_alike(disc.residual(places[:count], amplitudes[:count]), wanted, 1e-4)
 
 
 @pytest.mark.parametrize("kind", ["turntable", "two antennas"])

@@ -97,8 +97,8 @@ def _coefficients(wavenumber: bytes, walls: Walls, rings: int) -> tuple[NDArray[
     radii = np.arange(STEP_M, reach_m - STEP_M, STEP_M)
     radii = radii[radii > max(walls.wall_m) + 1e-3]
     shells = [shell for p in "VH" for radius in radii for shell in walls.shells(float(radius), p)]
-    found = reflection(k, shells, orders(k, reach_m))
-    return radii, found.reshape(2, len(radii), -1, *found.shape[1:])
+    coefficients = reflection(k, shells, orders(k, reach_m))
+    return radii, coefficients.reshape(2, len(radii), -1, *coefficients.shape[1:])
 
 
 def beside(shells: Callable[[float], Sequence[Shell]], terms: int) -> Tables:
@@ -125,10 +125,10 @@ def patterns(
     both = responses(wavenumber, coefficients, electric, radius_m, np.pi * np.arange(steps + 1) / steps)
     mixed = np.sqrt(2) * np.tensordot(np.linalg.cholesky(np.array(STRENGTHS)).T, both, 1)
     once = np.sqrt(np.where(np.arange(steps + 1) % steps, 1.0, 0.5))
-    found = principal(mixed.reshape(-1, *mixed.shape[2:]) * once, terms) / once
+    averaged = principal(mixed.reshape(-1, *mixed.shape[2:]) * once, terms) / once
     psi = aspects()[: ANGLES // 2 + 1]
     late = np.exp(-2j * wavenumber[:, None] * radius_m * np.cos(psi))
-    half = found @ _between(steps) * late
+    half = averaged @ _between(steps) * late
     return np.concatenate([half, half[..., -2:0:-1]], axis=2)
 
 
@@ -152,9 +152,9 @@ METAL = Walls((0.0,), (1.0,), True)
 GLASS = Walls((2e-3, 3e-3, 4.2e-3), (4.0, 5.5, 7.5))
 PLASTIC = Walls((0.8e-3, 1.6e-3, 2.5e-3, 3.5e-3), (2.5,), clear=True)
 WALLS = tuple(
-    one
+    coated
     for polarisation in ("V", "H")
-    for one in (
+    for coated in (
         wall("metal", "metal or a filled vessel", METAL, 3, polarisation),
         wall("glass", "a wall of glass or ceramic", GLASS, 5, polarisation),
         wall("plastic", "a wall of plastic", PLASTIC, 3, polarisation),

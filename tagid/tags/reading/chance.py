@@ -13,7 +13,7 @@ EXPLAINED_SHARE = 0.45
 """Share of the energy above noise that tags without a body explain at least."""
 
 
-def chance(nats: float, size: int, places: float) -> float:
+def chance(nats: float, size: int, positions: float) -> float:
     """Probability that `size` points explain at least `nats` of pure noise.
 
     `places` is the number of independent places searched. At one place the energy has a Gamma(K)
@@ -23,11 +23,11 @@ def chance(nats: float, size: int, places: float) -> float:
         return 1.0
     terms = [j * log(nats) - lgamma(j + 1) - nats for j in range(size)]
     largest = max(terms)
-    tail = largest + log(sum(exp(t - largest) for t in terms)) + log(places)
+    tail = largest + log(sum(exp(t - largest) for t in terms)) + log(positions)
     return exp(min(tail, 0.0))
 
 
-def nats_needed(size: int, places: float, false_accept: float) -> float:
+def nats_needed(size: int, positions: float, false_accept: float) -> float:
     """The nats that noise alone, searched at so many places, reaches with probability `false_accept`.
 
     >>> round(chance(nats_needed(3, 36600.0, 1e-3), 3, 36600.0), 6)
@@ -36,5 +36,5 @@ def nats_needed(size: int, places: float, false_accept: float) -> float:
     low, high = 0.0, 1e3
     while high - low > 1e-9:
         middle = (low + high) / 2
-        low, high = (middle, high) if chance(middle, size, places) > false_accept else (low, middle)
+        low, high = (middle, high) if chance(middle, size, positions) > false_accept else (low, middle)
     return high

@@ -69,7 +69,7 @@ class FieldTables:
         return cls(field, _split(data))
 
     def moved_points(
-        self, places: NDArray[np.float64], step_m: float, reach_m: float, rounds: int
+        self, positions: NDArray[np.float64], step_m: float, reach_m: float, rounds: int
     ) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
         """Free places near the start (K, 2), and their amplitudes.
 
@@ -79,10 +79,10 @@ class FieldTables:
             reach_m: largest distance from the start, in every coordinate.
             rounds: number of rounds.
         """
-        found = np.array(places, dtype=np.float64, order="C")
-        amplitudes = np.empty(len(found), dtype=np.complex128)
-        _matched.move_points(self.field, self.data, (step_m, reach_m), rounds, found, amplitudes)
-        return found, amplitudes
+        positions_out = np.array(positions, dtype=np.float64, order="C")
+        amplitudes = np.empty(len(positions_out), dtype=np.complex128)
+        _matched.move_points(self.field, self.data, (step_m, reach_m), rounds, positions_out, amplitudes)
+        return positions_out, amplitudes
 
 
 @dataclass(frozen=True, eq=False)

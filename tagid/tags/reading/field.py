@@ -233,9 +233,9 @@ def _range_basis(
     """
     given = PointResponse(np.frombuffer(response, dtype=np.complex128), step_m)
     profiles = given(np.frombuffer(ranges)[:, None] - np.frombuffer(fine)[None])
-    left, size, right = np.linalg.svd(profiles, full_matrices=False)
+    range_vectors, size, right = np.linalg.svd(profiles, full_matrices=False)
     rank = int(np.count_nonzero(size > RANK_FLOOR * size[0]))
-    basis = left[:, :rank]
+    basis = range_vectors[:, :rank]
     coordinates = np.ascontiguousarray((size[:rank, None] * right[:rank]).T.astype(np.complex64))
     basis.flags.writeable = coordinates.flags.writeable = False
     return basis, coordinates

@@ -89,7 +89,9 @@ class SearchDisc:
         size = max(1, _BLOCK // self._field.views)
         return [slice(at, at + size) for at in range(0, len(self.points), size)]
 
-    def left(self, positions: NDArray[np.float64], amplitudes: NDArray[np.complex128]) -> NDArray[np.float64]:
+    def residual(
+        self, positions: NDArray[np.float64], amplitudes: NDArray[np.complex128]
+    ) -> NDArray[np.float64]:
         """(n,) |b|^2 of the data minus that of points (K, 2) with complex amplitudes (K,)."""
         # Nothing in it is constant over the views: the pixels' constant parts need not be subtracted.
         data = self._field.data - amplitudes.astype(np.complex64) @ self._field.templates(positions)
@@ -115,14 +117,14 @@ def find_reflectors(scans: BasebandScans, radius_m: float = 0.16) -> tuple[Refle
     positions, amplitudes = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
     floor = 10 ** (FLOOR_DB / 10)
     for _ in range(MOST_REFLECTORS + 1):
-        left = disc.left(positions, amplitudes)
-        level = _level(field, left)
-        peak = int(np.argmax(left))
+        residual = disc.residual(positions, amplitudes)
+        level = _level(field, residual)
+        peak = int(np.argmax(residual))
         stated = NOISE_MARGIN * field.noise_variance
         noise = min(level, stated) if stated > 0 else level
         strongest = float(np.max(np.abs(amplitudes) ** 2, initial=0.0)) * field.template_energy
         least = max(DETECTION_NATS * noise, floor * strongest)
-        if len(positions) == MOST_REFLECTORS or left[peak] / field.template_energy < least:
+        if len(positions) == MOST_REFLECTORS or residual[peak] / field.template_energy < least:
             break
         added = np.concatenate([positions, disc.points[peak][None]])
         positions, amplitudes = refine_positions(field, added)
@@ -133,18 +135,18 @@ def find_reflectors(scans: BasebandScans, radius_m: float = 0.16) -> tuple[Refle
             float(x),
             float(y),
             complex(amplitude),
-            float(10 * np.log10(own / power[0])),
-            float(10 * np.log10(own * field.template_energy / level)),
+            float(10 * np.log10(peak_power / power[0])),
+            float(10 * np.log10(peak_power * field.template_energy / level)),
         )
-        for (x, y), amplitude, own in zip(positions[apart], amplitudes[apart], power, strict=True)
-        if own >= power[0] * floor
+        for (x, y), amplitude, peak_power in zip(positions[apart], amplitudes[apart], power, strict=True)
+        if peak_power >= power[0] * floor
     )
 
 
-def _level(field: MatchedField, left: NDArray[np.float64]) -> float:
+def _level(field: MatchedField, residual: NDArray[np.float64]) -> float:
     """Level of noise and clutter in |b|^2 / ||s||^2; an exponential's median is ln 2 times its mean."""
-    own = float(median(left)) / float(np.log(2)) / field.template_energy
-    return float(max(own, field.noise_variance, 1e-12 * field.energy))
+    level = float(median(residual)) / float(np.log(2)) / field.template_energy
+    return float(max(level, field.noise_variance, 1e-12 * field.energy))
 
 
 def _separate(positions: NDArray[np.float64], amplitudes: NDArray[np.complex128]) -> NDArray[np.intp]:
@@ -171,7 +173,7 @@ def refine_positions(
     k = len(positions)
     if field.tables is not None and k <= MOST_POINTS:
         return field.tables.moved_points(positions, _FIRST_STEP_M, _REACH_M, _ROUNDS)
-    start, places, step = positions, positions.copy(), _FIRST_STEP_M
+    start, trial_positions, step = positions, positions.copy(), _FIRST_STEP_M
     unit = np.eye(2 * k).reshape(2 * k, k, 2)
     alone = np.arange(k)[None]
     # A trial moves one point along one axis: the templates of the others are those of the start.
@@ -181,7 +183,7 @@ def refine_positions(
     which[1 + count, owner] = k + count
 
     for _ in range(_ROUNDS):
-        trial = places + np.concatenate([np.zeros((1, k, 2)), unit * step, -unit * step])
+        trial = trial_positions + np.concatenate([np.zeros((1, k, 2)), unit * step, -unit * step])
         trial = np.clip(trial, start - _REACH_M, start + _REACH_M)
         moved = trial[1 + count, owner]
         value = _least_squares(field, np.concatenate([trial[0], moved]), which)[1]
@@ -189,12 +191,12 @@ def refine_positions(
         bend = 2 * value[0] - plus - minus
         slope = (plus - minus) / 2
         jump = np.where(bend > 0, slope / np.where(bend > 0, bend, 1), np.sign(slope))
-        joint = places + np.clip(jump, -2, 2).reshape(k, 2) * step
+        joint = trial_positions + np.clip(jump, -2, 2).reshape(k, 2) * step
         joint = np.clip(joint, start - _REACH_M, start + _REACH_M)
         best = int(np.argmax(value))
-        places = joint if _least_squares(field, joint, alone)[1][0] >= value[best] else trial[best]
+        trial_positions = joint if _least_squares(field, joint, alone)[1][0] >= value[best] else trial[best]
         step *= 0.7
-    return places, _least_squares(field, places, alone)[0][0]
+    return trial_positions, _least_squares(field, trial_positions, alone)[0][0]
 
 
 def _least_squares(

@@ -64,7 +64,7 @@ def test_two_of_three_reflectors_are_found_where_they_stand() -> None:
     """Their angle depends on the centre, which little but the prior tells; their distance does not."""
     answer = bare(scans_at(STRANGERS["one less"][0]))
     assert answer.rival is not None
-    one, other = answer.rival.found.places
+    one, other = answer.rival.estimate.positions
     assert abs(one - other) == pytest.approx(2 * 0.11 * np.sin(np.pi / 3), abs=2e-3)
 
 
@@ -79,7 +79,7 @@ def test_a_tag_that_an_opaque_body_hides_beyond_an_edge_is_named() -> None:
     scans = scans_at(layout.positions, shaded=True, offset_m=0.004)
     answer = decide(Contest(Spectra.of(scans), LAYOUTS, (POINTS, SHADES[0], WALLS[0]), ()).run())
     assert answer.name == "helmet-120"
-    assert answer.best is not None and answer.best.found.model.transfer is SHADES[0]
+    assert answer.best is not None and answer.best.estimate.model.transfer is SHADES[0]
 
 
 def test_more_signal_keeps_the_name() -> None:

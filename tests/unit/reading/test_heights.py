@@ -31,7 +31,7 @@ def test_a_layout_is_named_wherever_its_plane_lies(layout: Layout, raised: float
     decision = read(layout, SEVERAL, raised)
     assert decision.name == layout.name
     assert decision.best is not None
-    model, x = decision.best.found.model, decision.best.found.x
+    model, x = decision.best.estimate.model, decision.best.estimate.x
     assert model.heights_of(x)[0] == pytest.approx(np.asarray(layout.heights) + raised, abs=0.01)
 
 

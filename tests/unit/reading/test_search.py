@@ -133,7 +133,7 @@ def test_groups_alone_score_as_they_do_together() -> None:
     spectra = spectra_of("helmet-120", views=36)
     (table,) = search.tables(spectra, Model(SHADES[1], None, True, 1), [0j], RINGS, POWERS)
     together = table.every()[1, [3, 50, 70]]
-    alone = table.each[1]
+    alone = table.by_group[1]
     assert alone.scores(alone.every()[:, [3, 50, 70]]) == pytest.approx(
         table.scores(together[None]), rel=1e-6
     )

@@ -13,7 +13,7 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import Model
 from tagid.reading.compiled import Compiled
 from tagid.reading.decision import decide
-from tagid.reading.descent import Found, _Numpy, refined
+from tagid.reading.descent import Estimate, _Numpy, refined
 from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.sheet import KINDS, SHELL, Kind, SheetColumns, SheetModel
 from tagid.reading.spectra import Spectra
@@ -37,9 +37,9 @@ def explained(folder: str, name: str) -> tuple[Hypothesis, ...]:
     nothing = [refined(spectra, one, np.zeros(one.parameters)) for one in models]
     found = [Hypothesis(None, one, one.log_z) for one in nothing]
 
-    def enter(layout: Layout | None, one: Found, odd: int) -> Found:
-        found.append(Hypothesis(layout, one, one.log_z))
-        return one
+    def enter(layout: Layout | None, estimate: Estimate, odd: int) -> Estimate:
+        found.append(Hypothesis(layout, estimate, estimate.log_z))
+        return estimate
 
     sheet_tags.explain(spectra, list(LAYOUTS.values()), KINDS, tuple(found), enter)
     return tuple(found)
@@ -94,7 +94,7 @@ def test_the_compiled_columns_are_those_of_numpy(kind: Kind, monkeypatch: pytest
 def test_a_sheet_explains_a_shell_better_than_a_round_body(folder: str, name: str, kind: str) -> None:
     nothing, round_body, *sheets = explained(folder, name)
     best = max((one for one in sheets if not one.tagged), key=lambda one: one.log_z)
-    assert best.found.model.transfer.name == kind
+    assert best.estimate.model.transfer.name == kind
     assert best.log_z > max(nothing.log_z, round_body.log_z) + 50
     assert decide(explained(folder, name)).status != "identified"
 

@@ -98,7 +98,7 @@ def test_a_tag_on_an_enrolled_body_is_named() -> None:
     assert read(thing).status != "identified"
     answer = read(thing, mug())
     assert (answer.status, answer.name) == ("identified", "container-90")
-    assert answer.best is not None and answer.best.found.model.words == "the enrolled body mug"
+    assert answer.best is not None and answer.best.estimate.model.words == "the enrolled body mug"
 
 
 def test_an_untagged_body_has_no_tag() -> None:
