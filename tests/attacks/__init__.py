@@ -1,4 +1,4 @@
-"""Attacks on the whole program, one function for each finding, run by `python tests/benchmarks/attacks.py`.
+"""Attacks on the whole program, one function for each finding, run by `python -m tests.benchmarks attacks`.
 
 Each module holds the attacks on one part. An attack uses real processes, sockets and devices at full size and
 returns a figure; the short test that guards the same fault in `make test` is named beside it.

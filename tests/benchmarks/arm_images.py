@@ -2,7 +2,7 @@
 
     python tests/benchmarks/arm_images.py make FOLDER          # captures, on any machine
     python tests/benchmarks/arm_images.py run FOLDER OUT.npz   # images and answers, on each
-    python tests/benchmarks/arm_images.py compare A.npz B.npz  # the table of docs/results/arm.md
+    python tests/benchmarks/arm_images.py compare A.npz B.npz  # the table of docs/results/speed.md
 
 `arm_root.sh` runs it in an emulated 64-bit ARM system.
 """

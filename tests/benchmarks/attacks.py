@@ -2,10 +2,6 @@
 
 Each attack runs in a process and an empty folder of its own, with its own data and configuration, for at most
 180 s. "Before" is the figure at commit e61f330; the test named beside it guards the fault in `make test`.
-
-    python tests/benchmarks/attacks.py                 # all of them, under 20 minutes
-    python tests/benchmarks/attacks.py F8 F9           # some
-    python tests/benchmarks/attacks.py --page docs/results
 """
 
 from __future__ import annotations
@@ -21,16 +17,20 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
-
-from provenance import ROOT, page, publish
-
-sys.path.insert(0, str(ROOT))
 
 from tests import attacks
 from tests.attacks import ATTACKS, Attack, Outcome
+from tests.benchmarks.provenance import ROOT
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table
 
 LIMIT_S = 180.0
+INSIDE = (
+    "import sys; sys.path.insert(0, sys.argv[1])\n"
+    "from tests.benchmarks.attacks import inside; inside(sys.argv[2], sys.argv[3])"
+)
 
 
 def load() -> list[Attack]:
@@ -65,7 +65,7 @@ def alone(one: Attack) -> tuple[Outcome, float]:
         }  # fmt: skip
         (home / "work").mkdir()
         process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).resolve()), "--inside", str(home / "work"), one.finding],
+            [sys.executable, "-c", INSIDE, str(ROOT), one.finding, str(home / "work")],
             env=environment, cwd=home / "work", stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             start_new_session=True,
         )  # fmt: skip
@@ -83,35 +83,31 @@ def alone(one: Attack) -> tuple[Outcome, float]:
     return outcome, time.monotonic() - began
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def inside(finding: str, folder: str) -> None:
+    """One attack, in this process: prints its outcome as JSON."""
+    (one,) = [one for one in load() if one.finding == finding]
+    outcome = one.run(Path(folder))
+    print(json.dumps({"figure": outcome.figure, "held": outcome.held}), flush=True)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Which of them."""
     parser.add_argument("findings", nargs="*", help="run only these")
-    parser.add_argument("--page", type=Path, help="folder of the page attacks.md")
-    parser.add_argument("--inside", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    known = load()
-    if options.inside:
-        (one,) = [one for one in known if one.finding == options.findings[0]]
-        outcome = one.run(options.inside)
-        print(json.dumps({"figure": outcome.figure, "held": outcome.held}))
-        return 0
-    chosen = [one for one in known if not options.findings or one.finding in options.findings]
-    began, held = time.monotonic(), 0
-    lines = page("Attacks", "none", __doc__)
-    lines += ["| finding | attack | before | now | holds | s | test |", "|---|---|---|---|---|---|---|"]
-    for one in chosen:
+
+
+def attempts(run: Run) -> Iterator[Table]:
+    """A row for every attack; it fails where one no longer holds."""
+    given, known = run.options, load()
+    chosen = [one for one in known if not given.findings or one.finding in given.findings]
+    rows, held = [], 0
+    for one in chosen[:3] if run.quick else chosen:
         outcome, seconds = alone(one)
         held += outcome.held
         state = "yes" if outcome.held else "**no**"
-        print(f"{one.finding}: {outcome.figure}, holds: {state}, {seconds:.0f} s", file=sys.stderr)
-        cells = [one.finding, one.title, one.before, outcome.figure, state, f"{seconds:.0f}", f"`{one.test}`"]
-        lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
-    lines += ["", f"{held} of {len(chosen)} hold; {time.monotonic() - began:.0f} s in all."]
-    publish(lines, options.page, "attacks.md")
-    return 0 if held == len(chosen) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        run.say(f"{one.finding}: {outcome.figure}, holds: {state}, {seconds:.0f} s")
+        rows.append(
+            (one.finding, one.title, one.before, outcome.figure, state, f"{seconds:.0f}", f"`{one.test}`")
+        )
+    run.failed = held < len(rows)
+    columns = ("finding", "attack", "before", "now", "holds", "s", "test")
+    yield Table(columns, rows, f"{held} of {len(rows)} hold.", shown=lambda row: row[4] != "yes")

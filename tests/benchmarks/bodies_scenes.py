@@ -8,11 +8,9 @@ a sum of turned copies of what one reflector adds to the body, which leaves out 
 from __future__ import annotations
 
 import importlib.util
-import os
 import zlib
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -21,10 +19,9 @@ from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.reading.arrangement import gaps_deg
 from tagid.simulate.response_file import read_response
+from tests.benchmarks.provenance import ROOT, SHARED
 from train.population import difference_deg, has_enrolled_spacing
 
-ROOT = Path(__file__).resolve().parents[2]
-SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared"))
 FULLWAVE = SHARED / "fullwave"
 OWN = ROOT / "tests" / "data" / "responses"
 

@@ -1,10 +1,7 @@
 """How often `make demo` names its object while the computer is busy.
 
-    python tests/benchmarks/demo_under_load.py --runs 20
-
-Ten processes keep the cores busy while `tagid scan --demo` runs, which emulates its radar in real time. Exit
-code, answer and seconds of each run are printed. The exit code is 1 where fewer than --aim percent name the
-object. With --log, a run goes on where an earlier one ended.
+Ten processes keep the cores busy while `tagid scan --demo` runs, which emulates its radar in real time. It
+fails where fewer than --aim percent name the object.
 """
 
 from __future__ import annotations
@@ -20,12 +17,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "property")]
-
-from robustness_page import Section, write_section  # noqa: E402
+from tests.benchmarks.provenance import ROOT
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table
 
 OBJECT = "helmet-120"
 _LONGEST_S = 600.0
@@ -89,40 +84,31 @@ def run_demo() -> Outcome:
     return Outcome(done.returncode, item["status"], item["layout"], seconds)
 
 
-def main() -> int:
-    """Run the demo under load and print the counts."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--runs", type=int, default=20)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The load and the aim."""
     parser.add_argument("--busy", type=int, default=10, help="processes that keep the cores busy")
     parser.add_argument("--aim", type=float, default=95.0, help="percent that must name the object")
-    parser.add_argument("--log", type=Path, help="a line for each run; those in it are not repeated")
-    parser.add_argument("--page", action="store_true", help="write the section of docs/results/robustness.md")
-    given = parser.parse_args()
-    log = given.log or Path(os.devnull)
-    before = log.read_text().splitlines() if log.is_file() else []
-    outcomes = [Outcome(**json.loads(line)) for line in before]
-    with busy(given.busy), log.open("a") as lines:
-        for number in range(len(outcomes), given.runs):
-            outcomes.append(run_demo())
-            print(number + 1, outcomes[-1], flush=True)
-            lines.write(json.dumps(asdict(outcomes[-1])) + "\n")
-            lines.flush()
+
+
+def one_run(number: int) -> dict[str, object]:
+    """The outcome of the run of a number."""
+    return asdict(run_demo())
+
+
+def runs(run: Run) -> Iterator[Table]:
+    """How often each answer was given."""
+    given, count = run.options, run.number(20, 1)
+    run.seeds = "those of the demo"
+    with busy(given.busy):
+        outcomes = [Outcome(**members) for members in run.each(one_run, list(range(count))).values()]
     named = sum(outcome.named for outcome in outcomes)
     took = sorted(outcome.seconds for outcome in outcomes)
-    print(f"{named} of {len(outcomes)} named {OBJECT}, median {took[len(took) // 2]:.0f} s")
-    if given.page:
-        text = (
-            f"`tagid scan --demo` while {given.busy} processes keep the cores busy. The radar is emulated in "
-            f"real time over UDP. {named} of {given.runs} runs named the object."
-        )
-        counts = collections.Counter((one.status, one.layout or "", one.code) for one in outcomes)
-        rows = [(*answer, count) for answer, count in counts.most_common()]
-        columns = ("answer", "layout", "exit code", "runs")
-        write_section(Section("Demo on a busy computer", text, "those of the demo", columns, rows))
-    return 0 if named >= given.aim / 100 * given.runs else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    run.failed = named < given.aim / 100 * count
+    note = (
+        f"`tagid scan --demo` while {given.busy} processes keep the cores busy. The radar is emulated in "
+        f"real time over UDP. {named} of {count} runs named the object, in {took[len(took) // 2]:.0f} s "
+        f"(median)."
+    )
+    counts = collections.Counter((one.status, one.layout or "", one.code) for one in outcomes)
+    rows = [(*answer, count) for answer, count in counts.most_common()]
+    yield Table(("answer", "layout", "exit code", "runs"), rows, note)

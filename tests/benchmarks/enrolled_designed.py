@@ -19,8 +19,6 @@ from functools import cache
 from types import ModuleType
 
 import numpy as np
-from enrolled_scenes import DISTANCE_M, ENROLMENT_VIEWS, POPULATION, recorded, scene_maker
-from identification_scenes import SETS
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
@@ -33,6 +31,8 @@ from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
+from tests.benchmarks.enrolled_scenes import DISTANCE_M, ENROLMENT_VIEWS, POPULATION, recorded, scene_maker
+from tests.benchmarks.identification_scenes import SETS
 
 AZIMUTHS = 72
 RINGS = ((0.8, "V"), (1.0, "V"), (1.2, "V"), (1.0, "H"))

@@ -13,12 +13,12 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from reading_bodies_scenes import captured, full_wave
 
 from tagid.capture import Capture
 from tagid.pipeline.identify import aspect_spectra
 from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
+from tests.benchmarks.reading_bodies_scenes import captured, full_wave
 
 DISTANCE_M = 1.0
 POPULATION = "development/1"

@@ -38,7 +38,7 @@ def relaunch() -> None:
     """Start this program again with the library loaded, at the true speed; returns where it is loaded."""
     if not hasattr(ctypes.CDLL(None), "fast_clock_speed"):
         environment = {**os.environ, "LD_PRELOAD": str(build(Path(tempfile.mkdtemp())))}
-        os.execve(sys.executable, [sys.executable, *sys.argv], environment)
+        os.execve(sys.executable, sys.orig_argv, environment)
     if library := os.environ.pop("LD_PRELOAD", None):
         shutil.rmtree(Path(library).parent)
 

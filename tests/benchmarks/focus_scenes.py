@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from reading_bodies_scenes import SHARED, captured, full_wave
 
 from tagid.capture import Capture, Pulse
 from tagid.waveform import analytic_pulse, nominal_pulse
+from tests.benchmarks.reading_bodies_scenes import SHARED, captured, full_wave
 
 FULL_WAVE = SHARED / "fullwave" / "scenes.py"
 """Full-wave responses are measured data that does not belong to the repository; without them that family is

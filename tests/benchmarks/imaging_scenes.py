@@ -1,16 +1,15 @@
 """Scenes of the imaging benchmarks with their truths, the methods compared, and how an image is scored.
 
-Shared by `bench_imaging.py`'s experiments, so that every table has the same rows and means the same by them.
+Shared by all imaging experiments, so that every table has the same rows and means the same by them.
 """
 
 from __future__ import annotations
 
-import os
+import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -38,12 +37,13 @@ from tagid.simulate import (
 )
 from tagid.simulate import simulate_capture as record_scene
 from tagid.waveform import nominal_pulse, pulse_at
+from tests.benchmarks.provenance import SHARED
+from tests.benchmarks.run import Run
 from train.metrics import blank, lpips, truth_image
 
 GRID = ImageGrid(0.7, 96)
 AXIS_DISTANCE_M = 1.0
 FIRST_SEED = 20_000
-SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 LPIPS_MODEL = SHARED / "data" / "lpips" / "lpips_sq.onnx"
 
 
@@ -73,6 +73,19 @@ ROWS = {
 }
 """Rows of the tables. FISTA, OMP and ATS field are shown with the restoring beam, as `tagid reconstruct`
 does; "bare" is the same image without it. "ATS 300 steps" is among reflectors only."""
+SLOW = "ATS paper"
+"""Row that is computed last, as its images take many seconds each."""
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Which rows are computed."""
+    parser.add_argument("--rows", help="these methods alone, e.g. 'BP,ATS field'")
+
+
+def chosen(run: Run, rows: Sequence[str]) -> list[str]:
+    """The rows that are asked for, the slow one last."""
+    asked = run.options.rows.split(",") if run.options.rows else rows
+    return sorted((row for row in rows if row in asked), key=SLOW.__eq__)
 
 
 @dataclass(frozen=True, eq=False)

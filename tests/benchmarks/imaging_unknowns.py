@@ -1,18 +1,14 @@
-"""Experiments on what nobody tells the imaging: axis distance, wobble of the turn, and the pulse.
-
-Part of `bench_imaging.py`, which runs, prints and writes them.
-"""
+"""Experiments on what nobody tells the imaging: axis distance, wobble of the turn, and the pulse."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-import imaging_report as report
 import numpy as np
-from imaging_scenes import AXIS_DISTANCE_M, FIRST_SEED, GRID, SHARED, wobbling_problem
 
 from tagid.capture import Capture, Pulse
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
@@ -33,22 +29,16 @@ from tagid.report.colours import BLUE, INK, ORANGE
 from tagid.simulate import Acquisition, Scene
 from tagid.simulate import simulate_capture as record_scene
 from tagid.waveform import nominal_pulse, pulse_at
+from tests.benchmarks.imaging_scenes import AXIS_DISTANCE_M, FIRST_SEED, GRID, wobbling_problem
+from tests.benchmarks.pictures import picture_grid
+from tests.benchmarks.provenance import SHARED
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table, interval
 from train.distributions import PulseDistribution
 from train.metrics import localise, pick_peaks, psnr, truth_image
 from train.scenes import draw_pulse
 
 MEASURED = SHARED / "data" / "p440" / "pulse.npz"
-
-
-class Run(Protocol):
-    """What these experiments read of `bench_imaging.Run`."""
-
-    seeds: int
-    quick: bool
-    jobs: int
-    pictures: Path
-    draw: bool
-    pieces: report.Pieces
 
 
 class Cell(NamedTuple):
@@ -110,24 +100,29 @@ def recover(cell: Cell) -> Recovered:
     )
 
 
-def calibration(run: Run) -> str:
-    """(8) Axis distance told wrong by up to 3 cm, a turn that wobbles by 2 %: what comes back, how surely."""
+def calibration(run: Run) -> Iterator[Table]:
+    """Axis distance told wrong by up to 3 cm, a turn that wobbles by 2 %: what comes back, how surely."""
+    seeds = run.number(10)
+    run.seeds = f"0 to {seeds - 1}"
     lines, spots = [], []
     for wobble in (0.0, 0.02):
         for views in (36,) if run.quick else (36, 360):
-            found = report.spread(recover, [Cell(views, wobble, s) for s in range(run.seeds)], run.jobs)
+            found = [*run.each(recover, [Cell(views, wobble, s) for s in range(seeds)]).values()]
             # The same errors in every case: a little apart, so that their bars are seen.
             apart = 0.7 * len(lines)
             spots += [(r.told + apart, r.focused, r.fitted, r.sigma) for r in found]
             lines.append(_line(views, wobble, found))
-    _recovered_picture(spots, run.pictures / "imaging-calibration.png")
+    figure = ""
+    if run.pictures:
+        _recovered_picture(spots, run.pictures / "imaging-calibration.png")
+        figure = "![Error of the axis distance before and after](../pictures/imaging-calibration.png)"
     columns = (
         "wobble (% of speed)", "views", "seeds", "axis told wrong, rms (mm)", "after autofocus, rms (mm)",
         "after ATS, rms (mm)", "stated ± (mm)", "axis in 95 % bars", "rms z", "angle error, rms (mrad)",
         "after ATS (mrad)", "wobble in 95 % bars", "rms z", "BP as told (dB)", "BP focused (dB)",
         "ATS as told (dB)", "ATS focused (dB)", "ATS calibrated (dB)",
     )  # fmt: skip
-    return report.table(columns, lines)
+    yield Table(columns, lines, below=figure)
 
 
 def _line(views: int, wobble: float, found: list[Recovered]) -> list[str]:
@@ -152,7 +147,7 @@ def _line(views: int, wobble: float, found: list[Recovered]) -> list[str]:
         held(axis),
         f"{rms(axis):.2f}",
         *(middle if wobble else ["0", "-", "-", "-"]),
-        *(report.interval(np.array([r.psnr[i] for r in found]), 1) for i in range(5)),
+        *(interval(np.array([r.psnr[i] for r in found]), 1) for i in range(5)),
     ]
 
 
@@ -269,20 +264,22 @@ def _likeness(a: Pulse, b: Pulse) -> float:
     return float(np.abs(np.fft.ifft(x * y.conj())).max() * 8192 / np.linalg.norm(x) / np.linalg.norm(y))
 
 
-def pulses(run: Run) -> str:
+def pulses(run: Run) -> Iterator[Table]:
     """Scenes recorded with other pulses than the nominal one, imaged with nominal, true, estimated pulse."""
+    seeds = run.number(10)
+    run.seeds = f"0 to {seeds - 1}"
     kinds = ["nominal", "drawn", *(["measured"] if MEASURED.is_file() else [])]
     cases = [(k, v, s) for k in kinds for v, s in ((36, 20.0), (36, 10.0), (12, 20.0))]
     lines = []
     for kind, views, snr_db in cases[:: len(cases) // len(kinds)] if run.quick else cases:
-        cells = [PulseCell(kind, views, snr_db, seed) for seed in range(run.seeds)]
-        found = report.spread(try_pulses, cells, run.jobs)
+        cells = [PulseCell(kind, views, snr_db, seed) for seed in range(seeds)]
+        found = [*run.each(try_pulses, cells).values()]
         taken = sum(r.taken for r in found)
-        like = [report.interval(np.array([r.likeness[i] for r in found]), 3) for i in (0, 1)]
+        like = [interval(np.array([r.likeness[i] for r in found]), 3) for i in (0, 1)]
         change = np.array([r.psnr[:, 2] - r.psnr[:, 0] for r in found])
         for i, method in enumerate(PULSE_ROWS):
-            quality = [report.interval(np.array([r.psnr[i, j] for r in found]), 1) for j in range(3)]
-            where = [report.interval(np.array([r.where[i, j] for r in found]), 1) for j in range(3)]
+            quality = [interval(np.array([r.psnr[i, j] for r in found]), 1) for j in range(3)]
+            where = [interval(np.array([r.where[i, j] for r in found]), 1) for j in range(3)]
             worst = f"{change[:, i].min():+.1f}"
             first = (
                 [kind, str(views), f"{snr_db:g}", f"{taken} of {len(found)}", *like] if i == 0 else [""] * 6
@@ -293,7 +290,7 @@ def pulses(run: Run) -> str:
         "PSNR nominal (dB)", "true", "estimated", "worst change (dB)", "localisation nominal (mm)", "true",
         "estimated",
     )  # fmt: skip
-    return report.table(columns, lines)
+    yield Table(columns, lines)
 
 
 RAIL_ROWS = ("bp", "bp-raw", "range-doppler", "polar", "sparse", "omp", "ats")
@@ -363,30 +360,32 @@ def score_rail(cell: RailCell) -> dict[str, float]:
     }
 
 
-def rails(run: Run) -> str:
+def rails(run: Run) -> Iterator[Table]:
     """Two reflectors 2 to 4 m from a path of 3.4 m, 600 positions, path delay unknown within 1 m."""
+    seeds = run.number(10)
+    run.seeds = f"0 to {seeds - 1}"
     paths = RAILS[:1] if run.quick else RAILS
-    cells = [RailCell(p, seed, m) for p in paths for m in RAIL_ROWS for seed in range(run.seeds)]
-    found = report.resumed(score_rail, cells, run.pieces)
+    cells = [RailCell(p, seed, m) for p in paths for m in RAIL_ROWS for seed in range(seeds)]
+    found = run.each(score_rail, cells)
     lines = []
     for path in paths:
         for i, method in enumerate(RAIL_ROWS):
-            some = [found[c] for c in cells if c in found and (c.path, c.method) == (path, method)]
-            if not some:
-                continue
+            some = [found[c] for c in cells if (c.path, c.method) == (path, method)]
             column = {name: np.array([s[name] for s in some], dtype=float) for name in some[0]}
             delay = np.sqrt(np.mean(column["delay_mm"] ** 2))
             refused = f"{column['refused'].sum():.0f}"
             seen = f"{100 * column['detected'].mean() / len(RAIL_POINTS):.0f}"
-            values = [report.interval(column[name], 1) for name in ("where_mm", "seconds")]
+            values = [interval(column[name], 1) for name in ("where_mm", "seconds")]
             first = [path, str(len(some)), f"{delay:.1f}"] if i == 0 else [""] * 3
             lines.append([*first, METHODS[method].title, refused, seen, *values])
-    if run.draw:
+    figure = ""
+    if run.pictures:
         images = [[image_rail(RailCell(p, 0, m)).image for m in RAIL_ROWS] for p in paths]
         pictures = [[np.abs(image.values) for image in row] for row in images]
         titles = [METHODS[method].title for method in RAIL_ROWS]
         extents = [row[-1].grid.extent for row in images]
-        report.picture_grid(pictures, extents, list(paths), titles, run.pictures / "imaging-rails.png")
+        picture_grid(pictures, extents, list(paths), titles, run.pictures / "imaging-rails.png")
+        figure = "![Paths at metre scale in every method](../pictures/imaging-rails.png)"
     columns = (
         "path",
         "seeds",
@@ -397,4 +396,4 @@ def rails(run: Run) -> str:
         "localisation (mm)",
         "seconds",
     )
-    return report.table(columns, lines)
+    yield Table(columns, lines, below=figure)

@@ -1,7 +1,7 @@
-"""What an installation takes on disk, with and without byte code: the table of docs/results/process.md.
+"""What an installation takes on disk, with and without byte code.
 
     python -m pip wheel . --no-deps --wheel-dir dist
-    python tests/benchmarks/installed_size.py dist/tagid-*.whl
+    python -m tests.benchmarks installed-size dist/tagid-*.whl
 
 It installs the wheel and what it needs into a new environment in a temporary folder, and measures that: first
 as `pip install --no-compile` leaves it, then with byte code, as `pip install` does.
@@ -12,11 +12,13 @@ from __future__ import annotations
 import argparse
 import compileall
 import subprocess
-import sys
-import tempfile
 import venv
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table
 
 WITH = {"numpy.libs": "numpy", "pillow.libs": "pillow", "PIL": "pillow", "h5py.libs": "h5py"}
 """Folders that belong to a package of another name."""
@@ -39,28 +41,26 @@ def packages(site: Path) -> Counter[str]:
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What is installed."""
     parser.add_argument("wheel", type=Path)
-    wheel = parser.parse_args().wheel.resolve()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name) / "environment"
-        venv.create(folder, with_pip=True)
-        words = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile", str(wheel))
-        subprocess.run([folder / "bin" / "python", *words], check=True)
-        site = next(folder.glob("lib/python*/site-packages"))
-        bare, plain = megabytes(folder), packages(site)
-        compileall.compile_dir(site, quiet=2, workers=1)
-        compiled = packages(site)
-        print(f"environment: {bare:.0f} MB, with byte code {megabytes(folder):.0f} MB")
-        print("\n| package | MB | with byte code |\n|---|---|---|")
-        largest = [package for package, _ in plain.most_common(SHOWN)]
-        for package in largest:
-            print(f"| {package} | {plain[package]:.0f} | {compiled[package]:.0f} |")
-        rest = sum(size for package, size in plain.items() if package not in largest)
-        more = sum(size for package, size in compiled.items() if package not in largest)
-        print(f"| the rest | {rest:.0f} | {more:.0f} |")
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def sizes(run: Run) -> Iterator[Table]:
+    """A row for each large package."""
+    wheel, folder = run.options.wheel.resolve(), run.folder / "environment"
+    venv.create(folder, with_pip=True)
+    words = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile", str(wheel))
+    subprocess.run([folder / "bin" / "python", *words], check=True)
+    site = next(folder.glob("lib/python*/site-packages"))
+    bare, plain = megabytes(folder), packages(site)
+    compileall.compile_dir(site, quiet=2, workers=1)
+    compiled = packages(site)
+    largest = [package for package, _ in plain.most_common(SHOWN)]
+    rows = [(package, f"{plain[package]:.0f}", f"{compiled[package]:.0f}") for package in largest]
+    rest, more = (
+        sum(size for name, size in each.items() if name not in largest) for each in (plain, compiled)
+    )
+    rows.append(("the rest", f"{rest:.0f}", f"{more:.0f}"))
+    note = f"Environment: {bare:.0f} MB, with byte code {megabytes(folder):.0f} MB."
+    yield Table(("package", "MB with `--no-compile`", "MB with byte code"), rows, note)

@@ -5,11 +5,7 @@ factor, unit or order, a bound that is off by one, a condition or a reset that i
 test notices survives; the file says why it may. A fault whose text is not found exactly once is reported
 as well, so that a module that changes takes its faults along. The tree is copied first, and the tests import
 tagid from the copy; two modules are tried at a time. A test that runs for over 20 s and three times its usual
-time has noticed the fault, too. The page is of the last run of each module, kept in build/mutants.json.
-
-    python tests/benchmarks/mutants.py                   # all, 10 to 20 minutes
-    python tests/benchmarks/mutants.py pipeline live     # paths that contain one of these words
-    python tests/benchmarks/mutants.py --page docs/results
+time has noticed the fault, too. The tables are of the last run of each module, kept in build/mutants.json.
 """
 
 from __future__ import annotations
@@ -24,16 +20,18 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 import tomllib
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 
-from provenance import ROOT, commit, page, publish
+from tests.benchmarks.provenance import ROOT, commit
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table
 
 FILE = Path(__file__).with_suffix(".toml")
 KEPT = ROOT / "build" / "mutants.json"
@@ -88,38 +86,38 @@ def load() -> list[Module]:
     ]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Which modules."""
     parser.add_argument("words", nargs="*", help="only modules whose path contains one of these")
-    parser.add_argument("--page", type=Path, help="folder of the page mutants.md")
-    options = parser.parse_args()
+
+
+def faults(run: Run) -> Iterator[Table]:
+    """Faults by package, those that survive, and those that a test notices."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    modules = [m for m in load() if not options.words or any(word in m.file for word in options.words)]
+    words = run.options.words or (["storage/units"] if run.quick else [])
+    modules = [m for m in load() if not words or any(word in m.file for word in words)]
     tree = commit()
-    with tempfile.TemporaryDirectory(prefix="tagid-mutants-", ignore_cleanup_errors=True) as folder:
-        copies = SimpleQueue[Path]()
-        for number in range(PROCESSES):
-            copies.put(copy_tree(Path(folder) / str(number)))
+    copies = SimpleQueue[Path]()
+    for number in range(PROCESSES):
+        copies.put(copy_tree(run.folder / str(number)))
 
-        def tried(module: Module) -> list[Result]:
-            copy = copies.get()
-            try:
-                return try_all(copy, module)
-            finally:
-                copies.put(copy)
+    def tried(module: Module) -> list[Result]:
+        copy = copies.get()
+        try:
+            return try_all(copy, module)
+        finally:
+            copies.put(copy)
 
-        with ThreadPoolExecutor(PROCESSES) as pool:
-            try:
-                results = [result for each in pool.map(tried, modules) for result in each]
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                _stopped.set()
-                raise
+    with ThreadPoolExecutor(PROCESSES) as pool:
+        try:
+            results = [result for each in pool.map(tried, modules) for result in each]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            _stopped.set()
+            raise
     keep(results, tree)
-    publish(report(kept()), options.page, "mutants.md")
-    return int(any(not result.killed and not result.mutant.reason for result in results))
+    run.failed = any(not result.killed and not result.mutant.reason for result in results)
+    yield from report(kept())
 
 
 def keep(results: list[Result], tree: str) -> None:
@@ -220,27 +218,23 @@ def run_tests(copy: Path, tests: tuple[str, ...], limit_s: float) -> tuple[bool,
     return status == 0, output
 
 
-def report(results: list[Result]) -> list[str]:
-    """The page."""
-    lines = page("Mutation tests", "none", __doc__)
-    lines += [f"{sum(result.killed for result in results)} of {len(results)} killed.", ""]
-    lines += ["| package | faults | killed | commit |", "|---|---|---|---|"]
+def report(results: list[Result]) -> Iterator[Table]:
+    """The tables, of the last run of each module."""
+    rows = []
     for package, group in itertools.groupby(results, key=lambda result: result.module.file.split("/")[1]):
         found = list(group)
         trees = ", ".join(sorted({result.tree for result in found}))
-        lines.append(f"| {package} | {len(found)} | {sum(result.killed for result in found)} | {trees} |")
-    for title, column, survived in (
-        ("Survivors", "reason", True),
-        ("Killed", "first test that fails", False),
-    ):
-        lines += ["", f"## {title}", "", f"| file | was | fault | {column} |", "|---|---|---|---|"]
-        for result in results:
-            if result.killed != survived:
-                mutant = result.mutant
-                remark = result.remark or "**not explained**" if survived else code(result.remark)
-                cells = [f"`{result.module.file}`", code(mutant.was), code(mutant.now), remark]
-                lines.append(f"| {' | '.join(cells)} |")
-    return lines
+        rows.append((package, len(found), sum(result.killed for result in found), trees))
+    note = f"{sum(result.killed for result in results)} of {len(results)} killed."
+    yield Table(("package", "faults", "killed", "commit"), rows, note)
+    columns = ("file", "was", "fault")
+    for name, column, killed in (("survivors", "reason", False), ("killed", "first test that fails", True)):
+        lines = [
+            (f"`{r.module.file}`", code(r.mutant.was), code(r.mutant.now), r.remark or "**not explained**")
+            for r in results
+            if r.killed == killed
+        ]
+        yield Table((*columns, column), lines, f"{name.capitalize()}:", name)
 
 
 def one_line(text: str) -> str:
@@ -248,8 +242,4 @@ def one_line(text: str) -> str:
 
 
 def code(text: str) -> str:
-    return f"`` {one_line(text)} ``".replace("|", "\\|")
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return f"`` {one_line(text)} ``"

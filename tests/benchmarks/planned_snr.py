@@ -2,21 +2,15 @@
 
 Cases are drawn at random from a grid of reflectors, layouts on bodies, distances and integrations. Each is
 recorded from the emulator's scans over 1.3 turns, as `tagid scan` does, and inspected as `tagid show` does.
-
-    python tests/benchmarks/planned_snr.py --seed 7 --cases 60
-
-It prints what docs/results/planned-snr.md shows.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
@@ -29,6 +23,8 @@ from tagid.simulate import ReflectorSpec, parse_body
 from tagid.simulate.budget import LinkBudget
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.tags.layouts.layout import builtin_layouts
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table
 
 LAYOUTS = builtin_layouts()
 OBJECTS = (
@@ -95,34 +91,35 @@ def level(planned_db: float) -> str:
     return next((f"below {top} dB" for top in (5, 15, 25, 35) if planned_db < top), "35 dB and more")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seed", type=int, default=7, help="of the drawn cases and of their scenes")
-    parser.add_argument("--cases", type=int, default=60)
-    arguments = parser.parse_args()
-    rng = np.random.default_rng(arguments.seed)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The drawn cases."""
+    parser.add_argument("--first", type=int, default=8, help="seed of the drawn cases and of their scenes")
+
+
+def differences(run: Run) -> Iterator[Table]:
+    """Measured less planned SNR, by object and by planned SNR."""
+    seed, count = run.options.first, run.number(80, 6)
+    run.seeds = f"{seed} for the {count} cases drawn, one scene of its own per case"
+    rng = np.random.default_rng(seed)
     grid = list(product(OBJECTS, SIZES_MM, DISTANCES_M, INDICES))
     differences: dict[str, list[float]] = defaultdict(list)
     unseen = []
-    for number in rng.choice(len(grid), arguments.cases, replace=False):
+    for number in rng.choice(len(grid), count, replace=False):
         (layout, body), size_mm, distance_m, index = grid[int(number)]
-        case = Case(layout, body, size_mm, distance_m, index, 1000 * arguments.seed + int(number))
+        case = Case(layout, body, size_mm, distance_m, index, 1000 * seed + int(number))
         planned, measured = case.planned_db(), case.measured_db()
         if measured is None:
             unseen.append(planned)
             continue
         for row in (layout + (f" on {body}" if body != "none" else ""), level(planned), "all"):
             differences[row].append(measured - planned)
-        print(f"{case}: planned {planned:.1f}, measured {measured:.1f} dB", flush=True)
-    print("\n| cases | number | mean (dB) | largest (dB) | within 1 dB |\n|---|---|---|---|---|")
+        run.say(f"{case}: planned {planned:.1f}, measured {measured:.1f} dB")
+    rows = []
     for row, found in sorted(differences.items()):
         within = sum(abs(value) <= 1 for value in found)
         worst = max(found, key=abs)
-        print(f"| {row} | {len(found)} | {np.mean(found):+.2f} | {worst:+.2f} | {within} of {len(found)} |")
-    print(
-        f"\nnothing beyond the noise in {len(unseen)} cases, planned {sorted(round(x, 1) for x in unseen)} dB"
+        rows.append((row, len(found), f"{np.mean(found):+.2f}", f"{worst:+.2f}", f"{within} of {len(found)}"))
+    below = (
+        f"Nothing beyond the noise in {len(unseen)} cases, planned {sorted(round(x, 1) for x in unseen)} dB."
     )
-
-
-if __name__ == "__main__":
-    main()
+    yield Table(("cases", "number", "mean (dB)", "largest (dB)", "within 1 dB"), rows, below=below)

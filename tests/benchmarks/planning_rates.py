@@ -4,9 +4,9 @@ Bare tags are scenes of `identification_scenes.py` with the paper's four layouts
 `reading_bodies_scenes.py`, 36 views per turn, with nothing enrolled and with the untagged body enrolled from
 three captures. Offsets from the axis and pulses are taken in turn. Per cent with 95 % Wilson intervals.
 
-    python tests/benchmarks/planning_rates.py --jobs 2 --write docs/results
+    python -m tests.benchmarks planning-rates --jobs 2 --write docs/results
 
-Every reading becomes a line of --work, so that a run can be stopped and continued. With --write it makes
+Every reading becomes a line of --keep, so that a run can be stopped and continued. With --write it makes
 `tagid/planning/rates.json`, too, whose sources name the page.
 """
 
@@ -26,16 +26,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-import identification_scenes as bare_scenes
-import reading_bodies_scenes as body_scenes
-from provenance import ROOT, commit, page, publish
-
 from tagid.errors import TagidError
 from tagid.pipeline.identify import aspect_spectra, identify
 from tagid.planning.rates import Measured
 from tagid.proportion import wilson
 from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature
+from tests.benchmarks import identification_scenes as bare_scenes
+from tests.benchmarks import reading_bodies_scenes as body_scenes
+from tests.benchmarks.provenance import ROOT, commit, page, publish
 
 RATES = ROOT / "tagid" / "planning" / "rates.json"
 PAGE = "planning-rates.md"
@@ -65,7 +64,7 @@ class Task:
 
     @property
     def key(self) -> str:
-        """In the file of --work."""
+        """In the file of --keep."""
         return "/".join(map(str, asdict(self).values()))
 
 
@@ -135,22 +134,25 @@ def table(mode: str, outcomes: dict[Task, str]) -> list[str]:
     return [*lines, ""]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """How many scenes, beside the options of every benchmark."""
     parser.add_argument("--bare", type=int, default=100, help="scenes a row of bare tags")
     parser.add_argument("--rounds", type=int, default=2, help="rounds of tags on bodies, 8 scenes a row each")
     parser.add_argument("--modes", nargs="*", choices=tuple(TITLES), default=tuple(TITLES))
     parser.add_argument("--most", type=int, help="only the first so many readings, for a check")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--work", type=Path, default=ROOT / "build" / "planning-rates.jsonl")
-    parser.add_argument("--write", type=Path, help="folder for the page; makes rates.json, too")
-    given = parser.parse_args()
-    given.work.parent.mkdir(parents=True, exist_ok=True)
-    lines = given.work.read_text().splitlines() if given.work.is_file() else []
+
+
+def rates(given: argparse.Namespace) -> None:
+    """Read, print, and write the page and the rates."""
+    work = given.keep or ROOT / "build" / "planning-rates.jsonl"
+    if given.quick and given.most is None:
+        given.most = 3
+    work.parent.mkdir(parents=True, exist_ok=True)
+    lines = work.read_text().splitlines() if work.is_file() else []
     known = dict(json.loads(line) for line in lines)
     wanted = [one for one in tasks(given.bare, given.rounds) if one.mode in given.modes][: given.most]
     missing = [task for task in wanted if task.key not in known]
-    with multiprocessing.get_context("fork").Pool(given.jobs) as pool, given.work.open("a") as file:
+    with multiprocessing.get_context("fork").Pool(given.jobs) as pool, work.open("a") as file:
         for task, own in zip(missing, pool.imap(outcome, missing), strict=True):
             known[task.key] = own
             file.write(json.dumps([task.key, own]) + "\n")
@@ -170,4 +172,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    from tests.benchmarks.__main__ import main
+
+    sys.argv[:1] = [str(Path(__file__).with_name("__main__.py")), "planning-rates"]
+    sys.exit(main())

@@ -7,11 +7,12 @@ import platform
 import subprocess
 import sys
 from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import numpy as np
-
 ROOT = Path(__file__).resolve().parents[2]
+SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared"))
+"""Folder of recordings, solved responses and models beside the checkout."""
 
 
 def commit() -> str:
@@ -27,18 +28,42 @@ def commit() -> str:
     return f"{git('rev-parse', '--short=10', 'HEAD').strip()}{'+' if changed else ''}"
 
 
+def command() -> str:
+    """The command line as it is typed, without the options that write the page."""
+    script = Path(sys.argv[0])
+    words = [word for word in sys.argv[1:] if word != "--page"]
+    if "--write" in words:
+        at = words.index("--write")
+        folder = at + 1 < len(words) and not words[at + 1].startswith("-")
+        del words[at : at + 1 + folder]
+    if script.name == "__main__.py":
+        name = ".".join(script.resolve().parent.relative_to(ROOT).parts)
+        return " ".join(["python -m", name, *words])
+    return " ".join(["python", sys.argv[0], *words])
+
+
+def machine() -> str:
+    """Processor, cores and load, Python and numpy."""
+    try:
+        numpy = f"numpy {version('numpy')}"
+    except PackageNotFoundError:
+        numpy = "no numpy"
+    cores = f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
+    return f"{platform.machine()}, {cores}, Python {platform.python_version()}, {numpy}"
+
+
 def made_with(seeds: str) -> list[str]:
     """Lines of a page: command, commit, machine and date, and the seeds as given."""
     return [
-        f"Command: `python {' '.join(sys.argv)}`. Commit: {commit()}.",
-        f"Machine: {platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}.",
+        f"Command: `{command()}`. Commit: {commit()}.",
+        f"Machine: {machine()}.",
         f"Date: {datetime.now(UTC):%Y-%m-%d}. Seeds: {seeds}.",
     ]
 
 
 def method(docstring: str | None) -> list[str]:
     """Lines of a page: what a script says of its method, between its first line and its command."""
-    return str(docstring).split("\n\n", 1)[1].split("    python tests")[0].strip().splitlines()
+    return str(docstring).split("\n\n", 1)[1].split("    python ")[0].strip().splitlines()
 
 
 def page(title: str, seeds: str, docstring: str | None) -> list[str]:

@@ -7,8 +7,8 @@ the stored answers to the same scenes of the reader that this one replaced (answ
 by scene); its columns count the scenes that it had read. Intervals are 95 % (Wilson), in per cent. Seconds
 are of the processor, on one core.
 
-    python tests/benchmarks/readers.py y1 y5 null --jobs 2
-    python tests/benchmarks/readers.py --jobs 2 --keep build/readers.jsonl --write docs/results
+    python -m tests.benchmarks readers y1 y5 null --jobs 2
+    python -m tests.benchmarks readers --jobs 2 --keep build/readers.jsonl --write docs/results
 
 A run with --keep can be stopped and continued. --dump FOLDER writes each scene as a pickled dictionary,
 FOLDER/YARDSTICK/NNNN.pkl, in an order of which every k-th is a fair sample; --bank FOLDER reads such files
@@ -36,12 +36,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
-from provenance import page, publish
-from readers_scenes import SEEDS, YARDSTICKS, drawn
 
 from tagid.errors import TagidError
 from tagid.proportion import wilson
 from tagid.reading.reader import read
+from tests.benchmarks.provenance import page, publish
+from tests.benchmarks.readers_scenes import SEEDS, YARDSTICKS, drawn
 
 RULES = Path(__file__).with_name("answers_of_the_rules.jsonl")
 Prepared = dict[str, Any]
@@ -218,18 +218,20 @@ def section(yardstick: str, given: argparse.Namespace, kept: Answers, before: An
     return [*lines, ""]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Which scenes are read, beside the options of every benchmark."""
     parser.add_argument("yardsticks", nargs="*", choices=[*YARDSTICKS, []], help="default: all")
     parser.add_argument("--rounds", type=int, default=1, help="rounds of scenes, each of other seeds")
     parser.add_argument("--most", type=int, help="only the first so many scenes of a yardstick")
-    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--dump", type=Path, help="folder into which the scenes are written")
     parser.add_argument("--bank", type=Path, help="folder of dumped scenes to be read")
-    parser.add_argument("--keep", type=Path, help="file of answers, which is continued")
     parser.add_argument("--list", action="store_true", help="each scene that was not right")
-    parser.add_argument("--write", type=Path, help="folder for reading.md")
-    given = parser.parse_args()
+
+
+def names(given: argparse.Namespace) -> None:
+    """Read, print, and write the page of the reader."""
+    if given.quick and given.most is None:
+        given.most = 3
     kept, before = Answers(given.keep), Answers(RULES)
     lines = page("The reader on every yardstick", SEEDS, __doc__)
     for yardstick in given.yardsticks or YARDSTICKS:
@@ -238,4 +240,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    from tests.benchmarks.__main__ import main
+
+    sys.argv[:1] = [str(Path(__file__).with_name("__main__.py")), "readers"]
+    sys.exit(main())

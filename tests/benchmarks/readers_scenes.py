@@ -3,7 +3,7 @@
 y1 is `bodies_scenes.py`, y2 `reading_bodies_scenes.py`, y3 `unseen_scenes.py` (opened objects), all without
 enrolment; y2e is y2 with body or object enrolled, y4 `enrolled_scenes.py` and `enrolled_designed.py`, y5
 `identification_scenes.py` from number 1000 on, null `train/population.py`, volume `train/volume_objects.py`,
-on which nothing is chosen. y3 requires solved objects in SOLVED: `unseen_objects.py` makes them, in about
+on which nothing is chosen. y3 requires solved objects in SOLVED: `solve --set unseen` makes them, in about
 half a minute each.
 """
 
@@ -17,14 +17,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import bodies_scenes
-import enrolled_designed
-import enrolled_scenes
-import identification_scenes
-import reading_bodies_scenes
-import unseen_objects
-import unseen_scenes
-
 from tagid.capture import Capture
 from tagid.errors import TagidError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
@@ -32,6 +24,15 @@ from tagid.pipeline.identify import aspect_spectra
 from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tests.benchmarks import (
+    bodies_scenes,
+    enrolled_designed,
+    enrolled_scenes,
+    identification_scenes,
+    reading_bodies_scenes,
+    solved_objects,
+    unseen_scenes,
+)
 from train import population, volume_objects
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -145,7 +146,7 @@ def _reading_bodies(key: str, cell: reading_bodies_scenes.Cell, number: int) -> 
 def y3(turn: int) -> Draws:
     """Every opened object once, in another recording each round."""
     hows = unseen_scenes.RECORDINGS
-    for i, name in enumerate(unseen_objects.OPENED):
+    for i, name in enumerate(solved_objects.OPENED):
         how = hows[(3 * i + i // len(hows) + turn) % len(hows)]
         key = f"y3/{name}/{how.label}/{turn}"
         yield key, partial(_unseen, key, name, how, f"unseen/1/blind/{name}///{turn}")
@@ -157,7 +158,7 @@ def _unseen(key: str, name: str, how: unseen_scenes.Recording, circumstances: st
         capture = unseen_scenes.recorded(SOLVED, name, how, unseen_scenes.drawn(circumstances))
     except TagidError:
         return None
-    kind = "round body" if base in unseen_objects.ROUND else base.rstrip("0123456789")
+    kind = "round body" if base in solved_objects.ROUND else base.rstrip("0123456789")
     return Scene(key, kind or "bare tag", base or "none", truth, BUILTIN, capture)
 
 

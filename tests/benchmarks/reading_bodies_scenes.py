@@ -12,16 +12,13 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import os
 import zlib
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
-from identification_scenes import SETS
 
 from tagid.capture import Capture, Pulse
 from tagid.errors import DataError
@@ -41,8 +38,9 @@ from tagid.simulate.scatterers import Mounted
 from tagid.simulate.scene import Scene, StaticReturns
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
+from tests.benchmarks.identification_scenes import SETS
+from tests.benchmarks.provenance import SHARED
 
-SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 POPULATIONS = {"development": "reading-bodies/development/1", "sealed": "reading-bodies/sealed/1"}
 SEALED_SHA256 = "e36cbbdfc43a76241d73851e75f6b64cca0d653cc42d26e941d57e9a8441107d"
 """SHA-256 of the first 10,000 sealed seeds in decimal, one per line."""

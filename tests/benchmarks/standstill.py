@@ -1,8 +1,5 @@
 """Turns that stop half-way, and turns that do not: how often a stop is found, and how often it is imagined.
 
-    python tests/benchmarks/standstill.py [--purpose report] [--seeds 8] [--only turning]
-    python tests/benchmarks/standstill.py --only stopping --objects helmet-120 container-90
-
 Objects: every preset, tags and bare bodies of `tagid.simulate`, and the full-wave responses of cans, helmet
 shells and reflectors, each up to about 1 cm off the axis. SNR 20, 10 and 5 dB per reflector. Turning objects
 are recorded over 1.25 to 1.4 turns, a third of them over a part of a turn only (as seen while it is being
@@ -14,23 +11,19 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
-import sys
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
-from provenance import commit
-from reading_bodies_scenes import _reference, full_wave
 
 from tagid.angles.period import NOMINAL_TOLERANCE
 from tagid.angles.standstill import find_standstill
 from tagid.simulate import Acquisition, Placement, parse_body, parse_reflector, simulate_capture
 from tagid.simulate.presets import scene_from_name, scene_on_body
+from tests.benchmarks.reading_bodies_scenes import _reference, full_wave
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table
 
 FINE = 720
 """Views per turn from which a recording is interpolated."""
@@ -127,45 +120,39 @@ def found(turn: Clean, stop: float, pause: float, snr_db: float, scans: int, rng
     return "right" if np.abs(ends).max() < NEAR else "elsewhere"
 
 
-def main() -> None:
-    words = argparse.ArgumentParser(description=__doc__)
-    words.add_argument("--purpose", choices=tuple(FIRST), default="report")
-    words.add_argument("--seeds", type=int, default=8, help="of each object")
-    words.add_argument("--scans", type=int, default=468, help="in 1.3 turns")
-    words.add_argument("--objects", nargs="+", choices=objects(), default=objects(), metavar="NAME")
-    words.add_argument("--only", choices=("turning", "stopping"), default=None)
-    asked = words.parse_args()
-    print(f"commit {commit()}, {asked.purpose}, {asked.seeds} seeds, {asked.scans} scans")
-    false: Counter[int] = Counter()
-    turned: Counter[int] = Counter()
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Which scenes."""
+    parser.add_argument("--purpose", choices=tuple(FIRST), default="report")
+    parser.add_argument("--scans", type=int, default=468, help="in 1.3 turns")
+    parser.add_argument("--objects", nargs="+", choices=objects(), metavar="NAME")
+
+
+def stops(run: Run) -> Iterator[Table]:
+    """How often a stop is imagined in objects that turn, and found in those that stop."""
+    given, seeds = run.options, run.number(4)
+    first = FIRST[given.purpose]
+    run.seeds = f"{first} to {first + seeds - 1} (constants were chosen on 10 to 17)"
+    turning: Counter[tuple[int, bool]] = Counter()
     stopped: Counter[tuple[str, int, float, str]] = Counter()
-    for name in asked.objects:
-        for seed in range(FIRST[asked.purpose], FIRST[asked.purpose] + asked.seeds):
-            turn, rng = clean(name, seed), np.random.default_rng([seed, 5])
+    for name in given.objects or (PRESETS[:3] if run.quick else objects()):
+        for seed in range(first, first + seeds):
+            turn = clean(name, seed)
+            rngs = np.random.default_rng([seed, 5]), np.random.default_rng([seed, 5])
             for snr_db in SNRS_DB:
-                if asked.only != "stopping":
-                    turned[snr_db] += 1
-                    if imagined(turn, snr_db, asked.scans, rng):
-                        false[snr_db] += 1
-                        print(f"imagined: {name}, seed {seed}, {snr_db} dB", flush=True)
-                if asked.only == "turning" or name == "empty":
-                    continue
-                for what, pause in PAUSES.items():
+                wrong = imagined(turn, snr_db, given.scans, rngs[0])
+                turning[snr_db, wrong] += 1
+                if wrong:
+                    run.say(f"imagined: {name}, seed {seed}, {snr_db} dB")
+                for what, pause in PAUSES.items() if name != "empty" else ():
                     for stop in STOPS:
-                        result = found(turn, stop, pause, snr_db, asked.scans, rng)
+                        result = found(turn, stop, pause, snr_db, given.scans, rngs[1])
                         stopped[what, snr_db, stop, result] += 1
-    for snr_db in SNRS_DB:
-        if turned[snr_db]:
-            print(f"{snr_db} dB: a stop imagined in {false[snr_db]} of {turned[snr_db]} turning objects")
+    rows = [(snr, turning[snr, True] + turning[snr, False], turning[snr, True]) for snr in SNRS_DB]
+    yield Table(("SNR, dB", "turning objects", "a stop was reported"), rows)
+    rows = []
     for what in PAUSES:
-        for snr_db in SNRS_DB:
-            cells = []
-            for stop in STOPS:
-                right, elsewhere, none = (stopped[what, snr_db, stop, result] for result in RESULTS)
-                cells.append(f"{stop}: {right} / {elsewhere} / {right + elsewhere + none}")
-            if any(stopped.values()):
-                print(f"{what}, {snr_db} dB, right / elsewhere / all at " + ", ".join(cells))
-
-
-if __name__ == "__main__":
-    main()
+        for snr in SNRS_DB:
+            counts = [[stopped[what, snr, stop, result] for result in RESULTS] for stop in STOPS]
+            rows.append((what, snr, *(f"{c[0]} / {c[1]} / {sum(c)}" for c in counts)))
+    note = "Turning objects that stop at a part of the turn. Cells: right / elsewhere / all."
+    yield Table(("the table", "SNR, dB", *map(str, STOPS)), rows, note)

@@ -1,4 +1,4 @@
-"""Recordings of the solved objects of `unseen_objects`, made by the package's own simulator of responses.
+"""Recordings of the solved objects of `solved_objects`, made by the package's own simulator of responses.
 
 Everything that a recording may have is drawn: the object's place, turn and height, the antenna's distance and
 polarisation, a wrong axis distance, uneven rotation, an unstated pulse, coloured noise, interference, a room.
@@ -14,7 +14,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from unseen_objects import LAYOUTS, OBJECTS
 
 from tagid.capture import Capture
 from tagid.geometry import Aperture
@@ -28,6 +27,7 @@ from tagid.simulate.response_scene import ResponseBody
 from tagid.simulate.scattering import Body, Returns
 from tagid.simulate.scene import Scene, StaticReturns
 from tagid.types import Floats
+from tests.benchmarks.solved_objects import LAYOUTS, OBJECTS
 
 TURN = 2 * np.pi * np.arange(24) / 24
 """Angles at which echoes are measured for the SNR and the room."""

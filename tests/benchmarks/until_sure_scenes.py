@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import reading_bodies_scenes as bodies
-from identification_scenes import SETS, Condition, draw_scene, record, record_scene
 
 from tagid.capture import Capture
 from tagid.simulate.acquisition import Acquisition, Placement, Wobble
@@ -23,6 +21,8 @@ from tagid.simulate.scattering import Box, Points
 from tagid.simulate.scene import Scene
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
+from tests.benchmarks import reading_bodies_scenes as bodies
+from tests.benchmarks.identification_scenes import SETS, Condition, draw_scene, record, record_scene
 from train.population import draw
 
 FIRST = {"choose": 1_000_000, "calibrate": 2_000_000, "report": 3_000_000}

@@ -699,7 +699,7 @@ def test_the_command_fails_if_a_part_of_the_station_dies(home: dict[str, str]) -
 
 
 def test_nothing_is_left_of_a_scan_when_the_next_ones_are_over(serve) -> None:
-    """A short form of tests/benchmarks/bench_station.py: objects, threads and files instead of megabytes."""
+    """Like `python -m tests.benchmarks station`, shorter: objects, threads and files instead of megabytes."""
     one = serve("emulator://helmet-120?rpm=60&seed=2", rpm=60.0)
     page, _ = joined(one.port)
     reader = threading.Thread(target=page.closed, daemon=True)

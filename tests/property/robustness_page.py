@@ -1,33 +1,16 @@
-"""Writes docs/results/robustness.md: one section for each attacker, from its last run with --page."""
+"""Writes the section of an attacker into docs/results/robustness.md, from its last run with --page."""
 
 from __future__ import annotations
 
-import os
-import platform
-import re
-import shlex
-import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy
+from tests.benchmarks.provenance import ROOT, made_with
+from tests.benchmarks.tables import Table, write
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "results" / "robustness.md"
-_TITLE = """# Robustness
-
-Long runs of attackers against the program, each with what it counted. Every command writes its own section
-when it is given `--page`. The parsers under coverage-guided fuzzing have [a page of their own](fuzzing.md).
-
-- Command: that of each section, such as `python tests/property/attack_signals.py --tries 500`
-- Commit: that of each section; a plus marks changes that were not committed
-- Machine: that of each section
-- Date: that of each section
-- Seeds: those of each section
-"""
 
 
 @dataclass(frozen=True)
@@ -50,37 +33,5 @@ class Section:
 
 def write_section(section: Section) -> None:
     """Put a section with its command, commit, machine and date into the page, in place of an older one."""
-    page = PAGE.read_text() if PAGE.exists() else _TITLE
-    others = [part for part in re.split(r"^(?=## )", page, flags=re.M)[1:] if part.strip()]
-    others = [part for part in others if not part.startswith(f"## {section.title}\n")]
-    parts = sorted([*others, _rendered(section)])
-    PAGE.write_text("\n".join([_TITLE, *(part.rstrip() + "\n" for part in parts)]))
-
-
-def _rendered(section: Section) -> str:
-    script = Path(sys.argv[0]).resolve().relative_to(ROOT)
-    words = shlex.join(["python", str(script), *(word for word in sys.argv[1:] if word != "--page")])
-    lines = [
-        f"## {section.title}\n",
-        f"- Command: `{words}`",
-        f"- Commit: {_commit()}",
-        f"- Machine: {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, "
-        f"numpy {numpy.__version__}",
-        f"- Date: {datetime.now(UTC):%Y-%m-%d}",
-        f"- Seeds: {section.seeds}\n",
-        f"{section.text}\n",
-        f"| {' | '.join(section.columns)} |",
-        f"|{'---|' * len(section.columns)}",
-        *(f"| {' | '.join(map(str, row))} |" for row in section.rows),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _commit() -> str:
-    """The commit, with a plus where the program or the attackers differ from it."""
-
-    def git(*words: str) -> str:
-        return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True).stdout.strip()
-
-    changed = git("status", "--porcelain", "--", "tagid", "tests")
-    return f"{git('rev-parse', '--short=10', 'HEAD')}{'+' if changed else ''}"
+    table = Table(section.columns, section.rows, section.text)
+    write(PAGE, Path(sys.argv[0]).stem, section.title, made_with(section.seeds), [table])

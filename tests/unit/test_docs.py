@@ -21,6 +21,8 @@ import tagid
 from tagid.cli.app import app
 from tagid.pipeline.answer import Identification
 from tagid.reading.verdict import ADVICE, Code
+from tests.benchmarks.catalogue import BENCHMARKS
+from tests.benchmarks.needs import NEEDS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -109,12 +111,43 @@ def test_every_command_that_a_message_names_exists() -> None:
 
 @pytest.mark.parametrize("page", sorted((DOCS / "results").glob("*.md")), ids=lambda p: p.name)
 def test_a_page_of_results_says_where_its_tables_come_from(page: Path) -> None:
-    text = page.read_text()
-    head = text.split("\n## ")[0]
-    assert [word for word in PROVENANCE if not re.search(rf"{word}: *\S", head)] == []
-    scripts = re.findall(r"tests/(?:benchmarks|property)/\w+\.py", head)
-    assert scripts, "names no script"
-    assert [script for script in scripts if not (ROOT / script).exists()] == []
+    """At the head of the page, or in each section that has a table."""
+    head, *sections = re.split(r"^## ", page.read_text(), flags=re.M)
+    for section in sections:
+        made = head if "Command:" in head else section
+        if re.search(r"^\||\.csv\)", section, re.M):
+            assert [word for word in PROVENANCE if not re.search(rf"{word}: *\S", made)] == [], section[:60]
+            scripts = re.findall(r"tests/(?:benchmarks|property|durability)/\w+\.(?:py|sh)", made)
+            names = re.findall(r"python -m tests\.benchmarks ([a-z][a-z-]*)", made)
+            assert scripts or names, f"names no benchmark: {section[:60]}"
+            assert [script for script in scripts if not (ROOT / script).exists()] == []
+            assert [name for name in names if name not in BENCHMARKS] == []
+
+
+def test_every_table_of_results_belongs_to_a_benchmark_that_can_run() -> None:
+    """A block of a page is of a benchmark of that page, a CSV file is linked, and each function exists."""
+    for page in (DOCS / "results").glob("*.md"):
+        for name in re.findall(r"^<!-- ([a-z-]+) -->$", page.read_text(), re.M):
+            assert BENCHMARKS[name].page == page.name, name
+    linked = {
+        file
+        for page in (DOCS / "results").glob("*.md")
+        for file in re.findall(r"\(([a-z-]+\.csv)\)", page.read_text())
+    }
+    assert linked == {path.name for path in (DOCS / "results").glob("*.csv")}
+    for one in BENCHMARKS.values():
+        module, _, function = one.work.partition(":")
+        tree = ast.parse((ROOT / "tests" / "benchmarks" / f"{module}.py").read_text())
+        assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, one.name
+        assert set(one.needs) <= set(NEEDS), one.name
+
+
+def test_benchmarks_named_on_the_pages_exist() -> None:
+    pages = [*DOCS.rglob("*.md"), ROOT / "CONTRIBUTING.md", ROOT / "README.md"]
+    named = {
+        name for page in pages for name in re.findall(r"tests\.benchmarks ([a-z][a-z-]*)", page.read_text())
+    }
+    assert sorted(named - set(BENCHMARKS) - {"list"}) == []
 
 
 def test_the_results_page_has_ten_figures_each_with_a_table() -> None:

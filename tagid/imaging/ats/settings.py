@@ -31,7 +31,7 @@ STEPS, STEPS_OF_FEW = 100, 150
 PASSES = 10
 """Steps that see each view of a scene that the defaults do not explain. Where a few views hold most of the
 energy, as the flashes of a box do, subsets of the views pull the field to and fro, and the steps end before
-it has settled: of 20 objects at 360 views (seeds 5100 and 5101 of `bench_heldout.py`) the dense prior with 12
+it has settled: of 20 objects at 360 views (seeds 5100 and 5101 of `held-out`) the dense prior with 12
 views a step leaves 5 % more of the energy of unseen views than with 10 passes, and in 6 of them more than
 backprojection, with 10 passes in none. 20 passes change nothing. Reflectors do not ask for it: their places
 are read more accurately from a field that is still a little blurred (0.22 mm, with 10 passes 0.33 mm)."""

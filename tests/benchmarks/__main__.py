@@ -1,0 +1,115 @@
+"""Runs one benchmark: `python -m tests.benchmarks NAME --quick`; `list` prints all of them.
+
+The tables are printed; --write puts them into the benchmark's page of docs/results/, long ones as CSV files
+beside it. A run with --keep FILE can be stopped and continued.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tests.benchmarks.catalogue import BENCHMARKS, Benchmark
+from tests.benchmarks.needs import missing
+from tests.benchmarks.provenance import ROOT, made_with
+
+RESULTS = ROOT / "docs" / "results"
+
+
+def listing() -> str:
+    """A line for every benchmark: name, minutes of one core, what it measures, what it needs."""
+    lines = []
+    for one in BENCHMARKS.values():
+        needs = f" (needs {', '.join(one.needs)})" if one.needs else ""
+        lines.append(f"{one.name:20} {one.minutes:>4} min  {one.summary}{needs}")
+    return "\n".join(lines)
+
+
+def parser_of(one: Benchmark) -> argparse.ArgumentParser:
+    """The options of every benchmark, and those of this one."""
+    parser = argparse.ArgumentParser(
+        prog=f"python -m tests.benchmarks {one.name}",
+        description=f"{one.summary}. About {one.minutes} minutes of one core.",
+    )
+    parser.add_argument("--quick", action="store_true", help="a look: fewer scenes, shorter times")
+    parser.add_argument("--seeds", type=int, help="scenes of every row, instead of the usual number")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--keep", type=Path, help="file that keeps what is done; the run continues it")
+    parser.add_argument(
+        "--write", type=Path, nargs="?", const=RESULTS, help=f"put the tables into {one.page} of docs/results"
+    )
+    return parser
+
+
+def main() -> int:
+    """Exit codes: 0 done, 1 the benchmark says that something failed, 2 usage or a need that is not met."""
+    words = sys.argv[1:]
+    if not words or words[0] in ("-h", "--help"):
+        print(f"{__doc__}\n{listing()}")
+        return 0 if words else 2
+    if words[0] == "list":
+        print(listing())
+        return 0
+    one = BENCHMARKS.get(words[0])
+    if one is None:
+        print(f"there is no benchmark {words[0]}: see `python -m tests.benchmarks list`", file=sys.stderr)
+        return 2
+    asks_help = "-h" in words or "--help" in words
+    lacking = [] if asks_help else missing(one.needs)
+    if lacking:
+        print("\n".join(f"{one.name}: {line}" for line in lacking), file=sys.stderr)
+        return 2
+    if one.one_thread:
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    with tempfile.TemporaryDirectory(prefix="tagid-benchmark-", ignore_cleanup_errors=True) as name:
+        os.environ |= {"TAGID_DATA": f"{name}/data", "TAGID_CONFIG": f"{name}/config.toml"}
+        os.environ["PYTHONPATH"] = os.pathsep.join(
+            filter(None, (str(ROOT), str(ROOT / "firmware_tools"), os.environ.get("PYTHONPATH")))
+        )
+        return run(one, words[1:], Path(name))
+
+
+def run(one: Benchmark, words: list[str], folder: Path) -> int:
+    """One benchmark with its options."""
+    from tests.benchmarks import tables
+    from tests.benchmarks.run import Run
+
+    module, _, function = one.work.partition(":")
+    loaded = importlib.import_module(f"tests.benchmarks.{module}")
+    parser = parser_of(one)
+    if hasattr(loaded, "add_options"):
+        loaded.add_options(parser)
+    given = parser.parse_args(words)
+    if one.script:
+        return int(getattr(loaded, function)(given) or 0)
+    pictures = (RESULTS.parent / "pictures") if given.write else None
+    asked = Run(given.quick, given, given.jobs, given.keep, folder, pictures, given.seeds)
+    made, began = made_with("SEEDS"), time.monotonic()
+    done = []
+    try:
+        for table in getattr(loaded, function)(asked):
+            done.append(table)
+            print(f"\n{table.markdown()}", flush=True)
+    except KeyboardInterrupt:
+        kept = f"; the same command continues it ({given.keep})" if given.keep else ""
+        print(f"stopped{kept}", file=sys.stderr)
+        return 130
+    made[-1] = made[-1].replace("SEEDS", asked.seeds)
+    print("\n" + "\n".join(made), flush=True)
+    print(f"{(time.monotonic() - began) / 60:.1f} minutes", file=sys.stderr)
+    if given.write:
+        given.write.mkdir(parents=True, exist_ok=True)
+        page = given.write / one.page
+        tables.write(page, one.name, one.title, made, done)
+        print(f"{page} written", file=sys.stderr)
+    return int(asked.failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

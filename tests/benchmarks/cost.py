@@ -1,0 +1,377 @@
+"""What imaging costs: seconds of BP, FISTA and ATS, how they grow, what they are spent on, and both engines.
+
+One scene of 4 points with noise 0.316, 0.7 m, radar at 1 m. "wall" is the best of the repetitions; "CPU" is
+the time of that process, which other load disturbs less; set-up is in all of them, preprocessing is not. The
+engines run in processes of their own, from the same seed, and report their peak resident memory.
+"""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.geometry import ImageGrid
+from tagid.imaging.ats.adapt import fit_adapted
+from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.ats.fit_native import OnnxEngine
+from tagid.imaging.ats.problem import FineRange, GridArrays, draw_weights, view_arrays
+from tagid.imaging.backprojection import backproject
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.sparse import sparse_recovery
+from tagid.imaging.types import BasebandScans
+from tagid.pipeline.prepared import as_prepared
+from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.settings import ImagingSettings
+from tests.benchmarks.heldout import Task, capture_of
+from tests.benchmarks.imaging_scenes import point_problem
+from tests.benchmarks.imaging_unknowns import RAILS, RailCell, rail_capture
+from tests.benchmarks.pictures import curves
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table
+
+EXTENT_M = 0.7
+VIEWS, PIXELS, OVERSAMPLINGS = (12, 36, 120, 360), (48, 96, 128, 192), (1.5, 3.0, 6.0)
+
+
+def scans(views: int, oversampling: float = 1.5, matched: bool = False) -> BasebandScans:
+    """Scans of 4 points, the same for every call."""
+    rng = np.random.default_rng(77)
+    capture = point_problem(rng.uniform(-0.22, 0.22, (4, 2)), views, 0.316, rng).capture
+    how = PreprocessSettings("none", matched, extent_m=EXTENT_M, oversampling=oversampling)
+    return preprocess(capture, settings=how)
+
+
+def _repeats(run: Run) -> int:
+    """How often a time is taken; the seeds of the page are none but the scene's."""
+    run.seeds = "77, one scene"
+    return run.number(9, 3)
+
+
+def best(work: Callable[[], object], repeats: int) -> tuple[float, float]:
+    """Least wall and least CPU seconds of some repetitions, after one that is not counted."""
+    work()
+    wall, cpu = [], []
+    for _ in range(repeats):
+        start, used = time.perf_counter(), time.process_time()
+        work()
+        wall.append(time.perf_counter() - start)
+        cpu.append(time.process_time() - used)
+    return min(wall), min(cpu)
+
+
+def once(work: Callable[[], Any]) -> tuple[Any, float]:
+    """What some work gives, and its CPU seconds."""
+    used = time.process_time()
+    result = work()
+    return result, time.process_time() - used
+
+
+def image_times(run: Run) -> Iterator[Table]:
+    """The sizes that the targets of speed are stated for.
+
+    Every round times all of them once, so that a processor whose clock changes slows all alike.
+    """
+    repeats = _repeats(run)
+    jobs = []
+    for name, views, pixels in (("BP", 360, 128), ("FISTA", 36, 96), ("ATS", 36, 96), ("ATS", 360, 96)):
+        grid, raw = ImageGrid(EXTENT_M, pixels), scans(views, matched=name == "BP")
+        work = {"BP": backproject, "FISTA": sparse_recovery, "ATS": fit}[name]
+        jobs.append((name, views, pixels, partial(work, raw, grid)))  # type: ignore[operator]
+    rounds = [[best(work, 1) for *_, work in jobs] for _ in range(repeats)]
+    rows = []
+    for (name, views, pixels, _), times in zip(jobs, zip(*rounds, strict=True), strict=True):
+        wall, cpu = min(t[0] for t in times), min(t[1] for t in times)
+        rows.append([name, str(views), f"{pixels} x {pixels}", f"{wall * 1e3:.1f}", f"{cpu * 1e3:.1f}"])
+    rows.append(["BP, error", "360", "128 x 128", f"{backprojection_error() * 100:.2f} %", ""])
+    yield Table(
+        ("method", "views", "pixels", "wall (ms)", "CPU (ms)"), rows, f"One scene, best of {repeats}."
+    )
+
+
+def backprojection_error() -> float:
+    """Largest error of an image of 360 views against the sum written out in double precision."""
+    grid, raw = ImageGrid(EXTENT_M, 128), scans(360, matched=True)
+    image = backproject(raw, grid).values.ravel()
+    antenna = raw.aperture.positions
+    from scipy.signal import resample
+
+    factor = 64
+    fine = resample(raw.samples.astype(complex), raw.samples.shape[1] * factor, axis=1)
+    total = np.zeros(len(grid.points), dtype=complex)
+    for row, (x, y, z) in zip(fine, antenna, strict=True):
+        distance = np.sqrt((grid.points[:, 0] - x) ** 2 + (grid.points[:, 1] - y) ** 2 + z**2)
+        at = (distance - raw.range_start_m) / raw.range_step_m * factor
+        bins = np.arange(len(row))
+        value = np.interp(at, bins, row.real) + 1j * np.interp(at, bins, row.imag)
+        total += value * np.exp(2j * raw.wavenumber * distance)
+    inside = np.hypot(*grid.points.T) < 0.4
+    return float(np.abs(image - total / len(fine))[inside].max() / np.abs(total / len(fine)).max())
+
+
+def shares(views: int, pixels: int, oversampling: float, repeats: int) -> tuple[float, float, float]:
+    """CPU seconds of one ATS step: network and Adam, sums over views and pixels, products over range bins."""
+    raw, settings = scans(views, oversampling), AtsSettings()
+    grid = ImageGrid(EXTENT_M, pixels)
+    shape = settings.shape(grid, raw.wavelength_m)
+    numbers = np.array([1e-4, 1e-4, 1, 1, 1, 1e-3, 1e-4, 0, 1e-5], dtype=np.float32)
+    engine = OnnxEngine(draw_weights(shape, grid, 1.0, 0))
+    count = min(views, settings.views_per_step)
+
+    def step(views_of_it: int, grid_of_it: ImageGrid = grid) -> float:
+        fine = FineRange.of(raw, grid.points)
+        arrays = GridArrays.of(grid_of_it, shape.cells)
+        ones = np.ones(raw.samples.shape)
+        whole = view_arrays(raw, grid_of_it.points, fine, ones, np.ones((views, 1), dtype=complex))
+        part = whole.select(slice(0, views_of_it))
+        return best(lambda: engine.step(arrays, part, fine, numbers), repeats)[1]
+
+    all_of_it, one_view = step(count), step(1)
+    sums = (all_of_it - one_view) * count / max(count - 1, 1)
+    few = ImageGrid(EXTENT_M, 4)
+    products = (step(count, few) - step(1, few)) * count / max(count - 1, 1)
+    products = float(np.clip(products, 0, sums))
+    return max(all_of_it - sums, 0.0), sums - products, products
+
+
+def growth(run: Run) -> Iterator[Table]:
+    """Cost over views, pixels and bins, with the parts of a step."""
+    repeats = _repeats(run)
+    cases = [("views", (v, 96, 1.5)) for v in VIEWS]
+    cases += [("pixels", (36, p, 1.5)) for p in PIXELS]
+    cases += [("bins", (36, 96, o)) for o in OVERSAMPLINGS]
+    rows, plotted = [], dict[str, list[tuple[float, dict[str, float]]]]()
+    for kind, (views, pixels, oversampling) in cases[:: 2 if run.quick else 1]:
+        grid, raw = ImageGrid(EXTENT_M, pixels), scans(views, oversampling)
+        seconds = {
+            "BP": best(lambda r=raw, g=grid: backproject(r, g), repeats)[1],  # type: ignore[misc]
+            "FISTA": best(lambda r=raw, g=grid: sparse_recovery(r, g), max(1, repeats // 3))[1],  # type: ignore[misc]
+            "ATS": best(lambda r=raw, g=grid: fit(r, g), max(1, repeats // 3))[1],  # type: ignore[misc]
+        }
+        parts = shares(views, pixels, oversampling, repeats)
+        names = ("network and Adam", "sums over views and pixels", "products over range bins")
+        bottleneck = names[int(np.argmax(parts))]
+        shown = [f"{1e3 * v:.1f}" for v in seconds.values()]
+        bins = raw.samples.shape[1]
+        rows.append(
+            [
+                kind,
+                str(views),
+                f"{pixels} x {pixels}",
+                str(bins),
+                *shown,
+                *(f"{1000.0 * p:.2f}" for p in parts),
+                bottleneck,
+            ]
+        )
+        at = {"views": views, "pixels": pixels**2, "bins": bins}[kind]
+        plotted.setdefault(kind, []).append((float(at), seconds))
+        run.say(str(rows[-1]))
+    figures = []
+    if run.pictures:
+        for kind, found in plotted.items():
+            lines = {name: [np.log10(1e3 * s[name]) for _, s in found] for name in ("BP", "FISTA", "ATS")}
+            x = [float(np.log10(at)) for at, _ in found]
+            curves(
+                x,
+                lines,
+                (f"log10 {kind}", "log10 CPU ms"),
+                run.pictures / f"cost-{kind}.png",
+                f"Cost over {kind}",
+            )
+            figures.append(f"![Time against {kind}](../pictures/cost-{kind}.png)")
+    columns = ("varied", "views", "pixels", "bins", "BP (ms)", "FISTA (ms)", "ATS (ms)")
+    headings = (*columns, "network", "sums", "products (ms a step)", "bottleneck of ATS")
+    yield Table(headings, rows, f"One scene, best of {repeats}.", below="\n".join(figures))
+
+
+_ENGINE = """
+import pickle, resource, sys, time, numpy as np
+from tagid.geometry import ImageGrid
+from tagid.imaging.ats.adapt import fit_adapted
+from tagid.imaging.ats.fit import AtsSettings, fit
+raw, grid = pickle.load(open({scene!r}, "rb")), ImageGrid({extent}, 96)
+seconds = []
+for _ in range({repeats}):
+    used = time.process_time()
+    image = fit(raw, grid, AtsSettings(engine={engine!r})).image.values
+    seconds.append(time.process_time() - used)
+np.save({out!r}, image)
+print(min(seconds), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def engines(run: Run) -> Iterator[Table]:
+    """Both engines from the same weights: seconds, peak memory of the process, difference of the images."""
+    repeats = max(2, _repeats(run) // 3)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for views in (36, 360):
+            found, scene = {}, str(Path(folder) / "scene")
+            Path(scene).write_bytes(pickle.dumps(scans(views)))
+            for engine in ("torch", "onnx"):
+                out = str(Path(folder) / f"{engine}.npy")
+                what = {"scene": scene, "extent": EXTENT_M, "repeats": repeats, "engine": engine, "out": out}
+                code = _ENGINE.format(**what)
+                done = subprocess.run(
+                    [sys.executable, "-c", code], capture_output=True, text=True, check=True
+                )
+                seconds, megabytes = map(float, done.stdout.split())
+                found[engine] = (seconds, megabytes, np.load(out))
+            torch_s, torch_mb, torch_image = found["torch"]
+            onnx_s, onnx_mb, onnx_image = found["onnx"]
+            difference = float(np.linalg.norm(torch_image - onnx_image) / np.linalg.norm(torch_image))
+            rows.append(
+                [
+                    str(views),
+                    f"{torch_s:.2f}",
+                    f"{onnx_s:.2f}",
+                    f"{onnx_s / torch_s:.2f}",
+                    f"{torch_mb:.0f}",
+                    f"{onnx_mb:.0f}",
+                    f"{onnx_mb / torch_mb:.2f}",
+                    f"{100 * difference:.2f} %",
+                ]
+            )
+    columns = (
+        "views",
+        "torch (CPU s)",
+        "onnx (CPU s)",
+        "ratio",
+        "torch (MB)",
+        "onnx (MB)",
+        "ratio",
+        "difference",
+    )
+    yield Table(columns, rows, f"One scene, best of {repeats}.")
+
+
+SCENES = (
+    ("reflectors", "P440"),
+    ("round can", "P440"),
+    ("box", "P440"),
+    ("shell with reflectors", "P440"),
+    ("free30_c90", "full wave"),
+    ("can30_c180", "full wave"),
+)
+"""Of `heldout.py`."""
+SCENE_SEED = 8000
+
+
+def priors(run: Run) -> Iterator[Table]:
+    """What the trials of priors cost beside FISTA, and what they bring on unseen views; each scene once."""
+    run.seeds = str(SCENE_SEED)
+    rows = []
+    for family, radar in SCENES[:2] if run.quick else SCENES:
+        for views in (12, 36, 120):
+            capture, extent = capture_of(Task(family, radar, views, SCENE_SEED))
+            settings = ImagingSettings(method="ats", extent_m=extent, pixels=96, focus_m=0.0)
+            prepared = as_prepared(capture, settings)
+            prepared.choose_pulse(None)
+            raw = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched_filter=False))
+            grid = ImageGrid(extent, 96)
+            works = (
+                partial(sparse_recovery, raw, grid),
+                partial(fit, raw, grid),
+                partial(fit_adapted, raw, grid, AtsSettings()),
+            )
+            took = [once(work)[1] for work in works]
+            told = {
+                m: reconstruct(capture, replace(settings, method=m)).image.settings for m in ("sparse", "ats")
+            }
+            judged = [told[m]["held_out"]["residual"] for m in ("sparse", "ats")]
+            plain, noise = (told["ats"]["held_out"][key] for key in ("backprojection", "noise"))
+            rows.append(
+                [f"{family}, {radar}", str(views), *(f"{1e3 * t:.0f}" for t in took)]
+                + [
+                    f"{took[1] / took[0]:.1f}",
+                    f"{took[2] / took[0]:.1f}",
+                    told["ats"].get("prior", "no trial"),
+                ]
+                + [f"{100 * share:.1f}" for share in (noise, plain, *judged)]
+            )
+            run.say(str(rows[-1]))
+    columns = (
+        "scene",
+        "views",
+        "FISTA (ms)",
+        "one fit (ms)",
+        "with trials (ms)",
+        "fit / FISTA",
+        "trials / FISTA",
+        "prior",
+    )
+    yield Table((*columns, "noise (%)", "backprojection (%)", "FISTA (%)", "ATS (%)"), rows)
+
+
+def echoed(capture: Capture) -> Capture:
+    """The capture as a pulse records it that rings on: with echoes of itself 0.12 and 0.27 m later."""
+    samples = capture.samples.copy()
+    for later_m, strength in ((0.12, 0.5), (0.27, -0.3)):
+        bins = round(later_m / capture.range_step_m)
+        samples[:, bins:] += strength * capture.samples[:, :-bins]
+    return replace(capture, samples=samples)
+
+
+def pulse_estimates(run: Run) -> Iterator[Table]:
+    """Whole images with `--pulse estimate` against those without; each scene once."""
+    run.seeds = "77, and 0 of the rail"
+    rng = np.random.default_rng(77)
+    points = rng.uniform(-0.22, 0.22, (4, 2))
+    turn = {"extent_m": EXTENT_M, "pixels": 96}
+    rail, _ = rail_capture(RailCell(RAILS[0], 0, "bp"))
+    cases: list[tuple[str, Capture, dict[str, Any]]] = [
+        (f"turn, {views} views, 96 x 96", point_problem(points, views, 0.316, rng).capture, turn)
+        for views in (36, 360)
+    ]
+    cases += [
+        ("rail, 600 views, about 2.2 m", rail, {"free_extent": True, "free_pixels": True}),
+        ("rail, 600 views, 4 m, 256 x 256", rail, {"extent_m": 4.0, "pixels": 256}),
+    ]
+    rows = []
+    for name, capture, size in cases[:1] if run.quick else cases:
+        for said, recorded in (("nominal", capture), ("rings", echoed(capture))):
+            for method in ("bp", "sparse", "ats"):
+                if "256" in name and method != "bp":
+                    continue
+                settings = [ImagingSettings(method=method, pulse=p, **size) for p in ("nominal", "estimate")]
+                results, took = zip(*(once(partial(reconstruct, recorded, s)) for s in settings), strict=True)
+                estimate = results[1].pulse
+                taken = "yes" if estimate is not None and estimate.taken else "no"
+                rows.append(
+                    [name, said, method, taken, *(f"{t:.2f}" for t in took), f"{took[1] / took[0]:.1f}"]
+                )
+                run.say(str(rows[-1]))
+    yield Table(("path", "pulse", "method", "taken", "without (s)", "with estimate (s)", "ratio"), rows)
+
+
+def process(run: Run) -> Iterator[Table]:
+    """The whole process of `tagid reconstruct --method bp` on a file of 360 views."""
+    repeats = max(2, _repeats(run) // 3)
+    from tagid.storage.hdf5 import write_capture
+
+    rng = np.random.default_rng(77)
+    made: Capture = point_problem(rng.uniform(-0.22, 0.22, (4, 2)), 360, 0.316, rng).capture
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.tagid.h5"
+        write_capture(file, made)
+        command = [sys.executable, "-m", "tagid", "reconstruct", str(file), "--method", "bp"]
+        took = []
+        for _ in range(repeats):
+            start = time.perf_counter()
+            subprocess.run(command, capture_output=True, check=True)
+            took.append(time.perf_counter() - start)
+    command_line = "`tagid reconstruct FILE --method bp`, 360 views"
+    yield Table(
+        ("command", "wall (s)"), [(command_line, f"{min(took):.2f}")], f"One scene, best of {repeats}."
+    )

@@ -1,0 +1,77 @@
+"""Figures of the imaging benchmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tagid.report.axes import Axes, colour_bar
+from tagid.report.canvas import Canvas
+from tagid.report.colours import BLUE, GREEN, INK, ORANGE, colourise, to_decibels
+
+DYNAMIC_RANGE_DB = 30.0
+_COLOURS = ((140, 140, 150), BLUE, (110, 60, 160), GREEN, (170, 140, 30), ORANGE, (200, 30, 60), INK)
+
+
+def picture_grid(
+    pictures: Sequence[Sequence[np.ndarray]],
+    extents_m: Sequence[float],
+    rows: Sequence[str],
+    columns: Sequence[str],
+    path: Path,
+) -> None:
+    """Magnitudes in dB below each one's maximum: rows of scenes, columns of methods."""
+    side, gap, left, top = 150, 22, 118, 56
+    width = left + len(columns) * (side + gap) + 90
+    canvas = Canvas(width, top + len(rows) * (side + 46) + 10)
+    for j, name in enumerate(columns):
+        canvas.text((left + j * (side + gap) + side / 2, 30), name, 17, anchor="mm")
+    for i, (line, extent) in enumerate(zip(pictures, extents_m, strict=True)):
+        y = top + i * (side + 46)
+        for j, values in enumerate(line):
+            x = left + j * (side + gap)
+            axes = Axes(
+                canvas, (x, y, x + side, y + side), (-extent / 2, extent / 2), (-extent / 2, extent / 2)
+            )
+            axes.raster(colourise(to_decibels(np.abs(values), DYNAMIC_RANGE_DB)[::-1], DYNAMIC_RANGE_DB))
+            canvas.line([(x, y), (x + side, y), (x + side, y + side), (x, y + side), (x, y)], INK, 1)
+        for k, word in enumerate(_wrap(rows[i], 12)):
+            canvas.text((8, y + 14 + 20 * k), word, 16)
+        canvas.text((left, y + side + 6), f"{extent:g} m", 15)
+    x = left + len(columns) * (side + gap)
+    colour_bar(canvas, (x, top, x + 16, top + side), DYNAMIC_RANGE_DB)
+    canvas.save(path)
+
+
+def curves(
+    x: Sequence[float],
+    lines: dict[str, Sequence[float]],
+    labels: tuple[str, str],
+    path: Path,
+    title: str = "",
+) -> None:
+    """Lines with a legend over common x values."""
+    known = np.array([v for line in lines.values() for v in line if np.isfinite(v)])
+    pad = 0.05 * float(np.ptp(known)) or 1.0
+    canvas = Canvas(820, 480)
+    limits = (float(known.min()) - pad, float(known.max()) + pad)
+    axes = Axes(canvas, (100, 50, 590, 400), (float(min(x)), float(max(x))), limits)
+    axes.grid()
+    for i, (name, line) in enumerate(lines.items()):
+        colour = _COLOURS[i % len(_COLOURS)]
+        axes.curve(np.asarray(x, dtype=float), np.asarray(line, dtype=float), colour, 2.5)
+        canvas.line([(610, 70 + 28 * i), (640, 70 + 28 * i)], colour, 3)
+        canvas.text((648, 70 + 28 * i), name, 17, anchor="lm")
+    axes.frame(*labels, title)
+    canvas.save(path)
+
+
+def _wrap(text: str, width: int) -> list[str]:
+    lines = [""]
+    for word in text.split():
+        if lines[-1] and len(lines[-1]) + 1 + len(word) > width:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return lines

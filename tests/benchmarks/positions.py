@@ -1,0 +1,145 @@
+"""Accuracy of reflector positions measured in one recording.
+
+Scenes are those of identification_scenes.py; "own echoes" adds what an object itself sends back as it turns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tagid.enrolling.averaging import position_covariances
+from tagid.geometry import ImageGrid
+from tagid.imaging.autofocus import focus_axis_distance
+from tagid.simulate.scattering import Cylinder, Points
+from tagid.simulate.scene import Scene
+from tagid.tags.layouts.codebook import best_pairing
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.reflectors import refine_positions
+from tagid.tags.reading.views import fold_views
+from tests.benchmarks.identification_scenes import FIRST_SEED, Condition, Recorded, draw_scene, record_scene
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table
+
+CONDITIONS = ((36, 20), (36, 10), (36, 0), (12, 10))
+RADIUS_M = 0.18
+
+
+def with_own_echoes(scene: Scene, rng: np.random.Generator) -> Scene:
+    """The scene with a shell up to 6 mm off the tag's middle, a handle and a rim in place of its own shell.
+
+    The handle is a point of 0.1 to 0.5 of a reflector 20 to 40 mm outside the shell, the rim an arc of 20 to
+    60 degrees of points of 0.03 to 0.15 each on it.
+    """
+    assert scene.points is not None
+    radius = max(0.02, float(np.linalg.norm(scene.points.positions[:, :2], axis=1).max()) - 0.02)
+    off, turn = rng.uniform(0, 0.006), rng.uniform(0, 2 * np.pi)
+    shell = Cylinder(radius, 0.5, (off * np.cos(turn), off * np.sin(turn)))
+    at, out = rng.uniform(0, 2 * np.pi), radius + rng.uniform(0.02, 0.04)
+    handle = Points(np.array([[out * np.cos(at), out * np.sin(at)]]), np.array([rng.uniform(0.1, 0.5)]))
+    arc = rng.uniform(0, 2 * np.pi) + np.linspace(0, np.deg2rad(rng.uniform(20, 60)), 7)
+    rim = Points(radius * np.stack([np.cos(arc), np.sin(arc)], axis=-1), np.full(7, rng.uniform(0.03, 0.15)))
+    kept = tuple(body for body in scene.object if not isinstance(body, Cylinder))
+    return replace(scene, object=(*kept, shell, handle, rim))
+
+
+class Recording(NamedTuple):
+    """A recording of one object.
+
+    Attributes:
+        enrolled: the set of layouts that the object is drawn from.
+        own_echoes: whether its body echoes, too.
+        views, snr_db: of the recording.
+        number: of the object.
+        again: of the recording of that object, from 0.
+    """
+
+    enrolled: str
+    own_echoes: bool
+    views: int
+    snr_db: int
+    number: int
+    again: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors (K, 2), m, of K reflectors: after fitting turn and place, and as the scans tell them."""
+
+    made: np.ndarray
+    told: np.ndarray
+
+
+def errors(one: Recording) -> Errors:
+    """The errors of the reflectors' places in one recording."""
+    condition = Condition("tagged", one.enrolled, one.views, one.snr_db)
+    scene, name = draw_scene(condition, one.number)
+    if one.own_echoes:
+        scene = with_own_echoes(scene, np.random.default_rng([FIRST_SEED + one.number, 2]))
+    recorded: Recorded = record_scene(scene, name, condition, one.number + 1000 * one.again)
+    scans, _ = focus_axis_distance(recorded.scans, ImageGrid(0.5, 128), 0.03)
+    field = MatchedField(fold_views(scans, RADIUS_M), RADIUS_M)
+    truth = recorded.positions[:, :2]
+    found, _ = refine_positions(field, truth)
+    assert scene.points is not None
+    object_frame = scene.points.positions[:, :2]
+    pair = best_pairing(found, object_frame)
+    c, s = np.cos(pair.rotation_rad), np.sin(pair.rotation_rad)
+    left = np.empty_like(found)
+    left[pair.partner] = found @ np.array([[c, s], [-s, c]]) + pair.shift_m - object_frame[pair.partner]
+    told = position_covariances(field, found)
+    return Errors(left, np.sqrt(np.diagonal(told, axis1=1, axis2=2)))
+
+
+def accuracy(run: Run) -> Iterator[Table]:
+    """A row for every kind of object, views and SNR; then objects that are recorded again."""
+    scenes = run.number(200, 8)
+    run.seeds = f"{FIRST_SEED} on, one per scene"
+    rows = []
+    conditions = CONDITIONS[1:2] if run.quick else CONDITIONS
+    for enrolled in ("helmet-16", "mug-8"):
+        for echoes in (False, True):
+            for views, snr in conditions:
+                tasks = [Recording(enrolled, echoes, views, snr, i) for i in range(scenes)]
+                found = [*run.each(errors, tasks).values()]
+                made = np.array([one.made for one in found])
+                told = np.array([one.told for one in found])
+                # 2 K coordinates less turn and shift leave 2 K - 3.
+                lost = made.size / (made.size - 3 * len(made))
+                rms = 1e3 * np.sqrt(np.mean(made**2) * lost)
+                most = 1e3 * np.quantile(np.abs(made), 0.95) * np.sqrt(lost)
+                what = "shell off the axis, handle, rim" if echoes else "none"
+                told_mm = 1e3 * np.sqrt(np.mean(told**2))
+                rows.append((enrolled, what, views, snr, f"{rms:.2f}", f"{most:.2f}", f"{told_mm:.2f}"))
+    columns = (
+        "object",
+        "own echoes",
+        "views",
+        "SNR dB",
+        "error mm",
+        "within 95 % mm",
+        "told by the scans mm",
+    )
+    yield Table(columns, rows, f"{scenes} scenes per row.")
+    yield repeated(run, scenes // 4)
+
+
+def repeated(run: Run, scenes: int, repeats: int = 4) -> Table:
+    """Part of the error with body echoes that is unchanged when the object is repositioned."""
+    rows = []
+    for enrolled in ("helmet-16", "mug-8"):
+        tasks = [
+            Recording(enrolled, True, 36, 20, i, again) for i in range(scenes) for again in range(repeats)
+        ]
+        made = np.array([one.made for one in run.each(errors, tasks).values()])
+        made = made.reshape(scenes, repeats, *made.shape[1:])
+        mean = made.mean(axis=1, keepdims=True)
+        scatter = np.mean((made - mean) ** 2) * repeats / (repeats - 1)
+        same = np.mean(mean**2) - scatter / repeats
+        cells = [f"{1e3 * np.sqrt(max(value, 0)):.2f}" for value in (np.mean(made**2), same, scatter)]
+        rows.append((enrolled, *cells))
+    note = f"{scenes} objects of each kind with own echoes, recorded {repeats} times at 36 views and 20 dB."
+    return Table(("object", "error mm", "same in all mm", "scatter mm"), rows, note)

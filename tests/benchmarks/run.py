@@ -1,0 +1,108 @@
+"""One run of a benchmark: how much is computed, what is kept of it, and where it may write."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+SHOWN_S = 10.0
+"""Time between two lines of progress, s."""
+
+
+@dataclass
+class Run:
+    """What the command line asks for.
+
+    Attributes:
+        quick: whether a look is enough: fewer scenes, shorter times.
+        options: of this benchmark alone.
+        jobs: processes.
+        keep: file that keeps the result of every scene, so that a run can be stopped and continued.
+        folder: for files of this run, removed afterwards; `TAGID_DATA` and `TAGID_CONFIG` lie in it.
+        pictures: folder of figures; None where none are drawn.
+        scenes: of `--seeds`; None for as many as the benchmark has by itself.
+        seeds: what the page says of them; the benchmark sets it.
+        failed: whether what the benchmark tries did not hold; it sets that, too.
+    """
+
+    quick: bool
+    options: argparse.Namespace
+    jobs: int
+    keep: Path | None
+    folder: Path
+    pictures: Path | None
+    scenes: int | None = None
+    seeds: str = "none"
+    failed: bool = False
+
+    def number(self, usual: int, quick: int = 1) -> int:
+        """How many scenes: those asked for, or the usual number, or the one for a look."""
+        if self.scenes is not None:
+            return self.scenes
+        return quick if self.quick else usual
+
+    def say(self, text: str) -> None:
+        """A line of progress."""
+        print(text, file=sys.stderr, flush=True)
+
+    def each(self, work: Callable[[Job], Result], jobs: Sequence[Job]) -> dict[Job, Result]:
+        """work(job) of every job, in order; with `keep` those in the file are not done again.
+
+        A job is a tuple of JSON values; results that are dictionaries of JSON values are kept. Members of
+        later lines of one job replace those of earlier ones.
+        """
+        done: dict[Job, Any] = self._kept(work.__name__, jobs)
+        rest = [job for job in jobs if job not in done]
+        began = shown = time.monotonic()
+        with ExitStack() as stack:
+            file = None
+            if self.keep is not None:
+                self.keep.parent.mkdir(parents=True, exist_ok=True)
+                file = stack.enter_context(self.keep.open("a"))
+            for number, (job, result) in enumerate(zip(rest, self._results(work, rest, stack), strict=True)):
+                done[job] = result
+                if file is not None and isinstance(result, dict):
+                    print(
+                        json.dumps({"work": work.__name__, "job": job, "found": result}),
+                        file=file,
+                        flush=True,
+                    )
+                now = time.monotonic()
+                if now - shown > SHOWN_S:
+                    left = (now - began) / (number + 1) * (len(rest) - number - 1) / 60
+                    self.say(f"{work.__name__}: {number + 1} of {len(rest)}, {left:.1f} minutes more")
+                    shown = now
+        return {job: done[job] for job in jobs}
+
+    def _results(
+        self, work: Callable[[Job], Result], jobs: Sequence[Job], stack: ExitStack
+    ) -> Iterator[Result]:
+        if self.jobs < 2:
+            return map(work, jobs)
+        return stack.enter_context(multiprocessing.get_context("spawn").Pool(self.jobs)).imap(work, jobs)
+
+    def _kept(self, name: str, jobs: Sequence[Job]) -> dict[Job, Any]:
+        """Results of the file, of these jobs."""
+        done: dict[Job, Any] = {}
+        if self.keep is None or not self.keep.exists():
+            return done
+        by_key = {json.dumps(job): job for job in jobs}
+        for line in self.keep.read_text().splitlines():
+            try:
+                entry = json.loads(line)
+            except ValueError:  # the last line of a run that was stopped
+                continue
+            job = by_key.get(json.dumps(entry["job"]))
+            if entry["work"] == name and job is not None:
+                done[job] = {**done.get(job, {}), **entry["found"]}
+        return done
