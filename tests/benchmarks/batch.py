@@ -99,7 +99,7 @@ class Meter:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What is read."""
-    parser.add_argument("--items", type=int, help="captures; 10000, or 100 for a look")
+    parser.add_argument("--items", type=int, help="captures; 600, or 20 for a look")
     parser.add_argument("--views", type=int, default=12)
     parser.add_argument("--workers", type=int, default=cores())
 
@@ -107,7 +107,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def report(run: Run) -> Iterator[Table]:
     """A row for each tenth of the run."""
     given = run.options
-    items = given.items or (100 if run.quick else 10_000)
+    items = given.items or (20 if run.quick else 600)
     run.seeds = "0 to 39, one per scene"
     enrolled = RegistryContents(1, list(builtin_layouts().values()), [])
     job = Job(ReadingSetup(LoadSettings.of(load_config()), ImagingSettings(method="bp"), enrolled))

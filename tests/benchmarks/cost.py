@@ -311,7 +311,8 @@ def priors(run: Run) -> Iterator[Table]:
         "trials / FISTA",
         "prior",
     )
-    yield Table((*columns, "noise (%)", "backprojection (%)", "FISTA (%)", "ATS (%)"), rows)
+    headings = (*columns, "noise (%)", "backprojection (%)", "FISTA (%)", "ATS (%)")
+    yield Table(headings, rows, shown=lambda row: row[1] == "36")
 
 
 def echoed(capture: Capture) -> Capture:
@@ -352,7 +353,8 @@ def pulse_estimates(run: Run) -> Iterator[Table]:
                     [name, said, method, taken, *(f"{t:.2f}" for t in took), f"{took[1] / took[0]:.1f}"]
                 )
                 run.say(str(rows[-1]))
-    yield Table(("path", "pulse", "method", "taken", "without (s)", "with estimate (s)", "ratio"), rows)
+    columns = ("path", "pulse", "method", "taken", "without (s)", "with estimate (s)", "ratio")
+    yield Table(columns, rows, shown=lambda row: str(row[0]).startswith("turn, 36 views"))
 
 
 def process(run: Run) -> Iterator[Table]:

@@ -5,7 +5,7 @@ beside the checkout (or where TAGID_SHARED points), through that folder's own `s
 reflector (`tagid.simulate.snr`) in both.
 
 Seeds come in two populations. "development" is for choosing constants. "sealed" is for reporting: nothing may
-be chosen on it, continuous integration does not run it, and SEALED_SHA256 shows that its seeds are unchanged.
+be chosen on it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import zlib
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from types import ModuleType
 from typing import Any
@@ -34,7 +34,6 @@ from tagid.simulate import (
 )
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
-from tagid.simulate.scatterers import Mounted
 from tagid.simulate.scene import Scene, StaticReturns
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
@@ -42,8 +41,6 @@ from tests.benchmarks.identification_scenes import SETS
 from tests.benchmarks.provenance import SHARED
 
 POPULATIONS = {"development": "reading-bodies/development/1", "sealed": "reading-bodies/sealed/1"}
-SEALED_SHA256 = "e36cbbdfc43a76241d73851e75f6b64cca0d653cc42d26e941d57e9a8441107d"
-"""SHA-256 of the first 10,000 sealed seeds in decimal, one per line."""
 
 BODIES = ("none", "cup", "cup-handle", "can", "helmet", "box")
 FULL_WAVE_BODIES = ("none", "can", "helmet")
@@ -51,7 +48,6 @@ OFFSETS_MM = (0, 2, 6, 10)
 SNRS_DB = (20, 10, 5, 0)
 VIEWS = (72, 36, 18, 12)
 PULSES = ("nominal", "measured")
-GROUPS = ("tagged", "foreign", "untagged")
 APART_M = 0.012
 """Nearer than this in RMS, a foreign tag counts as the enrolled one: enrolment calls them confusable."""
 
@@ -80,7 +76,7 @@ class Cell:
 
     Attributes:
         world: "own" or "full-wave".
-        group: one of GROUPS.
+        group: tagged, foreign or untagged.
         enrolled: name of the set of enrolled layouts.
         body: one of BODIES.
         offset_mm: distance of the object from the rotation axis, in a random direction.
@@ -112,12 +108,6 @@ def seed_of(population: str, number: int) -> int:
     """The seed of a scene: the first 8 bytes of a hash of the population's key and the number."""
     digest = hashlib.sha256(f"{POPULATIONS[population]}/{number}".encode()).digest()
     return int.from_bytes(digest[:8], "big")
-
-
-def sealed_hash() -> str:
-    """SHA-256 of the first 10,000 sealed seeds."""
-    seeds = "\n".join(str(seed_of("sealed", number)) for number in range(10_000))
-    return hashlib.sha256(seeds.encode()).hexdigest()
 
 
 def draw(cell: Cell, population: str, number: int) -> Drawn:
@@ -268,37 +258,10 @@ class OwnRecording:
     acquisition: Acquisition
     seed: int
 
-    @property
-    def name(self) -> str:
-        """Of the layout that it carries; empty for none."""
-        return self.made.name
-
-    @property
-    def reflectors(self) -> int:
-        """Their number."""
-        return len(self.made.positions)
-
 
 def _own_recording(cell: Cell, rng: np.random.Generator) -> OwnRecording:
     made, scene = _standing(cell, rng)
     return OwnRecording(made, scene, _acquisition(cell, rng), int(rng.integers(2**32)))
-
-
-def own_recording(cell: Cell, population: str, number: int) -> OwnRecording:
-    """The recording of an own cell before it is made, as `draw` makes it."""
-    return _own_recording(cell, _generator(cell, population, number))
-
-
-def alike(own: OwnRecording, count: int) -> tuple[Mounted, ...]:
-    """Single reflectors of nominal strength all around an object's tag, at its mean radius and height."""
-    places = own.made.positions[np.hypot(*own.made.positions[:, :2].T) > 0.01]
-    radius, height = np.hypot(*places[:, :2].T).mean(), places[:, 2].mean()
-    angles = 2 * np.pi * np.arange(count) / count
-    around = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, height)], axis=1)
-    even = replace(own.made, variation=replace(own.made.variation, strength_db=0.0))
-    tag = _scene(even, "tagged", around, np.random.default_rng(0)).object[0]
-    assert isinstance(tag, Mounted)
-    return tuple(tag.single(i) for i in range(count))
 
 
 def _acquisition(cell: Cell, rng: np.random.Generator) -> Acquisition:

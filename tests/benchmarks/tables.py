@@ -45,11 +45,11 @@ class Table:
         """Whether it is a CSV file."""
         return len(self.rows) > LONG
 
-    def markdown(self, rows: Sequence[Row] | None = None) -> str:
-        """The table, or these rows of it, between its notes."""
+    def markdown(self, rows: Sequence[Row] | None = None, link: str = "") -> str:
+        """The table, or these rows of it and a link to all, between its notes."""
         some = self.rows if rows is None else rows
         lines = [markdown(self.columns), "|" + "---|" * len(self.columns), *map(markdown, some)]
-        parts = [self.note, "\n".join(lines) if some else "", self.below]
+        parts = [self.note, "\n".join(lines) if some else "", link, self.below]
         return "\n\n".join(part.strip() for part in parts if part.strip())
 
     def on_page(self, file: str) -> str:
@@ -57,8 +57,7 @@ class Table:
         if not self.long:
             return self.markdown()
         some = [] if self.shown is None else [row for row in self.rows if self.shown(row)]
-        link = f"All {len(self.rows)} rows: [{file}]({file})."
-        return f"{self.markdown(some)}\n\n{link}"
+        return self.markdown(some, f"All {len(self.rows)} rows: [{file}]({file}).")
 
 
 def markdown(cells: Iterable[object]) -> str:

@@ -39,7 +39,7 @@ the load of that moment; processor time over cores is that of an idle machine.""
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Size of what is timed."""
     parser.add_argument("--heights", type=int, help="of the antenna; 100, or 4 for a look")
-    parser.add_argument("--levels", type=int, help="of the volume; 100, or 4 for a look")
+    parser.add_argument("--levels", type=int, help="of the volume; 100, or 20 for a look")
 
 
 def scene(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -113,7 +113,7 @@ def predicted(run: Run) -> Iterator[Table]:
 def _recorded(run: Run) -> tuple[Capture, VolumeGrid, str]:
     """What is timed: the joined turns, the volume, and a note of their size."""
     heights = run.options.heights or run.number(100, 4)
-    levels = run.options.levels or run.number(100, 4)
+    levels = run.options.levels or run.number(100, 20)
     run.seeds = "none drawn"
     angles = np.arange(360) * 2 * np.pi / 360
     capture = join(
@@ -132,11 +132,12 @@ def _settings(matched: bool) -> PreprocessSettings:
 
 
 def _worst_place_mm(values: np.ndarray, grid: VolumeGrid) -> float:
-    """Largest distance of a point from the brightest voxel within 3 cm, mm."""
+    """Largest distance of a point from the brightest voxel within 3 cm, or two levels, mm."""
+    reach = max(0.03, 2 * float(grid.heights[1] - grid.heights[0]))
     places, magnitude = grid.points(), np.abs(values).ravel()
     errors = []
     for point in POINTS:
-        near = np.flatnonzero(np.linalg.norm(places - point, axis=1) < 0.03)
+        near = np.flatnonzero(np.linalg.norm(places - point, axis=1) < reach)
         errors.append(1e3 * float(np.linalg.norm(places[near[np.argmax(magnitude[near])]] - point)))
     return max(errors)
 
