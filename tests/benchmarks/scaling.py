@@ -83,14 +83,14 @@ def rate(runner: Runner, sources: list[Source], job: Job) -> tuple[float, float]
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What is read."""
-    parser.add_argument("--items", type=int, help="captures; 80, or 20 for a look")
+    parser.add_argument("--items", type=int, help="captures; 40, or 8 for a look")
     parser.add_argument("--views", type=int, default=36)
 
 
 def workers(run: Run) -> Iterator[Table]:
     """A row for one and two workers, here and on a cluster."""
     given, repeats = run.options, run.number(3)
-    items = given.items or (20 if run.quick else 80)
+    items = given.items or (8 if run.quick else 40)
     run.seeds = "0, 1, 2, ... (one per capture)"
     enrolled = RegistryContents(1, list(builtin_layouts().values()), [])
     job = Job(ReadingSetup(LoadSettings.of(load_config()), ImagingSettings(method="bp"), enrolled))
