@@ -101,6 +101,8 @@ def run(one: Benchmark, words: list[str], folder: Path) -> int:
         print(f"stopped{kept}", file=sys.stderr)
         return 130
     made[-1] = made[-1].replace("SEEDS", asked.seeds)
+    if asked.commits:
+        made[0] = f"{made[0].rpartition('Commit: ')[0]}Commit: {', '.join(sorted(asked.commits))}."
     print("\n" + "\n".join(made), flush=True)
     print(f"{(time.monotonic() - began) / 60:.1f} minutes", file=sys.stderr)
     if given.write:

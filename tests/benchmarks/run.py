@@ -9,9 +9,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
+
+from tests.benchmarks.provenance import commit
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -32,6 +34,7 @@ class Run:
         pictures: folder of figures; None where none are drawn.
         scenes: of `--seeds`; None for as many as the benchmark has by itself.
         seeds: what the page says of them; the benchmark sets it.
+        commits: that kept results were made at, where they are not all of this run.
         failed: whether what the benchmark tries did not hold; it sets that, too.
     """
 
@@ -43,6 +46,7 @@ class Run:
     pictures: Path | None
     scenes: int | None = None
     seeds: str = "none"
+    commits: set[str] = field(default_factory=set)
     failed: bool = False
 
     def number(self, usual: int, quick: int = 1) -> int:
@@ -62,21 +66,22 @@ class Run:
         later lines of one job replace those of earlier ones.
         """
         done: dict[Job, Any] = self._kept(work.__name__, jobs)
+        here = commit() if self.keep else ""
         rest = [job for job in jobs if job not in done]
         began = shown = time.monotonic()
         with ExitStack() as stack:
             file = None
             if self.keep is not None:
                 self.keep.parent.mkdir(parents=True, exist_ok=True)
-                file = stack.enter_context(self.keep.open("a"))
+                file = stack.enter_context(self.keep.open("a+"))
+                if file.tell() and not self.keep.read_text().endswith("\n"):
+                    print(file=file)  # after the last line of a run that was stopped
             for number, (job, result) in enumerate(zip(rest, self._results(work, rest, stack), strict=True)):
                 done[job] = result
                 if file is not None and isinstance(result, dict):
-                    print(
-                        json.dumps({"work": work.__name__, "job": job, "found": result}),
-                        file=file,
-                        flush=True,
-                    )
+                    self.commits.add(here)
+                    entry = {"work": work.__name__, "commit": here, "job": job, "found": result}
+                    print(json.dumps(entry), file=file, flush=True)
                 now = time.monotonic()
                 if now - shown > SHOWN_S:
                     left = (now - began) / (number + 1) * (len(rest) - number - 1) / 60
@@ -105,4 +110,5 @@ class Run:
             job = by_key.get(json.dumps(entry["job"]))
             if entry["work"] == name and job is not None:
                 done[job] = {**done.get(job, {}), **entry["found"]}
+                self.commits.add(entry["commit"])
         return done
