@@ -18,7 +18,7 @@ import numpy as np
 from tagid.batch.inputs import collect
 from tagid.batch.job import Job
 from tagid.batch.local import Results, Tasks, cores, run_local
-from tagid.batch.run import Plan, run_batch
+from tagid.batch.run import BatchPlan, run_batch
 from tagid.config import load_config
 from tagid.enrolling.registry import RegistryContents
 from tagid.operate.turn import ReadingSetup
@@ -117,7 +117,7 @@ def report(run: Run) -> Iterator[Table]:
     meter = Meter(items, given.workers)
     began = time.perf_counter()
     out = run.folder / "report"
-    finished = run_batch(Plan(collect([str(folder)]), out), job, meter)
+    finished = run_batch(BatchPlan(collect([str(folder)]), out), job, meter)
     total = time.perf_counter() - began
     page = (out / "report.html").stat().st_size / 1e6
     (first, first_cpu), (last, last_cpu) = meter.rates[0], meter.rates[-1]
