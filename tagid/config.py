@@ -14,7 +14,9 @@ from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
+from tagid.counting import meant
 from tagid.errors import ConfigError, FileFormatError, TagidError, displayable
+from tagid.query import UNITS, quantity
 from tagid.secret import MotionUrl, Secret
 
 Source = Literal["command line", "environment", "file", "default"]
@@ -51,6 +53,11 @@ class Setting:
     def variable(self) -> str:
         """Name of its environment variable."""
         return "TAGID_" + self.name.upper().replace(".", "_")
+
+    @property
+    def unit(self) -> str:
+        """Its unit, with which its name ends, e.g. "m"; "" without one."""
+        return self.name.rpartition("_")[2] if self.kind is float else ""
 
 
 SETTINGS: tuple[Setting, ...] = (
@@ -177,23 +184,31 @@ def data_folder() -> Path:
     return Path(platformdirs.user_data_dir("tagid"))
 
 
+def setting_named(name: str, where: str) -> Setting:
+    """The setting of a dotted name. Raises ConfigError with the place where an unknown one was named."""
+    if name not in _BY_NAME:
+        raise ConfigError(
+            f"{where}: unknown setting {name!r}",
+            f"{meant(name, _BY_NAME)}`tagid config` lists all settings.",
+        )
+    return _BY_NAME[name]
+
+
 def parse_value(name: str, raw: Any, where: str) -> Any:
     """Check and convert one value. Raises ConfigError naming the setting, the place and the bounds."""
-    setting = _BY_NAME.get(name)
-    if setting is None:
-        from difflib import get_close_matches
-
-        meant = "".join(f"Did you mean {near}? " for near in get_close_matches(name, _BY_NAME, 1))
-        raise ConfigError(f"{where}: unknown setting {name!r}", f"{meant}`tagid config` lists all settings.")
+    setting = setting_named(name, where)
     if setting.kind not in (int, float) and isinstance(raw, list):
         raw = ",".join(map(str, raw))  # a TOML list, for which the command line has commas
     try:
-        value: Any = setting.kind(raw)
+        in_text = setting.kind is float and isinstance(raw, str)
+        value: Any = quantity(raw, setting.unit) if in_text else setting.kind(raw)
         if setting.kind is int and float(raw) != value:
             raise ValueError
     except (TypeError, ValueError, OverflowError):
         kind = "a whole number" if setting.kind is int else "a number"
-        raise ConfigError(f"{where}: {name} is {raw!r:.60}, expected {kind}", _another(setting)) from None
+        if setting.unit in UNITS:
+            kind += f", in {setting.unit} or with its unit: {', '.join(UNITS[setting.unit])}"
+        raise ConfigError(f"{where}: {name} is {raw!r:.60}, not a number", _another(setting, kind)) from None
     if name == "motion.axis_distance_m" and IMPLAUSIBLE_AXIS_M <= value < inf:
         raise ConfigError(
             f"{where}: {name} is {value:g}. {value:g} m? Give metres",
@@ -201,18 +216,20 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
         )
     if setting.low is not None and setting.high is not None and not setting.low <= value <= setting.high:
         raise ConfigError(
-            f"{where}: {name} is {value}, expected {setting.low:g} to {setting.high:g}", _another(setting)
+            f"{where}: {name} is {value}, expected {setting.low:g} to {setting.high:g}",
+            _another(setting, "a value in this range"),
         )
     if setting.choices and value not in setting.choices:
         raise ConfigError(
-            f"{where}: {name} is {value!r}, expected one of {', '.join(setting.choices)}", _another(setting)
+            f"{where}: {name} is {value!r}, expected one of {', '.join(setting.choices)}",
+            _another(setting, "one of these"),
         )
     return value
 
 
-def _another(setting: Setting) -> str:
+def _another(setting: Setting, what: str) -> str:
     """What to do about a value that cannot be."""
-    return f"Give another value: {setting.help}."
+    return f"Give {what} ({setting.help})."
 
 
 @contextmanager

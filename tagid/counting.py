@@ -1,4 +1,4 @@
-"""Numbers of things in sentences."""
+"""Numbers of things in sentences, and names that were meant."""
 
 from __future__ import annotations
 
@@ -12,6 +12,17 @@ def counted(count: int, thing: str) -> str:
     ('1 view', '0 views', '2 recordings')
     """
     return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
+
+
+def meant(name: str, names: Iterable[str]) -> str:
+    """The question for the name that is nearest to an unknown one, with a blank after it; "" if none is near.
+
+    >>> meant("helmet120", ["helmet-120", "mine-01"]), meant("x", ["helmet-120"])
+    ('Did you mean helmet-120? ', '')
+    """
+    from difflib import get_close_matches
+
+    return "".join(f"Did you mean {near}? " for near in get_close_matches(name[:80], list(names), 1))
 
 
 def runs(numbers: Iterable[int]) -> str:

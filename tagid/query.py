@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from typing import Final, overload
 
@@ -10,6 +11,30 @@ from tagid.errors import UsageError
 
 MAX_SEED: Final = 2**53
 """Largest seed: beyond it, a number in a URL is not read exactly."""
+
+UNITS: Final = {
+    "m": {"m": 1.0, "cm": 100.0, "mm": 1000.0},
+    "mm": {"mm": 1.0, "cm": 0.1, "m": 1e-3},
+    "s": {"s": 1.0, "ms": 1000.0, "min": 1 / 60},
+    "ps": {"ps": 1.0, "ns": 1e-3},
+    "ns": {"ns": 1.0, "ps": 1000.0},
+}
+"""How many of each unit make one of the unit in which a value is stored."""
+_NUMBER_AND_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([a-z]+)\s*")
+
+
+def quantity(text: str, unit: str) -> float:
+    """A number in a unit, from text that may state another unit of its kind.
+
+    Raises ValueError for other text.
+
+    >>> quantity("100cm", "m"), quantity("0.35", "m"), quantity("8 ns", "ps")
+    (1.0, 0.35, 8000.0)
+    """
+    stated = _NUMBER_AND_UNIT.fullmatch(text)
+    if stated and stated[2] in UNITS.get(unit, {}):
+        return float(stated[1]) / UNITS[unit][stated[2]]
+    return float(text)
 
 
 class Query(ABC):
@@ -64,13 +89,13 @@ class Query(ABC):
 
 
 def parse_point(option: str, text: str) -> tuple[float, float]:
-    """Two numbers, e.g. X,Y in metres, from the text of an option. Raises UsageError.
+    """Two lengths, m, from the text of an option. Raises UsageError.
 
-    >>> parse_point("--centre", "0.004,-0.002")
+    >>> parse_point("--centre", "0.004,-2mm")
     (0.004, -0.002)
     """
     try:
-        x, y = (float(part) for part in text.split(","))
+        x, y = (quantity(part, "m") for part in text.split(","))
     except ValueError:
         x = y = math.nan
     if not (math.isfinite(x) and math.isfinite(y)):

@@ -202,13 +202,13 @@ def render(result: Result, output: str, quiet: bool = False) -> None:
         console = Console(highlight=False)
         # rich itself ends the program where stdout is a closed pipe.
         with console.capture() as drawn:
-            # What may not be wrapped, such as a URL to be copied, is not cropped either.
-            console.print(Redrawn(result.human, visible), crop=False)
+            # A command, a path or a URL is to be copied: only the terminal itself wraps a line.
+            console.print(Redrawn(result.human, visible), soft_wrap=True)
         sys.stdout.write(drawn.get())
         sys.stdout.flush()
     if not quiet:
         for message in result.messages:
-            err.print(Text(f"note: {visible(message)}", style="yellow"))
+            err.print(Text(f"note: {visible(message)}", style="yellow"), soft_wrap=True)
     for problem in result.errors:
         err.print(Text.assemble(("error: ", "bold red"), visible(problem.message)), soft_wrap=True)
         if problem.remedy:

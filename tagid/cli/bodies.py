@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tagid.cli import enrolling
 from tagid.cli.frame import Terminal, command, group_command
 from tagid.cli.outputs import check_drawing
 from tagid.counting import counted
@@ -21,24 +22,20 @@ if TYPE_CHECKING:
 @group_command("bodies")
 def bodies(
     terminal: Terminal,
-    remove: Annotated[
-        str | None, typer.Option("--remove", help="Remove this body; its history is kept.")
-    ] = None,
+    remove: Annotated[str | None, typer.Option("--remove", hidden=True)] = None,
 ) -> Result:
     """List, draw and check enrolled bodies and objects; without a command, list them.
 
     Example: tagid bodies
     """
-    from rich.table import Table
     from rich.text import Text
 
+    from tagid.cli.table import Table
     from tagid.operate.workplace import open_registry
 
+    if remove:  # until 0.3: `bodies remove`
+        return _removed("bodies", remove)
     registry = open_registry()
-    if remove:
-        version = registry.remove_signature("body", remove, "tagid bodies --remove")
-        line = Text(f"{remove} removed; its history is kept (registry version {version})")
-        return Result("bodies", {"removed": remove, "registry_version": version}, line)
     contents = registry.contents()
     table = Table(box=None)
     for head in ("kind", "name", "radius mm", "turning dB", "error %", "captures", "label"):
@@ -61,6 +58,30 @@ def bodies(
     }
     empty = Text("nothing is enrolled; see `tagid enroll --body NAME FILES`")
     return Result("bodies", data, table if contents.signatures else empty)
+
+
+@command("bodies remove")
+def remove(
+    terminal: Terminal,
+    name: Annotated[str, typer.Argument(help="Name of the body.")],
+    yes: enrolling.Yes = False,
+) -> Result:
+    """Remove a body; its history is kept, and `tagid layouts undo` restores it.
+
+    Example: tagid bodies remove mug
+    """
+    enrolling.agree(terminal, f"Tags on {name} will be read without its echo.", f"Remove {name}?", yes)
+    return _removed("bodies remove", name)
+
+
+def _removed(command: str, name: str) -> Result:
+    from rich.text import Text
+
+    from tagid.operate.workplace import open_registry
+
+    version = open_registry().remove_signature("body", name, "tagid bodies remove")
+    line = Text(f"{name} removed; its history is kept (registry version {version})")
+    return Result(command, {"removed": name, "registry_version": version}, line)
 
 
 @command("bodies show")
@@ -108,9 +129,9 @@ def check(terminal: Terminal) -> Result:
     Example: tagid bodies check
     """
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
 
+    from tagid.cli.table import Table
     from tagid.operate.workplace import open_registry
     from tagid.tags.bodies.likeness import compare
 
@@ -146,7 +167,7 @@ def check(terminal: Terminal) -> Result:
     error = LayoutConflictError(
         f"{counted(len(bad), 'pair')} of enrolled objects cannot be distinguished: "
         + ", ".join(f"{p.first} and {p.second}" for p in bad),
-        "Remove one of each pair with `tagid layouts --remove NAME`, or change its tag.",
+        "Remove one of each pair with `tagid layouts remove NAME`, or change its tag.",
     )
     return Result.from_error("bodies check", error, data, human, notes)
 

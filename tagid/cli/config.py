@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tagid.cli.frame import Terminal, command
-from tagid.config import SETTINGS, change_file, load_config, parse_value
+from tagid.config import SETTINGS, change_file, load_config, parse_value, setting_named
+from tagid.counting import meant
 from tagid.errors import UsageError
 from tagid.result import Result
 from tagid.secret import Secret
@@ -23,10 +24,10 @@ _LEAST_MEANING = 28
 """Columns that the meaning of a setting needs beside the others, their gaps included."""
 
 
-@command("config")
+@command("config", negative_arguments=True)
 def config(
     terminal: Terminal,
-    action: Annotated[str, typer.Argument(help="list, set, unset or path.")] = "list",
+    action: Annotated[str, typer.Argument(help="show, set, unset or path.")] = "show",
     name: Annotated[str | None, typer.Argument(help="A setting, e.g. radar.url.")] = None,
     value: Annotated[str | None, typer.Argument(help="The new value.")] = None,
 ) -> Result:
@@ -36,6 +37,9 @@ def config(
     """
     from rich.text import Text
 
+    for word in (action, name, value):
+        if word is not None and word.startswith("-") and not word[1:2].isdigit():
+            raise UsageError(f"No such option: {word}", "`tagid config -h` shows the options.")
     if action in ("set", "unset"):
         if name is None or (value is None) != (action == "unset"):
             raise UsageError(
@@ -46,15 +50,23 @@ def config(
             _check_url(name, value)
         path = change_file(name, value)
         parsed = None if value is None else parse_value(name, value, "command line")
-        shown = str(parsed) if isinstance(parsed, Secret) else value
+        in_its_unit = isinstance(parsed, float) and value is not None and value[-1:].isalpha()
+        shown = str(parsed) if isinstance(parsed, Secret) or in_its_unit else value
         text = f"{name} = {shown}" if value is not None else f"{name} reset to its default"
         return Result("config", {"path": str(path), name: shown}, Text(f"{text} ({path})"))
     loaded = load_config()
     if action == "path":
         return Result("config", {"path": str(loaded.path)}, Text(str(loaded.path)))
-    if action != "list":
-        raise UsageError(f"unknown action {action!r}", "Use list, set, unset or path.")
-    rows = [_Row(setting.name, loaded.values[setting.name], setting.help) for setting in SETTINGS]
+    if action not in ("show", "list"):
+        actions = ("show", "set", "unset", "path")
+        raise UsageError(f"unknown action {action!r}", f"{meant(action, actions)}Use {', '.join(actions)}.")
+    if name is not None:
+        setting_named(name, "command line")
+    rows = [
+        _Row(setting.name, loaded.values[setting.name], setting.help)
+        for setting in SETTINGS
+        if name in (None, setting.name)
+    ]
     data = {
         "path": str(loaded.path),
         "settings": {
@@ -89,8 +101,9 @@ class _Listing:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         from rich.padding import Padding
-        from rich.table import Table
         from rich.text import Text
+
+        from tagid.cli.table import Table
 
         columns = (
             [r.name for r in self.rows],

@@ -17,24 +17,24 @@ def doctor(terminal: Terminal, radar: options.RadarUrl = None) -> Result:
 
     Example: tagid doctor --radar udp://192.168.1.100
     """
-    from rich.table import Table
     from rich.text import Text
 
     from tagid.doctor import examine
 
     findings = examine(load_config({"radar.url": radar}))
     styles = {"ok": "green", "warning": "yellow", "problem": "bold red"}
-    table = Table(box=None, show_header=False)
+    text = Text()
     for finding in findings:
-        text = Text(finding.text)
+        text.append(f"{finding.level:8}", style=styles[finding.level])
+        text.append(f" {finding.topic:14} {finding.text}\n")
         if finding.remedy:
-            text.append(f"\n-> {finding.remedy}", style="bold")
-        table.add_row(Text(finding.level, style=styles[finding.level]), finding.topic, text)
+            text.append(f"         -> {finding.remedy}\n", style="bold")
+    text.rstrip()
     problems = sum(finding.level == "problem" for finding in findings)
     return Result(
         "doctor",
         {"findings": [asdict(finding) for finding in findings], "problems": problems},
-        table,
+        text,
         exit_code=EXIT_FAILED if problems else EXIT_OK,
         errors=tuple(
             Problem("doctor", f"{f.topic}: {f.text}", f.remedy)

@@ -16,6 +16,7 @@ from tagid.cli.frame import Terminal, command
 from tagid.cli.options import SceneOptions
 from tagid.cli.outputs import check_own
 from tagid.cli.truth import is_truth
+from tagid.cli.units import PICOSECONDS
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -58,7 +59,9 @@ class _SceneOptions(SceneOptions):
     ] = False
     cable_delay: Annotated[
         float,
-        typer.Option("--cable-delay", min=-1e07, max=1e07, help="Delay of the emulated cables, ps."),
+        typer.Option(
+            "--cable-delay", parser=PICOSECONDS, min=-1e07, max=1e07, help="Delay of the emulated cables, ps."
+        ),
     ] = 0.0
 
 

@@ -16,6 +16,7 @@ import typer
 from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command, next_command
+from tagid.cli.units import MILLIMETRES
 from tagid.errors import DeviceError, UsageError
 from tagid.result import Result
 from tagid.workers import Worker
@@ -53,7 +54,8 @@ def roomba(
     ] = None,
     baud: Annotated[int, typer.Option("--baud", min=0, max=10000000, help="Baud rate of the port.")] = 115200,
     wheel_base: Annotated[
-        float, typer.Option("--wheel-base", min=1, max=100000, help="True wheel base, mm.")
+        float,
+        typer.Option("--wheel-base", parser=MILLIMETRES, min=1, max=100000, help="True wheel base, mm."),
     ] = 243.0,
     slip: Annotated[
         float,
@@ -180,7 +182,7 @@ def serve(terminal: Terminal, name: str, facts: dict[str, Any], *workers: Worker
 
     stop = threading.Event()
     with interrupts.asked_to_stop(stop.set):
-        announce(terminal, name, facts, "tagid motion info {}")
+        announce(terminal, name, facts, "tagid motion info --motion {}")
         while not stop.wait(_LOOK_S):
             for worker in workers:
                 raise_failure(worker)

@@ -11,6 +11,7 @@ import typer
 
 from tagid.cli import enrolling, options
 from tagid.cli.frame import Terminal, command
+from tagid.cli.units import METRES
 from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import RegistryError, UsageError
@@ -83,7 +84,10 @@ def enroll(
     sigma: Annotated[
         float | None,
         typer.Option(
-            "--sigma", help="Standard deviation of the --point coordinates, metres.", show_default=False
+            "--sigma",
+            parser=METRES,
+            help="Standard deviation of the --point coordinates, metres.",
+            show_default=False,
         ),
     ] = None,
     kind: Annotated[

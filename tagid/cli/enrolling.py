@@ -16,6 +16,7 @@ from tagid.cli.consent import can_ask, confirm
 from tagid.cli.frame import Output, Terminal
 from tagid.config import load_config
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
+from tagid.query import quantity
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def antenna_heights() -> tuple[float, ...]:
 def parse_antenna_heights(text: str) -> tuple[float, ...]:
     """Antenna heights, m, of comma-separated numbers; (0,) for an empty text. Raises UsageError."""
     try:
-        return tuple(float(part) for part in text.split(",")) if text.strip() else (0.0,)
+        return tuple(quantity(part, "m") for part in text.split(",")) if text.strip() else (0.0,)
     except ValueError:
         raise UsageError(
             f"the antenna heights are {text[:80]!r}", "Give metres separated by commas, e.g. 0,0.15,0.3."
@@ -77,8 +78,9 @@ def about(outlook: Outlook) -> str:
 def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
     """The nearest enrolled layouts to one, as a table."""
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
+
+    from tagid.cli.table import Table
 
     if not outlook.neighbours:
         return Text("no other layout is enrolled")
@@ -106,8 +108,9 @@ def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
 def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
     """The nearest other layout to each of several, as a table."""
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
+
+    from tagid.cli.table import Table
 
     table = Table(box=None)
     for head in ("layout", "nearest", "worst mm", "not told apart", "remark"):

@@ -105,12 +105,14 @@ class Command:
         run: takes the options, runs the command and raises typer.Exit.
         help: of the function; of a group the command that runs without another.
         is_group: whether it runs when the group of its name is called without a command.
+        negative_arguments: whether -1 is an argument; the command must then refuse unknown options itself.
     """
 
     name: str
     run: Callable[..., None]
     help: str
     is_group: bool = False
+    negative_arguments: bool = False
 
     def add_to(self, app: typer.Typer) -> None:
         """Register it with an app, which is its group's if it has one."""
@@ -118,7 +120,12 @@ class Command:
             app.callback(invoke_without_command=True, help=self.help)(self.run)
         else:
             first = self.help.partition("\n\n")[0]
-            app.command(self.name.rpartition(" ")[2], help=self.help, short_help=first)(self.run)
+            app.command(
+                self.name.rpartition(" ")[2],
+                help=self.help,
+                short_help=first,
+                context_settings={"ignore_unknown_options": self.negative_arguments},
+            )(self.run)
 
 
 _COMMANDS: dict[str, list[Command]] = {}
@@ -132,17 +139,19 @@ def commands_of(module: str) -> list[Command]:
 
 
 def command(
-    name: str, formats: type[StrEnum] = Output
+    name: str, formats: type[StrEnum] = Output, negative_arguments: bool = False
 ) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Declare a function `(terminal, ...) -> Result` as a command with the common options added.
 
     A parameter whose type is a dataclass stands for options declared as its fields.
-    `formats` are the choices of --output: "human", "json" and, if the result has one, "csv".
+    `formats` are the choices of --output: "human", "json" and, if the result has one, "csv". For
+    `negative_arguments` see `Command`.
     """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         run = _with_common_options(name, function, formats)
-        _declare(Command(name, run, _help_of(function)), function)
+        declared = Command(name, run, _help_of(function), negative_arguments=negative_arguments)
+        _declare(declared, function)
         return function
 
     return decorate
@@ -247,8 +256,15 @@ def _accepted(name: str, option: OptionInfo | None, value: Any) -> Any:
         return value
     if isinstance(value, list):
         return [_accepted(name, option, item) for item in value]
-    if isinstance(value, float) and math.isnan(value) and (option.min, option.max) != (None, None):
-        raise UsageError(f"--{name.replace('_', '-')} is not a number", "Give a number.")
+    bounds = (option.min, option.max)
+    if isinstance(value, float) and bounds != (None, None):
+        if math.isnan(value):
+            raise UsageError(f"--{name.replace('_', '-')} is not a number", "Give a number.")
+        # Of an option with a unit, the bounds are not known to typer.
+        low = -math.inf if option.min is None else option.min
+        high = math.inf if option.max is None else option.max
+        if not low <= value <= high:
+            raise UsageError(f"--{name.replace('_', '-')} is {value:g}", f"Give {low:g} to {high:g}.")
     if isinstance(value, Path) and name != "link":
         from tagid.files import resolved
 

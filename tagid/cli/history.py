@@ -90,9 +90,9 @@ def _export(store: History, file: Path | None, wanted: Filter) -> Result:
 def _list(terminal: Terminal, store: History, wanted: Filter) -> Result:
     from dataclasses import replace
 
-    from rich.table import Table
     from rich.text import Text
 
+    from tagid.cli.table import Table
     from tagid.storage.history import csv_text
 
     total = store.count(wanted)
@@ -101,17 +101,18 @@ def _list(terminal: Terminal, store: History, wanted: Filter) -> Result:
     entries = list(store.find(wanted))
     items = [entry.to_json() for entry in entries]
     data = {"history": str(store.path), "total": total, "items": items}
-    shown = Table("time (UTC)", "file", "answer", "score", "margin", "by", box=None)
+    shown = Table("time (UTC)", "answer", "score", "margin", "by", "file", box=None)
+    shown.columns[0].no_wrap = True
     colours = {"identified": "green", "failed": "red"}
     for entry in entries:
         answer = entry.layout or "" if entry.status == "identified" else entry.status.replace("_", " ")
         shown.add_row(
             entry.time_utc[:19].replace("T", " "),
-            Text(entry.file),
             Text(answer, style=colours.get(entry.status, "yellow")),
             f"{entry.score:.2f}",
             f"{entry.margin:.2f}",
             entry.command,
+            Text(entry.file, no_wrap=True),
         )
     notes = (f"the newest {len(entries)} of {total}; --limit shows more",) if total > len(entries) else ()
     if not total:

@@ -96,9 +96,9 @@ def describe(answer: Answer, name: str, verbose: bool, explain: bool = False) ->
 def _competing(reading: Reading) -> Iterator[RenderableType]:
     """The hypotheses, and as bars how far they are behind the likeliest, with a mark where a name begins."""
     from rich.padding import Padding
-    from rich.table import Table
     from rich.text import Text
 
+    from tagid.cli.table import Table
     from tagid.operate.words import left_words
 
     needed = round(reading.needed) if isfinite(reading.needed) else None

@@ -13,6 +13,7 @@ from tagid.cli import enrolling
 from tagid.cli.enrolling import rate_in_words
 from tagid.cli.frame import Terminal, command, group_command
 from tagid.cli.outputs import check_drawing, check_new
+from tagid.cli.units import METRES
 from tagid.counting import counted
 from tagid.errors import LayoutConflictError, UsageError
 from tagid.result import Result
@@ -28,32 +29,45 @@ if TYPE_CHECKING:
 def layouts(
     terminal: Terminal,
     history: Annotated[bool, typer.Option("--history", help="List all changes.")] = False,
-    remove: Annotated[str | None, typer.Option("--remove", help="Remove this layout or object.")] = None,
+    remove: Annotated[str | None, typer.Option("--remove", hidden=True)] = None,
 ) -> Result:
     """List, design, draw, exchange and check layouts; without a command, list the enrolled ones.
 
     Example: tagid layouts --history
     """
-    if remove:
-        return _removed(remove)
+    if remove:  # until 0.3: `layouts remove`
+        return _removed("layouts", remove)
     if history:
         return _history()
     return _list()
 
 
-def _removed(name: str) -> Result:
+@command("layouts remove")
+def remove(
+    terminal: Terminal,
+    name: Annotated[str, typer.Argument(help="Name of the layout or object.")],
+    yes: enrolling.Yes = False,
+) -> Result:
+    """Remove a layout, or an object with its layout; `tagid layouts undo` restores it.
+
+    Example: tagid layouts remove helmet-7
+    """
+    enrolling.agree(terminal, f"{name} will no longer be read.", f"Remove {name}?", yes)
+    return _removed("layouts remove", name)
+
+
+def _removed(command: str, name: str) -> Result:
     from rich.text import Text
 
     from tagid.operate.workplace import open_registry
 
-    version = open_registry().remove(name, "tagid layouts --remove")
+    version = open_registry().remove(name, "tagid layouts remove")
     line = Text(f"{name} removed; its history is kept (registry version {version})")
-    return Result("layouts", {"removed": name, "registry_version": version}, line)
+    return Result(command, {"removed": name, "registry_version": version}, line)
 
 
 def _history() -> Result:
-    from rich.table import Table
-
+    from tagid.cli.table import Table
     from tagid.operate.workplace import open_registry
 
     registry = open_registry()
@@ -82,8 +96,7 @@ def _history() -> Result:
 
 
 def _list() -> Result:
-    from rich.table import Table
-
+    from tagid.cli.table import Table
     from tagid.operate.workplace import open_registry
 
     registry = open_registry()
@@ -121,7 +134,11 @@ def show(
     paper: Annotated[str, typer.Option("--paper", help="Paper of a PDF template: a4, a3, letter.")] = "a4",
     surface_radius: Annotated[
         float | None,
-        typer.Option("--surface-radius", help="Radius of the surface that the strip wraps around, metres."),
+        typer.Option(
+            "--surface-radius",
+            parser=METRES,
+            help="Radius of the surface that the strip wraps around, metres.",
+        ),
     ] = None,
 ) -> Result:
     """Draw a layout.
@@ -281,6 +298,7 @@ def undo(
         int | None,
         typer.Option("--to", help="The version to restore; default: undo the last change."),
     ] = None,
+    yes: enrolling.Yes = False,
 ) -> Result:
     """Undo the last command that changed the registry, or all changes since a version.
 
@@ -289,6 +307,8 @@ def undo(
     Example: tagid layouts undo
     Example: tagid layouts undo --to 4
     """
+    if to is not None:
+        enrolling.agree(terminal, f"Version {to} is restored.", "Undo every change since it?", yes)
     return _restored("layouts undo", "undone", lambda registry: registry.undo(to))
 
 
@@ -373,10 +393,10 @@ def check(terminal: Terminal) -> Result:
 
     Example: tagid layouts check
     """
-    from rich.table import Table
     from rich.text import Text
 
     from tagid.cli.enrolling import direction_known, height_weight
+    from tagid.cli.table import Table
     from tagid.enrolling.enrollment import neighbour
     from tagid.operate.workplace import open_registry
     from tagid.reading.alike import Conditions
@@ -449,6 +469,6 @@ def check(terminal: Terminal) -> Result:
     error = LayoutConflictError(
         f"{counted(len(bad), 'pair')} of layouts could be confused: they leave more readings "
         "without a name than enrolling allows",
-        "Remove one of each pair with `tagid layouts --remove NAME`, or move a reflector.",
+        "Remove one of each pair with `tagid layouts remove NAME`, or move a reflector.",
     )
     return Result.from_error("layouts check", error, data, table, tuple(remarks))

@@ -11,6 +11,7 @@ import typer
 from tagid.cli import enrolling
 from tagid.cli.frame import Terminal, command
 from tagid.cli.outputs import check_new
+from tagid.cli.units import METRES, MILLIMETRES
 from tagid.config import load_config
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -26,15 +27,21 @@ if TYPE_CHECKING:
 ObjectName = Annotated[str, typer.Option("--object", help="helmet, mug or container.")]
 Radius = Annotated[
     list[float] | None,
-    typer.Option("--radius", help="Custom object: radius of a row in metres; repeat for each row."),
+    typer.Option(
+        "--radius", parser=METRES, help="Custom object: radius of a row in metres; repeat for each row."
+    ),
 ]
-Height = Annotated[list[float] | None, typer.Option("--height", help="Height of each --radius row, metres.")]
+Height = Annotated[
+    list[float] | None, typer.Option("--height", parser=METRES, help="Height of each --radius row, metres.")
+]
 Rows = Annotated[
     int | None,
     typer.Option("--rows", help="Number of the object's rows to use; default 1.", show_default=False),
 ]
 Slots = Annotated[int, typer.Option("--slots", help="Equal angular steps around the object.")]
-Spacing = Annotated[float | None, typer.Option("--spacing", help="Minimum reflector spacing, metres (0.04).")]
+Spacing = Annotated[
+    float | None, typer.Option("--spacing", parser=METRES, help="Minimum reflector spacing, metres (0.04).")
+]
 Mirror = Annotated[
     bool | None,
     typer.Option(
@@ -161,7 +168,7 @@ class _Asked:
         if self.beside and alternatives(self.target, self.rows, self.rules, self.count):
             return (
                 "The enrolled layouts leave no room: use a larger object, or remove layouts that are not in "
-                "use with `tagid layouts --remove NAME`."
+                "use with `tagid layouts remove NAME`."
             )
         return "Use a larger object: neither fewer reflectors nor a smaller spacing works on this one."
 
@@ -227,9 +234,9 @@ def _designed(
 ) -> Result:
     import numpy as np
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
 
+    from tagid.cli.table import Table
     from tagid.enrolling.enrollment import family_outlooks, refusal
     from tagid.enrolling.layout_file import write_layouts
     from tagid.operate.workplace import open_registry
@@ -304,9 +311,9 @@ def _designed(
 
 def _capacity(target: TaggedObject, rules: list[DesignRules], error_rate: float) -> Result:
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
 
+    from tagid.cli.table import Table
     from tagid.enrolling.capacity import capacity
     from tagid.reading.alike import Conditions
 
@@ -353,7 +360,9 @@ _TOLD = (".csv", ".png")
 def reflector(
     terminal: Terminal,
     kind: Annotated[str, typer.Option("--kind", help="octahedron.")] = "octahedron",
-    size: Annotated[float, typer.Option("--size", help="From tip to tip, millimetres.")] = 40.0,
+    size: Annotated[
+        float, typer.Option("--size", parser=MILLIMETRES, help="From tip to tip, millimetres.")
+    ] = 40.0,
     out: Annotated[
         list[Path] | None,
         typer.Option("--out", "-o", help="A .stl solid, or a .svg or .pdf net; repeatable."),
@@ -427,7 +436,7 @@ def _levels(solved: CrossSection) -> dict[str, object]:
 
 
 def _table(solved: CrossSection) -> RenderableType:
-    from rich.table import Table
+    from tagid.cli.table import Table
 
     table = Table("GHz", "vertical dBsm", "horizontal dBsm, towards a tip", "at 45 degrees", box=None)
     half = len(solved.aspect_deg) // 2

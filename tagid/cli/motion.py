@@ -13,26 +13,33 @@ import typer
 from tagid.cli import options
 from tagid.cli.consent import Yes, agree, agree_to
 from tagid.cli.frame import Terminal, command
+from tagid.cli.units import SECONDS
 from tagid.config import Config, load_config
 from tagid.errors import EXIT_DEVICE, EXIT_OK, DataError, TagidError, UsageError
 from tagid.result import Problem, Result
 from tagid.secret import MotionUrl
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from tagid.capture import Capture
+    from tagid.cli.table import Table
     from tagid.motion.driven import DrivenMotion
     from tagid.tags.layouts.layout import Layout
 
 Url = Annotated[
     MotionUrl | None,
     typer.Argument(
-        help="roomba+serial:///dev/ttyUSB1, roomba+ble://NAME, ...; default: motion.url.",
+        help="Another way to give --motion.",
         parser=MotionUrl,
         metavar="[URL]",
     ),
 ]
+
+
+def _one_url(url: MotionUrl | None, motion: MotionUrl | None) -> MotionUrl | None:
+    """The device that --motion or, until 0.3, an argument names. Raises UsageError if both do."""
+    if url is not None and motion is not None:
+        raise UsageError("the device is given twice", "Give --motion alone.")
+    return motion if url is None else url
 
 
 def driven(url: MotionUrl | None, stopping: bool = False) -> DrivenMotion:
@@ -56,7 +63,7 @@ def driven(url: MotionUrl | None, stopping: bool = False) -> DrivenMotion:
 
 def facts_table(facts: dict[str, Any]) -> Table:
     """Two columns."""
-    from rich.table import Table
+    from tagid.cli.table import Table
 
     table = Table(box=None, show_header=False)
     for key, value in facts.items():
@@ -69,7 +76,7 @@ def facts_table(facts: dict[str, Any]) -> Table:
 @command("motion find")
 def find(
     terminal: Terminal,
-    seconds: Annotated[float, typer.Option("--seconds", help="Listening time, s.")] = 4.0,
+    seconds: Annotated[float, typer.Option("--seconds", parser=SECONDS, help="Listening time, s.")] = 4.0,
     bluetooth: Annotated[bool, typer.Option("--ble/--no-ble", help="Scan for Bluetooth devices.")] = True,
     hci: Annotated[str | None, typer.Option("--hci", help="Another Bluetooth controller.")] = None,
 ) -> Result:
@@ -78,9 +85,9 @@ def find(
     Example: tagid motion find
     """
     from rich.console import Group
-    from rich.table import Table
 
     from tagid.cli.frame import to_copy
+    from tagid.cli.table import Table
     from tagid.motion.discovery import bluetooth_devices, serial_devices
 
     if not 0.1 <= seconds <= 60:
@@ -107,7 +114,7 @@ def find(
     table = Table("where", "what", "signal", box=None)
     for one in found:
         table.add_row(one.where, one.what, "" if one.signal_dbm is None else f"{one.signal_dbm} dBm")
-    urls = to_copy([one.url for one in found if one.url], "tagid motion info {}")
+    urls = to_copy([one.url for one in found if one.url], "tagid motion info --motion {}")
     data = {"devices": [asdict(one) for one in found]}
     human = Group(table, urls) if found else None
     code = EXIT_OK if found else EXIT_DEVICE
@@ -115,12 +122,12 @@ def find(
 
 
 @command("motion info")
-def info(terminal: Terminal, url: Url = None) -> Result:
+def info(terminal: Terminal, url: Url = None, motion: options.MotionUrl = None) -> Result:
     """Show the state of a robot or table; nothing moves.
 
-    Example: tagid motion info roomba+serial:///dev/ttyUSB1
+    Example: tagid motion info --motion roomba+serial:///dev/ttyUSB1
     """
-    device = driven(url)
+    device = driven(_one_url(url, motion))
     facts = device.describe()
     return Result("motion info", facts, facts_table(facts))
 
@@ -132,16 +139,17 @@ _LOOK_S = 0.05
 def spin(
     terminal: Terminal,
     url: Url = None,
+    motion: options.MotionUrl = None,
     turns: Annotated[float, typer.Option("--turns", help="Number of revolutions, 0.01 to 20.")] = 1.0,
     yes: Yes = False,
 ) -> Result:
     """Rotate by a number of revolutions and stop.
 
-    Example: tagid motion spin roomba+serial:///dev/ttyUSB1 --turns 0.5
+    Example: tagid motion spin --motion roomba+serial:///dev/ttyUSB1 --turns 0.5
     """
     if not 0.01 <= turns <= 20:
         raise UsageError(f"--turns is {turns}", "Give 0.01 to 20.")
-    device = driven(url)
+    device = driven(_one_url(url, motion))
     device.turns = turns
     way = "clockwise" if device.direction < 0 else "counter-clockwise"
     agree(
@@ -174,14 +182,14 @@ def spin(
 
 
 @command("motion stop")
-def stop(terminal: Terminal, url: Url = None) -> Result:
+def stop(terminal: Terminal, url: Url = None, motion: options.MotionUrl = None) -> Result:
     """Stop a robot or table, even while another process drives it; a robot is left in Passive mode.
 
-    Example: tagid motion stop roomba+ble://tagid-bridge
+    Example: tagid motion stop --motion roomba+ble://tagid-bridge
     """
     from rich.text import Text
 
-    device = driven(url, stopping=True)
+    device = driven(_one_url(url, motion), stopping=True)
     device.halt_now()
     return Result("motion stop", {"stopped": True}, Text(f"{device.name} has stopped"))
 
@@ -257,13 +265,11 @@ def _direction(capture: Capture, name: str) -> Result:
     from tagid.operate.workplace import open_registry
     from tagid.pipeline.prepared import prepare
 
-    layouts = {layout.name: layout for layout in open_registry().layouts()}
-    if name not in layouts:
-        raise UsageError(f"there is no layout named {name!r}", f"Enrolled: {', '.join(sorted(layouts))}.")
+    enrolled = open_registry().get(name)
     capture = prepare(capture)
     resolved = capture.motion.resolved or ResolvedMotion()
     told = "clockwise" if resolved.direction == -1 else "counter-clockwise"
-    other = turned_the_other_way(capture, layouts[name])
+    other = turned_the_other_way(capture, enrolled)
     device, path = resolved.table, None
     is_reversed = other != bool(resolved.reversed)
     if device is not None:

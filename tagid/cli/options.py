@@ -11,6 +11,7 @@ import typer
 
 from tagid import secret
 from tagid.cli import options
+from tagid.cli.units import METRES, PICOSECONDS
 from tagid.query import parse_point
 
 if TYPE_CHECKING:
@@ -37,23 +38,37 @@ MotionUrl = Annotated[
     ),
 ]
 AxisDistance = Annotated[
-    float | None, typer.Option("--axis-distance", help="Radar to rotation axis, metres.", show_default=False)
+    float | None,
+    typer.Option(
+        "--axis-distance", parser=METRES, help="Radar to rotation axis, metres.", show_default=False
+    ),
 ]
 AntennaHeight = Annotated[
     float | None,
-    typer.Option("--antenna-height", help="Antenna above the reflectors' plane, metres.", show_default=False),
+    typer.Option(
+        "--antenna-height",
+        parser=METRES,
+        help="Antenna above the reflectors' plane, metres.",
+        show_default=False,
+    ),
 ]
 AntennaSeparation = Annotated[
     float | None,
     typer.Option(
         "--antenna-separation",
+        parser=METRES,
         help="Horizontal distance between transmitting and receiving antenna, metres; 0: one antenna.",
         show_default=False,
     ),
 ]
 CableDelay = Annotated[
     float | None,
-    typer.Option("--cable-delay", help="Cable and antenna delay, two-way picoseconds.", show_default=False),
+    typer.Option(
+        "--cable-delay",
+        parser=PICOSECONDS,
+        help="Cable and antenna delay, two-way picoseconds.",
+        show_default=False,
+    ),
 ]
 Node = Annotated[
     int | None,
@@ -95,6 +110,7 @@ DelaySearch = Annotated[
     float | None,
     typer.Option(
         "--delay-search",
+        parser=METRES,
         help="Half-width of the path-delay search (m), for captures with antenna positions. "
         "Default: 13 wavelengths, 1 m for a P440.",
         show_default=False,
@@ -104,6 +120,7 @@ AxisSearch = Annotated[
     float | None,
     typer.Option(
         "--axis-search",
+        parser=METRES,
         help="Half-width of the axis-distance search (m), for turntables. "
         "Default: half a wavelength, 0.04 m for a P440; at most two.",
         show_default=False,
@@ -129,7 +146,10 @@ WaveSpeed = Annotated[
     ),
 ]
 Extent = Annotated[
-    float | None, typer.Option("--extent", help="Width and height of the image, metres.", show_default=False)
+    float | None,
+    typer.Option(
+        "--extent", parser=METRES, help="Width and height of the image, metres.", show_default=False
+    ),
 ]
 Pixels = Annotated[int | None, typer.Option("--pixels", help="Pixels per side.", show_default=False)]
 Background = Annotated[
@@ -225,7 +245,9 @@ class SceneOptions:
         typer.Option("--rotation", min=-1e06, max=1e06, help="Rotation of the object at the start, degrees."),
     ] = 0.0
     wobble: Annotated[float, typer.Option("--wobble", help="Variation of the speed; 0.01 is 1 %.")] = 0.0
-    axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0
+    axis_distance: Annotated[
+        float, typer.Option("--axis-distance", parser=METRES, help="Radar to axis, metres.")
+    ] = 1.0
     snr: Annotated[
         float,
         typer.Option("--snr", help="Peak of the strongest reflector over the noise of one sample, dB."),

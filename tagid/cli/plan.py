@@ -10,7 +10,9 @@ import typer
 
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
+from tagid.cli.units import METRES
 from tagid.config import load_config
+from tagid.counting import meant
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -32,13 +34,19 @@ def plan(
         float | None,
         typer.Option(
             "--distance",
+            parser=METRES,
             help="Antennas to rotation axis, metres (default: the setting, or 1).",
             show_default=False,
         ),
     ] = None,
     pii: Annotated[
         int | None,
-        typer.Option("--pii", help="Integration index (default: radar.integration).", show_default=False),
+        typer.Option(
+            "--integration",
+            "--pii",
+            help="Integration index (default: radar.integration).",
+            show_default=False,
+        ),
     ] = None,
     gain: Annotated[
         int | None,
@@ -116,7 +124,10 @@ def setup_from(asked: Asked) -> Setup:
     config = load_config(overrides)
     layouts = named_layouts(asked.file, data_folder() / "registry.sqlite")
     if asked.layout not in layouts:
-        raise UsageError(f"no layout is named {asked.layout[:80]!r}", f"Use {', '.join(sorted(layouts))}.")
+        raise UsageError(
+            f"no layout is named {asked.layout[:80]!r}",
+            f"{meant(asked.layout, layouts)}Use {', '.join(sorted(layouts))}.",
+        )
     return Setup(
         layouts[asked.layout],
         parse_reflector(asked.reflector),
@@ -199,8 +210,9 @@ def _doubt(found: Plan, wanted: Wanted, want: float) -> str:
 
 def _drawn(found: Plan, snr: float, wanted: Wanted | None, want: float | None, doubt: str) -> RenderableType:
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
+
+    from tagid.cli.table import Table
 
     def table() -> Table:
         made = Table(box=None, show_header=False)

@@ -12,6 +12,7 @@ import typer
 from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
+from tagid.cli.units import METRES, SECONDS
 from tagid.config import Config, load_config, radar_url
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.counting import counted
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from tagid.recording.long_recording import RecordingState
 
 
-Seconds = Annotated[float | None, typer.Option("--seconds", help="Stop after this time, seconds.")]
+Seconds = Annotated[
+    float | None, typer.Option("--seconds", parser=SECONDS, help="Stop after this time, seconds.")
+]
 Interval = Annotated[
     int,
     typer.Option(
@@ -110,11 +113,23 @@ def config(
     radar: options.RadarUrl = None,
     start: Annotated[
         float | None,
-        typer.Option("--start", min=-10000, max=10000, help="Start of the window, metres from the antennas."),
+        typer.Option(
+            "--start",
+            parser=METRES,
+            min=-10000,
+            max=10000,
+            help="Start of the window, metres from the antennas.",
+        ),
     ] = None,
     stop: Annotated[
         float | None,
-        typer.Option("--stop", min=-10000, max=10000, help="End of the window, metres from the antennas."),
+        typer.Option(
+            "--stop",
+            parser=METRES,
+            min=-10000,
+            max=10000,
+            help="End of the window, metres from the antennas.",
+        ),
     ] = None,
     start_ps: Annotated[
         int | None,
@@ -332,7 +347,9 @@ def _check(scans: int | None, seconds: float | None, interval_us: int) -> None:
 def reboot(
     terminal: Terminal,
     radar: options.RadarUrl = None,
-    wait: Annotated[float, typer.Option("--wait", help="Longest time to wait for a response, s.")] = 20.0,
+    wait: Annotated[
+        float, typer.Option("--wait", parser=SECONDS, help="Longest time to wait for a response, s.")
+    ] = 20.0,
 ) -> Result:
     """Restart the radar and wait until it responds (7 s on Ethernet, 11 s otherwise).
 

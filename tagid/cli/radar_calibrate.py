@@ -13,6 +13,7 @@ from tagid.cli import options
 from tagid.cli.consent import can_ask, read_line
 from tagid.cli.frame import Terminal, command
 from tagid.cli.radar import open_configured
+from tagid.cli.units import METRES, NANOSECONDS
 from tagid.config import Config, data_folder, load_config, radar_url
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import DataError, StorageError, UsageError
@@ -32,11 +33,15 @@ def calibrate(
     terminal: Terminal,
     distance: Annotated[
         float | None,
-        typer.Option("--distance", help="Measured distance from the antennas to the target, metres."),
+        typer.Option(
+            "--distance", parser=METRES, help="Measured distance from the antennas to the target, metres."
+        ),
     ] = None,
     tape_error: Annotated[
         float,
-        typer.Option("--tape-error", min=0, max=10, help="Standard deviation of this distance, metres."),
+        typer.Option(
+            "--tape-error", parser=METRES, min=0, max=10, help="Standard deviation of this distance, metres."
+        ),
     ] = 0.005,
     step: Annotated[
         str | None,
@@ -46,7 +51,8 @@ def calibrate(
         int, typer.Option("--scans", min=-2147483648, max=2147483648, help="Scans per step.")
     ] = 200,
     longest_delay: Annotated[
-        float, typer.Option("--longest-delay", help="Upper limit of the delay search, ns.")
+        float,
+        typer.Option("--longest-delay", parser=NANOSECONDS, help="Upper limit of the delay search, ns."),
     ] = 25.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but store nothing.")] = False,
     radar: options.RadarUrl = None,

@@ -11,6 +11,7 @@ import typer
 from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command
+from tagid.cli.units import SECONDS
 from tagid.config import Config, load_config
 from tagid.counting import counted
 from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, StorageError, UsageError, visible
@@ -45,7 +46,8 @@ def report(
         Path | None, typer.Option("--watch", help="Identify new captures in this folder as they arrive.")
     ] = None,
     idle_stop: Annotated[
-        float | None, typer.Option("--idle-stop", help="With --watch: stop after this many idle seconds.")
+        float | None,
+        typer.Option("--idle-stop", parser=SECONDS, help="With --watch: stop after this many idle seconds."),
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", "-j", help="Worker processes; 0: one per core.")] = 0,
     dask: Annotated[

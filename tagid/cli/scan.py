@@ -15,6 +15,7 @@ from tagid.cli.consent import Yes, agree_to
 from tagid.cli.frame import Terminal, command
 from tagid.cli.options import Limits, demo_settings
 from tagid.cli.truth import truth_of, with_truth
+from tagid.cli.units import SECONDS
 from tagid.config import load_config
 from tagid.errors import ConfigError, TagidError, UsageError
 from tagid.result import Problem, Result
@@ -56,7 +57,7 @@ def scan(
     cable_delay: options.CableDelay = None,
     scans: Annotated[int | None, typer.Option("--scans", help="Stop after this number of scans.")] = None,
     max_seconds: Annotated[
-        float, typer.Option("--max-seconds", help="Stop after this time, seconds.")
+        float, typer.Option("--max-seconds", parser=SECONDS, help="Stop after this time, seconds.")
     ] = 180.0,
     save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
     method: options.Method = None,

@@ -19,6 +19,7 @@ from tagid.constants import CAPTURE_SUFFIX
 from tagid.counting import counted
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
 from tagid.operate.words import notes
+from tagid.query import quantity
 from tagid.result import Problem, Result
 
 if TYPE_CHECKING:
@@ -41,11 +42,11 @@ PICTURE_PIXELS = 64
 def parse_heights(text: str) -> tuple[float, ...]:
     """Antenna heights of --heights in metres, in the order of recording. Raises UsageError.
 
-    >>> parse_heights("0,0.05,0.1")
+    >>> parse_heights("0,5cm,0.1")
     (0.0, 0.05, 0.1)
     """
     try:
-        heights = tuple(float(part) for part in text.split(","))
+        heights = tuple(quantity(part, "m") for part in text.split(","))
     except ValueError:
         raise UsageError(
             f"--heights is {text[:80]!r}", "Give metres, such as --heights 0,0.15,0.30."

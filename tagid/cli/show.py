@@ -49,9 +49,9 @@ def show(
     Example: tagid show helmet.tagid.h5 --reflector octahedron:40mm --layout helmet-120
     """
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
 
+    from tagid.cli.table import Table
     from tagid.operate.words import ending_words
     from tagid.pipeline.prepared import LoadSettings, intake_remarks, load_capture
     from tagid.recording.inspection import inspect, thinned

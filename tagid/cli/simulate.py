@@ -12,6 +12,7 @@ from tagid.cli import options
 from tagid.cli.frame import Terminal, command
 from tagid.cli.options import SceneOptions
 from tagid.cli.outputs import check_new
+from tagid.cli.units import METRES
 from tagid.counting import counted
 from tagid.errors import DataError, UsageError
 from tagid.result import Result
@@ -26,7 +27,11 @@ PULSES = ("nominal", "random")
 class _SceneOptions(SceneOptions):
     scene: Annotated[
         str | None,
-        typer.Argument(help="An enrolled layout, points-3, can, box, empty ...; or --response."),
+        typer.Option(
+            "--scene",
+            help="An enrolled layout, points-3, can, box, empty ...; or --response.",
+            show_default=False,
+        ),
     ] = None
     unlike: Annotated[
         float, typer.Option("--unlike", help="Spread of the reflectors' strengths, 0 to 20 dB.")
@@ -34,7 +39,7 @@ class _SceneOptions(SceneOptions):
     noise: Annotated[
         float | None, typer.Option("--noise", help="Noise standard deviation; replaces --snr.")
     ] = None
-    antenna_height: Annotated[float, typer.Option("--antenna-height", help="Metres.")] = 0.0
+    antenna_height: Annotated[float, typer.Option("--antenna-height", parser=METRES, help="Metres.")] = 0.0
     antenna_separation: options.AntennaSeparation = 0.0
     range_law: Annotated[bool, typer.Option("--range-law", help="1/R^4 in power.")] = False
 
@@ -62,7 +67,9 @@ class _RecordingOptions:
     pulse: Annotated[str, typer.Option("--pulse", help="nominal, or random (not stated in the capture).")] = (
         "nominal"
     )
-    axis_error: Annotated[float, typer.Option("--axis-error", help="Stated minus true distance, m.")] = 0.0
+    axis_error: Annotated[
+        float, typer.Option("--axis-error", parser=METRES, help="Stated minus true distance, m.")
+    ] = 0.0
     beam: Annotated[float | None, typer.Option("--beam", help="-3 dB beam width, degrees.")] = None
     object_seed: Annotated[
         int | None,
@@ -81,11 +88,14 @@ def simulate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write.")],
     scene: _SceneOptions,
     recording: _RecordingOptions,
+    scene_name: Annotated[
+        str | None, typer.Argument(help="Another way to give --scene.", show_default=False)
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> Result:
     """Simulate a capture of a rotating scene, or of an object with a response file.
 
-    Example: tagid simulate container-90 --body can:35mm,handle --centre 0.004,0 --out can.tagid.h5
+    Example: tagid simulate --scene container-90 --body can:35mm,handle --centre 0.004,0 --out can.tagid.h5
     """
     import numpy as np
     from rich.text import Text
@@ -95,7 +105,9 @@ def simulate(
     from tagid.storage.exporters import export
 
     check_new(out, force)
-    name, tone = scene.scene, recording.interference
+    if scene_name is not None and scene.scene is not None:
+        raise UsageError("the scene is given twice", "Give --scene alone.")
+    name, tone = scene.scene or scene_name, recording.interference
     if name is None and scene.file is not None:
         name = only_layout(scene.file)
     seed = scene.seed if recording.object_seed is None else recording.object_seed

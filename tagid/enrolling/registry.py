@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from tagid.counting import meant
 from tagid.errors import RegistryError, TagidError, UsageError
 from tagid.result import NO_NAMES
 from tagid.storage.database import Database, Schema
@@ -25,9 +26,9 @@ APPLICATION_ID = 0x74616764
 """Application id in the sqlite header (offset 68): "tagd"."""
 MAX_DEFINITION = 64 * 1024
 _COMMANDS = {
-    "body": ("tagid bodies show {}", "tagid bodies --remove {}"),
-    "object": ("tagid bodies show {} --object", "tagid layouts --remove {}"),
-    "layout": ("tagid layouts show {}", "tagid layouts --remove {}"),
+    "body": ("tagid bodies show {}", "tagid bodies remove {}"),
+    "object": ("tagid bodies show {} --object", "tagid layouts remove {}"),
+    "layout": ("tagid layouts show {}", "tagid layouts remove {}"),
 }
 """How an entry of each kind is shown, and removed."""
 
@@ -487,7 +488,7 @@ class Registry:
         except (ValueError, RecursionError, TagidError) as error:
             raise RegistryError(
                 f"{self.path} holds a damaged definition of {str(name)[:80]!r}: {str(error)[:200]}",
-                "Remove it with `tagid layouts --remove NAME` (its history stays), go back with "
+                "Remove it with `tagid layouts remove NAME` (its history stays), go back with "
                 "`tagid layouts undo --to VERSION`, or restore a backup.",
             ) from None
 
@@ -504,7 +505,7 @@ class Registry:
             group = "bodies" if kind == "body" else "layouts"
             raise RegistryError(
                 f"{self.path} holds a damaged signature of the {kind} {name!r}: {str(error)[:200]}",
-                f"Remove it with `tagid {group} --remove NAME` (its history stays) and enroll it again, "
+                f"Remove it with `tagid {group} remove NAME` (its history stays) and enroll it again, "
                 "go back with `tagid layouts undo --to VERSION`, or restore a backup.",
             ) from None
 
@@ -520,8 +521,9 @@ class Registry:
                 f"no {kind} is named {shown!r}, but {_article(other)} is",
                 f"Show it with `{show.format(shown)}`, or remove it with `{remove.format(shown)}`.",
             )
-        names = ", ".join(sorted(str(key[1])[:80] for key in entries if key[0] == kind))
-        return RegistryError(f"no {kind} is named {shown!r}", f"Enrolled: {names or 'none'}.")
+        names = sorted(str(key[1])[:80] for key in entries if key[0] == kind)
+        listed = ", ".join(names) or "none"
+        return RegistryError(f"no {kind} is named {shown!r}", f"{meant(name, names)}Enrolled: {listed}.")
 
 
 def taken(key: Key, entries: Collection[Key]) -> RegistryError | None:

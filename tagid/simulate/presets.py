@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.counting import meant
 from tagid.errors import DataError, UsageError
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.scattering import Box, Cylinder, Points
@@ -180,5 +181,6 @@ def scene_from_name(name: str, seed: int = 0, layouts: Mapping[str, Layout] | No
         return scene_from_layout(positions, name, seed)
     raise UsageError(
         f"scene {name[:80]!r} is unknown",
-        f"Use one of {', '.join(preset_names(layouts))}, or give a designed layout with `file`.",
+        f"{meant(name, preset_names(layouts))}Use one of {', '.join(preset_names(layouts))}, or give a "
+        "designed layout with `file`.",
     )

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import NoReturn
 
 from tagid.errors import UsageError
+from tagid.query import quantity
 
-_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-_LENGTH = re.compile(r"([+-]?)(\d+(?:\.\d+)?|\.\d+)(mm|cm|m)")
+_LENGTH = re.compile(r"[+-]?(\d+(?:\.\d+)?|\.\d+)(mm|cm|m)")
 MAX_ELEVATION_M = 0.5
 
 
@@ -97,12 +97,11 @@ def parse_length(option: str, text: str) -> float:
     Raises:
         UsageError: number or unit missing, or other text.
     """
-    match = _LENGTH.fullmatch(text.strip())
-    if not match:
+    if not _LENGTH.fullmatch(text.strip()):
         raise UsageError(
             f"{option}: {text[:40]!r} is not a length", "Give a number with its unit, mm, cm or m, e.g. 35mm."
         )
-    return float(match[1] + match[2]) * _UNITS[match[3]]
+    return quantity(text, "m")
 
 
 def parse_elevation(text: str) -> float:

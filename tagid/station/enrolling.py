@@ -173,7 +173,7 @@ class Enrolling:
         if subject.name in taken:
             raise RegistryError(
                 f"an object named {subject.name} is already enrolled",
-                "Choose another name, or remove the old entry with `tagid layouts --remove`.",
+                "Choose another name, or remove the old entry with `tagid layouts remove`.",
             )
         with self._alone() as before:
             if before.subject is None:
@@ -274,7 +274,7 @@ class Enrolling:
             registry = self._registry()
             changed = EnrolmentError(
                 "the registry was changed since",
-                f"Remove the entry with `tagid layouts --remove {done.name}`.",
+                f"Remove the entry with `tagid layouts remove {done.name}`.",
             )
             if registry.version != done.version:
                 raise changed

@@ -1,0 +1,25 @@
+"""Tables of the command line, in which no name, file or command is cut."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rich.measure import Measurement
+from rich.table import Table as RichTable
+
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderResult
+
+_ANY_WIDTH = 100_000
+
+
+class Table(RichTable):
+    """A table that is wider than the terminal rather than cut a word: text is wrapped at blanks only."""
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        unlimited = options.update(max_width=_ANY_WIDTH)
+        for column in self.columns:
+            cells = [Measurement.get(console, unlimited, cell) for cell in (column.header, *column.cells)]
+            column.min_width = max(cell.maximum if column.no_wrap else cell.minimum for cell in cells)
+        least = Measurement.get(console, unlimited, self).minimum
+        yield from super().__rich_console__(console, options.update(max_width=max(least, options.max_width)))
