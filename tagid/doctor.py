@@ -43,8 +43,11 @@ class Finding:
     answers: bool | None = None
 
 
-def examine(config: Config) -> list[Finding]:
-    """Check software, disk, registry, serial ports and the configured radar."""
+def examine(config: Config, needs_radar: bool = False) -> list[Finding]:
+    """Check software, disk, registry, serial ports and the configured radar.
+
+    With `needs_radar` it is a problem, not a warning, if none is configured.
+    """
     return [
         *_versions(),
         _engines(),
@@ -53,7 +56,7 @@ def examine(config: Config) -> list[Finding]:
         _ports(),
         *_system(),
         _axis(config),
-        _radar(config),
+        _radar(config, needs_radar),
     ]
 
 
@@ -175,19 +178,19 @@ def _install_rule(rule: Path) -> str:
 def _axis(config: Config) -> Finding:
     distance = config["motion.axis_distance_m"]
     if distance is None:
-        remedy = "Measure it: tagid config set motion.axis_distance_m METRES"
+        remedy = "Measure it: `tagid config set motion.axis_distance_m METRES`"
         return Finding("axis distance", "warning", "not set", remedy)
     return Finding("axis distance", "ok", f"{distance} m")
 
 
-def _radar(config: Config) -> Finding:
+def _radar(config: Config, needed: bool) -> Finding:
     from tagid.radar.survey import survey
     from tagid.recording.radars import open_radar
 
     url = config["radar.url"]
     if not url:
-        remedy = "tagid config set radar.url udp://192.168.1.100 (kit units: .100 to .103)"
-        return Finding("radar", "warning", "none configured", remedy, answers=False)
+        remedy = "`tagid config set radar.url udp://192.168.1.100` (kit units: .100 to .103)"
+        return Finding("radar", "problem" if needed else "warning", "none configured", remedy, answers=False)
     try:
         state = survey(open_radar(url, config["radar.timeout_s"]))
     except TagidError as error:

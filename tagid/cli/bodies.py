@@ -30,8 +30,8 @@ def bodies(
     """
     from rich.text import Text
 
-    from tagid.cli.table import Table
     from tagid.operate.workplace import open_registry
+    from tagid.report.table import Table
 
     if remove:  # until 0.3: `bodies remove`
         return _removed("bodies", remove)
@@ -131,8 +131,8 @@ def check(terminal: Terminal) -> Result:
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.table import Table
     from tagid.operate.workplace import open_registry
+    from tagid.report.table import Table
     from tagid.tags.bodies.likeness import compare
 
     contents = open_registry().contents()

@@ -103,7 +103,7 @@ class _Listing:
         from rich.padding import Padding
         from rich.text import Text
 
-        from tagid.cli.table import Table
+        from tagid.report.table import Table
 
         columns = (
             [r.name for r in self.rows],

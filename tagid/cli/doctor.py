@@ -21,7 +21,7 @@ def doctor(terminal: Terminal, radar: options.RadarUrl = None) -> Result:
 
     from tagid.doctor import examine
 
-    findings = examine(load_config({"radar.url": radar}))
+    findings = examine(load_config({"radar.url": radar}), needs_radar=radar is not None)
     styles = {"ok": "green", "warning": "yellow", "problem": "bold red"}
     text = Text()
     for finding in findings:

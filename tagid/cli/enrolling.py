@@ -80,7 +80,7 @@ def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.table import Table
+    from tagid.report.table import Table
 
     if not outlook.neighbours:
         return Text("no other layout is enrolled")
@@ -110,7 +110,7 @@ def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.table import Table
+    from tagid.report.table import Table
 
     table = Table(box=None)
     for head in ("layout", "nearest", "worst mm", "not told apart", "remark"):

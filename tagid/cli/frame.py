@@ -384,9 +384,9 @@ def serve(app: typer.Typer) -> int:
             return 0
         as_json = any(word == "json" or word == "--output=json" for word in sys.argv[1:])
         words = [word for word in sys.argv[1:] if not word.startswith("-")]
-        usage = UsageError(
-            error.format_message(), f"`{name} --help` and `{name} COMMAND -h` show the options."
-        )
+        context = getattr(error, "ctx", None)
+        path = "" if context is None else context.command_path.removeprefix(context.find_root().command_path)
+        usage = UsageError(error.format_message(), f"`{name}{path} -h` shows what it takes.")
         if usage.message:
             _write(Result.from_error(words[0] if words else name, usage), "json" if as_json else "human")
         return EXIT_USAGE

@@ -92,7 +92,7 @@ def _list(terminal: Terminal, store: History, wanted: Filter) -> Result:
 
     from rich.text import Text
 
-    from tagid.cli.table import Table
+    from tagid.report.table import Table
     from tagid.storage.history import csv_text
 
     total = store.count(wanted)

@@ -98,8 +98,8 @@ def _competing(reading: Reading) -> Iterator[RenderableType]:
     from rich.padding import Padding
     from rich.text import Text
 
-    from tagid.cli.table import Table
     from tagid.operate.words import left_words
+    from tagid.report.table import Table
 
     needed = round(reading.needed) if isfinite(reading.needed) else None
     mark = "" if needed is None else f" (a name needs {reading.needed:.1f}: the |)"

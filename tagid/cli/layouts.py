@@ -67,8 +67,8 @@ def _removed(command: str, name: str) -> Result:
 
 
 def _history() -> Result:
-    from tagid.cli.table import Table
     from tagid.operate.workplace import open_registry
+    from tagid.report.table import Table
 
     registry = open_registry()
     table = Table(box=None)
@@ -96,8 +96,8 @@ def _history() -> Result:
 
 
 def _list() -> Result:
-    from tagid.cli.table import Table
     from tagid.operate.workplace import open_registry
+    from tagid.report.table import Table
 
     registry = open_registry()
     version, layouts = registry.snapshot()
@@ -396,10 +396,10 @@ def check(terminal: Terminal) -> Result:
     from rich.text import Text
 
     from tagid.cli.enrolling import direction_known, height_weight
-    from tagid.cli.table import Table
     from tagid.enrolling.enrollment import neighbour
     from tagid.operate.workplace import open_registry
     from tagid.reading.alike import Conditions
+    from tagid.report.table import Table
 
     registry = open_registry()
     version, enrolled = registry.snapshot()

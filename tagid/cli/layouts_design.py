@@ -236,10 +236,10 @@ def _designed(
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.table import Table
     from tagid.enrolling.enrollment import family_outlooks, refusal
     from tagid.enrolling.layout_file import write_layouts
     from tagid.operate.workplace import open_registry
+    from tagid.report.table import Table
     from tagid.tags.layouts.design import GHOST_M
 
     messages = []
@@ -313,9 +313,9 @@ def _capacity(target: TaggedObject, rules: list[DesignRules], error_rate: float)
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.table import Table
     from tagid.enrolling.capacity import capacity
     from tagid.reading.alike import Conditions
+    from tagid.report.table import Table
 
     table = Table(box=None)
     for head in ("recording", *(f"{r.reflectors} reflectors" for r in rules)):
@@ -436,7 +436,7 @@ def _levels(solved: CrossSection) -> dict[str, object]:
 
 
 def _table(solved: CrossSection) -> RenderableType:
-    from tagid.cli.table import Table
+    from tagid.report.table import Table
 
     table = Table("GHz", "vertical dBsm", "horizontal dBsm, towards a tip", "at 45 degrees", box=None)
     half = len(solved.aspect_deg) // 2

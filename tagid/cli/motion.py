@@ -21,8 +21,8 @@ from tagid.secret import MotionUrl
 
 if TYPE_CHECKING:
     from tagid.capture import Capture
-    from tagid.cli.table import Table
     from tagid.motion.driven import DrivenMotion
+    from tagid.report.table import Table
     from tagid.tags.layouts.layout import Layout
 
 Url = Annotated[
@@ -63,7 +63,7 @@ def driven(url: MotionUrl | None, stopping: bool = False) -> DrivenMotion:
 
 def facts_table(facts: dict[str, Any]) -> Table:
     """Two columns."""
-    from tagid.cli.table import Table
+    from tagid.report.table import Table
 
     table = Table(box=None, show_header=False)
     for key, value in facts.items():
@@ -87,8 +87,8 @@ def find(
     from rich.console import Group
 
     from tagid.cli.frame import to_copy
-    from tagid.cli.table import Table
     from tagid.motion.discovery import bluetooth_devices, serial_devices
+    from tagid.report.table import Table
 
     if not 0.1 <= seconds <= 60:
         raise UsageError(f"--seconds is {seconds}", "Give 0.1 to 60.")

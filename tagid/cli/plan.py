@@ -212,7 +212,7 @@ def _drawn(found: Plan, snr: float, wanted: Wanted | None, want: float | None, d
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.table import Table
+    from tagid.report.table import Table
 
     def table() -> Table:
         made = Table(box=None, show_header=False)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid.cli import options
-from tagid.cli.consent import can_ask, read_line
+from tagid.cli.consent import agree_to_replace, can_ask, read_line
 from tagid.cli.frame import Terminal, command
 from tagid.cli.radar import open_configured
 from tagid.cli.units import METRES, NANOSECONDS
 from tagid.config import Config, data_folder, load_config, radar_url
-from tagid.constants import CAPTURE_SUFFIX
+from tagid.constants import CAPTURE_SUFFIX, SPEED_OF_LIGHT
 from tagid.errors import DataError, StorageError, UsageError
 from tagid.result import Result
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from tagid.radar.settings import RadarConfig
     from tagid.recording.calibration import DelayEstimate
 
+_SAME_PATH_M = 1.0
+"""Largest change of the two-way path through cables and antennas that is stored unasked, m: half a metre of range."""
 REFERENCE_NAME = f"background{CAPTURE_SUFFIX}"
 
 
@@ -55,6 +57,12 @@ def calibrate(
         typer.Option("--longest-delay", parser=NANOSECONDS, help="Upper limit of the delay search, ns."),
     ] = 25.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but store nothing.")] = False,
+    yes: Annotated[
+        bool,
+        typer.Option(
+            "--yes", "-y", help="Replace a delay that differs by over a metre, without confirmation."
+        ),
+    ] = False,
     radar: options.RadarUrl = None,
     axis_distance: options.AxisDistance = None,
 ) -> Result:
@@ -82,7 +90,7 @@ def calibrate(
             target = None if chosen == "empty" else session.take(device, "target")
         finally:
             _put_back(device, before)
-    return _keep(session, empty, target, tape_error, dry_run)
+    return _keep(session, empty, target, tape_error, dry_run, yes)
 
 
 class _Session:
@@ -158,8 +166,31 @@ def _put_back(device: P440, before: RadarConfig) -> None:
         return
 
 
+def _check_change(previous_ps: float | None, delay_ps: float, distance_m: float) -> None:
+    """Ask before a delay is replaced by one that only other cables, or another distance, could explain.
+
+    Raises StorageError without a terminal, CaptureInterrupted if the user declines.
+    """
+    if previous_ps is None:
+        return
+    path_m = (delay_ps - previous_ps) * 1e-12 * SPEED_OF_LIGHT
+    if abs(path_m) <= _SAME_PATH_M:
+        return
+    agree_to_replace(
+        f"the measured delay of {delay_ps:.0f} ps is {abs(path_m):.2f} m of path "
+        f"{'more' if path_m > 0 else 'less'} than the stored {previous_ps:.0f} ps, as if the target were at "
+        f"{distance_m + path_m / 2:.2f} m, not {distance_m:.2f} m",
+        "Check --distance and the cables; if both are right, repeat it with --yes.",
+    )
+
+
 def _keep(
-    session: _Session, empty: Capture | None, target: Capture | None, tape_error: float, dry_run: bool
+    session: _Session,
+    empty: Capture | None,
+    target: Capture | None,
+    tape_error: float,
+    dry_run: bool,
+    yes: bool,
 ) -> Result:
     from tagid.config import change_settings
     from tagid.files import make_folder
@@ -174,6 +205,10 @@ def _keep(
         background, note = _background(session, reference, target)
         notes += [note] if note else []
         estimate = estimate_delay(target, session.distance_m, tape_error, background, session.longest_ps)
+    before = session.config.values["radar.cable_delay_ps"]
+    previous_ps = None if before.source == "default" else float(before.value)
+    if estimate is not None and session.distance_m is not None and not (dry_run or yes):
+        _check_change(previous_ps, estimate.delay_ps, session.distance_m)
     changes: dict[str, Any] = {}
     if estimate is not None:
         changes["radar.cable_delay_ps"] = round(estimate.delay_ps, 1)
@@ -191,13 +226,14 @@ def _keep(
     facts = None if reference is None else reference.radar.reference
     data = {
         "estimate": None if estimate is None else asdict(estimate),
+        "previous_delay_ps": previous_ps,
         "distance_m": session.distance_m,
         "reference": None if facts is None else facts.to_json(),
         "background": None if path is None else str(path),
         "config": None if stored is None else str(stored),
         "changes": changes,
     }
-    table = calibration_table(estimate, facts, None if stored is None else str(stored))
+    table = calibration_table(estimate, facts, None if stored is None else str(stored), previous_ps)
     return Result("radar calibrate", data, table, messages=tuple(notes))
 
 

@@ -51,11 +51,11 @@ def show(
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.table import Table
     from tagid.operate.words import ending_words
     from tagid.pipeline.prepared import LoadSettings, intake_remarks, load_capture
     from tagid.recording.inspection import inspect, thinned
     from tagid.report.charts import draw_recording
+    from tagid.report.table import Table
 
     # NAME.png next to the capture is the image of `scan` and must be kept.
     target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".show.png")

@@ -14,7 +14,7 @@ import numpy as np
 
 from tagid.errors import DeviceRejectedError, DeviceRestartedError, DeviceTimeoutError, UsageError
 from tagid.radar.assembler import WINDOW, Statistics
-from tagid.radar.links import Link
+from tagid.radar.links import DEFAULT_PORT, Link, UdpLink
 from tagid.radar.messages import (
     MalformedMessage,
     Message,
@@ -30,10 +30,9 @@ _T = MessageType
 _QUIET_S: Final = 0.05
 _BACKLOG: Final = 4
 """Fragments that may be queued before an answer on a slow line."""
-NO_ANSWER: Final = (
-    "Check power, cable and the address (kit units: 192.168.1.100 to 103, this computer 192.168.1.1/24), and "
-    "that no firewall drops the answers from UDP port 21210; `tagid doctor` checks each of these."
-)
+_FIRST_S: Final = 0.6
+"""Longest wait for an answer of a radar that was never heard, s: a P440 answers within milliseconds, and a wrong
+address is to be reported soon. One that was heard may be busy, or about to return."""
 
 
 class Exchange:
@@ -97,6 +96,8 @@ class Exchange:
             ) from error
         bytes_before, heard = self._bytes_in_vain(), 0
         attempts = attempts or self.attempts
+        if not self.statistics.received:
+            patience = min(patience, _FIRST_S + _BACKLOG * self.link.packet_time_s)
         for attempt in range(attempts):
             self.statistics.retries += attempt > 0
             self.link.send(packet)
@@ -129,7 +130,8 @@ class Exchange:
                 "that the device is a P440.",
             )
         raise DeviceTimeoutError(
-            f"the radar at {self.link} did not answer {request.type.name} ({attempts} tries)", NO_ANSWER
+            f"the radar at {self.link} did not answer {request.type.name} ({attempts} tries)",
+            _no_answer(self.link),
         )
 
     def _bytes_in_vain(self) -> int:
@@ -179,6 +181,18 @@ class Exchange:
         if message.type is _T.READY_INFO and self.started:
             raise restarted()
         self.statistics.unexpected += 1
+
+
+def _no_answer(link: Link) -> str:
+    """What to do about a radar that is silent."""
+    if not isinstance(link, UdpLink):
+        return "Check its power and cable, and that the URL names the radar's serial port."
+    port = link.address[1]
+    usual = "" if port == DEFAULT_PORT else f"; a P440 listens on {DEFAULT_PORT}"
+    return (
+        "Check power, cable and the address (kit units: 192.168.1.100 to 103, this computer 192.168.1.1/24), "
+        f"the port of the URL ({port}{usual}), and that no firewall drops the answers."
+    )
 
 
 def accept(confirm: Message, action: str) -> None:

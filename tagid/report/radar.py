@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
-from rich.table import Table
 from rich.text import Text
 
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
@@ -14,6 +13,7 @@ from tagid.radar.discovery import FoundRadar
 from tagid.radar.settings import RadarConfig
 from tagid.radar.survey import RadarSurvey
 from tagid.recording.calibration import DelayEstimate
+from tagid.report.table import Table
 
 _ANTENNAS = {0: "A/A", 1: "B/B", 2: "transmit A, receive B", 3: "transmit B, receive A", 255: "default"}
 
@@ -129,19 +129,24 @@ def _metres(time_ps: float, cable_delay_ps: float = 0.0, digits: int = 3) -> str
 
 
 def calibration_table(
-    estimate: DelayEstimate | None, reference: ReferenceFacts | None, stored: str | None
+    estimate: DelayEstimate | None,
+    reference: ReferenceFacts | None,
+    stored: str | None,
+    previous_ps: float | None = None,
 ) -> Table:
-    """Delay in ps and as range correction, and noise of the empty scene."""
+    """Delay before, in ps, and measured, in ps and as range correction, and noise of the empty scene."""
     table = Table(show_header=False, box=None)
     if estimate is not None:
         e = estimate
+        if previous_ps is not None:
+            table.add_row("before", f"{previous_ps:.0f} ps")
         table.add_row("delay", Text(f"{e.delay_ps:.0f} ps +- {e.sigma_ps:.0f} ps", style="bold green"))
         table.add_row(
             "",
             f"subtracts {_metres(e.delay_ps, digits=4)} m +- {_metres(e.sigma_ps, digits=4)} m "
             "from every range",
         )
-        table.add_row("echo", f"at {e.echo_ps / 1e3:.3f} ns, {e.snr_db:.1f} dB above the rest")
+        table.add_row("echo", f"at {e.echo_ps / 1e3:.3f} ns, {e.snr_db:.1f} dB above the other echoes")
         parts = f"tape {e.tape_ps:.0f}, noise {e.noise_ps:.1f}, pulse shape {e.shape_ps:.0f} ps"
         table.add_row("of which", parts)
     if reference is not None:

@@ -1,4 +1,4 @@
-"""Tables of the command line, in which no name, file or command is cut."""
+"""Tables in a terminal, in which no name, file or command is cut."""
 
 from __future__ import annotations
 
