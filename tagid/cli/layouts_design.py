@@ -13,6 +13,7 @@ from tagid.cli.frame import Terminal, command
 from tagid.cli.outputs import check_new
 from tagid.cli.units import METRES, MILLIMETRES
 from tagid.config import load_config
+from tagid.counting import counted
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -24,63 +25,105 @@ if TYPE_CHECKING:
     from tagid.tags.layouts.layout import Layout
     from tagid.tags.layouts.objects import TaggedObject
 
-ObjectName = Annotated[str, typer.Option("--object", help="helmet, mug or container.")]
-Radius = Annotated[
-    list[float] | None,
-    typer.Option(
-        "--radius", parser=METRES, help="Custom object: radius of a row in metres; repeat for each row."
-    ),
-]
-Height = Annotated[
-    list[float] | None, typer.Option("--height", parser=METRES, help="Height of each --radius row, metres.")
-]
-Rows = Annotated[
-    int | None,
-    typer.Option("--rows", help="Number of the object's rows to use; default 1.", show_default=False),
-]
-Slots = Annotated[int, typer.Option("--slots", help="Equal angular steps around the object.")]
-Spacing = Annotated[
-    float | None, typer.Option("--spacing", parser=METRES, help="Minimum reflector spacing, metres (0.04).")
-]
-Mirror = Annotated[
-    bool | None,
-    typer.Option(
-        "--mirror/--no-mirror",
-        help="Count mirror images as two layouts; default: follows tags.direction.",
-        show_default=False,
-    ),
-]
-Seed = Annotated[
-    int,
-    typer.Option(
-        "--seed", min=0, max=9223372036854775807, help="Random seed of the search for the best set."
-    ),
-]
-AntennaHeights = Annotated[
-    str | None,
-    typer.Option(
-        "--heights",
-        metavar="H,H,...",
-        help="Antenna heights of every scan, metres; default: motion.antenna_heights.",
-        show_default=False,
-    ),
-]
+
+@dataclass(frozen=True)
+class TargetOptions:
+    """The object that layouts are for and the rules of their design, as options."""
+
+    target: Annotated[str, typer.Option("--object", help="helmet, mug or container.")] = "helmet"
+    slots: Annotated[int, typer.Option("--slots", help="Equal angular steps around the object.")] = 12
+    rows: Annotated[
+        int | None,
+        typer.Option("--rows", help="Number of the object's rows to use; default 1.", show_default=False),
+    ] = None
+    radius: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--radius", parser=METRES, help="Custom object: radius of a row in metres; repeat for each row."
+        ),
+    ] = None
+    height: Annotated[
+        list[float] | None,
+        typer.Option("--height", parser=METRES, help="Height of each --radius row, metres."),
+    ] = None
+    spacing: Annotated[
+        float | None,
+        typer.Option(
+            "--spacing",
+            parser=METRES,
+            help="Minimum reflector spacing, metres; default of design: 0.07, or less if the count needs it; "
+            "of capacity: 0.04.",
+            show_default=False,
+        ),
+    ] = None
+    mirror: Annotated[
+        bool | None,
+        typer.Option(
+            "--mirror/--no-mirror",
+            help="Count mirror images as two layouts; default: follows tags.direction.",
+            show_default=False,
+        ),
+    ] = None
+    seed: Annotated[
+        int,
+        typer.Option(
+            "--seed", min=0, max=9223372036854775807, help="Random seed of the search for the best set."
+        ),
+    ] = 0
+    heights: Annotated[
+        str | None,
+        typer.Option(
+            "--heights",
+            metavar="H,H,...",
+            help="Antenna heights of every scan, metres; default: motion.antenna_heights.",
+            show_default=False,
+        ),
+    ] = None
+
+    def object(self, every_row: bool = False) -> TaggedObject:
+        """The built-in object with its rows, or a custom one from radii and heights. Raises UsageError."""
+        from tagid.tags.layouts.objects import Row, TaggedObject, object_named
+
+        radii, heights = self.radius, self.height
+        if not radii:
+            if heights:
+                raise UsageError("--height without --radius", "Give a --radius for every --height.")
+            named = object_named(self.target)
+            return named if every_row else named.with_rows(1 if self.rows is None else self.rows)
+        if heights and len(heights) != len(radii):
+            raise UsageError(
+                f"{len(radii)} radii and {len(heights)} heights", "Give as many --height as --radius."
+            )
+        if self.rows is not None:
+            raise UsageError("--rows with --radius", "Every --radius is a row; omit --rows.")
+        given = tuple(Row(r, h) for r, h in zip(radii, heights or [0.0] * len(radii), strict=True))
+        return TaggedObject("own", "other", given, "Own object")
+
+    def rules(self, reflectors: int) -> DesignRules:
+        """The design rules for so many reflectors. Raises UsageError."""
+        from tagid.tags.layouts.design import REFLECTOR_M, DesignRules
+
+        return DesignRules(
+            reflectors,
+            self.slots,
+            REFLECTOR_M if self.spacing is None else self.spacing,
+            mirror_counts=enrolling.direction_known() if self.mirror is None else self.mirror,
+            seed=self.seed,
+            antenna_heights_m=(
+                enrolling.antenna_heights()
+                if self.heights is None
+                else enrolling.parse_antenna_heights(self.heights)
+            ),
+            axis_distance_m=load_config({})["motion.axis_distance_m"] or 1.0,
+        )
 
 
 @command("layouts design")
 def design(
     terminal: Terminal,
-    target: ObjectName = "helmet",
+    target: TargetOptions,
     reflectors: Annotated[int, typer.Option("--reflectors", help="Reflectors per layout.")] = 3,
-    slots: Slots = 12,
     count: Annotated[int, typer.Option("--count", min=1, max=10000, help="Number of layouts.")] = 10,
-    rows: Rows = None,
-    radius: Radius = None,
-    height: Height = None,
-    spacing: Spacing = None,
-    mirror: Mirror = None,
-    seed: Seed = 0,
-    heights: AntennaHeights = None,
     alone: Annotated[bool, typer.Option("--alone", help="Ignore the enrolled layouts.")] = False,
     prefix: Annotated[
         str | None,
@@ -97,8 +140,9 @@ def design(
 
     Example: tagid layouts design --object helmet --reflectors 3 --slots 12 --count 10 --out helmets.toml
     """
+    from tagid.enrolling.advice import roomiest
     from tagid.operate.workplace import open_registry
-    from tagid.tags.layouts.design import design as make
+    from tagid.tags.layouts.design import design as exactly
     from tagid.tags.layouts.layout import is_name
 
     if prefix is not None and not is_name(f"{prefix}-01"):
@@ -109,11 +153,12 @@ def design(
         )
     if out is not None:
         check_new(out, force)
-    rules = rules_from(reflectors, slots, spacing, mirror, seed, heights)
+    rules = target.rules(reflectors)
     beside = [] if alone else open_registry().layouts()
-    chosen = object_from(target, rows, radius, height)
-    whole = chosen if radius else object_from(target, None, None, None, every_row=True)
+    chosen = target.object()
+    whole = chosen if target.radius else target.object(every_row=True)
     asked = _Asked(whole, len(chosen.rows), rules, count, tuple(beside))
+    make = roomiest if target.spacing is None else exactly
     try:
         family = make(chosen, rules, count, prefix, beside)
     except UsageError as error:
@@ -124,15 +169,7 @@ def design(
 @command("layouts capacity")
 def capacity(
     terminal: Terminal,
-    target: ObjectName = "helmet",
-    slots: Slots = 12,
-    rows: Rows = None,
-    radius: Radius = None,
-    height: Height = None,
-    spacing: Spacing = None,
-    mirror: Mirror = None,
-    seed: Seed = 0,
-    heights: AntennaHeights = None,
+    target: TargetOptions,
     error_rate: Annotated[
         float, typer.Option("--error-rate", help="Share of readings that may have no name.")
     ] = 0.001,
@@ -141,11 +178,7 @@ def capacity(
 
     Example: tagid layouts capacity --object mug --error-rate 0.001
     """
-    return _capacity(
-        object_from(target, rows, radius, height),
-        [rules_from(k, slots, spacing, mirror, seed, heights) for k in (2, 3, 4)],
-        error_rate,
-    )
+    return _capacity(target.object(), [target.rules(k) for k in (2, 3, 4)], error_rate)
 
 
 @dataclass(frozen=True)
@@ -172,61 +205,13 @@ class _Asked:
             )
         return "Use a larger object: neither fewer reflectors nor a smaller spacing works on this one."
 
-    def spacing_works(self, spacing_m: float) -> bool:
-        """Whether the requested number of enrollable layouts exists at this reflector spacing."""
-        from tagid.enrolling.advice import works
+    def without_ghosts(self) -> int:
+        """The largest number of enrollable layouts, up to that asked for, without ghosts; 0 for none."""
+        from tagid.enrolling.advice import most
+        from tagid.tags.layouts.design import GHOST_M
 
-        rules = replace(self.rules, spacing_m=spacing_m)
-        return works(self.target.with_rows(self.rows), rules, self.count, self.beside)
-
-
-def object_from(
-    name: str,
-    rows: int | None,
-    radii: list[float] | None,
-    heights: list[float] | None,
-    every_row: bool = False,
-) -> TaggedObject:
-    """The built-in object with its rows, or a custom one from radii and heights. Raises UsageError."""
-    from tagid.tags.layouts.objects import Row, TaggedObject, object_named
-
-    if not radii:
-        if heights:
-            raise UsageError("--height without --radius", "Give a --radius for every --height.")
-        named = object_named(name)
-        return named if every_row else named.with_rows(rows if rows is not None else 1)
-    if heights and len(heights) != len(radii):
-        raise UsageError(
-            f"{len(radii)} radii and {len(heights)} heights", "Give as many --height as --radius."
-        )
-    if rows is not None:
-        raise UsageError("--rows with --radius", "Every --radius is a row; omit --rows.")
-    given = tuple(Row(r, h) for r, h in zip(radii, heights or [0.0] * len(radii), strict=True))
-    return TaggedObject("own", "other", given, "Own object")
-
-
-def rules_from(
-    reflectors: int,
-    slots: int,
-    spacing: float | None,
-    mirror: bool | None,
-    seed: int,
-    heights: str | None = None,
-) -> DesignRules:
-    """Design rules of the command line. Raises UsageError."""
-    from tagid.tags.layouts.design import REFLECTOR_M, DesignRules
-
-    return DesignRules(
-        reflectors,
-        slots,
-        REFLECTOR_M if spacing is None else spacing,
-        mirror_counts=enrolling.direction_known() if mirror is None else mirror,
-        seed=seed,
-        antenna_heights_m=(
-            enrolling.antenna_heights() if heights is None else enrolling.parse_antenna_heights(heights)
-        ),
-        axis_distance_m=load_config({})["motion.axis_distance_m"] or 1.0,
-    )
+        rules = replace(self.rules, spacing_m=GHOST_M)
+        return most(self.target.with_rows(self.rows), rules, self.count + 1, self.beside)
 
 
 def _designed(
@@ -250,15 +235,12 @@ def _designed(
     if refused is not None:
         messages.append(f"this set cannot be enrolled: {refused.message}. {remedy}".replace("..", "."))
     if family.ghost_m < GHOST_M:
-        avoids = asked.spacing_works(GHOST_M)
+        number = asked.without_ghosts()
+        settings = f"--spacing {GHOST_M:g}" + f" --count {number}" * (number < asked.count)
         messages.append(
-            f"reflectors {family.ghost_m * 1e3:.0f} mm apart can cause a ghost (closer than a wavelength, "
-            f"{GHOST_M * 1e3:.0f} mm); "
-            + (
-                f"--spacing {GHOST_M:g} avoids it"
-                if avoids
-                else "this object is too small for a wider spacing"
-            )
+            f"reflectors {family.ghost_m * 1e3:.0f} mm apart, closer than {GHOST_M * 1e3:.0f} mm (a "
+            "wavelength), can cause a ghost; "
+            + (f"{settings} avoids it" if number else "on this object they cannot be farther apart")
         )
     if out is not None:
         write_layouts(family.layouts, out)
@@ -276,11 +258,13 @@ def _designed(
             " ".join(f"{float(h) * 1e3:.0f}" for h in np.asarray(layout.heights)),
         )
     worst = max(outlooks, key=lambda one: one.unresolved)
-    least = "-" if family.distance_m == float("inf") else f"{family.distance_m * 1e3:.1f} mm"
+    least = f"{family.distance_m * 1e3:.1f} mm"
     lines: list[RenderableType] = [
         Text(
-            f"{len(family.layouts)} of {family.candidates} possible layouts ({family.necklaces} necklaces), "
-            f"minimum rotational distance {least}" + ("" if family.proven else ", the largest found")
+            f"{counted(len(family.layouts), 'layout')} of {family.candidates} that fit, reflectors at least "
+            f"{family.ghost_m * 1e3:.0f} mm apart; "
+            + (f"the two most alike differ by {least}, turned to match" if len(family.layouts) > 1 else "")
+            + ("" if family.proven else " (a better set may exist)")
         )
     ]
     lines.append(Text(f"{worst.layout.name}: {enrolling.about(worst)}"))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tagid.recording.calibration import DelayEstimate
 
 _SAME_PATH_M = 1.0
-"""Largest change of the two-way path through cables and antennas that is stored unasked, m: half a metre of range."""
+"""Largest change of the two-way path through cables and antennas that is stored without a question, m."""
 REFERENCE_NAME = f"background{CAPTURE_SUFFIX}"
 
 
@@ -59,9 +59,7 @@ def calibrate(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but store nothing.")] = False,
     yes: Annotated[
         bool,
-        typer.Option(
-            "--yes", "-y", help="Replace a delay that differs by over a metre, without confirmation."
-        ),
+        typer.Option("--yes", "-y", help="Replace a delay that differs by a metre without confirmation."),
     ] = False,
     radar: options.RadarUrl = None,
     axis_distance: options.AxisDistance = None,

@@ -10,12 +10,21 @@ from dataclasses import replace
 
 from tagid.enrolling.enrollment import family_outlooks, refusal
 from tagid.errors import UsageError
-from tagid.tags.layouts.design import MAX_SLOTS, DesignRules, design
+from tagid.tags.layouts.design import (
+    GHOST_M,
+    MAX_SLOTS,
+    REFLECTOR_M,
+    DesignRules,
+    Family,
+    capacity,
+    design,
+)
 from tagid.tags.layouts.layout import MAX_REFLECTORS, Layout
 from tagid.tags.layouts.objects import TaggedObject
 
 _MORE_SLOTS = (16, 18, 20, 24)
-_LEAST_SPACING_M = 0.04
+SPACINGS_M = (GHOST_M, 0.06, 0.05, REFLECTOR_M)
+"""Reflector spacings that a design tries, the widest first, m."""
 _MOST = 2
 """Suggestions that are enough; the search ends there."""
 
@@ -39,15 +48,18 @@ def alternatives(
     for words, used, tried, number in _variations(target, rows, rules, count):
         if len(suggestions) == _MOST:
             break
-        if works(target.with_rows(used), tried, number, enrolled):
-            suggestions.append(words)
-    return suggestions
+        if number is None:
+            number = most(target.with_rows(used), tried, count, enrolled)
+            found += [f"{words} `count={number}`".strip()] * (number > 0)
+        elif works(target.with_rows(used), tried, number, enrolled):
+            found.append(words)
+    return found
 
 
 def _variations(
     target: TaggedObject, rows: int, rules: DesignRules, count: int
-) -> Iterator[tuple[str, int, DesignRules, int]]:
-    """(settings, rows, rules, count) to try: what keeps the number of layouts first."""
+) -> Iterator[tuple[str, int, DesignRules, int | None]]:
+    """(settings, rows, rules, count) to try, the nearest first; a count of None is the largest that works."""
     for more in range(rows + 1, len(target.rows) + 1):
         yield f"`rows={more}`", more, rules, count
     for slots in _MORE_SLOTS:
@@ -56,25 +68,63 @@ def _variations(
     for reflectors in (rules.reflectors + 1, rules.reflectors - 1):
         if 2 <= reflectors <= min(MAX_REFLECTORS, rules.slots):
             yield f"`reflectors={reflectors}`", rows, replace(rules, reflectors=reflectors), count
-    for spacing in (0.06, 0.05, _LEAST_SPACING_M):
+    for spacing in SPACINGS_M:
         if spacing < rules.spacing_m:
             yield f"`spacing={spacing:g}`", rows, replace(rules, spacing_m=spacing), count
-    for fewer in range(count - 1, max(0, count - 12), -1):
-        yield f"`count={fewer}`", rows, rules, fewer
-        if fewer == count // 2:
-            break
-    fewer = min(count // 2, max(count - 12, 0))
-    while fewer:
-        yield f"`count={fewer}`", rows, rules, fewer
-        fewer //= 2
+    yield "", rows, rules, None
     # Several settings together, for objects on which little fits.
-    least = replace(rules, spacing_m=min(rules.spacing_m, _LEAST_SPACING_M))
+    least = replace(rules, spacing_m=min(rules.spacing_m, REFLECTOR_M))
     for reflectors in range(rules.reflectors - 1, 1, -1):
-        for number in dict.fromkeys((count, 1)):
-            words = [f"`reflectors={reflectors}`"]
-            words += [f"`spacing={_LEAST_SPACING_M:g}`"] * (least != rules)
-            words += [f"`count={number}`"] * (number != count)
-            yield " ".join(words), rows, replace(least, reflectors=reflectors), number
+        words = f"`reflectors={reflectors}`" + f" `spacing={REFLECTOR_M:g}`" * (least != rules)
+        yield words, rows, replace(least, reflectors=reflectors), None
+
+
+def most(target: TaggedObject, rules: DesignRules, below: int, enrolled: Sequence[Layout] = ()) -> int:
+    """The largest number of layouts, less than `below`, of a set that can be enrolled; 0 if none can be."""
+    low, high = 0, min(below - 1, capacity(target, rules, enrolled))
+    tried = high
+    while low < high:
+        if works(target, rules, tried, enrolled):
+            low = tried
+        else:
+            high = tried - 1
+        tried = (low + high + 1) // 2
+    return low
+
+
+def roomiest(
+    target: TaggedObject,
+    rules: DesignRules,
+    count: int,
+    prefix: str | None = None,
+    enrolled: Sequence[Layout] = (),
+) -> Family:
+    """The set of `count` layouts at the widest of `SPACINGS_M` at which it can be enrolled.
+
+    The spacing of the rules is not used. If none can be enrolled, it is the set at the widest spacing at
+    which one exists. Raises UsageError where there is none.
+    """
+    widest: Family | None = None
+    for spacing in SPACINGS_M:
+        spaced = replace(rules, spacing_m=spacing)
+        try:
+            family = design(target, spaced, count, prefix, enrolled)
+        except UsageError:
+            if spacing == SPACINGS_M[-1] and widest is None:
+                raise
+            continue
+        if can_be_enrolled(family, enrolled):
+            return family
+        widest = widest or family
+    assert widest is not None
+    return widest
+
+
+def can_be_enrolled(family: Family, enrolled: Sequence[Layout]) -> bool:
+    """Whether enrolling would take the set beside the layouts that are enrolled."""
+    known, weight = family.rules.mirror_counts, family.rules.height_weight
+    outlooks = family_outlooks(family.layouts, enrolled, direction_known=known, height_weight=weight)
+    return refusal(outlooks, enrolled) is None
 
 
 def works(target: TaggedObject, rules: DesignRules, count: int, enrolled: Sequence[Layout]) -> bool:
@@ -83,6 +133,4 @@ def works(target: TaggedObject, rules: DesignRules, count: int, enrolled: Sequen
         family = design(target, rules, count, None, enrolled)
     except UsageError:
         return False
-    known, weight = rules.mirror_counts, rules.height_weight
-    outlooks = family_outlooks(family.layouts, enrolled, direction_known=known, height_weight=weight)
-    return refusal(outlooks, enrolled) is None
+    return can_be_enrolled(family, enrolled)

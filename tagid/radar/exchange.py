@@ -31,8 +31,8 @@ _QUIET_S: Final = 0.05
 _BACKLOG: Final = 4
 """Fragments that may be queued before an answer on a slow line."""
 _FIRST_S: Final = 0.6
-"""Longest wait for an answer of a radar that was never heard, s: a P440 answers within milliseconds, and a wrong
-address is to be reported soon. One that was heard may be busy, or about to return."""
+"""Longest wait for an answer of a radar that was never heard, s: a P440 answers within milliseconds, and a
+wrong address is to be reported soon. One that was heard may be busy, or about to return."""
 
 
 class Exchange:

@@ -140,7 +140,7 @@ def design(
         raise UsageError(f"cannot design {count} layouts", f"Ask for 1 to {MAX_COUNT}.")
     points, heights, total = candidates(target, rules)
     space = weighted(points, heights, rules)
-    free = [i for i, p in enumerate(space) if not _taken(p, beside, rules)]
+    free = _free(space, beside, rules)
     taken = len(points) - len(free)
     points, heights, space = points[free], heights[free], space[free]
     if len(points) < count:
@@ -227,6 +227,17 @@ def weighted(
     if rules.height_weight <= 0:
         return points
     return np.concatenate([points, rules.height_weight * heights[..., None]], axis=-1)
+
+
+def capacity(target: TaggedObject, rules: DesignRules, beside: Sequence[Layout] = ()) -> int:
+    """Number of layouts that meet the rules and are unlike those in use; at most `MAX_COUNT`."""
+    points, heights, _ = candidates(target, rules)
+    return min(len(_free(weighted(points, heights, rules), beside, rules)), MAX_COUNT)
+
+
+def _free(space: NDArray[np.float64], beside: Sequence[Layout], rules: DesignRules) -> list[int]:
+    """Indexes of the candidates (n, K, 2 or 3), m, that cannot be confused with a layout in use."""
+    return [i for i, points in enumerate(space) if not _taken(points, beside, rules)]
 
 
 def _taken(points: NDArray[np.float64], beside: Sequence[Layout], rules: DesignRules) -> bool:
