@@ -31,7 +31,7 @@ it, as names are read in the scans themselves (`tagid/reading/`).
 - Data: simulated scenes only, drawn as `train/distributions.py` declares: {scenes} scenes imaged by
   backprojection, every {ats_every}th by ATS too; commit {commit},
   seed {seed}. No real tagged object has been recorded yet.
-- Network: {parameters} parameters, ONNX, {size} kB; rebuilt by `python -m train all`.
+- Network: {parameters} parameters, ONNX, {size} kB; rebuilt by `python -m train all --install`.
 - Thresholds (probability to ask for a false detection in that share of images without reflectors,
   calibrated on the validation scenes): {thresholds}.
 

@@ -7,7 +7,7 @@ same dataset, and what was made is never made again.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,6 @@ from tagid.errors import StorageError, UsageError
 from tagid.files import replacing
 from train.distributions import Distribution
 from train.images import METHODS, network_input
-from train.planes import GRID
 from train.scenes import draw_scene
 
 SHARD = 100
@@ -101,46 +100,48 @@ class Samples:
         return Samples(**{name: value[keep] for name, value in vars(self).items()})
 
 
-def make_shard(images: list[ImageOf], distribution: Distribution) -> Samples:
-    """The images of one shard with their truths."""
-    n = len(images)
-    relative = np.zeros((n, 2, GRID.pixels, GRID.pixels), dtype=np.float16)
-    reflectors = np.full((n, MOST_REFLECTORS, 2), np.nan, dtype=np.float32)
-    ghosts = np.full((n, MOST_GHOSTS, 3), np.nan, dtype=np.float32)
-    rows = []
-    for i, image in enumerate(images):
-        scene = draw_scene(image.seed, distribution)
-        seen = network_input(scene.capture, image.method, image.seed % 1000)
-        relative[i] = seen.relative.real, seen.relative.imag
-        reflectors[i, : len(scene.reflectors_m)] = scene.reflectors_m
-        for j, ghost in enumerate(scene.ghosts[:MOST_GHOSTS]):
-            ghosts[i, j] = *ghost.centre_m, ghost.radius_m
-        rows.append((seen.snr_db, seen.views, METHODS.index(image.method), scene.snr_db))
-    columns = np.array(rows)
-    return Samples(
-        relative,
-        columns[:, 0].astype(np.float32),
-        columns[:, 1].astype(np.int32),
-        columns[:, 2].astype(np.int8),
-        reflectors,
-        ghosts,
-        columns[:, 3].astype(np.float32),
-    )
-
-
 @dataclass(frozen=True)
-class _Shard:
-    """A shard that is to be made: its file, its images, and how scenes are drawn."""
+class _Drawn:
+    """An image that is to be made: of which scene, by which method, and how scenes are drawn."""
 
-    path: Path
-    images: list[ImageOf]
+    image: ImageOf
     distribution: Distribution
 
 
-def _write(shard: _Shard) -> None:
-    made = make_shard(shard.images, shard.distribution)
-    with replacing(shard.path) as file:
-        np.savez(file, **vars(made))
+def _sample(drawn: _Drawn) -> Samples:
+    """One image with its truths."""
+    image = drawn.image
+    scene = draw_scene(image.seed, drawn.distribution)
+    seen = network_input(scene.capture, image.method, image.seed % 1000)
+    reflectors = np.full((1, MOST_REFLECTORS, 2), np.nan, dtype=np.float32)
+    reflectors[0, : len(scene.reflectors_m)] = scene.reflectors_m
+    ghosts = np.full((1, MOST_GHOSTS, 3), np.nan, dtype=np.float32)
+    for j, ghost in enumerate(scene.ghosts[:MOST_GHOSTS]):
+        ghosts[0, j] = *ghost.centre_m, ghost.radius_m
+    return Samples(
+        np.array([[seen.relative.real, seen.relative.imag]], dtype=np.float16),
+        np.array([seen.snr_db], dtype=np.float32),
+        np.array([seen.views], dtype=np.int32),
+        np.array([METHODS.index(image.method)], dtype=np.int8),
+        reflectors,
+        ghosts,
+        np.array([scene.snr_db], dtype=np.float32),
+    )
+
+
+Each = Callable[[Callable[[_Drawn], Samples], Iterable[_Drawn]], Iterable[Samples]]
+"""Maps a function over images in order, as `map` does, perhaps in several processes."""
+
+
+def make_shard(images: list[ImageOf], distribution: Distribution, each: Each = map) -> Samples:
+    """The images of one shard with their truths."""
+    return _joined(list(each(_sample, [_Drawn(image, distribution) for image in images])))
+
+
+def _joined(parts: list[Samples]) -> Samples:
+    """Samples one after the other."""
+    names = Samples.__dataclass_fields__
+    return Samples(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
 def build(
@@ -150,7 +151,7 @@ def build(
     progress: Callable[[int, int], None] | None = None,
     distribution: Distribution | None = None,
 ) -> None:
-    """Make the shards that are not there yet.
+    """Make the shards that are not there yet; `progress` is called with (images made, images).
 
     Raises:
         UsageError: the folder holds a dataset of another kind. StorageError: it cannot be written.
@@ -165,20 +166,27 @@ def build(
         about.write_text(json.dumps(settings) + "\n")
     except (OSError, ValueError) as error:
         raise StorageError(f"{about}: {error}", "Choose a folder that can be written.") from error
-    tasks = []
-    for shard in range(plan.shards):
-        images = plan.images(shard)
-        path = about.parent / f"{shard:04d}-{len(images)}.npz"
-        if not path.exists():
-            tasks.append(_Shard(path, images, dist))
-    done = plan.shards - len(tasks)
+    shards = [plan.images(shard) for shard in range(plan.shards)]
+    paths = [about.parent / f"{shard:04d}-{len(images)}.npz" for shard, images in enumerate(shards)]
+    total = sum(map(len, shards))
+    done = sum(len(images) for images, path in zip(shards, paths, strict=True) if path.exists())
     if progress:
-        progress(done, plan.shards)
+        progress(done, total)
     with processes.spawn_context().Pool(jobs) as pool:
-        for _ in pool.imap_unordered(_write, tasks):
-            done += 1
-            if progress:
-                progress(done, plan.shards)
+
+        def counted(function: Callable[[_Drawn], Samples], drawn: Iterable[_Drawn]) -> Iterator[Samples]:
+            nonlocal done
+            for sample in pool.imap(function, drawn):
+                done += 1
+                if progress:
+                    progress(done, total)
+                yield sample
+
+        for images, path in zip(shards, paths, strict=True):
+            if not path.exists():
+                made = make_shard(images, dist, counted)
+                with replacing(path) as file:
+                    np.savez(file, **vars(made))
 
 
 def load(folder: Path, plan: DatasetPlan) -> Samples:
@@ -187,14 +195,13 @@ def load(folder: Path, plan: DatasetPlan) -> Samples:
     Raises StorageError if a shard is missing or damaged.
     """
 
-    def shards() -> Iterator[dict[str, NDArray[np.generic]]]:
+    def shards() -> Iterator[Samples]:
         for shard in range(plan.shards):
             path = folder / plan.split / f"{shard:04d}-{len(plan.images(shard))}.npz"
             try:
                 with np.load(path, allow_pickle=False) as file:
-                    yield {name: file[name] for name in Samples.__dataclass_fields__}
+                    yield Samples(**{name: file[name] for name in Samples.__dataclass_fields__})
             except (OSError, ValueError, KeyError) as error:
                 raise StorageError(f"{path}: {error}", "Make it with `python -m train dataset`.") from error
 
-    parts = list(shards())
-    return Samples(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+    return _joined(list(shards()))

@@ -15,7 +15,9 @@ import numpy as np
 import torch
 
 from tagid._version import __version__
-from tagid.models_store import OPSET, Tensor, entry_of, write_entry
+from tagid.errors import ModelError
+from tagid.models_store import OPSET, Tensor, entry_of, manifest, write_entry
+from train.card import PFA
 from train.detector import CELLS, CONTRACT_KEY, FOLDER, MODEL, Contract
 from train.evaluate import Figures
 from train.network import CHANNELS, DetectorNetwork
@@ -74,6 +76,21 @@ def export(
     facts = {"purpose": "reflectors in an image of a turn", "source": "train/", "figures": shown}
     write_entry(entry_of(MODEL, content, {"planes": planes}, outputs, facts), content, folder)
     return folder / f"{MODEL}.onnx"
+
+
+def check_better(figures: Mapping[str, Figures], folder: Path = FOLDER) -> None:
+    """Raise ModelError for a network that is worse than the present one, or measured on fewer images."""
+    present = manifest(folder)[MODEL].facts["figures"]["all"]
+    new = figures["all"]
+    better = new.recall >= present["recall"] and new.false_images <= max(present["false_images"], PFA)
+    if better and new.images >= present["images"]:
+        return
+    raise ModelError(
+        f"not installed: recall {100 * new.recall:.1f} % with {100 * new.false_images:.1f} % false in empty "
+        f"on {new.images} images; the shipped network has {100 * present['recall']:.1f} % with "
+        f"{100 * present['false_images']:.1f} % on {present['images']}",
+        "Train on more scenes or for more epochs; without --install it is written into the work folder.",
+    )
 
 
 def _rounded(figures: Figures) -> dict[str, float | None]:

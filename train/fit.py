@@ -92,7 +92,8 @@ def fit(
     network = DetectorNetwork()
     network.to(s.device)
     optimiser = AdamW(network.parameters(), lr=s.rate, weight_decay=s.decay)
-    steps = s.epochs * (len(training) // s.batch)
+    size = min(s.batch, len(training))
+    steps = s.epochs * (len(training) // size)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, s.rate, total_steps=max(1, steps), pct_start=0.2
     )
@@ -105,9 +106,9 @@ def fit(
             order = rng.permutation(len(training))
             network.train()
             total = 0.0
-            count = len(training) // s.batch
+            count = len(training) // size
             draws = [
-                Draw(order[step * s.batch : (step + 1) * s.batch], rng.integers(0, 8, s.batch))
+                Draw(order[step * size : (step + 1) * size], rng.integers(0, 8, size))
                 for step in range(count)
             ]
             for step, made in enumerate(batches(draws)):
@@ -211,6 +212,15 @@ def _resume(
         return int(state["epoch"])
     except (KeyError, RuntimeError, ValueError, EOFError) as error:
         raise StorageError(f"{path}: damaged checkpoint: {error}", "Remove it and start again.") from error
+
+
+def settings_of(path: Path) -> FitSettings:
+    """How the network of a checkpoint was trained. Raises StorageError."""
+    try:
+        own = torch.load(io.BytesIO(read_bytes(path)), map_location="cpu", weights_only=True)["own"]
+        return FitSettings(**{name: own[name] for name in FitSettings.__dataclass_fields__})
+    except (KeyError, RuntimeError, ValueError, EOFError) as error:
+        raise StorageError(f"{path}: damaged checkpoint: {error}", "Train again.") from error
 
 
 def load_network(path: Path) -> DetectorNetwork:

@@ -84,6 +84,8 @@ def live_scan(terminal: Terminal, settings: LiveSettings, title: str) -> Iterato
     with ExitStack() as stack:
         shown = LiveScan(stack.enter_context(LiveView(settings)))
         if console.is_terminal and not terminal.quiet:
+            # The last frame stays in view below the other output; the live screen is erased.
+            stack.callback(lambda: console.print(_frame(shown, title, console)))
             live = Live(
                 console=console,
                 screen=True,
@@ -122,11 +124,15 @@ class _Screen:
 
 
 def _drawn(shown: LiveScan, title: str, console: Console) -> RenderableType:
-    from tagid.report.live_screen import draw
-    from tagid.report.preview import colour_wanted
-
-    state = shown.view.state
     shown.last_s = time.monotonic()
     shown.first_s = shown.first_s or shown.last_s
     shown.frames += 1
-    return draw(state, title, (console.size.width, console.size.height), colour_wanted(console))
+    return _frame(shown, title, console)
+
+
+def _frame(shown: LiveScan, title: str, console: Console) -> RenderableType:
+    from tagid.report.live_screen import draw
+    from tagid.report.preview import colour_wanted
+
+    size = (console.size.width, console.size.height)
+    return draw(shown.view.state, title, size, colour_wanted(console))

@@ -27,6 +27,8 @@ SINOGRAM_DB: Final = 30.0
 _BAR: Final = 24
 _HEAD: Final = 3
 _GAP: Final = 2
+_GUTTER: Final = 7
+"""Columns of the labels to the left of a picture."""
 _MOST_BARS: Final = 8
 
 
@@ -66,7 +68,7 @@ def _figures(s: LiveState) -> Text:
     if s.turned_rad is None:
         text.append("angle not known yet  ")
     else:
-        text.append(f"{np.rad2deg(s.turned_rad):.0f} of 360 deg  ")
+        text.append(f"{min(np.rad2deg(s.turned_rad), 360.0):.0f} of 360 deg  ")
     text.append("SNR -  " if s.snr_db is None else f"SNR {s.snr_db:.1f} dB  ")
     text.append(f"lost {s.lost}  ", style="bold yellow" if s.lost else "")
     return text.append(f"{s.views} views" if s.views else "")
@@ -107,7 +109,7 @@ def _bars(evidence: tuple[LayoutEvidence, ...], columns: int, colour: bool) -> l
         line = Text(no_wrap=True, overflow="crop")
         line.append(f"{visible(one.layout)[:width]:<{width}} ")
         line.append("".join(bar), style="green" if one.enough else "yellow")
-        line.append(f" {one.share:4.0%} of {one.needed_share:.0%}, {one.nats:.0f} nats")
+        line.append(f" {one.share:4.0%} of the echo, {one.needed_share:.0%} needed")
         lines.append(line)
     if len(evidence) > len(best):
         lines.append(Text(f"and {len(evidence) - len(best)} more layouts", style="dim"))
@@ -118,14 +120,41 @@ def _image(s: LiveState, width: int, height: int, colour: bool) -> RenderableTyp
     if s.image is None:
         return Text("no image yet".ljust(width))
     # A character cell is about twice as high as wide.
-    side = max(min(width, 2 * height), 8)
-    return _raster(np.abs(s.image.values[::-1]).astype(np.float64), IMAGE_DB, side, side // 2, colour)
+    side = max(min(width - _GUTTER, 2 * (height - 1)), 8)
+    values = np.abs(s.image.values[::-1]).astype(np.float64)
+    edge = f"{s.image.grid.extent * 500:.0f}"
+    picture = _raster(values, IMAGE_DB, side, side // 2, colour)
+    return _with_axes(picture, side, side // 2, (f"-{edge}", "x, mm", edge), (edge, "y, mm", f"-{edge}"))
 
 
 def _sinogram(s: LiveState, width: int, height: int, colour: bool) -> RenderableType:
     if s.sinogram is None:
         return Text("no scans yet")
-    return _raster(s.sinogram.rows.astype(np.float64), SINOGRAM_DB, max(width, 8), height, colour)
+    columns, lines = max(width - _GUTTER, 8), height - 1
+    picture = _raster(s.sinogram.rows.astype(np.float64), SINOGRAM_DB, columns, lines, colour)
+    near, far = s.sinogram.range_m
+    across = (f"{near:.2f}", "range, m", f"{far:.2f}")
+    return _with_axes(picture, columns, lines, across, ("0 s", "", f"{s.seconds:.0f} s"))
+
+
+def _with_axes(
+    picture: RenderableType,
+    columns: int,
+    lines: int,
+    across: tuple[str, str, str],
+    down: tuple[str, str, str],
+) -> RenderableType:
+    """A picture of so many columns and lines with the first and last value and the title of its axes."""
+    first, title, last = down
+    labels = [first, *[""] * (lines - 2), last]
+    if lines > 2:
+        labels[lines // 2] = title
+    below = f"{across[0]}{across[1]:^{max(columns - len(across[0]) - len(across[2]), 0)}}{across[2]}"
+    framed = Table.grid()
+    gutter = Text("\n".join(f"{label:>{_GUTTER - 1}} " for label in labels), style="dim", no_wrap=True)
+    framed.add_row(gutter, picture)
+    framed.add_row("", Text(below[:columns], style="dim", no_wrap=True))
+    return framed
 
 
 def _raster(

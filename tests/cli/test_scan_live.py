@@ -24,6 +24,10 @@ def test_the_image_forms_on_a_terminal_without_colours(home: dict[str, str], tmp
     assert (document["data"]["scans_lost"], document["data"]["scans_dropped"]) == (0, 0)
     assert "▀" not in text and not re.search(r"\x1b\[[\d;]*[34]8;", text), "no colours"
     screen = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", text)
-    assert "of 360 deg" in screen
-    assert re.search(r"helmet-120 +[#.]+\|[#.]+ +\d+% of 45%", screen), screen[-3000:]
+    turned = [int(degrees) for degrees in re.findall(r"(\d+) of 360 deg", screen)]
+    assert turned and max(turned) <= 360
+    assert re.search(r"helmet-120 +[#.]+\|[#.]+ +\d+% of the echo, 45% needed", screen), screen[-3000:]
+    assert "x, mm" in screen and "range, m" in screen and "nats" not in screen
+    kept = text[text.rindex("\x1b[?1049l") :]
+    assert "HELMET-120" in kept and "x, mm" in kept, "the last frame stays"
     assert re.search(r"[-=+*#%@]{3}", screen), "the image is not drawn"

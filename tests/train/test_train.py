@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 import torch
 
-from tagid.errors import StorageError, UsageError
-from tagid.models_store import open_model
-from train.dataset import MOST_REFLECTORS, DatasetPlan, ImageOf, Samples, build, load, make_shard
-from train.detector import CELL_M, CELLS, MODEL, Contract, Detector
+from tagid.errors import ModelError, StorageError, UsageError
+from tagid.models_store import manifest, open_model
+from train.dataset import MOST_REFLECTORS, ImageOf, Plan, Samples, build, load, make_shard
+from train.detector import CELL_M, CELLS, FOLDER, MODEL, Contract, Detector
 from train.distributions import Distribution, ObjectDistribution
 from train.evaluate import Figures, score
-from train.export import export
+from train.export import check_better, export
 from train.fit import FitSettings, fit
 from train.network import DetectorNetwork
+from train.plans import Size
 from train.scenes import draw_scene
 from train.targets import cell_targets, make_batch, symmetry
 
@@ -155,3 +156,25 @@ def test_each_reflector_is_hit_once() -> None:
     figures = Figures.of([outcome], 0.5)
     assert (figures.recall, figures.precision) == (0.5, 0.5)
     assert figures.rms_mm == pytest.approx(2.0)
+
+
+def test_a_worse_network_does_not_replace_the_shipped_one() -> None:
+    present = manifest(FOLDER)[MODEL].facts["figures"]["all"]
+    as_good = Figures(
+        present["images"], present["reflectors"], present["recall"], 1.0, 0.0, 2.0, present["presence"]
+    )
+    check_better({"all": as_good})
+    for worse in (
+        replace(as_good, recall=0.0),
+        replace(as_good, false_images=0.5),
+        replace(as_good, images=2),
+    ):
+        with pytest.raises(ModelError, match="not installed"):
+            check_better({"all": worse})
+
+
+def test_a_folder_remembers_the_size_of_its_dataset(tmp_path: Path) -> None:
+    assert Size.of(tmp_path, None, None) == Size()
+    Size(24, 0).remember(tmp_path)
+    assert Size.of(tmp_path, None, None) == Size(24, 0)
+    assert Size.of(tmp_path, 30, None) == Size(30, 0)
