@@ -152,7 +152,8 @@ def show(
     from tagid.files import write_bytes
     from tagid.operate.workplace import open_registry
     from tagid.report import layout_sheet
-    from tagid.report.drafting import to_pdf, to_png, to_svg
+    from tagid.report.drafting import to_png, to_svg
+    from tagid.report.pdf import to_pdf
 
     if file is None:
         layout = open_registry().get(name)
@@ -183,6 +184,37 @@ def show(
         lines.append(Text(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{high}"))
     lines += [Text(f"written  {path}") for path in written]
     return Result("layouts show", {"layout": layout.to_dict(), "written": written}, Group(*lines))
+
+
+@command("layouts sheet")
+def sheet(
+    terminal: Terminal,
+    file: Annotated[Path, typer.Argument(help="PDF file to write.")],
+    names: Annotated[list[str] | None, typer.Argument(help="Layouts; default: all.")] = None,
+    paper: Annotated[str, typer.Option("--paper", help="Paper: a4, a3, letter.")] = "a4",
+) -> Result:
+    """Write one PDF with picture, name and 1:1 template of every enrolled layout.
+
+    Example: tagid layouts sheet tags.pdf
+    """
+    from rich.text import Text
+
+    from tagid.files import write_bytes
+    from tagid.operate.workplace import open_registry
+    from tagid.report import layout_sheet
+    from tagid.report.pdf import to_pdf
+
+    check_drawing("FILE", file, (".pdf",))
+    registry = open_registry()
+    layouts = [registry.get(name) for name in names] if names else registry.layouts()
+    if not layouts:
+        raise UsageError("no layout is enrolled", "Enrol one with `tagid enroll` or `tagid layouts import`.")
+    drawings = layout_sheet.overview(layouts, *layout_sheet.room(paper))
+    for layout in layouts:
+        drawings += layout_sheet.template(layout, None, paper)
+    write_bytes(file, to_pdf(drawings, paper))
+    data = {"path": str(file), "layouts": [layout.name for layout in layouts]}
+    return Result("layouts sheet", data, Text(f"{counted(len(layouts), 'layout')} in {file}"))
 
 
 @command("layouts export")

@@ -367,7 +367,8 @@ def reflector(
 
     from tagid.files import write_bytes
     from tagid.report import reflector_sheet as sheets
-    from tagid.report.drafting import to_pdf, to_svg
+    from tagid.report.drafting import to_svg
+    from tagid.report.pdf import to_pdf
 
     if kind not in KINDS:
         raise UsageError(f"there is no reflector {kind[:40]!r}", f"Use {', '.join(KINDS)}.")

@@ -1,4 +1,4 @@
-"""Technical drawings in millimetres: one list of lines, circles and texts, written as SVG, PNG or 1:1 PDF.
+"""Technical drawings in millimetres: one list of lines, circles and texts, written as SVG or PNG; PDF: `pdf`.
 
 A print template is only useful at true scale, so all coordinates are in millimetres.
 """
@@ -15,12 +15,10 @@ from PIL import Image, ImageDraw, ImageFont
 from tagid.errors import UsageError
 
 MM_PER_INCH = 25.4
-PRINT_DPI = 300
 PAPERS_MM = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}
 MARGIN_MM = 10.0
 """Printers leave 5 to 7 mm of a sheet blank."""
 MAX_SIDE_MM = 10_000.0
-MAX_PAGES = 60
 HALO_MM = 0.8
 """White margin around letters, so that lines behind them do not make them illegible."""
 DASH_MM, GAP_MM = 2.0, 1.5
@@ -122,39 +120,7 @@ def _stroke(mark: Line | Circle) -> str:
 def to_png(drawing: Drawing, dpi: float = 200.0) -> bytes:
     """The drawing as a PNG that carries its resolution."""
     buffer = io.BytesIO()
-    smooth = _raster(drawing, 2 * dpi, (0.0, 0.0, drawing.width, drawing.height)).reduce(2)
-    smooth.save(buffer, format="PNG", optimize=True, dpi=(dpi, dpi))
-    return buffer.getvalue()
-
-
-def to_pdf(drawings: list[Drawing], paper: str) -> bytes:
-    """The drawings at 1:1 on as many sheets of paper as they need.
-
-    Args:
-        drawings: each begins on a new sheet.
-        paper: "a4", "a3" or "letter".
-
-    Raises UsageError for another paper, or more than MAX_PAGES sheets.
-    """
-    sheets: list[Image.Image] = []
-    for drawing in drawings:
-        tiles, size = page_tiles(drawing, paper)
-        if len(sheets) + len(tiles) > MAX_PAGES:
-            raise UsageError(f"the template needs more than {MAX_PAGES} sheets", "Use a larger `paper`.")
-        for number, tile in enumerate(tiles, 1):
-            joint = f", part {number} of {len(tiles)}: join at the corner marks" if len(tiles) > 1 else ""
-            sheets.append(_sheet(drawing, tile, size, f"print at 100 %{joint}"))
-    buffer = io.BytesIO()
-    first, *rest = sheets
-    first.save(
-        buffer,
-        format="PDF",
-        save_all=True,
-        append_images=rest,
-        resolution=PRINT_DPI,
-        quality=92,
-        title="tagid",
-    )
+    _raster(drawing, 2 * dpi).reduce(2).save(buffer, format="PNG", optimize=True, dpi=(dpi, dpi))
     return buffer.getvalue()
 
 
@@ -214,38 +180,14 @@ def _touches(mark: Mark, tile: Tile) -> bool:
     return low[0] <= right and high[0] >= left and low[1] <= top and high[1] >= bottom
 
 
-def _sheet(drawing: Drawing, tile: Tile, size: tuple[float, float], words: str) -> Image.Image:
-    """One sheet of paper with a tile of the drawing inside the margins and the tile's corners marked."""
-    scale = PRINT_DPI / MM_PER_INCH
-    width, height = size
-    sheet = Image.new("L", (round(width * scale), round(height * scale)), 255)
-    part = _raster(drawing, PRINT_DPI, tile)
-    sheet.paste(part, (round(MARGIN_MM * scale), round(MARGIN_MM * scale)))
-    pen = ImageDraw.Draw(sheet)
-    for x in (MARGIN_MM, width - MARGIN_MM):
-        for y in (MARGIN_MM, height - MARGIN_MM):
-            px, py, arm = x * scale, y * scale, 4 * scale
-            pen.line([(px - arm, py), (px + arm, py)], fill=150, width=2)
-            pen.line([(px, py - arm), (px, py + arm)], fill=150, width=2)
-    pen.text(
-        (width * scale / 2, height * scale - MARGIN_MM * scale / 2),
-        f"tagid template: {words}",
-        fill=0,
-        font=ImageFont.load_default(round(3 * scale)),
-        anchor="mm",
-    )
-    return sheet
-
-
-def _raster(drawing: Drawing, dpi: float, part: Tile) -> Image.Image:
-    """A part (left, bottom, right, top), mm, of the drawing as a grey raster."""
+def _raster(drawing: Drawing, dpi: float) -> Image.Image:
+    """The drawing as a grey raster."""
     scale = dpi / MM_PER_INCH
-    left, bottom, right, top = part
-    image = Image.new("L", (round((right - left) * scale), round((top - bottom) * scale)), 255)
+    image = Image.new("L", (round(drawing.width * scale), round(drawing.height * scale)), 255)
     pen = ImageDraw.Draw(image)
 
     def px(at: tuple[float, float]) -> tuple[float, float]:
-        return (at[0] - left) * scale, (top - at[1]) * scale
+        return at[0] * scale, (drawing.height - at[1]) * scale
 
     for mark in drawing.marks:
         if isinstance(mark, Text):

@@ -5,11 +5,13 @@ The plan is seen from above with the axis in the centre, x to the right, as in l
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.counting import counted
 from tagid.errors import UsageError
 from tagid.report.drafting import Circle, Drawing, Line, Text, room
 from tagid.tags.layouts.design import REFLECTOR_M
@@ -22,6 +24,8 @@ CUT_MM = 6.0
 SPOT_MM = 23.0
 """Half the width of a reflector and its labels on the strip; cuts avoid this area if possible."""
 STRIP_FOOT_MM = 22.0
+CELL_MM = (60.0, 80.0)
+"""Width and height of a picture in the overview."""
 CHECK_MM = 100.0
 """Length of the scale bar for checking a print."""
 
@@ -83,6 +87,36 @@ def plan(layout: Layout) -> Drawing:
     check_bar(sheet, (8.0, 7.0))
     sheet.marks.sort(key=lambda mark: isinstance(mark, Text))  # no line crosses a label
     return sheet
+
+
+def overview(layouts: Sequence[Layout], width: float, height: float) -> list[Drawing]:
+    """Pictures of layouts with their names, not to scale, on sheets of up to the width and height, mm."""
+    across, down = int(width // CELL_MM[0]), int(height // CELL_MM[1])
+    sheets = []
+    for first in range(0, len(layouts), across * down):
+        shown = layouts[first : first + across * down]
+        sheet = Drawing(across * CELL_MM[0], -(-len(shown) // across) * CELL_MM[1])
+        for i, layout in enumerate(shown):
+            x = (i % across + 0.5) * CELL_MM[0]
+            y = sheet.height - (i // across) * CELL_MM[1] - CELL_MM[0] / 2
+            _picture(sheet, layout, (x, y))
+        sheets.append(sheet)
+    return sheets
+
+
+def _picture(sheet: Drawing, layout: Layout, at: tuple[float, float]) -> None:
+    """A small picture from above, with the name, the label and the radius below."""
+    scale = 0.38 * CELL_MM[0] / layout.radius_m
+    for radius in sorted({round(float(r), 4) for r in np.linalg.norm(layout.positions, axis=1)} - {0.0}):
+        sheet.add(Circle(at, radius * scale, 0.2, True))
+    sheet.cross(at, 2.0)
+    for x, y in layout.positions * scale:
+        sheet.add(Circle((at[0] + float(x), at[1] + float(y)), 2.5, filled=True))
+    about = f"{counted(layout.size, 'reflector')}, radius {layout.radius_m * 1e3:.0f} mm"
+    below = at[1] - CELL_MM[0] / 2
+    for line, (text, size) in enumerate(((layout.name, 4.0), (layout.label, 3.0), (about, 3.0))):
+        fits = min(size, 1.8 * CELL_MM[0] / max(len(text), 1))
+        sheet.add(Text((at[0], below - 6 * line - 3), text, fits))
 
 
 def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:

@@ -10,7 +10,7 @@ from starlette.routing import BaseRoute, Route
 from tagid.errors import UsageError
 from tagid.pipeline.enrolment import LayoutProposal
 from tagid.report import layout_sheet
-from tagid.report.drafting import to_pdf
+from tagid.report.pdf import to_pdf
 from tagid.station import wire
 from tagid.station.enrolling import Subject
 from tagid.station.errors import NoSuchItemError

@@ -11,8 +11,9 @@ import pytest
 from PIL import Image
 
 from tagid.errors import UsageError
-from tagid.report.drafting import Circle, Drawing, Line, Text, page_tiles, room, to_pdf, to_png, to_svg
-from tagid.report.layout_sheet import bands, in_terminal, plan, stacked, strip, template
+from tagid.report.drafting import Circle, Drawing, Line, Text, page_tiles, room, to_png, to_svg
+from tagid.report.layout_sheet import bands, in_terminal, overview, plan, stacked, strip, template
+from tagid.report.pdf import to_pdf
 from tagid.tags.layouts.layout import builtin_layouts
 
 LAYOUTS = builtin_layouts()
@@ -44,13 +45,21 @@ def test_pdf_prints_100_mm_as_100_mm() -> None:
     pdf = to_pdf([sheet], "a4")
     box = [float(v) for v in re.search(rb"/MediaBox \[ ?([\d. ]+)\]", pdf)[1].split()]
     assert box[2:] == pytest.approx([210 / 25.4 * 72, 297 / 25.4 * 72], abs=0.2)
-    start = pdf.index(b"\xff\xd8\xff")
-    page = np.asarray(Image.open(io.BytesIO(pdf[start:])).convert("L"))
-    mm = page.shape[1] / 210
-    dark = page[round((10 + 25) * mm)] < 128  # a row through both upright lines, 25 mm under the margin
-    found = np.flatnonzero(dark)
-    assert (found.max() - found.min()) / mm == pytest.approx(100, abs=0.5)
-    assert found.min() / mm == pytest.approx(30, abs=0.5)
+    assert b"\n2.834646 0 0 2.834646 0 0 cm" in pdf  # points per millimetre
+    assert b"1 0 0 1 10 227 cm" in pdf  # 10 mm from the left, its 60 mm below 10 mm from the top
+    assert b"n 20 30 m 120 30 l S" in pdf
+
+
+def test_a_sheet_of_all_tags_is_vectors_with_text_to_search() -> None:
+    layouts = list(LAYOUTS.values())
+    drawings = overview(layouts, *room("a4"))
+    for layout in layouts:
+        drawings += template(layout, None, "a4")
+    pdf = to_pdf(drawings, "a4")
+    assert b"/Subtype /Image" not in pdf
+    for layout in layouts:
+        assert pdf.count(f"({layout.name}) Tj".encode()) == 1, "its picture's name"
+        assert f"({layout.name}   {layout.label}".encode() in pdf, "its template"
 
 
 def test_a_strip_wider_than_paper_is_tiled_without_loss() -> None:
