@@ -202,6 +202,7 @@ def sheet(
     from tagid.files import write_bytes
     from tagid.operate.workplace import open_registry
     from tagid.report import layout_sheet
+    from tagid.report.drafting import room
     from tagid.report.pdf import to_pdf
 
     check_drawing("FILE", file, (".pdf",))
@@ -209,7 +210,7 @@ def sheet(
     layouts = [registry.get(name) for name in names] if names else registry.layouts()
     if not layouts:
         raise UsageError("no layout is enrolled", "Enrol one with `tagid enroll` or `tagid layouts import`.")
-    drawings = layout_sheet.overview(layouts, *layout_sheet.room(paper))
+    drawings = layout_sheet.overview(layouts, *room(paper))
     for layout in layouts:
         drawings += layout_sheet.template(layout, None, paper)
     write_bytes(file, to_pdf(drawings, paper))

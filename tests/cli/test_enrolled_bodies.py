@@ -113,7 +113,7 @@ def test_an_object_whose_reflectors_are_hidden_is_enrolled_by_its_signature(
         (error,) = tagid("bodies", *words, "--output", "json").json["errors"]
         assert error["message"] == "no body is named 'mug-7', but an object is"
         assert "`tagid bodies show mug-7 --object`" in error["remedy"]
-        assert "`tagid layouts --remove mug-7`" in error["remedy"]
+        assert "`tagid layouts remove mug-7`" in error["remedy"]
     assert tagid("bodies", "show", "mug-7", "--object").code == 0
     clash = tagid("enroll", "mug-8", *tagged, "--output", "json")
     assert clash.code == 1 and clash.json["errors"][0]["code"] == "layout_conflict"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import re
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -420,3 +421,55 @@ def test_a_terminal_without_umlauts_costs_no_answer(
         command, cwd=tmp_path, env={**home, "PYTHONIOENCODING": "ascii"}, capture_output=True, text=True
     )
     assert done.returncode == 0 and "gr\\xfcn" in done.stdout, done.stderr
+
+
+def test_lengths_take_a_unit_and_negative_values_are_values(here: Callable[..., Ran]) -> None:
+    assert here("config", "set", "motion.axis_distance_m", "100cm").code == 0
+    shown = here("config", "show", "motion.axis_distance_m", "--output", "json").json["data"]
+    assert shown["settings"]["motion.axis_distance_m"]["value"] == 1.0
+    refused = here("config", "set", "motion.axis_distance_m", "-1")
+    assert refused.code == 2 and "expected 0.001 to 20" in refused.err
+    assert here("config", "set", "motion.antenna_height_m", "-5cm").code == 0
+    unknown = here("config", "set", "motion.axis_distance_m", "-x")
+    assert unknown.code == 2 and "No such option: -x" in unknown.err
+    words = ("simulate", "--scene", "helmet-120", "--views", 12, "--out")
+    assert here(*words, "a.npz", "--axis-distance", "100cm").code == 0
+    wrong = here(*words, "b.npz", "--axis-distance", "1yd")
+    assert wrong.code == 2 and "m, cm, mm" in wrong.err
+    outside = here("radar", "config", "--start", "100000m", "--radar", "udp://127.0.0.1:9")
+    assert outside.code == 2 and "-10000 to 10000" in outside.err
+
+
+def test_old_and_new_forms_do_the_same(here: Callable[..., Ran]) -> None:
+    for words in (("layouts", "remove", "helmet-120"), ("layouts", "--remove", "helmet-120")):
+        assert here(*words).code == 0
+        assert "added helmet-120" in here("layouts", "undo", "-y").out
+    for words in (("--scene", "can"), ("can",)):
+        assert here("simulate", *words, "--views", 12, "--out", "c.npz", "--force").code == 0
+    both = here("simulate", "can", "--scene", "can", "--views", 12, "--out", "d.npz")
+    assert both.code == 2 and "twice" in both.err
+    for words in (("--motion", "free?rpm=2"), ("free?rpm=2",)):
+        assert "not a commanded device" in here("motion", "info", *words).err
+    for option in ("--integration", "--pii"):
+        assert here("plan", option, 99).code == 2
+    near = here("layouts", "show", "helmet120")
+    assert near.code == 1 and "Did you mean helmet-120?" in near.err
+
+
+def test_no_name_or_command_is_cut(here: Callable[..., Ran], tmp_path: Path) -> None:
+    name = "scan-of-the-second-object-on-the-third-shelf-20261126-161012.tagid.h5"
+    assert here("simulate", "--scene", "helmet-120", "--views", 36, "--out", name).code == 0
+    assert here("identify", name, COLUMNS="60").code == 0
+    assert name in here("history", COLUMNS="60").out
+    doctor = here("doctor", COLUMNS="60")
+    assert doctor.code == 0 and "tagid config set radar.url udp://192.168.1.100" in doctor.out
+    assert here("doctor", "--radar", "").code == 1, "a radar was asked for"
+
+
+def test_a_wrong_port_is_named(here: Callable[..., Ran]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        port = silent.getsockname()[1]
+        done = here("radar", "info", "--radar", f"udp://127.0.0.1:{port}")
+    assert done.code == 4 and f"the port of the URL ({port}; a P440 listens on 21210)" in done.err
+    assert "tagid doctor" not in done.err

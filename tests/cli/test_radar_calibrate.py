@@ -92,3 +92,16 @@ def test_on_a_terminal_it_waits_for_the_user(home: dict[str, str], tmp_path: Pat
     assert child.wait(timeout=60) == 1, seen
     assert b"no echo of a target stands out" in seen
     os.close(master)
+
+
+def test_a_delay_that_differs_by_a_metre_is_not_replaced_unasked(tagid, tmp_path: Path) -> None:
+    words = ("radar", "calibrate", "--step", "target", "--scans", 20, "--axis-distance", 1,
+             "--output", "json", "--radar", f"emulator://corner?{SCENE}")  # fmt: skip
+    assert tagid(*words, "--distance", 2).json["data"]["previous_delay_ps"] is None
+    wrong = tagid(*words, "--distance", 3)
+    assert wrong.code == 1 and "as if the target were at 2.00 m" in wrong.json["errors"][0]["message"]
+    settings = tmp_path / "home" / "config.toml"
+    assert tomllib.loads(settings.read_text())["radar"]["cable_delay_ps"] == pytest.approx(11_234, abs=5)
+    again = tagid(*words, "--distance", 3, "--yes").json["data"]
+    assert again["previous_delay_ps"] == pytest.approx(11_234, abs=5)
+    assert again["estimate"]["delay_ps"] == pytest.approx(11_234 - 6671, abs=5)

@@ -115,7 +115,7 @@ def test_a_damaged_layout_can_be_taken_out_and_got_back(tmp_path: Path) -> None:
     connection.close()
     with pytest.raises(RegistryError, match="container-180") as caught:
         registry.layouts()
-    assert "--remove" in caught.value.remedy
+    assert "layouts remove" in caught.value.remedy
     for name in ("container-180", "container-90"):
         registry.remove(name)
     with pytest.raises(RegistryError, match="it belongs to helmet-120"):

@@ -152,7 +152,7 @@ def test_a_damaged_signature_is_seen_and_can_be_removed(tmp_path: Path, mug: Sig
         connection.execute("UPDATE signature SET data = ?", (wrong,))
         with pytest.raises(RegistryError, match="damaged signature of the body 'mug'") as caught:
             registry.contents()
-        assert "bodies --remove" in caught.value.remedy
+        assert "bodies remove" in caught.value.remedy
     connection.close()
     assert len(registry.layouts()) == 4
     registry.remove_signature("body", "mug")
