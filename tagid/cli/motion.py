@@ -15,6 +15,7 @@ from tagid.cli.consent import Yes, agree, agree_to
 from tagid.cli.frame import Terminal, command
 from tagid.cli.units import SECONDS
 from tagid.config import Config, load_config
+from tagid.counting import meant
 from tagid.errors import EXIT_DEVICE, EXIT_OK, DataError, TagidError, UsageError
 from tagid.result import Problem, Result
 from tagid.secret import MotionUrl
@@ -265,11 +266,16 @@ def _direction(capture: Capture, name: str) -> Result:
     from tagid.operate.workplace import open_registry
     from tagid.pipeline.prepared import prepare
 
-    enrolled = open_registry().get(name)
+    layouts = {layout.name: layout for layout in open_registry().layouts()}
+    if name not in layouts:
+        raise UsageError(
+            f"no layout is named {name[:80]!r}",
+            f"{meant(name, layouts)}Enrolled: {', '.join(sorted(layouts))}.",
+        )
     capture = prepare(capture)
     resolved = capture.motion.resolved or ResolvedMotion()
     told = "clockwise" if resolved.direction == -1 else "counter-clockwise"
-    other = turned_the_other_way(capture, enrolled)
+    other = turned_the_other_way(capture, layouts[name])
     device, path = resolved.table, None
     is_reversed = other != bool(resolved.reversed)
     if device is not None:
