@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tagid.errors import StorageError
 from tagid.files import read_bytes, write_bytes
-from train.dataset import Plan
+from train.dataset import DatasetPlan
 
 SCENES, ATS_EVERY = 6000, 4
 _NAME = "dataset.json"
@@ -19,7 +19,7 @@ _NAME = "dataset.json"
 
 @dataclass(frozen=True)
 class Size:
-    """Size of a dataset, which its folder remembers: `scenes` and `ats_every` as in `train.dataset.Plan`."""
+    """Size of a dataset, which its folder remembers: `scenes` and `ats_every` as in `train.dataset.DatasetPlan`."""
 
     scenes: int = SCENES
     ats_every: int = ATS_EVERY

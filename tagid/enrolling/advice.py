@@ -50,10 +50,10 @@ def alternatives(
             break
         if number is None:
             number = most(target.with_rows(used), tried, count, enrolled)
-            found += [f"{words} `count={number}`".strip()] * (number > 0)
+            suggestions += [f"{words} `count={number}`".strip()] * (number > 0)
         elif works(target.with_rows(used), tried, number, enrolled):
-            found.append(words)
-    return found
+            suggestions.append(words)
+    return suggestions
 
 
 def _variations(

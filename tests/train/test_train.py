@@ -11,7 +11,7 @@ import torch
 
 from tagid.errors import ModelError, StorageError, UsageError
 from tagid.models_store import manifest, open_model
-from train.dataset import MOST_REFLECTORS, ImageOf, Plan, Samples, build, load, make_shard
+from train.dataset import MOST_REFLECTORS, DatasetPlan, ImageOf, Samples, build, load, make_shard
 from train.detector import CELL_M, CELLS, FOLDER, MODEL, Contract, Detector
 from train.distributions import Distribution, ObjectDistribution
 from train.evaluate import Figures, score
