@@ -19,6 +19,7 @@ $(VENV)/.dev: $(VENV)/.base firmware_tools/pyproject.toml
 
 demo: $(VENV)/.base
 	PYTHONDONTWRITEBYTECODE=1 $(BIN)/tagid scan --demo --save-dir $(DEMO_DIR)
+	@echo "the same in a browser, on a tablet or phone: $(BIN)/tagid station --demo"
 
 test: lint types docs check
 
