@@ -8,6 +8,7 @@ Needs `pip install '.[dev]'`, Chromium and chromedriver. One scan is in real tim
 from __future__ import annotations
 
 import base64
+import io
 import json
 import os
 import shutil
@@ -18,12 +19,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 
 SIZES = {"phone": (390, 844, True), "tablet": (1180, 820, False)}
 WAIT_S = 120
+COLOURS = 96
 
 
 def browser(profile: str) -> Any:
@@ -47,9 +50,10 @@ def size(page: Any, name: str, theme: str) -> None:
 
 
 def take(page: Any, path: Path) -> None:
-    """Write a PNG of the screen."""
+    """Write a PNG of the screen, in few colours, which makes it a third as large."""
     shot = page.execute_cdp_cmd("Page.captureScreenshot", {})
-    path.write_bytes(base64.b64decode(shot["data"]))
+    with Image.open(io.BytesIO(base64.b64decode(shot["data"]))) as picture:
+        picture.convert("RGB").quantize(COLOURS).save(path, optimize=True)
 
 
 def until(page: Any, script: str) -> None:
@@ -123,6 +127,8 @@ def main() -> None:
             page.get(json.loads(station.stdout.readline())["data"]["url"])
             size(page, "tablet", "light")
             until(page, "!document.getElementById('scan').disabled")
+            page.find_element(By.ID, "profile-button").click()
+            until(page, "profile && profile.scans > 60")
             page.find_element(By.ID, "scan").click()
             until(page, "document.getElementById('turn').value > 0.45")
             take(page, out / "station-turning.png")
@@ -140,6 +146,9 @@ def main() -> None:
             page.find_element(By.ID, "report").click()
             until(page, "report && report.complete")
             take(page, out / "station-history.png")
+            view(page, "settings")
+            until(page, "settings")
+            take(page, out / "station-settings.png")
             view(page, "health")
             until(page, "!document.getElementById('wiring').hidden")
             take(page, out / "station-wiring.png")

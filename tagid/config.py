@@ -130,6 +130,13 @@ SETTINGS: tuple[Setting, ...] = (
         "of the turn",
         choices=("known", "unknown"),
     ),
+    Setting(
+        "station.until_sure",
+        str,
+        "no",
+        "whether a scan of the station ends as soon as the answer is certain",
+        choices=("no", "yes"),
+    ),
     Setting("storage.folder", str, None, "where captures are written (default: current folder)"),
 )
 """All settings."""

@@ -15,8 +15,7 @@ from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command
 from tagid.cli.options import demo_settings
-from tagid.cli.units import SECONDS
-from tagid.errors import MissingExtraError, UsageError
+from tagid.errors import UsageError
 from tagid.result import Result
 
 
@@ -30,25 +29,22 @@ def station(
     motion: options.MotionUrl = None,
     axis_distance: options.AxisDistance = None,
     save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
-    max_seconds: Annotated[
-        float, typer.Option("--max-seconds", parser=SECONDS, help="Longest recording.")
-    ] = 180.0,
-    demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
+    max_seconds: Annotated[float, typer.Option("--max-seconds", help="Longest recording.")] = 180.0,
+    demo: Annotated[
+        bool, typer.Option("--demo", help="Use an emulated radar, a helmet, and an object to enroll.")
+    ] = False,
     demo_scene: Annotated[str, typer.Option("--demo-scene", help="Scene of the demo.")] = "helmet-120",
 ) -> Result:
     """Serve a web page with a Scan button, live image, answer, health and history.
 
     Example: tagid station --demo
     """
-    try:
-        from tagid.operate.workplace import Workplace
-        from tagid.station.security import is_loopback
-        from tagid.station.server import Server
-        from tagid.station.station import Source, Station
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            f"the station needs {error.name}", "Install it with `pip install 'tagid[station]'`."
-        ) from None
+    from tagid.operate.workplace import Workplace
+    from tagid.station.demo import DemoObject, demo_objects
+    from tagid.station.security import is_loopback
+    from tagid.station.server import Server
+    from tagid.station.station import Source, Station
+
     host, port = _address(bind)
     overrides: dict[str, Any] = {
         "radar.url": radar,
@@ -62,9 +58,12 @@ def station(
             typer.echo(f"pairing code: {code}", err=True)
 
     with ExitStack() as stack:
+        objects: tuple[DemoObject, ...] = ()
         if demo:
-            overrides |= demo_settings(demo_scene)
-        source = Source(lambda: Workplace(overrides), max_seconds, demo)
+            settings = demo_settings(demo_scene)
+            overrides |= settings
+            objects = demo_objects(demo_scene, settings)
+        source = Source(lambda: Workplace(overrides), max_seconds, objects)
         source.place()
         work = Station(source)
         away = None if is_loopback(host) else announce

@@ -147,9 +147,13 @@ class LiveView:
         """Replace the final answer by the same one with its likely causes."""
         self._publish(answer=answer)
 
-    def show(self, image: Image) -> None:
-        """Replace the image of the growing views by that of the whole recording."""
-        self._publish(image=image)
+    def show(self, image: Image, sinogram: Sinogram | None = None) -> None:
+        """Replace the image of the growing views by that of the whole recording; also a sinogram."""
+        self._publish(image=image, sinogram=sinogram or self._state.sinogram)
+
+    def reading(self) -> None:
+        """Show that a stored recording is being read."""
+        self._publish(phase=Phase.READING)
 
     def note(self, text: str) -> None:
         """Show a remark."""

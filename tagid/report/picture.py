@@ -5,12 +5,14 @@ Large letters on white, readable in sunlight and in printed reports.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from tagid.errors import DataError, UsageError
 from tagid.report.axes import Axes, colour_bar
@@ -22,6 +24,7 @@ _WIDTH, _HEIGHT = 940, 900
 _SIDE = 700
 _LEFT, _TOP = 110, 100
 _SMALL = 0.5
+_THUMBNAIL_COLOURS = 32
 _MEANING = {True: "reflector of the layout", False: "other echo"}
 
 
@@ -86,6 +89,29 @@ def draw_image(
     canvas.text((_LEFT, 36), fit_text(canvas, title, _WIDTH - _LEFT - 30, 28), 28)
     _legend(canvas, {marker.matched for marker in marked}, bounded)
     canvas.save(Path(path))
+
+
+def thumbnail(png: bytes, side: int = 96) -> bytes:
+    """The image of a picture of `draw_image` without axes and letters, as a small PNG.
+
+    Args:
+        png: the picture.
+        side: longest side of the result, px.
+
+    Raises:
+        DataError: this is no such picture.
+    """
+    try:
+        with Image.open(io.BytesIO(png), formats=("PNG",)) as picture:
+            if picture.size != (_WIDTH, _HEIGHT):
+                raise DataError(f"a picture of {picture.size} px is none of tagid")
+            raster = picture.convert("RGB").crop((_LEFT, _TOP, _LEFT + _SIDE, _TOP + _SIDE))
+            raster.thumbnail((side, side))
+            buffer = io.BytesIO()
+            raster.quantize(_THUMBNAIL_COLOURS).save(buffer, format="PNG", optimize=True)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise DataError(f"the picture cannot be read: {error}", "Scan the object again.") from None
+    return buffer.getvalue()
 
 
 def checked_magnitude(

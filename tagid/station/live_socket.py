@@ -51,14 +51,13 @@ class Hub:
 
     def refresh(self) -> None:
         """Send the status to all now."""
-        text = wire.to_text(wire.status(self._station))
-        for client in self._clients:
-            self._post(client, "status", text)
+        self._send_all("status", wire.status(self._station))
 
     async def run(self) -> None:
         """Poll for new states until cancelled."""
         shown: tuple[int, int, bool] | None = None
         work: tuple[object, ...] = ()
+        measured: tuple[object, ...] = ()
         status_at = 0.0
         loop = asyncio.get_running_loop()
         while True:
@@ -68,9 +67,7 @@ class Hub:
             now = loop.time()
             seen = None if run is None else (run.number, run.state.frame, run.running)
             if run is not None and seen != shown and self._clients:
-                text = wire.to_text(wire.frame(run))
-                for client in self._clients:
-                    self._post(client, "frame", text)
+                self._send_all("frame", wire.frame(run))
             report = self._station.reports.newest
             done = None if report is None else (report.number, report.done, report.running)
             before, work = work, (self._station.enrolling.state, done)
@@ -78,6 +75,16 @@ class Hub:
                 status_at = now + _STATUS_S
                 self.refresh()
             shown = seen
+            run_profile = self._station.profile
+            if run_profile is not None:
+                before, measured = measured, (run_profile, run_profile.profile, run_profile.running)
+                if measured != before:
+                    self._send_all("profile", {"type": "profile", **wire.profile(run_profile)})
+
+    def _send_all(self, kind: str, message: wire.Json) -> None:
+        text = wire.to_text(message)
+        for client in self._clients:
+            self._post(client, kind, text)
 
     @staticmethod
     def _post(client: Client, kind: str, text: str) -> None:
@@ -136,7 +143,13 @@ class LiveSocket:
             return
         client = Client(key)
         hello = {"type": "hello", "key": key, "version": __version__, "palette": wire.palette()}
-        client.unsent["hello"] = wire.to_text({**hello, "demo": self._station.source.demo})
+        client.unsent["hello"] = wire.to_text(
+            {
+                **hello,
+                "demo": bool(self._station.source.demo),
+                "objects": wire.demo_objects(self._station),
+            }
+        )
         self._hub.add(client)
         tasks = [
             asyncio.create_task(self._send(socket, client)),
@@ -178,10 +191,10 @@ class LiveSocket:
         station, kind = self._station, message.get("type")
         try:
             if kind == "scan":
-                note = message.get("note", "")
-                if not isinstance(note, str):
+                note, demo_object = message.get("note", ""), message.get("object", "")
+                if not (isinstance(note, str) and isinstance(demo_object, str)):
                     raise _BadMessageError
-                await run_in_threadpool(station.start, client.key, note)
+                await run_in_threadpool(station.start, client.key, note, demo_object)
             elif kind == "stop":
                 station.stop()
             elif kind == "take":

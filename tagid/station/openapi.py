@@ -7,11 +7,13 @@ from typing import Any
 from tagid._version import __version__
 from tagid.report.drafting import PAPERS_MM
 from tagid.station.reports import MEDIA
-from tagid.station.security import COOKIE, OWN_HEADER
+from tagid.station.security import COOKIE, KEY_HEADER, NAME_HEADER, OWN_HEADER, UPLOAD_PATH
+from tagid.station.settings import DEVICE_KINDS, NAMES
 from tagid.station.station import HISTORY_LIMIT
 from tagid.storage.history import FIELDS, STATUSES, TYPES
 from tagid.tags.layouts.layout import KINDS
 
+_OWN = {"name": OWN_HEADER, "in": "header", "required": True, "schema": {"type": "string", "const": "1"}}
 _KINDS = {str: "string", int: "integer", float: "number"}
 
 
@@ -38,9 +40,13 @@ def document() -> dict[str, Any]:
                 "post": _post("Start a scan", "Start", 202, "Started"),
             },
             "/api/v1/scan/stop": {"post": _post("Stop the scan and keep its capture", "Empty", 202, "Empty")},
+            "/api/v1/scan/residuals": {
+                "get": _file("What its hypotheses leave of the echo, a picture", "image/png", missing=True)
+            },
             **_history(),
             **_reports(),
             **_enrolment(),
+            **_setting_up(),
         },
         "components": {
             "schemas": _schemas(),
@@ -67,6 +73,21 @@ def _history() -> dict[str, Any]:
         },
         "/api/v1/history/{number}/picture": {
             "get": {**_file("The picture of an identification", "image/png", missing=True), **_number()}
+        },
+        "/api/v1/history/{number}/thumbnail": {
+            "get": {**_file("The same, small and without axes", "image/png", missing=True), **_number()}
+        },
+        "/api/v1/history/{number}/residuals": {
+            "get": {
+                **_file("What its hypotheses leave of the echo, a picture", "image/png", missing=True),
+                **_number(),
+            }
+        },
+        "/api/v1/history/{number}/replay": {
+            "post": {
+                **_post("Show a capture as if it was recorded now", "Keyed", 202, "Started"),
+                "parameters": [_OWN, *_number()["parameters"]],
+            }
         },
         "/api/v1/history/{number}/capture": {
             "get": {
@@ -145,6 +166,38 @@ def _enrolment() -> dict[str, Any]:
     }
 
 
+def _setting_up() -> dict[str, Any]:
+    return {
+        "/api/v1/settings": {
+            "get": _get("The settings of the page, and what the searches found", "Settings"),
+            "post": _post("Change settings; all of them, or none", "Changes", 200, "Settings"),
+        },
+        "/api/v1/settings/find": {
+            "post": _post("Search for radars, or robots and tables", "Find", 200, "Settings")
+        },
+        "/api/v1/profile": {
+            "get": _get("The echo over range", "Profile", missing=True),
+            "post": _post("Show the echo over range, until a scan begins", "Keyed", 202, "Empty"),
+        },
+        "/api/v1/profile/stop": {"post": _post("End the range profile", "Empty", 202, "Empty")},
+        UPLOAD_PATH: {
+            "post": {
+                **_post("Store a capture and identify it", "Empty", 202, "Received", 413, 415),
+                "parameters": [
+                    _OWN,
+                    _header(NAME_HEADER, "Percent-encoded name of the file."),
+                    _header(KEY_HEADER, "As key in the body of other requests."),
+                ],
+                "requestBody": {"content": {"application/octet-stream": {}}},
+            }
+        },
+    }
+
+
+def _header(name: str, description: str) -> dict[str, Any]:
+    return {"name": name, "in": "header", "schema": {"type": "string"}, "description": description}
+
+
 def _file(summary: str, media: str, missing: bool = False) -> dict[str, Any]:
     found = {"200": {"description": "The file", "content": {media: {}}}, "401": _error()}
     return {"summary": summary, "responses": {**found, **({"404": _error()} if missing else {})}}
@@ -162,9 +215,7 @@ def _get(summary: str, schema: str, missing: bool = False) -> dict[str, Any]:
 def _post(summary: str, asked: str, status: int, answered: str, *refused: int) -> dict[str, Any]:
     return {
         "summary": summary,
-        "parameters": [
-            {"name": OWN_HEADER, "in": "header", "required": True, "schema": {"type": "string", "const": "1"}}
-        ],
+        "parameters": [_OWN],
         "requestBody": {"content": {"application/json": {"schema": _ref(asked)}}},
         "responses": {
             str(status): _answer(answered),
@@ -269,10 +320,13 @@ def _schemas() -> dict[str, Any]:
             "type": "object",
             "properties": {
                 "note": {**text, "description": "Text stored with the capture."},
+                "object": {**text, "description": "Name of an object of a demonstration."},
                 "key": key,
             },
         },
         "Started": _object(number=whole),
+        "Received": _object(number=whole, file=text),
+        **_setting_up_schemas(key),
         "ReportStarted": _object(number=whole, left_out=text),
         "Answer": answer,
         "Scan": _object(
@@ -290,6 +344,8 @@ def _schemas() -> dict[str, Any]:
             silent_s=number,
             note=text,
             remark=text,
+            file=text,
+            has_residuals=yes_no,
             evidence={"type": "array", "items": evidence},
             answer=_or_null(_ref("Answer")),
             final=yes_no,
@@ -373,8 +429,53 @@ def _schemas() -> dict[str, Any]:
             items={"type": "array", "items": _object(name=text, kind=text, label=text, size=whole)}
         ),
         "History": _object(
-            items={"type": "array", "items": _object(**entry, has_capture=yes_no, has_picture=yes_no)}
+            items={
+                "type": "array",
+                "items": _object(**entry, has_capture=yes_no, has_picture=yes_no, has_residuals=yes_no),
+            }
         ),
         "Problem": _object(code=text, message=text, remedy=text),
         "Error": _object(error=_ref("Problem")),
+    }
+
+
+def _setting_up_schemas(key: dict[str, Any]) -> dict[str, Any]:
+    text, number = {"type": "string"}, {"type": "number"}
+    pair = {"type": ["array", "null"], "items": number, "minItems": 2, "maxItems": 2}
+    search = _object(
+        devices={"type": "array", "items": _object(url=text, text=text, problem=text)},
+        note=text,
+    )
+    value = {"type": ["string", "number", "null"]}
+    return {
+        "Changes": {
+            "type": "object",
+            "properties": {
+                "changes": {"type": "object", "properties": dict.fromkeys(NAMES, value)},
+                "key": key,
+            },
+            "required": ["changes"],
+        },
+        "Find": {
+            "type": "object",
+            "properties": {"kind": {"enum": list(DEVICE_KINDS)}, "key": key},
+            "required": ["kind"],
+        },
+        "Settings": _object(
+            items={
+                "type": "array",
+                "items": _object(name={"enum": list(NAMES)}, value=value, fixed=text),
+            },
+            found=_object(**dict.fromkeys(DEVICE_KINDS, _or_null(search))),
+        ),
+        "Profile": _object(
+            running={"type": "boolean"},
+            range_m=pair,
+            echo_db={"type": "array", "items": number},
+            moving_db={"type": "array", "items": number},
+            axis_m={"type": ["number", "null"]},
+            object_m=pair,
+            scans={"type": "integer"},
+            error=_or_null(_ref("Problem")),
+        ),
     }

@@ -4,21 +4,35 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from tagid.capture import Capture
 from tagid.errors import CaptureInterrupted, DeviceError, TagidError
 from tagid.live.engine import LiveSettings, LiveView
 from tagid.live.state import LiveState
+from tagid.live.sure import EarlyEnding, check_angle_known
 from tagid.metadata import ScanGap
 from tagid.motion.device import Motion
 from tagid.motion.urls import open_motion
-from tagid.operate.turn import Drawn, draw, picture_of, read, record_turn
+from tagid.operate.turn import (
+    Answer,
+    Drawn,
+    draw,
+    draw_residuals_of,
+    picture_of,
+    read,
+    record_turn,
+    residuals_beside,
+)
+from tagid.operate.words import ending_words
 from tagid.operate.workplace import Workplace
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.turn import resolve_turn
+from tagid.reading.looks import SPENT
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.recorder import Watch
 from tagid.station.errors import begin, reported
@@ -31,43 +45,50 @@ _RADAR_S = 60.0
 """Longest wait for a health check; its own waits for a radar are shorter, s."""
 
 
-class ScanRun:
-    """A running or finished scan.
+@contextmanager
+def radar_alone(radar: threading.Lock, stop: threading.Event) -> Iterator[None]:
+    """Hold the radar, which a health check may be using. Raises CaptureInterrupted, DeviceError."""
+    end = time.monotonic() + _RADAR_S
+    while not radar.acquire(timeout=0.1):
+        if stop.is_set():
+            raise CaptureInterrupted("stopped before the first scan")
+        if time.monotonic() > end:
+            raise DeviceError("the health check still uses the radar", "Check the radar's connection.")
+    try:
+        yield
+    finally:
+        radar.release()
+
+
+class Run(ABC):
+    """A running or finished scan, or the reading of a file.
 
     Args:
         number: counts the station's scans.
         place: settings, registry, history and folder.
-        plan: of the recording.
-        radar: held while the radar is used, so that a health check does not disturb the scan.
-        then: called on the scan's thread with the capture's file, the capture with angles, and its answer, if
-            neither the recording nor the reading failed.
+        motion: the device that rotates the object, for the live view.
+        as_recorded: whether the recording is one of this station, see `Workplace.setup`.
 
     Attributes:
-        number: as given.
-        motion: the device that rotates the object.
+        number, motion: as given.
+        file: name of the file that is read; empty for a scan.
     """
 
-    def __init__(
-        self,
-        number: int,
-        place: Workplace,
-        plan: RecordingPlan,
-        radar: threading.Lock,
-        then: Then | None = None,
-    ) -> None:
+    file = ""
+
+    def __init__(self, number: int, place: Workplace, motion: Motion, as_recorded: bool = True) -> None:
         self.number = number
-        self._then = then
-        self._place, self._plan = place, plan
-        self.motion: Motion = open_motion(place.config["motion.url"])
-        self._radar = radar
-        self._setup = place.setup(as_recorded=True)
+        self.motion = motion
+        self._place = place
+        self._setup = place.setup(as_recorded=as_recorded)
         enrolled = self._setup.enrolled
-        settings = LiveSettings(
-            self.motion, enrolled.layouts, enrolled.signatures, enrolled.version, self._setup.imaging
+        self._needs = LiveSettings(
+            motion, enrolled.layouts, enrolled.signatures, enrolled.version, self._setup.imaging
         )
-        self._view = LiveView(settings)
+        self._view = LiveView(self._needs)
         self._stop = threading.Event()
         self._remark = ""
+        self._residuals: Path | None = None
         self._device_failed = False
         self._thread = Worker(self._run, f"station-scan-{number}", self._fail)
 
@@ -99,6 +120,11 @@ class ScanRun:
         return self._remark
 
     @property
+    def residuals(self) -> Path | None:
+        """The picture of what competing hypotheses leave of the echo; None if there is none."""
+        return self._residuals
+
+    @property
     def device_failed(self) -> bool:
         """Whether the radar or the motion failed."""
         return self._device_failed
@@ -112,32 +138,75 @@ class ScanRun:
         self._device_failed = isinstance(error, DeviceError)
         self._view.fail(reported(error))
 
-    @contextmanager
-    def _radar_alone(self) -> Iterator[None]:
-        """Hold the radar, which a health check may be using. Raises CaptureInterrupted, DeviceError."""
-        end = time.monotonic() + _RADAR_S
-        while not self._radar.acquire(timeout=0.1):
-            if self._stop.is_set():
-                raise CaptureInterrupted("stopped before the first scan")
-            if time.monotonic() > end:
-                raise DeviceError("the health check still uses the radar", "Check the radar's connection.")
+    @abstractmethod
+    def _run(self) -> None:
+        """Record and read; on the run's thread."""
+
+    def _draw(self, answer: Answer, path: Path) -> tuple[Drawn | None, list[str]]:
+        """The image with its picture and that of the residuals beside the capture, and what failed."""
+        png = picture_of(path)
         try:
-            yield
-        finally:
-            self._radar.release()
+            drawn = draw(answer, png)
+            draw_residuals_of(answer.identification, residuals_beside(png))
+        except TagidError as error:
+            return None, [f"no picture: {error.message}"]
+        if residuals_beside(png).is_file():
+            self._residuals = residuals_beside(png)
+        return drawn, []
+
+
+class ScanRun(Run):
+    """A scan of the object on the table.
+
+    Args:
+        number: counts the station's scans.
+        place: settings, registry, history and folder.
+        plan: of the recording.
+        radar: held while the radar is used, so that a health check does not disturb the scan.
+        then: called on the scan's thread with the capture's file, the capture with angles, and its answer, if
+            neither the recording nor the reading failed.
+        until_sure: whether the scan ends as soon as the answer is certain.
+
+    Raises ConfigError if the answer cannot be certain before the end, because the angle is not known.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        place: Workplace,
+        plan: RecordingPlan,
+        radar: threading.Lock,
+        then: Then | None = None,
+        until_sure: bool = False,
+    ) -> None:
+        super().__init__(number, place, open_motion(place.config["motion.url"]))
+        self._then = then
+        self._plan = plan
+        self._radar = radar
+        self._until_sure = until_sure
+        if until_sure:
+            check_angle_known(self.motion, plan.motion)
+            self._plan = replace(plan, spent=SPENT)
 
     def _run(self) -> None:
         picture: Drawn | None = None
         with self._view:
-            with self._radar_alone():
-                recorded = record_turn(self._place, self._plan, self.motion, self._watch())
+            remarks = []
+            with radar_alone(self._radar, self._stop), ExitStack() as ending:
+                watch = self._watch()
+                early = ending.enter_context(EarlyEnding(self._needs)) if self._until_sure else None
+                if early is not None:
+                    watch = early.watching(watch)
+                recorded = record_turn(self._place, self._plan, self.motion, watch)
+            if early is not None:
+                if words := ending_words(recorded.capture.radar.ended):
+                    self._view.note(f"ended {words}")
+                remarks += [early.remark] if early.remark else []
             answer = read(self._setup, recorded.capture, recorded.path, self._view)
-            remarks = list(answer.remarks)
+            remarks += answer.remarks
             if answer.error is None:
-                try:
-                    picture = draw(answer, picture_of(recorded.path))
-                except TagidError as error:
-                    remarks.append(f"no picture: {error.message}")
+                picture, failed = self._draw(answer, recorded.path)
+                remarks += failed
             radar = {"radar": self._place.radar_url(), "motion": self._plan.motion}
             remarks += self._place.remember(COMMAND, [answer.to_dict()], radar)
             self._remark = "; ".join(remarks)

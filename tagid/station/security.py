@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 from tagid.errors import UsageError
 from tagid.result import Problem
 from tagid.station.errors import GuessesError
+from tagid.station.page import PAGE_FILES
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -30,22 +31,19 @@ OWN_HEADER = "tagid-station"
 """Sent with each POST and by WebSocket clients other than browsers: another page cannot send it without a
 CORS preflight request, which is never allowed."""
 MOST_BODY_BYTES = 4096
+MOST_UPLOAD_BYTES = 64 << 20
+"""Largest capture that the station accepts; a scan of a turn takes up to 50 MB."""
 _CODE_LETTERS = "23456789ABCDEFGHJKMNPQRSTUVWXYZ"
 _CODE_SECONDS = 600.0
 _MOST_WAITING = 100
 """Codes of one address that may wait to be compared."""
 _MOST_TOKENS = 32
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
-_OPEN_PATHS = (
-    "/",
-    "/station.css",
-    "/station.js",
-    "/enrol.js",
-    "/history.js",
-    "/station.svg",
-    "/api/v1/pair",
-    "/api/v1/openapi.json",
-)
+UPLOAD_PATH = "/api/v1/captures"
+"""The only path whose body is a file; its name and the operator's key are headers."""
+NAME_HEADER = "tagid-file-name"
+KEY_HEADER = "tagid-key"
+_OPEN_PATHS = (*PAGE_FILES, "/api/v1/pair", "/api/v1/openapi.json")
 """Paths that need no token, because they reveal nothing about the station."""
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
@@ -235,7 +233,7 @@ class Guard:
                 return Refusal(
                     403, "no_origin", "this request was not sent by a page", f"Scripts send {OWN_HEADER}: 1."
                 )
-        elif refusal := _of_body(scope["method"], headers, own):
+        elif refusal := _of_body(scope["method"], path, headers, own):
             return refusal
         if self._pairing is not None and path not in _OPEN_PATHS and not self._paired(headers):
             return Refusal(
@@ -256,19 +254,23 @@ class Guard:
         return any(self._pairing is not None and self._pairing.knows(token) for token in tokens[:4])
 
 
-def _of_body(method: str, headers: dict[str, list[str]], own: bool) -> Refusal | None:
+def _of_body(method: str, path: str, headers: dict[str, list[str]], own: bool) -> Refusal | None:
     """Reason for refusing a request's method or body."""
+    upload = method == "POST" and path == UPLOAD_PATH
+    most = MOST_UPLOAD_BYTES if upload else MOST_BODY_BYTES if method == "POST" else 0
+    media = "application/octet-stream" if upload else "application/json"
     length = headers.get("content-length", ["0"])
     if method not in ("GET", "HEAD", "POST"):
         return Refusal(405, "method", f"{method[:20]} is not a supported method", "Use GET or POST.")
     if "transfer-encoding" in headers or len(length) != 1 or not length[0].isdecimal():
         return Refusal(411, "length", "the length of the body is unknown", "Send Content-Length.")
-    if len(length[0]) > 9 or int(length[0]) > (MOST_BODY_BYTES if method == "POST" else 0):
-        return Refusal(413, "too_large", "the body is too large", "The station accepts no uploads.")
+    if len(length[0]) > 9 or int(length[0]) > most:
+        return Refusal(413, "too_large", "the body is too large", f"Send at most {most} bytes here.")
     if method != "POST":
         return None
-    if headers.get("content-type", [""])[0].partition(";")[0].strip().lower() != "application/json":
-        return Refusal(415, "not_json", "the body is not JSON", "Send Content-Type: application/json.")
+    if headers.get("content-type", [""])[0].partition(";")[0].strip().lower() != media:
+        code = "wrong_type" if upload else "not_json"
+        return Refusal(415, code, f"the body is not {media}", f"Send Content-Type: {media}.")
     if not own:
         return Refusal(403, "no_header", f"the header {OWN_HEADER} is missing", f"Send {OWN_HEADER}: 1.")
     return None

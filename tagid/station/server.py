@@ -20,7 +20,7 @@ from wsproto.events import CloseConnection
 
 from tagid.errors import PortInUseError, TagidError, UsageError
 from tagid.station.errors import begin
-from tagid.station.security import MOST_BODY_BYTES, Pairing
+from tagid.station.security import MOST_BODY_BYTES, UPLOAD_PATH, Pairing
 from tagid.station.station import Station
 from tagid.station.web import build
 from tagid.workers import Worker
@@ -61,6 +61,8 @@ KEPT_S = 2.0
 """Time that a connection with an answered request counts as younger than one without, s."""
 HEADER_S = 10.0
 """Time after which a connection without a complete request is closed, s."""
+UPLOAD_S = 60.0
+"""Further time for a file that is being sent, s; 64 MB at 9 Mbit/s."""
 PING_S = 4.0
 """Interval of WebSocket pings, and the time limit for the reply, s."""
 MOST_FRAMES = 20
@@ -166,9 +168,12 @@ class StationHttp(H11Protocol):
         self._waits_since = self.loop.time() + KEPT_S
         self.loop.call_later(HEADER_S, self._expire, self.cycle)
 
-    def _expire(self, cycle: Any) -> None:
-        """Close where no whole request came after the one of a cycle."""
+    def _expire(self, cycle: Any, late: bool = False) -> None:
+        """Close where no whole request came after the one of a cycle; a file has longer to arrive."""
         arriving = self.cycle is not None and self.cycle.more_body
+        if arriving and not late and self.scope is not None and self.scope["path"] == UPLOAD_PATH:
+            self.loop.call_later(UPLOAD_S, self._expire, self.cycle, True)
+            return
         if self in self.connections and (self.cycle is cycle or arriving):
             self.transport.abort()
 

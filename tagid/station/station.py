@@ -14,11 +14,12 @@ from pathlib import Path
 
 from tagid.config import data_folder
 from tagid.doctor import Finding, examine
-from tagid.errors import StorageError, TagidError
+from tagid.errors import StorageError, TagidError, UsageError
 from tagid.files import read_bytes
 from tagid.metadata import ObjectInfo
-from tagid.operate.turn import picture_of
+from tagid.operate.turn import picture_of, residuals_beside
 from tagid.operate.workplace import TURN_S, Workplace, open_registry
+from tagid.station.demo import DemoObject
 from tagid.station.enrolling import Enrolling, Subject
 from tagid.station.errors import (
     BusyError,
@@ -30,8 +31,11 @@ from tagid.station.errors import (
     reported,
 )
 from tagid.station.operators import Operators
+from tagid.station.profile import ProfileRun
 from tagid.station.reports import ReportRun, Reports
-from tagid.station.scans import COMMAND, ScanRun, Then
+from tagid.station.scans import COMMAND, Run, ScanRun, Then
+from tagid.station.settings import Kind, Search, Settings
+from tagid.station.stored import ReceivedRun, ReplayRun
 from tagid.station.wiring import Wiring, wiring
 from tagid.storage.history import FILE_NAME, Filter, History, HistoryEntry
 from tagid.tags.layouts.layout import Layout
@@ -45,12 +49,27 @@ class Source:
     Attributes:
         place: a workplace with the current settings. Raises ConfigError, UsageError, StorageError.
         max_seconds: longest recording, s.
-        demo: whether an emulated radar is used.
+        demo: the objects of the demonstration; none with a real radar.
     """
 
     place: Callable[[], Workplace]
     max_seconds: float = TURN_S
-    demo: bool = False
+    demo: tuple[DemoObject, ...] = ()
+
+    def of_object(self, name: str, number: int) -> Workplace:
+        """The workplace of a scan.
+
+        Args:
+            name: an object of the demonstration; empty for the first, or with a real radar.
+            number: of the scan.
+
+        Raises UsageError for an unknown object, and as `place`.
+        """
+        place = self.place()
+        shown = next((one for one in self.demo if one.name == name or not name), None)
+        if shown is None and name:
+            raise UsageError(f"there is no object {name[:40]!r} to scan", "Only a demonstration has objects.")
+        return place if shown is None else shown.placed(place, number)
 
 
 HEALTH_EVERY_S = 20.0
@@ -101,6 +120,7 @@ class Station:
         operators: connections and the lock.
         enrolling: the enrolment.
         reports: the reports.
+        settings: the settings of the page.
     """
 
     def __init__(self, source: Source, check: Callable[..., list[Finding]] = examine) -> None:
@@ -110,8 +130,10 @@ class Station:
         self.reports = Reports()
         self._check = check
         self._radar = threading.Lock()
+        self.settings = Settings(self._radar)
         self._starting = threading.Lock()
-        self._scan: ScanRun | None = None
+        self._scan: Run | None = None
+        self._profile: ProfileRun | None = None
         self._count = 0
         self._health = Health()
         self._checker: Worker | None = None
@@ -126,9 +148,14 @@ class Station:
         )
 
     @property
-    def scan(self) -> ScanRun | None:
-        """The newest scan; None before the first one."""
+    def scan(self) -> Run | None:
+        """The newest scan, or reading of a file; None before the first one."""
         return self._scan
+
+    @property
+    def profile(self) -> ProfileRun | None:
+        """The newest range profile; None before the first one."""
+        return self._profile
 
     @property
     def health(self) -> Health:
@@ -158,12 +185,13 @@ class Station:
         """Whether no other WebSocket connection is accepted."""
         return self.operators.connected >= MAX_CONNECTIONS
 
-    def start(self, key: str | None, note: str = "") -> int:
+    def start(self, key: str | None, note: str = "", demo_object: str = "") -> int:
         """Start a scan; returns its number.
 
         Args:
             key: of the requesting browser; None for a script without a connection.
             note: text stored with the capture.
+            demo_object: name of the object of a demonstration; empty for the first one.
 
         Raises:
             BusyError: a scan is running.
@@ -173,7 +201,7 @@ class Station:
             ConfigError, UsageError, StorageError: see `Source.setup`.
         """
         with self._starting:
-            return self._start(key, note)
+            return self._start(key, note, demo_object)
 
     def start_capture(self, key: str | None) -> int:
         """Start a scan whose capture is added to the enrolment; returns its number.
@@ -182,28 +210,108 @@ class Station:
         """
         with self._starting:
             expected = self.enrolling.expect()
-            return self._start(key, expected.note, expected.add)
+            # The last object of a demonstration is the one that is not enrolled.
+            demo_object = self.source.demo[-1].name if self.source.demo else ""
+            return self._start(key, expected.note, demo_object, expected.add)
 
-    def _start(self, key: str | None, note: str, then: Then | None = None) -> int:
-        if self._scan is not None and self._scan.running:
-            raise BusyError("a scan is running", "Wait for its end, or stop it.")
-        self.operate(key)
-        source, place = self.source, self.source.place()
-        about = ObjectInfo(note=note[:_NOTE_LENGTH] or None, demo=source.demo or None)
-        plan = place.plan(max_seconds=source.max_seconds, about=about)
-        run = ScanRun(self._count + 1, place, plan, self._radar, then)
+    def start_replay(self, key: str | None, number: int) -> int:
+        """Show the capture of an entry of the history as if it was recorded now; returns its number.
+
+        Raises as `capture` and `ReplayRun`; BusyError, NotOperatorError, OverloadedError.
+        """
+        with self._starting:
+            self.check_free(key)
+            path = self.capture(number)
+            return self._begin(ReplayRun(self._count + 1, self.source.place(), path))
+
+    def identify_received(self, path: Path) -> int:
+        """Identify a file that a browser sent; returns its number.
+
+        Args:
+            path: the file, in the station's folder; removed if it cannot be read.
+
+        Raises BusyError, OverloadedError, and as `Source.place`; the file is then removed, too.
+        """
+        try:
+            with self._starting:
+                self._check_idle()
+                return self._begin(ReceivedRun(self._count + 1, self.source.place(), path))
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+
+    def _start(self, key: str | None, note: str, demo_object: str, then: Then | None = None) -> int:
+        self.check_free(key)
+        place = self.source.of_object(demo_object, self._count)
+        about = ObjectInfo(note=note[:_NOTE_LENGTH] or None, demo=bool(self.source.demo) or None)
+        plan = place.plan(max_seconds=self.source.max_seconds, about=about)
+        # An enrolment needs whole turns.
+        until_sure = then is None and place.config["station.until_sure"] == "yes"
+        run = ScanRun(self._count + 1, place, plan, self._radar, then, until_sure)
         if run.motion.moves and not self.operators.holds(key):
             raise NotOperatorError(
                 "the scan would move the table or robot, and no browser operates the station",
                 "Start it on the page, or send the key of an open WebSocket connection.",
             )
-        if self._over.is_set() or (run.motion.moves and not self._interlock.alive):
+        if run.motion.moves and not self._interlock.alive:
             raise InterlockError("the station is ending", "Start it again.")
+        return self._begin(run)
+
+    def _check_idle(self) -> None:
+        """Raise BusyError while a scan is running."""
+        if self._scan is not None and self._scan.running:
+            raise BusyError("a scan is running", "Wait for its end, or stop it.")
+
+    def check_free(self, key: str | None) -> None:
+        """Take the lock for a browser. Raises BusyError, NotOperatorError."""
+        self._check_idle()
+        self.operate(key)
+
+    def _begin(self, run: Run) -> int:
+        """Start a run; returns its number. Raises InterlockError, OverloadedError."""
+        if self._over.is_set():
+            raise InterlockError("the station is ending", "Start it again.")
+        if self._profile is not None:
+            self._profile.stop()
         run.start()
         self._count, self._scan = run.number, run
         if self._over.is_set():  # since it was asked above
             run.stop()
         return run.number
+
+    def start_profile(self, key: str | None) -> None:
+        """Show the echo over range until a scan begins, it is stopped, or `profile.LONGEST_S` has passed.
+
+        Raises BusyError, NotOperatorError, OverloadedError; ConfigError if no radar is configured.
+        """
+        with self._starting:
+            self.check_free(key)
+            if self._over.is_set():
+                raise InterlockError("the station is ending", "Start it again.")
+            if self._profile is not None and self._profile.running:
+                return
+            run = ProfileRun(self.source.of_object("", self._count), self._radar)
+            run.start()
+            self._profile = run
+
+    def stop_profile(self) -> None:
+        """End the range profile; every connection may."""
+        if self._profile is not None:
+            self._profile.stop()
+
+    def find_devices(self, key: str | None, kind: Kind) -> Search:
+        """Search for radars, or robots and tables. Raises as `start_profile` and `Settings.find`."""
+        self.check_free(key)
+        self.stop_profile()
+        return self.settings.find(kind, self.source.place().config)
+
+    def change_settings(self, key: str | None, changes: dict[str, object]) -> None:
+        """Change settings of the page. Raises BusyError, NotOperatorError, and as `Settings.change`."""
+        with self._starting:
+            self.check_free(key)
+            self.settings.change(changes, self.source.place().config)
+            self.stop_profile()
+            self._health_due = 0.0
 
     def operate(self, key: str | None) -> None:
         """Take the lock for a browser if it is free.
@@ -264,7 +372,7 @@ class Station:
     def tick(self) -> None:
         """Begin a health check when one is due; called a few times per second."""
         now = time.monotonic()
-        idle = self._scan is None or not self._scan.running
+        idle = (self._scan is None or not self._scan.running) and not self._measuring
         waiting = self._checker is None or not self._checker.alive
         if idle and self._scan is not None and self._scan.device_failed and self._failed_seen != self._count:
             self._failed_seen, self._health_due = self._count, now
@@ -276,6 +384,11 @@ class Station:
                 begin(self._checker)
             except OverloadedError as error:
                 self._unchecked(error)
+
+    @property
+    def _measuring(self) -> bool:
+        """Whether the range profile uses the radar."""
+        return self._profile is not None and self._profile.running
 
     def _unchecked(self, error: BaseException) -> None:
         """Show why there is no health check; the next one is due as usual."""
@@ -314,14 +427,19 @@ class Station:
         """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError, UsageError."""
         return list(History(data_folder() / FILE_NAME).find(wanted))
 
-    def available(self, entries: list[HistoryEntry]) -> list[tuple[bool, bool]]:
-        """Whether the station gives out the capture and the picture of each entry."""
+    def available(self, entries: list[Entry]) -> list[tuple[bool, bool, bool]]:
+        """Whether the station gives out the capture, the picture and the residuals of each entry."""
         try:
             folder = self.source.place().folder()
         except TagidError:  # a damaged configuration, which Health shows
-            return [(False, False)] * len(entries)
+            return [(False, False, False)] * len(entries)
         paths = [_own_file(entry, folder) for entry in entries]
-        return [(path.is_file(), picture_of(path).is_file()) if path else (False, False) for path in paths]
+        return [
+            (path.is_file(), picture_of(path).is_file(), residuals_beside(picture_of(path)).is_file())
+            if path
+            else (False, False, False)
+            for path in paths
+        ]
 
     def picture(self, number: int) -> bytes:
         """The picture of an entry of the history, PNG. Raises NoSuchItemError."""
@@ -329,6 +447,17 @@ class Station:
             return read_bytes(picture_of(self._capture(number)), _PICTURE_BYTES)
         except StorageError as error:
             raise NoSuchItemError(f"there is no picture of entry {number}") from error
+
+    def residuals(self, number: int) -> bytes:
+        """The picture of what the hypotheses leave of an entry's echo, PNG. Raises NoSuchItemError."""
+        return _residuals(residuals_beside(picture_of(self._capture(number))))
+
+    def scan_residuals(self) -> bytes:
+        """The same of the newest scan. Raises NoSuchItemError."""
+        path = None if self._scan is None else self._scan.residuals
+        if path is None:
+            raise NoSuchItemError("the newest scan has no picture of its hypotheses")
+        return _residuals(path)
 
     def capture(self, number: int) -> Path:
         """The capture file of an entry of the history. Raises NoSuchItemError."""
@@ -363,15 +492,25 @@ class Station:
         """Stop a running scan and a running report, and wait for their ends; no health check follows."""
         self._over.set()
         self.stop()
+        self.stop_profile()
         self._interlock.join(_STOP_S)
         self.reports.close(_STOP_S)
         if self._scan is not None:
             self._scan.join(_STOP_S)
+        if self._profile is not None:
+            self._profile.join(_STOP_S)
         if self._checker is not None:
             self._checker.join(_STOP_S)
 
 
-def _own_file(entry: HistoryEntry, folder: Path) -> Path | None:
+def _residuals(path: Path) -> bytes:
+    try:
+        return read_bytes(path, _PICTURE_BYTES)
+    except StorageError as error:
+        raise NoSuchItemError("there is no picture of the hypotheses") from error
+
+
+def _own_file(entry: Entry, folder: Path) -> Path | None:
     """The file of an entry of the history; None unless it is a scan in the station's folder."""
     path = Path(entry.file)
     own = entry.command in (COMMAND, "scan") and path.resolve().parent == folder.resolve()

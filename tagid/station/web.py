@@ -19,24 +19,17 @@ from tagid.station import wire
 from tagid.station.errors import NoSuchItemError
 from tagid.station.live_socket import Hub, LiveSocket
 from tagid.station.openapi import document
+from tagid.station.page import PAGE_FILES
 from tagid.station.requests import as_json, body, key_of, on_error, on_gone, on_missing, refused, text_of
 from tagid.station.security import COOKIE, Guard, Guesses, Pairing
 from tagid.station.station import Station
 from tagid.station.web_enrolment import EnrolmentHandlers
 from tagid.station.web_history import HistoryHandlers
+from tagid.station.web_settings import SettingsHandlers
 
 GUESS_S = 0.1
 """Time from a wrong pairing code to the next comparison, of whatever client, s. Ten codes a second for a year
 guess one of 31^8 with a probability of 4e-4."""
-_PAGE_FILES = {
-    "/": ("index.html", "text/html; charset=utf-8"),
-    "/station.css": ("station.css", "text/css; charset=utf-8"),
-    "/station.js": ("station.js", "text/javascript; charset=utf-8"),
-    "/enrol.js": ("enrol.js", "text/javascript; charset=utf-8"),
-    "/history.js": ("history.js", "text/javascript; charset=utf-8"),
-    "/station.svg": ("station.svg", "image/svg+xml"),
-}
-"""The page: path of a request -> file of the package. File paths are never derived from requests."""
 
 
 def build(station: Station, host: str, port: int, pairing: Pairing | None) -> Guard:
@@ -63,15 +56,17 @@ def build(station: Station, host: str, port: int, pairing: Pairing | None) -> Gu
         await asyncio.wait([task])
 
     routes: list[BaseRoute] = [
-        *(Route(path, handlers.page, methods=["GET"]) for path in _PAGE_FILES),
+        *(Route(path, handlers.page, methods=["GET"]) for path in PAGE_FILES),
         Route("/api/v1/openapi.json", handlers.openapi, methods=["GET"]),
         Route("/api/v1/pair", handlers.pair, methods=["POST"]),
         Route("/api/v1/status", handlers.status, methods=["GET"]),
         Route("/api/v1/scan", handlers.scan, methods=["GET"]),
         Route("/api/v1/scan", handlers.start, methods=["POST"]),
         Route("/api/v1/scan/stop", handlers.stop, methods=["POST"]),
+        Route("/api/v1/scan/residuals", handlers.residuals, methods=["GET"]),
         *HistoryHandlers(station).routes(),
         *EnrolmentHandlers(station).routes(),
+        *SettingsHandlers(station).routes(),
         WebSocketRoute("/api/v1/live", LiveSocket(station, hub).serve),
     ]
     errors: dict[Any, Any] = {
@@ -93,7 +88,7 @@ class _Handlers:
         self._document = wire.to_text(document())
         folder = resources.files("tagid.station") / "page_files"
         self._pages = {
-            path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _PAGE_FILES.items()
+            path: ((folder / name).read_bytes(), kind) for path, (name, kind) in PAGE_FILES.items()
         }
 
     async def page(self, request: Request) -> Response:
@@ -132,8 +127,13 @@ class _Handlers:
 
     async def start(self, request: Request) -> Response:
         asked = await body(request)
-        number = await run_in_threadpool(self._station.start, key_of(asked), text_of(asked, "note"))
+        note, demo_object = text_of(asked, "note"), text_of(asked, "object")
+        number = await run_in_threadpool(self._station.start, key_of(asked), note, demo_object)
         return JSONResponse({"number": number}, status_code=202)
+
+    async def residuals(self, request: Request) -> Response:
+        content = await run_in_threadpool(self._station.scan_residuals)
+        return Response(content, media_type="image/png")
 
     async def stop(self, request: Request) -> Response:
         await body(request)

@@ -14,6 +14,7 @@ from starlette.responses import FileResponse, JSONResponse, Response, StreamingR
 from starlette.routing import BaseRoute, Route
 from starlette.types import Send
 
+from tagid.report.picture import thumbnail
 from tagid.station import wire
 from tagid.station.errors import NoSuchItemError
 from tagid.station.reports import MEDIA, ReportRun
@@ -57,7 +58,10 @@ class HistoryHandlers:
             Route("/api/v1/history.json", self.history_json, methods=["GET"]),
             Route("/api/v1/history/captures.zip", self.captures, methods=["GET"]),
             Route("/api/v1/history/{number:number}/picture", self.picture, methods=["GET"]),
+            Route("/api/v1/history/{number:number}/thumbnail", self.thumbnail, methods=["GET"]),
+            Route("/api/v1/history/{number:number}/residuals", self.residuals, methods=["GET"]),
             Route("/api/v1/history/{number:number}/capture", self.capture, methods=["GET"]),
+            Route("/api/v1/history/{number:number}/replay", self.replay, methods=["POST"]),
             Route("/api/v1/reports", self.start, methods=["POST"]),
             Route("/api/v1/reports/stop", self.stop, methods=["POST"]),
             Route(report, self.state, methods=["GET"]),
@@ -79,6 +83,19 @@ class HistoryHandlers:
     async def picture(self, request: Request) -> Response:
         content = await run_in_threadpool(self._station.picture, number_in(request))
         return Response(content, media_type="image/png")
+
+    async def thumbnail(self, request: Request) -> Response:
+        content = await run_in_threadpool(lambda: thumbnail(self._station.picture(number_in(request))))
+        return Response(content, media_type="image/png")
+
+    async def residuals(self, request: Request) -> Response:
+        content = await run_in_threadpool(self._station.residuals, number_in(request))
+        return Response(content, media_type="image/png")
+
+    async def replay(self, request: Request) -> Response:
+        key = key_of(await body(request))
+        number = await run_in_threadpool(self._station.start_replay, key, number_in(request))
+        return JSONResponse({"number": number}, status_code=202)
 
     async def capture(self, request: Request) -> Response:
         path = await run_in_threadpool(self._station.capture, number_in(request))
@@ -129,13 +146,13 @@ class HistoryHandlers:
             raise NoSuchItemError("there is no such report", "Begin one with POST /api/v1/reports.")
         return run
 
-    def _listed(self, entries: list[HistoryEntry]) -> wire.Json:
-        """Entries with whether their capture and picture can be requested."""
+    def _listed(self, entries: list[Entry]) -> wire.Json:
+        """Entries with whether their capture and pictures can be requested."""
         available = self._station.available(entries)
         return {
             "items": [
-                entry.to_json() | {"has_capture": capture, "has_picture": picture}
-                for entry, (capture, picture) in zip(entries, available, strict=True)
+                entry.to_json() | {"has_capture": capture, "has_picture": picture, "has_residuals": residuals}
+                for entry, (capture, picture, residuals) in zip(entries, available, strict=True)
             ]
         }
 

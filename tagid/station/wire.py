@@ -18,8 +18,10 @@ from tagid.report.colours import to_decibels, viridis
 from tagid.report.preview import resample
 from tagid.result import Problem, reworded, reworded_document
 from tagid.station.enrolling import NEEDED, EnrolmentState, Taken
+from tagid.station.profile import ProfileRun
 from tagid.station.reports import ReportRun
-from tagid.station.scans import ScanRun
+from tagid.station.scans import Run
+from tagid.station.settings import DEVICE_KINDS, Search, shown_settings
 from tagid.station.station import Health, Station
 
 IMAGE_DB = 25.0
@@ -28,7 +30,12 @@ _SINOGRAM_ROWS, _SINOGRAM_COLUMNS = 120, 128
 _NEAREST = 6
 """Neighbours of a new layout that are shown."""
 
-_CONTROLS = {"force": "the button “Enrol it anyway”", "paper": "“Paper”", "since": "“Since”"}
+_CONTROLS = {
+    "force": "the button “Enrol it anyway”",
+    "paper": "“Paper”",
+    "since": "“Since”",
+    "until_sure": "“End a scan as soon as the answer is certain”",
+}
 """What the page offers for an argument that a remedy names."""
 
 Json = dict[str, Any]
@@ -39,7 +46,7 @@ def status(station: Station) -> Json:
     run = station.scan
     return {
         "type": "status",
-        "demo": station.source.demo,
+        "demo": bool(station.source.demo),
         "operated": station.operators.taken,
         "connections": station.operators.connected,
         "full": station.full,
@@ -50,7 +57,12 @@ def status(station: Station) -> Json:
     }
 
 
-def scan(run: ScanRun) -> Json:
+def demo_objects(station: Station) -> list[Json]:
+    """The objects of a demonstration; empty with a real radar."""
+    return [{"name": one.name, "words": one.words} for one in station.source.demo]
+
+
+def scan(run: Run) -> Json:
     """A scan and its result so far."""
     state = run.state
     return {
@@ -68,6 +80,8 @@ def scan(run: ScanRun) -> Json:
         "silent_s": round(run.silent_s, 1),
         "note": state.note,
         "remark": run.remark,
+        "file": run.file,
+        "has_residuals": run.residuals is not None,
         "evidence": [
             {
                 "layout": one.layout,
@@ -101,7 +115,13 @@ def pictures(state: LiveState) -> Json:
     image, sinogram = None, None
     if state.image is not None:
         pixels = _levels(np.abs(state.image.values[::-1]), IMAGE_DB)
-        image = {"side": len(pixels), "extent_m": state.image.grid.extent, "levels": _packed(pixels)}
+        image = {
+            "side": len(pixels),
+            "extent_m": state.image.grid.extent,
+            "centre_m": list(state.image.centre_m),
+            "depth_db": IMAGE_DB,
+            "levels": _packed(pixels),
+        }
     if state.sinogram is not None:
         rows = state.sinogram.rows.astype(np.float64)
         shown = resample(rows, min(_SINOGRAM_ROWS, len(rows)), min(_SINOGRAM_COLUMNS, rows.shape[1]))
@@ -110,14 +130,45 @@ def pictures(state: LiveState) -> Json:
             "rows": len(pixels),
             "columns": pixels.shape[1],
             "range_m": [round(value, 3) for value in state.sinogram.range_m],
+            "depth_db": SINOGRAM_DB,
             "levels": _packed(pixels),
         }
     return {"image": image, "sinogram": sinogram}
 
 
-def frame(run: ScanRun) -> Json:
+def frame(run: Run) -> Json:
     """A scan's state with its pictures, as sent to the page several times per second."""
     return {"type": "frame", "scan": scan(run), **pictures(run.state)}
+
+
+def profile(run: ProfileRun) -> Json:
+    """The echo over range."""
+    shown = run.profile
+    return {
+        "running": run.running,
+        "range_m": list(shown.range_m),
+        "echo_db": np.round(shown.echo_db, 1).tolist(),
+        "moving_db": np.round(shown.moving_db, 1).tolist(),
+        "axis_m": shown.axis_m,
+        "object_m": None if shown.object_m is None else list(shown.object_m),
+        "scans": shown.scans,
+        "error": None if shown.error is None else error_entry(shown.error),
+    }
+
+
+def settings(station: Station) -> Json:
+    """The settings of the page, and what the last searches found. Raises ConfigError, StorageError."""
+    shown = shown_settings(station.source.place().config)
+    found = station.settings.found
+    return {
+        "items": [{"name": one.name, "value": one.value, "fixed": one.fixed} for one in shown],
+        "found": {kind: _search(found[kind]) if kind in found else None for kind in DEVICE_KINDS},
+    }
+
+
+def _search(found: Search) -> Json:
+    devices = [{"url": one.url, "text": one.text, "problem": one.problem} for one in found.devices]
+    return {"devices": devices, "note": found.note}
 
 
 def health(found: Health) -> Json:

@@ -46,12 +46,11 @@ def wiring(url: str | None) -> Wiring:
 
 
 _POWER = "Switch the radar on and look at its power light."
-_FIND = "Run `tagid radar find` on this computer: it prints the URL of every radar that answers."
+_FIND = "Search for it under Settings, or run `tagid radar find` on this computer."
 _UNKNOWN = (
     _POWER,
     "Connect it to this computer by Ethernet or USB, and wait 15 seconds while it boots.",
-    _FIND,
-    "Store the URL: `tagid config set radar.url URL`. This page continues by itself.",
+    f"{_FIND} This page continues by itself once it is chosen.",
 )
 
 

@@ -22,6 +22,7 @@ import pytest
 from tagid.doctor import Finding
 from tagid.operate.workplace import Workplace
 from tagid.station import server, web
+from tagid.station.security import UPLOAD_PATH
 from tagid.station.server import Server
 from tagid.station.station import Source, Station
 
@@ -104,7 +105,8 @@ class Asks:
 
     def post(self, path: str, **values: Any) -> Answer:
         body = json.dumps(values).encode()
-        return self._ask("POST", path, body, {"content-type": "application/json"})
+        media = "application/octet-stream" if path == UPLOAD_PATH else "application/json"
+        return self._ask("POST", path, body, {"content-type": media})
 
     def _ask(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> Answer:
         connection = HTTPConnection(self._host, timeout=WAIT_S)

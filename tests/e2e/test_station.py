@@ -19,8 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-pytest.importorskip("starlette")
 from station_harness import ENDLESS, OWN, WAIT_S, Asks, Raw, alone, ended, joined, source, wait
 
 from tagid.capture import Capture

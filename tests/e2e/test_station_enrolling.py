@@ -6,9 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-
-pytest.importorskip("starlette")
 from station_harness import OWN, PLACES, Asks, ended, joined, own_object, poses, wait
 
 from tagid.config import data_folder

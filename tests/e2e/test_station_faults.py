@@ -13,8 +13,6 @@ from http.client import HTTPConnection
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("starlette")
 from station_harness import OWN, WAIT_S, Asks, Raw, ended, joined, wait
 
 from tagid.doctor import examine

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-pytest.importorskip("starlette")
 from station_harness import OWN, Asks, ended, joined, wait
 
 from tagid.config import data_folder

@@ -13,16 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 from chromium import size, start, theme, wait
-
-pytest.importorskip("starlette")
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from station_harness import ENDLESS, PLACES, Asks, alone, own_object, poses
 from station_harness import wait as until
 
-from tagid.config import data_folder
+from tagid.config import config_path, data_folder, read_file
 from tagid.doctor import examine
 from tagid.enrolling.registry import Registry
+from tagid.operate.workplace import Workplace
 from tagid.pipeline.answer import Cause, Identification
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
@@ -228,7 +227,11 @@ def test_the_history_says_why_nothing_was_named(browser: Any, serve: Callable[..
     assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
 
 
-@pytest.mark.parametrize("shape", [(390, 844, True), (1180, 820, False)], ids=["phone", "tablet"])
+@pytest.mark.parametrize(
+    "shape",
+    [(390, 844, True), (1180, 820, False), (1440, 900, False)],
+    ids=["phone", "tablet", "desktop"],
+)
 @pytest.mark.parametrize("name", ["light", "dark"])
 def test_accessibility_and_fit(
     browser: Any, station_with_history: Server, shape: tuple[int, int, bool], name: str
@@ -242,8 +245,10 @@ def test_accessibility_and_fit(
     scan = browser.find_element(By.ID, "scan").rect
     assert scan["height"] >= 80 and scan["width"] >= 250, "a thumb hits it"
     assert scan["y"] + scan["height"] <= shape[1], "without scrolling"
-    for shown in ("scan", "health", "history", "enrol"):
+    for shown in ("scan", "health", "history", "enrol", "settings"):
         view(browser, shown)
+        if shown == "settings":
+            wait(browser, lambda: browser.find_element(By.ID, "s-axis").get_property("value"))
         if shown == "history":
             wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#history button"))
         if shown == "enrol":
@@ -251,6 +256,69 @@ def test_accessibility_and_fit(
             wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#t-layout option"))
         assert browser.execute_script("return document.documentElement.scrollWidth") <= shape[0], shown
         assert problems(browser) == [], shown
+
+
+def test_a_station_is_set_up_on_its_page(
+    browser: Any, serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    one = serve(check=lambda config: [])
+    one._station.source = station.Source(lambda: Workplace({"storage.folder": str(tmp_path / "out")}))
+    size(browser, 820, 1180)
+    theme(browser, "light")
+    browser.get(f"{one.url}/#view-settings")
+
+    def typed(identity: str, words: str) -> None:
+        wait(browser, lambda: browser.find_element(By.ID, identity).is_enabled())
+        field = browser.find_element(By.ID, identity)
+        field.clear()
+        field.send_keys(words, Keys.ENTER)
+
+    typed("s-axis", "102")
+    wait(browser, lambda: "Give metres" in text(browser, "problem"))
+    assert not config_path().exists() and problems(browser) == []
+    core = EmulatorCore(turning_scene(SceneSpec("helmet-120", rpm=6)), RadarConfig())
+    with UdpEmulator(core, ServeOptions(port=0)) as radar:
+        monkeypatch.setenv("TAGID_RADAR_ADDRESSES", radar.url.removeprefix("udp://"))
+        by_keyboard(browser, "s-find-radar")
+        browser.switch_to.active_element.send_keys(Keys.ENTER)
+        wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#s-radars button"))
+        assert radar.url in text(browser, "s-radars") and problems(browser) == []
+        browser.find_element(By.CSS_SELECTOR, "#s-radars button").send_keys(Keys.ENTER)
+        browser.find_element(By.ID, "s-rpm").send_keys("6")
+        typed("s-axis", "1,0")
+        wait(browser, lambda: text(browser, "s-state").startswith("Stored"))
+        stored = read_file(config_path())
+        assert stored["radar.url"] == radar.url and stored["motion.axis_distance_m"] == 1.0
+        assert stored["motion.url"].public == "free?rpm=6" and "station.until_sure" not in stored
+        # Before the first scan the page shows where the object is.
+        view(browser, "scan")
+        assert not browser.find_element(By.ID, "pictures").is_displayed()
+        by_keyboard(browser, "profile-button")
+        browser.switch_to.active_element.send_keys(Keys.ENTER)
+        wait(browser, lambda: text(browser, "profile-text").endswith("where the object is expected."))
+        assert len(np.unique(browser.execute_script(PIXELS, "profile-canvas"))) > 10
+        assert problems(browser) == []
+        browser.find_element(By.ID, "profile-button").send_keys(Keys.ENTER)
+        wait(browser, lambda: text(browser, "profile-button") == "Show it")
+    # A file that is no capture is sent, refused with its reason, and not kept.
+    wrong = tmp_path / "notes <b>.txt"
+    wrong.write_text("no capture")
+    browser.find_element(By.ID, "file").send_keys(str(wrong))
+    wait(browser, lambda: text(browser, "answer") == "Failed")
+    assert "unknown file format" in text(browser, "reason")
+    assert list((tmp_path / "out").iterdir()) == []
+    # The theme is the browser's.
+    background = "return getComputedStyle(document.body).backgroundColor"
+    light = browser.execute_script(background)
+    view(browser, "settings")
+    browser.find_element(By.ID, "s-theme").send_keys("dark")
+    wait(browser, lambda: browser.execute_script(background) != light)
+    browser.refresh()
+    wait(browser, lambda: browser.execute_script(background) != light)
+    browser.execute_script("localStorage.clear(); applyTheme()")
+    assert browser.execute_script(background) == light
+    (refused,) = [entry["message"] for entry in browser.get_log("browser")]
+    assert "400 (Bad Request)" in refused
 
 
 def test_two_browsers_a_reload_and_a_restart_of_the_station(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from tagid.errors import DataError, DiskFullError, StorageError, UsageError
 from tagid.report.axes import Axes, nice_ticks, tick_labels
 from tagid.report.canvas import Canvas
 from tagid.report.colours import colourise, lightness, to_decibels, viridis
-from tagid.report.picture import Marker, draw_image, fit_text
+from tagid.report.picture import Marker, draw_image, fit_text, thumbnail
 
 LEFT, TOP, SIDE = 110, 100, 700  # the frame of draw_image, px
 
@@ -30,6 +31,20 @@ def point_image(row: int, column: int, pixels: int = 50) -> np.ndarray:
     values = np.full((pixels, pixels), 1e-4, dtype=np.complex64)
     values[row, column] = 1j
     return values
+
+
+def test_a_thumbnail_is_the_image_alone(tmp_path: Path) -> None:
+    path = tmp_path / "image.png"
+    draw_image(point_image(row=40, column=10), 0.5, path, title="x" * 40)
+    small = thumbnail(path.read_bytes(), 50)
+    with Image.open(io.BytesIO(small)) as picture:
+        pixels = np.array(picture.convert("L"))
+    assert pixels.shape == (50, 50) and len(small) < 5000
+    assert np.unravel_index(pixels.argmax(), pixels.shape) == (9, 10), "y is up"
+    assert pixels[:, 30:].max() < 60, "no letters, axes or colour bar"
+    for wrong in (b"", b"no picture", small, small[:100]):
+        with pytest.raises(DataError):
+            thumbnail(wrong)
 
 
 def test_positive_y_is_up_and_positive_x_is_right(tmp_path: Path) -> None:

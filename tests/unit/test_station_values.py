@@ -12,8 +12,6 @@ from urllib.parse import urlencode
 
 import numpy as np
 import pytest
-
-pytest.importorskip("starlette")
 from starlette.requests import Request
 
 from tagid.errors import DataError, DeviceError, UsageError

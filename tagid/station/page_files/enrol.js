@@ -10,6 +10,12 @@ function millimetres(metres) {
   return metres < 1e-4 ? "less than 0.1 mm" : `${(1000 * metres).toFixed(1)} mm`;
 }
 
+// A share of readings: "40 %", or "1 in 3,000,000" where a percentage has too many zeros.
+function shareText(rate) {
+  if (rate < 1e-12) return "fewer than 1 in 10¹²";
+  return rate >= 1e-3 ? `${Number((100 * rate).toPrecision(2))} %` : `1 in ${Number((1 / rate).toPrecision(1)).toLocaleString("en")}`;
+}
+
 function showEnrolment() {
   if (!enrolment) return;
   const { subject, captures, needed, measuring, trouble, proposal, stored } = enrolment;
@@ -67,7 +73,10 @@ function showCaptures(captures, needed, measuring) {
   const next = captures.length + 1;
   let text = "Put the object on the table, within a centimetre of the middle, and record it.";
   if (next > 1 && next <= needed) text = "Turn the object by about a third of a turn, move it by a centimetre, and record it again.";
-  if (next > needed) text = enrolment.trouble ? "Remove the capture that disagrees, or record another." : "Enough captures. More make the positions more accurate.";
+  if (next > needed) {
+    // A conflict with an enrolled layout is no fault of a capture.
+    text = enrolment.trouble && !enrolment.proposal ? "Remove the capture that disagrees, or record another." : "Enough captures. More make the positions more accurate.";
+  }
   setText("instruction", text);
   const button = $("capture");
   setText("capture", recording ? "Stop" : next <= needed ? `Record ${next} of ${needed}` : "Record another");
@@ -107,7 +116,7 @@ function showProposal(subject, captures, proposal) {
     return element("li", `${one.name}: ${apart}${one.confusable ? ", could be confused" : ""}`, one.confusable ? "bad" : "");
   }) : [element("li", "no other layout is enrolled")]);
   const rate = proposal.confusion_rate;
-  setText("confusion", rate === null ? "" : `Expected wrong names at ${proposal.reference.views} views and ${proposal.reference.snr_db} dB: ${rate < 1e-12 ? "fewer than 1 in 10¹²" : rate.toExponential(0)} of readings.`);
+  setText("confusion", rate === null ? "" : `Expected wrong names at ${proposal.reference.views} views and ${proposal.reference.snr_db} dB: ${shareText(rate)} of readings.`);
   setText("store", `Enrol ${subject.name}`);
   const busy = !mayAct() || running || enrolment.measuring;
   $("store").disabled = busy || !proposal.ready;

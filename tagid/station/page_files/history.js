@@ -47,16 +47,27 @@ function historyRow(one) {
     label.append(box);
     row.append(label);
   }
+  if (one.has_picture) {
+    const small = element("img");
+    small.src = `api/v1/history/${one.id}/thumbnail`;
+    small.alt = "";
+    small.loading = "lazy";
+    row.append(small);
+  }
   const who = element("span", nameOf(one), `who ${one.status}`);
   if (one.label) who.append(element("span", ` ${one.label}`, "label"));
   row.append(who, element("span", time));
-  if (one.has_picture) {
-    const button = element("button", "Picture");
-    button.type = "button";
-    button.setAttribute("aria-label", `Picture of ${nameOf(one)}, ${time}`);
-    button.addEventListener("click", () => showPicture(one));
-    row.append(button);
-  }
+  const button = (text, words, act) => {
+    const made = element("button", text);
+    made.type = "button";
+    made.setAttribute("aria-label", `${words} ${nameOf(one)}, ${time}`);
+    made.addEventListener("click", act);
+    row.append(made);
+  };
+  const path = `api/v1/history/${one.id}`;
+  if (one.has_picture) button("Picture", "Picture of", () => showViewer(`${path}/picture`, nameOf(one), one));
+  if (one.has_residuals) button("Hypotheses", "Hypotheses of", () => showViewer(`${path}/residuals`, "What the hypotheses leave of the echo", one));
+  if (one.has_capture && scanned) button("Replay", "Replay", () => replay(one));
   // A capture that is not in this folder is named with its own.
   const file = one.has_capture ? fileName(one) : one.file;
   const why = one.status === "identified" ? "" : one.reason;
@@ -107,20 +118,26 @@ function showReport() {
   }
 }
 
-async function showPicture(one) {
+async function replay(one) {
+  if (await post(`history/${one.id}/replay`, {})) location.hash = "#view-scan";
+}
+
+// A picture of the station in a dialog, with the capture of an entry of the history if there is one.
+async function showViewer(path, heading, one = null) {
   showProblem(null);
-  const answer = await fetch(`api/v1/history/${one.id}/picture`);
+  const answer = await fetch(path, { cache: "no-store" });
   if (!answer.ok) {
     showProblem((await answer.json()).error);
     return;
   }
   const picture = $("viewer-picture");
-  setText("viewer-head", nameOf(one));
-  setText("viewer-capture", fileName(one));
-  $("viewer-capture").href = `api/v1/history/${one.id}/capture`;
+  setText("viewer-head", heading);
+  setText("viewer-capture", one ? fileName(one) : "");
+  $("viewer-capture").hidden = !one;
+  if (one) $("viewer-capture").href = `api/v1/history/${one.id}/capture`;
   if (picture.src) URL.revokeObjectURL(picture.src);
   picture.src = URL.createObjectURL(await answer.blob());
-  picture.alt = `Radar image of ${nameOf(one)}`;
+  picture.alt = one ? `${heading}, ${nameOf(one)}` : heading;
   $("viewer").showModal();
   $("viewer-head").focus();
 }

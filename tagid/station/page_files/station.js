@@ -18,7 +18,7 @@ let sound = false;
 let audio = null;
 let told = null;
 let listed = -1;
-const VIEWS = ["scan", "enrol", "history", "health"];
+const VIEWS = ["scan", "enrol", "history", "health", "settings"];
 
 // One view at a time; the address keeps it over a reload.
 function showView() {
@@ -35,6 +35,9 @@ function showView() {
   }
   if (view === "history") loadHistory();
   if (view === "enrol") loadLayouts();
+  if (view === "settings") loadSettings();
+  // A canvas that was hidden has no size.
+  window.dispatchEvent(new Event("resize"));
   window.scrollTo(0, 0);
 }
 
@@ -47,42 +50,6 @@ function bytes(text) {
 
 const LONGEST_BAR = 20;  // nats
 const MOST_RIVALS = 4;
-const CIRCLED_PIXELS = 640;
-
-function paint(canvas, width, height, text) {
-  const levels = bytes(text);
-  if (!palette || levels.length !== width * height) return;
-  canvas.width = width;
-  canvas.height = height;
-  const context = canvas.getContext("2d");
-  const data = context.createImageData(width, height);
-  for (let i = 0; i < levels.length; i += 1) {
-    data.data.set(palette.subarray(3 * levels[i], 3 * levels[i] + 3), 4 * i);
-    data.data[4 * i + 3] = 255;
-  }
-  context.putImageData(data, 0, 0);
-}
-
-function circle(canvas, reflectors, extent) {
-  // The pixels of an image stay sharp under circles that are drawn finer.
-  const pixels = document.createElement("canvas");
-  pixels.width = canvas.width;
-  pixels.height = canvas.height;
-  pixels.getContext("2d").drawImage(canvas, 0, 0);
-  const side = CIRCLED_PIXELS;
-  canvas.width = canvas.height = side;
-  const context = canvas.getContext("2d");
-  context.imageSmoothingEnabled = false;
-  context.drawImage(pixels, 0, 0, side, side);
-  context.strokeStyle = "white";
-  context.lineWidth = side / 160;
-  for (const one of reflectors) {
-    context.setLineDash(one.matched ? [] : [side / 80, side / 80]);
-    context.beginPath();
-    context.arc(side * (0.5 + one.x_m / extent), side * (0.5 - one.y_m / extent), side / 32, 0, 2 * Math.PI);
-    context.stroke();
-  }
-}
 
 function element(tag, text, kind) {
   const node = document.createElement(tag);
@@ -104,7 +71,8 @@ function idle() {
   if (!connected()) return ["Not connected", "", "", ""];
   if (!health || !health.checked) return ["Checking", "", "Looking for the radar.", ""];
   const radar = health.findings.find((one) => one.answers === false);
-  if (radar) return ["No radar", "failed", radarText(health.wiring), radar.remedy];
+  const missing = health.wiring && !health.wiring.url;
+  if (radar) return ["No radar", "failed", radarText(health.wiring), missing ? "Connect it, switch it on, and search for it under Settings." : radar.remedy];
   const problem = health.findings.find((one) => one.level === "problem");
   return problem ? ["Not ready", "failed", `${problem.topic}: ${problem.text}.`, problem.remedy] : ["Ready", "", "", ""];
 }
@@ -131,7 +99,7 @@ function showAnswer(scan) {
       if (!scan.final) kind += " so-far";
     } else {
       text = scan.phase === "connecting" ? "Connecting" : scan.phase === "turning" ? "Turning" : "Reading";
-      reason = scan.note;
+      reason = scan.note || (scan.file ? `Stored capture ${scan.file}` : "");
     }
     if (scan.running && scan.silent_s > 2) {
       [text, kind] = ["No signal", "failed"];
@@ -175,9 +143,11 @@ function showScan(scan) {
   showRadar(scan);
   $("turn").value = scan && scan.turn_share ? scan.turn_share : 0;
   if (scan) {
-    const words = [`${scan.scans} scans in ${scan.seconds.toFixed(1)} s`];
-    words.push(scan.turned_deg === null ? "angle not known yet" : `${Math.min(scan.turned_deg, 360).toFixed(0)} of 360 degrees`);
-    words.push(scan.snr_db === null ? "SNR -" : `SNR ${scan.snr_db.toFixed(1)} dB`, `lost ${scan.lost}`);
+    document.body.dataset.scanned = "yes";
+    const words = scan.file ? [`Stored capture ${scan.file}`] : [];
+    if (!scan.file || scan.scans) words.push(`${scan.scans} scans in ${scan.seconds.toFixed(1)} s`);
+    if (!scan.file || scan.scans) words.push(scan.turned_deg === null ? "angle not known yet" : `${Math.min(scan.turned_deg, 360).toFixed(0)} of 360 degrees`);
+    if (!scan.file) words.push(scan.snr_db === null ? "SNR -" : `SNR ${scan.snr_db.toFixed(1)} dB`, `lost ${scan.lost}`);
     if (scan.note && scan.answer) words.push(scan.note);
     if (scan.remark) words.push(scan.remark);
     setText("figures", words.join(" · "));
@@ -215,6 +185,9 @@ function showButton() {
   setText("operator", elsewhere ? "Another browser operates the station; this one only watches." : mine ? "This browser operates the station." : "");
   showEnrolment();
   showReport();
+  showProfile();
+  showSettingsState();
+  $("file-button").disabled = !mayAct() || running;
 }
 
 // May this browser act? Anybody may stop a scan.
@@ -231,6 +204,7 @@ function showEvidence(scan) {
   setText("evidence-text", rivals.length
     ? "The longer the bar, the less likely. A name needs all others beyond the line."
     : "Share of the echo that a layout explains; the line is the minimum for an identification.");
+  $("residuals").hidden = !(answer && scan.has_residuals);
   showBars(rivals.length ? rivals.map((one) => rivalBar(one, answer.lead_needed)) : scan.evidence.map(layoutBar));
 }
 
@@ -329,6 +303,14 @@ function receive(message) {
     sessionStorage.setItem("key", message.key);
     palette = bytes(message.palette);
     setText("mode", message.demo ? "demonstration: the radar is emulated" : "");
+    $("object-row").hidden = message.objects.length === 0;
+    if (!$("object").options.length) {
+      $("object").replaceChildren(...message.objects.map((one) => {
+        const option = element("option", one.words);
+        option.value = one.name;
+        return option;
+      }));
+    }
   } else if (message.type === "operator") {
     mine = message.you;
     showButton();
@@ -342,18 +324,11 @@ function receive(message) {
     showScan(message.scan);
   } else if (message.type === "frame") {
     showScan(message.scan);
-    const { image, sinogram } = message;
-    if (image) {
-      paint($("image"), image.side, image.side, image.levels);
-      const answer = message.scan && message.scan.final ? message.scan.answer : null;
-      if (answer && answer.reflectors.length) circle($("image"), answer.reflectors, image.extent_m);
-      setText("image-caption", `Image from above, ${image.extent_m.toFixed(2)} m wide`);
-    }
-    if (sinogram) {
-      paint($("sinogram"), sinogram.columns, sinogram.rows, sinogram.levels);
-      setText("sinogram-caption", `Sinogram: range ${sinogram.range_m[0].toFixed(2)} to ${sinogram.range_m[1].toFixed(2)} m, time downwards`);
-    }
+    showPictures(message);
     document.body.dataset.frames = String(Number(document.body.dataset.frames || 0) + 1);
+  } else if (message.type === "profile") {
+    profile = message;
+    showProfile();
   } else if (message.type === "error") {
     showProblem(message.error);
   }
@@ -419,7 +394,8 @@ function send(message) {
   if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
 
-$("scan").addEventListener("click", () => send(recording ? { type: "stop" } : { type: "scan", note: $("note").value }));
+$("scan").addEventListener("click", () => send(recording ? { type: "stop" } : { type: "scan", note: $("note").value, object: $("object").value }));
+$("residuals").addEventListener("click", () => showViewer("api/v1/scan/residuals", "What the hypotheses leave of the echo"));
 $("take").addEventListener("click", () => send({ type: "take" }));
 $("sound").addEventListener("click", () => {
   sound = !sound;
