@@ -230,13 +230,26 @@ def test_a_file_is_bounded_and_refused_to_strangers(
         assert Asks(other.url, OWN).get(f"/api/v1/{path}").status == 401
 
 
-def test_a_scan_ends_early_if_the_settings_say_so(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scan_may_end_early_if_the_settings_say_so_but_not_an_enrolment(
+    serve: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("TAGID_STATION_UNTIL_SURE", "yes")
-    one = serve("emulator://helmet-120?rpm=1&seed=2&rate=20", rpm=1)
-    Asks(one.url, OWN).post("/api/v1/scan")
-    scan = ended(one)
-    assert scan["answer"]["layout"] == "helmet-120" and scan["turned_deg"] < 330
-    assert "because helmet-120 was certain" in scan["note"]
+    one = serve(ENDLESS)
+    client = Asks(one.url, OWN)
+    spent = []
+    for path in ("scan", "enrolment/capture"):
+        client.post("/api/v1/enrolment", name="gate-4")
+        assert client.post(f"/api/v1/{path}").status == 202
+        spent.append(one._station.scan._plan.spent)
+        client.post("/api/v1/scan/stop")
+        ended(one)
+    assert spent[0] > 0 and spent[1] == 0, "what the looks of an early ending may be wrong"
+    # Without a known angle the refusal names the page's own control.
+    place = one._station.source.place().config
+    free = {name: entry.value for name, entry in place.values.items() if name != "motion.url"}
+    one._station.source = Source(lambda: Workplace(free))
+    refused = client.post("/api/v1/scan")
+    assert refused.status == 503 and "“End a scan as soon as" in refused.json()["error"]["message"]
 
 
 def test_the_second_object_of_the_demonstration_moves_and_is_not_enrolled(
