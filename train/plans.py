@@ -19,7 +19,7 @@ _NAME = "dataset.json"
 
 @dataclass(frozen=True)
 class Size:
-    """Size of a dataset, which its folder remembers: `scenes` and `ats_every` as in `train.dataset.DatasetPlan`."""
+    """Size of a dataset, which its folder remembers: `scenes` and `ats_every` of `DatasetPlan`."""
 
     scenes: int = SCENES
     ats_every: int = ATS_EVERY

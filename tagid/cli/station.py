@@ -15,6 +15,7 @@ from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command
 from tagid.cli.options import demo_settings
+from tagid.cli.units import SECONDS
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -29,7 +30,9 @@ def station(
     motion: options.MotionUrl = None,
     axis_distance: options.AxisDistance = None,
     save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
-    max_seconds: Annotated[float, typer.Option("--max-seconds", help="Longest recording.")] = 180.0,
+    max_seconds: Annotated[
+        float, typer.Option("--max-seconds", parser=SECONDS, help="Longest recording.")
+    ] = 180.0,
     demo: Annotated[
         bool, typer.Option("--demo", help="Use an emulated radar, a helmet, and an object to enroll.")
     ] = False,

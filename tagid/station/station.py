@@ -427,7 +427,7 @@ class Station:
         """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError, UsageError."""
         return list(History(data_folder() / FILE_NAME).find(wanted))
 
-    def available(self, entries: list[Entry]) -> list[tuple[bool, bool, bool]]:
+    def available(self, entries: list[HistoryEntry]) -> list[tuple[bool, bool, bool]]:
         """Whether the station gives out the capture, the picture and the residuals of each entry."""
         try:
             folder = self.source.place().folder()
@@ -510,7 +510,7 @@ def _residuals(path: Path) -> bytes:
         raise NoSuchItemError("there is no picture of the hypotheses") from error
 
 
-def _own_file(entry: Entry, folder: Path) -> Path | None:
+def _own_file(entry: HistoryEntry, folder: Path) -> Path | None:
     """The file of an entry of the history; None unless it is a scan in the station's folder."""
     path = Path(entry.file)
     own = entry.command in (COMMAND, "scan") and path.resolve().parent == folder.resolve()

@@ -146,7 +146,7 @@ class HistoryHandlers:
             raise NoSuchItemError("there is no such report", "Begin one with POST /api/v1/reports.")
         return run
 
-    def _listed(self, entries: list[Entry]) -> wire.Json:
+    def _listed(self, entries: list[HistoryEntry]) -> wire.Json:
         """Entries with whether their capture and pictures can be requested."""
         available = self._station.available(entries)
         return {
