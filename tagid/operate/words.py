@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from tagid.reading.calibration import Bound
     from tagid.reading.reading import Reading
 
+_NOT_PREDICTED = 0.9
+"""Residual from which on held-out views count as not predicted."""
+
 SUBTRACTED = {
     True: "the echo of the body is subtracted from the image",
     False: "no body was found: nothing is subtracted from the image",
@@ -252,9 +255,24 @@ def held_out_words(settings: dict[str, Any]) -> list[str]:
     noise = "" if found["noise"] is None else f", including noise {100 * found['noise']:.1f} %"
     same = found["residual"] == found["backprojection"]
     other = "" if same else f"; backprojection {100 * found['backprojection']:.1f} %"
+    # Documents of earlier versions lack it.
+    neighbours = found.get("neighbours")
+    beside = "" if neighbours is None else f"; the two neighbouring scans {100 * neighbours:.1f} %"
     lines = [
-        f"held-out residual {100 * found['residual']:.1f} % of {found['views']} held-out views{noise}{other}"
+        f"held-out residual {100 * found['residual']:.1f} % of {found['views']} held-out views"
+        f"{noise}{other}{beside}"
     ]
+    least = min(found["residual"], 1.0 if neighbours is None else neighbours)
+    if least > _NOT_PREDICTED and (found["noise"] or 0.0) < least / 2:
+        lines.append(
+            "neither the image nor the neighbouring scans predict a held-out view: the views are far apart, "
+            "and the residual does not tell whether the image is right"
+        )
+    elif found.get("worse_than_neighbours"):
+        lines.append(
+            "the image predicts held-out views no better than smoothness over angle does: the residual does "
+            "not tell whether its geometry is right"
+        )
     if found["worse_than_backprojection"]:
         lines.append(
             "backprojection predicts held-out views better: `imaging.method=bp` is more reliable than this "

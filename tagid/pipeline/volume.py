@@ -176,16 +176,14 @@ def _held_out(
     """Residual on views held out from the volume, and that of backprojection; None with too few views."""
     unseen = left_out(unfiltered.aperture.views)
     test = select_views(unfiltered, unseen)
-    energy = float((np.abs(test.samples) ** 2).sum())
-    if not len(unseen) or energy == 0:
+    if not len(unseen) or not np.any(test.samples):
         return None
     seen = np.setdiff1d(np.arange(unfiltered.aperture.views), unseen)
     some, plain = select_views(matched, seen), select_views(unfiltered, seen)
     first = backproject_volume(some if method == "bp" else plain, grid, progress if method == "bp" else None)
     back = _residual(test, first)
     found = back if method == "bp" else _residual(test, _make(method, some, plain, grid, progress))
-    noise = test.noise_std**2 * test.samples.size / energy if test.noise_std > 0 else float("nan")
-    return HeldOut(found, back, min(noise, 1.0), len(unseen))
+    return HeldOut.of(found, back, unfiltered, unseen)
 
 
 def _residual(test: BasebandScans, volume: Volume) -> float:
