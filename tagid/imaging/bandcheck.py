@@ -80,17 +80,20 @@ def sample_fault(capture: Capture) -> SampleFault | None:
         # An analytic signal sampled below its carrier is known up to multiples of the sampling rate.
         rate = capture.wave_speed_m_s / (2 * capture.range_step_m)
         middle, reach = (low + high) / 2, (high - low) / 2 + edge
+        around = middle
+        inside = power[np.abs((frequency - middle + rate / 2) % rate - rate / 2) <= reach].sum() / total
         for centre, words in ((0.0, _BASEBAND), (-middle, _CONJUGATE)):
             away = np.abs((frequency - centre + rate / 2) % rate - rate / 2)
             if power[away <= reach].sum() >= SHARE * total:
-                cause = words
-        frequency = middle + (frequency - middle + rate / 2) % rate - rate / 2
+                cause, around = words, centre
+        frequency = around + (frequency - around + rate / 2) % rate - rate / 2
         order = np.argsort(frequency)
         frequency, power = frequency[order], power[order]
-    elif power[frequency <= high - low].sum() >= LEAST_INSIDE * total:
-        sign = _one_sign(capture)
-        cause = (_MAGNITUDE[0].format(sign), _MAGNITUDE[1]) if sign else _PART
-    inside = float(power[(frequency >= low - edge) & (frequency <= high + edge)].sum()) / total
+    else:
+        inside = power[(frequency >= low - edge) & (frequency <= high + edge)].sum() / total
+        if power[frequency <= high - low].sum() >= LEAST_INSIDE * total:
+            sign = _one_sign(capture)
+            cause = (_MAGNITUDE[0].format(sign), _MAGNITUDE[1]) if sign else _PART
     if inside >= LEAST_INSIDE:
         return None
     first, last = _holding(power)
@@ -99,7 +102,7 @@ def sample_fault(capture: Capture) -> SampleFault | None:
         f"90 % of it is between {hertz(frequency[first])} and {hertz(frequency[last])}"
     )
     certain = cause is not _BAND or inside < _LEAST_IN_BAND
-    return SampleFault(f"{text}; {cause[0]}" if cause[0] else text, cause[1], certain)
+    return SampleFault(f"{text}; {cause[0]}" if cause[0] else text, cause[1], bool(certain))
 
 
 def band_warning(capture: Capture) -> str | None:

@@ -225,7 +225,7 @@ def _check_rate(is_real: bool, input_rate: float, low: float, high: float) -> No
 def hertz(frequency: float) -> str:
     """A frequency with the unit that suits its size."""
     for unit, scale in (("GHz", 1e9), ("MHz", 1e6), ("kHz", 1e3)):
-        if frequency >= scale:
+        if abs(frequency) >= scale:
             return f"{frequency / scale:.2f} {unit}"
     return f"{frequency:.3g} Hz"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -223,6 +224,14 @@ def test_every_command_says_what_is_wrong_with_the_samples(turn: Capture, kind: 
     with pytest.raises(DataError, match=shown) as raised:
         identify(load_capture(wrong), [*builtin_layouts().values()])
     assert remedy in raised.value.remedy.lower() and "larger reflector" not in raised.value.remedy
+
+
+def test_the_band_of_conjugate_samples_is_one_of_negative_frequencies(turn: Capture) -> None:
+    """Not both ends of the sampled band, whose middle the assumed band is."""
+    fault = sample_fault(replace(turn, samples=analytic(turn).conj()))
+    assert fault is not None
+    edges = re.findall(r"(-?[\d.]+) GHz", fault.text.split("between")[1])
+    assert -5 < float(edges[0]) < -3.95 < float(edges[1]) < -3
 
 
 @pytest.mark.parametrize("kind", ["as simulated", "analytic", "counts with an offset", "one view"])
