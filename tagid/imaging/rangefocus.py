@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.imaging.backprojection import upsample_at_carrier
+from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.pathside import STRAIGHT_WAVELENGTHS, sides_to_search, tells_sides_apart
 from tagid.imaging.pointmodel import needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
@@ -33,6 +35,8 @@ LEAST_GHOST_RATIO = 1.05
 geometry alone makes the difference, and all pieces have it alike."""
 MOST_SIGMA_WAVELENGTHS = 1 / 8
 """Largest jackknife error of a delay that is taken."""
+MOST_ECHO_SIGMA_WAVELENGTHS = 1 / 4
+"""The same of the jackknife over the echoes, of which two alone agree by chance to no better than that."""
 PIECES = 10
 """Pieces of the path that are asked whether they agree."""
 _LOBE = 0.5
@@ -58,9 +62,6 @@ _SPOT_WAVELENGTHS = 1.976
 """Echoes nearer in range than this (15 cm for a P440, one and a half range resolutions) are one."""
 _ALONG_WAVELENGTHS = 0.79
 """Half width of the places tried along an echo's bearing: the range envelope."""
-_STRAIGHT_WAVELENGTHS = 0.02635
-"""A path is straight where it lies within this of a line, rms: 2 mm for a P440, a phase of a third of a
-radian."""
 _NEAREST_WAVELENGTHS = 2.635
 """Nearer than this (0.2 m for a P440) there is only leakage."""
 
@@ -93,7 +94,9 @@ class DelayFocus:
         evidence: how far the focus measure of the best delay is above that of the best rival outside its
             lobe, in jackknife standard errors over pieces of the path; `needed_evidence(PIECES)` is needed.
         reason: why it was not taken; empty if it was.
-        sigma_m: standard error by the jackknife over pieces of the path, m; nan where not known.
+        sigma_m: standard error by the jackknife over pieces of the path and over the echoes, m; nan where not
+            known.
+        alike: whether both sides of the path explain the scans alike; None where one alone was searched.
     """
 
     delay_m: float
@@ -104,6 +107,7 @@ class DelayFocus:
     evidence: float = 0.0
     reason: str = ""
     sigma_m: float = float("nan")
+    alike: bool | None = None
 
     @property
     def needed(self) -> float:
@@ -121,6 +125,7 @@ class DelayFocus:
             "evidence_needed": needed_evidence(PIECES),
             "contrast": self.contrast,
             "reason": self.reason,
+            "sides_alike": self.alike,
         }
 
 
@@ -130,7 +135,11 @@ def search_range_m(wavelength_m: float) -> float:
 
 
 def focus_delay(
-    scans: BasebandScans, search_m: float | None = None, towards: tuple[float, float] = (0.0, 0.0)
+    scans: BasebandScans,
+    search_m: float | None = None,
+    towards: tuple[float, float] = (0.0, 0.0),
+    *,
+    compare: bool = False,
 ) -> tuple[BasebandScans, DelayFocus]:
     """The same scans with the path delay subtracted from their ranges, or unchanged where they do not tell
     it.
@@ -142,13 +151,19 @@ def focus_delay(
 
     Only echoes that come into focus count (`LEAST_CONTRAST`): what is left of the leakage is often the
     strongest and as strong at every delay. The best delay is taken only if it lies inside the search, stands
-    above every rival (`needed_evidence`) and stays where it is when pieces of the path are left out
-    (`MOST_SIGMA_WAVELENGTHS`).
+    above every rival (`needed_evidence`) and stays where it is when pieces of the path, or echoes, are left
+    out (`MOST_SIGMA_WAVELENGTHS`): a path that bends sideways gives an echo above or below the plane another
+    delay than one in it.
+
+    A path that bends a little is searched on both of its sides, each with a delay of its own, and the side
+    with more power in focus counts where it has as much more as the bend lets expect.
 
     Args:
         scans: baseband scans of free antenna positions that hold the object at every delay of the search.
         search_m: half width of the search, one-way m; None: `search_range_m`.
-        towards: a point (x, y) on the side of a straight path that matters, m; the other side mirrors it.
+        towards: a point (x, y) on the side of a nearly straight path that matters, m; the other side mirrors
+            it.
+        compare: also search the other side, where the path bends; `towards` counts where they are alike.
 
     Returns:
         The scans, their ranges corrected where the result is reliable, and what was found.
@@ -162,9 +177,81 @@ def focus_delay(
         most = MAX_SEARCH_WAVELENGTHS * lam
         raise UsageError(f"the delay search is +-{search_m} m", f"Give up to {most:.3g} m.")
     few = _thinned(scans)
-    reference, echoes = _strong_echoes(scans, towards)
+    sides = sides_to_search(scans.aperture.positions, lam, towards, compare)
+    searched = [_search(scans, few, side, search_m) for side in sides]
+    found = searched[0].focus
+    if len(searched) > 1:
+        bright, dim = sorted(searched, key=lambda side: -side.power)
+        if _told_apart(few, bright, dim, search_m):
+            found = replace(_with_all_around(scans, few, bright.focus), alike=False)
+        else:
+            found = _of_either_side(few, searched[0], searched[1])
+    if not found.reliable:
+        return scans, found
+    return replace(scans, range_start_m=scans.range_start_m - found.delay_m), found
+
+
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """The search of one side of a path.
+
+    Attributes:
+        focus: its result.
+        side: unit normal (2,) towards it; None for all directions.
+        reference, echoes: of `_strong_echoes`.
+        power: of all its echoes in focus, at the best delay.
+        points: where they are then.
+    """
+
+    focus: DelayFocus
+    side: Floats | None
+    reference: Floats
+    echoes: Floats
+    power: float = 0.0
+    points: tuple[EchoPoint, ...] = ()
+
+
+def _told_apart(few: BasebandScans, bright: _Searched, dim: _Searched, search_m: float) -> bool:
+    """Whether the brighter side of a path is brighter by as much as its bend lets expect.
+
+    Noiseless scans of the points of the brighter side are searched on both.
+    """
+    if not bright.points or not dim.points:
+        return bool(bright.points)
+    places = np.array([[p.x_m, p.y_m] for p in bright.points])
+    strengths = np.array([p.amplitude for p in bright.points])
+    simulated = replace(few, samples=ForwardOperator(few, places).forward(strengths))
+    own, other = (_search(simulated, simulated, each.side, search_m).power for each in (bright, dim))
+    return tells_sides_apart(bright.power, dim.power, own / max(other, 1e-30))
+
+
+def _with_all_around(scans: BasebandScans, few: BasebandScans, found: DelayFocus) -> DelayFocus:
+    """The result with the echoes of both sides, of which only those in focus at its delay are real."""
+    if not found.reliable:
+        return found
+    reference, echoes = _strong_echoes(scans, None)
+    points = _measure(few, reference, echoes, np.array([found.delay_m]), _FINE * few.wavelength_m).points
+    real = _real(points, few.aperture.positions, echoes, few.wavelength_m)
+    return replace(found, points=_strongest_first(tuple(points[i] for i in real)))
+
+
+def _of_either_side(few: BasebandScans, first: _Searched, second: _Searched) -> DelayFocus:
+    """The first side's result where the scans do not tell the sides apart: a delay counts if both have it."""
+    found, other = replace(first.focus, alike=True), second.focus
+    apart = abs((found.best_m or 0.0) - (other.best_m or 0.0))
+    if not found.reliable or apart <= MOST_SIGMA_WAVELENGTHS * few.wavelength_m:
+        return found
+    reason = "both sides of the path explain the scans alike, each with another delay"
+    found = replace(found, delay_m=0.0, reliable=False, reason=reason)
+    return _not_taken(few, first.reference, first.echoes, found)
+
+
+def _search(scans: BasebandScans, few: BasebandScans, side: Floats | None, search_m: float) -> _Searched:
+    """The search for the delay on one side of the path, or all about it; `few` are the scans thinned."""
+    lam = few.wavelength_m
+    reference, echoes = _strong_echoes(scans, side)
     if not len(echoes):
-        return scans, DelayFocus(0.0, 1.0, False, reason="there is no echo")
+        return _Searched(DelayFocus(0.0, 1.0, False, reason="there is no echo"), side, reference, echoes)
     step = _delay_step(few, reference, echoes)
     delays = np.linspace(-search_m, search_m, 2 * int(np.ceil(search_m / step)) + 1)
     tried = _measure(few, reference, echoes, delays, _COARSE * lam)
@@ -173,15 +260,20 @@ def focus_delay(
     best = int(np.argmax(measure))
     contrast = float(measure[best] / max(float(np.median(measure)), 1e-30))
     width = float(delays[1] - delays[0])
+    around = width * np.linspace(-1, 1, 5)
     guess = float(delays[best])
+
+    def searched(focus: DelayFocus, best_m: float) -> _Searched:
+        power = _measure(few, reference, echoes, best_m + around, _FINE * lam).power.sum(axis=1).max()
+        points = _measure(few, reference, echoes, np.array([best_m]), _FINE * lam).points
+        return _Searched(focus, side, reference, echoes, float(power), points)
+
     if not counted.any():
         reason = "no echo comes into focus at one delay more than at others"
-        return scans, _not_taken(
-            few, reference, echoes, DelayFocus(0.0, contrast, False, (), guess, 0.0, reason)
-        )
+        found = DelayFocus(0.0, contrast, False, (), guess, 0.0, reason)
+        return searched(_not_taken(few, reference, echoes, found), guess)
     focused = echoes[counted > 0]
     # Between the steps a peak may be higher than at any of them: both are compared at their tops.
-    around = width * np.linspace(-1, 1, 5)
     top, evidence, ghost = _measure(few, reference, focused, guess + around, _FINE * lam), np.inf, False
     rival = _rival(measure, best)
     if rival is not None:
@@ -197,26 +289,30 @@ def focus_delay(
         reason = "the best delay is at the edge of the search"
     elif not (evidence >= needed_evidence(PIECES) or ghost):
         reason = "the pieces of the path do not agree on one delay"
-    delay, sigma = guess, float("nan")
+    delay, pieces, over_echoes = guess, float("nan"), 0.0
     # The peak is flat: the parabola needs the whole lobe, also where the places are finest.
     for places, reach in () if reason else ((_FINE, 1.0), (_FINEST, _FINEST_REACH)):
         trials = delay + width * np.linspace(-1, 1, 13)
         fine = _measure(few, reference, focused, trials, places * lam, reach)
-        sigma = _spread(np.array([_peak(trials, measure) for measure in fine.without()]))
+        pieces = _spread(np.array([_peak(trials, measure) for measure in fine.without()]))
+        over_echoes = _spread(np.array([_peak(trials, measure) for measure in fine.without_an_echo()]))
         delay = _peak(trials, fine.power.sum(axis=1))
         kept = _measure(few, reference, focused, np.array([delay]), places * lam, reach).points
         real = _real(kept, few.aperture.positions, focused, lam)
         focused = _centred_on(kept, reference, delay, focused)[real]
-    if not reason and not sigma <= MOST_SIGMA_WAVELENGTHS * lam:
+    if not reason and not pieces <= MOST_SIGMA_WAVELENGTHS * lam:
         reason = "the pieces of the path give different delays"
+    elif not reason and not over_echoes <= MOST_ECHO_SIGMA_WAVELENGTHS * lam:
+        reason = "the echoes give different delays"
+    sigma = float(np.hypot(pieces, over_echoes))
     if reason:
         found = DelayFocus(0.0, contrast, False, (), delay, evidence, reason, sigma)
-        return scans, _not_taken(few, reference, echoes, found)
+        return searched(_not_taken(few, reference, echoes, found), delay)
     shown = echoes[tried.agreeing(int(np.argmin(np.abs(delays - guess))))]
     points = _measure(few, reference, shown, np.array([delay]), _FINE * lam).points
     points = tuple(points[i] for i in _real(points, few.aperture.positions, shown, lam))
     found = DelayFocus(delay, contrast, True, _strongest_first(points), delay, evidence, "", sigma)
-    return replace(scans, range_start_m=scans.range_start_m - delay), found
+    return searched(found, delay)
 
 
 def _rival(measure: Floats, best: int) -> int | None:
@@ -248,10 +344,11 @@ def find_echoes(scans: BasebandScans, towards: tuple[float, float] = (0.0, 0.0))
     Args:
         scans, towards: see `focus_delay`.
     """
-    reference, echoes = _strong_echoes(scans, towards)
+    few, lam = _thinned(scans), scans.wavelength_m
+    sides = sides_to_search(scans.aperture.positions, lam, towards, compare=False)
+    reference, echoes = _strong_echoes(scans, sides[0])
     if not len(echoes):
         return ()
-    few, lam = _thinned(scans), scans.wavelength_m
     points = _measure(few, reference, echoes, np.zeros(1), _FINE * lam).points
     return _strongest_first(tuple(points[i] for i in _real(points, few.aperture.positions, echoes, lam)))
 
@@ -266,19 +363,9 @@ def _strongest_first(points: tuple[EchoPoint, ...]) -> tuple[EchoPoint, ...]:
     return tuple(sorted(kept, key=lambda p: -p.amplitude))
 
 
-def is_straight(positions: Floats, wavelength_m: float) -> bool:
-    """True if the antenna positions (views, 3) lie above one line to within a fortieth of a wavelength,
-    rms.
-
-    Heights do not count: from a path in one upright plane both sides of it look the same.
-    """
-    centred = positions[:, :2] - positions[:, :2].mean(axis=0)
-    spread = np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(positions))
-    return bool(len(positions) > 2 and spread[0] > 0 and spread[1] < _STRAIGHT_WAVELENGTHS * wavelength_m)
-
-
-def _strong_echoes(scans: BasebandScans, towards: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Middle of the piece (3,), and the strongest echoes (n, 3) as labelled range, bearing and |f|.
+def _strong_echoes(scans: BasebandScans, side: Floats | None) -> tuple[Floats, Floats]:
+    """Middle of the piece (3,), and the strongest echoes (n, 3) as labelled range, bearing and |f|, on one
+    side of the path (its unit normal) or all about it.
 
     The piece is so short, sqrt(lambda R) of path, that curvature does not tell there.
     """
@@ -289,16 +376,10 @@ def _strong_echoes(scans: BasebandScans, towards: tuple[float, float]) -> tuple[
     limit = np.sqrt(np.pi / scans.wavenumber * 2 * max(reach, _NEAREST_WAVELENGTHS / 2 * lam)) / 2
     piece = np.flatnonzero(np.linalg.norm(positions - positions[middle], axis=1) <= limit)
     centre = positions[piece].mean(axis=0)
-    length = max(float(np.ptp(positions[piece], axis=0).max()), _STRAIGHT_WAVELENGTHS / 2 * lam)
+    length = max(float(np.ptp(positions[piece], axis=0).max()), STRAIGHT_WAVELENGTHS / 2 * lam)
     bearings = np.arange(0, 2 * np.pi, np.clip(np.pi / scans.wavenumber / (4 * length), 0.01, 0.1))
-    if is_straight(positions, lam):
-        across = np.array(towards) - centre[:2]
-        along = positions[-1, :2] - positions[0, :2]
-        normal = across - along * (across @ along) / float(along @ along)
-        if np.linalg.norm(normal) < _STRAIGHT_WAVELENGTHS * lam:
-            normal = np.array([-along[1], along[0]]) * np.sign(along[0] or 1.0)
-        facing = np.cos(bearings) * normal[0] + np.sin(bearings) * normal[1]
-        bearings = bearings[facing > 0.1 * np.linalg.norm(normal)]
+    if side is not None:
+        bearings = bearings[np.cos(bearings) * side[0] + np.sin(bearings) * side[1] > 0.1]
     fine, start, step = upsample_at_carrier(scans, piece)
     ranges = np.arange(
         max(scans.ranges_m[0], _NEAREST_WAVELENGTHS * lam), scans.ranges_m[-1], scans.range_step_m / 2
@@ -386,6 +467,13 @@ class _Measure:
         total = self.sums.sum(axis=0)
         each = np.array([(np.abs(total - s) ** 2).max(axis=2) for s in self.sums], dtype=np.float64)
         return np.asarray(_brighter(each, self.pairs).sum(axis=2), dtype=np.float64)
+
+    def without_an_echo(self) -> Floats:
+        """(echoes, delays) power without each echo that counts; its own where there is one only."""
+        counted = self.power[:, self.power.any(axis=0)]
+        if counted.shape[1] < 2:
+            return counted.T
+        return np.asarray((counted.sum(axis=1, keepdims=True) - counted).T)
 
 
 def _spread(values: Floats) -> float:

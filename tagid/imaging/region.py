@@ -14,13 +14,13 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
 from tagid.imaging.lengths import coarsest_pixel_m
+from tagid.imaging.pathside import is_straight
 from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
 from tagid.imaging.rangefocus import (
     DelayFocus,
     EchoPoint,
     find_echoes,
     focus_delay,
-    is_straight,
     search_range_m,
 )
 
@@ -40,7 +40,8 @@ class Region:
         grid: the square about `centre_m`.
         centre_m: (x, y) in the frame of the original positions, m.
         focus: result of the delay search; None if there was none.
-        mirrored: the path is straight, so that what lies on one side shows on the other, too.
+        mirrored: what lies on one side of the path shows on the other, too: it is straight, or both sides
+            explain the scans alike.
         points: the strong echoes, strongest first, in the frame of the original positions.
     """
 
@@ -73,8 +74,8 @@ def choose_region(
         search_m: half width of the delay search, one-way m; 0 takes the ranges as given, None: as wide as
             `rangefocus.search_range_m`.
         background: as in `PreprocessSettings`.
-        towards_m: a point (x, y) on the side of a straight path that is wanted, m; None: the image's centre,
-            or the origin.
+        towards_m: a point (x, y) on the side of a nearly straight path that is wanted, m; None: that of the
+            image's centre, or the side that the scans tell, or the origin's where they do not.
         free_extent: whether the extent may be changed to hold the strong echoes.
         free_pixels: whether the pixels may be increased to resolve their ripples.
 
@@ -95,7 +96,8 @@ def choose_region(
         scans = preprocess(capture.shifted(middle), settings=wide)
         there = (towards[0] - float(middle[0]), towards[1] - float(middle[1]))
         if search_m > 0:
-            _, focus = focus_delay(scans, search_m, there)
+            compare = towards_m is None and centre_m is None
+            _, focus = focus_delay(scans, search_m, there, compare=compare)
             points = focus.points
         else:
             points = find_echoes(scans, there)
@@ -113,7 +115,9 @@ def choose_region(
         pixels = int(np.clip(np.ceil(extent / coarsest_pixel_m(lam)), pixels, max(pixels, _MAX_PIXELS)))
     grid = ImageGrid(extent, pixels)
     shift = np.array([*centre_m, 0.0])
-    return Region(capture.shifted(shift), grid, centre_m, focus, is_straight(positions, lam), points)
+    alike = None if focus is None else focus.alike
+    mirrored = is_straight(positions, lam) if alike is None else alike
+    return Region(capture.shifted(shift), grid, centre_m, focus, mirrored, points)
 
 
 def _about_echoes(

@@ -220,10 +220,10 @@ def region_words(region: Region | None) -> list[str]:
         if focus.best_m is not None and focus.evidence < focus.needed:
             lines.append(f"best estimate of the path delay {focus.best_m * 1e3:+.1f} mm, {_evidence(focus)}")
     if region.mirrored:
-        lines.append(
-            "the path is straight: echoes from each side also appear on the other "
-            "(`towards_m=X,Y` selects one)"
-        )
+        why = "the path is straight"
+        if focus is not None and focus.alike:
+            why = "the path is nearly straight, and its two sides explain the scans alike"
+        lines.append(f"{why}: echoes from each side also appear on the other (`towards_m=X,Y` selects one)")
     return lines
 
 

@@ -10,9 +10,11 @@ from tagid.config import METHODS as CONFIG_METHODS
 from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.farfield import polar_format, range_doppler
+from tagid.imaging.pathside import is_straight
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.imaging.rangefocus import focus_delay, is_straight
+from tagid.imaging.rangefocus import focus_delay
 from tagid.imaging.region import choose_region
+from tagid.operate.words import region_words
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import METHODS, ImagingSettings
@@ -72,6 +74,36 @@ def test_a_bent_path_off_the_middle_knows_its_delay_and_its_side(sagitta_m: floa
     where = np.array([[p.x_m, p.y_m] for p in region.focus.points])
     found = localise(where, np.array([[0.4, 1.6], [1.6, 2.4]]), 0.02)
     assert (found.detected, found.false) == (2, 0)
+
+
+def bowed(sagitta_m: float, delay_m: float) -> Capture:
+    """Scans of a rail along x that bows, past two reflectors at y > 1; the origin is on the other side."""
+    u = np.linspace(-1, 1, 150)
+    antenna = np.stack([1.7 * u, 1.0 + sagitta_m * (1 - u**2), 0 * u], axis=1)
+    ranges = 0.8 + STEP_M * np.arange(480)
+    samples = 0.03 * np.random.default_rng(5).standard_normal((150, 480))
+    for amplitude, point in zip((1.0, 0.8), ([-0.6, 3.4, 0], [0.7, 3.9, 0]), strict=True):
+        distance = np.linalg.norm(antenna - point, axis=1)
+        samples += amplitude * analytic_echo(ranges - distance[:, None] - delay_m).real
+    return Capture(samples.astype(np.float32), 0.8, STEP_M, antenna_positions_m=antenna)
+
+
+def test_a_path_that_bows_a_little_is_imaged_on_its_true_side() -> None:
+    """Its mirror image is in focus at another delay, with 5 to 10 % less power."""
+    region = choose_region(bowed(0.009, 0.3), ImageGrid(0.5, 128), None, free_extent=True)
+    assert region.focus is not None and region.focus.alike is False and not region.mirrored
+    assert min(p.y_m for p in region.points) > 1
+    if region.focus.reliable:
+        assert region.focus.delay_m == pytest.approx(0.3, abs=3 * region.focus.sigma_m)
+    chosen = choose_region(bowed(0.009, 0.3), ImageGrid(0.5, 128), None, towards_m=(0, 0), free_extent=True)
+    assert max(p.y_m for p in chosen.points) < 1
+
+
+def test_sides_that_explain_the_scans_alike_are_called_alike() -> None:
+    region = choose_region(bowed(0.001, 0.3), ImageGrid(0.5, 128), None, free_extent=True)
+    assert region.focus is not None and region.focus.alike is True and region.mirrored
+    assert max(p.y_m for p in region.points) < 1
+    assert "explain the scans alike" in region_words(region)[-1]
 
 
 def test_the_flank_of_a_delay_is_no_rival_of_its_top() -> None:
