@@ -43,6 +43,14 @@ round body whose radius is the difference in distance."""
 MOST_SIGMA_WAVELENGTHS = 1 / 16
 """Largest standard error of an estimate that is taken: a wrong one (a quarter off) is four of these away."""
 
+BIAS_WAVELENGTHS = 0.1
+"""Standard error that scans cannot show (8 mm for a P440): a delay that is the same in the whole band, as
+that of a reflector or of the near wall of a body, passes for distance. Octahedra of 40 mm make it 8 mm too
+long."""
+PART_OF_TURN = "the views cover part of the turn, in which a shift of the scene passes for distance"
+_MOST_GAP = np.pi / 9
+"""Widest gap between directions of view over the usual one, rad, of what counts as a turn."""
+
 _RIVAL_WAVELENGTHS = 0.25
 """Distances farther than this from the best one have to be refuted."""
 _ENERGY_STEP_WAVELENGTHS = 0.1
@@ -72,8 +80,8 @@ class AxisFocus:
         peak_db: power of the brightest pixel over the mean noise power of a pixel, dB; inf without noise.
         reliable: the estimate passed every test; only then is it taken.
         best_m: the best guess, m, taken or not; None if there was no search.
-        sigma_m: its standard error, m: that of the jackknife over the sectors of the turn and that over the
-            parts of the band; nan where not known.
+        sigma_m: its standard error, m: that of the jackknife over the sectors of the turn, that over the
+            parts of the band, and `BIAS_WAVELENGTHS`; nan where not known.
         evidence: least t value, over all distances more than a quarter wavelength away, of the hypothesis
             that the sectors of the turn are explained better by the best guess; `needed_evidence` says what
             is needed.
@@ -127,6 +135,7 @@ def focus_axis_distance(
     For each distance of the search a few points are fitted to the scans by least squares (`explain`); the
     best distance leaves the least energy. It is taken only if
 
+    - the views cover a whole turn,
     - the brightest pixel stands above the noise (`MIN_PEAK_DB`),
     - the best distance lies inside the search, not at its edge: where points explain a convex body the better
       the smaller it is made, the best is at the near edge,
@@ -164,6 +173,8 @@ def focus_axis_distance(
         return scans, AxisFocus(None)
     if distance <= search_m:
         return scans, AxisFocus(distance, reason="the axis is nearer than the search is wide")
+    if not _is_turn(scans.aperture.angles):
+        return scans, AxisFocus(distance, reason=PART_OF_TURN)
     pixels = int(np.clip(np.ceil(grid.extent / (_PIXEL_WAVELENGTHS * lam)), 2, _MAX_PIXELS))
     search = ImageGrid(grid.extent, pixels)
     few = select_views(scans, slice(None, None, max(1, scans.aperture.views // _VIEWS)))
@@ -183,7 +194,9 @@ def focus_axis_distance(
         reason = f"the image peak is {seen.peak_db:.1f} dB over the noise, {MIN_PEAK_DB:g} dB are needed"
         return scans, seen.focus(distance, 0.0, best_m=distance + bright, reason=reason)
     verdict = _judge(few, grid, distance, search_m, bright)
-    focus = seen.focus(distance, verdict.offset_m if not verdict.reason else 0.0, **verdict.told(distance))
+    focus = seen.focus(
+        distance, verdict.offset_m if not verdict.reason else 0.0, **verdict.told(distance, lam)
+    )
     if not focus.reliable:
         return scans, focus
     focused = scans.with_aperture(scans.aperture.with_axis_distance(distance + verdict.offset_m))
@@ -220,17 +233,24 @@ class _Verdict:
         """Standard error, m."""
         return float(np.hypot(self.sectors_m, self.band_m))
 
-    def told(self, given_m: float) -> dict[str, Any]:
+    def told(self, given_m: float, wavelength_m: float) -> dict[str, Any]:
         return {
             "reliable": not self.reason,
             "best_m": given_m + self.offset_m,
-            "sigma_m": self.sigma_m,
+            "sigma_m": float(np.hypot(self.sigma_m, BIAS_WAVELENGTHS * wavelength_m)),
             "evidence": self.evidence,
             "needed": self.needed,
             "second": self.second,
             "unexplained": self.unexplained,
             "reason": self.reason,
         }
+
+
+def _is_turn(angles: Floats) -> bool:
+    """Whether the directions of view (views,), rad, leave no gap."""
+    directions = np.unique(np.round(angles % (2 * np.pi), 6))
+    gaps = np.diff(directions, append=directions[0] + 2 * np.pi)
+    return bool(gaps.max() - np.median(gaps) <= _MOST_GAP)
 
 
 def _judge(few: BasebandScans, grid: ImageGrid, given: float, search_m: float, bright: float) -> _Verdict:

@@ -14,7 +14,6 @@ from tagid.pipeline.resolve import one_of
 if TYPE_CHECKING:
     from tagid.imaging.autofocus import AxisFocus
     from tagid.imaging.pulsefit import PulseEstimate
-    from tagid.imaging.rangefocus import DelayFocus
     from tagid.imaging.region import Region
     from tagid.pipeline.answer import Identification
     from tagid.pipeline.reconstruct import Reconstruction
@@ -217,8 +216,6 @@ def region_words(region: Region | None) -> list[str]:
         )
     elif focus is not None:
         lines.append(f"the ranges are used as given: {focus.reason}")
-        if focus.best_m is not None and focus.evidence < focus.needed:
-            lines.append(f"best estimate of the path delay {focus.best_m * 1e3:+.1f} mm, {_evidence(focus)}")
     if region.mirrored:
         why = "the path is straight"
         if focus is not None and focus.alike:
@@ -228,23 +225,17 @@ def region_words(region: Region | None) -> list[str]:
 
 
 def focus_words(focus: AxisFocus | None) -> list[str]:
-    """The result of the axis-distance search, with its evidence if it was not used."""
+    """The result of the axis-distance search."""
     if focus is None or focus.axis_distance_m is None:
         return []
     if focus.reliable:
+        evidence = f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed"
         return [
             f"axis distance {focus.axis_distance_m:.4f} m, {focus.offset_m * 1e3:+.1f} mm from the given "
-            f"(standard error {focus.sigma_m * 1e3:.2g} mm, {_evidence(focus)})"
+            f"(standard error {focus.sigma_m * 1e3:.2g} mm, {evidence})"
         ]
-    lines = [f"the given axis distance is used: {focus.reason}"]
-    # Enough evidence for a distance that another test rejects would read as a contradiction.
-    if focus.best_m is not None and focus.evidence < focus.needed:
-        lines.append(f"best estimate of the axis distance {focus.best_m:.4f} m, {_evidence(focus)}")
-    return lines
-
-
-def _evidence(focus: AxisFocus | DelayFocus) -> str:
-    return f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed"
+    # One statement: an estimate that is rejected, and its evidence, stand in the document alone.
+    return [f"the given axis distance is used: {focus.reason}"]
 
 
 def held_out_words(settings: dict[str, Any]) -> list[str]:

@@ -13,7 +13,14 @@ from imaging_scenes import BANDWIDTH, FC, C, record, turn
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.autofocus import BEYOND_SEARCH, MOST_SIGMA_WAVELENGTHS, AxisFocus, focus_axis_distance
+from tagid.imaging.autofocus import (
+    BEYOND_SEARCH,
+    BIAS_WAVELENGTHS,
+    MOST_SIGMA_WAVELENGTHS,
+    PART_OF_TURN,
+    AxisFocus,
+    focus_axis_distance,
+)
 from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, band_delays, explain, jackknife_error
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
@@ -182,10 +189,24 @@ def test_searches_of_paths_are_refused_for_a_turntable(change: dict[str, Any]) -
     assert "`delay_m`" in raised.value.remedy
 
 
-@pytest.mark.parametrize(("evidence", "lines"), [(4.1, 1), (1.2, 2)])
-def test_a_rejected_axis_distance_shows_its_evidence_only_where_it_is_too_little(
-    evidence: float, lines: int
-) -> None:
+@pytest.mark.parametrize("evidence", [4.1, 1.2])
+def test_a_rejected_axis_distance_is_one_statement(evidence: float) -> None:
+    """Not "not determined" beside a best estimate and evidence for it."""
     focus = AxisFocus(1.1, best_m=1.044, evidence=evidence, needed=2.8, reason="it is at the edge")
-    said = focus_words(focus)
-    assert len(said) == lines and said[0] == "the given axis distance is used: it is at the edge"
+    assert focus_words(focus) == ["the given axis distance is used: it is at the edge"]
+
+
+@pytest.mark.parametrize(("views", "taken"), [(36, True), (35, True), (26, False), (18, False)])
+def test_part_of_a_turn_gives_no_axis_distance(views: int, taken: bool) -> None:
+    """Its standard error covers what the scans cannot show: a delay that passes for distance."""
+    whole = record(POINTS, [1.0, 1.0], turn(36), noise=0.05)
+    kept = np.arange(views)
+    capture = replace(
+        whole, samples=whole.samples[kept], angles_rad=kept * 2 * np.pi / 36, axis_distance_m=1.004
+    )
+    _, focus = focus_axis_distance(preprocess(capture), GRID)
+    assert focus.reliable == taken
+    assert taken or focus.reason == PART_OF_TURN
+    if taken:
+        assert focus.axis_distance_m == pytest.approx(1.0, abs=0.002)
+        assert focus.sigma_m >= BIAS_WAVELENGTHS * LAM
