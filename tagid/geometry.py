@@ -169,6 +169,10 @@ class Aperture:
         return Aperture(self.positions[views], angles, self.axis_distance, self.height, half)
 
 
+MOST_PIXELS = 4096
+"""Pixels per side of an image at most."""
+
+
 @dataclass(frozen=True)
 class ImageGrid:
     """A square image centred on the rotation axis.
@@ -184,8 +188,8 @@ class ImageGrid:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.extent) and self.extent > 0):
             raise UsageError(f"image extent is {self.extent} m", "Give a positive side in metres.")
-        if not 2 <= self.pixels <= 4096:
-            raise UsageError(f"image has {self.pixels} pixels per side", "Give 2 to 4096 pixels.")
+        if not 2 <= self.pixels <= MOST_PIXELS:
+            raise UsageError(f"image has {self.pixels} pixels per side", f"Give 2 to {MOST_PIXELS} pixels.")
 
     @property
     def step(self) -> float:

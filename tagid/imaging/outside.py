@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.geometry import ImageGrid
+from tagid.geometry import MOST_PIXELS, ImageGrid
 from tagid.imaging.lengths import coarsest_pixel_m
 from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import Progress, SparseSettings, sparse_amplitudes
 from tagid.imaging.types import BasebandScans
 
@@ -41,7 +42,10 @@ largest in the cell and its neighbours."""
 _BETWEEN = 0.9
 
 _LOOK_PAIRS = 10**8
-"""Pairs of view and pixel of the second look: a second of two cores."""
+"""Pairs of view and cell of the first look, and of view and pixel of the second: each a second of two
+cores."""
+_FEWEST_VIEWS = 16
+"""Views that the first look visits at least, where the cells are so many that not all views can be."""
 _FIT_PAIRS = 2 * 10**6
 """Pairs of view and pixel of the fit, which visits each two hundred times at most."""
 _FEWEST_POINTS = 2000
@@ -134,19 +138,30 @@ def _may_be_bright(scans: BasebandScans, grid: ImageGrid, level: float) -> NDArr
     """Pixels (n, 2), m, outside the image whose backprojection may exceed a level, at most `_LOOK_PAIRS`.
 
     |A^H y| at a point is at most the sum of its envelopes over the views, which changes with the range
-    resolution only and is looked at in cells of many pixels. The most promising cells come first.
+    resolution only and is looked at in cells of many pixels. The most promising cells come first. Where the
+    cells are too many for all views, views spread over them are looked at, and nothing where they would be
+    few.
     """
     step = min(grid.step, coarsest_pixel_m(scans.wavelength_m) / 2)
     resolution = scans.wave_speed_m_s / (2 * scans.bandwidth_hz)
     side = max(1, int(resolution / _CELLS_PER_RESOLUTION / step))
-    cells = ImageGrid(_WIDER * grid.extent, int(np.ceil(_WIDER * grid.extent / (side * step))))
-    bound = ForwardOperator(scans, cells).envelope(scans.samples).reshape(cells.pixels, cells.pixels)
+    per_side = int(np.ceil(_WIDER * grid.extent / (side * step)))
+    views = scans.aperture.views
+    visited = min(views, _LOOK_PAIRS // per_side**2)
+    if per_side > MOST_PIXELS or visited < min(views, _FEWEST_VIEWS):
+        return np.zeros((0, 2))
+    cells = ImageGrid(_WIDER * grid.extent, per_side)
+    some = scans
+    if visited < views:
+        some = select_views(scans, np.linspace(0, views - 1, visited).astype(np.intp))
+    bound = ForwardOperator(some, cells).envelope(some.samples).reshape(cells.pixels, cells.pixels)
+    bound *= views / visited
     wide = np.pad(bound, 1)
     rows = np.maximum(np.maximum(wide[:-2], wide[1:-1]), wide[2:])
     around = np.maximum(np.maximum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]).ravel()
     outside = (np.abs(cells.points) > (grid.extent - cells.step) / 2).any(axis=1)
     wanted = np.flatnonzero(outside & (around > _BETWEEN * level))
-    most = max(1, _LOOK_PAIRS // (scans.aperture.views * side**2))
+    most = max(1, _LOOK_PAIRS // (views * side**2))
     wanted = wanted[np.argsort(-around[wanted], kind="stable")[:most]]
     offset = ((np.arange(side) + 0.5) / side - 0.5) * cells.step
     offsets = np.stack([part.ravel() for part in np.meshgrid(offset, offset)], axis=1)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tagid.geometry import ImageGrid
+from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.outside import find_outside
@@ -106,3 +106,24 @@ def test_the_search_is_bounded_at_short_wavelengths(monkeypatch: pytest.MonkeyPa
     # A single look at every pixel of the square of 1.2 m that the wavelength asks for takes more.
     assert pairs < 60 * (1.2 / 0.00047) ** 2 / 2
     assert reports and all(0 < done <= of for done, of in reports)
+
+
+@pytest.mark.parametrize(("extent", "views"), [(30.0, 400), (100.0, 400)])
+def test_a_large_image_is_not_searched_for_longer_and_never_refused(extent: float, views: int) -> None:
+    """A flight: its cells outside the image are more than a grid may have, or than every view can visit."""
+    u = np.linspace(-1, 1, views)
+    flight = Aperture(np.stack([extent * u, np.full(views, -extent), np.full(views, extent)], axis=1))
+    start = 1.4 * extent
+    capture = record([[0.0, 0.0]], [1.0], flight, start_m=start, bins=300, noise=0.05)
+    scans = preprocess(capture, settings=PreprocessSettings("none", False, extent_m=extent))
+    visited: list[int] = []
+    geometry = RangeGeometry.gather
+
+    def gather(self: RangeGeometry, rows: Any) -> Any:
+        visited.append(len(self.antenna) * len(self.x))
+        return geometry(self, rows)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RangeGeometry, "gather", gather)
+        find_outside(scans, ImageGrid(extent, 64))
+    assert sum(visited) < 3e8
