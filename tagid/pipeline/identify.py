@@ -185,6 +185,8 @@ def reader_settings(settings: ImagingSettings, spent: float = 0.0) -> ReaderSett
 
 
 _FEWEST_VIEWS = 3
+READ_WAVELENGTHS_M = (0.037, 0.150)
+"""Shortest and longest wavelength of scans in which tags are read: 8 and 2 GHz in vacuum."""
 MIN_SIGNATURE_VIEWS = 24
 """Views per capture for a signature: two per harmonic of a cup, one per two harmonics of a helmet, for which
 three captures together provide enough."""
@@ -363,6 +365,14 @@ def _check_views(prepared: PreparedCapture) -> None:
             "Record at least 12 views per turn.",
         )
     check_moved(prepared.given)
+    least, most = READ_WAVELENGTHS_M
+    wavelength = prepared.given.wavelength_m
+    if not least <= wavelength <= most:
+        raise DataError(
+            f"tags are read at 2 to 8 GHz, wavelengths of {least * 1e3:.0f} to {most * 1e3:.0f} mm; the "
+            f"wavelength of these scans is {wavelength * 1e3:.3g} mm",
+            "Image them with `tagid reconstruct`, or correct center_frequency_hz and wave_speed_m_s.",
+        )
     fault = sample_fault(prepared.given)
     if fault is not None and fault.certain:
         raise DataError(fault.text, f"{fault.remedy[0].upper()}{fault.remedy[1:]}.")

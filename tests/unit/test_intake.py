@@ -260,3 +260,19 @@ def test_noise_has_no_fault(views: int, dtype: Any) -> None:
         noise = rng.standard_normal((2, views, 192))
         samples = (noise[0] + 1j * noise[1] if dtype is np.complex64 else noise[0]).astype(dtype)
         assert sample_fault(Capture(samples, 0.1, RANGE_STEP_M)) is None
+
+
+def test_tags_are_read_in_their_band_alone(turn: Capture) -> None:
+    """At 17 mm reading failed on a signature that nobody had enrolled."""
+    scale = 17 / 75.9
+    small = replace(
+        turn,
+        range_start_m=turn.range_start_m * scale,
+        range_step_m=turn.range_step_m * scale,
+        axis_distance_m=(turn.axis_distance_m or 1.0) * scale,
+        center_frequency_hz=CENTER_FREQUENCY_HZ / scale,
+        bandwidth_hz=turn.bandwidth_hz / scale,
+    )
+    with pytest.raises(DataError, match=r"2 to 8 GHz.* is 17 mm") as raised:
+        identify(load_capture(small), [*builtin_layouts().values()])
+    assert "tagid reconstruct" in raised.value.remedy
