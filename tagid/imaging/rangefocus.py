@@ -37,6 +37,10 @@ MOST_SIGMA_WAVELENGTHS = 1 / 8
 """Largest jackknife error of a delay that is taken."""
 MOST_ECHO_SIGMA_WAVELENGTHS = 1 / 4
 """The same of the jackknife over the echoes, of which two alone agree by chance to no better than that."""
+LEAST_SECOND = 0.25
+"""Power of the second echo over that of the first, below which one round body may be all that is seen."""
+_MOST_RADIUS_WAVELENGTHS = 4
+"""Largest radius of such a body: 0.3 m for a P440."""
 PIECES = 10
 """Pieces of the path that are asked whether they agree."""
 _LOBE = 0.5
@@ -304,6 +308,8 @@ def _search(scans: BasebandScans, few: BasebandScans, side: Floats | None, searc
         reason = "the pieces of the path give different delays"
     elif not reason and not over_echoes <= MOST_ECHO_SIGMA_WAVELENGTHS * lam:
         reason = "the echoes give different delays"
+    elif not reason and _passes_for_round(delay, fine.power[int(np.argmin(np.abs(trials - delay)))], lam):
+        reason = "one echo dominates, which a round body at the given ranges would explain as well"
     sigma = float(np.hypot(pieces, over_echoes))
     if reason:
         found = DelayFocus(0.0, contrast, False, (), delay, evidence, reason, sigma)
@@ -313,6 +319,12 @@ def _search(scans: BasebandScans, few: BasebandScans, side: Floats | None, searc
     points = tuple(points[i] for i in _real(points, few.aperture.positions, shown, lam))
     found = DelayFocus(delay, contrast, True, _strongest_first(points), delay, evidence, "", sigma)
     return searched(found, delay)
+
+
+def _passes_for_round(delay: float, powers: Floats, lam: float) -> bool:
+    """Whether echoes (n,) with a delay may be that of one convex body, nearer than its axis by its radius."""
+    first, second = np.sort(np.append(powers, [0.0, 0.0]))[:-3:-1]
+    return bool(-_MOST_RADIUS_WAVELENGTHS * lam <= delay < 0 and second < LEAST_SECOND * first)
 
 
 def _rival(measure: Floats, best: int) -> int | None:

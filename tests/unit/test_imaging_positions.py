@@ -122,6 +122,16 @@ def test_the_flank_of_a_delay_is_no_rival_of_its_top() -> None:
     assert region.focus.delay_m == pytest.approx(0.41, abs=0.006)
 
 
+@pytest.mark.parametrize(("delay_m", "taken"), [(-0.03, False), (0.03, True)])
+def test_one_echo_that_a_round_body_explains_gives_no_delay(delay_m: float, taken: bool) -> None:
+    """Its wall is nearer than its axis in every view: a delay below zero may be a radius."""
+    alone = np.array([[0.1, 2.0], [0.1, 2.0]])
+    wide = PreprocessSettings("none", True, extent_m=12.0, margin_m=1.0)
+    _, focus = focus_delay(preprocess(rail(delay_m, alone, views=100), settings=wide), 0.5)
+    assert focus.reliable == taken
+    assert taken or "round body" in focus.reason
+
+
 def test_noise_alone_gives_no_delay() -> None:
     capture = rail(0.0)
     noise = np.random.default_rng(3).standard_normal(capture.samples.shape).astype(np.float32)
