@@ -1,6 +1,7 @@
 """Stored settings, each with the source of its value.
 
-The command line overrides the environment, which overrides the file, which overrides the defaults.
+The command line overrides the environment, which overrides the file, which overrides the profile of the
+commissioned rig, which overrides the defaults.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
-from tagid.counting import meant
+from tagid.constants import RIG_FILE
 from tagid.errors import ConfigError, FileFormatError, TagidError, displayable
 from tagid.query import UNITS, quantity
 from tagid.secret import MotionUrl, Secret
 
-Source = Literal["command line", "environment", "file", "default"]
+Source = Literal["command line", "environment", "file", "rig profile", "default"]
 
 
 KIT_ADDRESSES = "192.168.1.100,192.168.1.101,192.168.1.102,192.168.1.103"
@@ -150,7 +151,7 @@ class ConfigValue:
 
     Attributes:
         value: the value, of the setting's type.
-        source: "command line", "environment", "file" or "default".
+        source: "command line", "environment", "file", "rig profile" or "default".
     """
 
     value: Any
@@ -284,10 +285,14 @@ def load_config(overrides: Mapping[str, Any] | None = None, tolerant: bool = Fal
 
     Raises:
         ConfigError: a setting is unknown or out of range.
-        StorageError: the file cannot be read.
+        ConfigError: the profile of the rig is damaged.
+        StorageError: a file cannot be read.
     """
     path = config_path()
     from_file = read_file(path, tolerant)
+    measured: dict[str, float] = {}
+    with _remarked(tolerant):
+        measured = _measured()
     values: dict[str, ConfigValue] = {}
     given = {
         name: parse_value(name, raw, "command line")
@@ -299,6 +304,8 @@ def load_config(overrides: Mapping[str, Any] | None = None, tolerant: bool = Fal
             values[setting.name] = ConfigValue(given[setting.name], "command line")
             continue
         values[setting.name] = ConfigValue(setting.default, "default")
+        if setting.name in measured:
+            values[setting.name] = ConfigValue(measured[setting.name], "rig profile")
         if setting.name in from_file:
             values[setting.name] = ConfigValue(from_file[setting.name], "file")
         if raw := os.environ.get(setting.variable):
@@ -307,6 +314,17 @@ def load_config(overrides: Mapping[str, Any] | None = None, tolerant: bool = Fal
                     parse_value(setting.name, raw, setting.variable), "environment"
                 )
     return Config(values, path)
+
+
+def _measured() -> dict[str, float]:
+    """Settings from the profile of the commissioned rig; empty without one."""
+    folder = data_folder()
+    if not (folder / RIG_FILE).exists():
+        return {}
+    from tagid.rig import installed_profile
+
+    profile = installed_profile(folder)
+    return {} if profile is None else profile.settings()
 
 
 def change_file(name: str, raw: Any | None) -> Path:

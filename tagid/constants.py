@@ -45,3 +45,5 @@ BLAS_THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMU
 
 CAPTURE_SUFFIX: Final = ".tagid.h5"
 """Usual ending of a capture file's name."""
+RIG_FILE = "rig.toml"
+"""Profile of the commissioned rig, in the data folder (`tagid.rig`)."""

@@ -56,7 +56,8 @@ def examine(config: Config, needs_radar: bool = False) -> list[Finding]:
         _ports(),
         *_system(),
         _axis(config),
-        _radar(config, needs_radar),
+        _rig(config),
+        _radar(config),
     ]
 
 
@@ -183,7 +184,35 @@ def _axis(config: Config) -> Finding:
     return Finding("axis distance", "ok", f"{distance} m")
 
 
-def _radar(config: Config, needed: bool) -> Finding:
+def _rig(config: Config) -> Finding:
+    """The profile of the rig, and settings of the configuration that contradict it."""
+    from tagid.rig import installed_profile
+
+    try:
+        profile = installed_profile(data_folder())
+    except TagidError as error:
+        return Finding("rig", "problem", error.message, error.remedy)
+    if profile is None:
+        return Finding(
+            "rig", "ok", "not commissioned", "To measure delay, axis, pulse and gain: `tagid commission`"
+        )
+    text = f"rig of {profile.day}, radar {profile.radar.serial}"
+    delay, expected = config["radar.cable_delay_ps"], profile.path_delay_ps
+    axis, measured = config["motion.axis_distance_m"], profile.axis_distance_m
+    odd = []
+    if abs(delay - expected.value) > 3 * expected.sigma:
+        odd.append(f"the delay in use is {delay - expected.value:+.0f} ps off")
+    if axis is not None and abs(axis - measured.value) > 3 * measured.sigma:
+        odd.append(f"the axis distance in use is {1e3 * (axis - measured.value):+.0f} mm off")
+    if odd:
+        remedy = (
+            "Remove the setting (`tagid config unset NAME`) to use the profile, or repeat `tagid commission`."
+        )
+        return Finding("rig", "warning", f"{text}: {'; '.join(odd)}", remedy)
+    return Finding("rig", "ok", text)
+
+
+def _radar(config: Config) -> Finding:
     from tagid.radar.survey import survey
     from tagid.recording.radars import open_radar
 

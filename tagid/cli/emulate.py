@@ -130,6 +130,7 @@ def p440(
     from tagid.radar.emulation.emulator import ServeOptions, serve, serve_udp
     from tagid.radar.emulation.faults import Faults
     from tagid.radar.emulation.firmware import Firmware
+    from tagid.simulate.rig import parse_rig
 
     if truth is not None:
         check_own(truth, is_truth, "a truth file")
@@ -146,10 +147,12 @@ def p440(
     source, about, remark = _source(scene, replay, loop)
     if truth is not None:
         _write_truth(truth, about)
-    core = EmulatorCore(source, firmware=firmware)
+    rig = None if scene.rig is None else parse_rig(scene.rig)
+    rpm = scene.rpm if rig is None else 60 / rig.period_s
+    core = EmulatorCore(source, identity=None if rig is None else rig.identity, firmware=firmware)
     stop = threading.Event()
     run = f"tagid scan --radar {{}} --axis-distance {scene.axis_distance:g}"
-    run += f" --motion 'free?rpm={scene.rpm:g}'" if scene.rpm > 0 else ""
+    run += f" --motion 'free?rpm={rpm:.4g}'" if rpm > 0 else ""
     facts: dict[str, Any] = {} if about is None else {"object": about.to_json()}
 
     def listens(url: str, **more: str) -> None:

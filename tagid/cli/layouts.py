@@ -141,7 +141,7 @@ def show(
         ),
     ] = None,
 ) -> Result:
-    """Draw a layout.
+    """Draw a layout, or the test card of `tagid commission` (test-card).
 
     Example: tagid layouts show helmet-120 --template helmet-120.pdf
     """
@@ -152,10 +152,12 @@ def show(
     from tagid.files import write_bytes
     from tagid.operate.workplace import open_registry
     from tagid.report import layout_sheet
-    from tagid.report.drafting import to_png, to_svg
-    from tagid.report.pdf import to_pdf
+    from tagid.report.drafting import to_pdf, to_png, to_svg
+    from tagid.tags.layouts.test_card import NAME, test_card
 
-    if file is None:
+    if name == NAME and file is None:
+        layout = test_card()
+    elif file is None:
         layout = open_registry().get(name)
     else:
         found = {layout.name: layout for layout in read_layouts(file)}

@@ -260,6 +260,14 @@ class SceneOptions:
             min=0,
         ),
     ] = 0
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            "--rig",
+            help="Profile of a commissioned rig, or realistic?seed=N: sets how the scene is recorded.",
+            show_default=False,
+        ),
+    ] = None
 
     def spec(self, **changed: Any) -> SceneSpec:
         """The scene of these options, some of them changed. Raises UsageError."""

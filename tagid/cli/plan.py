@@ -113,6 +113,7 @@ def setup_from(asked: Asked) -> Setup:
     from tagid.config import data_folder
     from tagid.enrolling.lookup import named_layouts
     from tagid.planning.plan import Setup
+    from tagid.rig import installed_profile
     from tagid.simulate.budget import LinkBudget
     from tagid.simulate.specification import parse_body, parse_reflector
 
@@ -134,7 +135,7 @@ def setup_from(asked: Asked) -> Setup:
         parse_body(asked.body or "none"),
         config["motion.axis_distance_m"] or 1.0,
         asked.rpm,
-        LinkBudget(transmit_gain=config["radar.gain"], integration=config["radar.integration"]),
+        LinkBudget.on(installed_profile(data_folder()), config["radar.gain"], config["radar.integration"]),
         config["imaging.extent_m"],
         asked.enrolled,
     )

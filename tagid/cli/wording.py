@@ -8,11 +8,11 @@ from dataclasses import replace
 from tagid.result import Problem, Redrawn, Result, reworded, reworded_document
 
 _SAME = (
-    "align antenna_height antenna_height_file antenna_separation axis_distance background bind body budget"
-    " cable_delay centre count dask device elevation engine enrolled file force levels limit max_seconds node"
-    " noise out paper point polarisation prefix preset radius range_law reflector reflectors response"
-    " resume rotation rows rpm scans scene seed since size slots snr snr_reference snr_reference_body spacing"
-    " step surface_radius turned_by unlike until_sure want wobble"
+    "align antenna_height antenna_height_file antenna_separation axis_distance background bind body"
+    " budget cable_delay centre count dask device distance elevation engine enrolled file force levels"
+    " limit max_seconds node noise out paper point polarisation prefix preset radius range_law reflector"
+    " reflectors response resume rotation rows rpm scans scene seed since size slots snr snr_reference"
+    " snr_reference_body spacing step surface_radius target turned_by unlike until_sure want wobble"
 )
 """Arguments whose option has their name."""
 OPTIONS = {name: "--" + name.replace("_", "-") for name in _SAME.split()} | {

@@ -8,6 +8,8 @@ from tagid.enrolling.layout_file import read_entries
 from tagid.enrolling.registry import Registry
 from tagid.errors import UsageError
 from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.tags.layouts.test_card import NAME as TEST_CARD
+from tagid.tags.layouts.test_card import test_card
 
 
 def named_layouts(file: Path | None, registry: Path) -> dict[str, Layout]:
@@ -20,7 +22,7 @@ def named_layouts(file: Path | None, registry: Path) -> dict[str, Layout]:
     Raises:
         RegistryError, StorageError, FileFormatError: a file cannot be read.
     """
-    layouts = dict(builtin_layouts())
+    found = {**builtin_layouts(), TEST_CARD: test_card()}
     if registry.exists():
         layouts |= {layout.name: layout for layout in Registry(registry).layouts()}
     if file is not None:

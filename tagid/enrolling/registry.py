@@ -21,6 +21,7 @@ from tagid.storage.spreadsheet import FORMULA_STARTS
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.bodies.signature_file import from_bytes, to_bytes
 from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
+from tagid.tags.layouts.test_card import NAME as TEST_CARD
 
 APPLICATION_ID = 0x74616764
 """Application id in the sqlite header (offset 68): "tagd"."""
@@ -548,9 +549,11 @@ def _article(kind: str) -> str:
 
 
 def _check_answer(name: str) -> None:
-    """Raises UsageError for an answer that names nothing: reports could not tell the two apart."""
+    """Raises UsageError for a reserved name, or an answer that names nothing: reports confuse the two."""
     if name in NO_NAMES:
         raise UsageError(f"{name!r} is what answers say when they name nothing", "Choose another name.")
+    if name == TEST_CARD:
+        raise UsageError(f"{name!r} is reserved for the test card of a rig", "Choose another name.")
 
 
 def _check_label(layout: Layout) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tagid.capture import Capture
-from tagid.config import Config
+from tagid.config import Config, data_folder
 from tagid.errors import ConfigError, DataError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
@@ -25,6 +25,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.pipeline.join import heights_of, without_background_of_each_height
 from tagid.pipeline.resolve import has_angles, one_turn, without_standstill
 from tagid.pipeline.settings import ImagingSettings, Stopwatch
+from tagid.rig import RigProfile, installed_profile
 from tagid.secret import MotionUrl
 from tagid.storage.importers import read_any, remarks
 from tagid.types import Progress
@@ -236,6 +237,7 @@ class LoadSettings:
         wave_speed_m_s: replaces the wave speed of the capture, m/s.
         reference: recording of the empty scene to subtract; None for no subtraction.
         extent_m: width of the image, m, which tells how many views are needed.
+        rig: profile of the commissioned rig, whose pulse is used for captures of its radar.
     """
 
     cable_delay_ps: float = 0.0
@@ -249,6 +251,7 @@ class LoadSettings:
     wave_speed_m_s: float | None = None
     reference: Capture | None = None
     extent_m: float = ImagingSettings.extent_m
+    rig: RigProfile | None = None
 
     @classmethod
     def of(
@@ -280,6 +283,7 @@ class LoadSettings:
             as_recorded,
             reference=_reference(config) if background == "reference" else None,
             extent_m=config["imaging.extent_m"],
+            rig=installed_profile(data_folder()),
         )
 
     def described(self) -> dict[str, Any]:
@@ -299,6 +303,7 @@ class LoadSettings:
             "cable_delay_ps": self.cable_delay_ps,
             "node": self.node,
             "wave_speed_m_s": self.wave_speed_m_s,
+            "rig": None if self.rig is None else self.rig.date_utc,
             "reference_uuid": None if self.reference is None else self.reference.uuid,
         }
 
@@ -345,6 +350,8 @@ def load_capture(source: Path | Capture, settings: LoadSettings | None = None, t
         capture = replace(capture, antenna_separation_m=settings.antenna_separation_m.value)
     if settings.wave_speed_m_s is not None:
         capture = replace(capture, wave_speed_m_s=settings.wave_speed_m_s)
+    if settings.rig is not None and capture.pulse is None and settings.rig.recorded_by(capture):
+        capture = replace(capture, pulse=settings.rig.pulse)
     if settings.reference is not None:
         from tagid.recording.calibration import without_background
 

@@ -7,7 +7,7 @@ the radar package.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from tagid.errors import UsageError
 from tagid.metadata import ObjectInfo
@@ -19,6 +19,10 @@ from tagid.radar.emulation.sources import RecordingSource
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.radar.urls import RadarOptions, open_link, parse_radar_url
+
+if TYPE_CHECKING:
+    from tagid.simulate.rig import EmulatedRig
+    from tagid.simulate.spec import SceneSpec
 
 _PROBABILITIES: Final = ("lose", "lose_requests", "duplicate", "reorder", "delay")
 
@@ -45,17 +49,27 @@ def open_radar(url: str, timeout: float = 1.0) -> P440:
     if "delay_s" in query.given:
         levels["delay_s"] = query.number("delay_s", 0.0, 0.0, 1e6)
     scene = dict(query.given)
-    faults = Faults(**levels, seed=query.whole("seed", 0, 0, MAX_SEED))
+    seed = query.whole("seed", 0, 0, MAX_SEED)
     if parsed.scheme == "emulator":
         from tagid.simulate.spec import SceneSpec, turning_scene
 
-        source = turning_scene(SceneSpec.from_url(parsed.target, scene))
-        core = EmulatorCore(source, RadarConfig())
+        spec = SceneSpec.from_url(parsed.target, scene)
+        rig = rig_of(spec)
+        core = EmulatorCore(turning_scene(spec), RadarConfig(), None if rig is None else rig.identity)
+        faults = Faults(**{"lose": 0.0 if rig is None else rig.loss, **levels}, seed=seed)
         return P440(MemoryLink(core, rate, faults, url), timeout)
     loop = query.text("loop", "0") not in ("0", "")
     query.done()
+    faults = Faults(**levels, seed=seed)
     recording = emulated_recording(Path(parsed.target), loop)
     return P440(MemoryLink(EmulatorCore(recording), rate, faults, url), timeout)
+
+
+def rig_of(spec: SceneSpec) -> EmulatedRig | None:
+    """The emulated rig of a scene; None without one. Raises UsageError, StorageError, FileFormatError."""
+    from tagid.simulate.rig import parse_rig
+
+    return None if spec.rig is None else parse_rig(spec.rig)
 
 
 def emulated_object(url: str) -> ObjectInfo | None:

@@ -16,6 +16,7 @@ from tagid.errors import UsageError
 from tagid.report.drafting import Circle, Drawing, Line, Text, room
 from tagid.tags.layouts.design import REFLECTOR_M
 from tagid.tags.layouts.layout import Layout
+from tagid.tags.layouts.test_card import NAME as TEST_CARD
 
 EDGE_MM = 28.0
 """Landscape fits the plan of a helmet on two A4 sheets."""
@@ -190,14 +191,14 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
 def template(
     layout: Layout, surface_radius_m: float | None = None, paper: str | None = None
 ) -> list[Drawing]:
-    """The drawings of a layout: the plan, and the strip if it can be unrolled.
+    """The drawings of a layout: the plan, and the strip if it can be unrolled; a card is flat.
 
     Args:
         layout: to be printed.
         surface_radius_m: see `strip`.
         paper: cut the strip into bands that fit on it in portrait; None does not cut it.
     """
-    if np.linalg.norm(layout.positions, axis=1).min() < 0.01:
+    if layout.name == TEST_CARD or np.linalg.norm(layout.positions, axis=1).min() < 0.01:
         return [plan(layout)]
     whole = strip(layout, surface_radius_m)
     return [plan(layout), *([whole] if paper is None else bands(whole, *room(paper)))]

@@ -29,6 +29,7 @@ from tagid.constants import (
 )
 from tagid.errors import UsageError
 from tagid.radar.settings import BLOCK_TIME_S
+from tagid.rig import RigProfile
 from tagid.simulate.scatterers import Scatterer
 
 BOLTZMANN = 1.380649e-23
@@ -86,6 +87,7 @@ class LinkBudget:
         receive_gain_dbi: of the receiving antenna.
         noise_figure_db: of the receiver.
         loss_db: all other losses.
+        loss_source: where that number comes from.
     """
 
     transmit_gain: int = MOST_GAIN
@@ -95,12 +97,25 @@ class LinkBudget:
     receive_gain_dbi: float = 3.0
     noise_figure_db: float = 5.0
     loss_db: float = 9.3
+    loss_source: str = (
+        "fitted: a trihedral of 0.3 m at 10 m then has the 33 dB of the corner reflector in a "
+        "public P440 recording, whose size is not published; uncertain by 6 dB"
+    )
 
     def __post_init__(self) -> None:
         if not 0 <= self.transmit_gain <= MOST_GAIN:
             raise UsageError(f"the transmit gain is {self.transmit_gain}", f"Give 0 to {MOST_GAIN}.")
         if not 6 <= self.integration <= 15:
             raise UsageError(f"the integration index is {self.integration}", "Give 6 to 15.")
+
+    @classmethod
+    def on(cls, rig: RigProfile | None, transmit_gain: int, integration: int) -> LinkBudget:
+        """The budget of a commissioned rig, with its measured gain in the losses; without one as assumed."""
+        if rig is None:
+            return cls(transmit_gain, integration)
+        gain = rig.system_gain_db
+        source = f"measured on the rig of {rig.day}, +-{gain.sigma:.1f} dB (tagid commission)"
+        return cls(transmit_gain, integration, loss_db=cls.loss_db - gain.value, loss_source=source)
 
     @property
     def pulse_rate_hz(self) -> float:
@@ -172,9 +187,7 @@ class LinkBudget:
                 f"2^{self.integration} pulses summed (radar.integration)",
             ),
             Term(
-                "losses", self.loss_db, "dB",
-                "fitted: a trihedral of 0.3 m at 10 m then has the 33 dB of the corner reflector in a "
-                "public P440 recording, whose size is not published; uncertain by 6 dB",
+                "losses", self.loss_db, "dB", self.loss_source,
             ),
         )  # fmt: skip
 

@@ -211,12 +211,16 @@ class TurningScene:
         """Counts of a unit reflector on the axis."""
         return float(NOISE_COUNTS / self._noise * 2.0 ** (config.base_integration_index - NOISE_INDEX))
 
+    def room_echo(self, scene: Scene, config: ScanConfig) -> NDArray[np.complex128]:
+        """(samples,) analytic echo of the room of a scene, in units of a reflector on the axis."""
+        return render_room(scene, self.window(config), self._table)
+
     def clean(self, time_s: float, config: ScanConfig) -> NDArray[np.float64]:
         """(samples,) noise-free scan, counts, neither rounded nor clipped."""
         window = self.window(config)
         acq = replace(self._acquisition, window=window, views=1, turns=1.0)
         if self._room is None or self._room[0] != window:
-            self._room = window, render_room(self.scene, window, self._table)
+            self._room = window, self.room_echo(self.scene, config)
         turns = np.array([self._turns(time_s)])
         distance = acq.axis_distance_m + self._turn.radial(turns)
         height = acq.antenna_height_m if self._antenna_height is None else self._antenna_height()

@@ -18,6 +18,7 @@ from tagid.simulate.acquisition import Acquisition, Placement, Wobble
 from tagid.simulate.budget import LinkBudget
 from tagid.simulate.presets import is_plain, scene_from_name, scene_on_body
 from tagid.simulate.response_file import ResponseFiles
+from tagid.simulate.rig import RigScene, parse_rig
 from tagid.simulate.scatterers import Octahedron, unit_of
 from tagid.simulate.scene import Scene
 from tagid.simulate.snr import noise_std_for
@@ -29,10 +30,15 @@ _URL_NUMBERS: Final = (
     "rpm", "axis_distance", "snr", "cable_delay", "stop", "stop_s", "rotation", "wobble", "antenna_height",
     "antenna_separation", "budget",
 )  # fmt: skip
-_URL_TEXTS: Final = ("turned_by", "centre", "elevation", "body", "reflector")
+_URL_TEXTS: Final = ("turned_by", "centre", "elevation", "body", "reflector", "rig")
 _URL_FILES: Final = ("file", "antenna_height_file")
 _NOT_WITH_A_RESPONSE: Final = (
     "file", "body", "reflector", "unlike", "range_law", "budget", "antenna_height_file",
+)  # fmt: skip
+_NOT_WITH_A_RIG: Final = (
+    "response", "body", "reflector", "unlike", "wobble", "axis_distance", "antenna_height",
+    "antenna_separation", "snr", "noise", "range_law", "budget", "turned_by", "stop",
+    "antenna_height_file", "cable_delay",
 )  # fmt: skip
 _NEAREST_M: Final = 1e-3
 _MOST: Final = 1e6
@@ -75,6 +81,8 @@ class SceneSpec:
         antenna_height_file: text file with the height in metres, read before every scan; replaces
             `antenna_height`.
         cable_delay: two-way delay of the emulated cables, ps.
+        rig: profile of a commissioned rig, or realistic?seed=N: it replaces distance, height, pulse, delay,
+            noise, speed and wobble (`tagid.simulate.rig`).
 
     Raises UsageError for options that contradict each other.
     """
@@ -106,6 +114,7 @@ class SceneSpec:
     stop_s: float = math.inf
     antenna_height_file: Path | None = None
     cable_delay: float = 0.0
+    rig: str | None = None
 
     def __post_init__(self) -> None:
         if (self.scene is None) == (self.response is None):
@@ -120,6 +129,8 @@ class SceneSpec:
                 "`polarisation`, `snr_reference` and `snr_reference_body` need `response`",
                 "Add `response=FILE`.",
             )
+        if self.rig is not None:
+            check_unchanged(self, _NOT_WITH_A_RIG, "`rig`", "the rig determines how it records")
         if not 0 <= self.unlike <= MAX_UNLIKE_DB:
             raise UsageError(f"`unlike` is {self.unlike:g} dB", f"Give 0 to {MAX_UNLIKE_DB:g} dB.")
         if self.unlike and not (self.body or self.reflector):
@@ -155,6 +166,12 @@ class SceneSpec:
             UsageError: the scene is unknown, or a value is out of its range.
             StorageError, FileFormatError, RegistryError: a file, or the registry, cannot be read.
         """
+        if self.rig is not None:
+            rig = parse_rig(self.rig)
+            given = Placement(self.centre, math.radians(self.rotation), parse_elevation(self.elevation))
+            known = named_layouts(self.file, data_folder() / "registry.sqlite")
+            own = {"period_s": rig.period_s, **{k: v for k, v in recording.items() if v is not None}}
+            return rig.scene(str(self.scene), known), replace(rig.acquisition(given), **own)
         on_reflector = self.reflector or ("octahedron:40mm" if self.budget else None)
         noise, snr = self.noise, None if self.noise is not None else self.snr
         if self.budget:
@@ -187,6 +204,8 @@ class SceneSpec:
 def turning_scene(spec: SceneSpec) -> TurningScene:
     """The scene on an emulated turntable, for the radar emulator. Raises the errors of `SceneSpec.build`."""
     scene, acquisition = spec.build()
+    if spec.rig is not None:
+        return RigScene(scene, parse_rig(spec.rig), acquisition.placement, spec.seed)
     turner = TrueAngle(spec.turned_by).at if spec.turned_by else None
     lift = HeightFile(spec.antenna_height_file) if spec.antenna_height_file else None
     stop = Stop(spec.stop, spec.stop_s) if math.isfinite(spec.stop) else None

@@ -376,7 +376,8 @@ class EmulatorCore:
         return _confirm(_T.SET_BAUD_CONFIRM, message, status)
 
     def _timestamp(self) -> int:
-        return math.floor((self._now - self._booted_at) * 1e3) & 0xFFFFFFFF
+        clock = 1e3 * (1 + 1e-6 * self._identity.clock_ppm)
+        return math.floor((self._now - self._booted_at) * clock) & 0xFFFFFFFF
 
     def _refuse(self, message: Message, status: Status) -> bytes:
         if message.type is _T.GET_CONFIG_REQUEST:

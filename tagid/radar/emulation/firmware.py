@@ -31,6 +31,7 @@ class Identity:
         temperature_c: board temperature, degrees Celsius.
         boot_s: time from a reboot to READY_INFO (7 s on Ethernet, measured).
         bit_result: result of the built-in test, 0 is healthy.
+        clock_ppm: error of its clock.
     """
 
     serial: int = 0x440
@@ -38,6 +39,7 @@ class Identity:
     temperature_c: float = 41.25
     boot_s: float = 7.0
     bit_result: int = 0
+    clock_ppm: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,179 @@
+"""`tagid commission`: measure a rig step by step, and write its profile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tagid.cli import consent, options
+from tagid.cli.frame import Terminal, command
+from tagid.cli.outputs import check_drawing
+from tagid.config import Config, data_folder, load_config
+from tagid.constants import RIG_FILE
+from tagid.errors import EXIT_FAILED, EXIT_OK, CaptureInterrupted, UsageError
+from tagid.result import Result
+from tagid.types import Progress
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from tagid.commissioning.bench import Bench
+    from tagid.commissioning.rows import StepReport
+    from tagid.commissioning.steps import Step
+
+
+@dataclass(frozen=True)
+class _TapeOptions:
+    target: Annotated[
+        str | None,
+        typer.Option(
+            "--target",
+            help="Reference target: octahedron:40mm, corner:20cm, sphere:10cm or can:33mm.",
+            show_default="octahedron:40mm",
+        ),
+    ] = None
+    distance: Annotated[
+        float | None,
+        typer.Option(
+            "--distance", help="Antennas to the target in a straight line, metres.", show_default=False
+        ),
+    ] = None
+    tape_error: Annotated[
+        float | None,
+        typer.Option(
+            "--tape-error", help="Standard error of the tape measure, metres.", show_default="0.005"
+        ),
+    ] = None
+    axis_distance: options.AxisDistance = None
+    antenna_height: options.AntennaHeight = None
+    antenna_separation: options.AntennaSeparation = None
+
+
+@command("commission")
+def commission(
+    terminal: Terminal,
+    tape: _TapeOptions,
+    step: Annotated[
+        str | None,
+        typer.Option(
+            "--step",
+            help="Do or repeat this step alone: link, room, target, turning, card or result.",
+            show_default="all, from the first not passed",
+        ),
+    ] = None,
+    radar: options.RadarUrl = None,
+    motion: options.MotionUrl = None,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=1, max=600, help="How long the link is watched, seconds.")
+    ] = 30.0,
+    scans: Annotated[int, typer.Option("--scans", min=32, max=5000, help="Scans of room and target.")] = 200,
+    page: Annotated[
+        Path | None, typer.Option("--page", help="Write the results as a page (.html).", show_default=False)
+    ] = None,
+    yes: consent.Yes = False,
+) -> Result:
+    """Measure a rig step by step, from the link to the test card, and write its profile.
+
+    What was measured is kept: a later call goes on with the first step that did not pass.
+
+    Example: tagid commission --axis-distance 1.0 --antenna-height 0.05 --distance 1.0
+    Example: tagid commission --step target --target corner:20cm --distance 1.5 --page rig.html
+    """
+    from tagid.commissioning.bench import Bench
+    from tagid.commissioning.steps import STEPS, next_step, run_step, step_named
+
+    if step is not None and step not in {known.name for known in STEPS}:
+        names = ", ".join(known.name for known in STEPS)
+        raise UsageError(f"--step is {step[:40]!r}", f"Give one of {names}.")
+    check_drawing("--page", page, (".html",))
+    config = load_config({"radar.url": radar, "motion.url": motion})
+    given = {
+        "target": tape.target,
+        "target_distance_m": tape.distance,
+        "axis_distance_m": tape.axis_distance,
+        "antenna_height_m": tape.antenna_height,
+        "antenna_separation_m": tape.antenna_separation,
+        "error_m": tape.tape_error,
+    }
+    done: list[StepReport] = []
+    with terminal.progress("commission", 1.0) as advance:
+        bench = Bench(config, given, seconds, scans, _progress(advance))
+        first = next_step(bench) if step is None else step_named(step)
+    chosen = [first] if step is not None else list(STEPS[STEPS.index(first) :])
+    for each in chosen:
+        _prepare(each, config, yes, ask=step is None)
+        with terminal.progress(each.name, 1.0) as advance:
+            bench.progress = _progress(advance)
+            done.append(run_step(each, bench))
+        if not done[-1].passed:
+            break
+    written = _page(page, bench)
+    data = {
+        "steps": [report.to_json() for report in done],
+        "next": next_step(bench).name,
+        "profile": _profile_path(),
+        "page": written,
+    }
+    passed = all(report.passed for report in done)
+    return Result("commission", data, _drawn(done, written), exit_code=EXIT_OK if passed else EXIT_FAILED)
+
+
+def _progress(advance: Callable[[float, str], None]) -> Progress:
+    """The progress of a step on a line of the terminal that goes to 1."""
+    return lambda now, total, remark: advance(now / total, remark)
+
+
+def _prepare(step: Step, config: Config, yes: bool, ask: bool) -> None:
+    """Tell the person what to do first, and wait. Raises UsageError, CaptureInterrupted."""
+    if step.name in ("turning", "card"):
+        consent.agree_to(config["motion.url"], yes)
+    if not (step.prepare and ask) or yes:
+        return
+    if not consent.can_ask():
+        raise UsageError(
+            f"{step.prepare}: there is no terminal to wait on",
+            f"Do that, then run the step alone: --step {step.name}.",
+        )
+    if not consent.confirm(f"{step.prepare}. Ready?", default=True):
+        raise CaptureInterrupted("stopped before the step; what was measured is kept")
+
+
+def _profile_path() -> str | None:
+    path = data_folder() / RIG_FILE
+    return str(path) if path.exists() else None
+
+
+def _page(page: Path | None, bench: Bench) -> str | None:
+    if page is None:
+        return None
+    from tagid.commissioning.page import write_page
+    from tagid.commissioning.steps import STEPS
+    from tagid.rig import installed_profile
+
+    reports = [(step.title, report) for step in STEPS if (report := bench.report(step.name)) is not None]
+    write_page(page, [r for _, r in reports], [t for t, _ in reports], installed_profile(data_folder()))
+    return str(page)
+
+
+def _drawn(done: list[StepReport], page: str | None) -> RenderableType:
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    styles = {"pass": "green", "note": "dim", "fail": "bold red"}
+    parts: list[RenderableType] = []
+    for report in done:
+        table = Table(box=None, show_header=False)
+        for row in report.rows:
+            text = Text(row.text)
+            if row.advice and row.level != "pass":
+                text.append(f"\n-> {row.advice}", style="bold")
+            table.add_row(Text(row.level.value, style=styles[row.level]), row.name, row.number, text)
+        parts += [Text(report.step, "bold"), table]
+    if page is not None:
+        parts.append(Text(f"written  {page}"))
+    return Group(*parts)

@@ -1,0 +1,215 @@
+"""The rig under test: its settings, what the person measured by tape, and where results are kept.
+
+Every step writes its report and its recording into one folder, so that a later step, or a later day, goes on
+from there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from tagid.capture import Capture, Pulse
+from tagid.commissioning.rows import Row, StepReport
+from tagid.commissioning.targets import Target, parse_target
+from tagid.config import Config, data_folder
+from tagid.constants import CAPTURE_SUFFIX, SAMPLE_STEP_S
+from tagid.errors import ConfigError, FileFormatError, UsageError
+from tagid.files import make_folder, parse_json, read_bytes, write_bytes
+from tagid.operate.workplace import Workplace
+from tagid.radar.settings import RadarConfig
+from tagid.recording.calibration import LONGEST_DELAY_PS, calibration_window, take_scans
+from tagid.recording.radars import open_radar
+from tagid.rig import Measured
+from tagid.storage.hdf5 import read_capture, write_capture
+
+FOLDER: Final = "commissioning"
+_MAX_BYTES: Final = 1 << 20
+REACH_M: Final = 0.6
+"""Half of the window around axis and target: image, pulse, and ranges for the noise."""
+
+
+@dataclass(frozen=True)
+class Tape:
+    """What the person tells, remembered from step to step.
+
+    Attributes:
+        target: the reference target, see `parse_target`.
+        target_distance_m: antennas to the target, in a straight line, m.
+        axis_distance_m: antennas to rotation axis, horizontally, m.
+        antenna_height_m: antennas above the reflectors' plane, m.
+        antenna_separation_m: between transmitting and receiving antenna, m.
+        error_m: standard error of the tape measure, m.
+    """
+
+    target: str = "octahedron:40mm"
+    target_distance_m: float | None = None
+    axis_distance_m: float | None = None
+    antenna_height_m: float = 0.0
+    antenna_separation_m: float = 0.0
+    error_m: float = 0.005
+
+    def __post_init__(self) -> None:
+        parse_target(self.target)
+        for name, value in (("target", self.target_distance_m), ("rotation axis", self.axis_distance_m)):
+            if value is not None and not 0.1 <= value <= 20:
+                raise UsageError(f"the distance to the {name} is {value:g} m", "Give 0.1 to 20, in metres.")
+        if not 0 < self.error_m <= 0.1:
+            raise UsageError(f"the error of the tape is {self.error_m:g} m", "Give up to 0.1 m, e.g. 0.005.")
+
+
+class Bench:
+    """A rig while it is commissioned.
+
+    Args:
+        config: settings of radar and motion.
+        changes: values of `Tape` by name that the person gave now; None where not given.
+        seconds: how long the link is watched.
+        scans: of a recording of a scene that stands still.
+        progress: called with (done, total, remark).
+
+    Attributes:
+        tape: what was measured by tape, now or before.
+
+    Raises:
+        StorageError: the folder cannot be read. ConfigError: it holds damaged files.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        changes: dict[str, Any],
+        seconds: float = 30.0,
+        scans: int = 200,
+        progress: Callable[[float, float, str], None] = lambda done, total, remark: None,
+    ) -> None:
+        self.config, self.seconds, self.scans, self.progress = config, seconds, scans, progress
+        self.folder = data_folder() / FOLDER
+        given = {name: value for name, value in changes.items() if value is not None}
+        try:
+            self.tape = replace(Tape(**(self._read("tape") or {})), **given)
+        except TypeError:
+            raise _damaged(self.folder / "tape.json") from None
+        if self.tape.axis_distance_m is None and config["motion.axis_distance_m"] is not None:
+            self.tape = replace(self.tape, axis_distance_m=config["motion.axis_distance_m"])
+        if given:
+            self._write("tape", asdict(self.tape))
+
+    @property
+    def target(self) -> Target:
+        """The reference target."""
+        return parse_target(self.tape.target)
+
+    def axis_distance_m(self) -> float:
+        """Distance to the axis by tape. Raises ConfigError if nobody measured it."""
+        if self.tape.axis_distance_m is None:
+            raise ConfigError(
+                "the distance from the antennas to the rotation axis is unknown",
+                "Measure it to 1 or 2 cm, horizontally: `axis_distance=METRES`.",
+            )
+        return self.tape.axis_distance_m
+
+    def report(self, step: str) -> StepReport | None:
+        """The stored report of a step; None if it was not done. Raises StorageError, ConfigError."""
+        data = self._read(step)
+        try:
+            return None if data is None else StepReport.from_json(data)
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise _damaged(self.folder / f"{step}.json") from None
+
+    def keep(self, report: StepReport) -> None:
+        """Store the report of a step. Raises StorageError, DiskFullError."""
+        self._write(report.step, report.to_json())
+
+    def value(self, step: str, name: str) -> Measured | None:
+        """A value that an earlier step measured; None if it was not done or measured none."""
+        report = self.report(step)
+        return None if report is None else report.values.get(name)
+
+    def pulse(self) -> Pulse | None:
+        """The pulse that the step `target` measured."""
+        import numpy as np
+
+        report = self.report("target")
+        return None if report is None or not report.pulse else Pulse(np.array(report.pulse), SAMPLE_STEP_S)
+
+    def recording(self, name: str) -> Capture:
+        """A recording of an earlier step. Raises StorageError, FileFormatError."""
+        return read_capture(self.folder / f"{name}{CAPTURE_SUFFIX}")
+
+    def keep_recording(self, name: str, capture: Capture) -> str:
+        """Store the recording of a step, in place of an earlier one; returns the file's name."""
+        path = self.folder / f"{name}{CAPTURE_SUFFIX}"
+        make_folder(self.folder)
+        write_capture(path, capture)
+        return path.name
+
+    def keep_background(self, path: Path, capture: Capture) -> None:
+        """Store the empty scene where `tagid radar calibrate` does. Raises StorageError, DiskFullError."""
+        make_folder(path.parent)
+        write_capture(path, capture)
+
+    def workplace(self, **settings: Any) -> Workplace:
+        """A workplace with what was measured so far; captures go to the folder of the commissioning.
+
+        Args:
+            settings: by their names with dots written as double underscores; they precede all others.
+        """
+        known: dict[str, Any] = {
+            name: value.value for name, value in self.config.values.items() if value.source != "default"
+        }
+        known |= {
+            "motion.axis_distance_m": self.axis_distance_m(),
+            "motion.antenna_height_m": self.tape.antenna_height_m,
+            "motion.antenna_separation_m": self.tape.antenna_separation_m,
+            "storage.folder": str(self.folder),
+        }
+        delay = self.value("target", "path_delay_ps")
+        if delay is not None:
+            known["radar.cable_delay_ps"] = delay.value
+        return Workplace({**known, **{name.replace("__", "."): value for name, value in settings.items()}})
+
+    def take_still(self, what: str) -> Capture:
+        """Scans of a scene that stands still, with a window for axis and target and any usual delay.
+
+        Raises DeviceError and its subclasses, DataError, ConfigError.
+        """
+        axis = self.axis_distance_m()
+        distances = [max(axis - REACH_M, 0.0), axis + REACH_M]
+        if self.tape.target_distance_m is not None:
+            distances.append(self.tape.target_distance_m)
+        config, place = self.config, self.workplace()
+        base = RadarConfig(
+            base_integration_index=config["radar.integration"],
+            transmit_gain=config["radar.gain"],
+            antenna_mode=config["radar.antenna_mode"],
+        )
+        with open_radar(place.radar_url(), config["radar.timeout_s"]) as radar:
+            radar.set_config(calibration_window(distances, LONGEST_DELAY_PS, base))
+            return take_scans(radar, self.scans, lambda done: self.progress(done, self.scans, what))
+
+    def _read(self, name: str) -> Any:
+        path = self.folder / f"{name}.json"
+        if not path.exists():
+            return None
+        try:
+            return parse_json(read_bytes(path, _MAX_BYTES), str(path))
+        except FileFormatError:
+            raise _damaged(path) from None
+
+    def _write(self, name: str, data: dict[str, Any]) -> None:
+        make_folder(self.folder)
+        write_bytes(self.folder / f"{name}.json", (json.dumps(data, indent=1) + "\n").encode())
+
+
+def reported(step: str, rows: list[Row], **more: Any) -> StepReport:
+    """The report of a step that ends now."""
+    return StepReport(step, datetime.now(UTC).isoformat(timespec="seconds"), tuple(rows), **more)
+
+
+def _damaged(path: Path) -> ConfigError:
+    return ConfigError(f"{path} is damaged", "Delete it and repeat that step.")

@@ -1,0 +1,165 @@
+"""Step 5, the test card: one turn that is read as an object is, under a name that no object can have."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.commissioning.bench import Bench, reported
+from tagid.commissioning.rows import Level, Row, StepReport
+from tagid.commissioning.turning import CARD_REFLECTOR, prepare_card
+from tagid.operate.turn import record_turn
+from tagid.operate.workplace import TURN_S
+from tagid.pipeline.identify import identify
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.settings import ImagingSettings
+from tagid.planning.plan import Setup, gap
+from tagid.recording.inspection import inspect
+from tagid.rig import Measured
+from tagid.simulate.budget import LinkBudget
+from tagid.simulate.specification import BodySpec, ReflectorSpec
+from tagid.tags.layouts.layout import Layout, rotation_matrix
+from tagid.tags.layouts.test_card import NAME, test_card
+
+if TYPE_CHECKING:
+    from tagid.reading.reading import Reading
+
+_SHARES: Final = (("all", 1), ("half", 2), ("a quarter", 4))
+_MOST_RMS_M: Final = 1e-3
+_LEVEL_DB: Final = 3.0
+_MIRRORED: Final = f"{NAME}-mirrored"
+
+
+def read_card(bench: Bench) -> StepReport:
+    """Record one turn of the test card and read it. Raises DeviceError and its subclasses, DataError."""
+    axis = bench.value("turning", "axis_distance_m")
+    period = bench.value("turning", "period_s")
+    place = bench.workplace(**({} if axis is None else {"motion__axis_distance_m": axis.value}))
+    seconds = TURN_S if period is None else max(10.0, 3 * period.value)
+    capture = record_turn(place, place.plan(max_seconds=seconds)).capture
+    name = bench.keep_recording("card", capture)
+    prepared = prepare_card(bench, place, capture, period)
+    rows, readings = [], []
+    for share, every in _SHARES:
+        given = prepared.given.select(slice(None, None, every))
+        reading = _read(PreparedCapture(given, ImagingSettings(extent_m=prepared.settings.extent_m)))
+        readings.append(reading)
+        rows.append(_named_row(share, given.views, reading))
+    rows.append(_places_row(readings[0]))
+    rows.append(_level_row(bench, place.config["motion.axis_distance_m"], capture, period))
+    return reported("card", rows, recording=name)
+
+
+def _read(prepared: PreparedCapture) -> Reading:
+    """The card's reading, where its mirror image is the other candidate."""
+    mirrored = replace(test_card().mirrored(), name=_MIRRORED)
+    answer = identify(prepared, [test_card(), mirrored])
+    assert answer.reading is not None
+    return answer.reading
+
+
+def _named_row(share: str, views: int, reading: Reading) -> Row:
+    name = f"read at {share} of the views"
+    lead = f"{views} views, lead {reading.lead:.0f} of {reading.needed:.0f} nats"
+    if reading.status == "identified" and reading.layout == NAME:
+        return Row(name, Level.PASS, reading.lead, None, "nats", lead)
+    if reading.status == "identified":
+        return Row(
+            name,
+            Level.FAIL,
+            reading.lead,
+            None,
+            "nats",
+            f"{lead}: the card reads as its mirror image",
+            "The table turns the other way than given (`direction` of `motion.url`), or the card is "
+            "mirrored: print it again and put it on the table with its print upwards.",
+            "mirrored",
+        )
+    if reading.missing:
+        return Row(
+            name,
+            Level.FAIL,
+            reading.lead,
+            None,
+            "nats",
+            f"{lead}: {reading.missing} of the card's {test_card().size} reflectors missing",
+            "Put a reflector on each mark of the card, then repeat.",
+            "missing-reflector",
+        )
+    return Row(
+        name,
+        Level.FAIL,
+        reading.lead,
+        None,
+        "nats",
+        f"{lead}: {reading.reason}",
+        reading.advice or "Check the card, then repeat the step turning.",
+        "not-named",
+    )
+
+
+def _places_row(reading: Reading) -> Row:
+    """RMS distance of the reflectors from their marks, after the best turn and shift."""
+    found = np.array([[r.x_m, r.y_m] for r in reading.reflectors if r.matched]).reshape(-1, 2)
+    layout: Layout = test_card() if reading.layout != _MIRRORED else test_card().mirrored()
+    if len(found) < layout.size:
+        return Row("positions", Level.NOTE, text="not compared: not every reflector was found")
+    marks = layout.positions @ rotation_matrix(math.radians(reading.rotation_deg)).T + reading.centre_m
+    order = np.argmin(np.linalg.norm(found[None] - marks[:, None], axis=2), axis=1)
+    rest = _aligned(found[order], marks)
+    rms = float(np.sqrt((rest**2).sum(axis=1).mean()))
+    # Four points, less turn and shift: five of eight coordinates are free.
+    sigma = rms / math.sqrt(2 * (2 * layout.size - 3))
+    good = rms <= _MOST_RMS_M
+    return Row(
+        "positions",
+        Level.PASS if good else Level.NOTE,
+        1e3 * rms,
+        1e3 * sigma,
+        "mm rms",
+        "from the marks",
+        "" if good else "Put every reflector exactly on its mark, and check the printed 100 mm.",
+    )
+
+
+def _aligned(found: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    """Residuals (K, 2) of marks that are turned and shifted onto positions, m."""
+    a, b = found - found.mean(axis=0), marks - marks.mean(axis=0)
+    turn = np.vdot(b[:, 0] + 1j * b[:, 1], a[:, 0] + 1j * a[:, 1])
+    return np.asarray(a - b @ rotation_matrix(float(np.angle(turn))).T)
+
+
+def _level_row(bench: Bench, distance: float, capture: Capture, period: Measured | None) -> Row:
+    """The SNR of the recording against that predicted with the measured gain."""
+    gain = bench.value("target", "system_gain_db") or Measured(0.0, 6.0)
+    summary = inspect(capture)
+    if summary.changing_snr_db is None or summary.noise is None:
+        return Row(
+            "SNR against prediction", Level.FAIL, text="nothing changes beyond the noise", code="no-echo"
+        )
+    budget = LinkBudget(
+        transmit_gain=bench.config["radar.gain"],
+        integration=bench.config["radar.integration"],
+        loss_db=LinkBudget.loss_db - gain.value,
+    )
+    rpm = 2.0 if period is None else 60 / period.value
+    setup = Setup(
+        test_card(), ReflectorSpec("octahedron", CARD_REFLECTOR.size_m), BodySpec(), distance, rpm, budget
+    )
+    found = gap(capture, summary.noise, summary.changing_snr_db, setup)
+    off = found.measured_db - found.planned_db
+    good = abs(off) <= _LEVEL_DB + 2 * gain.sigma
+    return Row(
+        "SNR against prediction",
+        Level.PASS if good else Level.FAIL,
+        off,
+        gain.sigma,
+        "dB",
+        f"{found.measured_db:.1f} dB measured, {found.planned_db:.1f} dB predicted",
+        "" if good else f"{found.cause or 'Point both antennas at the card'}; then repeat.",
+        "" if good else "level",
+    )

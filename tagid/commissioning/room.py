@@ -1,0 +1,219 @@
+"""Step 2, the empty room: noise, interference, what moves, leakage and clipping.
+
+The table stands in place, without an object, and nobody walks.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture
+from tagid.commissioning.bench import REACH_M, Bench, reported
+from tagid.commissioning.rows import Level, Row, StepReport
+from tagid.config import change_settings, data_folder
+from tagid.constants import BANDWIDTH_HZ, CAPTURE_SUFFIX, CENTER_FREQUENCY_HZ, SAMPLE_STEP_S, SPEED_OF_LIGHT
+from tagid.recording.calibration import make_reference, usable
+from tagid.recording.inspection import clipped_fraction
+from tagid.rig import Measured
+from tagid.signal import analytic, noise_power_of, snr_db
+from tagid.simulate.budget import MOST_GAIN, LinkBudget
+from tagid.simulate.source import noise_counts
+
+NOISE_DB: Final = 3.0
+"""Recordings have 90 to 160 counts at integration index 11: within 2.5 dB of the expected 120."""
+_LINE_DB: Final = 6.0
+_LINE_WIDTH_HZ: Final = 300e6
+"""A line is compared with the spectrum this far around it: pulses of another radar are wider."""
+_BURSTS: Final = 0.03
+"""Share of noisy scans from which another transmitter is suspected; noise alone has less than 0.1 %."""
+_USUAL_DELAY_PS: Final = (8_000.0, 15_000.0)
+_MARGIN_DB: Final = 3.0
+_MOVES_DB: Final = -6.0
+"""Changing echo over the noise, from which something moves among the object's ranges."""
+_VIEW_SNR_DB: Final = 20.0
+_INDICES: Final = range(9, 16)
+
+
+def watch_room(bench: Bench) -> StepReport:
+    """Record the empty scene, store it as background reference, and report what is wrong with it.
+
+    Raises DeviceError and its subclasses, DataError, StorageError.
+    """
+    capture = make_reference(bench.take_still("empty room"))
+    facts = capture.radar.reference
+    assert facts is not None
+    scans = usable(capture)
+    index = bench.config["radar.integration"]
+    rest = _second_differences(scans)
+    noise = _noise(rest)
+    sigma = noise / math.sqrt(2 * (len(scans) - 2) * scans.shape[1])
+    path = data_folder() / f"background{CAPTURE_SUFFIX}"
+    name = bench.keep_recording("room", capture)
+    bench.keep_background(path, capture)
+    change_settings({"radar.background": str(path)})
+    line = _line(rest)
+    bursts = _bursts(rest, line is not None)
+    explained = line is not None or bursts.code != ""
+    rows = [
+        _noise_row(noise, sigma, index, explained),
+        line or Row("interference", Level.PASS, text="no line in the spectrum"),
+        bursts,
+        _moving(capture, scans, bench.axis_distance_m(), bursts.code != ""),
+        _clipping(bench, capture),
+        _integration(bench),
+    ]
+    return reported("room", rows, values={"noise_counts": Measured(noise, sigma)}, recording=name)
+
+
+def _second_differences(scans: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scans without what changes slowly, with the noise of one scan: static echoes and persons cancel."""
+    return np.diff(scans, 2, axis=0) / math.sqrt(6)
+
+
+def _noise(rest: NDArray[np.float64]) -> float:
+    """Standard deviation of a sample of second differences, from the bins in which nothing moves."""
+    return float(np.sqrt((rest[:, _quiet(rest)] ** 2).mean()))
+
+
+def _quiet(rest: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(bins,) where the changes are those of noise: persons in the room move at few ranges."""
+    power = (rest**2).mean(axis=0)
+    return np.asarray(power <= (1 + 6 * math.sqrt(2 / len(rest))) * np.median(power))
+
+
+def _noise_row(noise: float, sigma: float, index: int, explained: bool) -> Row:
+    expected = noise_counts(index)
+    above = 20 * math.log10(noise / expected)
+    text = f"{above:+.1f} dB against {expected:.0f} counts of other recordings"
+    if abs(above) <= NOISE_DB:
+        return Row("noise of a sample", Level.PASS, noise, sigma, "counts", text)
+    if above > 0:
+        advice = "Another transmitter is in the band: change the code channel, or switch it off."
+        return Row(
+            "noise of a sample",
+            Level.NOTE if explained else Level.FAIL,
+            noise,
+            sigma,
+            "counts",
+            text,
+            advice,
+            "noise",
+        )
+    advice = "The receiver hears nothing: check the cable of the receiving antenna and radar.antenna_mode."
+    return Row("noise of a sample", Level.FAIL, noise, sigma, "counts", text, advice, "deaf")
+
+
+def _line(rest: NDArray[np.float64]) -> Row | None:
+    """The strongest line of the noise's spectrum; None if there is none."""
+    rest = rest * _quiet(rest)
+    power = (np.abs(np.fft.rfft(rest * np.hanning(rest.shape[1]), axis=1)) ** 2).mean(axis=0)[2:-2]
+    frequency = np.fft.rfftfreq(rest.shape[1], SAMPLE_STEP_S)[2:-2]
+    half = round(_LINE_WIDTH_HZ / (frequency[1] - frequency[0]))
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(power, half, mode="reflect"), 2 * half + 1)
+    over = power / np.median(around, axis=1)
+    best = int(over.argmax())
+    level = 10 * math.log10(over[best])
+    if level < _LINE_DB:
+        return None
+    at = float(frequency[best])
+    sigma = 10 / math.log(10) / math.sqrt(len(rest))
+    inside = abs(at - CENTER_FREQUENCY_HZ) < BANDWIDTH_HZ / 2
+    if 2.35e9 < at < 2.55e9:
+        what = "a microwave oven or a wireless network"
+        advice = "Switch off the microwave oven, or move away from it; then repeat this step."
+        code = "microwave"
+    else:
+        what = "a transmitter in the radar's band" if inside else "a transmitter beside the radar's band"
+        advice, code = "Find and switch off the transmitter, then repeat this step.", "line"
+    return Row(
+        "interference", Level.FAIL, level, sigma, "dB", f"line at {at / 1e9:.2f} GHz: {what}", advice, code
+    )
+
+
+def _bursts(rest: NDArray[np.float64], explained: bool) -> Row:
+    """Scans that are noisier than their neighbours."""
+    energy = (rest[:, _quiet(rest)] ** 2).mean(axis=1)
+    # Most second differences may contain a noisy scan: the quietest tenth tells the noise.
+    quiet = float(np.percentile(energy, 10))
+    noisy = float(np.mean(energy > quiet * (1 + 8 * math.sqrt(4 / rest.shape[1]))))
+    sigma = math.sqrt(max(noisy * (1 - noisy), 1 / len(energy)) / len(energy))
+    if noisy <= _BURSTS:
+        return Row("noisy scans", Level.PASS, 100 * noisy, 100 * sigma, "%")
+    return Row(
+        "noisy scans",
+        Level.NOTE if explained else Level.FAIL,
+        100 * noisy,
+        100 * sigma,
+        "%",
+        "the line above" if explained else "pulses of another radar",
+        "" if explained else "Another UWB radar is near: stop it, or give it another code channel.",
+        "other-radar",
+    )
+
+
+def _moving(capture: Capture, scans: NDArray[np.float64], axis_m: float, explained: bool) -> Row:
+    """Changing echoes at the ranges of the object, for any usual delay."""
+    low, high = (ps * 1e-12 * SPEED_OF_LIGHT / 2 for ps in _USUAL_DELAY_PS)
+    ranges = capture.ranges_m
+    here = (ranges > axis_m - REACH_M / 2 + low) & (ranges < axis_m + REACH_M / 2 + high)
+    every = analytic(scans.astype(np.float32))
+    level, place = snr_db(every[:, here], noise_power_of(every))
+    if level is None or place is None:
+        return Row("something moves", Level.PASS, text="no changing echo at the object's ranges")
+    at = float(ranges[here][place]) - (low + high) / 2
+    sigma = 10 / math.log(10) * math.sqrt(2 / len(scans))
+    if explained:
+        return Row("something moves", Level.NOTE, level, sigma, "dB", "not decided among noisy scans")
+    if level < _MOVES_DB:
+        return Row("something moves", Level.NOTE, level, sigma, "dB", f"a faint echo changes near {at:.1f} m")
+    return Row(
+        "something moves",
+        Level.FAIL,
+        level,
+        sigma,
+        "dB",
+        f"an echo changes near {at:.1f} m: a person walking",
+        "Keep everybody out of the beam and switch the table off, then repeat this step.",
+        "person",
+    )
+
+
+def _clipping(bench: Bench, capture: Capture) -> Row:
+    clip = capture.radar.clip_counts
+    assert clip is not None
+    largest = float(np.abs(usable(capture)).max())
+    margin = 20 * math.log10(clip / max(largest, 1.0))
+    share = clipped_fraction(capture) or 0.0
+    gain = bench.config["radar.gain"]
+    if not share and margin >= _MARGIN_DB:
+        return Row("margin to clipping", Level.PASS, margin, 0.1, "dB", "leakage between the antennas, walls")
+    lower = max(0, gain - math.ceil((max(_MARGIN_DB - margin, 0.0) + 6.0 * bool(share)) / LinkBudget.step_db))
+    return Row(
+        "margin to clipping",
+        Level.FAIL,
+        margin,
+        0.1,
+        "dB",
+        f"{100 * share:.2f} % of the samples are clipped",
+        f"The gain is too high: set `radar.gain={lower}` of {MOST_GAIN}, or move the antennas apart.",
+        "gain",
+    )
+
+
+def _integration(bench: Bench) -> Row:
+    """The least integration with which a reflector of 40 mm stands out of a view."""
+    length = bench.target.scatterer.scattering_length(np.array([CENTER_FREQUENCY_HZ]))
+    gain, now = bench.config["radar.gain"], bench.config["radar.integration"]
+    for index in _INDICES:
+        budget = LinkBudget(transmit_gain=gain, integration=index)
+        snr = budget.snr_db(float(np.abs(length[0])), bench.axis_distance_m())
+        if snr >= _VIEW_SNR_DB:
+            break
+    text = f"{index} gives the target {snr:.0f} dB at the axis"
+    return Row(
+        "recommended integration", Level.NOTE, float(index), unit=f"(radar.integration is {now})", text=text
+    )

@@ -1,0 +1,76 @@
+"""The steps in their order, what each needs, and which is next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from tagid.commissioning.bench import Bench
+from tagid.commissioning.card import read_card
+from tagid.commissioning.link import watch_link
+from tagid.commissioning.result import write_result
+from tagid.commissioning.room import watch_room
+from tagid.commissioning.rows import StepReport
+from tagid.commissioning.target import measure_target
+from tagid.commissioning.turning import measure_turning
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the commissioning.
+
+    Attributes:
+        name: as the command line takes it.
+        title: for people.
+        prepare: what the person does first; empty for nothing.
+        run: measures and reports.
+    """
+
+    name: str
+    title: str
+    prepare: str
+    run: Callable[[Bench], StepReport]
+
+
+STEPS: Final = (
+    Step("link", "Link", "", watch_link),
+    Step(
+        "room", "Empty room", "Clear the table, switch it off, and keep everybody out of the beam", watch_room
+    ),
+    Step(
+        "target",
+        "Reference target",
+        "Put the reference target on the table and measure its distance",
+        measure_target,
+    ),
+    Step(
+        "turning",
+        "Turning",
+        "Put the test card on the table, with its print upwards, and switch the table on",
+        measure_turning,
+    ),
+    Step("card", "Test card", "", read_card),
+    Step("result", "Result", "", write_result),
+)
+
+
+def step_named(name: str) -> Step:
+    """The step of a name, which must be one of `STEPS`."""
+    return next(step for step in STEPS if step.name == name)
+
+
+def next_step(bench: Bench) -> Step:
+    """The first step that was not passed; the last one if all were. Raises StorageError, ConfigError."""
+    for step in STEPS:
+        report = bench.report(step.name)
+        if report is None or not report.passed:
+            return step
+    return STEPS[-1]
+
+
+def run_step(step: Step, bench: Bench) -> StepReport:
+    """Run a step and store its report; the raised errors are those of the step."""
+    report = step.run(bench)
+    bench.keep(report)
+    return report
