@@ -34,6 +34,8 @@ _USUAL_DELAY_PS: Final = (8_000.0, 15_000.0)
 _MARGIN_DB: Final = 3.0
 _MOVES_DB: Final = -6.0
 """Changing echo over the noise, from which something moves among the object's ranges."""
+_DRIFTS: Final = 1e-3
+"""Change of a static echo, over its power, while the radar warms up: 0.03 rad are 1 ps."""
 _VIEW_SNR_DB: Final = 20.0
 _INDICES: Final = range(9, 16)
 
@@ -168,8 +170,10 @@ def _moving(capture: Capture, scans: NDArray[np.float64], axis_m: float, explain
     sigma = 10 / math.log(10) * math.sqrt(2 / len(scans))
     if explained:
         return Row("something moves", Level.NOTE, level, sigma, "dB", "not decided among noisy scans")
-    if level < _MOVES_DB:
-        return Row("something moves", Level.NOTE, level, sigma, "dB", f"a faint echo changes near {at:.1f} m")
+    echo = every[:, here][:, place]
+    static = float(np.abs(echo.mean()) ** 2)
+    if level < _MOVES_DB or float(np.var(echo)) < _DRIFTS * static:
+        return Row("something moves", Level.NOTE, level, sigma, "dB", f"an echo near {at:.1f} m drifts")
     return Row(
         "something moves",
         Level.FAIL,

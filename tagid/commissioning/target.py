@@ -31,6 +31,8 @@ _LOOSE_DB: Final = -6.0
 _CROSSED_DB: Final = -15.0
 _DELAY_BUDGET_PS: Final = 100.0
 """Largest standard error of a useful delay: 15 mm, half of the reader's prior."""
+_SHAPE_DB: Final = 1.0
+"""The budget is of the nominal pulse; measured ones differ in their peak by so much at the same energy."""
 _RESPONSE_SHARE: Final = 0.15
 """Uncertainty of the part of the delay that comes from the target itself."""
 
@@ -195,7 +197,7 @@ def _gain(bench: Bench, scan: np.ndarray, noise: Measured, distance: float, capt
     measured = 20 * math.log10(peak / scale)
     tape = 40 / math.log(10) * bench.tape.error_m / distance
     random = 20 / math.log(10) * noise.value / math.sqrt(capture.views) / peak
-    return Measured(measured - planned, math.sqrt(LEVEL_SIGMA_DB**2 + tape**2 + random**2))
+    return Measured(measured - planned, math.sqrt(LEVEL_SIGMA_DB**2 + _SHAPE_DB**2 + tape**2 + random**2))
 
 
 def _gain_row(gain: Measured) -> Row:

@@ -31,6 +31,10 @@ SEARCH_M: Final = 0.12
 _TURNS: Final = 2.3
 _EXTENT_M: Final = 0.3
 _HARMONICS: Final = 4
+_VARIATION_SHARE: Final = 0.15
+"""Relative error of the speed variation on emulated rigs: estimates were up to a quarter too large."""
+_PERIOD_SHARE: Final = 1e-4
+"""Relative error of the period on emulated rigs with a wobble, where the repetition alone claims less."""
 _MOST_VARIATION: Final = 0.05
 _PERIOD_TOLERANCE: Final = 0.02
 _AXIS_TOLERANCE_M: Final = 0.02
@@ -70,7 +74,7 @@ def measure_turning(bench: Bench) -> StepReport:
             ],
             recording=name,
         )
-    period = Measured(turning.period_s, turning.sigma_s)
+    period = Measured(turning.period_s, math.hypot(turning.sigma_s, _PERIOD_SHARE * turning.period_s))
     rows = [_period_row(period, nominal_s), _evenness(capture, period)]
     values = {"period_s": period}
     facts: dict[str, str | int] = {"direction": motion.direction}
@@ -216,6 +220,7 @@ def _variation(prepared: PreparedCapture) -> tuple[Measured, Row]:
     sigma = (
         float(np.sqrt((levels**2 * sigmas**2).sum()) / total) if total > 0 else float(np.hypot.reduce(sigmas))
     )
+    sigma = math.hypot(sigma, _VARIATION_SHARE * total)
     spectrum = ", ".join(f"{100 * level:.2f}" for level in levels)
     even = total <= _MOST_VARIATION + 3 * sigma
     row = Row(
