@@ -74,6 +74,14 @@ def commission(
     page: Annotated[
         Path | None, typer.Option("--page", help="Write the results as a page (.html).", show_default=False)
     ] = None,
+    bundle: Annotated[
+        Path | None,
+        typer.Option(
+            "--bundle",
+            help="Do no step; write what was recorded as an archive without names and times (.zip).",
+            show_default=False,
+        ),
+    ] = None,
     yes: consent.Yes = False,
 ) -> Result:
     """Measure a rig step by step, from the link to the test card, and write its profile.
@@ -90,6 +98,7 @@ def commission(
         names = ", ".join(known.name for known in STEPS)
         raise UsageError(f"--step is {step[:40]!r}", f"Give one of {names}.")
     check_drawing("--page", page, (".html",))
+    check_drawing("--bundle", bundle, (".zip",))
     config = load_config({"radar.url": radar, "motion.url": motion})
     given = {
         "target": tape.target,
@@ -99,6 +108,8 @@ def commission(
         "antenna_separation_m": tape.antenna_separation,
         "error_m": tape.tape_error,
     }
+    if bundle is not None:
+        return _bundled(bundle, Bench(config, given), page)
     done: list[StepReport] = []
     with terminal.progress("commission", 1.0) as advance:
         bench = Bench(config, given, seconds, scans, _progress(advance))
@@ -120,6 +131,18 @@ def commission(
     }
     passed = all(report.passed for report in done)
     return Result("commission", data, _drawn(done, written), exit_code=EXIT_OK if passed else EXIT_FAILED)
+
+
+def _bundled(path: Path, bench: Bench, page: Path | None) -> Result:
+    from rich.text import Text
+
+    from tagid.commissioning.bundle import write_bundle
+
+    names = write_bundle(bench, path)
+    written = _page(page, bench)
+    return Result(
+        "commission", {"bundle": str(path), "files": names, "page": written}, Text(f"written  {path}")
+    )
 
 
 def _progress(advance: Callable[[float, str], None]) -> Progress:

@@ -19,7 +19,7 @@ from tagid.commissioning.targets import Target, parse_target
 from tagid.config import Config, data_folder
 from tagid.constants import CAPTURE_SUFFIX, SAMPLE_STEP_S
 from tagid.errors import ConfigError, FileFormatError, UsageError
-from tagid.files import make_folder, parse_json, read_bytes, write_bytes
+from tagid.files import make_folder, parse_json, read_bytes, storage_error, write_bytes
 from tagid.operate.workplace import Workplace
 from tagid.radar.settings import RadarConfig
 from tagid.recording.calibration import LONGEST_DELAY_PS, calibration_window, take_scans
@@ -146,6 +146,15 @@ class Bench:
         path = self.folder / f"{name}{CAPTURE_SUFFIX}"
         make_folder(self.folder)
         write_capture(path, capture)
+        return path.name
+
+    def keep_file(self, name: str, recorded: Path) -> str:
+        """As `keep_recording`, of a file that was just recorded. Raises StorageError."""
+        path = self.folder / f"{name}{CAPTURE_SUFFIX}"
+        try:
+            recorded.replace(path)
+        except OSError as error:
+            raise storage_error(error, path, "keeping") from None
         return path.name
 
     def keep_background(self, path: Path, capture: Capture) -> None:

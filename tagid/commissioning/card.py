@@ -40,8 +40,9 @@ def read_card(bench: Bench) -> StepReport:
     period = bench.value("turning", "period_s")
     place = bench.workplace(**({} if axis is None else {"motion__axis_distance_m": axis.value}))
     seconds = TURN_S if period is None else max(10.0, 3 * period.value)
-    capture = record_turn(place, place.plan(max_seconds=seconds)).capture
-    name = bench.keep_recording("card", capture)
+    recorded = record_turn(place, place.plan(max_seconds=seconds))
+    capture = recorded.capture
+    name = bench.keep_file("card", recorded.path)
     prepared = prepare_card(bench, place, capture, period)
     rows, readings = [], []
     for share, every in _SHARES:

@@ -49,8 +49,9 @@ def measure_turning(bench: Bench) -> StepReport:
     motion = open_motion(place.config["motion.url"])
     nominal_s = motion.nominal_s
     if nominal_s is None:
-        first = record_turn(place, place.plan()).capture
-        nominal_s = turning_period(first).period_s
+        first = record_turn(place, place.plan())
+        bench.keep_file("turning", first.path)
+        nominal_s = turning_period(first.capture).period_s
         if nominal_s is None:
             raise DataError("no period was found", "Start the table with the test card on it, and repeat.")
     window = place.plan().config
@@ -58,7 +59,7 @@ def measure_turning(bench: Bench) -> StepReport:
     seconds = 3 * _TURNS * nominal_s
     recorded = record_turn(place, place.plan(scans=min(scans, MOST_SCANS), max_seconds=seconds))
     capture = recorded.capture
-    name = bench.keep_recording("turning", capture)
+    name = bench.keep_file("turning", recorded.path)
     turning = turning_period(capture)
     if turning.period_s is None or turning.sigma_s is None:
         return reported(
