@@ -66,8 +66,7 @@ def echo_pulse(scan: Floats, at: float, target: Target) -> EchoPulse:
     spectrum = positive_spectrum(echo, length)
     spectrum *= np.exp(2j * np.pi * frequency * at * SAMPLE_STEP_S)  # the echo's peak at time zero
     point = spectrum / _response(target, frequency)
-    offset = ((np.arange(length) + length // 2) % length - length // 2) * SAMPLE_STEP_S
-    matched = np.conj(np.fft.fft(pulse_at(nominal_pulse(), offset))[: length // 2 + 1])
+    matched = _matched(length)
     places = [_peak(half * matched, length) for half in (spectrum, point)]
     point = point * np.exp(2j * np.pi * frequency * places[1] * SAMPLE_STEP_S)
     half = round((_AFTER_S + _TAPER_S) / SAMPLE_STEP_S)
@@ -89,6 +88,28 @@ def echo_pulse(scan: Floats, at: float, target: Target) -> EchoPulse:
         float(20 * np.log10(max(float(late.max(initial=0.0)), 1e-9) / envelope[top])),
         _group_delay_spread(point[inside[0] : inside[-1] + 1], frequency[1]),
     )
+
+
+def received_from(pulse: Pulse, target: Target) -> tuple[Pulse, float]:
+    """A pulse as a target returns it, from that of a point, and by how much later it peaks, two-way, ps.
+
+    Time zero is where its envelope behind the matched filter peaks, which is where images are brightest.
+    """
+    count = len(pulse.samples)
+    length = 1 << (4 * count - 1).bit_length()
+    frequency = np.arange(length // 2 + 1) / (length * pulse.step)
+    # From the middle sample, which is time zero, to the first sample and back.
+    middle = np.exp(2j * np.pi * frequency * (count // 2) * pulse.step)
+    spectrum = positive_spectrum(pulse.samples, length) * _response(target, frequency)
+    late = _peak(spectrum * middle * _matched(length), length)
+    spectrum = spectrum * np.exp(2j * np.pi * frequency * late * SAMPLE_STEP_S)
+    return Pulse(from_positive(spectrum, length, count).real, pulse.step), late * SAMPLE_STEP_S * 1e12
+
+
+def _matched(length: int) -> Complex:
+    """Filter matched to the nominal pulse, at the positive frequencies of a transform of some length."""
+    offset = ((np.arange(length) + length // 2) % length - length // 2) * SAMPLE_STEP_S
+    return np.asarray(np.conj(np.fft.fft(pulse_at(nominal_pulse(), offset))[: length // 2 + 1]))
 
 
 def _response(target: Target, frequency: Floats) -> Complex:

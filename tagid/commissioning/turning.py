@@ -10,12 +10,14 @@ import numpy as np
 
 from tagid.capture import Capture
 from tagid.commissioning.bench import Bench, reported
+from tagid.commissioning.pulse import received_from
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.commissioning.targets import Target
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.calibration import begin
+from tagid.imaging.autofocus import BEYOND_SEARCH
 from tagid.motion.urls import open_motion
 from tagid.operate.turn import record_turn
 from tagid.operate.workplace import MOST_SCANS, Workplace
@@ -39,6 +41,7 @@ _MOST_VARIATION: Final = 0.05
 _PERIOD_TOLERANCE: Final = 0.02
 _AXIS_TOLERANCE_M: Final = 0.02
 """A tape measure does not reach the phase centre of the antennas, but within 2 cm."""
+_MOST_AXIS_SIGMA_M: Final = 0.01
 _HALVES: Final = 0.01
 """Two halves of a recording that differ more in their period: the table slipped or stopped."""
 
@@ -105,7 +108,7 @@ def prepare_card(
     """A recording of the test card for imaging: the measured period and pulse, one turn of views."""
     pulse = bench.pulse()
     if pulse is not None:
-        capture = replace(capture, pulse=pulse)
+        capture = replace(capture, pulse=received_from(pulse, CARD_REFLECTOR)[0])
     motion = open_motion(place.config["motion.url"])
     if period is not None and not motion.measures:
         way = "cw" if motion.direction < 0 else "ccw"
@@ -171,10 +174,14 @@ def _direction_row(direction: int) -> Row:
 
 
 def _axis(bench: Bench, prepared: PreparedCapture) -> tuple[Measured | None, Row]:
-    """The axis distance by focusing the card; its reflectors look farther away by their own delay."""
+    """The axis distance by focusing the card, whose reflectors look farther away by their own delay.
+
+    The search is made for any object; here its estimate is taken with its standard error.
+    """
     given = bench.axis_distance_m()
     focus = prepared.focus()
-    if focus is None or not focus.reliable or focus.best_m is None:
+    usable = focus is not None and focus.evidence >= focus.needed and focus.sigma_m <= _MOST_AXIS_SIGMA_M
+    if focus is None or focus.best_m is None or not usable or focus.reason == BEYOND_SEARCH:
         reason = "" if focus is None else focus.reason
         return None, Row(
             "axis distance",
@@ -183,9 +190,11 @@ def _axis(bench: Bench, prepared: PreparedCapture) -> tuple[Measured | None, Row
             advice="Put the test card on the middle of the table and point both antennas at it; then repeat.",
             code="axis-unknown",
         )
-    own = CARD_REFLECTOR.delay_ps() * 1e-12 * SPEED_OF_LIGHT / 2
     delay = bench.value("target", "path_delay_ps")
-    parts = [focus.sigma_m, 0.1 * own]
+    pulse = bench.pulse()
+    late_ps = CARD_REFLECTOR.delay_ps() if pulse is None else received_from(pulse, CARD_REFLECTOR)[1]
+    own = late_ps * 1e-12 * SPEED_OF_LIGHT / 2
+    parts = [focus.sigma_m]
     if delay is not None:
         parts.append(delay.sigma * 1e-12 * SPEED_OF_LIGHT / 2)
     parts.append(bench.tape.antenna_height_m * bench.tape.error_m / given)
