@@ -11,7 +11,7 @@ _SAME = (
     "align antenna_height antenna_height_file antenna_separation axis_distance background bind body"
     " budget cable_delay centre count dask device distance elevation engine enrolled file force levels"
     " limit max_seconds node noise out paper point polarisation prefix preset radius range_law reflector"
-    " reflectors response resume rotation rows rpm scans scene seed since size slots snr snr_reference"
+    " reflectors response resume rig rotation rows rpm scans scene seed since size slots snr snr_reference"
     " snr_reference_body spacing step surface_radius target turned_by unlike until_sure want wobble"
 )
 """Arguments whose option has their name."""

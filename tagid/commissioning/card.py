@@ -76,7 +76,7 @@ def _named_row(share: str, views: int, reading: Reading) -> Row:
             None,
             "nats",
             f"{lead}: the card reads as its mirror image",
-            "The table turns the other way than given (`direction` of `motion.url`), or the card is "
+            "The table turns the other way than given (see `motion.url`), or the card is "
             "mirrored: print it again and put it on the table with its print upwards.",
             "mirrored",
         )

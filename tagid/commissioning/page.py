@@ -78,23 +78,26 @@ def _section(title: str, report: StepReport) -> str:
 
 def _row(row: Row) -> str:
     advice = (
-        f'<p class="advice">{html.escape(row.advice)}</p>'
-        if row.advice and row.level is not Level.PASS
-        else ""
+        f'<p class="advice">{_text(row.advice)}</p>' if row.advice and row.level is not Level.PASS else ""
     )
     return (
         f'<tr class="{row.level}"><td class="level">{row.level}</td>'
         f'<th scope="row">{html.escape(row.name)}</th>'
         f'<td class="number">{html.escape(row.number.replace("+-", "±"))}</td>'
-        f"<td>{html.escape(row.text)}{advice}</td></tr>"
+        f"<td>{_text(row.text)}{advice}</td></tr>"
     )
+
+
+def _text(text: str) -> str:
+    """A sentence without the marks around commands and settings."""
+    return html.escape(text.replace("`", ""))
 
 
 def _pulse(samples: Sequence[float]) -> str:
     """The measured pulse over time and its spectrum, as a drawing."""
     wave = np.array(samples)
     time_ns = (np.arange(len(wave)) - len(wave) // 2) * SAMPLE_STEP_S * 1e9
-    shown = time_ns >= -2
+    shown = (time_ns >= -2) & (time_ns <= 4)
     power = np.abs(np.fft.rfft(wave, 1024)) ** 2
     decibels = 10 * np.log10(np.maximum(power / power.max(), 1e-4))
     frequency = np.fft.rfftfreq(1024, SAMPLE_STEP_S) / 1e9

@@ -20,7 +20,7 @@ from tagid.recording.calibration import make_reference, usable
 from tagid.recording.inspection import clipped_fraction
 from tagid.rig import Measured
 from tagid.signal import analytic, noise_power_of, snr_db
-from tagid.simulate.budget import MOST_GAIN, LinkBudget
+from tagid.simulate.budget import LinkBudget
 from tagid.simulate.source import noise_counts
 
 NOISE_DB: Final = 3.0
@@ -165,17 +165,17 @@ def _moving(capture: Capture, scans: NDArray[np.float64], axis_m: float, explain
     every = analytic(scans.astype(np.float32))
     level, place = snr_db(every[:, here], noise_power_of(every))
     if level is None or place is None:
-        return Row("something moves", Level.PASS, text="no changing echo at the object's ranges")
+        return Row("moving echoes", Level.PASS, text="no changing echo at the object's ranges")
     at = float(ranges[here][place]) - (low + high) / 2
     sigma = 10 / math.log(10) * math.sqrt(2 / len(scans))
     if explained:
-        return Row("something moves", Level.NOTE, level, sigma, "dB", "not decided among noisy scans")
+        return Row("moving echoes", Level.NOTE, level, sigma, "dB", "not decided among noisy scans")
     echo = every[:, here][:, place]
     static = float(np.abs(echo.mean()) ** 2)
     if level < _MOVES_DB or float(np.var(echo)) < _DRIFTS * static:
-        return Row("something moves", Level.NOTE, level, sigma, "dB", f"an echo near {at:.1f} m drifts")
+        return Row("moving echoes", Level.NOTE, level, sigma, "dB", f"an echo near {at:.1f} m drifts")
     return Row(
-        "something moves",
+        "moving echoes",
         Level.FAIL,
         level,
         sigma,
@@ -203,7 +203,7 @@ def _clipping(bench: Bench, capture: Capture) -> Row:
         0.1,
         "dB",
         f"{100 * share:.2f} % of the samples are clipped",
-        f"The gain is too high: set `radar.gain={lower}` of {MOST_GAIN}, or move the antennas apart.",
+        f"The gain is too high: `tagid config set radar.gain {lower}`, or move the antennas apart.",
         "gain",
     )
 

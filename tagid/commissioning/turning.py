@@ -73,7 +73,7 @@ def measure_turning(bench: Bench) -> StepReport:
                     Level.FAIL,
                     text=turning.note,
                     code="period",
-                    advice="Check that the table turns evenly, and its speed in `motion`.",
+                    advice="Check that the table turns evenly, and its speed in `motion.url`.",
                 )
             ],
             recording=name,
@@ -128,7 +128,7 @@ def _period_row(period: Measured, nominal_s: float) -> Row:
         period.value,
         period.sigma,
         "s",
-        f"{100 * off:+.1f} % against the speed in `motion`",
+        f"{100 * off:+.1f} % against the speed given",
         f"Set `motion.url=free?rpm={60 / period.value:.3g}`.",
     )
 
