@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tagid.constants import RIG_FILE
+from tagid.counting import meant
 from tagid.errors import ConfigError, FileFormatError, TagidError, displayable
 from tagid.query import UNITS, quantity
 from tagid.secret import MotionUrl, Secret

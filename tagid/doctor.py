@@ -57,7 +57,7 @@ def examine(config: Config, needs_radar: bool = False) -> list[Finding]:
         *_system(),
         _axis(config),
         _rig(config),
-        _radar(config),
+        _radar(config, needs_radar),
     ]
 
 
@@ -212,7 +212,7 @@ def _rig(config: Config) -> Finding:
     return Finding("rig", "ok", text)
 
 
-def _radar(config: Config) -> Finding:
+def _radar(config: Config, needed: bool) -> Finding:
     from tagid.radar.survey import survey
     from tagid.recording.radars import open_radar
 

@@ -52,11 +52,13 @@ COMMANDS = {
     "plan": CommandEntry(
         "Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named."
     ),
-    "scan": Entry("Record one revolution of the object, image it and name it."),
-    "commission": Entry("Measure a rig step by step, from the link to the test card, and write its profile."),
-    "station": Entry("Serve a web page with a Scan button, live image, answer, health and history."),
-    "identify": Entry("Name the object in one or more captures."),
-    "enroll": Entry(
+    "scan": CommandEntry("Record one revolution of the object, image it and name it."),
+    "commission": CommandEntry(
+        "Measure a rig step by step, from the link to the test card, and write its profile."
+    ),
+    "station": CommandEntry("Serve a web page with a Scan button, live image, answer, health and history."),
+    "identify": CommandEntry("Name the object in one or more captures."),
+    "enroll": CommandEntry(
         "Enrol a layout from coordinates, a file or captures of the real object, or an untagged body."
     ),
     "history": CommandEntry("List the identifications made on this computer, newest first, or export them."),

@@ -152,7 +152,8 @@ def show(
     from tagid.files import write_bytes
     from tagid.operate.workplace import open_registry
     from tagid.report import layout_sheet
-    from tagid.report.drafting import to_pdf, to_png, to_svg
+    from tagid.report.drafting import to_png, to_svg
+    from tagid.report.pdf import to_pdf
     from tagid.tags.layouts.test_card import NAME, test_card
 
     if name == NAME and file is None:

@@ -22,7 +22,7 @@ def named_layouts(file: Path | None, registry: Path) -> dict[str, Layout]:
     Raises:
         RegistryError, StorageError, FileFormatError: a file cannot be read.
     """
-    found = {**builtin_layouts(), TEST_CARD: test_card()}
+    layouts = {**builtin_layouts(), TEST_CARD: test_card()}
     if registry.exists():
         layouts |= {layout.name: layout for layout in Registry(registry).layouts()}
     if file is not None:
