@@ -1,0 +1,133 @@
+"""Random emulated rigs commissioned with scripted answers, and rigs with planted faults.
+
+Every rig goes through room, target and turning, as `tagid commission` does them; link, test card and result
+are left to `tagid commission` on the emulator.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table
+
+TAPE_M = 0.001
+SCANS, INTEGRATION = 64, 15
+WANTED = {"path_delay_ps": 15.0, "axis_distance_m": 2e-3, "antenna_height_m": 20e-3, "period_s": 1e-3}
+"""Largest errors that are wanted; that of the period is relative."""
+FAULTS = (
+    "cable",
+    "loose-antenna",
+    "polarisation",
+    "gain",
+    "other-radar",
+    "microwave",
+    "person",
+    "axis",
+    "slip",
+)
+"""Planted faults; the row that names one has its name as code."""
+TURNING_FAULTS = ("axis", "slip")
+
+
+def commissioned(job: tuple[int, str]) -> dict[str, Any]:
+    """Errors and standard errors of a rig's values, and the codes of the faults that the steps name.
+
+    Args:
+        job: seed of the rig and planted fault, empty for none.
+    """
+    seed, fault = job
+    from tagid.commissioning.bench import Bench
+    from tagid.commissioning.steps import run_step, step_named
+    from tagid.config import load_config
+    from tagid.simulate.rig import NOMINAL_DISTANCE_M, parse_rig
+
+    text = f"realistic?seed={seed}" + (f"&fault={fault}" if fault else "")
+    rig, rng = parse_rig(text), np.random.default_rng([seed, 7])
+    tape = {
+        "target_distance_m": math.hypot(rig.axis_distance_m, rig.antenna_height_m)
+        + TAPE_M * rng.standard_normal(),
+        "axis_distance_m": NOMINAL_DISTANCE_M,
+        "antenna_height_m": rig.antenna_height_m + TAPE_M * rng.standard_normal(),
+        "error_m": TAPE_M,
+    }
+    steps = [("room", "empty"), ("target", "target")]
+    if not fault or fault in TURNING_FAULTS:
+        steps.append(("turning", "test-card"))
+    values, codes = {}, []
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ |= {"TAGID_DATA": folder, "TAGID_CONFIG": str(Path(folder) / "config.toml")}
+        for step, scene in steps:
+            config = load_config(
+                {
+                    "radar.integration": INTEGRATION,
+                    "radar.url": f"emulator://{scene}?rig={quote(text, safe='')}&seed={rng.integers(1000)}",
+                    "motion.url": f"free?rpm={60 / rig.period_s:.2g}",
+                }
+            )
+            report = run_step(step_named(step), Bench(config, tape, scans=SCANS))
+            values |= report.values
+            codes += report.faults
+    truth = {
+        "path_delay_ps": rig.cable_delay_ps,
+        "axis_distance_m": rig.axis_distance_m,
+        "antenna_height_m": rig.antenna_height_m,
+        "period_s": rig.period_s,
+        "system_gain_db": rig.gain_db,
+        "speed_variation": rig.speed_variation,
+    }
+    measured = {
+        name: [values[name].value - true, values[name].sigma, true]
+        for name, true in truth.items()
+        if name in values
+    }
+    return {"measured": measured, "codes": codes}
+
+
+def rigs(run: Run) -> Iterator[Table]:
+    """Errors of the values beside their standard errors, and which planted faults are named."""
+    count, faulty = run.number(20, 2), 1 if run.quick else 2
+    run.seeds = f"1000 to {1000 + count - 1}; with a planted fault 1000 to {1000 + faulty - 1}"
+    jobs = [(1000 + i, "") for i in range(count)]
+    jobs += [(1000 + i, fault) for fault in FAULTS for i in range(faulty)]
+    results = run.each(commissioned, jobs)
+    errors: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    alarms = 0
+    for _, result in ((job, results[job]) for job in jobs if not job[1]):
+        alarms += bool(result["codes"])
+        for name, (error, sigma, true) in result["measured"].items():
+            errors[name].append((error / (true if name == "period_s" else 1), error / sigma))
+    rows = []
+    for name, pairs in errors.items():
+        error, ratio = np.abs(np.array(pairs).T)
+        wanted = WANTED.get(name)
+        rows.append(
+            (
+                name,
+                f"{np.sum(ratio <= 2)} of {len(ratio)}",
+                f"{error.max():.2g}",
+                "" if wanted is None else f"{np.sum(error <= wanted)} of {len(error)} within {wanted:g}",
+            )
+        )
+    yield Table(
+        ("value", "within two standard errors", "largest error", "wanted"),
+        rows,
+        note=f"Tape with a standard error of {1e3 * TAPE_M:g} mm, {SCANS} scans a step; the error of the "
+        "period is relative. The emulated height is that of the tape.",
+        name="values",
+        below=f"False alarms: {alarms} of {count} rigs without a fault.",
+    )
+    named = [
+        (fault, f"{sum(fault in results[job]['codes'] for job in jobs if job[1] == fault)} of {faulty}")
+        for fault in FAULTS
+    ]
+    yield Table(("planted fault", "named"), named, name="faults")
