@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -27,6 +27,7 @@ from tagid.reading.hypothesis import (
     distinct,
     middle_of,
     same_place,
+    unlike_places,
 )
 from tagid.reading.odd import OddMap
 from tagid.reading.remainder import anywhere
@@ -50,7 +51,11 @@ TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, *WALLS, *RODS, *SHADES)
 SEARCHED = frozenset((BARE, POINTS, *WALLS[:4], RODS[0], SHADES[1]))
 """Behind which arrangements are looked for; what is found is tried behind the others, too."""
 MOST_ODD, MOST_ODD_UNTAGGED = 2, 5
-"""Odd scatterers beside a tag, and where there is none."""
+"""Odd scatterers that one search adds beside a tag, and where there is none."""
+LIMIT_ODD, LIMIT_ODD_UNTAGGED = 4, 7
+"""Odd scatterers beside a tag, and where there is none, at most."""
+DEEPENED = 4
+"""Best layouts, free arrangements and untagged bodies that get as many odd scatterers as pay."""
 MOST_REFLECTORS = 5
 """Reflectors of an arrangement that is not enrolled."""
 FIRST, THEN = 16, 8
@@ -498,7 +503,8 @@ class Contest:
         return best
 
     def _grown(self, hypothesis: Hypothesis, most: int, *, faces: bool = True) -> Hypothesis:
-        for _ in range(most):
+        limit = LIMIT_ODD_UNTAGGED if hypothesis.estimate.model.tag is None else LIMIT_ODD
+        for _ in range(min(most, limit - hypothesis.estimate.model.odd)):
             some = [
                 refined(
                     self.spectra,
@@ -566,6 +572,13 @@ class Contest:
                 hypothesis.middle,
             )
             self.grow(best, self.most_odd - hypothesis.estimate.model.odd)
+
+    def _deepened(self) -> None:
+        """The best of every kind beside all odd scatterers that pay: no kind wins by a longer search."""
+        kinds = self._untagged_best, partial(self._best, enrolled=True), partial(self._best, enrolled=False)
+        for kind in kinds:
+            for hypothesis in unlike_places(kind(len(self.hypotheses)), DEEPENED):
+                self.grow(hypothesis, LIMIT_ODD_UNTAGGED)
 
     def _unbound(self) -> None:
         """The best layouts' reflectors as free ones: far from their places they are another tag."""
