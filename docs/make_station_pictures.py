@@ -91,7 +91,7 @@ def view(page: Any, name: str) -> None:
 
 
 def enrol(page: Any, home: str, out: Path) -> None:
-    """Enrol an object in three captures, and take pictures on the way."""
+    """Enroll an object in three captures, and take pictures on the way."""
     Path(home, "helmet-7.toml").write_text(OBJECT)
     view(page, "enrol")
     page.find_element(By.ID, "e-name").send_keys("helmet-7")

@@ -59,7 +59,7 @@ COMMANDS = {
     "station": CommandEntry("Serve a web page with a Scan button, live image, answer, health and history."),
     "identify": CommandEntry("Name the object in one or more captures."),
     "enroll": CommandEntry(
-        "Enrol a layout from coordinates, a file or captures of the real object, or an untagged body."
+        "Enroll a layout from coordinates, a file or captures of the real object, or an untagged body."
     ),
     "history": CommandEntry("List the identifications made on this computer, newest first, or export them."),
     "report": CommandEntry("Identify many captures: write a page, tables and a test report."),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Group, RenderableType
 
     from tagid.config import Config
-    from tagid.pipeline.enrolment import LayoutProposal, Measured
+    from tagid.pipeline.enrollment import LayoutProposal, Measured
     from tagid.tags.bodies.joint import Joint
     from tagid.tags.layouts.layout import Layout
 
@@ -108,7 +108,7 @@ def enroll(
     yes: enrolling.Yes = False,
     dry_run: enrolling.DryRun = False,
 ) -> Result:
-    """Enrol a layout from coordinates, a file or captures of the real object, or an untagged body.
+    """Enroll a layout from coordinates, a file or captures of the real object, or an untagged body.
 
     With three captures the object's signature is also stored; if the body hides the reflectors, only the
     signature. The nearest enrolled layouts and the expected confusion rate are shown first; at a
@@ -170,7 +170,7 @@ def enroll(
 
 def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Joint:
     from tagid.operate.workplace import Workplace
-    from tagid.pipeline.enrolment import prepare_files, signature
+    from tagid.pipeline.enrollment import prepare_files, signature
 
     place = Workplace(config)
     captures = prepare_files(paths, place.loading())
@@ -187,7 +187,7 @@ def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Co
 
 def _measure(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Measured:
     from tagid.operate.workplace import Workplace
-    from tagid.pipeline.enrolment import measure, prepare_files, sight
+    from tagid.pipeline.enrollment import measure, prepare_files, sight
 
     place = Workplace(config)
     imaging = place.imaging()
@@ -210,7 +210,7 @@ def _enrol_layout(
 ) -> Result:
     """Show the outcome of enrolling a layout, ask for confirmation, and store it with its signature."""
     from tagid.operate.workplace import open_registry
-    from tagid.pipeline.enrolment import propose_layout
+    from tagid.pipeline.enrollment import propose_layout
 
     registry = open_registry()
     known, weight = enrolling.direction_known(), enrolling.height_weight()
@@ -220,7 +220,7 @@ def _enrol_layout(
     conflict = None if wish.force else proposal.conflict
     if conflict is not None or wish.dry_run:
         return _result(proposal, measured, None, False, conflict)
-    question = f"Enrol {layout.name} ({counted(layout.size, 'reflector')})?"
+    question = f"Enroll {layout.name} ({counted(layout.size, 'reflector')})?"
     shown = enrolling.agree(terminal, _shown(proposal, measured), question, wish.yes)
     done = proposal.store(registry, source, wish.force)
     return _result(done.proposal, measured, done.version, shown)
@@ -234,7 +234,7 @@ def _enrol_signature(
     from rich.text import Text
 
     from tagid.operate.workplace import open_registry
-    from tagid.pipeline.enrolment import joint_data, joint_words, propose_signature
+    from tagid.pipeline.enrollment import joint_data, joint_words, propose_signature
     from tagid.tags.bodies.likeness import least_tag
 
     registry = open_registry()
@@ -267,7 +267,7 @@ def _enrol_signature(
     if given.wish.dry_run:
         human = Group(shown, Text(f"{one.name} not stored"))
         return Result("enroll", data, human, messages=tuple(notes))
-    asked = enrolling.agree(terminal, shown, f"Enrol the {one.kind} {one.name}?", given.wish.yes)
+    asked = enrolling.agree(terminal, shown, f"Enroll the {one.kind} {one.name}?", given.wish.yes)
     data["registry_version"] = proposal.store(registry, source, given.wish.force)
     data["stored"] = True
     line = Text(f"{one.kind} {one.name} enrolled, registry version {data['registry_version']}")
@@ -285,7 +285,7 @@ def _shown(proposal: LayoutProposal, measured: Measured | None) -> Group:
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.pipeline.enrolment import joint_words
+    from tagid.pipeline.enrollment import joint_words
     from tagid.report.layout_sheet import in_terminal
 
     layout = proposal.layout
@@ -321,7 +321,7 @@ def _result(
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.pipeline.enrolment import joint_data
+    from tagid.pipeline.enrollment import joint_data
 
     layout, found = proposal.layout, proposal.outlook
     estimate = measured.estimate if measured else None
@@ -374,5 +374,7 @@ def _from_file(file: Path) -> Layout:
 
     found = read_layouts(file)
     if len(found) > 1:
-        raise UsageError(f"{file} holds {len(found)} layouts", f"Enrol them all: tagid layouts import {file}")
+        raise UsageError(
+            f"{file} holds {len(found)} layouts", f"Enroll them all: tagid layouts import {file}"
+        )
     return found[0]

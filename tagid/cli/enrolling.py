@@ -233,7 +233,7 @@ def store_family(
     if wish.dry_run:
         return Stored(None, data, shown)
     more = f" and {len(signatures)} signatures" if signatures else ""
-    asked = agree(terminal, shown, f"Enrol {len(layouts)} layouts{more}?", wish.yes)
+    asked = agree(terminal, shown, f"Enroll {len(layouts)} layouts{more}?", wish.yes)
     version = merge(
         registry,
         layouts,

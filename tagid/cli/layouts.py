@@ -212,7 +212,7 @@ def sheet(
     registry = open_registry()
     layouts = [registry.get(name) for name in names] if names else registry.layouts()
     if not layouts:
-        raise UsageError("no layout is enrolled", "Enrol one with `tagid enroll` or `tagid layouts import`.")
+        raise UsageError("no layout is enrolled", "Enroll one with `tagid enroll` or `tagid layouts import`.")
     drawings = layout_sheet.overview(layouts, *room(paper))
     for layout in layouts:
         drawings += layout_sheet.template(layout, None, paper)
@@ -269,7 +269,7 @@ def import_(
     yes: enrolling.Yes = False,
     dry_run: enrolling.DryRun = False,
 ) -> Result:
-    """Enrol the layouts, bodies and objects of files: all of them, or none if one conflicts.
+    """Enroll the layouts, bodies and objects of files: all of them, or none if one conflicts.
 
     The nearest other layout to each and the expected confusion rate are shown first; on a terminal,
     nothing is stored before you confirm.

@@ -133,7 +133,7 @@ def design(
         Path | None, typer.Option("--out", help="Write the layouts as TOML.", show_default=False)
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
-    enroll: Annotated[bool, typer.Option("--enroll", help="Enrol all layouts, or none.")] = False,
+    enroll: Annotated[bool, typer.Option("--enroll", help="Enroll all layouts, or none.")] = False,
     yes: enrolling.Yes = False,
 ) -> Result:
     """Design the layouts that a radar distinguishes best at any orientation of the object.
@@ -269,8 +269,8 @@ def _designed(
     ]
     lines.append(Text(f"{worst.layout.name}: {enrolling.about(worst)}"))
     if out is not None:
-        enrol = "they cannot be enrolled" if refused else f"enrol them: tagid layouts import {out}"
-        lines.append(Text(f"written to {out}; {enrol}"))
+        how = "they cannot be enrolled" if refused else f"enroll them: tagid layouts import {out}"
+        lines.append(Text(f"written to {out}; {how}"))
     data = {
         "layouts": [layout.to_dict() for layout in family.layouts],
         "distance_m": None if family.distance_m == float("inf") else family.distance_m,

@@ -198,7 +198,7 @@ def _doubt(found: Plan, wanted: Wanted, want: float) -> str:
             return (
                 "no setup reaches this rate: use a bare mount, another body, or read the object several times"
             )
-        return f"enrol the untagged body (`tagid enroll --help`): then named {enrolled.named}"
+        return f"enroll the untagged body (`tagid enroll --help`): then named {enrolled.named}"
     if lowest.rates.named.low >= want:
         return ""
     rates = lowest.rates

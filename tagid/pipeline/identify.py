@@ -324,7 +324,7 @@ def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) ->
     if capture.angles_rad is None:
         raise DataError(
             "the signature of an object requires a turntable, but this capture has free antenna positions",
-            "Record the object on a turntable, or enrol its reflectors with `point`.",
+            "Record the object on a turntable, or enroll its reflectors with `point`.",
         )
     if capture.views < MIN_SIGNATURE_VIEWS:
         raise DataError(

@@ -101,7 +101,7 @@ def read_together(
             f"{counted(len(recordings), 'recording')} of one object", f"Give 1 to {MOST_RECORDINGS}."
         )
     if not layouts and not any(signature.kind == "object" for signature in signatures):
-        raise RegistryError("no layout is enrolled", "Enrol one with `tagid enroll`.")
+        raise RegistryError("no layout is enrolled", "Enroll one with `tagid enroll`.")
     settings = settings or ReaderSettings()
     candidates = list(layouts)
     if not settings.direction_known:

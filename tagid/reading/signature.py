@@ -38,8 +38,8 @@ from tagid.types import Complex, Floats
 
 SLOPE = 0.2
 """Standard deviation of the amplitude of an echo's change from one frequency to the next, 0.2 GHz away, over
-that of the echo itself: with measured P440 pulses against a nominal one at the enrolment 0.14 to 0.22, at the
-ends of the band 0.24 and 0.43 (24 bodies of our simulator)."""
+that of the echo itself: with measured P440 pulses against a nominal one at the enrollment 0.14 to 0.22, at
+the ends of the band 0.24 and 0.43 (24 bodies of our simulator)."""
 ECHO_ERROR = 0.1
 """Amplitude by which every harmonic of an echo differs from the enrolled one, over its own."""
 TILT_RAD = 0.1

@@ -29,18 +29,18 @@ ADVICE = {
     Code.NONE: "",
     Code.NO_ECHO: f"Check that the object lies in the range window and turns, or {_LARGER}.",
     Code.NO_TAG: (
-        f"If the object carries a tag, {_LARGER}, or enrol the body if it has a handle, a rim or flat sides."
+        f"If the object carries a tag, {_LARGER}, or enroll the body if it has a handle, a rim or flat sides."
     ),
     Code.MISSING: "Check that every reflector of the tag is in place and as large as the others.",
-    Code.EXTRA: "Remove what does not belong to the tag, or enrol the tag as it is.",
-    Code.DISPLACED: "Put the reflectors back in their places, or enrol the tag as it is.",
+    Code.EXTRA: "Remove what does not belong to the tag, or enroll the tag as it is.",
+    Code.DISPLACED: "Put the reflectors back in their places, or enroll the tag as it is.",
     Code.OTHER: (
-        "Enrol the tag if it is new, or the body if it has a handle, a rim or flat sides; otherwise record "
+        "Enroll the tag if it is new, or the body if it has a handle, a rim or flat sides; otherwise record "
         f"more views, or {_LARGER}."
     ),
-    Code.RADIUS: "Check the reflectors' distance from the axis, or enrol the tag as it is.",
+    Code.RADIUS: "Check the reflectors' distance from the axis, or enroll the tag as it is.",
     Code.WEAK: f"Record more views, or {_LARGER}.",
-    Code.AMBIGUOUS: "Record more views, or enrol layouts that differ more.",
+    Code.AMBIGUOUS: "Record more views, or enroll layouts that differ more.",
     Code.UNCALIBRATED: "Record 12 views or more, or accept a larger tags.false_accept.",
     Code.DISAGREE: "Check that all recordings are of one object, and record it again.",
     Code.STOPPED: "Check what holds the table, and its supply, then record a full turn again.",

@@ -1,6 +1,6 @@
 """Enrolling an object at the station: its captures, what disagrees, the proposal, storing and undoing.
 
-One enrolment at a time. Its captures are ordinary scans of the station; after each one all captures so far
+One enrollment at a time. Its captures are ordinary scans of the station; after each one all captures so far
 are measured by the same code as in `tagid enroll`. Thread-safe: captures are added by the thread of their
 scan.
 """
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from tagid.enrolling.registry import Registry
 from tagid.errors import RegistryError, TagidError, UsageError
-from tagid.pipeline.enrolment import (
+from tagid.pipeline.enrollment import (
     LayoutProposal,
     Measured,
     Prepared,
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 NEEDED = 3
 """Captures before an object can be enrolled: fewer do not determine the scatter of its positions."""
 MOST = 8
-"""Captures of one enrolment; each keeps its scans in memory."""
+"""Captures of one enrollment; each keeps its scans in memory."""
 _TRIAL = ((0.1, 0.0), (-0.1, 0.0))
 
 
@@ -71,10 +71,10 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """A capture of the enrolment.
+    """A capture of the enrollment.
 
     Attributes:
-        number: counts the captures of the enrolment.
+        number: counts the captures of the enrollment.
         path: its file.
         answer: how it was read: an object that is not enrolled is unknown.
         sighted: its reflectors; None if they cannot be determined.
@@ -90,7 +90,7 @@ class Taken:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """A capture of the enrolment that is to be recorded.
+    """A capture of the enrollment that is to be recorded.
 
     Attributes:
         note: text stored with it.
@@ -118,17 +118,17 @@ class Stored:
 
 @dataclass(frozen=True, eq=False)
 class EnrolmentState:
-    """State of the enrolment.
+    """State of the enrollment.
 
     Attributes:
-        subject: what is enrolled; None if there is no enrolment.
+        subject: what is enrolled; None if there is no enrollment.
         captures: of the object, the oldest first.
         measuring: whether captures are being measured now.
         trouble: what disagrees between the captures; None if nothing does.
         measured: the result of measuring; None before there is one.
         proposal: what would be stored; None if something disagrees or captures are missing.
-        stored: the last enrolled object, until the next enrolment begins.
-        undone: name of the object whose enrolment was just undone; empty if none.
+        stored: the last enrolled object, until the next enrollment begins.
+        undone: name of the object whose enrollment was just undone; empty if none.
     """
 
     subject: Subject | None = None
@@ -142,7 +142,7 @@ class EnrolmentState:
 
 
 class Enrolling:
-    """The enrolment of one object after another.
+    """The enrollment of one object after another.
 
     Args:
         registry: opens the registry.
@@ -163,7 +163,7 @@ class Enrolling:
         return self._state
 
     def describe(self, subject: Subject) -> None:
-        """Begin an enrolment, or change the name, kind or label of the current one.
+        """Begin an enrollment, or change the name, kind or label of the current one.
 
         Raises RegistryError if the name is taken, EnrolmentError while captures are measured.
         """
@@ -185,7 +185,7 @@ class Enrolling:
                 self._measure()
 
     def cancel(self) -> None:
-        """End the enrolment; the files of its captures are kept. Raises EnrolmentError while measuring."""
+        """End the enrollment; the files of its captures are kept. Raises EnrolmentError while measuring."""
         with self._alone():
             self._state = EnrolmentState()
 
@@ -193,7 +193,7 @@ class Enrolling:
         """The next capture, before it is recorded. Raises EnrolmentError if no capture can be added."""
         state = self._state
         if state.subject is None:
-            raise EnrolmentError("no enrolment was begun", "Enter the name of the object first.")
+            raise EnrolmentError("no enrollment was begun", "Enter the name of the object first.")
         if state.measuring:
             raise _busy()
         if len(state.captures) >= MOST:
@@ -204,7 +204,7 @@ class Enrolling:
     def _add(self, begun: int, path: Path, capture: Capture, answer: Identification) -> None:
         """Add a recorded capture with its angles, and measure; errors become the state's trouble.
 
-        A capture of an enrolment that was ended while it was recorded is of another object, and is not added.
+        A capture of an enrollment that was ended while it was recorded is of another object and not added.
         """
         with self._alone(wait=True) as before:
             if before.subject is None or begun != self._begun:
@@ -222,7 +222,7 @@ class Enrolling:
             return Taken(self._count, path, answer, None, error)
 
     def drop(self, number: int) -> None:
-        """Remove a capture from the enrolment, and measure the others; its file is kept.
+        """Remove a capture from the enrollment, and measure the others; its file is kept.
 
         Raises EnrolmentError if there is no such capture, or while measuring.
         """
@@ -234,10 +234,10 @@ class Enrolling:
             self._measure()
 
     def store(self, force: bool = False) -> Stored:
-        """Enrol the object.
+        """Enroll the object.
 
         Args:
-            force: enrol it despite a conflict, and replace an entry of the same name.
+            force: enroll it despite a conflict, and replace an entry of the same name.
 
         Raises:
             EnrolmentError: something disagrees, or captures are missing.
@@ -263,14 +263,14 @@ class Enrolling:
             return done
 
     def undo(self) -> None:
-        """Undo the last enrolment of the station.
+        """Undo the last enrollment of the station.
 
         Raises EnrolmentError if there is none, or if the registry was changed since.
         """
         with self._alone() as before:
             done = before.stored
             if done is None:
-                raise EnrolmentError("there is no enrolment to undo")
+                raise EnrolmentError("there is no enrollment to undo")
             registry = self._registry()
             changed = EnrolmentError(
                 "the registry was changed since",

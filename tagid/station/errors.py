@@ -25,7 +25,7 @@ class NotOperatorError(UsageError):
 
 
 class EnrolmentError(UsageError):
-    """The enrolment is not at a step that allows the action."""
+    """The enrollment is not at a step that allows the action."""
 
     code = "enrolment"
 

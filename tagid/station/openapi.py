@@ -24,7 +24,7 @@ def document() -> dict[str, Any]:
         "info": {
             "title": "tagid station",
             "version": __version__,
-            "description": "Start a scan, monitor it, read its result, enrol an object, list and export the "
+            "description": "Start a scan, monitor it, read its result, enroll an object, list and export the "
             "history, and write reports over it. "
             f"Each POST needs the header `{OWN_HEADER}: 1`. On an address other than loopback, "
             "each request needs a token, which POST /api/v1/pair creates from the pairing code.",
@@ -141,15 +141,15 @@ def _enrolment() -> dict[str, Any]:
     return {
         place: {
             "get": _get("State of the enrolment", "Enrolment"),
-            **act("Begin an enrolment, or change the name of the current one", "Subject"),
+            **act("Begin an enrollment, or change the name of the current one", "Subject"),
         },
         f"{place}/capture": {
-            "post": _post("Start a scan whose capture is added to the enrolment", "Keyed", 202, "Started")
+            "post": _post("Start a scan whose capture is added to the enrollment", "Keyed", 202, "Started")
         },
-        f"{place}/drop": act("Remove a capture from the enrolment; its file is kept", "Drop"),
-        f"{place}/store": act("Enrol the object", "Store"),
-        f"{place}/undo": act("Undo the last enrolment of the station"),
-        f"{place}/cancel": act("End the enrolment without storing anything"),
+        f"{place}/drop": act("Remove a capture from the enrollment; its file is kept", "Drop"),
+        f"{place}/store": act("Enroll the object", "Store"),
+        f"{place}/undo": act("Undo the last enrollment of the station"),
+        f"{place}/cancel": act("End the enrollment without storing anything"),
         f"{place}/template.pdf": {
             "get": {
                 **_file("Template at 1:1 of the measured layout", "application/pdf", missing=True),

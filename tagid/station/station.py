@@ -118,7 +118,7 @@ class Station:
     Attributes:
         source: as given.
         operators: connections and the lock.
-        enrolling: the enrolment.
+        enrolling: the enrollment.
         reports: the reports.
         settings: the settings of the page.
     """
@@ -204,9 +204,9 @@ class Station:
             return self._start(key, note, demo_object)
 
     def start_capture(self, key: str | None) -> int:
-        """Start a scan whose capture is added to the enrolment; returns its number.
+        """Start a scan whose capture is added to the enrollment; returns its number.
 
-        Raises as `start`, and EnrolmentError if the enrolment takes no capture.
+        Raises as `start`, and EnrolmentError if the enrollment takes no capture.
         """
         with self._starting:
             expected = self.enrolling.expect()
@@ -245,7 +245,7 @@ class Station:
         place = self.source.of_object(demo_object, self._count)
         about = ObjectInfo(note=note[:_NOTE_LENGTH] or None, demo=bool(self.source.demo) or None)
         plan = place.plan(max_seconds=self.source.max_seconds, about=about)
-        # An enrolment needs whole turns.
+        # An enrollment needs whole turns.
         until_sure = then is None and place.config["station.until_sure"] == "yes"
         run = ScanRun(self._count + 1, place, plan, self._radar, then, until_sure)
         if run.motion.moves and not self.operators.holds(key):
@@ -330,7 +330,7 @@ class Station:
             )
 
     def describe(self, key: str | None, subject: Subject) -> None:
-        """Begin an enrolment, or change the name of the current one. Raises as `Enrolling.describe`."""
+        """Begin an enrollment, or change the name of the current one. Raises as `Enrolling.describe`."""
         self.operate(key)
         self.enrolling.describe(subject)
 

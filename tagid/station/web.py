@@ -23,7 +23,7 @@ from tagid.station.page import PAGE_FILES
 from tagid.station.requests import as_json, body, key_of, on_error, on_gone, on_missing, refused, text_of
 from tagid.station.security import COOKIE, Guard, Guesses, Pairing
 from tagid.station.station import Station
-from tagid.station.web_enrolment import EnrolmentHandlers
+from tagid.station.web_enrollment import EnrolmentHandlers
 from tagid.station.web_history import HistoryHandlers
 from tagid.station.web_settings import SettingsHandlers
 

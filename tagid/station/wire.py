@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tagid.errors import TagidError
 from tagid.live.state import LiveState
 from tagid.pipeline.answer import Identification
-from tagid.pipeline.enrolment import LayoutProposal, Measured, SignatureProposal
+from tagid.pipeline.enrollment import LayoutProposal, Measured, SignatureProposal
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.preview import resample
 from tagid.result import Problem, reworded, reworded_document
@@ -31,7 +31,7 @@ _NEAREST = 6
 """Neighbours of a new layout that are shown."""
 
 _CONTROLS = {
-    "force": "the button “Enrol it anyway”",
+    "force": "the button “Enroll it anyway”",
     "paper": "“Paper”",
     "since": "“Since”",
     "until_sure": "“End a scan as soon as the answer is certain”",
@@ -193,7 +193,7 @@ def health(found: Health) -> Json:
 
 
 def enrolment(state: EnrolmentState) -> Json:
-    """The enrolment."""
+    """The enrollment."""
     subject, stored = state.subject, state.stored
     return {
         "subject": None
@@ -233,7 +233,7 @@ def _taken(one: Taken) -> Json:
 
 
 def proposal(found: LayoutProposal | SignatureProposal, measured: Measured | None) -> Json:
-    """What an enrolment would store, compared with its neighbours."""
+    """What an enrollment would store, compared with its neighbours."""
     can_store = found.taken is None and found.conflict is None
     if isinstance(found, SignatureProposal):
         return {

@@ -338,7 +338,7 @@ def _(folder: Path) -> Outcome:
 
     from tagid.enrolling.registry import Registry
     from tagid.errors import TagidError
-    from tagid.pipeline.enrolment import propose_signature
+    from tagid.pipeline.enrollment import propose_signature
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.layouts.layout import Layout
 

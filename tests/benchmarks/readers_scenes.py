@@ -1,7 +1,7 @@
 """Scenes of every yardstick of `readers.py`, of development seeds alone.
 
 y1 is `bodies_scenes.py`, y2 `reading_bodies_scenes.py`, y3 `unseen_scenes.py` (opened objects), all without
-enrolment; y2e is y2 with body or object enrolled, y4 `enrolled_scenes.py` and `enrolled_designed.py`, y5
+enrollment; y2e is y2 with body or object enrolled, y4 `enrolled_scenes.py` and `enrolled_designed.py`, y5
 `identification_scenes.py` from number 1000 on, null `train/population.py`, volume `train/volume_objects.py`,
 on which nothing is chosen. y3 requires solved objects in SOLVED: `solve --set unseen` makes them, in about
 half a minute each.

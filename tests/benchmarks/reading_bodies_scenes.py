@@ -49,7 +49,7 @@ SNRS_DB = (20, 10, 5, 0)
 VIEWS = (72, 36, 18, 12)
 PULSES = ("nominal", "measured")
 APART_M = 0.012
-"""Nearer than this in RMS, a foreign tag counts as the enrolled one: enrolment calls them confusable."""
+"""Nearer than this in RMS, a foreign tag counts as the enrolled one: enrollment calls them confusable."""
 
 FULL_WAVE = {
     ("tagged", "none"): {

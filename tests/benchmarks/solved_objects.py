@@ -45,7 +45,7 @@ ROUND = (
     *("can38", "jar35", "bottle30"),
     *("flask33", "pot28"),
 )
-"""Bodies of revolution, and tags alone: to be read without enrolment."""
+"""Bodies of revolution, and tags alone: to be read without enrollment."""
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ def drawn(key: str, *, enrolled: bool = False) -> Circumstances:
 
     Args:
         key: any text.
-        enrolled: height, polarisation and pulse are those of the enrolment, which the caller sets.
+        enrolled: height, polarisation and pulse are those of the enrollment, which the caller sets.
     """
     rng = np.random.default_rng(zlib.crc32(key.encode()))
     polarisation = "H" if rng.uniform() < 0.25 else "V"

@@ -48,7 +48,7 @@ SCALE_SIGMA = 0.03
 """Of the angle: the slip of a robot whose wheel base is calibrated, or a stated speed that is not exact."""
 SNRS_DB = (0.0, 5.0, 10.0, 20.0, 30.0)
 APART_M = 0.012
-"""Unenrolled tags nearer than this, in RMS, are equivalent to the layout: enrolment calls them confusable."""
+"""Unenrolled tags nearer than this (RMS) are equivalent to the layout: enrollment calls them confusable."""
 _POPULATION_OFFSET = 40_000_000
 _SCENE_OFFSET = 10_000_000
 

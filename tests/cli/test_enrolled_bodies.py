@@ -84,7 +84,7 @@ def test_three_simulated_captures_of_one_object_are_enrolled(tagid: Callable[...
     assert same.code == 0, same.out
     assert all(one["residual_over_noise"] < 1.4 for one in same.json["data"]["signature"]["captures"])
     other = enrolled()
-    assert other.code == 1 and "enrolment by signature: " in other.json["errors"][0]["message"]
+    assert other.code == 1 and "enrollment by signature: " in other.json["errors"][0]["message"]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""`tagid layouts` as a user meets it: design, enrol, draw, exchange, check, undo, and mistakes."""
+"""`tagid layouts` as a user meets it: design, enroll, draw, exchange, check, undo, and mistakes."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def test_an_object_is_measured_stored_named_and_undone(serve, tmp_path: Path) ->
     refused = client.post("/api/v1/enrolment/store")
     for error in (trouble, refused.json()["error"]):
         assert error["code"] == "layout_conflict" and "force" not in error["remedy"]
-        assert "the button “Enrol it anyway”" in error["remedy"]
+        assert "the button “Enroll it anyway”" in error["remedy"]
     assert client.post("/api/v1/enrolment/store", force="yes").status == 400
     registry.remove("twin")
     # A new name keeps the captures.

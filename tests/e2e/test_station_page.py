@@ -415,16 +415,16 @@ def test_an_object_is_enrolled_by_keyboard_and_the_enrolment_undone(
             browser.refresh()
             wait(browser, lambda: text(browser, "capture") == "Record 3 of 3")
     wait(browser, lambda: browser.find_element(By.ID, "store").is_enabled())
-    assert text(browser, "store") == "Enrol gate-4"
+    assert text(browser, "store") == "Enroll gate-4"
     assert "3 reflectors" in text(browser, "measured-text") and "mm apart" in text(browser, "nearest")
     assert len(browser.find_elements(By.CSS_SELECTOR, "#plan circle")) == 3
     assert problems(browser) == []
     assert not browser.find_element(By.ID, "store-anyway").is_displayed()
-    # Another program enrols its twin: the page refuses, and says which button overrides that.
+    # Another program enrolls its twin: the page refuses, and says which button overrides that.
     Registry(data_folder() / "registry.sqlite").add(Layout("twin", PLACES), "another program")
     browser.execute_script("$('subject-form').requestSubmit()")
     wait(browser, lambda: "could be confused with twin" in text(browser, "trouble"))
-    assert "override with the button “Enrol it anyway”" in text(browser, "trouble")
+    assert "override with the button “Enroll it anyway”" in text(browser, "trouble")
     assert not browser.find_element(By.ID, "store").is_enabled() and problems(browser) == []
     by_keyboard(browser, "store-anyway")
     browser.switch_to.active_element.send_keys(Keys.ENTER)

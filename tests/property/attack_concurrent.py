@@ -1,10 +1,10 @@
-"""Scans, reports and enrolments at once, in one place: what is there afterwards, counted.
+"""Scans, reports and enrollments at once, in one place: what is there afterwards, counted.
 
     nice -n 10 python tests/property/attack_concurrent.py --seconds 120
 
 Several processes at a time use one folder of captures, one registry, one history and two report folders.
 Every process must end in its own way, with at most one error message. At the end every capture of an
-acknowledged scan is whole, every acknowledged enrolment is in the registry, every answer is in the history,
+acknowledged scan is whole, every acknowledged enrollment is in the registry, every answer is in the history,
 nothing temporary is left, and a last report reads all. The exit code is 1 if anything is missing.
 """
 
@@ -224,7 +224,7 @@ def main() -> int:
             f"For {given.seconds:g} s, {given.at_once} processes at a time use one folder of captures, one "
             "registry, one history and two report folders. Exit code 1 of a report says that another process "
             "is writing it, exit code 3 that a tag was not named with certainty. A fault is another end, a "
-            "traceback, an acknowledged capture, enrolment or answer that is missing or damaged, or a "
+            "traceback, an acknowledged capture, enrollment or answer that is missing or damaged, or a "
             "temporary file."
         )
         columns = ("command", "processes", "exit code: processes", "faults")

@@ -181,7 +181,7 @@ def test_a_rate_below_the_measured_table_is_not_offered() -> None:
 
 def test_a_wish_that_nothing_reaches_ends_with_what_to_do(tagid: Callable[..., object]) -> None:
     done = tagid("plan", "--body", "cup:40mm,handle", "--want", 0.6)
-    assert "enrol the untagged body" in done.out.replace("\n", " ")
+    assert "enroll the untagged body" in done.out.replace("\n", " ")
     weak = ("--reflector", "octahedron:10mm", "--distance", 15)
     done = tagid("plan", "--body", "cup:40mm,handle", *weak, "--want", 0.97)
     assert "no setup reaches this rate" in done.out.replace("\n", " ")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tagid.enrolling.registry import RegistryContents
-from tagid.pipeline.enrolment import propose_signature
+from tagid.pipeline.enrollment import propose_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import builtin_layouts
 

@@ -14,7 +14,7 @@ from bodies_synthetic import MUG, TAG, enrolled
 from tagid.enrolling.layout_file import read_entries, write_layouts
 from tagid.enrolling.registry import Registry
 from tagid.errors import DataError, FileFormatError, LayoutConflictError, RegistryError, UsageError
-from tagid.pipeline.enrolment import propose_layout, propose_signature
+from tagid.pipeline.enrollment import propose_layout, propose_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.bodies.signature_file import MAX_BYTES, from_bytes, to_bytes
 from tagid.tags.layouts.layout import Layout, builtin_layouts

@@ -96,5 +96,5 @@ def test_a_conflict_is_overridden_by_an_option_or_a_button() -> None:
     assert "override with --force;" in in_options(conflict.remedy)
     sent = wire.to_text({"trouble": wire.error_entry(conflict)})
     page = (ROOT / "station" / "page_files" / "index.html").read_text()
-    assert "force" not in sent and "Enrol it anyway" in wire.in_page_words(conflict.remedy)
-    assert ">Enrol it anyway</button>" in page
+    assert "force" not in sent and "Enroll it anyway" in wire.in_page_words(conflict.remedy)
+    assert ">Enroll it anyway</button>" in page

@@ -80,7 +80,7 @@ function showCaptures(captures, needed, measuring) {
   setText("instruction", text);
   const button = $("capture");
   setText("capture", recording ? "Stop" : next <= needed ? `Record ${next} of ${needed}` : "Record another");
-  // Once there are enough, the large button is the one that enrols.
+  // Once there are enough, the large button is the one that enrolls.
   button.className = recording ? "big stop" : next <= needed ? "big" : "";
   button.disabled = running ? !recording : !mayAct() || measuring;
   if (!button.disabled && (recordNext || (recordHeld && document.activeElement === document.body))) {
@@ -117,7 +117,7 @@ function showProposal(subject, captures, proposal) {
   }) : [element("li", "no other layout is enrolled")]);
   const rate = proposal.confusion_rate;
   setText("confusion", rate === null ? "" : `Expected wrong names at ${proposal.reference.views} views and ${proposal.reference.snr_db} dB: ${shareText(rate)} of readings.`);
-  setText("store", `Enrol ${subject.name}`);
+  setText("store", `Enroll ${subject.name}`);
   const busy = !mayAct() || running || enrolment.measuring;
   $("store").disabled = busy || !proposal.ready;
   $("store-anyway").hidden = proposal.ready;

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LayoutProposal:
-    """A layout to enrol, perhaps with the signature of its object.
+    """A layout to enroll, perhaps with the signature of its object.
 
     Attributes:
         layout: new layout.
@@ -52,7 +52,7 @@ class LayoutProposal:
         return self.outlook.conflict()
 
     def store(self, registry: Registry, source: str, force: bool = False) -> StoredLayout:
-        """Enrol it, after comparing it with the registry as it is now.
+        """Enroll it, after comparing it with the registry as it is now.
 
         Args:
             registry: where to store it.
@@ -91,7 +91,7 @@ class StoredLayout:
 
 @dataclass(frozen=True, eq=False)
 class SignatureProposal:
-    """A body, or an object whose reflectors are not visible, to enrol by its signature.
+    """A body, or an object whose reflectors are not visible, to enroll by its signature.
 
     Attributes:
         signature: new signature.
@@ -122,7 +122,7 @@ class SignatureProposal:
         )
 
     def store(self, registry: Registry, source: str, force: bool = False) -> int:
-        """Enrol it, after comparing it with the registry as it is now; returns the new registry version.
+        """Enroll it, after comparing it with the registry as it is now; returns the new registry version.
 
         Args:
             registry: where to store it.
@@ -315,7 +315,7 @@ def measure(
     except DataError as error:
         if positions is not None:
             raise DataError(
-                f"{positions.message}; enrolment by signature: {error.message}", error.remedy
+                f"{positions.message}; enrollment by signature: {error.message}", error.remedy
             ) from None
         return Measured(estimate, None, f"positions only, no signature: {error.message}", unmoved)
     if estimate is not None:

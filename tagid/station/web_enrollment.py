@@ -1,4 +1,4 @@
-"""HTTP handlers of the enrolment and of printed templates."""
+"""HTTP handlers of the enrollment and of printed templates."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from tagid.errors import UsageError
-from tagid.pipeline.enrolment import LayoutProposal
+from tagid.pipeline.enrollment import LayoutProposal
 from tagid.report import layout_sheet
 from tagid.report.pdf import to_pdf
 from tagid.station import wire
@@ -20,10 +20,10 @@ from tagid.tags.layouts.layout import Layout
 
 
 class EnrolmentHandlers:
-    """The enrolment.
+    """The enrollment.
 
     Args:
-        station: whose enrolment it is.
+        station: whose enrollment it is.
     """
 
     def __init__(self, station: Station) -> None:
@@ -90,7 +90,7 @@ class EnrolmentHandlers:
         """The template of the layout that was just measured."""
         proposal = self._station.enrolling.state.proposal
         if not isinstance(proposal, LayoutProposal):
-            raise NoSuchItemError("the enrolment has no reflector positions yet", "Record its captures.")
+            raise NoSuchItemError("the enrollment has no reflector positions yet", "Record its captures.")
         return await self._pdf(request, proposal.layout)
 
     async def layouts(self, request: Request) -> Response:

@@ -1,4 +1,4 @@
-"""The steps of an enrolment at the station on simulated captures: disagreement, conflict, undo, full disk."""
+"""Enrollment at the station, on simulated captures: disagreement, conflict, undo, full disk."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from tagid.enrolling.registry import Registry
 from tagid.errors import LayoutConflictError, TagidError, UsageError
 from tagid.pipeline.answer import Identification
-from tagid.pipeline.enrolment import LayoutProposal
+from tagid.pipeline.enrollment import LayoutProposal
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate import (
@@ -98,7 +98,7 @@ def test_a_capture_of_another_object_is_named_and_replaced(
 
 
 def test_a_capture_belongs_to_the_enrolment_that_it_was_recorded_for(enrolling: Enrolling, captures) -> None:
-    """An operator may end an enrolment and begin another while a capture is being recorded."""
+    """An operator may end an enrollment and begin another while a capture is being recorded."""
     unread = Identification("unknown", None, captures[0].uuid, None)
     enrolling.describe(Subject("gate-4"))
     late = enrolling.expect()
