@@ -111,15 +111,14 @@ def commission(
     if bundle is not None:
         return _bundled(bundle, Bench(config, given), page)
     done: list[StepReport] = []
-    with terminal.progress("commission", 1.0) as advance:
-        bench = Bench(config, given, seconds, scans, _progress(advance))
-        first = next_step(bench) if step is None else step_named(step)
+    bench = Bench(config, given, seconds, scans)
+    first = next_step(bench) if step is None else step_named(step)
     chosen = [first] if step is not None else list(STEPS[STEPS.index(first) :])
-    for each in chosen:
-        _prepare(each, config, yes, ask=step is None)
-        with terminal.progress(each.name, 1.0) as advance:
+    for chosen_step in chosen:
+        _prepare(chosen_step, config, yes, ask=step is None)
+        with terminal.progress(chosen_step.name, 1.0) as advance:
             bench.progress = _progress(advance)
-            done.append(run_step(each, bench))
+            done.append(run_step(chosen_step, bench))
         if not done[-1].passed:
             break
     written = _page(page, bench)
