@@ -155,12 +155,12 @@ class RigProfile:
     def contradictions(self, capture: Capture) -> tuple[str, ...]:
         """How a capture contradicts the profile, one sentence each: delay, period, radar, band."""
         name = f"the rig profile of {self.day}"
-        found = []
+        remarks = []
         delay, expected = capture.radar.cable_delay_ps, self.path_delay_ps
         if delay is not None and abs(delay - expected.value) > 3 * math.hypot(
             expected.sigma, _DELAY_TOLERANCE_PS
         ):
-            found.append(
+            remarks.append(
                 f"the path delay of this recording is {delay:.0f} ps, {name} measured "
                 f"{expected.value:.0f} ps: other cables, or a delay set by hand"
             )
@@ -169,19 +169,19 @@ class RigProfile:
         if period is not None:
             allowed = 3 * math.hypot(self.period_s.sigma, _PERIOD_TOLERANCE * self.period_s.value)
             if abs(period - self.period_s.value) > allowed:
-                found.append(
+                remarks.append(
                     f"a turn took {period:.2f} s, {name} measured {self.period_s.value:.2f} s: "
                     "another speed, or the table slips"
                 )
         if not self.fits_band(capture):
-            found.append(
+            remarks.append(
                 f"the band of this recording around {capture.center_frequency_hz / 1e9:.2f} GHz is not that "
                 f"of {name}: its pulse is not used"
             )
         serial = capture.radar.serial
         if serial is not None and self.radar.serial and str(serial) != str(self.radar.serial):
-            found.append(f"this recording is of another radar (serial {serial}) than {name}")
-        return tuple(found)
+            remarks.append(f"this recording is of another radar (serial {serial}) than {name}")
+        return tuple(remarks)
 
     def recorded_by(self, capture: Capture) -> bool:
         """Whether this radar recorded a capture through these antennas, so that it has this pulse."""

@@ -103,17 +103,17 @@ def show(
     from tagid.operate.workplace import open_registry
 
     check_drawing("--png", png, (".png",))
-    one = open_registry().signature("object" if of_object else "body", name)
+    signature = open_registry().signature("object" if of_object else "body", name)
     if png is not None:
         from tagid.report.signature_plot import to_png
 
-        write_bytes(png, to_png(one))
-    facts = _facts(one)
+        write_bytes(png, to_png(signature))
+    facts = _facts(signature)
     lines = [
-        f"{one.kind} {one.name}  {one.label}",
-        f"  measured on {one.captures} captures, {one.distance_m:.2f} m from the axis, "
-        f"{one.frequencies_hz[0] / 1e9:.1f} to {one.frequencies_hz[-1] / 1e9:.1f} GHz",
-        f"  radius {one.radius_m * 1e3:.0f} mm, {one.order} harmonics; angle-dependent echo "
+        f"{signature.kind} {signature.name}  {signature.label}",
+        f"  measured on {signature.captures} captures, {signature.distance_m:.2f} m from the axis, "
+        f"{signature.frequencies_hz[0] / 1e9:.1f} to {signature.frequencies_hz[-1] / 1e9:.1f} GHz",
+        f"  radius {signature.radius_m * 1e3:.0f} mm, {signature.order} harmonics; angle-dependent echo "
         f"{_db(facts['turning_share'])} dB relative to the total",
         f"  a tag on it must return more than {_db(facts['least_tag'])} dB of the body's echo",
     ]
@@ -142,10 +142,10 @@ def check(terminal: Terminal) -> Result:
     for pair in pairs:
         remark = "ALIKE" if pair.alike else ""
         table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.difference * 100:.1f}", remark)
-    own = [signature for signature in contents.signatures if signature.kind == "body"]
+    of_kind = [signature for signature in contents.signatures if signature.kind == "body"]
     lines = [
-        Text(f"{one.name}: a tag must return more than {_db(_facts(one)['least_tag'])} dB of its echo")
-        for one in own
+        Text(f"{body.name}: a tag must return more than {_db(_facts(body)['least_tag'])} dB of its echo")
+        for body in of_kind
     ]
     data = {
         "registry_version": contents.version,
@@ -172,24 +172,24 @@ def check(terminal: Terminal) -> Result:
     return Result.from_error("bodies check", error, data, human, notes)
 
 
-def _facts(one: Signature) -> dict[str, Any]:
+def _facts(signature: Signature) -> dict[str, Any]:
     """Properties of a signature, for scripts."""
     from tagid.tags.bodies.likeness import least_tag
 
     return {
-        "kind": one.kind,
-        "name": one.name,
-        "label": one.label,
-        "radius_m": one.radius_m,
-        "harmonics": one.order,
-        "frequencies_hz": [round(float(f)) for f in one.frequencies_hz],
-        "axis_distance_m": one.distance_m,
-        "antenna_height_m": one.height_m,
-        "captures": one.captures,
-        "model_error": one.model_error,
-        "noise_share": one.noise_share,
-        "turning_share": one.turning_share,
-        "least_tag": least_tag(one),
+        "kind": signature.kind,
+        "name": signature.name,
+        "label": signature.label,
+        "radius_m": signature.radius_m,
+        "harmonics": signature.order,
+        "frequencies_hz": [round(float(f)) for f in signature.frequencies_hz],
+        "axis_distance_m": signature.distance_m,
+        "antenna_height_m": signature.height_m,
+        "captures": signature.captures,
+        "model_error": signature.model_error,
+        "noise_share": signature.noise_share,
+        "turning_share": signature.turning_share,
+        "least_tag": least_tag(signature),
     }
 
 

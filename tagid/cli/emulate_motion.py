@@ -144,9 +144,9 @@ def comxim(
     from tagid.motion.emulation.truth import TruthServer
 
     core = ComximCore(rate_error, time.monotonic(), fail)
-    with PtyPort(core, link) as port, TruthServer(core.table.state, truth) as told:
-        facts = {"url": f"comxim+serial://{link or port.path}", "truth": told.address}
-        serve(terminal, "emulate comxim", facts, port.worker, told.worker)
+    with PtyPort(core, link) as port, TruthServer(core.table.state, truth) as server:
+        facts = {"url": f"comxim+serial://{link or port.path}", "truth": server.address}
+        serve(terminal, "emulate comxim", facts, port.worker, server.worker)
     raise typer.Exit(0)
 
 
@@ -169,10 +169,10 @@ def revopoint(
     core = RevopointCore(rate_error, time.monotonic())
     with (
         GattPort(core, REVOPOINT, SERVICE, CHARACTERISTIC) as port,
-        TruthServer(core.table.state, truth) as told,
+        TruthServer(core.table.state, truth) as server,
     ):
-        facts = {"url": f"revopoint+ble://?hci={port.hci}", "truth": told.address}
-        serve(terminal, "emulate revopoint", facts, port.worker, told.worker)
+        facts = {"url": f"revopoint+ble://?hci={port.hci}", "truth": server.address}
+        serve(terminal, "emulate revopoint", facts, port.worker, server.worker)
     raise typer.Exit(0)
 
 

@@ -238,8 +238,8 @@ def _enrol_signature(
     from tagid.tags.bodies.likeness import least_tag
 
     registry = open_registry()
-    one = replace(joint.signature, label=given.label or "")
-    proposal = propose_signature(registry.contents(), one)
+    signature = replace(joint.signature, label=given.label or "")
+    proposal = propose_signature(registry.contents(), signature)
     if proposal.taken is not None and not given.wish.force:
         raise proposal.taken
     lines = joint_words(joint)
@@ -248,8 +248,10 @@ def _enrol_signature(
         for p in proposal.likenesses[: enrolling.SHOWN]
     ]
     notes = list(remarks)
-    if one.kind == "body":
-        lines.append(f"  a tag on it must return more than {10 * _log10(least_tag(one)):.0f} dB of its echo")
+    if signature.kind == "body":
+        lines.append(
+            f"  a tag on it must return more than {10 * _log10(least_tag(signature)):.0f} dB of its echo"
+        )
         if proposal.alike:
             alike = ", ".join(proposal.alike)
             notes.append(f"it is similar to {alike}: a tag on one may be read as on the other")
@@ -265,12 +267,12 @@ def _enrol_signature(
     if error is not None and not given.wish.force:
         return Result.from_error("enroll", error, data, shown, tuple(notes))
     if given.wish.dry_run:
-        human = Group(shown, Text(f"{one.name} not stored"))
+        human = Group(shown, Text(f"{signature.name} not stored"))
         return Result("enroll", data, human, messages=tuple(notes))
-    asked = enrolling.agree(terminal, shown, f"Enroll the {one.kind} {one.name}?", given.wish.yes)
+    asked = enrolling.agree(terminal, shown, f"Enroll the {signature.kind} {signature.name}?", given.wish.yes)
     data["registry_version"] = proposal.store(registry, source, given.wish.force)
     data["stored"] = True
-    line = Text(f"{one.kind} {one.name} enrolled, registry version {data['registry_version']}")
+    line = Text(f"{signature.kind} {signature.name} enrolled, registry version {data['registry_version']}")
     return Result("enroll", data, line if asked else Group(shown, line), messages=tuple(notes))
 
 
@@ -307,8 +309,8 @@ def _shown(proposal: LayoutProposal, measured: Measured | None) -> Group:
 
 def _sigmas(layout: Layout, index: int) -> str:
     assert layout.covariance is not None
-    own = layout.covariance[index]
-    return f"{own[0, 0] ** 0.5 * 1e3:.1f}, {own[1, 1] ** 0.5 * 1e3:.1f} mm"
+    covariance = layout.covariance[index]
+    return f"{covariance[0, 0] ** 0.5 * 1e3:.1f}, {covariance[1, 1] ** 0.5 * 1e3:.1f} mm"
 
 
 def _result(
@@ -323,7 +325,7 @@ def _result(
 
     from tagid.pipeline.enrollment import joint_data
 
-    layout, found = proposal.layout, proposal.outlook
+    layout, outlook = proposal.layout, proposal.outlook
     estimate = measured.estimate if measured else None
     messages = list(measured.remarks) if measured else []
     if estimate is not None and len(estimate.rotations_deg) < 3:
@@ -334,11 +336,11 @@ def _result(
         "layout": layout.to_dict(),
         "signature": joint_data(measured.joint) if measured else None,
         "stored": version is not None,
-        "registry_version": version if version is not None else found.version,
-        **enrolling.as_data(found),
+        "registry_version": version if version is not None else outlook.version,
+        **enrolling.as_data(outlook),
         "distances": {
             n.name: {"worst_m": n.distance.worst_m, "rms_m": n.distance.rms_m, "nested": n.distance.nested}
-            for n in found.neighbours
+            for n in outlook.neighbours
         },
         "sigma_m": layout.sigma_m if layout.covariance is not None else None,
         "spread_m": None if estimate is None else [float(value) for value in estimate.spread_m],
@@ -360,21 +362,21 @@ def _from_points(name: str, points: list[str], sigma: float | None) -> Layout:
 
     from tagid.tags.layouts.layout import Layout
 
-    places = np.array([parse_point("--point", text) for text in points])
+    positions = np.array([parse_point("--point", text) for text in points])
     covariance = None
     if sigma is not None:
         if not 0 < sigma <= 0.1:
             raise UsageError(f"--sigma is {sigma:g} m", "Give metres, up to 0.1, e.g. --sigma 0.001")
-        covariance = np.tile(sigma**2 * np.eye(2), (len(places), 1, 1))
-    return Layout(name, places, covariance=covariance)
+        covariance = np.tile(sigma**2 * np.eye(2), (len(positions), 1, 1))
+    return Layout(name, positions, covariance=covariance)
 
 
 def _from_file(file: Path) -> Layout:
     from tagid.enrolling.layout_file import read_layouts
 
-    found = read_layouts(file)
-    if len(found) > 1:
+    layouts = read_layouts(file)
+    if len(layouts) > 1:
         raise UsageError(
-            f"{file} holds {len(found)} layouts", f"Enroll them all: tagid layouts import {file}"
+            f"{file} holds {len(layouts)} layouts", f"Enroll them all: tagid layouts import {file}"
         )
-    return found[0]
+    return layouts[0]

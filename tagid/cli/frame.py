@@ -168,8 +168,10 @@ def group_command(name: str) -> Callable[[Callable[..., Result]], Callable[..., 
             if context.invoked_subcommand is None:
                 run(**options)
 
-        own = inspect.Parameter("context", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context)
-        parameters = [own, *inspect.signature(run).parameters.values()]
+        bound = inspect.Parameter(
+            "context", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context
+        )
+        parameters = [bound, *inspect.signature(run).parameters.values()]
         unless_named.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         unless_named.__annotations__ = {"context": typer.Context, **run.__annotations__}
         _declare(Command(name, unless_named, _help_of(function), is_group=True), function)
@@ -194,9 +196,9 @@ def _with_common_options(
 ) -> Callable[..., None]:
     hints = typing.get_type_hints(function, include_extras=True)
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "terminal"]
-    own = [option for p in parameters for option in _options_of(p, hints[p.name])]
+    unwrapped = [option for p in parameters for option in _options_of(p, hints[p.name])]
     values = {p.name: hints[p.name] for p in parameters if is_dataclass(hints[p.name])}
-    declared = {parameter.name: _declared(parameter) for parameter in own}
+    declared = {parameter.name: _declared(parameter) for parameter in unwrapped}
     output = Annotated[formats, typer.Option("--output", help=_OUTPUT_HELP)]  # type: ignore[valid-type]
     common = [
         inspect.Parameter(
@@ -220,8 +222,8 @@ def _with_common_options(
         result = execute(name, terminal, work)
         raise typer.Exit(result.exit_code)
 
-    run.__signature__ = inspect.Signature(own + common)  # type: ignore[attr-defined]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in own + common}
+    run.__signature__ = inspect.Signature(unwrapped + common)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in unwrapped + common}
     return run
 
 

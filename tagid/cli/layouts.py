@@ -78,18 +78,26 @@ def _history() -> Result:
     table.add_column("name", overflow="fold")
     table.add_column("source", overflow="fold")
     rows: list[dict[str, Any]] = []
-    for one in registry.history():
-        time = one.time_utc[:19].replace("T", " ")
-        table.add_row(str(one.version), str(one.command), time, one.action, one.kind, one.name, one.source)
+    for version in registry.history():
+        time = version.time_utc[:19].replace("T", " ")
+        table.add_row(
+            str(version.version),
+            str(version.command),
+            time,
+            version.action,
+            version.kind,
+            version.name,
+            version.source,
+        )
         rows.append(
             {
-                "version": one.version,
-                "command": one.command,
-                "time_utc": one.time_utc,
-                "action": one.action,
-                "kind": one.kind,
-                "name": one.name,
-                "source": one.source,
+                "version": version.version,
+                "command": version.command,
+                "time_utc": version.time_utc,
+                "action": version.action,
+                "kind": version.kind,
+                "name": version.name,
+                "source": version.source,
             }
         )
     return Result("layouts", {"registry_version": registry.version, "history": rows}, table)
@@ -161,10 +169,12 @@ def show(
     elif file is None:
         layout = open_registry().get(name)
     else:
-        found = {layout.name: layout for layout in read_layouts(file)}
-        if name not in found:
-            raise UsageError(f"{file} contains no layout {name[:80]!r}", f"It contains {', '.join(found)}.")
-        layout = found[name]
+        from_file = {layout.name: layout for layout in read_layouts(file)}
+        if name not in from_file:
+            raise UsageError(
+                f"{file} contains no layout {name[:80]!r}", f"It contains {', '.join(from_file)}."
+            )
+        layout = from_file[name]
     check_drawing("--png", png, (".png",))
     check_drawing("--svg", svg, (".svg",))
     check_drawing("--template", template, (".pdf", ".svg"))
@@ -282,7 +292,7 @@ def import_(
     from tagid.operate.workplace import open_registry
     from tagid.tags.bodies.signature_file import to_bytes
 
-    found: dict[str, Layout] = {}
+    layouts_of_files: dict[str, Layout] = {}
     signatures: dict[tuple[str, str], Signature] = {}
     for file in files:
         entries = _entries_of(file)
@@ -294,7 +304,7 @@ def import_(
                     "Omit one of the files.",
                 )
         for layout in entries.layouts:
-            known = found.setdefault(layout.name, layout)
+            known = layouts_of_files.setdefault(layout.name, layout)
             if known.to_dict() != layout.to_dict():
                 raise FileFormatError(
                     f"{file}: {layout.name} differs from the one in another file", "Rename one of them."
@@ -308,16 +318,16 @@ def import_(
     stored = enrolling.store_family(
         terminal,
         registry,
-        list(found.values()),
+        list(layouts_of_files.values()),
         source,
         enrolling.Wish(force, yes, dry_run),
         list(signatures.values()),
     )
     version = before if stored.version is None else stored.version
-    read = _count(list(found.values()), list(signatures.values()))
+    read = _count(list(layouts_of_files.values()), list(signatures.values()))
     line = f"{read} read, {version - before} changes, registry version {version}"
     data = {
-        "layouts": list(found),
+        "layouts": list(layouts_of_files),
         "signatures": [{"kind": kind, "name": name} for kind, name in signatures],
         "changes": version - before,
         "registry_version": version,

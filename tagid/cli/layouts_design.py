@@ -195,9 +195,9 @@ class _Asked:
         """Alternative options that work, or what else to do if there are none."""
         from tagid.enrolling.advice import alternatives
 
-        found = alternatives(self.target, self.rows, self.rules, self.count, self.beside)
-        if found:
-            return f"These work: {', or '.join(found)}."
+        suggestions = alternatives(self.target, self.rows, self.rules, self.count, self.beside)
+        if suggestions:
+            return f"These work: {', or '.join(suggestions)}."
         if self.beside and alternatives(self.target, self.rows, self.rules, self.count):
             return (
                 "The enrolled layouts leave no room: use a larger object, or remove layouts that are not in "
@@ -257,7 +257,7 @@ def _designed(
             " ".join(f"{r * 1e3:.0f}" for r in np.hypot(x, y)),
             " ".join(f"{float(h) * 1e3:.0f}" for h in np.asarray(layout.heights)),
         )
-    worst = max(outlooks, key=lambda one: one.unresolved)
+    worst = max(outlooks, key=lambda outlook: outlook.unresolved)
     least = f"{family.distance_m * 1e3:.1f} mm"
     lines: list[RenderableType] = [
         Text(
@@ -307,9 +307,10 @@ def _capacity(target: TaggedObject, rules: list[DesignRules], error_rate: float)
     rows = []
     for views, snr_db in ((36, 20.0), (36, 10.0), (36, 0.0), (12, 10.0)):
         conditions = Conditions(views, snr_db, rules[0].height_weight)
-        found = [capacity(target, rule, error_rate, conditions) for rule in rules]
+        capacities = [capacity(target, rule, error_rate, conditions) for rule in rules]
         cells = [
-            f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "") for c in found
+            f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "")
+            for c in capacities
         ]
         table.add_row(f"{views} views {snr_db:g} dB", *cells)
         rows += [
@@ -321,7 +322,7 @@ def _capacity(target: TaggedObject, rules: list[DesignRules], error_rate: float)
                 "distance_m": c.distance_m if c.identities > 1 else None,
                 "error_rate": c.error_rate,
             }
-            for c in found
+            for c in capacities
         ]
     radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in target.rows)
     line = Text(
@@ -372,10 +373,10 @@ def reflector(
 
     if kind not in KINDS:
         raise UsageError(f"there is no reflector {kind[:40]!r}", f"Use {', '.join(KINDS)}.")
-    made, told = list(out or ()), list(rcs or ())
-    if not made and not told:
+    made, responses = list(out or ()), list(rcs or ())
+    if not made and not responses:
         raise UsageError("nothing to write", "Give --out r.stl, r.svg or r.pdf, or --rcs r.csv or r.png.")
-    for paths, known, option in ((made, _MADE, "--out"), (told, _TOLD, "--rcs")):
+    for paths, known, option in ((made, _MADE, "--out"), (responses, _TOLD, "--rcs")):
         for path in paths:
             if path.suffix.lower() not in known:
                 raise UsageError(f"{option} {path}: unknown suffix", f"Use {', '.join(known)}.")
@@ -392,13 +393,13 @@ def reflector(
             write_bytes(path, to_pdf([sheets.sheet(size_m)], paper))
     edge = size / 2**0.5
     lines: list[RenderableType] = [Text(f"octahedron, size {size:g} mm from tip to tip, edge {edge:.1f} mm")]
-    solved = sheets.cross_section(size_m) if told else None
+    solved = sheets.cross_section(size_m) if responses else None
     if solved is not None:
-        for path in told:
+        for path in responses:
             content = sheets.to_csv(solved).encode() if path.suffix == ".csv" else sheets.to_png(solved)
             write_bytes(path, content)
         lines += [_table(solved), Text(f"source: {solved.source}")]
-    written = [str(path) for path in (*made, *told)]
+    written = [str(path) for path in (*made, *responses)]
     lines += [Text(f"written  {path}") for path in written]
     data = {
         "kind": kind,

@@ -93,19 +93,19 @@ def find(
 
     if not 0.1 <= seconds <= 60:
         raise UsageError(f"--seconds is {seconds}", "Give 0.1 to 60.")
-    found = serial_devices()
+    devices = serial_devices()
     errors: tuple[Problem, ...] = ()
     notes: tuple[str, ...] = ()
     if bluetooth:
         try:
-            found += bluetooth_devices(seconds, hci)
+            devices += bluetooth_devices(seconds, hci)
         except TagidError as error:
-            if found:
+            if devices:
                 # Devices were found, so the command succeeded; that Bluetooth was not searched is a note.
                 notes = (f"Bluetooth was not searched: {error.message}. {error.remedy}".strip(),)
             else:
                 errors = (Problem.of(error),)
-    if not found and not errors:
+    if not devices and not errors:
         message = "no robot or table was found"
         remedy = (
             "Connect its cable, or power the bridge; a free-running table does not need to be found: "
@@ -113,12 +113,14 @@ def find(
         )
         errors = (Problem("device", message, remedy),)
     table = Table("where", "what", "signal", box=None)
-    for one in found:
-        table.add_row(one.where, one.what, "" if one.signal_dbm is None else f"{one.signal_dbm} dBm")
-    urls = to_copy([one.url for one in found if one.url], "tagid motion info --motion {}")
-    data = {"devices": [asdict(one) for one in found]}
-    human = Group(table, urls) if found else None
-    code = EXIT_OK if found else EXIT_DEVICE
+    for device in devices:
+        table.add_row(
+            device.where, device.what, "" if device.signal_dbm is None else f"{device.signal_dbm} dBm"
+        )
+    urls = to_copy([device.url for device in devices if device.url], "tagid motion info --motion {}")
+    data = {"devices": [asdict(device) for device in devices]}
+    human = Group(table, urls) if devices else None
+    code = EXIT_OK if devices else EXIT_DEVICE
     return Result("motion find", data, human, exit_code=code, messages=notes, errors=errors)
 
 
@@ -250,10 +252,10 @@ def calibrate(
     resolved = recorded.motion.resolved
     if resolved is None or resolved.kind != "roomba":
         raise DataError("this scan was not recorded with a robot", "Scan with --motion roomba+... first.")
-    robot, found = wheel_base_from(resolved)
-    path = remember(robot, found)
-    data = {"robot": robot, "wheel_base_mm": found.wheel_base_mm, "sigma": found.sigma, "path": str(path)}
-    text = f"{robot}: effective wheel base {found.wheel_base_mm:.2f} mm, +- {found.sigma:.2%}"
+    robot, base = wheel_base_from(resolved)
+    path = remember(robot, base)
+    data = {"robot": robot, "wheel_base_mm": base.wheel_base_mm, "sigma": base.sigma, "path": str(path)}
+    text = f"{robot}: effective wheel base {base.wheel_base_mm:.2f} mm, +- {base.sigma:.2%}"
     return Result("motion calibrate", data, Text(text))
 
 
@@ -274,7 +276,7 @@ def _direction(capture: Capture, name: str) -> Result:
         )
     capture = prepare(capture)
     resolved = capture.motion.resolved or ResolvedMotion()
-    told = "clockwise" if resolved.direction == -1 else "counter-clockwise"
+    way = "clockwise" if resolved.direction == -1 else "counter-clockwise"
     other = turned_the_other_way(capture, layouts[name])
     device, path = resolved.table, None
     is_reversed = other != bool(resolved.reversed)
@@ -282,11 +284,11 @@ def _direction(capture: Capture, name: str) -> Result:
         path = remember_reversed(device, is_reversed)
         lesson = f"stored as reversed={int(is_reversed)} in {path}"
     else:
-        clockwise = (told == "clockwise") != other
+        clockwise = (way == "clockwise") != other
         lesson = f"its --motion URL needs direction={'cw' if clockwise else 'ccw'}"
     measured = "opposite to" if other else "in"
-    text = f"{device or 'the table'} was stated to rotate {told} and rotated {measured} that direction; "
-    data = {"device": device, "told": told, "other_way": other, "reversed": is_reversed}
+    text = f"{device or 'the table'} was stated to rotate {way} and rotated {measured} that direction; "
+    data = {"device": device, "told": way, "other_way": other, "reversed": is_reversed}
     return Result(
         "motion calibrate", {**data, "path": None if path is None else str(path)}, Text(text + lesson)
     )

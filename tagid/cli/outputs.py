@@ -84,7 +84,7 @@ def check_drawing(
 
 def _check_other(path: Path, inputs: Sequence[Path], said: str) -> None:
     """Raises UsageError for an existing file that is one of the inputs, by whatever name."""
-    if any(_exists(one) and one.samefile(path) for one in inputs):
+    if any(_exists(other) and other.samefile(path) for other in inputs):
         what = "the file that is read" if len(inputs) == 1 else "one of the files that are read"
         raise UsageError(f"{said} is {what}", "Choose another name for the output.")
 

@@ -78,14 +78,14 @@ def plan(
     from tagid.planning.plan import plan as work_out
 
     setup = setup_from(Asked(reflector, body, distance, pii, gain, rpm, layout, file, enrolled))
-    found = work_out(setup)
+    planned = work_out(setup)
     wanted = None if want is None else invert(setup, want)
     snr = planned_snr_db(setup)
-    data = {**_data(found), "snr_db": snr, "wanted": None if wanted is None else _wanted_data(wanted)}
+    data = {**_data(planned), "snr_db": snr, "wanted": None if wanted is None else _wanted_data(wanted)}
     doubt = ""
     if wanted is not None and want is not None:
-        data["wanted_remark"] = doubt = _doubt(found, wanted, want)
-    return Result("plan", data, _drawn(found, snr, wanted, want, doubt))
+        data["wanted_remark"] = doubt = _doubt(planned, wanted, want)
+    return Result("plan", data, _drawn(planned, snr, wanted, want, doubt))
 
 
 class Asked:
@@ -141,8 +141,8 @@ def setup_from(asked: Asked) -> Setup:
     )
 
 
-def _data(found: Plan) -> dict[str, Any]:
-    setup, rates = found.setup, found.rates
+def _data(planned: Plan) -> dict[str, Any]:
+    setup, rates = planned.setup, planned.rates
     return {
         "reflector": str(setup.reflector),
         "body": str(setup.body),
@@ -150,32 +150,32 @@ def _data(found: Plan) -> dict[str, Any]:
         "distance_m": setup.distance_m,
         "integration": setup.budget.integration,
         "rpm": setup.rpm,
-        "rcs_dbsm": found.rcs_dbsm,
-        "snr_sample_db": found.snr_sample_db,
-        "snr_view_db": found.snr_view_db,
-        "body_over_reflector_db": found.body_db,
-        "clipping_margin_db": found.margin_db,
-        "scans_per_turn": found.scans_per_turn,
-        "views": found.views,
-        "turn_s": found.turn_s,
-        "recording_s": found.recording_s,
-        "centre_m": found.centre_m,
-        "body_moves_beyond_m": found.moved_m,
+        "rcs_dbsm": planned.rcs_dbsm,
+        "snr_sample_db": planned.snr_sample_db,
+        "snr_view_db": planned.snr_view_db,
+        "body_over_reflector_db": planned.body_db,
+        "clipping_margin_db": planned.margin_db,
+        "scans_per_turn": planned.scans_per_turn,
+        "views": planned.views,
+        "turn_s": planned.turn_s,
+        "recording_s": planned.recording_s,
+        "centre_m": planned.centre_m,
+        "body_moves_beyond_m": planned.moved_m,
         "body_enrolled": setup.enrolled,
         "rates": _rates_data(rates),
-        "rates_if_enrolled": None if found.if_enrolled is None else _rates_data(found.if_enrolled),
+        "rates_if_enrolled": None if planned.if_enrolled is None else _rates_data(planned.if_enrolled),
         "rates_source": rates.source,
         "rates_scenes": rates.scenes,
         "rates_note": rates.note,
         "budget": [
-            {"name": t.name, "value": t.value, "unit": t.unit, "source": t.source} for t in found.terms
+            {"name": t.name, "value": t.value, "unit": t.unit, "source": t.source} for t in planned.terms
         ],
     }
 
 
 def _rates_data(rates: Expected) -> dict[str, list[float]]:
     shares = {name: getattr(rates, name) for name in ("named", "refused", "wrong")}
-    return {name: [one.value, one.low, one.high] for name, one in shares.items()}
+    return {name: [share.value, share.low, share.high] for name, share in shares.items()}
 
 
 def _wanted_data(wanted: Wanted) -> dict[str, Any]:
@@ -186,14 +186,18 @@ def _wanted_data(wanted: Wanted) -> dict[str, Any]:
     }
 
 
-def _doubt(found: Plan, wanted: Wanted, want: float) -> str:
+def _doubt(planned: Plan, wanted: Wanted, want: float) -> str:
     """What to do if no setup reaches a rate, or that the table cannot promise it; otherwise ""."""
     from tagid.proportion import trials_for
 
-    plans = [one for one in (wanted.plan, wanted.distance, wanted.integration) if one is not None]
-    lowest = min(plans, key=lambda one: one.rates.named.low, default=None)
+    plans = [
+        alternative
+        for alternative in (wanted.plan, wanted.distance, wanted.integration)
+        if alternative is not None
+    ]
+    lowest = min(plans, key=lambda alternative: alternative.rates.named.low, default=None)
     if lowest is None:
-        enrolled = found.if_enrolled
+        enrolled = planned.if_enrolled
         if enrolled is None or enrolled.named.value < want:
             return (
                 "no setup reaches this rate: use a bare mount, another body, or read the object several times"
@@ -209,7 +213,9 @@ def _doubt(found: Plan, wanted: Wanted, want: float) -> str:
     )
 
 
-def _drawn(found: Plan, snr: float, wanted: Wanted | None, want: float | None, doubt: str) -> RenderableType:
+def _drawn(
+    planned: Plan, snr: float, wanted: Wanted | None, want: float | None, doubt: str
+) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
@@ -223,10 +229,10 @@ def _drawn(found: Plan, snr: float, wanted: Wanted | None, want: float | None, d
 
     budget = table()
     budget.add_column(overflow="fold")
-    for term in found.terms:
+    for term in planned.terms:
         budget.add_row(term.name, f"{term.value:.4g} {term.unit}", Text(term.source, style="dim"))
     outcome = table()
-    for name, text in _rows(found, snr):
+    for name, text in _rows(planned, snr):
         outcome.add_row(name, text)
     parts: list[RenderableType] = [Text("link budget", "bold"), budget, Text("recording", "bold"), outcome]
     if wanted is not None and want is not None:
@@ -239,40 +245,40 @@ def _drawn(found: Plan, snr: float, wanted: Wanted | None, want: float | None, d
     return Group(*parts)
 
 
-def _rows(found: Plan, snr: float) -> list[tuple[str, str]]:
+def _rows(planned: Plan, snr: float) -> list[tuple[str, str]]:
     """The outcome, line by line."""
-    setup = found.setup
+    setup = planned.setup
     rows = [
         (
             "reflector",
-            f"{setup.reflector} (tip to tip), {found.rcs_dbsm:.1f} dBsm; layout {setup.layout.name}",
+            f"{setup.reflector} (tip to tip), {planned.rcs_dbsm:.1f} dBsm; layout {setup.layout.name}",
         ),
         ("SNR", f"{snr:.1f} dB at {setup.distance_m:g} m, as `tagid show` measures it"),
-        ("per reflector", f"peak {found.snr_sample_db:.1f} dB over the noise of one sample"),
+        ("per reflector", f"peak {planned.snr_sample_db:.1f} dB over the noise of one sample"),
         (
             "averaging",
-            f"{found.snr_view_db - found.snr_sample_db:+.1f} dB: "
-            f"{found.scans_per_turn} scans in {found.views} views",
+            f"{planned.snr_view_db - planned.snr_sample_db:+.1f} dB: "
+            f"{planned.scans_per_turn} scans in {planned.views} views",
         ),
     ]
-    if found.body_db is not None:
-        rows.append(("body", f"{setup.body}, {found.body_db:+.1f} dB over one reflector"))
-    clip = "" if found.margin_db > 0 else ": CLIPS, lower the gain or the integration"
+    if planned.body_db is not None:
+        rows.append(("body", f"{setup.body}, {planned.body_db:+.1f} dB over one reflector"))
+    clip = "" if planned.margin_db > 0 else ": CLIPS, lower the gain or the integration"
     rows += [
-        ("clipping margin", f"{found.margin_db:.1f} dB{clip}"),
-        ("time", f"{found.turn_s:.1f} s per revolution, {found.recording_s:.1f} s recorded"),
-        ("centring", f"within {found.centre_m * 1e3:.0f} mm of the rotation axis"),
+        ("clipping margin", f"{planned.margin_db:.1f} dB{clip}"),
+        ("time", f"{planned.turn_s:.1f} s per revolution, {planned.recording_s:.1f} s recorded"),
+        ("centring", f"within {planned.centre_m * 1e3:.0f} mm of the rotation axis"),
     ]
-    if found.moved_m is not None:
+    if planned.moved_m is not None:
         rows.append(
             (
                 "",
-                f"beyond {found.moved_m * 1e3:.1f} mm the echo of the moving body exceeds a reflector's",
+                f"beyond {planned.moved_m * 1e3:.1f} mm the echo of the moving body exceeds a reflector's",
             )
         )
-    rows += _rates_rows("expected, body enrolled" if setup.enrolled else "expected", found.rates)
-    if found.if_enrolled is not None:
-        rows += _rates_rows("body enrolled", found.if_enrolled)
+    rows += _rates_rows("expected, body enrolled" if setup.enrolled else "expected", planned.rates)
+    if planned.if_enrolled is not None:
+        rows += _rates_rows("body enrolled", planned.if_enrolled)
     return rows
 
 
@@ -287,24 +293,31 @@ def _rates_rows(name: str, rates: Expected) -> list[tuple[str, str]]:
 
 
 def _reached(wanted: Wanted, table: Any) -> RenderableType:
-    def row(name: str, one: Plan | None, none: str, told: Callable[[Plan], str]) -> None:
-        if one is None:
+    def row(name: str, alternative: Plan | None, none: str, words: Callable[[Plan], str]) -> None:
+        if alternative is None:
             table.add_row(name, none)
         else:
-            rates = one.rates
-            table.add_row(name, f"{told(one)}: named {rates.named}, {rates.scenes} scenes")
+            rates = alternative.rates
+            table.add_row(name, f"{words(alternative)}: named {rates.named}, {rates.scenes} scenes")
 
-    row("reflector", wanted.plan, "none up to 60 mm", lambda one: f"{one.setup.reflector} or larger")
+    row(
+        "reflector",
+        wanted.plan,
+        "none up to 60 mm",
+        lambda alternative: f"{alternative.setup.reflector} or larger",
+    )
     row(
         "distance",
         wanted.distance,
         "none beyond 0.6 m",
-        lambda one: f"{one.setup.distance_m:g} m or closer",
+        lambda alternative: f"{alternative.setup.distance_m:g} m or closer",
     )
     row(
         "integration",
         wanted.integration,
         "none",
-        lambda one: f"--pii {one.setup.budget.integration} or more, {one.views} views",
+        lambda alternative: (
+            f"--pii {alternative.setup.budget.integration} or more, {alternative.views} views"
+        ),
     )
     return table  # type: ignore[no-any-return]

@@ -70,19 +70,19 @@ def find(
 
     wanted = {"radar.addresses": ",".join(address)} if address else {}
     config = load_config(wanted)
-    found = discover(addresses_from(config["radar.addresses"]), tuple(ask or ()))
-    data: dict[str, Any] = {"radars": [radar.to_dict() for radar in found.radars], "asked": found.asked}
+    radars = discover(addresses_from(config["radar.addresses"]), tuple(ask or ()))
+    data: dict[str, Any] = {"radars": [radar.to_dict() for radar in radars.radars], "asked": radars.asked}
     errors = tuple(
         Problem("device", f"{radar.url}: {radar.problem}", radar.remedy)
-        for radar in found.radars
+        for radar in radars.radars
         if radar.problem
     )
-    if not found.radars:
-        message = f"no radar replied at {', '.join(found.asked) or 'any address'} or on a USB port"
+    if not radars.radars:
+        message = f"no radar replied at {', '.join(radars.asked) or 'any address'} or on a USB port"
         errors = (Problem("device", message, WHERE_TO_LOOK),)
-    answering = [radar.url for radar in found.radars if radar.status]
+    answering = [radar.url for radar in radars.radars if radar.status]
     urls = to_copy(answering, "tagid config set radar.url {}")
-    human = Group(found_table(found.radars), urls) if found.radars else None
+    human = Group(found_table(radars.radars), urls) if radars.radars else None
     code = EXIT_OK if answering else EXIT_DEVICE
     return Result("radar find", data, human, exit_code=code, errors=errors, completed=len(answering))
 
@@ -97,10 +97,10 @@ def info(terminal: Terminal, radar: options.RadarUrl = None) -> Result:
     from tagid.report.radar import info_table
 
     config = load_config({"radar.url": radar})
-    found = survey(open_configured(config))
-    data = {"url": radar_url(config), **asdict(found)}
-    table = info_table(radar_url(config), found)
-    return Result("radar info", data, table, messages=tuple(found.warnings()))
+    radar_survey = survey(open_configured(config))
+    data = {"url": radar_url(config), **asdict(radar_survey)}
+    table = info_table(radar_url(config), radar_survey)
+    return Result("radar info", data, table, messages=tuple(radar_survey.warnings()))
 
 
 _LONGEST_M = 3e5

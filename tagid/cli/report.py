@@ -96,9 +96,9 @@ def report(
         raise UsageError(f"--out {out} is the folder that is read", "Choose another folder for the report.")
     page = PageSettings(title or PageSettings.title, page_megabytes)
     runner = _runner(terminal, jobs, dask)
-    found = collect(inputs, out) if inputs else Collected(())
+    collected = collect(inputs, out) if inputs else Collected(())
     job = _job(config, background, pictures)
-    plan = BatchPlan(found, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
+    plan = BatchPlan(collected, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
     if expect is not None:
         plan = _expecting(plan, expect, job)
     remarks = _check_earlier(plan, force)
@@ -221,8 +221,8 @@ def _run(terminal: Terminal, plan: BatchPlan, job: Job, runner: Runner, remarks:
     total = None if plan.watch else float(len(plan.inputs.sources))
     with interrupts.asked_to_stop() as stopped, terminal.progress("identify", total) as advance:
 
-        def progress(done: int, of: int, rate: float, left: float | None) -> None:
-            advance(float(done), _remark(done, of, rate, None if plan.watch else left))
+        def progress(done: int, of: int, rate: float, remaining_s: float | None) -> None:
+            advance(float(done), _remark(done, of, rate, None if plan.watch else remaining_s))
 
         hooks = Hooks(progress, stopped, data_folder() / FILE_NAME, _item if lines else lambda record: None)
         finished = run_batch(plan, job, runner, hooks)
@@ -238,11 +238,11 @@ def _item(record: ItemRecord) -> None:
     typer.echo(visible(line), err=True)
 
 
-def _remark(done: int, of: int, rate: float, left: float | None) -> str:
+def _remark(done: int, of: int, rate: float, remaining_s: float | None) -> str:
     words = f"{done}/{of}, {rate:.1f}/s"
-    if left is None:
+    if remaining_s is None:
         return words
-    minutes, seconds = divmod(round(left), 60)
+    minutes, seconds = divmod(round(remaining_s), 60)
     hours, minutes = divmod(minutes, 60)
     return (
         f"{words}, {hours}:{minutes:02}:{seconds:02} left"

@@ -72,8 +72,8 @@ def show(
     if why := ending_words(capture.radar.ended):
         rows.append(("ended", why))
     if compared is not None:
-        told = f"SNR {compared.measured_db:.1f} dB measured, {compared.planned_db:.1f} dB planned, {layout}"
-        rows += [("plan", told), *([("likely cause", compared.cause)] if compared.cause else [])]
+        levels = f"SNR {compared.measured_db:.1f} dB measured, {compared.planned_db:.1f} dB planned, {layout}"
+        rows += [("plan", levels), *([("likely cause", compared.cause)] if compared.cause else [])]
     elif reflector is not None:
         rows.append(("plan", _not_compared(capture, summary)))
     for name, text in rows:

@@ -49,9 +49,9 @@ def truth_of(url: str, file: Path | None) -> ObjectInfo | None:
     return emulated_object(url) if url else None
 
 
-def with_truth(about: ObjectInfo, found: ObjectInfo | None) -> ObjectInfo:
+def with_truth(about: ObjectInfo, truth: ObjectInfo | None) -> ObjectInfo:
     """The operator's remarks, and the truth of the emulated object."""
-    if found is None:
+    if truth is None:
         return about
-    own = {field.name: getattr(about, field.name) for field in fields(about) if field.name != "extra"}
-    return replace(found, **{name: value for name, value in own.items() if value not in (None, ())})
+    stated = {field.name: getattr(about, field.name) for field in fields(about) if field.name != "extra"}
+    return replace(truth, **{name: value for name, value in stated.items() if value not in (None, ())})

@@ -65,9 +65,9 @@ def join(
         captures, rotations = aligned(captures)
         turns = [rotation.rotation_deg for rotation in rotations]
     joined = joined_of(captures)
-    found = heights_of(joined)
+    levels = heights_of(joined)
     positions = joined.aperture().positions
-    heights = [float(positions[views, 2].mean()) for views in found]
+    heights = [float(positions[views, 2].mean()) for views in levels]
     export(joined, out)
     data = {"path": str(out), "views": joined.views, "bins": joined.bins, "heights_m": heights}
     data |= {} if turns is None else {"rotations_deg": turns}
@@ -150,8 +150,8 @@ def make_volume(
 
         def progress(done: float, total: float, remark: str) -> None:
             part = done / max(total, 1)
-            left = (time.monotonic() - begun) * (1 / part - 1) if part > 0 else 0.0
-            advance(part, f"{left:.0f} s left" if part < 1 else "")
+            remaining_s = (time.monotonic() - begun) * (1 / part - 1) if part > 0 else 0.0
+            advance(part, f"{remaining_s:.0f} s left" if part < 1 else "")
 
         made = reconstruct_volume(capture, settings, progress)
     _write(made.volume, files)

@@ -105,13 +105,13 @@ def _named_row(share: str, views: int, reading: Reading) -> Row:
 
 def _places_row(reading: Reading) -> Row:
     """RMS distance of the reflectors from their marks, after the best turn and shift."""
-    found = np.array([[r.x_m, r.y_m] for r in reading.reflectors if r.matched]).reshape(-1, 2)
+    positions = np.array([[r.x_m, r.y_m] for r in reading.reflectors if r.matched]).reshape(-1, 2)
     layout: Layout = test_card() if reading.layout != _MIRRORED else test_card().mirrored()
-    if len(found) < layout.size:
+    if len(positions) < layout.size:
         return Row("positions", Level.NOTE, text="not compared: not every reflector was found")
     marks = layout.positions @ rotation_matrix(math.radians(reading.rotation_deg)).T + reading.centre_m
-    order = np.argmin(np.linalg.norm(found[None] - marks[:, None], axis=2), axis=1)
-    rest = _aligned(found[order], marks)
+    order = np.argmin(np.linalg.norm(positions[None] - marks[:, None], axis=2), axis=1)
+    rest = _aligned(positions[order], marks)
     rms = float(np.sqrt((rest**2).sum(axis=1).mean()))
     # Four points, less turn and shift: five of eight coordinates are free.
     sigma = rms / math.sqrt(2 * (2 * layout.size - 3))
@@ -127,9 +127,9 @@ def _places_row(reading: Reading) -> Row:
     )
 
 
-def _aligned(found: np.ndarray, marks: np.ndarray) -> np.ndarray:
+def _aligned(positions: np.ndarray, marks: np.ndarray) -> np.ndarray:
     """Residuals (K, 2) of marks that are turned and shifted onto positions, m."""
-    a, b = found - found.mean(axis=0), marks - marks.mean(axis=0)
+    a, b = positions - positions.mean(axis=0), marks - marks.mean(axis=0)
     turn = np.vdot(b[:, 0] + 1j * b[:, 1], a[:, 0] + 1j * a[:, 1])
     return np.asarray(a - b @ rotation_matrix(float(np.angle(turn))).T)
 
@@ -151,8 +151,8 @@ def _level_row(bench: Bench, distance: float, capture: Capture, period: Measured
     setup = Setup(
         test_card(), ReflectorSpec("octahedron", CARD_REFLECTOR.size_m), BodySpec(), distance, rpm, budget
     )
-    found = gap(capture, summary.noise, summary.changing_snr_db, setup)
-    off = found.measured_db - found.planned_db
+    level_gap = gap(capture, summary.noise, summary.changing_snr_db, setup)
+    off = level_gap.measured_db - level_gap.planned_db
     good = abs(off) <= _LEVEL_DB + 2 * gain.sigma
     return Row(
         "SNR against prediction",
@@ -160,7 +160,7 @@ def _level_row(bench: Bench, distance: float, capture: Capture, period: Measured
         off,
         gain.sigma,
         "dB",
-        f"{found.measured_db:.1f} dB measured, {found.planned_db:.1f} dB predicted",
-        "" if good else f"{found.cause or 'Point both antennas at the card'}; then repeat.",
+        f"{level_gap.measured_db:.1f} dB measured, {level_gap.planned_db:.1f} dB predicted",
+        "" if good else f"{level_gap.cause or 'Point both antennas at the card'}; then repeat.",
         "" if good else "level",
     )

@@ -29,9 +29,9 @@ def watch_link(bench: Bench) -> StepReport:
     """Survey the radar, then take scans for some seconds. Raises DeviceError and its subclasses."""
     place = bench.workplace()
     url, timeout = place.radar_url(), bench.config["radar.timeout_s"]
-    found = survey(open_radar(url, timeout))
-    status = found.status
-    odd = found.warnings()
+    device = survey(open_radar(url, timeout))
+    status = device.status
+    odd = device.warnings()
     rows = [
         Row(
             "radar",

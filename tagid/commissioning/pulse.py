@@ -67,8 +67,8 @@ def echo_pulse(scan: Floats, at: float, target: Target) -> EchoPulse:
     spectrum *= np.exp(2j * np.pi * frequency * at * SAMPLE_STEP_S)  # the echo's peak at time zero
     point = spectrum / _response(target, frequency)
     matched = _matched(length)
-    places = [_peak(half * matched, length) for half in (spectrum, point)]
-    point = point * np.exp(2j * np.pi * frequency * places[1] * SAMPLE_STEP_S)
+    peaks = [_peak(half * matched, length) for half in (spectrum, point)]
+    point = point * np.exp(2j * np.pi * frequency * peaks[1] * SAMPLE_STEP_S)
     half = round((_AFTER_S + _TAPER_S) / SAMPLE_STEP_S)
     wave = np.roll(from_positive(point, length, length).real, half)[: 2 * half + 1]
     envelope = np.roll(np.abs(from_positive(point, length, length, _FINER)), half * _FINER)
@@ -80,7 +80,7 @@ def echo_pulse(scan: Floats, at: float, target: Target) -> EchoPulse:
     late = envelope[top + round(_LATE_S / SAMPLE_STEP_S * _FINER) :]
     return EchoPulse(
         Pulse(wave / envelope[top], SAMPLE_STEP_S),
-        (places[0] - places[1]) * SAMPLE_STEP_S * 1e12,
+        (peaks[0] - peaks[1]) * SAMPLE_STEP_S * 1e12,
         float((frequency * power).sum() / power.sum()),
         float(frequency[inside[0]]),
         float(frequency[inside[-1]]),

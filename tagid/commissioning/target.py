@@ -118,8 +118,8 @@ def _delay(estimate: DelayEstimate, echo: EchoPulse) -> Measured:
     The shape of the pulse is no error where the pulse is stored with the delay.
     """
     grid = BIN_PS / math.sqrt(12)
-    own = _RESPONSE_SHARE * abs(echo.delay_ps)
-    sigma = math.sqrt(estimate.tape_ps**2 + estimate.noise_ps**2 + grid**2 + own**2)
+    of_target = _RESPONSE_SHARE * abs(echo.delay_ps)
+    sigma = math.sqrt(estimate.tape_ps**2 + estimate.noise_ps**2 + grid**2 + of_target**2)
     return Measured(estimate.delay_ps - echo.delay_ps, sigma)
 
 

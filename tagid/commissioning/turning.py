@@ -144,16 +144,16 @@ def _evenness(capture: Capture, period: Measured) -> Row:
         ends = [
             turning_period(capture.select(s)) for s in (slice(0, part), slice(capture.views - part, None))
         ]
-        found = [end for end in ends if end.period_s is not None and end.sigma_s is not None]
-        if len(found) == 2:
-            a, b = found
+        periods = [end for end in ends if end.period_s is not None and end.sigma_s is not None]
+        if len(periods) == 2:
+            a, b = periods
             assert a.period_s and b.period_s and a.sigma_s is not None and b.sigma_s is not None
             change, sigma = (
                 (b.period_s - a.period_s) / period.value,
                 math.hypot(a.sigma_s, b.sigma_s) / period.value,
             )
         else:
-            stopped = stopped or len(found) < len(ends)
+            stopped = stopped or len(periods) < len(ends)
     if not stopped and abs(change) <= max(_HALVES, 3 * sigma):
         return Row("second turn against first", Level.PASS, 100 * change, 100 * sigma, "%")
     return Row(
@@ -193,12 +193,12 @@ def _axis(bench: Bench, prepared: PreparedCapture) -> tuple[Measured | None, Row
     delay = bench.value("target", "path_delay_ps")
     pulse = bench.pulse()
     late_ps = CARD_REFLECTOR.delay_ps() if pulse is None else received_from(pulse, CARD_REFLECTOR)[1]
-    own = late_ps * 1e-12 * SPEED_OF_LIGHT / 2
+    of_reflector = late_ps * 1e-12 * SPEED_OF_LIGHT / 2
     parts = [focus.sigma_m]
     if delay is not None:
         parts.append(delay.sigma * 1e-12 * SPEED_OF_LIGHT / 2)
     parts.append(bench.tape.antenna_height_m * bench.tape.error_m / given)
-    axis = Measured(focus.best_m - own, math.hypot(*parts))
+    axis = Measured(focus.best_m - of_reflector, math.hypot(*parts))
     off = axis.value - given
     if abs(off) <= max(_AXIS_TOLERANCE_M, 3 * math.hypot(axis.sigma, bench.tape.error_m)):
         return axis, Row(

@@ -261,17 +261,17 @@ def _judge(few: BasebandScans, grid: ImageGrid, given: float, search_m: float, b
     offsets = np.linspace(-wide, wide, 2 * steps + 1)
     points = PointSearch(few, grid)
     tried = [points.explain(few.aperture.with_axis_distance(given + o)) for o in offsets]
-    left = np.array([t.left for t in tried])
-    total = left.sum(axis=1)
+    residuals = np.array([t.left for t in tried])
+    total = residuals.sum(axis=1)
     best = int(np.argmin(total))
     offset = _lowest(offsets, total)
     if abs(bright - offset) <= _AGREE_WAVELENGTHS * lam:
         offset = bright
-    sigma = _jackknife(offsets, left)
+    sigma = _jackknife(offsets, residuals)
     there = few.with_aperture(few.aperture.with_axis_distance(given + offset))
     band = band_delays(there, points.explain(there.aperture)).error_m
-    evidence = _t_value(offsets, left, best, _RIVAL_WAVELENGTHS * lam)
-    groups = left.shape[1]
+    evidence = _t_value(offsets, residuals, best, _RIVAL_WAVELENGTHS * lam)
+    groups = residuals.shape[1]
     verdict = _Verdict(
         offset, sigma, band, evidence, needed_evidence(groups), tried[best].second, float(total[best]), ""
     )
@@ -294,20 +294,20 @@ def _with_reason(verdict: _Verdict, inside: bool, best: Explained, lam: float) -
     return replace(verdict, reason=reason)
 
 
-def _t_value(offsets: Floats, left: Floats, best: int, rival_m: float) -> float:
+def _t_value(offsets: Floats, residuals: Floats, best: int, rival_m: float) -> float:
     """Least t of the paired differences (groups,) between every rival and the best; 0 without a rival."""
     rivals = np.flatnonzero(np.abs(offsets - offsets[best]) >= rival_m * 0.999)
-    if left.shape[1] < 3 or not len(rivals):
+    if residuals.shape[1] < 3 or not len(rivals):
         return 0.0
-    worse = left[rivals] - left[best]
+    worse = residuals[rivals] - residuals[best]
     spread = worse.std(axis=1, ddof=1) / np.sqrt(worse.shape[1])
     return float((worse.mean(axis=1) / np.maximum(spread, 1e-12)).min())
 
 
-def _jackknife(offsets: Floats, left: Floats) -> float:
+def _jackknife(offsets: Floats, residuals: Floats) -> float:
     """Standard error of the lowest point over the groups, in units of the offsets."""
-    total = left.sum(axis=1)
-    return jackknife_error([_lowest(offsets, total - group) for group in left.T])
+    total = residuals.sum(axis=1)
+    return jackknife_error([_lowest(offsets, total - group) for group in residuals.T])
 
 
 def _lowest(offsets: Floats, total: Floats) -> float:

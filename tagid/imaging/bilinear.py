@@ -29,5 +29,5 @@ def bilinear(
     down, over = (y - top).astype(values.dtype), (x - left).astype(values.dtype)
     upper = values[..., top, left] * (1 - over) + values[..., top, right] * over
     lower = values[..., low, left] * (1 - over) + values[..., low, right] * over
-    found = upper * (1 - down) + lower * down
-    return found if held else np.where((y == row) & (x == column), found, 0)
+    value = upper * (1 - down) + lower * down
+    return value if held else np.where((y == row) & (x == column), value, 0)

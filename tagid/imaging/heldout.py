@@ -110,7 +110,7 @@ class Prediction:
     @classmethod
     def of(cls, data: NDArray[np.complexfloating], seen: NDArray[np.complexfloating]) -> Prediction:
         """Of measured and predicted scans, both (views, bins)."""
-        power = [(np.abs(each) ** 2).sum(axis=1, dtype=np.float64) for each in (data, seen)]
+        power = [(np.abs(samples) ** 2).sum(axis=1, dtype=np.float64) for samples in (data, seen)]
         return cls(power[0], power[1], (seen.conj() * data).sum(axis=1, dtype=np.complex128))
 
     @classmethod
@@ -139,8 +139,8 @@ class Prediction:
         """
         power = float(self.predicted.sum())
         factor = self.product.sum() / power if power > 0 else 0.0
-        left = self.measured - 2 * (np.conj(factor) * self.product).real + abs(factor) ** 2 * self.predicted
-        return np.asarray(np.maximum(left, 0.0))
+        misfit = self.measured - 2 * (np.conj(factor) * self.product).real + abs(factor) ** 2 * self.predicted
+        return np.asarray(np.maximum(misfit, 0.0))
 
     @property
     def residual(self) -> float:
@@ -217,12 +217,12 @@ def check(
     if not np.any(test.samples):
         return None
     if make is None:
-        found = plain = residual(test, backproject(select_views(scans, seen), grid))
+        best = plain = residual(test, backproject(select_views(scans, seen), grid))
     else:
         part = select_views(unfiltered, seen)
         correlated = ForwardOperator(part, grid).adjoint(part.samples).reshape(grid.pixels, grid.pixels)
         plain = min(residual(test, image) for image in (backproject(part, grid), Image(correlated, grid)))
-        found = (
+        best = (
             residual(test, make(select_views(scans, seen))) if predicted is None else predicted(scans, unseen)
         )
-    return HeldOut.of(found, plain, unfiltered, unseen)
+    return HeldOut.of(best, plain, unfiltered, unseen)

@@ -79,8 +79,8 @@ class ForwardOperator:
 
     def forward_by_view(self, sigma: Iterable[NDArray[np.complexfloating]]) -> NDArray[np.complex64]:
         """As `forward`, where every view sees other reflectivities: (points,) of each view in turn."""
-        each = (self.geometry.select(slice(view, view + 1)) for view in range(self.views))
-        rows = [geometry.scatter(values) for geometry, values in zip(each, sigma, strict=True)]
+        by_view = (self.geometry.select(slice(view, view + 1)) for view in range(self.views))
+        rows = [geometry.scatter(values) for geometry, values in zip(by_view, sigma, strict=True)]
         return np.asarray(np.concatenate(rows) @ self._spread, dtype=np.complex64)
 
     def slope(self, sigma: NDArray[np.complexfloating]) -> NDArray[np.complex64]:

@@ -98,16 +98,16 @@ def find_outside(scans: BasebandScans, grid: ImageGrid, progress: Progress | Non
         return None
     most = max(_FEWEST_POINTS, _FIT_PAIRS // scans.aperture.views)
     near, far = inside.brightest(most // 2), outside.brightest(most // 2)
-    x, left = _fit(scans, np.concatenate([near, far]), progress)
+    x, residual = _fit(scans, np.concatenate([near, far]), progress)
     bright = x[len(near) :] != 0
     if not bright.any():
         return None
-    found = Outside(far[bright], x[len(near) :][bright], 0.0)
-    share = 1 - _energy(found.removed(scans).samples) / energy
+    echoes = Outside(far[bright], x[len(near) :][bright], 0.0)
+    share = 1 - _energy(echoes.removed(scans).samples) / energy
     if share < LEAST_SHARE:
         return None
     _, alone = _fit(scans, inside.brightest(most), progress)
-    return replace(found, share=share) if left <= MOST_LEFT * alone else None
+    return replace(echoes, share=share) if residual <= MOST_LEFT * alone else None
 
 
 @dataclass(frozen=True, eq=False)

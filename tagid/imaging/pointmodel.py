@@ -134,16 +134,16 @@ class PointSearch:
         for stage, floor in enumerate(_STAGES):
             rows = self._rows(rest) if stage else rows
             image = np.abs(geometry.gather(rows.values)).reshape(square.pixels, square.pixels)
-            found = peaks(image, square, floor, lam / 4, _PER_STAGE)
-            if not len(found):
+            spots = peaks(image, square, floor, lam / 4, _PER_STAGE)
+            if not len(spots):
                 break
-            points = np.vstack([points, found])
-            columns = np.vstack([columns, echoes(scans, found)])
+            points = np.vstack([points, spots])
+            columns = np.vstack([columns, echoes(scans, spots)])
             amplitudes = _least_squares(columns, data.ravel())
             rest = (data.ravel() - amplitudes.astype(np.complex64) @ columns).reshape(data.shape)
         power = (np.abs(rest) ** 2).sum(axis=1, dtype=np.float64) / self._energy
-        left = np.asarray(np.bincount(groups, power, minlength=int(groups.max()) + 1), dtype=np.float64)
-        return Explained(left, points, amplitudes, _second_spot(points, amplitudes, columns, lam))
+        residual = np.asarray(np.bincount(groups, power, minlength=int(groups.max()) + 1), dtype=np.float64)
+        return Explained(residual, points, amplitudes, _second_spot(points, amplitudes, columns, lam))
 
 
 def explain(scans: BasebandScans, grid: ImageGrid) -> Explained:
@@ -157,7 +157,7 @@ def explain(scans: BasebandScans, grid: ImageGrid) -> Explained:
     return PointSearch(scans, grid).explain(scans.aperture)
 
 
-def band_delays(scans: BasebandScans, found: Explained) -> BandDelays:
+def band_delays(scans: BasebandScans, explained: Explained) -> BandDelays:
     """How much farther than the points the echo comes from in each part of the band.
 
     The phase of sum_v M(v, f)* D(v, f), with M the points' and D the measured spectrum, is -2 pi f d for an
@@ -169,9 +169,9 @@ def band_delays(scans: BasebandScans, found: Explained) -> BandDelays:
         scans: those to which the points were fitted.
         found: the points; no delays without any.
     """
-    if not len(found.points):
+    if not len(explained.points):
         return BandDelays(np.zeros(BAND_PARTS), 0.0, 0.0)
-    frequency, sectors = _cross_spectra(scans, found)
+    frequency, sectors = _cross_spectra(scans, explained)
     cross = sectors.sum(axis=0)
     without = [_halves_apart(frequency, cross - sector) for sector in sectors]
     return BandDelays(
@@ -180,13 +180,15 @@ def band_delays(scans: BasebandScans, found: Explained) -> BandDelays:
 
 
 def _cross_spectra(
-    scans: BasebandScans, found: Explained
+    scans: BasebandScans, explained: Explained
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """(n,) frequencies of the band, cycles per metre of range, and (groups, n) the sum over the views of each
     sector of M* D at them."""
-    seen = (found.amplitudes.astype(np.complex64) @ echoes(scans, found.points)).reshape(scans.samples.shape)
+    seen = (explained.amplitudes.astype(np.complex64) @ echoes(scans, explained.points)).reshape(
+        scans.samples.shape
+    )
     bins = _PADDED * scans.samples.shape[1]
-    spectra = [np.fft.fft(each, bins, axis=1) for each in (seen, scans.samples)]
+    spectra = [np.fft.fft(samples, bins, axis=1) for samples in (seen, scans.samples)]
     cross = np.fft.fftshift(spectra[0].conj() * spectra[1], axes=1)
     frequency = np.fft.fftshift(np.fft.fftfreq(bins, scans.range_step_m))
     to_hz = scans.wave_speed_m_s / 2
@@ -199,7 +201,9 @@ def _cross_spectra(
 
 def _delays(frequency: NDArray[np.float64], cross: NDArray[np.complex128], parts: int) -> NDArray[np.float64]:
     """(parts,) delay, m, of parts of the band as wide as each other."""
-    split = (np.array_split(each, parts) for each in (frequency, np.unwrap(np.angle(cross)), np.abs(cross)))
+    split = (
+        np.array_split(values, parts) for values in (frequency, np.unwrap(np.angle(cross)), np.abs(cross))
+    )
     return np.array([-_slope(*part) / (2 * np.pi) for part in zip(*split, strict=True)])
 
 
@@ -300,15 +304,17 @@ def _second_spot(
     lam: float,
 ) -> float:
     """Energy of the second spot over that of the first, points within `_SPOT_WAVELENGTHS` being one spot."""
-    left = set(range(len(points)))
-    strength, places = np.abs(amplitudes).tolist(), points.tolist()
+    remaining = set(range(len(points)))
+    strength, positions = np.abs(amplitudes).tolist(), points.tolist()
     energies = []
-    while left:
-        first = max(left, key=strength.__getitem__)
-        x, y = places[first]
-        near = [i for i in left if hypot(places[i][0] - x, places[i][1] - y) < _SPOT_WAVELENGTHS * lam]
+    while remaining:
+        first = max(remaining, key=strength.__getitem__)
+        x, y = positions[first]
+        near = [
+            i for i in remaining if hypot(positions[i][0] - x, positions[i][1] - y) < _SPOT_WAVELENGTHS * lam
+        ]
         echo = amplitudes[near].astype(np.complex64) @ columns[near]
         energies.append(float(np.vdot(echo, echo).real))
-        left -= set(near)
+        remaining -= set(near)
     energies.sort(reverse=True)
     return energies[1] / energies[0] if len(energies) > 1 and energies[0] > 0 else 0.0

@@ -185,18 +185,18 @@ class _Blind:
         operator = ForwardOperator(now, self.points)
         if self.known is None:
             strength = np.abs(operator.adjoint(now.samples))
-            found, _ = sparse_amplitudes(now, self.points, operator=operator)
-            kept = (found != 0) | (strength > _CANDIDATE_SHARE * strength.max(initial=0))
+            amplitudes, _ = sparse_amplitudes(now, self.points, operator=operator)
+            kept = (amplitudes != 0) | (strength > _CANDIDATE_SHARE * strength.max(initial=0))
             if kept.any():
-                self.points, found = self.points[kept], found[kept]
-                self.known = found
+                self.points, amplitudes = self.points[kept], amplitudes[kept]
+                self.known = amplitudes
         else:
-            found, _ = sparse_amplitudes(now, self.points, _LATER, operator=operator, start=self.known)
-            self.known = found if found.any() else self.known
+            amplitudes, _ = sparse_amplitudes(now, self.points, _LATER, operator=operator, start=self.known)
+            self.known = amplitudes if amplitudes.any() else self.known
         self.scenes += 1
         if self.progress is not None:
             self.progress(min(self.scenes, _SCENES), _SCENES)
-        return found
+        return amplitudes
 
     def _response(self, taps: Taps) -> PointResponse:
         """Range response of the pulse of these taps."""
@@ -234,8 +234,8 @@ class _Blind:
         scale = match[-int(self.shifts[0])] / power
         match = match / scale - normal @ self.identity
         oversampled = max(1.0, part.samples.size / max(part.independent_samples, 1.0))
-        left = float(np.vdot(data, data).real) / abs(scale) ** 2 - power
-        ridge = max(left, 1e-3 * power) / data.size * oversampled / _TAP_PRIOR**2
+        residual = float(np.vdot(data, data).real) / abs(scale) ** 2 - power
+        ridge = max(residual, 1e-3 * power) / data.size * oversampled / _TAP_PRIOR**2
         change = np.linalg.solve(normal + ridge * np.eye(len(normal)), match)
         return np.asarray(self.identity + change, dtype=np.complex128)
 

@@ -179,8 +179,8 @@ def fast_length(least: int) -> int:
     while five < best:
         three = five
         while three < best:
-            left = -(-least // three)
-            best = min(best, three * (1 << max(left - 1, 0).bit_length()))
+            power_of_two = -(-least // three)
+            best = min(best, three * (1 << max(power_of_two - 1, 0).bit_length()))
             three *= 3
         five *= 5
     return best

@@ -183,16 +183,16 @@ def focus_delay(
     few = _thinned(scans)
     sides = sides_to_search(scans.aperture.positions, lam, towards, compare)
     searched = [_search(scans, few, side, search_m) for side in sides]
-    found = searched[0].focus
+    focus = searched[0].focus
     if len(searched) > 1:
         bright, dim = sorted(searched, key=lambda side: -side.power)
         if _told_apart(few, bright, dim, search_m):
-            found = replace(_with_all_around(scans, few, bright.focus), alike=False)
+            focus = replace(_with_all_around(scans, few, bright.focus), alike=False)
         else:
-            found = _of_either_side(few, searched[0], searched[1])
-    if not found.reliable:
-        return scans, found
-    return replace(scans, range_start_m=scans.range_start_m - found.delay_m), found
+            focus = _of_either_side(few, searched[0], searched[1])
+    if not focus.reliable:
+        return scans, focus
+    return replace(scans, range_start_m=scans.range_start_m - focus.delay_m), focus
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,32 +222,34 @@ def _told_apart(few: BasebandScans, bright: _Searched, dim: _Searched, search_m:
     """
     if not bright.points or not dim.points:
         return bool(bright.points)
-    places = np.array([[p.x_m, p.y_m] for p in bright.points])
+    positions = np.array([[p.x_m, p.y_m] for p in bright.points])
     strengths = np.array([p.amplitude for p in bright.points])
-    simulated = replace(few, samples=ForwardOperator(few, places).forward(strengths))
-    own, other = (_search(simulated, simulated, each.side, search_m).power for each in (bright, dim))
-    return tells_sides_apart(bright.power, dim.power, own / max(other, 1e-30))
+    simulated = replace(few, samples=ForwardOperator(few, positions).forward(strengths))
+    power, other = (
+        _search(simulated, simulated, searched.side, search_m).power for searched in (bright, dim)
+    )
+    return tells_sides_apart(bright.power, dim.power, power / max(other, 1e-30))
 
 
-def _with_all_around(scans: BasebandScans, few: BasebandScans, found: DelayFocus) -> DelayFocus:
+def _with_all_around(scans: BasebandScans, few: BasebandScans, focus: DelayFocus) -> DelayFocus:
     """The result with the echoes of both sides, of which only those in focus at its delay are real."""
-    if not found.reliable:
-        return found
+    if not focus.reliable:
+        return focus
     reference, echoes = _strong_echoes(scans, None)
-    points = _measure(few, reference, echoes, np.array([found.delay_m]), _FINE * few.wavelength_m).points
+    points = _measure(few, reference, echoes, np.array([focus.delay_m]), _FINE * few.wavelength_m).points
     real = _real(points, few.aperture.positions, echoes, few.wavelength_m)
-    return replace(found, points=_strongest_first(tuple(points[i] for i in real)))
+    return replace(focus, points=_strongest_first(tuple(points[i] for i in real)))
 
 
 def _of_either_side(few: BasebandScans, first: _Searched, second: _Searched) -> DelayFocus:
     """The first side's result where the scans do not tell the sides apart: a delay counts if both have it."""
-    found, other = replace(first.focus, alike=True), second.focus
-    apart = abs((found.best_m or 0.0) - (other.best_m or 0.0))
-    if not found.reliable or apart <= MOST_SIGMA_WAVELENGTHS * few.wavelength_m:
-        return found
+    focus, other = replace(first.focus, alike=True), second.focus
+    apart = abs((focus.best_m or 0.0) - (other.best_m or 0.0))
+    if not focus.reliable or apart <= MOST_SIGMA_WAVELENGTHS * few.wavelength_m:
+        return focus
     reason = "both sides of the path explain the scans alike, each with another delay"
-    found = replace(found, delay_m=0.0, reliable=False, reason=reason)
-    return _not_taken(few, first.reference, first.echoes, found)
+    focus = replace(focus, delay_m=0.0, reliable=False, reason=reason)
+    return _not_taken(few, first.reference, first.echoes, focus)
 
 
 def _search(scans: BasebandScans, few: BasebandScans, side: Floats | None, search_m: float) -> _Searched:
@@ -274,8 +276,8 @@ def _search(scans: BasebandScans, few: BasebandScans, side: Floats | None, searc
 
     if not counted.any():
         reason = "no echo comes into focus at one delay more than at others"
-        found = DelayFocus(0.0, contrast, False, (), guess, 0.0, reason)
-        return searched(_not_taken(few, reference, echoes, found), guess)
+        result = DelayFocus(0.0, contrast, False, (), guess, 0.0, reason)
+        return searched(_not_taken(few, reference, echoes, result), guess)
     focused = echoes[counted > 0]
     # Between the steps a peak may be higher than at any of them: both are compared at their tops.
     top, evidence, ghost = _measure(few, reference, focused, guess + around, _FINE * lam), np.inf, False
@@ -295,13 +297,13 @@ def _search(scans: BasebandScans, few: BasebandScans, side: Floats | None, searc
         reason = "the pieces of the path do not agree on one delay"
     delay, pieces, over_echoes = guess, float("nan"), 0.0
     # The peak is flat: the parabola needs the whole lobe, also where the places are finest.
-    for places, reach in () if reason else ((_FINE, 1.0), (_FINEST, _FINEST_REACH)):
+    for steps, reach in () if reason else ((_FINE, 1.0), (_FINEST, _FINEST_REACH)):
         trials = delay + width * np.linspace(-1, 1, 13)
-        fine = _measure(few, reference, focused, trials, places * lam, reach)
+        fine = _measure(few, reference, focused, trials, steps * lam, reach)
         pieces = _spread(np.array([_peak(trials, measure) for measure in fine.without()]))
         over_echoes = _spread(np.array([_peak(trials, measure) for measure in fine.without_an_echo()]))
         delay = _peak(trials, fine.power.sum(axis=1))
-        kept = _measure(few, reference, focused, np.array([delay]), places * lam, reach).points
+        kept = _measure(few, reference, focused, np.array([delay]), steps * lam, reach).points
         real = _real(kept, few.aperture.positions, focused, lam)
         focused = _centred_on(kept, reference, delay, focused)[real]
     if not reason and not pieces <= MOST_SIGMA_WAVELENGTHS * lam:
@@ -312,13 +314,13 @@ def _search(scans: BasebandScans, few: BasebandScans, side: Floats | None, searc
         reason = "one echo dominates, which a round body at the given ranges would explain as well"
     sigma = float(np.hypot(pieces, over_echoes))
     if reason:
-        found = DelayFocus(0.0, contrast, False, (), delay, evidence, reason, sigma)
-        return searched(_not_taken(few, reference, echoes, found), delay)
+        result = DelayFocus(0.0, contrast, False, (), delay, evidence, reason, sigma)
+        return searched(_not_taken(few, reference, echoes, result), delay)
     shown = echoes[tried.agreeing(int(np.argmin(np.abs(delays - guess))))]
     points = _measure(few, reference, shown, np.array([delay]), _FINE * lam).points
     points = tuple(points[i] for i in _real(points, few.aperture.positions, shown, lam))
-    found = DelayFocus(delay, contrast, True, _strongest_first(points), delay, evidence, "", sigma)
-    return searched(found, delay)
+    result = DelayFocus(delay, contrast, True, _strongest_first(points), delay, evidence, "", sigma)
+    return searched(result, delay)
 
 
 def _passes_for_round(delay: float, powers: Floats, lam: float) -> bool:
@@ -344,10 +346,10 @@ def _rival(measure: Floats, best: int) -> int | None:
     return rival if np.isfinite(outside[rival]) else None
 
 
-def _not_taken(few: BasebandScans, reference: Floats, echoes: Floats, found: DelayFocus) -> DelayFocus:
+def _not_taken(few: BasebandScans, reference: Floats, echoes: Floats, focus: DelayFocus) -> DelayFocus:
     """The result with the places of the echoes at the ranges as given."""
     points = _measure(few, reference, echoes, np.zeros(1), _COARSE * few.wavelength_m).points
-    return replace(found, points=_strongest_first(points))
+    return replace(focus, points=_strongest_first(points))
 
 
 def find_echoes(scans: BasebandScans, towards: tuple[float, float] = (0.0, 0.0)) -> tuple[EchoPoint, ...]:
@@ -410,17 +412,17 @@ def _strong_echoes(scans: BasebandScans, side: Floats | None) -> tuple[Floats, F
 def _peaks(magnitude: NDArray[np.floating], ranges: Floats, bearings: Floats, apart_m: float) -> Floats:
     """The strongest cells (n, 3) of (range, bearing), none within that range and 0.15 rad of a stronger
     one."""
-    left = magnitude.astype(np.float64)
-    top = float(left.max(initial=0.0))
-    found: list[tuple[float, float, float]] = []
-    while len(found) < _POINTS:
-        i, j = np.unravel_index(int(np.argmax(left)), left.shape)
-        if left[i, j] <= _POINT_FLOOR * top or top == 0:
+    remaining = magnitude.astype(np.float64)
+    top = float(remaining.max(initial=0.0))
+    spots: list[tuple[float, float, float]] = []
+    while len(spots) < _POINTS:
+        i, j = np.unravel_index(int(np.argmax(remaining)), remaining.shape)
+        if remaining[i, j] <= _POINT_FLOOR * top or top == 0:
             break
-        found.append((float(ranges[i]), float(bearings[j]), float(left[i, j])))
+        spots.append((float(ranges[i]), float(bearings[j]), float(remaining[i, j])))
         turn = np.abs((bearings - bearings[j] + np.pi) % (2 * np.pi) - np.pi)
-        left[np.ix_(np.abs(ranges - ranges[i]) < apart_m, turn < 0.15)] = 0
-    return np.array(found, dtype=np.float64).reshape(-1, 3)
+        remaining[np.ix_(np.abs(ranges - ranges[i]) < apart_m, turn < 0.15)] = 0
+    return np.array(spots, dtype=np.float64).reshape(-1, 3)
 
 
 def _delay_step(scans: BasebandScans, reference: Floats, echoes: Floats) -> float:
@@ -454,20 +456,20 @@ class _Measure:
         """(echoes,) 1 where the echo comes into focus somewhere in the search, 0 if no delay makes a
         difference."""
         middle = np.maximum(np.median(self.power, axis=0), 1e-30)
-        found = self.power.max(axis=0) / middle >= LEAST_CONTRAST
+        responds = self.power.max(axis=0) / middle >= LEAST_CONTRAST
         for i, j in self.pairs:
-            found[j] = found[i]
-        return np.asarray(found, dtype=np.float64)
+            responds[j] = responds[i]
+        return np.asarray(responds, dtype=np.float64)
 
     def agreeing(self, best: int) -> NDArray[np.bool_]:
         """(echoes,) True if the echo comes into focus at this delay, if less clearly than those that
         count."""
         middle = np.maximum(np.median(self.power, axis=0), 1e-30)
         top = self.power.max(axis=0)
-        found = (top >= _LEAST_AGREEING * middle) & (self.power[best] >= _LOBE * top)
+        agrees = (top >= _LEAST_AGREEING * middle) & (self.power[best] >= _LOBE * top)
         for i, j in self.pairs:
-            found[j] = found[i]
-        return np.asarray(found | (self.responding() > 0), dtype=bool)
+            agrees[j] = agrees[i]
+        return np.asarray(agrees | (self.responding() > 0), dtype=bool)
 
     def sides(self) -> NDArray[np.bool_]:
         """(pairs,) whether the first of two that mirror each other is the brighter at the best delay."""
@@ -477,8 +479,8 @@ class _Measure:
     def without(self) -> Floats:
         """(pieces, delays) sum over the echoes of |f|^2 at the best place, one piece of the path left out."""
         total = self.sums.sum(axis=0)
-        each = np.array([(np.abs(total - s) ** 2).max(axis=2) for s in self.sums], dtype=np.float64)
-        return np.asarray(_brighter(each, self.pairs).sum(axis=2), dtype=np.float64)
+        without_part = np.array([(np.abs(total - s) ** 2).max(axis=2) for s in self.sums], dtype=np.float64)
+        return np.asarray(_brighter(without_part, self.pairs).sum(axis=2), dtype=np.float64)
 
     def without_an_echo(self) -> Floats:
         """(echoes, delays) power without each echo that counts; its own where there is one only."""

@@ -50,7 +50,7 @@ def blurred(values: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     kernel /= kernel.sum()
     for axis in (0, 1):
-        wide = np.pad(values, [(reach, reach) if one == axis else (0, 0) for one in (0, 1)], "symmetric")
+        wide = np.pad(values, [(reach, reach) if side == axis else (0, 0) for side in (0, 1)], "symmetric")
         length = values.shape[axis]
         parts = [wide[i : i + length] if axis == 0 else wide[:, i : i + length] for i in range(len(kernel))]
         values = np.sum([weight * part for weight, part in zip(kernel, parts, strict=True)], axis=0)

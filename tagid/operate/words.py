@@ -108,13 +108,13 @@ def hypothesis_words(reading: Reading) -> str:
     return f"{won.words}, centre ({x}, {y}) mm, {left_words(won.unexplained)}"
 
 
-def left_words(left: float) -> str:
+def left_words(share: float) -> str:
     """The share of the moving echo that a hypothesis leaves.
 
     >>> left_words(0.0123), left_words(0.321)
     ('1.2 % unexplained', '32 % unexplained')
     """
-    percent = 100 * left
+    percent = 100 * share
     return f"{percent:.{0 if percent >= 9.95 else 1}f} % unexplained"
 
 
@@ -160,26 +160,26 @@ def turn_line(resolved: ResolvedMotion | None) -> str:
 
 def notes(radar: RadarInfo) -> list[str]:
     """Notes on a recording for the user, one sentence each."""
-    found = []
+    lines = []
     if lost := radar.scans_lost:
-        found.append(f"{counted(lost, 'scan')} lost between radar and computer")
+        lines.append(f"{counted(lost, 'scan')} lost between radar and computer")
     malformed = int((radar.statistics or {}).get("malformed", 0))
     if malformed:
-        found.append(f"{counted(malformed, 'packet')} were damaged or not P440 messages")
+        lines.append(f"{counted(malformed, 'packet')} were damaged or not P440 messages")
     if radar.scans_dropped:
         from tagid.storage.journal_queue import drop_note
 
-        found.append(drop_note(radar.scans_dropped))
+        lines.append(drop_note(radar.scans_dropped))
     if radar.gap_count:
         seconds = sum(gap.seconds for gap in radar.gaps)
         times = "once" if radar.gap_count == 1 else f"{radar.gap_count} times"
         why = radar.gaps[0].reason if radar.gaps else ""
-        found.append(
+        lines.append(
             f"the radar was lost {times}, for {seconds:.1f} s in total; recording then continued ({why})"
             # A loose cable is lost once or for good.
             + (": is another program using it?" if radar.gap_count > 1 else "")
         )
-    return found
+    return lines
 
 
 def ending_words(ended: Ending | None) -> str:
@@ -240,31 +240,31 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
 
 def held_out_words(settings: dict[str, Any]) -> list[str]:
     """How well the image predicts held-out views: the main quality figure of every image."""
-    found = settings.get("held_out")
-    if not found:
+    held_out = settings.get("held_out")
+    if not held_out:
         return []
-    noise = "" if found["noise"] is None else f", including noise {100 * found['noise']:.1f} %"
-    same = found["residual"] == found["backprojection"]
-    other = "" if same else f"; backprojection {100 * found['backprojection']:.1f} %"
+    noise = "" if held_out["noise"] is None else f", including noise {100 * held_out['noise']:.1f} %"
+    same = held_out["residual"] == held_out["backprojection"]
+    other = "" if same else f"; backprojection {100 * held_out['backprojection']:.1f} %"
     # Documents of earlier versions lack it.
-    neighbours = found.get("neighbours")
+    neighbours = held_out.get("neighbours")
     beside = "" if neighbours is None else f"; the two neighbouring scans {100 * neighbours:.1f} %"
     lines = [
-        f"held-out residual {100 * found['residual']:.1f} % of {found['views']} held-out views"
+        f"held-out residual {100 * held_out['residual']:.1f} % of {held_out['views']} held-out views"
         f"{noise}{other}{beside}"
     ]
-    least = min(found["residual"], 1.0 if neighbours is None else neighbours)
-    if least > _NOT_PREDICTED and (found["noise"] or 0.0) < least / 2:
+    least = min(held_out["residual"], 1.0 if neighbours is None else neighbours)
+    if least > _NOT_PREDICTED and (held_out["noise"] or 0.0) < least / 2:
         lines.append(
             "neither the image nor the neighbouring scans predict a held-out view: the views are far apart, "
             "and the residual does not tell whether the image is right"
         )
-    elif found.get("worse_than_neighbours"):
+    elif held_out.get("worse_than_neighbours"):
         lines.append(
             "the image predicts held-out views no better than smoothness over angle does: the residual does "
             "not tell whether its geometry is right"
         )
-    if found["worse_than_backprojection"]:
+    if held_out["worse_than_backprojection"]:
         lines.append(
             "backprojection predicts held-out views better: `imaging.method=bp` is more reliable than this "
             "image"
@@ -303,19 +303,19 @@ def _prior_words(settings: dict[str, Any]) -> list[str]:
         return [f"sparse solution without a field: {residual}, {than}"]
     if prior == "default":
         others = [tried[name] for name in tried if name != prior]
-        more = sum(left > tried[prior] for left in others)
+        more = sum(value > tried[prior] for value in others)
         return [f"default prior kept: {residual}, less than {more} of {len(others)} others"]
     return [f"prior {prior}: {residual}, {than}"]
 
 
 def outside_words(settings: dict[str, Any]) -> list[str]:
     """The share of energy from outside the image, if it is large."""
-    found = settings.get("outside")
-    if not found:
+    outside = settings.get("outside")
+    if not outside:
         return []
-    subtracted = " and was subtracted" if found["subtracted"] else ""
+    subtracted = " and was subtracted" if outside["subtracted"] else ""
     return [
-        f"{100 * found['share']:.0f} % of the scans' energy comes from outside the image{subtracted}; "
+        f"{100 * outside['share']:.0f} % of the scans' energy comes from outside the image{subtracted}; "
         "use a larger `imaging.extent_m` to show it"
     ]
 
@@ -334,26 +334,26 @@ def pulse_words(pulse: PulseEstimate | None) -> list[str]:
 
 def calibration_words(settings: dict[str, Any]) -> list[str]:
     """The parameters that ATS estimated besides the scene, one line each, with standard errors."""
-    found: dict[str, Any] = settings.get("calibration") or {}
+    calibration: dict[str, Any] = settings.get("calibration") or {}
     lines: list[str] = []
-    if "axis" in found:
-        axis = found["axis"]
+    if "axis" in calibration:
+        axis = calibration["axis"]
         lines.append(
             f"axis distance {axis['distance_m']:.4f} ± {axis['sigma_m']:.4f} m, "
             f"{axis['offset_m'] * 1e3:+.1f} mm from the given or focused value"
         )
-    for w in found.get("wobble", ()):
+    for w in calibration.get("wobble", ()):
         lines.append(
             f"wobble, harmonic {w['harmonic']}: {w['amplitude_deg']:.2f} ± {w['sigma_deg']:.2f} deg "
             f"at {w['phase_deg']:+.0f} deg, {w['speed_percent']:.1f} % of the speed"
         )
-    if "gain" in found:
-        gain = found["gain"]
+    if "gain" in calibration:
+        gain = calibration["gain"]
         error = sum(gain["sigma"]) / len(gain["sigma"])
         low, high = min(gain["scans"]), max(gain["scans"])
         lines.append(f"gain of the scans {low:.3f} to {high:.3f}, each ± {error:.3f}")
-    if "static" in found:
-        lines.append(f"static component of {found['static']['rms']:.3g} rms subtracted")
+    if "static" in calibration:
+        lines.append(f"static component of {calibration['static']['rms']:.3g} rms subtracted")
     return lines
 
 

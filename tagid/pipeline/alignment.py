@@ -99,7 +99,7 @@ def aligned(captures: Sequence[Capture], extent_m: float = 0.4) -> tuple[list[Ca
         more = rivals[len(turns) : len(turns) + (2 if len(turns) == 1 else 1)]
         turns = _sharpest(captures, turns, more, extent_m)
     done = [rotated(capture, turn) for capture, turn in zip(captures, turns, strict=True)]
-    return done, [Alignment(*each) for each in zip(turns, likeness, strict=True)]
+    return done, [Alignment(*pair) for pair in zip(turns, likeness, strict=True)]
 
 
 def rotated(capture: Capture, rotation_rad: float) -> Capture:
@@ -131,18 +131,18 @@ def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.f
 
 def _peaks(correlation: NDArray[np.float64]) -> list[float]:
     """Rotations, rad, that undo the peaks of a correlation, the highest first."""
-    left, found = correlation.copy(), list[float]()
+    remaining, turns = correlation.copy(), list[float]()
     top, apart = float(correlation.max()), round(RIVAL_APART_DEG / 360 * STEPS)
     for _ in range(MOST_RIVALS):
-        at = int(np.argmax(left))
-        if left[at] < RIVAL_SHARE * top:
+        at = int(np.argmax(remaining))
+        if remaining[at] < RIVAL_SHARE * top:
             break
         before, here, after = (correlation[(at + step) % STEPS] for step in (-1, 0, 1))
         bend = 2 * here - before - after
         part = 0.5 * (after - before) / bend if bend > 0 else 0.0
-        found.append(2 * np.pi * (at + float(np.clip(part, -0.5, 0.5))) / STEPS)
-        left[(at + np.arange(-apart, apart + 1)) % STEPS] = -np.inf
-    return found
+        turns.append(2 * np.pi * (at + float(np.clip(part, -0.5, 0.5))) / STEPS)
+        remaining[(at + np.arange(-apart, apart + 1)) % STEPS] = -np.inf
+    return turns
 
 
 def _sharpest(
@@ -161,10 +161,12 @@ def _sharpest(
     tried = [turns + list(np.cumsum([turns[-1], *steps])[1:]) for steps in itertools.product(*rivals)]
     if len(tried) == 1:
         return tried[0]
-    volumes = [[rotated(*each) for each in zip(captures, one, strict=False)] for one in tried]
+    volumes = [[rotated(*turned) for turned in zip(captures, turns, strict=False)] for turns in tried]
     sharp = [_sharpness(volume, extent_m) for volume in volumes]
-    equal = [one for one, each in zip(tried, sharp, strict=True) if each > (1 - _EQUAL) * max(sharp)]
-    return min(equal, key=lambda one: float(np.abs(np.angle(np.exp(1j * np.array(one)))).sum()))
+    equal = [
+        turns for turns, sharpness in zip(tried, sharp, strict=True) if sharpness > (1 - _EQUAL) * max(sharp)
+    ]
+    return min(equal, key=lambda turns: float(np.abs(np.angle(np.exp(1j * np.array(turns)))).sum()))
 
 
 def _sharpness(captures: Sequence[Capture], extent_m: float) -> float:

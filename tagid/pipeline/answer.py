@@ -131,17 +131,17 @@ class Identification:
         """The best hypothesis of every kind, with its log evidence and its residual."""
         return [
             {
-                "kind": one.kind.value,
-                "name": one.name,
-                "layout": one.layout,
-                "words": one.words,
-                "log_evidence": one.log_evidence,
-                "unexplained": one.unexplained,
-                "centre_m": list(one.centre_m),
-                "radius_m": one.radius_m,
-                "outline_m": [list(corner) for corner in one.outline_m],
+                "kind": hypothesis.kind.value,
+                "name": hypothesis.name,
+                "layout": hypothesis.layout,
+                "words": hypothesis.words,
+                "log_evidence": hypothesis.log_evidence,
+                "unexplained": hypothesis.unexplained,
+                "centre_m": list(hypothesis.centre_m),
+                "radius_m": hypothesis.radius_m,
+                "outline_m": [list(corner) for corner in hypothesis.outline_m],
             }
-            for one in (self.reading.hypotheses if self.reading else ())
+            for hypothesis in (self.reading.hypotheses if self.reading else ())
         ]
 
     def _reflectors(self) -> list[dict[str, Any]]:

@@ -75,18 +75,18 @@ def circling(capture: Capture) -> Circling | None:
     columns = np.stack([np.ones(len(angles)), -np.cos(angles), np.sin(angles)], axis=1)
     kept = np.ones(len(angles), dtype=bool)
     for _ in range(_ROUNDS):
-        found = np.linalg.lstsq(columns[kept], ranges[kept], rcond=None)[0]
-        off = np.abs(ranges - columns @ found)
+        circle = np.linalg.lstsq(columns[kept], ranges[kept], rcond=None)[0]
+        off = np.abs(ranges - columns @ circle)
         # A median absolute deviation is 0.67 standard deviations; a quarter of a bin is the least.
         usual = max(float(median(off)) / 0.67, capture.range_step_m / 4)
         again = off <= _KEPT_DEVIATIONS * usual
         if again.sum() < _FEWEST or np.array_equal(again, kept):
             break
         kept = again
-    spread = float(np.sqrt(np.mean((ranges - columns @ found)[kept] ** 2)))
+    spread = float(np.sqrt(np.mean((ranges - columns @ circle)[kept] ** 2)))
     amplitudes = envelope.max(axis=1)
     faintest = float(np.quantile(amplitudes, 0.1) / max(float(median(amplitudes)), 1e-30))
-    return Circling((float(found[1]), float(found[2])), spread, float(kept.mean()), faintest)
+    return Circling((float(circle[1]), float(circle[2])), spread, float(kept.mean()), faintest)
 
 
 def named_in(prepared: PreparedCapture, capture: Capture, layouts: Sequence[Layout]) -> Reading | None:
@@ -98,10 +98,10 @@ def named_in(prepared: PreparedCapture, capture: Capture, layouts: Sequence[Layo
         layouts: the enrolled ones.
     """
     try:
-        found = identify(prepared.elsewhere(capture), layouts)
+        answer = identify(prepared.elsewhere(capture), layouts)
     except DataError:
         return None
-    return found.reading if found.status == "identified" else None
+    return answer.reading if answer.status == "identified" else None
 
 
 def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:
@@ -213,8 +213,8 @@ def recording_remarks(capture: Capture) -> tuple[str, ...]:
     remarks = []
     if capture.motion.not_resolved and capture.motion.resolved is not None:
         remarks.append(f"{capture.motion.not_resolved}; their period is used instead")
-    if told := speed_contradiction(capture.motion.resolved):
-        remarks.append(told)
+    if contradiction := speed_contradiction(capture.motion.resolved):
+        remarks.append(contradiction)
     if cause := _stopped(capture):
         remarks.append(f"{cause.text}; the scans meanwhile are not used")
     elif cause := _uncovered(capture):
@@ -235,23 +235,23 @@ def with_causes(
     if answer.status in ("identified", "failed") or answer.reading is None:
         return answer
     causes = [*_of_the_turn(prepared.given)]
-    found = circling(prepared.given)
-    circle = _off_the_axis(found)
+    round_echo = circling(prepared.given)
+    circle = _off_the_axis(round_echo)
     if not any(cause.code == "speed" for cause in causes):
         beside = None if circle is None else _of_a_round_body(circle)
         causes += _of_the_axis(prepared, layouts) if beside is None else [beside]
     if not causes:
         causes += _of_the_place(prepared, layouts, answer.reading.reflectors, circle)
-    advice = "" if _centred(found) else _CENTRE_FIRST.get(answer.reading.code, "")
+    advice = "" if _centred(round_echo) else _CENTRE_FIRST.get(answer.reading.code, "")
     return replace(answer, causes=tuple(causes), advice=advice)
 
 
 def _of_the_turn(capture: Capture) -> list[Cause]:
     resolved = capture.motion.resolved
     causes = []
-    if told := speed_contradiction(resolved):
+    if contradiction := speed_contradiction(resolved):
         assert resolved is not None
-        causes.append(_of_the_speed(resolved, told))
+        causes.append(_of_the_speed(resolved, contradiction))
     if cause := _stopped(capture) or _uncovered(capture):
         causes.append(cause)
     return causes
@@ -297,15 +297,15 @@ def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[C
     offsets = bright_offsets(capture, prepared.settings.background)
     for offset in offsets[:_AXIS_TRIES]:
         moved = replace(capture, axis_distance_m=given + offset)
-        if (found := named_in(prepared, moved, layouts)) is not None:
-            best = given + offset + found.offset_m
+        if (name := named_in(prepared, moved, layouts)) is not None:
+            best = given + offset + name.offset_m
             if abs(best - given) < _AXIS_M:
                 continue
             return [
                 Cause(
                     "axis_distance",
                     f"with an axis distance of {best:.2f} m instead of {given:.2f} m the scans show "
-                    f"{found.layout}",
+                    f"{name.layout}",
                     "Measure the distance from the antennas to the rotation axis again; "
                     f"`motion.axis_distance_m={best:.2f}` applies it to this recording.",
                     {"motion.axis_distance_m": round(float(best), 2)},
@@ -328,12 +328,12 @@ def _of_the_place(
     if circle is not None and _followed(circle):
         centres = [circle.centre_m, *centres]
     for centre in centres[:_PLACE_TRIES]:
-        if (found := named_in(prepared, recentred(capture, centre), layouts)) is not None:
-            away = np.add(centre, found.centre_m) * 1e3
+        if (name := named_in(prepared, recentred(capture, centre), layouts)) is not None:
+            away = np.add(centre, name.centre_m) * 1e3
             return [
                 Cause(
                     "off_centre",
-                    f"the scans show {found.layout} {np.linalg.norm(away):.0f} mm off the rotation axis, at "
+                    f"the scans show {name.layout} {np.linalg.norm(away):.0f} mm off the rotation axis, at "
                     f"({away[0]:.0f}, {away[1]:.0f}) mm",
                     _CENTRE_IT,
                 )
@@ -361,8 +361,8 @@ def _of_a_round_body(circle: Circling) -> Cause | None:
     if circle.spread_m > _ROUND_M or circle.share < _ROUND_SHARE or circle.faintest < _ROUND_FAINTEST:
         return None
     off = f"about {circle.radius_m * 1e3:.0f} mm" if circle.radius_m >= _TOLD_M else "10 to 20 mm"
-    told = f"the strongest echo circles the rotation axis, as that of a round body {off} off it"
-    return Cause("off_centre", told, _CENTRE_IT)
+    words = f"the strongest echo circles the rotation axis, as that of a round body {off} off it"
+    return Cause("off_centre", words, _CENTRE_IT)
 
 
 def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -> list[tuple[float, float]]:
@@ -370,14 +370,14 @@ def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -
     from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_places
 
     strong = [r for r in reflectors if r.amplitude_db > -_ALIKE_DB][:_MOST_REFLECTORS]
-    places = np.array([[r.x_m, r.y_m] for r in strong])
+    positions = np.array([[r.x_m, r.y_m] for r in strong])
     power = np.array([abs(r.amplitude) ** 2 for r in strong])
     fits: list[tuple[float, tuple[float, float]]] = []
     for layout in layouts:
         if not 2 <= layout.size <= len(strong):
             continue
         partners = np.array(list(permutations(range(len(strong)), layout.size)), dtype=np.intp)
-        rms, _, shift = best_places(layout.positions[None], places[partners])
+        rms, _, shift = best_places(layout.positions[None], positions[partners])
         away = np.linalg.norm(shift, axis=-1)
         for i in np.flatnonzero((rms < _FITS_M) & (away > CENTRE_TOLERANCE_M) & (away < _FARTHEST_M)):
             centre = (float(shift[i, 0]), float(shift[i, 1]))

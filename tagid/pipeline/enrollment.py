@@ -139,8 +139,8 @@ class SignatureProposal:
             error = now.taken or now.conflict
             if error is not None and not force:
                 raise error
-            one = [self.signature]
-            return registry.add_all([], source, replace=force, since=now.version, signatures=one)
+            signatures = [self.signature]
+            return registry.add_all([], source, replace=force, since=now.version, signatures=signatures)
 
         return undisturbed(compared)
 
@@ -166,7 +166,7 @@ def propose_layout(
     from tagid.enrolling.enrollment import outlook
     from tagid.enrolling.registry import taken
 
-    found = outlook(
+    outlook_of = outlook(
         layout,
         contents.layouts,
         direction_known=direction_known,
@@ -177,7 +177,7 @@ def propose_layout(
     own = None
     if measured is not None and measured.joint is not None:
         own = replace(measured.joint.signature, name=layout.name, label=layout.label[:200])
-    return LayoutProposal(layout, own, found, error, direction_known, height_weight)
+    return LayoutProposal(layout, own, outlook_of, error, direction_known, height_weight)
 
 
 def propose_signature(contents: RegistryContents, signature: Signature) -> SignatureProposal:
@@ -185,16 +185,18 @@ def propose_signature(contents: RegistryContents, signature: Signature) -> Signa
     from tagid.enrolling.registry import taken
     from tagid.tags.bodies.likeness import compare
 
-    one = signature
-    others = [other for other in contents.signatures if other.kind == one.kind and other.name != one.name]
-    pairs = sorted((compare(one, other) for other in others), key=lambda pair: pair.difference)
-    error = taken((one.kind, one.name), _keys(contents))
-    return SignatureProposal(one, tuple(pairs), contents.version, error)
+    compared = signature
+    others = [
+        other for other in contents.signatures if other.kind == compared.kind and other.name != compared.name
+    ]
+    pairs = sorted((compare(compared, other) for other in others), key=lambda pair: pair.difference)
+    error = taken((compared.kind, compared.name), _keys(contents))
+    return SignatureProposal(compared, tuple(pairs), contents.version, error)
 
 
 def _keys(contents: RegistryContents) -> set[Key]:
     return {("layout", layout.name) for layout in contents.layouts} | {
-        (one.kind, one.name) for one in contents.signatures
+        (signature.kind, signature.name) for signature in contents.signatures
     }
 
 
@@ -319,7 +321,7 @@ def measure(
             ) from None
         return Measured(estimate, None, f"positions only, no signature: {error.message}", unmoved)
     if estimate is not None:
-        doubt = trusted(seen, [one.spectra for one in joint.placed])
+        doubt = trusted(seen, [placed.spectra for placed in joint.placed])
         if doubt:
             estimate, positions = None, DataError(doubt)
     if positions is not None:
@@ -356,8 +358,8 @@ def _unmoved(seen: Sequence[Sighting], estimate: LayoutEstimate | None) -> tuple
     if estimate is None:
         return ()
     axes = []
-    for one in seen:
-        used = one.mirrored() if one.name in estimate.mirrored else one
+    for posed in seen:
+        used = posed.mirrored() if posed.name in estimate.mirrored else posed
         # best_pairing turns a capture onto the layout: the axis, its origin, lands at the shift.
         pair = best_pairing(used.positions, estimate.layout.positions, 2 * CENTRE_TOLERANCE_M)
         axes.append(pair.shift_m)
@@ -397,14 +399,14 @@ def joint_data(joint: Joint | None) -> dict[str, Any] | None:
     """A joint estimate for scripts."""
     if joint is None:
         return None
-    one = joint.signature
+    signature = joint.signature
     return {
-        "kind": one.kind,
-        "name": one.name,
-        "radius_m": one.radius_m,
-        "harmonics": one.order,
-        "model_error": one.model_error,
-        "noise_share": one.noise_share,
+        "kind": signature.kind,
+        "name": signature.name,
+        "radius_m": signature.radius_m,
+        "harmonics": signature.order,
+        "model_error": signature.model_error,
+        "noise_share": signature.noise_share,
         "captures": [
             {
                 "file": residual.name,
@@ -420,8 +422,8 @@ def joint_data(joint: Joint | None) -> dict[str, Any] | None:
 
 def joint_words(joint: Joint) -> list[str]:
     """The same as text, one line per capture."""
-    one = joint.signature
-    lines = [f"signature: radius {one.radius_m * 1e3:.0f} mm, {one.order} harmonics"]
+    signature = joint.signature
+    lines = [f"signature: radius {signature.radius_m * 1e3:.0f} mm, {signature.order} harmonics"]
     for residual, placed in zip(joint.residuals, joint.placed, strict=True):
         x, y = (value * 1e3 for value in placed.pose.centre_m)
         lines.append(

@@ -281,19 +281,19 @@ def identify_together(
 
     watch = Stopwatch()
     prepared = [as_prepared(capture, settings) for capture in given]
-    captures = [one.given for one in prepared]
+    captures = [capture.given for capture in prepared]
     settings = prepared[0].settings if prepared else ImagingSettings()
-    for one in prepared:
-        _check_views(one)
-    recordings = [one.scans(settings.preprocessing(matched_filter=False)) for one in prepared]
+    for capture in prepared:
+        _check_views(capture)
+    recordings = [capture.scans(settings.preprocessing(matched_filter=False)) for capture in prepared]
     with watch.stage("read"):
         joint, alone = read_together(recordings, layouts, reader_settings(settings), signatures)
         pairs = zip(alone, prepared, strict=True)
-        alone = [_noted(one, of_the_part(reading, [one.given])) for reading, one in pairs]
+        alone = [_noted(capture, of_the_part(reading, [capture.given])) for reading, capture in pairs]
         joint = of_the_part(joint, captures)
     labels = _labels(layouts, signatures)
-    for one in prepared:
-        watch.add(one.watch)
+    for capture in prepared:
+        watch.add(capture.watch)
 
     def answer(reading: Reading, of: Sequence[Capture]) -> Identification:
         return Identification(
@@ -306,8 +306,8 @@ def identify_together(
             coverage=share_seen(of),
         )
 
-    each = [answer(reading, [one]) for reading, one in zip(alone, captures, strict=True)]
-    return answer(joint, captures), each
+    alone_answers = [answer(reading, [capture]) for reading, capture in zip(alone, captures, strict=True)]
+    return answer(joint, captures), alone_answers
 
 
 def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) -> Spectra:

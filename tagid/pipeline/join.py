@@ -44,7 +44,7 @@ def join(captures: Sequence[Capture]) -> Capture:
                 )
     apertures = [capture.aperture() for capture in captures]
     pairs = any(aperture.half_baseline is not None for aperture in apertures)
-    one = np.concatenate([aperture.antennas[0] for aperture in apertures])
+    path = np.concatenate([aperture.antennas[0] for aperture in apertures])
     other_end = np.concatenate([aperture.antennas[-1] for aperture in apertures]) if pairs else None
     kind = np.complex64 if np.iscomplexobj(first.samples) else np.float32
     same = {capture.samples.dtype for capture in captures} == {first.samples.dtype}
@@ -53,7 +53,7 @@ def join(captures: Sequence[Capture]) -> Capture:
         np.concatenate(parts),
         first.range_start_m,
         first.range_step_m,
-        antenna_positions_m=one,
+        antenna_positions_m=path,
         receive_positions_m=other_end,
         center_frequency_hz=first.center_frequency_hz,
         bandwidth_hz=first.bandwidth_hz,

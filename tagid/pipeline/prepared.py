@@ -68,7 +68,7 @@ def check_moved(capture: Capture) -> None:
     """Raise DataError if several views were taken from one place: they tell ranges only, not bearings."""
     wavelength = capture.wave_speed_m_s / capture.center_frequency_hz
     antennas = capture.aperture().antennas
-    moved = max(float(np.ptp(places, axis=0).max()) for places in antennas)
+    moved = max(float(np.ptp(positions, axis=0).max()) for positions in antennas)
     if capture.views > 1 and moved < _STILL_WAVELENGTHS * wavelength:
         what = "angles" if capture.angles_rad is not None else "antenna positions"
         remedy = f"Give each view its own {'angle' if capture.angles_rad is not None else 'position'}."
@@ -181,9 +181,9 @@ class PreparedCapture:
         with self.watch.stage("pulse"):
             grid = ImageGrid(settings.extent_m, settings.pixels)
             report = None if progress is None else partial(_report_pulse, progress)
-            found = estimate_pulse(self._given, grid, settings.background, settings.focus_m, report)
-        self._estimate = found
-        return replace(self._given, pulse=found.pulse)
+            estimate = estimate_pulse(self._given, grid, settings.background, settings.focus_m, report)
+        self._estimate = estimate
+        return replace(self._given, pulse=estimate.pulse)
 
 
 def _report_pulse(progress: Progress, done: int, total: int) -> None:

@@ -182,8 +182,8 @@ def reconstruct(
     with watch.stage("image"):
         image = make_image(imaged, grid, method, settings.seed, settings.preset, progress, settings.ats)
     with watch.stage("held out"):
-        told = _remark(progress, "held-out views")
-        predicted = _held_out(prepared, scans, grid, method, settings, image, subtracted, told)
+        remark = _remark(progress, "held-out views")
+        predicted = _held_out(prepared, scans, grid, method, settings, image, subtracted, remark)
     with watch.stage("image"):
         linear = linear_iterations(image.settings.get("prior", "")) is not None
         sharp = METHODS[method].sparse and not linear
@@ -269,9 +269,9 @@ class _Found:
     predicted: HeldOut | None
 
 
-def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, found: _Found) -> dict[str, Any]:
+def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks: _Found) -> dict[str, Any]:
     """What the image's settings say of its data, as JSON values."""
-    region = found.region
+    region = checks.region
     facts: dict[str, Any] = {
         "tool_version": __version__,
         "capture_uuid": prepared.given.uuid,
@@ -280,18 +280,18 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, found:
         "background": prepared.settings.background,
         "wavelength_m": scans.wavelength_m,
     }
-    if found.focus is not None:
-        facts["focus"] = found.focus.facts()
+    if checks.focus is not None:
+        facts["focus"] = checks.focus.facts()
     elif region is not None and region.focus is not None:
         facts["focus"] = region.focus.facts()
-    if found.outside is not None:
-        facts["outside"] = found.outside.facts(found.subtracted)
+    if checks.outside is not None:
+        facts["outside"] = checks.outside.facts(checks.subtracted)
     coarse = pixel_warning(image.grid.extent, image.grid.pixels, scans.wavelength_m)
-    warnings = [each for each in (band_warning(prepared.given), coarse) if each]
+    warnings = [warning for warning in (band_warning(prepared.given), coarse) if warning]
     if warnings:
         facts["warnings"] = warnings
-    if found.predicted is not None:
-        facts["held_out"] = found.predicted.facts()
+    if checks.predicted is not None:
+        facts["held_out"] = checks.predicted.facts()
     learned = image.settings.get("calibration", {}).get("axis")
     if learned:
         facts["axis_distance_m"] = learned["distance_m"]
@@ -333,7 +333,7 @@ def _held_out(
     settings: ImagingSettings,
     made: Image,
     outside: bool,
-    told: Callable[[int, int], None],
+    progress: Callable[[int, int], None],
 ) -> HeldOut | None:
     """Prediction of held-out views by this method, with the priors of the image.
 
@@ -348,8 +348,8 @@ def _held_out(
     if outside:
         unseen = left_out(scans.aperture.views)
         seen = np.setdiff1d(np.arange(scans.aperture.views), unseen)
-        found = find_outside(select_views(scans, seen), grid, told)
-        scans = scans if found is None else found.removed(scans)
+        echoes = find_outside(select_views(scans, seen), grid, progress)
+        scans = scans if echoes is None else echoes.removed(scans)
         unfiltered = scans
     ats = settings_of(made.settings, replace(settings.ats, adapt=0, held_out=0.0, calibrate=()))
     prior = made.settings.get("prior", "")
@@ -365,7 +365,7 @@ def _held_out(
 
     def predicted(all_views: BasebandScans, unseen: NDArray[np.intp]) -> float:
         fitted = replace(ats, seed=settings.seed)
-        return fit(all_views, grid, fitted, lambda step, of, _: told(step, of), unseen).held_out
+        return fit(all_views, grid, fitted, lambda step, of, _: progress(step, of), unseen).held_out
 
     return check(scans, unfiltered, grid, make, predicted if method == "ats" and has_field(prior) else None)
 
@@ -388,9 +388,9 @@ def _pulse_facts(prepared: PreparedCapture) -> dict[str, Any]:
         known = prepared.settings.pulse == "auto" and prepared.given.pulse is not None
         return {"kind": "measured" if known else "nominal"}
     numbers = {"assumed_residual": estimate.assumed_residual, "residual": estimate.residual}
-    told = {name: value if np.isfinite(value) else None for name, value in numbers.items()}
+    values = {name: value if np.isfinite(value) else None for name, value in numbers.items()}
     if not estimate.taken:
-        return {"kind": "assumed", **told}
+        return {"kind": "assumed", **values}
     # The values needed to store it in an NPZ file: `pulse` and `pulse_step_s`.
     samples = [round(float(v), 6) for v in estimate.pulse.samples]
-    return {"kind": "estimated", **told, "pulse": samples, "pulse_step_s": estimate.pulse.step}
+    return {"kind": "estimated", **values, "pulse": samples, "pulse_step_s": estimate.pulse.step}

@@ -81,14 +81,14 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
         if device.nominal_s is not None:
             _check_speed(clock.period_s, device.nominal_s)
         angles = device.resolve(capture.samples, clock.times_s, clock.sigma_s)
-    found = replace(angles.info, scan_period_s=clock.period_s, clock_residual_ms=clock.residual_ms)
+    info = replace(angles.info, scan_period_s=clock.period_s, clock_residual_ms=clock.residual_ms)
     return replace(
         capture,
         angles_rad=angles.angles_rad,
         angle_sigma_rad=angles.sigma_rad,
         antenna_positions_m=None,
         receive_positions_m=None,
-        motion=capture.motion.without_track(url=motion or "free", resolved=found),
+        motion=capture.motion.without_track(url=motion or "free", resolved=info),
     )
 
 
@@ -135,12 +135,12 @@ def speed_contradiction(resolved: ResolvedMotion | None) -> str:
             f"the scans do not repeat after the stated {stated_s:.1f} s" if resolved.repeats is False else ""
         )
     stated, shown = resolved.nominal_rpm, resolved.shown_rpms
-    told = (
+    words = (
         f"the stated speed of {stated:.3g} rpm ({60 / stated:.1f} s per turn) is not that of the scans: "
         f"they show {one_of([f'{rpm:.3g}' for rpm in shown])} rpm "
         f"({one_of([f'{60 / rpm:.1f}' for rpm in shown])} s per turn)"
     )
-    return told + (": the object repeats within a turn, so that several fit" if len(shown) > 1 else "")
+    return words + (": the object repeats within a turn, so that several fit" if len(shown) > 1 else "")
 
 
 def one_of(words: Sequence[str]) -> str:
@@ -189,7 +189,7 @@ class TurnStoppedError(DataError):
     code = "turn_stopped"
 
 
-def held(capture: Capture, found: Capture, table: Motion) -> Capture | None:
+def held(capture: Capture, resolved_capture: Capture, table: Motion) -> Capture | None:
     """The capture with its angle held where the object stood; None if the scans show no stop.
 
     Args:
@@ -197,7 +197,7 @@ def held(capture: Capture, found: Capture, table: Motion) -> Capture | None:
         found: the same with angles, as if it had turned throughout.
         table: the motion of these angles: a stated speed, or measured.
     """
-    resolved, angles = found.motion.resolved, found.angles_rad
+    resolved, angles = resolved_capture.motion.resolved, resolved_capture.angles_rad
     if resolved is None or angles is None or capture.views < 3:
         return None
     times = clock_of(capture).times_s
@@ -217,7 +217,7 @@ def held(capture: Capture, found: Capture, table: Motion) -> Capture | None:
         kept = angles.copy()
         kept[still.first : still.stop] = angles[first]
         kept[still.stop :] -= angles[stop] - angles[first]
-        sigma, info = found.angle_sigma_rad, resolved
+        sigma, info = resolved_capture.angle_sigma_rad, resolved
     else:
         # Without the pause the scans may repeat after a turn, and then tell the period.
         on = times - times[0]
@@ -230,8 +230,8 @@ def held(capture: Capture, found: Capture, table: Motion) -> Capture | None:
         info = replace(info, clock_residual_ms=resolved.clock_residual_ms)
     turned = np.abs(kept - kept[0]) / (2 * np.pi)
     info = replace(info, turns=float(turned.max()), standstill=standstill_facts(still, times, turned))
-    motion = replace(found.motion, resolved=info)
-    return replace(found, angles_rad=kept, angle_sigma_rad=sigma, motion=motion)
+    motion = replace(resolved_capture.motion, resolved=info)
+    return replace(resolved_capture, angles_rad=kept, angle_sigma_rad=sigma, motion=motion)
 
 
 def stopped_error(capture: Capture) -> TurnStoppedError | None:
@@ -250,7 +250,7 @@ def stopped_error(capture: Capture) -> TurnStoppedError | None:
     return TurnStoppedError(f"{where}, and no turn was complete", REMEDY)
 
 
-def stopped_words(found: Standstill) -> str:
+def stopped_words(standstill: Standstill) -> str:
     """Where an object stopped, in words without a full stop.
 
     >>> stopped_words(Standstill(185, 283, 468, 23.6, 183.2))
@@ -258,18 +258,18 @@ def stopped_words(found: Standstill) -> str:
     >>> stopped_words(Standstill(185, 100, 468, 8.3, None, True))
     'the turn stopped (scan 186 of 468) and went on after 8.3 s'
     """
-    where = "" if found.turned_deg is None else f" at about {found.turned_deg:.0f} degrees"
-    after = f" and went on after {found.seconds:.1f} s" if found.goes_on else ""
-    return f"the turn stopped{where} (scan {found.first_scan + 1} of {found.of_scans}){after}"
+    where = "" if standstill.turned_deg is None else f" at about {standstill.turned_deg:.0f} degrees"
+    after = f" and went on after {standstill.seconds:.1f} s" if standstill.goes_on else ""
+    return f"the turn stopped{where} (scan {standstill.first_scan + 1} of {standstill.of_scans}){after}"
 
 
 def without_standstill(capture: Capture) -> Capture:
     """The capture with one of the scans during a standstill, if these are still among its views."""
     resolved: ResolvedMotion | None = capture.motion.resolved
-    found = None if resolved is None else resolved.standstill
-    if found is None or capture.views != found.of_scans:
+    standstill = None if resolved is None else resolved.standstill
+    if standstill is None or capture.views != standstill.of_scans:
         return capture
-    still = Still(found.first_scan, found.first_scan + found.scans)
+    still = Still(standstill.first_scan, standstill.first_scan + standstill.scans)
     return capture.select(np.flatnonzero(_moving(still, capture.views)))
 
 

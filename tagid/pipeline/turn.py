@@ -94,29 +94,29 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
     shortest, turns = resolved.period_s, resolved.turns
     direction = "cw" if table.direction < 0 else "ccw"
     candidates: dict[int, Capture] = {}
-    left: dict[int, float] = {}
+    residuals: dict[int, float] = {}
     for multiple in MULTIPLES:
         if turns / multiple < _SHORTEST_TURN:
             break
         speed = f"free?rpm={60 / (multiple * shortest)}&direction={direction}"
         candidates[multiple] = first if multiple == 1 else with_angles(capture, speed)
         try:
-            left[multiple] = unexplained_share(candidates[multiple])
+            residuals[multiple] = unexplained_share(candidates[multiple])
         except DataError:
             # The object is outside the window or nothing rotates: imaging reports that more clearly.
             return first
-    best = min(left, key=lambda multiple: left[multiple])
-    if left[best] >= _BETTER * left[1]:
+    best = min(residuals, key=lambda multiple: residuals[multiple])
+    if residuals[best] >= _BETTER * residuals[1]:
         best = 1
-    found = candidates[best]
+    chosen = candidates[best]
     info = replace(
-        found.motion.resolved or resolved,
+        chosen.motion.resolved or resolved,
         nominal_rpm=None,
         shortest_repetition_s=shortest,
         repetitions_a_turn=best,
-        unexplained={str(multiple): share for multiple, share in left.items()},
+        unexplained={str(multiple): share for multiple, share in residuals.items()},
     )
-    return replace(found, motion=replace(found.motion, url=url, resolved=info))
+    return replace(chosen, motion=replace(chosen.motion, url=url, resolved=info))
 
 
 def _by_the_scans(capture: Capture, motion: str | None, unaligned: NotAlignedError) -> Capture:
@@ -125,16 +125,16 @@ def _by_the_scans(capture: Capture, motion: str | None, unaligned: NotAlignedErr
     reverse = track is not None and track.angles_rad[-1] < track.angles_rad[0]
     bare = replace(capture, motion=capture.motion.without_track())
     try:
-        found = resolve_turn(bare, "free?direction=cw" if reverse else "free")
+        resolved = resolve_turn(bare, "free?direction=cw" if reverse else "free")
     except DataError:
         raise unaligned from None
-    if found.motion.resolved is None or (found.motion.resolved.quality or 0.0) < GOOD_QUALITY:
+    if resolved.motion.resolved is None or (resolved.motion.resolved.quality or 0.0) < GOOD_QUALITY:
         raise unaligned
     url = motion or capture.motion.url
-    return replace(found, motion=replace(found.motion, url=url, not_resolved=unaligned.message))
+    return replace(resolved, motion=replace(resolved.motion, url=url, not_resolved=unaligned.message))
 
 
-def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Capture:
+def _with_checked_speed(capture: Capture, given: Capture, nominal_s: float) -> Capture:
     """The capture with its stated speed, and the speed measured in its scans if the two differ.
 
     A stated speed is contradicted if the scans repeat well with a different period, and six fixed points
@@ -142,21 +142,21 @@ def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Ca
     axis distance makes good. All speeds are compared on the same scans: a shorter arc is easier to explain.
     Where several multiples explain them, all are named.
     """
-    resolved = told.motion.resolved
+    resolved = given.motion.resolved
     if resolved is None or resolved.kind != "free" or resolved.period_s is None:
-        return told
+        return given
     try:
-        if unexplained_share(told) < _EXPLAINED:
-            return told
+        if unexplained_share(given) < _EXPLAINED:
+            return given
         direction = "cw" if resolved.direction == -1 else "ccw"
         alone = with_angles(capture, f"free?direction={direction}").motion.resolved
         if alone is None or alone.period_s is None or alone.turns is None:
-            return told
+            return given
         if (alone.quality or 0.0) < GOOD_QUALITY:
-            return told
+            return given
         if resolved.repeats is False:
             repeating = replace(resolved, shortest_repetition_s=alone.period_s)
-            told = replace(told, motion=replace(told.motion, resolved=repeating))
+            given = replace(given, motion=replace(given.motion, resolved=repeating))
         others = [
             multiple * alone.period_s
             for multiple in MULTIPLES
@@ -164,26 +164,31 @@ def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Ca
             and abs(multiple * alone.period_s - nominal_s) > NOMINAL_TOLERANCE * nominal_s
         ]
         if not others:
-            return told
+            return given
         stretch = _Stretch.of(capture, max(nominal_s, *others), resolved.direction or 1)
         better = _BETTER if resolved.source == "nominal" else _BETTER_THAN_A_REPETITION
         most = better * stretch.unexplained(resolved.period_s)
-        left = {period: stretch.unexplained(period) for period in others}
-        best = min(left, key=left.__getitem__)
-        if left[best] >= most or stretch.explained_elsewhere(resolved.period_s, left[best] / better):
-            return told
+        residuals = {period: stretch.unexplained(period) for period in others}
+        best = min(residuals, key=residuals.__getitem__)
+        if residuals[best] >= most or stretch.explained_elsewhere(
+            resolved.period_s, residuals[best] / better
+        ):
+            return given
     except DataError:
         # No repetition, or nothing to image: the stated speed cannot be checked.
-        return told
+        return given
     margin = _AS_LIKELY if best == min(others) else 1 / _BETTER
-    shown = sorted((period for period in others if left[period] <= margin * left[best]), key=left.__getitem__)
+    shown = sorted(
+        (period for period in others if residuals[period] <= margin * residuals[best]),
+        key=residuals.__getitem__,
+    )
     speeds = tuple(float(60 / period) for period in shown)
     said = (
         replace(resolved, measured_rpm=speeds[0])
         if len(speeds) == 1
         else replace(resolved, likely_rpms=speeds)
     )
-    return replace(told, motion=replace(told.motion, resolved=said))
+    return replace(given, motion=replace(given.motion, resolved=said))
 
 
 @dataclass(frozen=True, eq=False)

@@ -139,10 +139,10 @@ def _part(progress: Progress | None, begin: float, end: float, what: str) -> Pro
     """Progress of one of several stages as part of the whole, from 0 to 1."""
     if progress is None:
         return None
-    told = progress
+    shown = progress
 
     def report(done: float, total: float, remark: str) -> None:
-        told(begin + (end - begin) * done / max(total, 1), 1.0, remark or what)
+        shown(begin + (end - begin) * done / max(total, 1), 1.0, remark or what)
 
     return report
 
@@ -182,8 +182,8 @@ def _held_out(
     some, plain = select_views(matched, seen), select_views(unfiltered, seen)
     first = backproject_volume(some if method == "bp" else plain, grid, progress if method == "bp" else None)
     back = _residual(test, first)
-    found = back if method == "bp" else _residual(test, _make(method, some, plain, grid, progress))
-    return HeldOut.of(found, back, unfiltered, unseen)
+    plain_residual = back if method == "bp" else _residual(test, _make(method, some, plain, grid, progress))
+    return HeldOut.of(plain_residual, back, unfiltered, unseen)
 
 
 def _residual(test: BasebandScans, volume: Volume) -> float:

@@ -44,21 +44,21 @@ def plan(layout: Layout) -> Drawing:
         Text((cx + half - 4, cy), "x"),
         Text((cx, cy + half - 4), "y"),
     )
-    places = layout.positions * 1e3
+    marks_mm = layout.positions * 1e3
     heights = np.asarray(layout.heights) * 1e3
-    circles = sorted({round(float(r), 1) for r in np.linalg.norm(places, axis=1)} - {0.0})
+    circles = sorted({round(float(r), 1) for r in np.linalg.norm(marks_mm, axis=1)} - {0.0})
     for radius in circles:
         sheet.add(Circle((cx, cy), radius, 0.2, True))
     for i, j in _sides(layout):
-        a, b = places[i], places[j]
-        if (np.linalg.norm(places - (a + b) / 2, axis=1) < 10).any():
+        a, b = marks_mm[i], marks_mm[j]
+        if (np.linalg.norm(marks_mm - (a + b) / 2, axis=1) < 10).any():
             continue  # another reflector is at the position of the label
         middle = (a + b) / 2
         sheet.add(
             Line((cx + a[0], cy + a[1]), (cx + b[0], cy + b[1]), 0.15, True),
             Text((cx + middle[0], cy + middle[1]), f"{np.linalg.norm(a - b):.1f}", 3.5),
         )
-    for number, (x, y) in enumerate(places, 1):
+    for number, (x, y) in enumerate(marks_mm, 1):
         at = (cx + float(x), cy + float(y))
         raised = bool(heights[number - 1] != heights.min())
         sheet.add(Circle(at, REFLECTOR_M * 500, 0.3, raised))
@@ -70,7 +70,7 @@ def plan(layout: Layout) -> Drawing:
         sheet.add(Text((at[0] + float(aside[0]), at[1] + float(aside[1])), str(number), 5.0))
         if reach > 1:
             sheet.add(Line((cx, cy), at, 0.1, True))
-    free = np.deg2rad(_widest_gap_deg(np.rad2deg(np.arctan2(places[:, 1], places[:, 0])) % 360))
+    free = np.deg2rad(_widest_gap_deg(np.rad2deg(np.arctan2(marks_mm[:, 1], marks_mm[:, 0])) % 360))
     for radius in circles:
         end = cx + radius * float(np.cos(free)), cy + radius * float(np.sin(free))
         sheet.add(Text(end, f"R {radius:.1f}", 3.5))
@@ -78,7 +78,7 @@ def plan(layout: Layout) -> Drawing:
     rows.append(f"Circles: reflectors of size {REFLECTOR_M * 1e3:.0f} mm, measured from tip to tip.")
     if len(set(heights.tolist())) > 1:
         rows.append("A dashed outline is a reflector above the lowest row.")
-    for number, ((x, y), h) in enumerate(zip(places, heights, strict=True), 1):
+    for number, ((x, y), h) in enumerate(zip(marks_mm, heights, strict=True), 1):
         rows.append(
             f"{number}:  radius {np.hypot(x, y):.1f}   angle {np.rad2deg(np.arctan2(y, x)) % 360:.1f} deg   "
             f"x {x + 0.0:.1f}   y {y + 0.0:.1f}" + (f"   height {h:.1f}" if heights.any() else "")

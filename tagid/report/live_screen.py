@@ -99,17 +99,17 @@ def _answer(s: LiveState) -> Text:
 def _bars(evidence: tuple[LayoutEvidence, ...], columns: int, colour: bool) -> list[Text]:
     """One line per layout, the best first: share of the echo it explains, and the required minimum."""
     full, empty = ("█", "░") if colour else ("#", ".")
-    best = sorted(evidence, key=lambda one: -one.share)[:_MOST_BARS]
-    width = min(max((len(one.layout) for one in best), default=0), 24)
+    best = sorted(evidence, key=lambda share: -share.share)[:_MOST_BARS]
+    width = min(max((len(share.layout) for share in best), default=0), 24)
     lines = []
-    for one in best:
-        filled, needed = round(one.share * _BAR), round(one.needed_share * _BAR)
+    for share in best:
+        filled, needed = round(share.share * _BAR), round(share.needed_share * _BAR)
         bar = [full if i < filled else empty for i in range(_BAR)]
         bar[min(needed, _BAR - 1)] = "|"
         line = Text(no_wrap=True, overflow="crop")
-        line.append(f"{visible(one.layout)[:width]:<{width}} ")
-        line.append("".join(bar), style="green" if one.enough else "yellow")
-        line.append(f" {one.share:4.0%} of the echo, {one.needed_share:.0%} needed")
+        line.append(f"{visible(share.layout)[:width]:<{width}} ")
+        line.append("".join(bar), style="green" if share.enough else "yellow")
+        line.append(f" {share.share:4.0%} of the echo, {share.needed_share:.0%} needed")
         lines.append(line)
     if len(evidence) > len(best):
         lines.append(Text(f"and {len(evidence) - len(best)} more layouts", style="dim"))

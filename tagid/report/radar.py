@@ -18,9 +18,9 @@ from tagid.report.table import Table
 _ANTENNAS = {0: "A/A", 1: "B/B", 2: "transmit A, receive B", 3: "transmit B, receive A", 255: "default"}
 
 
-def info_table(url: str, found: RadarSurvey) -> Table:
+def info_table(url: str, radar: RadarSurvey) -> Table:
     """Status and settings of one radar, one line each, units named."""
-    status = found.status
+    status = radar.status
     rows = {
         "radar": f"{url}, serial {status.serial}" + (f", {status.package}" if status.package else ""),
         "versions": f"MRM {status.mrm_version}, kernel {status.kernel_version}, FPGA {status.fpga_version}"
@@ -28,10 +28,10 @@ def info_table(url: str, found: RadarSurvey) -> Table:
         "temperature": f"{status.temperature_c:.2f} degC",
         "self test": "passed" if not status.built_in_test else f"FAILED, code {status.built_in_test}",
     }
-    if found.uptime_s is not None:
-        rows["up for"] = _duration(found.uptime_s)
-    if found.config is not None:
-        rows |= _settings_rows(found.config)
+    if radar.uptime_s is not None:
+        rows["up for"] = _duration(radar.uptime_s)
+    if radar.config is not None:
+        rows |= _settings_rows(radar.config)
     table = Table(show_header=False, box=None)
     for name, text in rows.items():
         table.add_row(name, Text(text))

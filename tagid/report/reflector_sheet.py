@@ -85,12 +85,12 @@ class Net:
     @property
     def edges(self) -> dict[tuple[int, int], int]:
         """Edges (lower, higher point) and how many triangles have them: 2 fold, 1 cut."""
-        found: dict[tuple[int, int], int] = {}
+        counts: dict[tuple[int, int], int] = {}
         for triangle in self.triangles:
             for i in range(3):
                 a, b = sorted((triangle[i], triangle[(i + 1) % 3]))
-                found[a, b] = found.get((a, b), 0) + 1
-        return found
+                counts[a, b] = counts.get((a, b), 0) + 1
+        return counts
 
 
 def net(size_m: float) -> Net:
@@ -111,23 +111,23 @@ def net(size_m: float) -> Net:
 
 def sheet(size_m: float) -> Drawing:
     """The net at 1:1 with a 100 mm scale bar, and a drawing that shows the definition of the size."""
-    one = net(size_m)
-    low, high = one.points.min(axis=0), one.points.max(axis=0)
+    flat = net(size_m)
+    low, high = flat.points.min(axis=0), flat.points.max(axis=0)
     room = TAB_MM + _EDGE_MM
     width = max(float(high[0] - low[0]) + 2 * room, 190.0)
     size = size_m * 1e3
     drawing = Drawing(width, float(high[1] - low[1]) + 2 * room + _FOOT_MM + size)
     shift = np.array([room - low[0], _FOOT_MM + size + room - low[1]])
-    places = one.points + shift
+    points = flat.points + shift
 
     def point(index: int) -> tuple[float, float]:
-        return float(places[index][0]), float(places[index][1])
+        return float(points[index][0]), float(points[index][1])
 
-    tabbed = {tuple(sorted(edge)) for edge in one.tabs}
-    for (a, b), count in one.edges.items():
+    tabbed = {tuple(sorted(edge)) for edge in flat.tabs}
+    for (a, b), count in flat.edges.items():
         drawing.add(Line(point(a), point(b), 0.3, dashed=count == 2 or (a, b) in tabbed))
-    for start, end in one.tabs:
-        corners = _tab(places[start], places[end])
+    for start, end in flat.tabs:
+        corners = _tab(points[start], points[end])
         drawing.add(*(Line(*pair, 0.3) for pair in pairwise(corners)))
     _dimension(drawing, (30.0, 34.0), size)
     rows = (
@@ -201,7 +201,8 @@ def cross_section(size_m: float, frequencies: int = 7) -> CrossSection:
     size = size_m * frequency / SPEED_OF_LIGHT
     level = 10 * np.log10(4 * np.pi * size_m**2)
     vertical, horizontal = (
-        level + np.stack([np.interp(size, table["wavelengths"], one) for one in np.transpose(table[name])], 1)
+        level
+        + np.stack([np.interp(size, table["wavelengths"], column) for column in np.transpose(table[name])], 1)
         for name in ("vertical_db", "horizontal_db")
     )
     aspect = np.array(table["aspect_deg"])

@@ -101,14 +101,14 @@ def write_junit(path: Path, records: Iterable[ItemRecord], summary: Mapping[str,
 def _case(file: TextIO, record: ItemRecord) -> None:
     file.write(f'<testcase classname="tagid" name={_quoted(record.file)} time="{record.total_s:.4f}"')
     lines = [f"{name}: {text}" for name, text in record.explained()]
-    found = record.verdict()
-    if found is None and not lines:
+    verdict = record.verdict()
+    if verdict is None and not lines:
         file.write("/>\n")
         return
     file.write(">")
-    if found is not None:
+    if verdict is not None:
         code = record.error_code or record.status
-        file.write(f"<{found.kind} type={_quoted(code)} message={_quoted(found.reason)}/>")
+        file.write(f"<{verdict.kind} type={_quoted(code)} message={_quoted(verdict.reason)}/>")
     if lines:
         file.write(f"<system-out>{escape(_allowed(chr(10).join(lines)))}</system-out>")
     file.write("</testcase>\n")

@@ -227,10 +227,10 @@ class Enrolling:
         Raises EnrolmentError if there is no such capture, or while measuring.
         """
         with self._alone() as before:
-            left = tuple(capture for capture in before.captures if capture.number != number)
-            if len(left) == len(before.captures):
+            kept = tuple(capture for capture in before.captures if capture.number != number)
+            if len(kept) == len(before.captures):
                 raise EnrolmentError(f"there is no capture {number}", "Reload the page.")
-            self._state = replace(before, captures=left)
+            self._state = replace(before, captures=kept)
             self._measure()
 
     def store(self, force: bool = False) -> Stored:
@@ -308,19 +308,21 @@ class Enrolling:
             raise bad.error
         imaging = self._imaging()
         usable = [capture.sighted for capture in state.captures if capture.sighted is not None]
-        found = measure(subject.name, usable, imaging)
+        measured = measure(subject.name, usable, imaging)
         if len(usable) < NEEDED:
-            return replace(state, measured=found)
+            return replace(state, measured=measured)
         contents = self._registry().contents()
         proposal: LayoutProposal | SignatureProposal
-        if found.estimate is not None:
-            layout = replace(found.estimate.layout, kind=subject.kind, label=subject.label)
-            proposal = propose_layout(contents, layout, found, imaging.direction_known)
+        if measured.estimate is not None:
+            layout = replace(measured.estimate.layout, kind=subject.kind, label=subject.label)
+            proposal = propose_layout(contents, layout, measured, imaging.direction_known)
         else:
-            assert found.joint is not None
-            own = replace(found.joint.signature, label=subject.label[:200])
-            proposal = propose_signature(contents, own)
-        return replace(state, measured=found, proposal=proposal, trouble=proposal.taken or proposal.conflict)
+            assert measured.joint is not None
+            signature = replace(measured.joint.signature, label=subject.label[:200])
+            proposal = propose_signature(contents, signature)
+        return replace(
+            state, measured=measured, proposal=proposal, trouble=proposal.taken or proposal.conflict
+        )
 
     @contextmanager
     def _alone(self, wait: bool = False) -> Iterator[EnrolmentState]:

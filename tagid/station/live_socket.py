@@ -163,7 +163,7 @@ class LiveSocket:
             for task in tasks:
                 task.cancel()
             done = await asyncio.gather(*tasks, return_exceptions=True)
-            bad = any(isinstance(one, _BadMessageError) for one in done)
+            bad = any(isinstance(result, _BadMessageError) for result in done)
             await _close(socket, 1008 if bad else 1011)
 
     async def _send(self, socket: WebSocket, client: Client) -> None:

@@ -199,8 +199,8 @@ def _header(name: str, description: str) -> dict[str, Any]:
 
 
 def _file(summary: str, media: str, missing: bool = False) -> dict[str, Any]:
-    found = {"200": {"description": "The file", "content": {media: {}}}, "401": _error()}
-    return {"summary": summary, "responses": {**found, **({"404": _error()} if missing else {})}}
+    responses = {"200": {"description": "The file", "content": {media: {}}}, "401": _error()}
+    return {"summary": summary, "responses": {**responses, **({"404": _error()} if missing else {})}}
 
 
 def _number() -> dict[str, Any]:

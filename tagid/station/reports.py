@@ -84,7 +84,7 @@ class ReportRun:
     def _fail(self, error: BaseException) -> None:
         self.error = reported(error)
 
-    def _progress(self, done: int, total: int, rate: float, left: float | None) -> None:
+    def _progress(self, done: int, total: int, rate: float, remaining_s: float | None) -> None:
         self.done = done
 
 

@@ -74,39 +74,39 @@ async def body(request: Request) -> dict[str, Any]:
 def json_object(content: bytes | str) -> dict[str, Any]:
     """The JSON object of a body or a message. Raises UsageError, also for a text that is not Unicode."""
     try:
-        found = json.loads(content)
-        json.dumps(found, ensure_ascii=False).encode()
+        value = json.loads(content)
+        json.dumps(value, ensure_ascii=False).encode()
     except UnicodeEncodeError:
         raise UsageError("a text contains half a surrogate pair", "Send Unicode characters.") from None
     except (ValueError, RecursionError):
         raise UsageError("this is not JSON", "Send a JSON object.") from None
-    if not isinstance(found, dict):
+    if not isinstance(value, dict):
         raise UsageError("this is not a JSON object", "Send an object, e.g. {}.")
-    return found
+    return value
 
 
 def text_of(asked: dict[str, Any], name: str, default: str | None = "") -> str:
     """A text in a body. Raises UsageError if it is not a text, or missing without a default."""
-    found = asked.get(name, default)
-    if not isinstance(found, str):
+    value = asked.get(name, default)
+    if not isinstance(value, str):
         raise UsageError(f"{name} must be a string")
-    return found
+    return value
 
 
 def key_of(asked: dict[str, Any]) -> str | None:
     """The key of a WebSocket connection in a body; None if there is none. Raises UsageError."""
-    found = asked.get("key")
-    if not (found is None or isinstance(found, str)):
+    key = asked.get("key")
+    if not (key is None or isinstance(key, str)):
         raise UsageError("key must be a string")
-    return found
+    return key
 
 
 def flag_of(asked: dict[str, Any], name: str) -> bool:
     """Whether something is requested in a body; not without a value. Raises UsageError."""
-    found = asked.get(name, False)
-    if not isinstance(found, bool):
+    value = asked.get(name, False)
+    if not isinstance(value, bool):
         raise UsageError(f"{name} must be true or false")
-    return found
+    return value
 
 
 def entries_of(numbers: Any) -> tuple[int, ...]:

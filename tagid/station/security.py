@@ -218,7 +218,7 @@ class Guard:
         socket = scope["type"] == "websocket"
         page = not socket and path == "/" and scope["method"] == "GET"
         origins = headers.get("origin", [])
-        own = headers.get(OWN_HEADER) == ["1"]
+        own_page = headers.get(OWN_HEADER) == ["1"]
         if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
             return Refusal(
                 403, "wrong_origin", "another page sent this request", "Open the station's own page."
@@ -229,11 +229,11 @@ class Guard:
                 403, "wrong_origin", "another page sent this request", "Open the station's own page."
             )
         if socket:
-            if not origins and not own:
+            if not origins and not own_page:
                 return Refusal(
                     403, "no_origin", "this request was not sent by a page", f"Scripts send {OWN_HEADER}: 1."
                 )
-        elif refusal := _of_body(scope["method"], path, headers, own):
+        elif refusal := _of_body(scope["method"], path, headers, own_page):
             return refusal
         if self._pairing is not None and path not in _OPEN_PATHS and not self._paired(headers):
             return Refusal(
@@ -254,7 +254,7 @@ class Guard:
         return any(self._pairing is not None and self._pairing.knows(token) for token in tokens[:4])
 
 
-def _of_body(method: str, path: str, headers: dict[str, list[str]], own: bool) -> Refusal | None:
+def _of_body(method: str, path: str, headers: dict[str, list[str]], own_page: bool) -> Refusal | None:
     """Reason for refusing a request's method or body."""
     upload = method == "POST" and path == UPLOAD_PATH
     most = MOST_UPLOAD_BYTES if upload else MOST_BODY_BYTES if method == "POST" else 0
@@ -271,7 +271,7 @@ def _of_body(method: str, path: str, headers: dict[str, list[str]], own: bool) -
     if headers.get("content-type", [""])[0].partition(";")[0].strip().lower() != media:
         code = "wrong_type" if upload else "not_json"
         return Refusal(415, code, f"the body is not {media}", f"Send Content-Type: {media}.")
-    if not own:
+    if not own_page:
         return Refusal(403, "no_header", f"the header {OWN_HEADER} is missing", f"Send {OWN_HEADER}: 1.")
     return None
 

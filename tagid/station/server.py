@@ -395,17 +395,17 @@ def _allow_files() -> None:
 
 def _listen(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    found = socket.socket(family, socket.SOCK_STREAM)
-    found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        found.bind((host, port))
-        found.listen(_QUEUED)
+        listener.bind((host, port))
+        listener.listen(_QUEUED)
     except OSError as error:
-        found.close()
+        listener.close()
         if isinstance(error, socket.gaierror):
             raise UsageError(f"{host} is not an address", "Give an IP address, e.g. 127.0.0.1.") from error
         raise PortInUseError(
             f"cannot listen on {host}:{port}: {error.strerror}",
             "End the other program, or choose another port with `bind=HOST:PORT`.",
         ) from error
-    return found
+    return listener

@@ -100,9 +100,9 @@ class Settings:
         Raises BusyError if a search is running; ConfigError, UsageError for a bad `radar.addresses`.
         """
         with self._alone("a search is running"):
-            found = self._radars(config) if kind == "radar" else _motions()
-            self._found[kind] = found
-            return found
+            search = self._radars(config) if kind == "radar" else _motions()
+            self._found[kind] = search
+            return search
 
     def change(self, changes: Mapping[str, Any], config: Config) -> None:
         """Write settings to the configuration file; all of them, or none.
@@ -206,12 +206,14 @@ def shown_settings(config: Config) -> tuple[Shown, ...]:
 
 
 def _motions() -> Search:
-    found, note = serial_devices(), ""
+    devices_here, note = serial_devices(), ""
     try:
-        found += bluetooth_devices(LISTEN_S)
+        devices_here += bluetooth_devices(LISTEN_S)
     except TagidError as error:
         note = f"Bluetooth was not searched: {error.message}. {error.remedy}".strip()
-    devices = tuple(Device(one.url, f"{one.what} ({one.where})") for one in found if one.url)
+    devices = tuple(
+        Device(device.url, f"{device.what} ({device.where})") for device in devices_here if device.url
+    )
     if not devices and not note:
         note = "No robot or table was found. Connect its cable, or power the bridge."
     return Search(devices, note)

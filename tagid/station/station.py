@@ -66,7 +66,7 @@ class Source:
         Raises UsageError for an unknown object, and as `place`.
         """
         place = self.place()
-        shown = next((one for one in self.demo if one.name == name or not name), None)
+        shown = next((demo_object for demo_object in self.demo if demo_object.name == name or not name), None)
         if shown is None and name:
             raise UsageError(f"there is no object {name[:40]!r} to scan", "Only a demonstration has objects.")
         return place if shown is None else shown.placed(place, number)
@@ -392,9 +392,9 @@ class Station:
 
     def _unchecked(self, error: BaseException) -> None:
         """Show why there is no health check; the next one is due as usual."""
-        found = reported(error)
-        text = f"the health check failed: {found.message}"
-        finding = Finding("health check", "problem", text, found.remedy)
+        problem = reported(error)
+        text = f"the health check failed: {problem.message}"
+        finding = Finding("health check", "problem", text, problem.remedy)
         self._health = replace(self._health, findings=(finding,), checked_at=time.monotonic())
 
     def _watch_operator(self) -> None:
@@ -470,16 +470,16 @@ class Station:
         """The capture files of entries of the history, each once, without those no longer on the disk."""
         folder = self.source.place().folder()
         known = {entry.id: entry for entry in self.history(Filter(numbers=entries))}
-        found: dict[Path, None] = {}
+        files: dict[Path, None] = {}
         for number in entries:
             path = _own_file(known[number], folder) if number in known else None
             if path is not None and path.is_file():
-                found[path] = None
-        return list(found)
+                files[path] = None
+        return list(files)
 
     def _capture(self, number: int) -> Path:
-        found = self.history(Filter(number=number, limit=1))
-        path = _own_file(found[0], self.source.place().folder()) if found else None
+        entries = self.history(Filter(number=number, limit=1))
+        path = _own_file(entries[0], self.source.place().folder()) if entries else None
         if path is None:
             raise NoSuchItemError(f"the station has no capture of entry {number}")
         return path
@@ -513,5 +513,5 @@ def _residuals(path: Path) -> bytes:
 def _own_file(entry: HistoryEntry, folder: Path) -> Path | None:
     """The file of an entry of the history; None unless it is a scan in the station's folder."""
     path = Path(entry.file)
-    own = entry.command in (COMMAND, "scan") and path.resolve().parent == folder.resolve()
-    return path if own else None
+    is_scan = entry.command in (COMMAND, "scan") and path.resolve().parent == folder.resolve()
+    return path if is_scan else None

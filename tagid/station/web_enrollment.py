@@ -94,16 +94,19 @@ class EnrolmentHandlers:
         return await self._pdf(request, proposal.layout)
 
     async def layouts(self, request: Request) -> Response:
-        found = await run_in_threadpool(self._station.layouts)
-        items = [{"name": one.name, "kind": one.kind, "label": one.label, "size": one.size} for one in found]
+        enrolled = await run_in_threadpool(self._station.layouts)
+        items = [
+            {"name": entry.name, "kind": entry.kind, "label": entry.label, "size": entry.size}
+            for entry in enrolled
+        ]
         return as_json({"items": items})
 
     async def template(self, request: Request) -> Response:
         """The template of an enrolled layout; the name is compared, never used as a path."""
         name = request.path_params["name"]
-        for one in await run_in_threadpool(self._station.layouts):
-            if one.name == name:
-                return await self._pdf(request, one)
+        for entry in await run_in_threadpool(self._station.layouts):
+            if entry.name == name:
+                return await self._pdf(request, entry)
         raise NoSuchItemError("there is no layout of that name", "See /api/v1/layouts.")
 
     async def _pdf(self, request: Request, layout: Layout) -> Response:

@@ -219,6 +219,6 @@ class _Pieces:
 
     def take(self) -> bytes:
         """All bytes written since the last call."""
-        found = b"".join(self._pieces)
+        content = b"".join(self._pieces)
         self._pieces.clear()
-        return found
+        return content

@@ -59,7 +59,7 @@ def status(station: Station) -> Json:
 
 def demo_objects(station: Station) -> list[Json]:
     """The objects of a demonstration; empty with a real radar."""
-    return [{"name": one.name, "words": one.words} for one in station.source.demo]
+    return [{"name": demo_object.name, "words": demo_object.words} for demo_object in station.source.demo]
 
 
 def scan(run: Run) -> Json:
@@ -84,14 +84,14 @@ def scan(run: Run) -> Json:
         "has_residuals": run.residuals is not None,
         "evidence": [
             {
-                "layout": one.layout,
-                "share": round(one.share, 4),
-                "needed_share": one.needed_share,
-                "nats": round(float(one.nats), 1),
-                "needed_nats": round(one.needed_nats, 1),
-                "enough": one.enough,
+                "layout": share.layout,
+                "share": round(share.share, 4),
+                "needed_share": share.needed_share,
+                "nats": round(float(share.nats), 1),
+                "needed_nats": round(share.needed_nats, 1),
+                "enough": share.enough,
             }
-            for one in sorted(state.evidence, key=lambda one: -one.share)
+            for share in sorted(state.evidence, key=lambda share: -share.share)
         ],
         "answer": None if state.answer is None else answer(state.answer),
         "final": state.final,
@@ -99,9 +99,9 @@ def scan(run: Run) -> Json:
     }
 
 
-def answer(found: Identification) -> Json:
+def answer(identification: Identification) -> Json:
     """Fields of an answer for the page and scripts; `tagid identify` has all fields."""
-    values = found.to_dict()
+    values = identification.to_dict()
     names = ("status", "layout", "label", "score", "margin", "reason", "reason_code", "advice", "causes")
     reflectors = [{key: row[key] for key in ("x_m", "y_m", "matched")} for row in values["reflectors"]]
     shown = "words", "layout", "log_evidence", "unexplained"
@@ -159,22 +159,26 @@ def profile(run: ProfileRun) -> Json:
 def settings(station: Station) -> Json:
     """The settings of the page, and what the last searches found. Raises ConfigError, StorageError."""
     shown = shown_settings(station.source.place().config)
-    found = station.settings.found
+    searches = station.settings.found
     return {
-        "items": [{"name": one.name, "value": one.value, "fixed": one.fixed} for one in shown],
-        "found": {kind: _search(found[kind]) if kind in found else None for kind in DEVICE_KINDS},
+        "items": [
+            {"name": setting.name, "value": setting.value, "fixed": setting.fixed} for setting in shown
+        ],
+        "found": {kind: _search(searches[kind]) if kind in searches else None for kind in DEVICE_KINDS},
     }
 
 
-def _search(found: Search) -> Json:
-    devices = [{"url": one.url, "text": one.text, "problem": one.problem} for one in found.devices]
-    return {"devices": devices, "note": found.note}
+def _search(search: Search) -> Json:
+    devices = [
+        {"url": device.url, "text": device.text, "problem": device.problem} for device in search.devices
+    ]
+    return {"devices": devices, "note": search.note}
 
 
-def health(found: Health) -> Json:
+def health(state: Health) -> Json:
     """The last health check."""
     return {
-        "checked": found.checked_at is not None,
+        "checked": state.checked_at is not None,
         "findings": [
             {
                 "topic": finding.topic,
@@ -183,12 +187,12 @@ def health(found: Health) -> Json:
                 "remedy": finding.remedy,
                 "answers": finding.answers,
             }
-            for finding in found.findings
+            for finding in state.findings
         ],
-        "recovered_scan": found.recovered,
+        "recovered_scan": state.recovered,
         "wiring": None
-        if found.wiring is None
-        else {"cable": found.wiring.cable, "url": found.wiring.url, "steps": list(found.wiring.steps)},
+        if state.wiring is None
+        else {"cable": state.wiring.cable, "url": state.wiring.url, "steps": list(state.wiring.steps)},
     }
 
 
@@ -220,22 +224,22 @@ def _remarks(state: EnrolmentState) -> list[str]:
     return list(state.measured.remarks if enough else state.measured.unmoved)
 
 
-def _taken(one: Taken) -> Json:
-    reading = one.answer.reading
+def _taken(taken: Taken) -> Json:
+    reading = taken.answer.reading
     return {
-        "number": one.number,
-        "file": one.path.name,
-        "reflectors": None if one.sighted is None else len(one.sighted.sighting.positions),
-        "status": one.answer.status,
+        "number": taken.number,
+        "file": taken.path.name,
+        "reflectors": None if taken.sighted is None else len(taken.sighted.sighting.positions),
+        "status": taken.answer.status,
         "layout": None if reading is None else reading.layout,
-        "error": None if one.error is None else error_entry(one.error),
+        "error": None if taken.error is None else error_entry(taken.error),
     }
 
 
-def proposal(found: LayoutProposal | SignatureProposal, measured: Measured | None) -> Json:
+def proposal(proposed: LayoutProposal | SignatureProposal, measured: Measured | None) -> Json:
     """What an enrollment would store, compared with its neighbours."""
-    can_store = found.taken is None and found.conflict is None
-    if isinstance(found, SignatureProposal):
+    can_store = proposed.taken is None and proposed.conflict is None
+    if isinstance(proposed, SignatureProposal):
         return {
             "ready": can_store,
             "reflectors": [],
@@ -250,16 +254,16 @@ def proposal(found: LayoutProposal | SignatureProposal, measured: Measured | Non
                     "difference": likeness.difference,
                     "confusable": likeness.alike,
                 }
-                for likeness in found.likenesses[:_NEAREST]
+                for likeness in proposed.likenesses[:_NEAREST]
             ],
         }
     estimate = None if measured is None else measured.estimate
-    layout, outlook = found.layout, found.outlook
+    layout, outlook = proposed.layout, proposed.outlook
     return {
         "ready": can_store,
         "reflectors": [{"x_m": float(x), "y_m": float(y)} for x, y in layout.positions],
         "spread_m": [] if estimate is None else [float(value) for value in estimate.spread_m],
-        "signature": found.signature is not None,
+        "signature": proposed.signature is not None,
         "confusion_rate": outlook.unresolved,
         "reference": {"views": outlook.conditions.views, "snr_db": outlook.conditions.snr_db},
         "nearest": [

@@ -245,7 +245,7 @@ def _explains(scans: BasebandScans, grid: ImageGrid, first: AtsResult) -> bool:
         return False
     seen = select_views(scans, np.setdiff1d(np.arange(scans.aperture.views), first.unseen))
     plain = (residual(unseen, image_without_field(seen, grid, name)) for name in BACKPROJECTIONS)
-    return all(first.held_out <= left for left in plain)
+    return all(first.held_out <= value for value in plain)
 
 
 class _Trials:
@@ -285,21 +285,21 @@ class _Trials:
 
         The defaults may fall behind after the first group; others are then judged on more views.
         """
-        parts = [self.found[each] for each in (name, DEFAULT)]
+        parts = [self.found[prior] for prior in (name, DEFAULT)]
         views = min(len(part.measured) for part in parts)
-        left, default = (part.first(views).residual for part in parts)
-        return {"residual": left, "default": default, "views": views}
+        residual, default = (part.first(views).residual for part in parts)
+        return {"residual": residual, "default": default, "views": views}
 
     def chosen(self) -> str:
         """The best prior of those that were tried on every group; the defaults where it is hardly better,
         backprojection where none predicts anything."""
         last = [name for name in self._last() if name != PIXELS or not self.explained]
-        left = self.residuals()
-        best = min(last, key=left.__getitem__)
+        residuals = self.residuals()
+        best = min(last, key=residuals.__getitem__)
         if DEFAULT in last and self._gain(best, DEFAULT) < KEEPS:
-            best = min((name for name in (DEFAULT, PIXELS) if name in last), key=left.__getitem__)
-        if self.without_field and left[best] > 1 - BLANK:
-            best = min(BACKPROJECTIONS, key=left.__getitem__)
+            best = min((name for name in (DEFAULT, PIXELS) if name in last), key=residuals.__getitem__)
+        if self.without_field and residuals[best] > 1 - BLANK:
+            best = min(BACKPROJECTIONS, key=residuals.__getitem__)
         return best
 
     def _race(self, groups: list[NDArray[np.intp]]) -> None:
@@ -318,10 +318,10 @@ class _Trials:
                     return
             if self.views < SETTLES:
                 continue
-            left, last = self.residuals(), self._last()
-            best = min(left[name] for name in last)
-            near = [name for name in last if name in CANDIDATES and left[name] <= NEAR * best]
-            running = sorted(near, key=left.__getitem__)[:MOST_TRIED]
+            residuals, last = self.residuals(), self._last()
+            best = min(residuals[name] for name in last)
+            near = [name for name in last if name in CANDIDATES and residuals[name] <= NEAR * best]
+            running = sorted(near, key=residuals.__getitem__)[:MOST_TRIED]
             if not running:
                 return
 
@@ -346,7 +346,7 @@ class _Trials:
             if self.bounded:
                 self.skipped.append(name)
             return self.bounded
-        others = [each for each in ISOTROPIC.values() if each in tried]
+        others = [prior for prior in ISOTROPIC.values() if prior in tried]
         if not self.bounded or name not in ISOTROPIC or not others:
             return False
         if ISOTROPIC[name] == min(others, key=tried.__getitem__):
@@ -356,10 +356,10 @@ class _Trials:
 
     def _enough(self, group: NDArray[np.intp]) -> bool:
         """Whether the defaults leave little but noise of the first group, and less than backprojection."""
-        left = self.residuals()
+        residuals = self.residuals()
         part = select_views(self.scans, group)
-        plain = [left[name] for name in BACKPROJECTIONS if name in left]
-        return left[DEFAULT] <= min([_noise_share(part) + ASKS, *plain])
+        plain = [residuals[name] for name in BACKPROJECTIONS if name in residuals]
+        return residuals[DEFAULT] <= min([_noise_share(part) + ASKS, *plain])
 
     def _last(self) -> list[str]:
         """Priors that were tried on every group so far."""
@@ -376,12 +376,12 @@ class _Trials:
         plain = backproject(seen, self.grid).values.ravel()
         counts = [count for count in ITERATIONS if f"{LINEAR} {count}" not in self.skipped]
         solutions = least_squares(operator.select(rest), seen.samples, counts)
-        left: list[float] = []
+        residuals: list[float] = []
         for iterations, values in zip((0, *counts), chain([plain], solutions), strict=True):
             prediction = Prediction.of(self.scans.samples[group], unseen.forward(values))
             self._add(f"{LINEAR} {iterations}", prediction)
-            left.append(prediction.residual)
-            if self.bounded and not self.skipped and iterations > 1 and left[-1] > left[-2]:
+            residuals.append(prediction.residual)
+            if self.bounded and not self.skipped and iterations > 1 and residuals[-1] > residuals[-2]:
                 self.skipped = [f"{LINEAR} {more}" for more in counts if more > iterations]
                 break
 
@@ -401,12 +401,12 @@ class _Trials:
         """A field; left out where its engine or the memory for it is missing."""
         settings = with_prior(self.settings, name)
         try:
-            found = fit(self.scans, self.grid, settings, self.progress, group, images=self.images)
+            fitted = fit(self.scans, self.grid, settings, self.progress, group, images=self.images)
         except (MissingExtraError, UsageError):
             if name == DEFAULT:
                 raise
             return
-        self._add(name, found.prediction)
+        self._add(name, fitted.prediction)
 
     def _gain(self, name: str, than: str) -> float:
         """Mean over its standard error of what one prior leaves less than another, over the views."""

@@ -310,8 +310,8 @@ def _solve(
     for _ in range(3):  # the noise is what is left after the step, not before it
         weight = max(variance, 1e-30) * correlation / np.square(prior)
         change = np.asarray(np.linalg.solve(normal + np.diag(weight), slope - weight * at), dtype=np.float64)
-        left = energy - 2 * float(change @ slope) + float(change @ normal @ change)
-        variance = max(left, 1e-6 * energy) / (2 * target.size)
+        energy_left = energy - 2 * float(change @ slope) + float(change @ normal @ change)
+        variance = max(energy_left, 1e-6 * energy) / (2 * target.size)
     inverse = np.linalg.inv(normal + np.diag(weight))
     by_noise = variance * correlation * np.diag(inverse)
     by_sector = np.diag(inverse @ _spread_over_sectors(columns, residual, change) @ inverse)
@@ -327,11 +327,11 @@ def _spread_over_sectors(
     are wrong alike, and the standard errors must hold that.
     """
     stack = np.stack(columns, axis=2)
-    left = residual - stack @ change
-    views = len(left)
+    remainder = residual - stack @ change
+    views = len(remainder)
     slopes = np.array(
         [
-            np.einsum("vbm,vb->m", stack[part].conj(), left[part]).real
+            np.einsum("vbm,vb->m", stack[part].conj(), remainder[part]).real
             for part in np.array_split(np.arange(views), min(_SECTORS, views))
         ]
     )

@@ -83,13 +83,13 @@ def dimensions() -> dict[str, Tensor]:
     shapes += [("seen_views", "seen_points")]
     shapes += [("fine", "spread"), (2, "views", "bins"), ("views", "bins"), (9,)]
     kinds = {"index": "int32"}
-    found = {
+    tensors = {
         name: Tensor(kinds.get(name, "float32"), shape)
         for name, shape in zip(input_names(), shapes, strict=True)
     }
-    found["loss"] = Tensor("float32", (1,))
-    found |= {name: Tensor("float32", shape) for name, shape in zip(state_names(), state * 3, strict=True)}
-    return found
+    tensors["loss"] = Tensor("float32", (1,))
+    tensors |= {name: Tensor("float32", shape) for name, shape in zip(state_names(), state * 3, strict=True)}
+    return tensors
 
 
 def _example() -> list[Any]:

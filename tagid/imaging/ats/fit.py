@@ -470,7 +470,7 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
 
 def _check_continues(start: FieldWeights, new: FieldWeights) -> None:
     """Raise UsageError unless two fields have the same sizes."""
-    sizes = [[a.shape for a in (*each.tables, *each.weights)] for each in (start, new)]
+    sizes = [[a.shape for a in (*network.tables, *network.weights)] for network in (start, new)]
     if sizes[0] != sizes[1] or (start.extent, start.pixels) != (new.extent, new.pixels):
         raise UsageError(
             "the field to begin with was fitted on another grid or with other sizes",

@@ -53,16 +53,16 @@ class NativeEngine:
         """Views of an array of all parameters, in the shapes and the order of `FieldWeights`."""
         start = self._start
         shapes = [a.shape for a in (*start.tables, *start.weights, *start.biases)]
-        found: list[Array] = []
+        parts: list[Array] = []
         at = 0
         for number, (size, shape) in enumerate(zip(self._adam.sizes, shapes, strict=True)):
             part = whole[at : at + size]
             at += size
             if number < self._levels:
-                found.append(part.reshape(*shape[1:], shape[0]).transpose(2, 0, 1))
+                parts.append(part.reshape(*shape[1:], shape[0]).transpose(2, 0, 1))
             else:
-                found.append(part.reshape(shape))
-        return found
+                parts.append(part.reshape(shape))
+        return parts
 
     def step(self, grid: GridArrays, views: ViewArrays, fine: FineRange, numbers: Array) -> float:
         """One step of Adam on some views, on the pixels of `grid.pixels`; the loss before it."""
@@ -107,15 +107,15 @@ class NativeEngine:
 
     def _forward(self, grid: GridArrays) -> list[Array]:
         """Features, every hidden layer after its ReLU, and the output, each (P, units)."""
-        found, _ = self._scratch(len(grid.taps.index))
-        grid.taps.interpolate(self._all[: self._cut].reshape(-1, self._features), found[0])
+        outputs, _ = self._scratch(len(grid.taps.index))
+        grid.taps.interpolate(self._all[: self._cut].reshape(-1, self._features), outputs[0])
         for number in range(self._layers):
             weight, bias = self._layer(number)
-            layer = np.matmul(found[number], weight.T, out=found[number + 1])
+            layer = np.matmul(outputs[number], weight.T, out=outputs[number + 1])
             layer += bias
             if number < self._layers - 1:
                 np.maximum(layer, 0, out=layer)
-        return found
+        return outputs
 
     def _backward(self, grid: GridArrays, layers: list[Array], slope: Array) -> Array:
         """Gradient by all parameters from that by the network's output (P, 2C)."""
@@ -246,9 +246,9 @@ class OnnxEngine:
         if kind not in self._checked:
             self._model.check(feeds)
             self._checked.add(kind)
-        found = self._model.run(feeds)
-        self._state = {old: found[new] for old, new in self._names}
-        return float(found["loss"][0])
+        outputs = self._model.run(feeds)
+        self._state = {old: outputs[new] for old, new in self._names}
+        return float(outputs["loss"][0])
 
     def weights(self) -> FieldWeights:
         """The parameters as they are now."""

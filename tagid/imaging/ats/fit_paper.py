@@ -426,11 +426,11 @@ class _Fit:
         points = int((rays.weights > 0).sum())
         views = min(s.views_per_step, len(self.samples))
         # Encoding (weights, entries, features), activations of four layers and their gradients; ray tensors.
-        each = (
+        predictions = (
             points * (8 * 4 * s.levels + 8 * s.levels * s.features + 8 * 4 * s.width) + 120 * rays.depths.size
         )
         require_memory(
-            views * each + _KEPT_BYTES,
+            views * predictions + _KEPT_BYTES,
             f"steps of the paper's method with {views} views of {points} points",
             "Image a smaller square (`imaging.extent_m`) or shorter scans, or use `preset=field`.",
         )

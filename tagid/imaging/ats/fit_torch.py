@@ -76,11 +76,11 @@ def features(tables: list[Any], interpolation: list[Any]) -> Any:
 
 def activations(inputs: Any, weights: list[Any], biases: list[Any]) -> list[Any]:
     """Input, every hidden layer after its ReLU, and the output, each (units, P)."""
-    found = [inputs]
+    layers = [inputs]
     for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-        linear = torch.matmul(weight, found[-1]) + bias
-        found.append(torch.relu(linear) if i < len(weights) - 1 else linear)
-    return found
+        linear = torch.matmul(weight, layers[-1]) + bias
+        layers.append(torch.relu(linear) if i < len(weights) - 1 else linear)
+    return layers
 
 
 def optimise(s: Step) -> tuple[Any, ...]:

@@ -251,11 +251,11 @@ class GridArrays:
     @cached_property
     def support(self) -> Array:
         """(1, pixels^2) 1 for the pixels that a step works on, else 0."""
-        found = np.ones((1, len(self.neighbours) ** 2), dtype=np.float32)
+        mask = np.ones((1, len(self.neighbours) ** 2), dtype=np.float32)
         if self.pixels is not None:
-            found[:] = 0
-            found[0, self.pixels] = 1
-        return found
+            mask[:] = 0
+            mask[0, self.pixels] = 1
+        return mask
 
     def select(self, pixels: NDArray[np.intp] | None) -> GridArrays:
         """The same with these pixels only; None: all."""

@@ -190,15 +190,15 @@ class Calibration:
 
     def facts(self, learned: tuple[str, ...]) -> dict[str, Any]:
         """What was learned, of `CALIBRATIONS`, as plain JSON values; empty if nothing was."""
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         if "axis" in learned and np.isfinite(self.axis_sigma_m):
-            found["axis"] = {
+            values["axis"] = {
                 "distance_m": self.axis_distance_m,
                 "offset_m": self.axis_offset_m,
                 "sigma_m": self.axis_sigma_m,
             }
         if "wobble" in learned and np.isfinite(self.wobble_sigma_rad).all():
-            found["wobble"] = [
+            values["wobble"] = [
                 {
                     "harmonic": order,
                     "amplitude_deg": float(np.degrees(abs(w))),
@@ -211,14 +211,14 @@ class Calibration:
                 )
             ]
         if "gain" in learned and np.isfinite(self.gain_sigma).all():
-            found["gain"] = {
+            values["gain"] = {
                 "scans": [round(float(g), 5) for g in self.gain],
                 "sigma": [round(float(g), 5) for g in self.gain_sigma],
                 "spread": float(self.gain.std()),
             }
         if "static" in learned:
-            found["static"] = {"rms": float(np.sqrt((np.abs(self.static) ** 2).mean()))}
-        return found
+            values["static"] = {"rms": float(np.sqrt((np.abs(self.static) ** 2).mean()))}
+        return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +275,7 @@ def parse_settings(words: Iterable[str]) -> dict[str, Any]:
     Raises:
         UsageError: a name that does not exist, or a value of the wrong kind.
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     defaults = AtsSettings()
     for part in (p.strip() for word in words for p in word.split(",")):
         if not part:
@@ -285,8 +285,8 @@ def parse_settings(words: Iterable[str]) -> dict[str, Any]:
             raise UsageError(
                 f"there is no ATS setting {part!r}", f"Give KEY=VALUE with {', '.join(setting_names())}."
             )
-        found[name] = _value(name, text, getattr(defaults, name))
-    return found
+        values[name] = _value(name, text, getattr(defaults, name))
+    return values
 
 
 def parse_calibrate(text: str) -> tuple[str, ...]:

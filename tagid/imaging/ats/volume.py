@@ -176,11 +176,11 @@ class _Fit:
         scale = _SHARPENED * step * peak
         field = self._field(scale, step, whole)
         mean, losses = self._optimise(field, operator, energy, 2 * weight / energy, progress)
-        found = mean.evaluate(mean.layers()[-1])
-        seen = some.forward(found)
+        sigma = mean.evaluate(mean.layers()[-1])
+        seen = some.forward(sigma)
         power = float(np.vdot(seen, seen).real)
         factor = float(np.vdot(seen, data).real) / power if power > 0 else 1.0
-        out[self.active] = found * np.float32(np.clip(factor, 1.0, _MOST_SHRUNK))
+        out[self.active] = sigma * np.float32(np.clip(factor, 1.0, _MOST_SHRUNK))
         return out, {"steps_done": len(losses), "active_voxels": len(self.active), "loss": losses[-1]}
 
     def _field(self, scale: float, step: float, whole: float) -> Field:
@@ -210,11 +210,11 @@ class _Fit:
             some = operator.select(chosen)
             layers = field.layers()
             sigma = field.evaluate(layers[-1])
-            left = some.forward(sigma) - data
+            residual = some.forward(sigma) - data
             share = views / len(chosen) / energy
             magnitude = np.sqrt(np.abs(sigma) ** 2 + np.float32((field.scale * _MAGNITUDE_FLOOR) ** 2))
-            losses.append(share * float(np.vdot(left, left).real) + sparsity * float(magnitude.sum()))
-            slope = np.float32(2 * share) * some.adjoint(left) + np.float32(sparsity) * sigma / magnitude
+            losses.append(share * float(np.vdot(residual, residual).real) + sparsity * float(magnitude.sum()))
+            slope = np.float32(2 * share) * some.adjoint(residual) + np.float32(sparsity) * sigma / magnitude
             rate = settings.learning_rate * settings.decay ** (step / settings.steps)
             field.descend(layers, slope, rate, step + 1)
             if step + 1 > settings.steps * (1 - _MEAN_OVER):
@@ -316,7 +316,7 @@ class Field:
             return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
 
         features, width = max(settings.features, 2), max(settings.width, len(_PASSED))
-        tables = [uniform(_TABLE_INIT, features, each.vertices) for each in at]
+        tables = [uniform(_TABLE_INIT, features, level.vertices) for level in at]
         inputs, peak = features * len(at), float(np.abs(first).max(initial=1e-30))
         hidden, output = uniform(inputs**-0.5, width, inputs), uniform(width**-0.5, 2, width)
         output *= np.float32(_REST)
@@ -385,11 +385,11 @@ def _active(bright: NDArray[np.floating], settings: VolumeFitSettings) -> NDArra
     top = float(bright.max(initial=0.0))
     if top == 0:
         return np.zeros(0, dtype=np.intp)
-    found = np.flatnonzero(bright >= settings.active_share * top)
-    if len(found) > settings.most_active:
-        order = np.argpartition(bright[found], len(found) - settings.most_active)
-        found = np.sort(found[order[-settings.most_active :]])
-    return np.asarray(found, dtype=np.intp)
+    active = np.flatnonzero(bright >= settings.active_share * top)
+    if len(active) > settings.most_active:
+        order = np.argpartition(bright[active], len(active) - settings.most_active)
+        active = np.sort(active[order[-settings.most_active :]])
+    return np.asarray(active, dtype=np.intp)
 
 
 def _points(grid: VolumeGrid, voxels: NDArray[np.intp]) -> NDArray[np.float64]:
