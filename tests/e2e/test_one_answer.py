@@ -81,6 +81,14 @@ def captures(tagid: Callable[..., Any], tmp_path: Path) -> dict[str, str]:
 TURNED = ResolvedMotion(turns=1.1, period_s=10.0)
 
 
+@pytest.fixture(autouse=True)
+def _the_same_folders(home: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What runs in this process has the registry and history of the commands, not those of the user."""
+    for name in ("TAGID_DATA", "TAGID_CONFIG"):
+        monkeypatch.setenv(name, home[name])
+
+
+
 def test_every_door_gives_the_same_document(
     tagid: Callable[..., Any], captures: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
