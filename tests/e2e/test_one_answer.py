@@ -88,7 +88,6 @@ def _the_same_folders(home: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.setenv(name, home[name])
 
 
-
 def test_every_door_gives_the_same_document(
     tagid: Callable[..., Any], captures: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
