@@ -379,9 +379,6 @@ def _write(path: Path, settings: Mapping[str, Any]) -> None:
     for name, value in sorted(settings.items()):
         section, key = name.split(".", 1)
         tables.setdefault(section, {})[key] = value.reveal() if isinstance(value, Secret) else value
-    try:
-        files.make_folder(path.parent)
-    except OSError as error:
-        raise files.storage_error(error, path, "making its folder") from error
+    files.make_folder(path.parent)
     # It may contain a bridge's pass-key, which only its owner may read. The user may keep it behind a link.
     files.write_bytes(files.resolved(path), tomli_w.dumps(tables).encode(), private=True)

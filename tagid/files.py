@@ -420,16 +420,19 @@ def forget_cached(path: Path) -> None:
 def make_folder(folder: Path) -> None:
     """Create a folder and those above it that are missing, durably: each name is synced.
 
-    Raises OSError, as `Path.mkdir` does.
+    Raises StorageError, DiskFullError.
     """
     missing = []
     place = folder
     while not place.is_dir() and place != place.parent:
         missing.append(place)
         place = place.parent
-    for created in reversed(missing):
-        created.mkdir(exist_ok=True)
-        sync_folder(created.parent)
+    try:
+        for created in reversed(missing):
+            created.mkdir(exist_ok=True)
+            sync_folder(created.parent)
+    except OSError as error:
+        raise storage_error(error, folder, "making the folder") from error
 
 
 def sync_folder(folder: Path) -> None:

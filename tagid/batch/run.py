@@ -102,10 +102,7 @@ def run_batch(plan: BatchPlan, job: Job, runner: Runner, hooks: Hooks | None = N
         DiskFullError: no space left; finished items are kept for `resume`.
     """
     hooks = hooks or Hooks()
-    try:
-        files.make_folder(plan.out)
-    except OSError as error:
-        raise files.storage_error(error, plan.out, "making the report's folder") from error
+    files.make_folder(plan.out)
     with Spool(plan.out / FILE_NAME, fresh=not plan.resume) as spool:
         return _Run(plan, job, spool, hooks).go(runner)
 

@@ -214,10 +214,7 @@ def _keep(
     path: Path | None = None
     if reference is not None and not dry_run:
         path = data_folder() / REFERENCE_NAME
-        try:
-            make_folder(path.parent)
-        except OSError as error:
-            raise StorageError(f"cannot make the folder {path.parent}: {error.strerror}") from None
+        make_folder(path.parent)
         write_capture(path, reference)
         changes["radar.background"] = str(path)
     stored = None if dry_run or not changes else change_settings(changes)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tagid.config import Config, data_folder, load_config, radar_url
-from tagid.errors import ConfigError, StorageError, TagidError, UsageError
+from tagid.errors import ConfigError, TagidError, UsageError
 from tagid.files import make_folder
 
 if TYPE_CHECKING:
@@ -92,12 +92,7 @@ class Workplace:
             StorageError: it cannot be created.
         """
         folder = Path(self.config["storage.folder"] or ".")
-        try:
-            make_folder(folder)
-        except OSError as error:
-            raise StorageError(
-                f"cannot make the folder {folder}: {error.strerror}", "Choose another."
-            ) from None
+        make_folder(folder)
         return folder
 
     def imaging(self, focus: bool = True) -> ImagingSettings:

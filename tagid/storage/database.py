@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tagid import files, interrupts
-from tagid.errors import DiskFullError, RegistryError, TagidError, UsageError
+from tagid.errors import DiskFullError, RegistryError, StorageError, TagidError, UsageError
 
 BUSY_SECONDS = 10.0
 """Longest wait for another process's transaction, s."""
@@ -100,9 +100,9 @@ class Database:
         self._wait_s = wait_s
         try:
             files.make_folder(self.path.parent)
-        except OSError as error:
+        except StorageError as error:
             raise schema.error(
-                f"cannot create the folder of the {schema.what} {self.path}: {error.strerror}",
+                f"cannot create the folder of the {schema.what}: {error.message}",
                 f"Make it writable, or {schema.move}.",
             ) from error
         files.check_regular(self.path, schema.error)

@@ -48,6 +48,14 @@ def test_what_cannot_be_done_is_one_error(tagid) -> None:
         assert says in done.json["errors"][0]["remedy"], done.json["errors"]
 
 
+def test_a_data_folder_that_cannot_be_made_is_one_error(tagid, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    done = tagid("commission", "--step", "link", "--seconds", 1, "--radar", f"emulator://empty?{RIG}", *TAPE,
+                 "--output", "json", TAGID_DATA=str(tmp_path / "file" / "data"))  # fmt: skip
+    assert done.code == 1 and "file" in done.json["errors"][0]["message"], done.json["errors"]
+    assert done.json["errors"][0]["code"] == "storage" and "bug" not in done.json["errors"][0]["remedy"]
+
+
 def test_the_card_is_drawn_and_doctor_tells_of_the_rig(tagid, tmp_path: Path) -> None:
     assert tagid("layouts", "show", "test-card", "--template", "card.svg").code == 0
     assert "test-card" in (tmp_path / "card.svg").read_text()
