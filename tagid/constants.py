@@ -45,5 +45,7 @@ BLAS_THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMU
 
 CAPTURE_SUFFIX: Final = ".tagid.h5"
 """Usual ending of a capture file's name."""
-RIG_FILE = "rig.toml"
+BACKGROUND_FILE: Final = f"background{CAPTURE_SUFFIX}"
+"""The empty scene that `tagid radar calibrate` and `tagid commission` store, in the data folder."""
+RIG_FILE: Final = "rig.toml"
 """Profile of the commissioned rig, in the data folder (`tagid.rig`)."""

@@ -21,7 +21,7 @@ from tagid.types import Progress
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from tagid.commissioning.bench import Bench
+    from tagid.commissioning.bench import Bench, TapeChanges
     from tagid.commissioning.rows import StepReport
     from tagid.commissioning.steps import Step
 
@@ -100,7 +100,7 @@ def commission(
     check_drawing("--page", page, (".html",))
     check_drawing("--bundle", bundle, (".zip",))
     config = load_config({"radar.url": radar, "motion.url": motion})
-    given = {
+    given: TapeChanges = {
         "target": tape.target,
         "target_distance_m": tape.distance,
         "axis_distance_m": tape.axis_distance,

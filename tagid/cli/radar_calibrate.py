@@ -15,7 +15,7 @@ from tagid.cli.frame import Terminal, command
 from tagid.cli.radar import open_configured
 from tagid.cli.units import METRES, NANOSECONDS
 from tagid.config import Config, data_folder, load_config, radar_url
-from tagid.constants import CAPTURE_SUFFIX, SPEED_OF_LIGHT
+from tagid.constants import BACKGROUND_FILE, SPEED_OF_LIGHT
 from tagid.errors import DataError, StorageError, UsageError
 from tagid.result import Result
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 _SAME_PATH_M = 1.0
 """Largest change of the two-way path through cables and antennas that is stored without a question, m."""
-REFERENCE_NAME = f"background{CAPTURE_SUFFIX}"
 
 
 @command("radar calibrate")
@@ -110,12 +109,7 @@ class _Session:
             distances += [max(axis - reach, 0.0), axis + reach]
         if not distances:
             return  # the window of a scan is unknown: keep the radar's window
-        base = replace(
-            device.config,
-            base_integration_index=self.config["radar.integration"],
-            transmit_gain=self.config["radar.gain"],
-            antenna_mode=self.config["radar.antenna_mode"],
-        )
+        base = device.config.configured(self.config)
         device.set_config(calibration_window(distances, self.longest_ps, base))
 
     def take(self, device: P440, what: str) -> Capture:
@@ -213,7 +207,7 @@ def _keep(
         changes["radar.cable_delay_sigma_ps"] = round(estimate.sigma_ps, 1)
     path: Path | None = None
     if reference is not None and not dry_run:
-        path = data_folder() / REFERENCE_NAME
+        path = data_folder() / BACKGROUND_FILE
         make_folder(path.parent)
         write_capture(path, reference)
         changes["radar.background"] = str(path)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypedDict
 
 from tagid.capture import Capture, Pulse
 from tagid.commissioning.rows import Row, StepReport
@@ -62,12 +62,23 @@ class Tape:
             raise UsageError(f"the error of the tape is {self.error_m:g} m", "Give up to 0.1 m, e.g. 0.005.")
 
 
+class TapeChanges(TypedDict, total=False):
+    """Values of `Tape` that the person gave now; None, or no entry, where not given."""
+
+    target: str | None
+    target_distance_m: float | None
+    axis_distance_m: float | None
+    antenna_height_m: float | None
+    antenna_separation_m: float | None
+    error_m: float | None
+
+
 class Bench:
     """A rig while it is commissioned.
 
     Args:
         config: settings of radar and motion.
-        changes: values of `Tape` by name that the person gave now; None where not given.
+        changes: what the person measured by tape now.
         seconds: how long the link is watched.
         scans: of a recording of a scene that stands still.
         progress: called with (done, total, remark).
@@ -82,14 +93,14 @@ class Bench:
     def __init__(
         self,
         config: Config,
-        changes: dict[str, Any],
+        changes: TapeChanges,
         seconds: float = 30.0,
         scans: int = 200,
         progress: Callable[[float, float, str], None] = lambda done, total, remark: None,
     ) -> None:
         self.config, self.seconds, self.scans, self.progress = config, seconds, scans, progress
         self.folder = data_folder() / FOLDER
-        given = {name: value for name, value in changes.items() if value is not None}
+        given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
         try:
             self.tape = replace(Tape(**(self._read("tape") or {})), **given)
         except TypeError:
@@ -157,11 +168,6 @@ class Bench:
             raise storage_error(error, path, "keeping") from None
         return path.name
 
-    def keep_background(self, path: Path, capture: Capture) -> None:
-        """Store the empty scene where `tagid radar calibrate` does. Raises StorageError, DiskFullError."""
-        make_folder(path.parent)
-        write_capture(path, capture)
-
     def workplace(self, **settings: Any) -> Workplace:
         """A workplace with what was measured so far; captures go to the folder of the commissioning.
 
@@ -192,11 +198,7 @@ class Bench:
         if self.tape.target_distance_m is not None:
             distances.append(self.tape.target_distance_m)
         config, place = self.config, self.workplace()
-        base = RadarConfig(
-            base_integration_index=config["radar.integration"],
-            transmit_gain=config["radar.gain"],
-            antenna_mode=config["radar.antenna_mode"],
-        )
+        base = RadarConfig().configured(config)
         with open_radar(place.radar_url(), config["radar.timeout_s"]) as radar:
             radar.set_config(calibration_window(distances, LONGEST_DELAY_PS, base))
             return take_scans(radar, self.scans, lambda done: self.progress(done, self.scans, what))

@@ -15,13 +15,15 @@ from tagid.capture import Capture
 from tagid.commissioning.bench import REACH_M, Bench, reported
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.config import change_settings, data_folder
-from tagid.constants import BANDWIDTH_HZ, CAPTURE_SUFFIX, CENTER_FREQUENCY_HZ, SAMPLE_STEP_S, SPEED_OF_LIGHT
+from tagid.constants import BACKGROUND_FILE, BANDWIDTH_HZ, CENTER_FREQUENCY_HZ, SAMPLE_STEP_S, SPEED_OF_LIGHT
+from tagid.files import make_folder
 from tagid.recording.calibration import make_reference, usable
 from tagid.recording.inspection import clipped_fraction
 from tagid.rig import Measured
 from tagid.signal import analytic, noise_power_of, snr_db
 from tagid.simulate.budget import LinkBudget
 from tagid.simulate.source import noise_counts
+from tagid.storage.hdf5 import write_capture
 
 NOISE_DB: Final = 3.0
 """Recordings have 90 to 160 counts at integration index 11: within 2.5 dB of the expected 120."""
@@ -53,9 +55,10 @@ def watch_room(bench: Bench) -> StepReport:
     rest = _second_differences(scans)
     noise = _noise(rest)
     sigma = noise / math.sqrt(2 * (len(scans) - 2) * scans.shape[1])
-    path = data_folder() / f"background{CAPTURE_SUFFIX}"
+    path = data_folder() / BACKGROUND_FILE
     name = bench.keep_recording("room", capture)
-    bench.keep_background(path, capture)
+    make_folder(path.parent)
+    write_capture(path, capture)
     change_settings({"radar.background": str(path)})
     line = _line(rest)
     bursts = _bursts(rest, line is not None)

@@ -207,11 +207,7 @@ class Workplace:
         distance = config["motion.axis_distance_m"]
         if self.radar_url().startswith("replay://"):
             return None
-        base = RadarConfig(
-            base_integration_index=config["radar.integration"],
-            transmit_gain=config["radar.gain"],
-            antenna_mode=config["radar.antenna_mode"],
-        )
+        base = RadarConfig().configured(config)
         if distance is None:
             raise ConfigError(
                 "the distance from the radar to the rotation axis is unknown",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from tagid.constants import (
 from tagid.errors import ConfigError
 from tagid.metadata import RadarSettings
 from tagid.radar.messages import CONFIG_DTYPE, MAX_SAMPLES_PER_SCAN
+
+if TYPE_CHECKING:
+    from tagid.config import Config
 
 MAX_SAMPLES: Final = MAX_SAMPLES_PER_SCAN // SAMPLES_PER_BLOCK * SAMPLES_PER_BLOCK
 ANTENNA_MODES: Final = (0, 1, 2, 3, 255)
@@ -105,6 +108,15 @@ class RadarConfig:
         """Samples of a scan: the window on the radar's grid, rounded up to a multiple of 96."""
         bins = _grid_bin(self.scan_stop_ps) - _grid_bin(self.scan_start_ps)
         return SAMPLES_PER_BLOCK * max(1, math.ceil(bins / (BINS_PER_SAMPLE * SAMPLES_PER_BLOCK)))
+
+    def configured(self, config: Config) -> RadarConfig:
+        """The same with integration, gain and antenna mode of the configuration. Raises ConfigError."""
+        return replace(
+            self,
+            base_integration_index=config["radar.integration"],
+            transmit_gain=config["radar.gain"],
+            antenna_mode=config["radar.antenna_mode"],
+        )
 
     def quantised(self) -> RadarConfig:
         """The settings as the radar applies them: start and stop on its grid.

@@ -16,9 +16,9 @@ from tagid.operate.workplace import Workplace
 from tagid.radar.resume import steady_scans
 from tagid.recording.monitoring import Monitor
 from tagid.recording.radars import open_radar
-from tagid.station.errors import begin, reported
+from tagid.station.background import BackgroundRun
+from tagid.station.errors import reported
 from tagid.station.scans import radar_alone
-from tagid.workers import Worker
 
 if TYPE_CHECKING:
     from tagid.radar.p440 import P440
@@ -59,7 +59,7 @@ class Profile:
     error: TagidError | None = None
 
 
-class ProfileRun:
+class ProfileRun(BackgroundRun):
     """Receives scans that are not stored; the radar keeps its window until the next scan sets its own.
 
     Args:
@@ -77,25 +77,7 @@ class ProfileRun:
         half = config["imaging.extent_m"] / 2
         ends = None if axis is None else (max(axis - half, 0.0), axis + half)
         self._profile = Profile(axis_m=axis, object_m=ends)
-        self._stop = threading.Event()
-        self._thread = Worker(self._work, "station-profile", self._fail)
-
-    def start(self) -> None:
-        """Begin. Raises OverloadedError."""
-        begin(self._thread)
-
-    def stop(self) -> None:
-        """Request its end."""
-        self._stop.set()
-
-    def join(self, seconds: float) -> None:
-        """Wait for its end."""
-        self._thread.join(seconds)
-
-    @property
-    def running(self) -> bool:
-        """Whether it uses the radar, or waits for it."""
-        return self._thread.alive
+        super().__init__("station-profile")
 
     @property
     def profile(self) -> Profile:
@@ -106,7 +88,7 @@ class ProfileRun:
         if not self._stop.is_set():
             self._profile = replace(self._profile, error=reported(error))
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         config = self._place.config
         until = time.monotonic() + LONGEST_S
         with (
@@ -122,10 +104,7 @@ class ProfileRun:
         delay = config["radar.cable_delay_ps"]
         stop_m = max(_FAR_M, (self._profile.axis_m or 0.0) + _BEHIND_M)
         return replace(
-            base,
-            base_integration_index=config["radar.integration"],
-            transmit_gain=config["radar.gain"],
-            antenna_mode=config["radar.antenna_mode"],
+            base.configured(config),
             scan_start_ps=round(delay),
             scan_stop_ps=round(2e12 * stop_m / SPEED_OF_LIGHT + delay),
             persist=0,

@@ -15,8 +15,8 @@ from tagid.batch.run import FILES, BatchPlan, Hooks, run_batch
 from tagid.errors import TagidError, UsageError
 from tagid.operate.workplace import Workplace
 from tagid.report.page import PageSettings
-from tagid.station.errors import BusyError, begin, reported
-from tagid.workers import Worker
+from tagid.station.background import BackgroundRun
+from tagid.station.errors import BusyError, reported
 
 MOST_CAPTURES = 200
 _KEPT = 20
@@ -25,7 +25,7 @@ _PAGE_MEGABYTES = 8.0
 """Pictures of a report's page: a tablet opens it."""
 
 
-class ReportRun:
+class ReportRun(BackgroundRun):
     """A running or finished report.
 
     Args:
@@ -53,27 +53,9 @@ class ReportRun:
         self.complete = False
         self._captures = [str(path) for path in captures]
         self._job = job
-        self._stop = threading.Event()
-        self._thread = Worker(self._work, f"station-report-{number}", self._fail)
+        super().__init__(f"station-report-{number}")
 
-    def start(self) -> None:
-        """Begin. Raises OverloadedError."""
-        begin(self._thread)
-
-    def stop(self) -> None:
-        """Request its end; the finished captures are in the report."""
-        self._stop.set()
-
-    def join(self, seconds: float) -> None:
-        """Wait for its end."""
-        self._thread.join(seconds)
-
-    @property
-    def running(self) -> bool:
-        """Whether it still identifies or writes."""
-        return self._thread.alive
-
-    def _work(self) -> None:
+    def _run(self) -> None:
         sources = tuple(Source(path, Path(path).name) for path in self._captures)
         page = PageSettings("Captures of the station", _PAGE_MEGABYTES, self.left_out)
         hooks = Hooks(self._progress, self._stop.is_set)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -35,8 +34,8 @@ from tagid.pipeline.turn import resolve_turn
 from tagid.reading.looks import SPENT
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.recorder import Watch
-from tagid.station.errors import begin, reported
-from tagid.workers import Worker
+from tagid.station.background import BackgroundRun
+from tagid.station.errors import reported
 
 Then = Callable[[Path, Capture, Identification], None]
 COMMAND = "station"
@@ -60,7 +59,7 @@ def radar_alone(radar: threading.Lock, stop: threading.Event) -> Iterator[None]:
         radar.release()
 
 
-class Run(ABC):
+class Run(BackgroundRun):
     """A running or finished scan, or the reading of a file.
 
     Args:
@@ -86,28 +85,10 @@ class Run(ABC):
             motion, enrolled.layouts, enrolled.signatures, enrolled.version, self._setup.imaging
         )
         self._view = LiveView(self._needs)
-        self._stop = threading.Event()
         self._remark = ""
         self._residuals: Path | None = None
         self._device_failed = False
-        self._thread = Worker(self._run, f"station-scan-{number}", self._fail)
-
-    def start(self) -> None:
-        """Begin. Raises OverloadedError."""
-        begin(self._thread)
-
-    def stop(self) -> None:
-        """Request its end; the motion stops, and the recorded scans are kept."""
-        self._stop.set()
-
-    def join(self, seconds: float) -> None:
-        """Wait for its end."""
-        self._thread.join(seconds)
-
-    @property
-    def running(self) -> bool:
-        """Whether it still records, reads or writes."""
-        return self._thread.alive
+        super().__init__(f"station-scan-{number}")
 
     @property
     def state(self) -> LiveState:
@@ -137,10 +118,6 @@ class Run(ABC):
     def _fail(self, error: BaseException) -> None:
         self._device_failed = isinstance(error, DeviceError)
         self._view.fail(reported(error))
-
-    @abstractmethod
-    def _run(self) -> None:
-        """Record and read; on the run's thread."""
 
     def _draw(self, answer: Answer, path: Path) -> tuple[Drawn | None, list[str]]:
         """The image with its picture and that of the residuals beside the capture, and what failed."""
