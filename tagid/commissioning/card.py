@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -64,42 +65,30 @@ def _read(prepared: PreparedCapture) -> Reading:
 
 
 def _named_row(share: str, views: int, reading: Reading) -> Row:
-    name = f"read at {share} of the views"
+    row = partial(Row, f"read at {share} of the views", value=reading.lead, unit="nats")
     lead = f"{views} views, lead {reading.lead:.0f} of {reading.needed:.0f} nats"
     if reading.status == "identified" and reading.layout == NAME:
-        return Row(name, Level.PASS, reading.lead, None, "nats", lead)
+        return row(Level.PASS, text=lead)
     if reading.status == "identified":
-        return Row(
-            name,
+        return row(
             Level.FAIL,
-            reading.lead,
-            None,
-            "nats",
-            f"{lead}: the card reads as its mirror image",
-            "The table turns the other way than given (see `motion.url`), or the card is "
+            text=f"{lead}: the card reads as its mirror image",
+            advice="The table turns the other way than given (see `motion.url`), or the card is "
             "mirrored: print it again and put it on the table with its print upwards.",
-            "mirrored",
+            code="mirrored",
         )
     if reading.missing:
-        return Row(
-            name,
+        return row(
             Level.FAIL,
-            reading.lead,
-            None,
-            "nats",
-            f"{lead}: {reading.missing} of the card's {test_card().size} reflectors missing",
-            "Put a reflector on each mark of the card, then repeat.",
-            "missing-reflector",
+            text=f"{lead}: {reading.missing} of the card's {test_card().size} reflectors missing",
+            advice="Put a reflector on each mark of the card, then repeat.",
+            code="missing-reflector",
         )
-    return Row(
-        name,
+    return row(
         Level.FAIL,
-        reading.lead,
-        None,
-        "nats",
-        f"{lead}: {reading.reason}",
-        reading.advice or "Check the card, then repeat the step turning.",
-        "not-named",
+        text=f"{lead}: {reading.reason}",
+        advice=reading.advice or "Check the card, then repeat the step turning.",
+        code="not-named",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -125,44 +126,30 @@ def _delay(estimate: DelayEstimate, echo: EchoPulse) -> Measured:
 
 def _delay_row(delay: Measured) -> Row:
     previous = installed_profile(data_folder())
-    value, sigma = delay.value, delay.sigma
+    row = partial(Row, "path delay", value=delay.value, sigma=delay.sigma, unit="ps")
     low, high = USUAL_DELAY_PS
-    if sigma > _DELAY_BUDGET_PS:
-        return Row(
-            "path delay",
-            Level.FAIL,
-            value,
-            sigma,
-            "ps",
-            "too uncertain",
-            "Measure the distance to 5 mm.",
-            "delay",
-        )
+    if delay.sigma > _DELAY_BUDGET_PS:
+        return row(Level.FAIL, text="too uncertain", advice="Measure the distance to 5 mm.", code="delay")
     if previous is not None:
-        change = value - previous.path_delay_ps.value
-        if abs(change) > max(_OTHER_CABLE_PS, 3 * math.hypot(sigma, previous.path_delay_ps.sigma)):
-            return Row(
-                "path delay",
+        change = delay.value - previous.path_delay_ps.value
+        if abs(change) > max(_OTHER_CABLE_PS, 3 * math.hypot(delay.sigma, previous.path_delay_ps.sigma)):
+            return row(
                 Level.FAIL,
-                value,
-                sigma,
-                "ps",
-                f"{change:+.0f} ps against the profile of {previous.day}: other cables, or another distance",
-                "Check cables and distance; if they were changed on purpose, go on: the profile is replaced.",
-                "cable",
+                text=f"{change:+.0f} ps against the profile of {previous.day}: other cables, or another "
+                "distance",
+                advice="Check cables and distance; if they were changed on purpose, go on: the profile is "
+                "replaced.",
+                code="cable",
             )
-    elif not low <= value <= high:
-        return Row(
-            "path delay",
+    elif not low <= delay.value <= high:
+        return row(
             Level.FAIL,
-            value,
-            sigma,
-            "ps",
-            f"outside the usual {low / 1e3:g} to {high / 1e3:g} ns: another cable length or a wrong distance",
-            "Check the distance to the target; a metre of cable more at each antenna adds 10 ns.",
-            "cable",
+            text=f"outside the usual {low / 1e3:g} to {high / 1e3:g} ns: another cable length or a wrong "
+            "distance",
+            advice="Check the distance to the target; a metre of cable more at each antenna adds 10 ns.",
+            code="cable",
         )
-    return Row("path delay", Level.PASS, value, sigma, "ps", "for the pulse below")
+    return row(Level.PASS, text="for the pulse below")
 
 
 def _pulse_rows(echo: EchoPulse, noise: Measured, scan: np.ndarray, scans: int) -> list[Row]:
@@ -201,27 +188,20 @@ def _gain(bench: Bench, scan: np.ndarray, noise: Measured, distance: float, capt
 
 
 def _gain_row(gain: Measured) -> Row:
+    row = partial(Row, "system gain", value=gain.value, sigma=gain.sigma, unit="dB")
     text = "received against the link budget of `tagid plan`"
     if gain.value >= _LOOSE_DB:
-        return Row("system gain", Level.PASS, gain.value, gain.sigma, "dB", text)
+        return row(Level.PASS, text=text)
     if gain.value < _CROSSED_DB:
-        return Row(
-            "system gain",
+        return row(
             Level.FAIL,
-            gain.value,
-            gain.sigma,
-            "dB",
-            f"{text}: the polarisations are crossed",
-            "Turn both antennas upright, then repeat; if they are, an antenna is not connected.",
-            "polarisation",
+            text=f"{text}: the polarisations are crossed",
+            advice="Turn both antennas upright, then repeat; if they are, an antenna is not connected.",
+            code="polarisation",
         )
-    return Row(
-        "system gain",
+    return row(
         Level.FAIL,
-        gain.value,
-        gain.sigma,
-        "dB",
-        f"{text}: an antenna or cable is loose",
-        "Tighten all four connectors, point both antennas at the target, then repeat.",
-        "loose-antenna",
+        text=f"{text}: an antenna or cable is loose",
+        advice="Tighten all four connectors, point both antennas at the target, then repeat.",
+        code="loose-antenna",
     )
