@@ -183,6 +183,8 @@ class Contest:
         self._one_more()
         self._by_hand()
         self._unbound()
+        self._deepened()
+        self._as_enrolled()
 
     @property
     def _searched(self) -> Sequence[Transfer]:

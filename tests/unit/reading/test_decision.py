@@ -9,7 +9,7 @@ from reader_scenes import LAYOUTS, scans_at, scans_of
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.reading.decision import SURE, Decision, decide
-from tagid.reading.hypotheses import Contest
+from tagid.reading.hypotheses import LIMIT_ODD_UNTAGGED, Contest
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
 from tagid.reading.transfers.shade import SHADES
@@ -117,3 +117,15 @@ def test_a_layout_far_from_its_places_is_another_tag() -> None:
     scans = preprocess(specimen.capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
     answer = decide(Contest(Spectra.of(scans), LAYOUTS, sheets=()).run())
     assert answer.name is None and answer.lead < -20
+
+
+def test_no_kind_of_hypothesis_wins_by_a_longer_search() -> None:
+    """A handle and a cable: a layout beside four odd scatterers led by 72 nats while others had fewer."""
+    scans = preprocess(
+        draw(341_097, views=36).capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5)
+    )
+    contest = Contest(Spectra.of(scans), LAYOUTS, sheets=())
+    answer = decide(contest.run())
+    assert answer.best is not None and answer.lead < 20
+    for best in (answer.best, answer.rival):
+        assert contest.grow(best, LIMIT_ODD_UNTAGGED) is best
