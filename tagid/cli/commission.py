@@ -182,20 +182,19 @@ def _page(page: Path | None, bench: Bench) -> str | None:
 
 
 def _drawn(done: list[StepReport], page: str | None) -> RenderableType:
-    from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
 
     styles = {"pass": "green", "note": "dim", "fail": "bold red"}
-    parts: list[RenderableType] = []
+    wide = max((len(row.name) for report in done for row in report.rows), default=0)
+    text = Text()
     for report in done:
-        table = Table(box=None, show_header=False)
+        text.append(f"{report.step}\n", "bold")
         for row in report.rows:
-            text = Text(row.text)
+            text.append(f"{row.level.value:4}", styles[row.level])
+            text.append(f"  {row.name:{wide}}  {'  '.join(filter(None, (row.number, row.text)))}\n")
             if row.advice and row.level != "pass":
-                text.append(f"\n-> {row.advice}", style="bold")
-            table.add_row(Text(row.level.value, style=styles[row.level]), row.name, row.number, text)
-        parts += [Text(report.step, "bold"), table]
+                text.append(f"      -> {row.advice}\n", "bold")
     if page is not None:
-        parts.append(Text(f"written  {page}"))
-    return Group(*parts)
+        text.append(f"written  {page}")
+    text.rstrip()
+    return text

@@ -14,7 +14,7 @@ import numpy as np
 
 from tagid.errors import DeviceRejectedError, DeviceRestartedError, DeviceTimeoutError, UsageError
 from tagid.radar.assembler import WINDOW, Statistics
-from tagid.radar.links import DEFAULT_PORT, Link, UdpLink
+from tagid.radar.links import Link, UdpLink, port_remedy
 from tagid.radar.messages import (
     MalformedMessage,
     Message,
@@ -187,11 +187,9 @@ def _no_answer(link: Link) -> str:
     """What to do about a radar that is silent."""
     if not isinstance(link, UdpLink):
         return "Check its power and cable, and that the URL names the radar's serial port."
-    port = link.address[1]
-    usual = "" if port == DEFAULT_PORT else f"; a P440 listens on {DEFAULT_PORT}"
     return (
         "Check power, cable and the address (kit units: 192.168.1.100 to 103, this computer 192.168.1.1/24), "
-        f"the port of the URL ({port}{usual}), and that no firewall drops the answers."
+        f"{port_remedy(link.address[1])}, and that no firewall drops the answers."
     )
 
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import socket
+import sys
 import time
 from typing import Any, Final, Protocol
 
-from tagid.errors import DeviceError, PortInUseError
+from tagid.errors import DeviceError, DeviceTimeoutError, PortInUseError
 from tagid.workers import Worker
 
 DEFAULT_PORT: Final = 21210
@@ -20,6 +21,9 @@ DEFAULT_PORT: Final = 21210
 _RECEIVE_BUFFER: Final = 4 * 1024 * 1024
 _LARGEST_DATAGRAM: Final = 65_535
 _RESOLVE_S: Final = 10.0
+_REPORT_ERRORS: Final = 11
+"""IP_RECVERR of Linux, which the socket module lacks: later calls report what ICMP says of a packet."""
+_NOT_REACHED: Final = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN)
 
 
 class Link(Protocol):
@@ -108,6 +112,12 @@ def resolve(host: str, port: int) -> tuple[str, int]:
     return str(address[0]), int(address[1])
 
 
+def port_remedy(port: int) -> str:
+    """What to check of the port of a radar's URL, after "Check"."""
+    usual = "" if port == DEFAULT_PORT else f"; a P440 listens on {DEFAULT_PORT}"
+    return f"the port of the URL ({port}{usual})"
+
+
 class UdpLink:
     """UDP to one radar; packets from any other address or port are counted in `foreign` and dropped.
 
@@ -130,6 +140,9 @@ class UdpLink:
         self.address = resolve(host, port)
         self.foreign = 0
         self._socket = bind_udp("", local_port)
+        self._heard = False
+        if sys.platform == "linux":
+            self._socket.setsockopt(socket.IPPROTO_IP, _REPORT_ERRORS, 1)
 
     def __repr__(self) -> str:
         return f"udp://{self.address[0]}:{self.address[1]}"
@@ -142,7 +155,12 @@ class UdpLink:
     def send(self, packet: bytes) -> None:
         """Send one datagram. Raises DeviceError if the network is down."""
         try:
-            self._socket.sendto(packet, self.address)
+            try:
+                self._socket.sendto(packet, self.address)
+            except OSError as error:
+                if error.errno not in _NOT_REACHED:
+                    raise
+                self._socket.sendto(packet, self.address)  # the first call may report an earlier packet
         except OSError as error:
             raise DeviceError(
                 f"cannot send to the radar at {self.address[0]}:{self.address[1]}: {error}",
@@ -150,7 +168,11 @@ class UdpLink:
             ) from error
 
     def receive(self, timeout: float) -> bytes | None:
-        """The next datagram from the radar, or None after `timeout` seconds."""
+        """The next datagram from the radar, or None after `timeout` seconds.
+
+        Raises DeviceTimeoutError if its host says that no program listens on the port, and no datagram ever
+        came from there; one that was heard may be about to return.
+        """
         deadline = time.monotonic() + timeout
         while True:
             # A flood of foreign packets must not extend the wait beyond the deadline.
@@ -158,14 +180,21 @@ class UdpLink:
             try:
                 packet, sender = self._socket.recvfrom(_LARGEST_DATAGRAM)
                 if sender == self.address:
+                    self._heard = True
                     return packet
                 self.foreign += 1
             except TimeoutError:
                 return None
-            except ConnectionError:
-                pass  # an ICMP "port unreachable" for an earlier packet; only the timeout counts
             except OSError as error:
-                raise DeviceError(f"cannot receive from the radar: {error}", "Check the network.") from error
+                if isinstance(error, ConnectionError) and not self._heard:
+                    raise DeviceTimeoutError(
+                        f"nothing listens at {self}",
+                        f"Check {port_remedy(self.address[1])}, and that the radar or its emulator runs.",
+                    ) from error
+                if error.errno not in _NOT_REACHED:
+                    raise DeviceError(
+                        f"cannot receive from the radar: {error}", "Check the network."
+                    ) from error
             if time.monotonic() >= deadline:
                 return None
 

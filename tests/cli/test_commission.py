@@ -29,7 +29,12 @@ def test_steps_alone_are_remembered_and_the_page_and_the_archive_show_them(tagid
     nothing = tagid("commission", "--step", "target", "--radar", f"emulator://empty?{RIG}", "--scans", 40,
                     "--output", "json")  # fmt: skip
     assert nothing.code == 1
-    assert nothing.json["data"]["steps"][0]["rows"][-1]["code"] == "no-echo"
+    (*_, row) = nothing.json["data"]["steps"][0]["rows"]
+    assert row["code"] == "no-echo"
+    shown = tagid(
+        "commission", "--step", "target", "--radar", f"emulator://empty?{RIG}", "--scans", 40, COLUMNS="60"
+    )
+    assert f"-> {row['advice']}" in shown.out, "no advice is wrapped"
 
 
 def test_what_cannot_be_done_is_one_error(tagid) -> None:

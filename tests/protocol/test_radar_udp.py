@@ -162,6 +162,27 @@ def test_nobody_answers() -> None:
         assert "192.168.1.1" in caught.value.remedy
 
 
+def test_a_port_without_a_program_is_named_at_once_unless_it_was_heard() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as former:
+        former.bind(("127.0.0.1", 0))
+        address = former.getsockname()
+        heard = UdpLink(*address)
+        heard.send(b"a")
+        former.sendto(b"b", former.recvfrom(10)[1])
+        assert heard.receive(10.0) == b"b"
+    radar = P440(UdpLink(*address), timeout=3600.0)
+    with (
+        pytest.raises(DeviceTimeoutError, match=f"nothing listens at udp://127.0.0.1:{address[1]}") as caught,
+        radar,
+    ):
+        pass
+    assert f"({address[1]}; a P440 listens on 21210)" in caught.value.remedy
+    for _ in range(2):
+        heard.send(b"a")
+        assert heard.receive(0.01) is None, "it may be about to return"
+    heard.close()
+
+
 def test_a_radar_that_dies_in_the_middle_leaves_the_scans_so_far() -> None:
     device = emulator(rate=20.0)
     got = []
