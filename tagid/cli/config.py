@@ -100,7 +100,6 @@ class _Listing:
     rows: Sequence[_Row]
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        from rich.padding import Padding
         from rich.text import Text
 
         from tagid.report.table import Table
@@ -114,7 +113,7 @@ class _Listing:
             for row in self.rows:
                 yield Text(f"{row.name} ({row.entry.source})", no_wrap=True, overflow="ignore")
                 yield Text(f"  {row.value}", no_wrap=True, overflow="ignore")
-                yield Padding(Text(row.meaning, style="dim"), (0, 0, 0, 2))
+                yield Text(f"  {row.meaning}", style="dim", no_wrap=True, overflow="ignore")
             return
         table = Table(box=None)
         for title in ("setting", "value", "from"):

@@ -23,7 +23,7 @@ from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.identify import WHOLE_TURN, ended_early, identify, widest_gap
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.resolve import REMEDY, one_of, speed_contradiction, stopped_words
-from tagid.reading.reading import Reading
+from tagid.reading.reading import Kind, Reading
 from tagid.reading.verdict import ADVICE, Code
 from tagid.signal import analytic, median, peak_place
 from tagid.tags.layouts.layout import Layout
@@ -168,8 +168,15 @@ _CIRCLES_M = 0.006
 _TOLD_M = 0.020
 """From here on the width of the circle is that of the body's place to within 5 mm."""
 _CENTRE_IT = "Place the object's axis within 10 mm of the rotation axis."
-_CENTRE_FIRST = {code: f"{_CENTRE_IT} If it is there: {ADVICE[code]}" for code in (Code.NO_TAG, Code.OTHER)}
+_CENTRE_FIRST = {
+    Code.NO_TAG: f"{_CENTRE_IT} {ADVICE[Code.NO_TAG]}",
+    Code.OTHER: f"{_CENTRE_IT} If it is there: {ADVICE[Code.OTHER]}",
+}
 """Advice in the place of the reader's, which lets the body be enrolled, where it may stand off the axis."""
+_IN_RANGE = f"Check that the object lies in the recorded range and turns. {ADVICE[Code.NO_TAG]}"
+_NEW_TAG = "Enroll the tag if it is new. If it is enrolled, check that every reflector is on its mark."
+_EXPLAINED = 0.05
+"""Share of the echo that reflectors alone may leave where there is no body to be enrolled."""
 _AXIS_M = 0.01
 """An axis distance wrong by less is no cause: the reader looks for that itself."""
 
@@ -242,8 +249,23 @@ def with_causes(
         causes += _of_the_axis(prepared, layouts) if beside is None else [beside]
     if not causes:
         causes += _of_the_place(prepared, layouts, answer.reading.reflectors, circle)
-    advice = "" if _centred(round_echo) else _CENTRE_FIRST.get(answer.reading.code, "")
-    return replace(answer, causes=tuple(causes), advice=advice)
+    return replace(answer, causes=tuple(causes), advice=_advice(answer.reading, round_echo))
+
+
+def _advice(reading: Reading, round_echo: Circling | None) -> str:
+    """What to do in the place of the reader's advice; empty where that is right."""
+    if _another_tag(reading):
+        return _NEW_TAG
+    if reading.code is Code.NO_TAG and not _followed(round_echo):
+        return _IN_RANGE
+    return "" if _centred(round_echo) else _CENTRE_FIRST.get(reading.code, "")
+
+
+def _another_tag(reading: Reading) -> bool:
+    """Whether reflectors alone, in another arrangement than the enrolled ones, explain the echo."""
+    if reading.code is not Code.OTHER or reading.kind is not Kind.BARE or not reading.hypotheses:
+        return False
+    return reading.hypotheses[0].unexplained < _EXPLAINED
 
 
 def _of_the_turn(capture: Capture) -> list[Cause]:

@@ -27,6 +27,8 @@ SPOT_MM = 23.0
 STRIP_FOOT_MM = 22.0
 CELL_MM = (60.0, 80.0)
 """Width and height of a picture in the overview."""
+GLUED_WITHIN_MM = 1.0
+"""Distance of reflectors from their marks up to which a tag keeps its name (docs/results/positions.md)."""
 CHECK_MM = 100.0
 """Length of the scale bar for checking a print."""
 
@@ -34,7 +36,7 @@ CHECK_MM = 100.0
 def plan(layout: Layout) -> Drawing:
     """Seen from above at 1:1: axis, rows, reflectors with number, radius, angle and height, and gaps."""
     half = layout.radius_m * 1e3 + EDGE_MM
-    lines = 5 + layout.size
+    lines = 6 + layout.size
     foot = 6.0 * lines + 12
     sheet = Drawing(max(2 * half, CHECK_MM + 20), 2 * half + foot)
     cx, cy = sheet.width / 2, foot + half
@@ -76,6 +78,9 @@ def plan(layout: Layout) -> Drawing:
         sheet.add(Text(end, f"R {radius:.1f}", 3.5))
     rows = [f"{layout.name}   {layout.label}   (from above, millimetres, 1:1)"]
     rows.append(f"Circles: reflectors of size {REFLECTOR_M * 1e3:.0f} mm, measured from tip to tip.")
+    rows.append(
+        f"Glue the centre of each within {GLUED_WITHIN_MM:g} mm of its mark, or enroll the tag as built."
+    )
     if len(set(heights.tolist())) > 1:
         rows.append("A dashed outline is a reflector above the lowest row.")
     for number, ((x, y), h) in enumerate(zip(marks_mm, heights, strict=True), 1):
@@ -141,9 +146,9 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
     length = 2 * np.pi * radius
     heights = np.asarray(layout.heights) * 1e3
     low, high = float(heights.min()), float(heights.max())
-    sheet = Drawing(max(length + 20, CHECK_MM + 20), high - low + 70)
+    sheet = Drawing(max(length + 20, CHECK_MM + 20), high - low + 78)
     bottom = STRIP_FOOT_MM
-    left, y0 = 10.0, bottom + 22 - low
+    left, y0 = 10.0, bottom + 30 - low
     top = sheet.height - 6
     sheet.add(
         Line((left, bottom), (left + length, bottom)),
@@ -166,14 +171,12 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
         at = (left + along, y0 + float(height))
         sheet.add(Circle(at, REFLECTOR_M * 500, 0.2, True))
         sheet.cross(at, 6.0)
+        # In the circle, whose chord here is 35 mm, and clear of the cross.
+        high_mark = f"r {r * 1e3:.1f}" + (f", height {height:.1f}" if low < high else "")
         sheet.add(
-            Text((at[0], at[1] - 9), f"{number}: {angle:.1f} deg", 3.0),
-            Text(
-                (at[0], at[1] - 13),
-                f"{along:.1f} from the left, r {r * 1e3:.1f}"
-                + (f", height {height:.1f}" if low < high else ""),
-                2.6,
-            ),
+            Text((at[0], at[1] + 9), f"{number}: {angle:.1f} deg", 3.0),
+            Text((at[0], at[1] - 8), f"{along:.1f} from the left", 2.6),
+            Text((at[0], at[1] - 12), high_mark, 2.6),
         )
     sheet.add(
         Text(
@@ -207,11 +210,22 @@ def template(
 def bands(sheet: Drawing, width: float, height: float) -> list[Drawing]:
     """A drawing that is too wide, cut vertically between its circles, with the parts below each other.
 
-    Each cut has one letter on both its sides; parts fill drawings of up to the width and height, mm.
+    Each cut has one letter on both its sides; parts are about equally wide, and fill drawings of up to the
+    width and height, mm.
     """
     if sheet.width <= width:
         return [sheet]
     inner = width - 2 * CUT_MM
+    fewest = len(_cuts(sheet, inner))
+    narrower = np.linspace(sheet.width / fewest, inner, 40)
+    cuts = next(cuts for each in narrower if len(cuts := _cuts(sheet, float(each))) <= fewest)
+    parts = [_between(sheet, *ends, number) for number, ends in enumerate(pairwise(cuts))]
+    many = max(1, int(height // sheet.height))
+    return [stacked(parts[at : at + many]) for at in range(0, len(parts), many)]
+
+
+def _cuts(sheet: Drawing, inner: float) -> list[float]:
+    """Where a drawing is cut into parts of up to a width, mm, from edge to edge and between its circles."""
     spots = [(m.centre[0] - SPOT_MM, m.centre[0] + SPOT_MM) for m in sheet.marks if isinstance(m, Circle)]
     cuts = [0.0]
     while cuts[-1] + inner < sheet.width:
@@ -220,10 +234,7 @@ def bands(sheet: Drawing, width: float, height: float) -> list[Drawing]:
             if low < cut < high and low > cuts[-1] + inner / 3:
                 cut = low
         cuts.append(cut)
-    cuts.append(sheet.width)
-    parts = [_between(sheet, *ends, number) for number, ends in enumerate(pairwise(cuts))]
-    many = max(1, int(height // sheet.height))
-    return [stacked(parts[at : at + many]) for at in range(0, len(parts), many)]
+    return [*cuts, sheet.width]
 
 
 def _between(sheet: Drawing, left: float, right: float, number: int) -> Drawing:

@@ -42,6 +42,7 @@ from tagid.storage.assembly import (
     number,
     text,
 )
+from tagid.storage.image import is_image
 from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata, stored_version
 from tagid.storage.units import check_times, check_units
 
@@ -97,6 +98,12 @@ def read_npz(path: Path) -> Capture:
     if _OLD_ANGLES in arrays:
         arrays.setdefault("angles_rad", arrays[_OLD_ANGLES])
     missing = [key for key in ("samples", "range_start_m", "range_step_m") if key not in arrays]
+    if missing and is_image(path):
+        capture = path.name.removesuffix(".npz").removesuffix(".image")
+        raise FileFormatError(
+            f"{path} is an image, not a recording",
+            f"Give the capture that it was made from, e.g. {path.with_name(capture)}.tagid.h5.",
+        )
     if missing:
         raise FileFormatError(
             f"{path}: the NPZ file lacks {', '.join(missing)}",

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_server import Ran
 
@@ -440,7 +441,7 @@ def test_lengths_take_a_unit_and_negative_values_are_values(here: Callable[..., 
     assert outside.code == 2 and "-10000 to 10000" in outside.err
 
 
-def test_old_and_new_forms_do_the_same(here: Callable[..., Ran]) -> None:
+def test_old_and_new_forms_do_the_same(here: Callable[..., Ran], tmp_path: Path) -> None:
     for words in (("layouts", "remove", "helmet-120"), ("layouts", "--remove", "helmet-120")):
         assert here(*words).code == 0
         assert "added helmet-120" in here("layouts", "undo", "-y").out
@@ -454,6 +455,9 @@ def test_old_and_new_forms_do_the_same(here: Callable[..., Ran]) -> None:
         assert here("plan", option, 99).code == 2
     near = here("layouts", "show", "helmet120")
     assert near.code == 1 and "Did you mean helmet-120?" in near.err
+    np.savez(tmp_path / "scan-1.image.npz", image=np.zeros((2, 2)))
+    image = here("identify", "scan-1.image.npz")
+    assert image.code == 1 and "an image" in image.err and "scan-1.tagid.h5" in image.err
 
 
 def test_no_name_or_command_is_cut(here: Callable[..., Ran], tmp_path: Path) -> None:
@@ -461,6 +465,10 @@ def test_no_name_or_command_is_cut(here: Callable[..., Ran], tmp_path: Path) -> 
     assert here("simulate", "--scene", "helmet-120", "--views", 36, "--out", name).code == 0
     assert here("identify", name, COLUMNS="60").code == 0
     assert name in here("history", COLUMNS="60").out
+    settings = here("config", COLUMNS="60").out
+    assert (
+        "heights of the antenna at which every object is scanned, m, comma-separated; empty: one" in settings
+    )
     doctor = here("doctor", COLUMNS="60")
     assert doctor.code == 0 and "tagid config set radar.url udp://192.168.1.100" in doctor.out
     assert here("doctor", "--radar", "").code == 1, "a radar was asked for"

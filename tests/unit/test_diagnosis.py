@@ -18,7 +18,7 @@ from tagid.pipeline.diagnosis import circling, recording_remarks, with_causes
 from tagid.pipeline.identify import identify, identify_together, of_the_part, widest_gap
 from tagid.pipeline.prepared import PreparedCapture, load_capture
 from tagid.reading.reader import read
-from tagid.reading.reading import Reading
+from tagid.reading.reading import Kind, Reading
 from tagid.reading.verdict import ADVICE, Code
 from tagid.simulate import Placement, parse_body, parse_reflector
 from tagid.simulate.acquisition import Acquisition
@@ -256,6 +256,15 @@ def test_a_handle_circles_but_is_no_body_off_the_axis(monkeypatch: pytest.Monkey
     assert said.what_to_do().startswith("Place the object") and ADVICE[Code.OTHER] in said.what_to_do()
     assert said.to_dict()["advice"] == said.what_to_do()
     assert with_causes(other, prepared, LAYOUTS).what_to_do() == ADVICE[Code.OTHER]
+    # Without a body there is nothing to enroll but the tag, and an empty scene is not to be centred.
+    assert other.reading is not None
+    winner = replace(other.reading.hypotheses[0], unexplained=0.01)
+    alone = replace(other.reading, kind=Kind.BARE, hypotheses=(winner,))
+    assert diagnosis._advice(alone, None).startswith("Enroll the tag if it is new. If it is enrolled")
+    assert diagnosis._advice(replace(alone, hypotheses=(replace(winner, unexplained=0.3),)), None).startswith(
+        "Place"
+    )
+    assert "recorded range" in diagnosis._advice(replace(alone, code=Code.NO_TAG), None)
 
 
 @pytest.mark.parametrize(("error_m", "causes"), [(0.020, 1), (0.003, 0)])

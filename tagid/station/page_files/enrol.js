@@ -10,10 +10,9 @@ function millimetres(metres) {
   return metres < 1e-4 ? "less than 0.1 mm" : `${(1000 * metres).toFixed(1)} mm`;
 }
 
-// A share of readings: "40 %", or "1 in 3,000,000" where a percentage has too many zeros.
+// A share of readings, as the commands word it: "40 %", or a bound where a percentage has too many zeros.
 function shareText(rate) {
-  if (rate < 1e-12) return "fewer than 1 in 10¹²";
-  return rate >= 1e-3 ? `${Number((100 * rate).toPrecision(2))} %` : `1 in ${Number((1 / rate).toPrecision(1)).toLocaleString("en")}`;
+  return rate < 1e-5 ? "under 0.001 %" : `${Number((100 * rate).toPrecision(2))} %`;
 }
 
 function showEnrolment() {

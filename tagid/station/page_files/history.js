@@ -54,15 +54,17 @@ function historyRow(one) {
     small.loading = "lazy";
     row.append(small);
   }
+  const about = element("div", undefined, "about");
   const who = element("span", nameOf(one), `who ${one.status}`);
   if (one.label) who.append(element("span", ` ${one.label}`, "label"));
-  row.append(who, element("span", time));
+  about.append(who, element("span", time, "more"));
+  const acts = element("span", undefined, "acts");
   const button = (text, words, act) => {
     const made = element("button", text);
     made.type = "button";
     made.setAttribute("aria-label", `${words} ${nameOf(one)}, ${time}`);
     made.addEventListener("click", act);
-    row.append(made);
+    acts.append(made);
   };
   const path = `api/v1/history/${one.id}`;
   if (one.has_picture) button("Picture", "Picture of", () => showViewer(`${path}/picture`, nameOf(one), one));
@@ -73,8 +75,9 @@ function historyRow(one) {
   const why = one.status === "identified" ? "" : one.reason;
   const advice = one.cause ? `Likely cause: ${one.cause}` : one.advice;
   for (const [text, kind] of [[one.recording_note, "note"], [file, "quiet"], [why, "quiet"], [advice, "advice"]]) {
-    if (text) row.append(element("span", text, `more ${kind}`));
+    if (text) about.append(element("span", text, `more ${kind}`));
   }
+  row.append(about, acts);
   return row;
 }
 
