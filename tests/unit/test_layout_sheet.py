@@ -82,7 +82,7 @@ def test_bands_keep_every_millimetre_and_cut_no_reflector() -> None:
     assert len(pages) == 2 and all(p.width <= width and p.height <= height for p in pages)
     marks = [mark for page in pages for mark in page.marks]
     assert sum(isinstance(m, Circle) for m in marks) == 3
-    base = 22.0 + 22.0  # the dashed line that the reflectors sit on, from the foot of its band
+    base = 22.0 + 30.0  # the dashed line that the reflectors sit on, from the foot of its band
     lengths, crossed = [], []
     for page in pages:
         bottoms = [page.height - sheet.height * (i + 1) for i in range(round(page.height / sheet.height))]
@@ -97,6 +97,7 @@ def test_bands_keep_every_millimetre_and_cut_no_reflector() -> None:
                     (x, _), r = circle.centre, circle.radius
                     crossed.append(x - r < line.start[0] or x + r > line.end[0])
     assert sum(lengths) == pytest.approx(2 * np.pi * 110)
+    assert min(lengths) > 60, "no part is a remnant"
     assert crossed == [False] * 3
     letters = [m.text for m in marks if isinstance(m, Text) and len(m.text) == 1 and m.text.isalpha()]
     assert sorted(letters) == sorted(2 * [chr(65 + i) for i in range(len(lengths) - 1)])
@@ -112,6 +113,11 @@ def test_sheets_with_nothing_on_them_are_not_printed() -> None:
     ring.add(Circle((400, 400), 380))
     inside = [t for t in page_tiles(ring, "a4")[0] if t[0] < 400 < t[2] and t[1] < 400 < t[3]]
     assert not inside
+
+
+def test_the_plan_states_how_exactly_to_glue() -> None:
+    texts = [m.text for m in plan(LAYOUTS["container-90"]).marks if isinstance(m, Text)]
+    assert any("within 1 mm of its mark" in text for text in texts)
 
 
 def test_what_cannot_be_unrolled_gets_its_plan_only() -> None:
