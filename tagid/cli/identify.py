@@ -27,11 +27,7 @@ if TYPE_CHECKING:
 def identify(
     terminal: Terminal,
     files: options.Captures,
-    motion: options.MotionUrl = None,
-    axis_distance: options.AxisDistance = None,
-    antenna_height: options.AntennaHeight = None,
-    antenna_separation: options.AntennaSeparation = None,
-    background: options.Background = "mean",
+    setup: options.RecordedOptions,
     preview: options.Preview = False,
     png: options.PngFile = None,
     vote: Annotated[
@@ -60,13 +56,8 @@ def identify(
             "Omit them, or identify the files one by one.",
         )
     check_drawing("--png", png, (".png",), files)
-    overrides = {
-        "motion.url": motion,
-        "motion.axis_distance_m": axis_distance,
-        "motion.antenna_height_m": antenna_height,
-        "motion.antenna_separation_m": antenna_separation,
-    }
-    place = Workplace(overrides, background)
+    overrides = setup.settings()
+    place = Workplace(overrides, setup.background)
     if vote:
         return vote_on(terminal, place, files, "identify", explain=explain)
     return run(terminal, place, files, View(preview, png, explain), _given(overrides))

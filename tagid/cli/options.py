@@ -181,6 +181,32 @@ LayoutFile = Annotated[
 
 
 @dataclass(frozen=True)
+class SetupOptions:
+    """How the object stood and turned before the radar, where a command line says it."""
+
+    motion: options.MotionUrl = None
+    axis_distance: options.AxisDistance = None
+    antenna_height: options.AntennaHeight = None
+    antenna_separation: options.AntennaSeparation = None
+
+    def settings(self) -> dict[str, Any]:
+        """The options as settings, by their configuration names."""
+        return {
+            "motion.url": self.motion,
+            "motion.axis_distance_m": self.axis_distance,
+            "motion.antenna_height_m": self.antenna_height,
+            "motion.antenna_separation_m": self.antenna_separation,
+        }
+
+
+@dataclass(frozen=True)
+class RecordedOptions(SetupOptions):
+    """The same of a recording, and the background in it."""
+
+    background: options.Background = "mean"
+
+
+@dataclass(frozen=True)
 class Limits:
     """Limits of a recording, besides the end of the revolution.
 

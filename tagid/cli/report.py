@@ -59,11 +59,7 @@ def report(
     ] = 32.0,
     title: Annotated[str, typer.Option("--title", help="Title of the page.")] = "",
     method: options.Method = None,
-    motion: options.MotionUrl = None,
-    axis_distance: options.AxisDistance = None,
-    antenna_height: options.AntennaHeight = None,
-    antenna_separation: options.AntennaSeparation = None,
-    background: options.Background = "mean",
+    setup: options.RecordedOptions = options.RecordedOptions(),
 ) -> Result:
     """Identify many captures: write a page, tables and a test report.
 
@@ -83,21 +79,13 @@ def report(
         raise UsageError(
             f"--idle-stop {idle_stop:g} needs --watch and more than 0 seconds", "See `tagid report -h`."
         )
-    config = load_config(
-        {
-            "imaging.method": method,
-            "motion.url": motion,
-            "motion.axis_distance_m": axis_distance,
-            "motion.antenna_height_m": antenna_height,
-            "motion.antenna_separation_m": antenna_separation,
-        }
-    )
+    config = load_config({"imaging.method": method, **setup.settings()})
     if any(not is_url(word) and Path(word).resolve() == out.resolve() for word in inputs or ()):
         raise UsageError(f"--out {out} is the folder that is read", "Choose another folder for the report.")
     page = PageSettings(title or PageSettings.title, page_megabytes)
     runner = _runner(terminal, jobs, dask)
     collected = collect(inputs, out) if inputs else Collected(())
-    job = _job(config, background, pictures)
+    job = _job(config, setup.background, pictures)
     plan = BatchPlan(collected, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
     if expect is not None:
         plan = _expecting(plan, expect, job)

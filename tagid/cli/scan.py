@@ -50,10 +50,7 @@ class View:
 def scan(
     terminal: Terminal,
     radar: options.RadarUrl = None,
-    motion: options.MotionUrl = None,
-    axis_distance: options.AxisDistance = None,
-    antenna_height: options.AntennaHeight = None,
-    antenna_separation: options.AntennaSeparation = None,
+    setup: options.SetupOptions = options.SetupOptions(),
     cable_delay: options.CableDelay = None,
     scans: Annotated[int | None, typer.Option("--scans", help="Stop after this number of scans.")] = None,
     max_seconds: Annotated[
@@ -103,10 +100,7 @@ def scan(
     """
     overrides: dict[str, Any] = {
         "radar.url": radar,
-        "motion.url": motion,
-        "motion.axis_distance_m": axis_distance,
-        "motion.antenna_height_m": antenna_height,
-        "motion.antenna_separation_m": antenna_separation,
+        **setup.settings(),
         "radar.cable_delay_ps": cable_delay,
         "imaging.method": method,
         "storage.folder": None if save_dir is None else str(save_dir),
@@ -122,7 +116,7 @@ def scan(
     if heights is not None:
         from tagid.cli.scan_heights import Lift, parse_heights, scan_heights
 
-        if repeat > 1 or live or until_sure or preview or antenna_height is not None:
+        if repeat > 1 or live or until_sure or preview or setup.antenna_height is not None:
             raise UsageError(
                 "--heights cannot be combined with --repeat, --live, --until-sure, --preview or "
                 "--antenna-height",

@@ -13,11 +13,13 @@ from tagid.cli import options
 from tagid.cli.frame import Terminal, command
 from tagid.cli.outputs import check_drawing, check_new
 from tagid.config import Config, load_config
+from tagid.query import parse_point
 from tagid.result import Result
 
 if TYPE_CHECKING:
     from tagid.capture import Capture
     from tagid.imaging.volume import Volume
+    from tagid.pipeline.volume import VolumeSettings
 
 
 @command("join")
@@ -79,72 +81,92 @@ def join(
 
 
 @dataclass(frozen=True)
-class Outputs:
-    """Files to write; None: not requested."""
+class VolumeOptions:
+    """The volume of `tagid reconstruct --volume` and the files that it is written to."""
 
-    npz: Path | None
-    vti: Path | None
-    ply: Path | None
-    png: Path | None
-    webp: Path | None
-    surface: Path | None = None
+    volume: Annotated[
+        bool,
+        typer.Option("--volume", help="Reconstruct a volume from several antenna heights (see `join`)."),
+    ] = False
+    heights: Annotated[
+        str | None,
+        typer.Option(
+            "--heights",
+            metavar="LOW,HIGH",
+            help="Lowest and highest height of the volume, metres.",
+            show_default=False,
+        ),
+    ] = None
+    levels: Annotated[
+        int | None,
+        typer.Option("--levels", help="Number of height levels of the volume.", show_default=False),
+    ] = None
+    vti: Annotated[
+        Path | None, typer.Option("--vti", help="Write the volume as VTK image data.", show_default=False)
+    ] = None
+    ply: Annotated[
+        Path | None,
+        typer.Option("--ply", help="Write the bright points of the volume as PLY.", show_default=False),
+    ] = None
+    surface: Annotated[
+        Path | None,
+        typer.Option(
+            "--surface", help="Write the surface of the volume as PLY triangles.", show_default=False
+        ),
+    ] = None
+    webp: Annotated[
+        Path | None,
+        typer.Option("--webp", help="Write an animation of the rotating volume.", show_default=False),
+    ] = None
 
     @property
-    def files(self) -> dict[str, Path]:
-        """Those requested, by kind."""
-        return {kind: path for kind, path in vars(self).items() if path is not None}
+    def given(self) -> bool:
+        """Whether a command line says anything of the volume or its files."""
+        return bool(self.heights or self.levels or self.vti or self.ply or self.surface or self.webp)
 
-    def check(self, source: Path) -> None:
-        """Raises as `check_drawing`; `source` is the file that is read."""
-        for kind, path in self.files.items():
+    def files(self, out: Path | None, png: Path | None, source: Path) -> dict[str, Path]:
+        """Files to write, by kind. Raises as `check_drawing`; `source` is the file that is read."""
+        kinds = {
+            "npz": out, "vti": self.vti, "ply": self.ply, "png": png, "webp": self.webp,
+            "surface": self.surface,
+        }  # fmt: skip
+        files = {kind: path for kind, path in kinds.items() if path is not None}
+        for kind, path in files.items():
             option = "--out" if kind == "npz" else f"--{kind}"
             check_drawing(option, path, (".ply" if kind == "surface" else f".{kind}",), [source])
+        return files
 
+    def settings(self, config: Config, background: str, held_out: bool) -> VolumeSettings:
+        """The settings of the volume. Raises UsageError."""
+        from tagid.pipeline.volume import VolumeSettings
 
-@dataclass(frozen=True)
-class Asked:
-    """What the command line says of a volume beside the configuration.
-
-    Attributes:
-        background: as `--background`.
-        heights_m, levels: lowest and highest height, m, and number of levels; None: as `VolumeSettings`.
-        held_out: whether to compute how well it predicts held-out views.
-    """
-
-    background: str
-    heights_m: tuple[float, float] | None
-    levels: int | None
-    held_out: bool
+        return VolumeSettings(
+            "bp" if config["imaging.method"] == "auto" else config["imaging.method"],
+            config["imaging.extent_m"],
+            config["imaging.pixels"],
+            None if self.heights is None else parse_point("--heights", self.heights),
+            self.levels,
+            "none" if background == "reference" else background,
+            held_out,
+        )
 
 
 def make_volume(
-    terminal: Terminal, capture: Capture, config: Config, asked: Asked, outputs: Outputs
+    terminal: Terminal, capture: Capture, settings: VolumeSettings, files: dict[str, Path]
 ) -> Result:
     """Reconstruct a volume and write it.
 
     Args:
         capture: loaded.
-        config: with the method, the extent and the pixels.
-        asked: what the command line says.
-        outputs: files to write, checked.
+        settings: of the volume.
+        files: to write, by kind, checked.
     """
     from rich.console import Group
     from rich.text import Text
 
     from tagid.operate.words import held_out_words
-    from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
+    from tagid.pipeline.volume import reconstruct_volume
 
-    files = outputs.files
-    method = "bp" if config["imaging.method"] == "auto" else config["imaging.method"]
-    settings = VolumeSettings(
-        method,
-        config["imaging.extent_m"],
-        config["imaging.pixels"],
-        asked.heights_m,
-        asked.levels,
-        "none" if asked.background == "reference" else asked.background,
-        asked.held_out,
-    )
     begun = time.monotonic()
     with terminal.progress("volume", total=1.0) as advance:
 
@@ -160,14 +182,15 @@ def make_volume(
     grid = made.volume.grid
     size = f"{grid.square.pixels} x {grid.square.pixels} x {grid.levels} voxels"
     lines = [
-        f"{method} volume of {made.views} views from {made.heights} antenna heights, {size} in {took:.2f} s",
+        f"{settings.method} volume of {made.views} views from {made.heights} antenna heights, "
+        f"{size} in {took:.2f} s",
         f"vertical resolution {1e3 * facts['vertical_resolution_m']:.0f} mm",
         *held_out_words(facts),
         *facts.get("warnings", ()),
         *(f"{kind} {path}" for kind, path in files.items()),
     ]
     data: dict[str, Any] = {
-        "method": method,
+        "method": settings.method,
         "settings": facts,
         "files": {kind: str(path) for kind, path in files.items()},
         "seconds": made.seconds,
