@@ -35,6 +35,7 @@ def network_input(capture: Capture, method: str, seed: int = 0) -> NetworkInput:
     scans = focused_scans(capture, method)
     if method == "bp":
         return NetworkInput.of(backproject(scans, GRID), scans)
-    from tagid.imaging.ats.fit import AtsSettings, fit
+    from tagid.imaging.ats.fit import fit
+    from tagid.imaging.ats.settings import AtsSettings
 
     return NetworkInput.of(fit(scans, GRID, AtsSettings(seed=seed)).image, scans)

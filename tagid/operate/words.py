@@ -282,7 +282,7 @@ def prior_words(settings: dict[str, Any]) -> list[str]:
 
 
 def _prior_words(settings: dict[str, Any]) -> list[str]:
-    from tagid.imaging.ats.adapt import PIXELS, linear_iterations
+    from tagid.imaging.ats.settings import Prior
 
     prior, tried = settings.get("prior"), settings.get("prior_trials")
     if not prior or not tried:
@@ -292,14 +292,14 @@ def _prior_words(settings: dict[str, Any]) -> list[str]:
     both = settings.get("prior_against_default")
     if both and both["residual"] != tried[prior]:
         than = f"of the first {both['views']} of them {100 * both['residual']:.1f} %, {than}"
-    iterations = linear_iterations(prior)
+    iterations = Prior(prior).iterations
     if iterations is not None and iterations <= 1:
         return [
             f"no scene model predicts better than backprojection: the image is backprojection ({residual})"
         ]
     if iterations is not None:
         return [f"linear solution after {iterations} iterations: {residual}, {than}"]
-    if prior == PIXELS:
+    if prior == Prior.PIXELS:
         return [f"sparse solution without a field: {residual}, {than}"]
     if prior == "default":
         others = [tried[name] for name in tried if name != prior]
@@ -373,14 +373,13 @@ def learned_words(result: Reconstruction) -> list[str]:
 
 def method_shown(result: Reconstruction) -> str:
     """The method for a picture's title; of ATS also the variant or the solution that replaced the field."""
-    from tagid.imaging.ats.adapt import PIXELS, linear_iterations
+    from tagid.imaging.ats.settings import Prior
 
     if result.image.settings.get("preset") == "paper":
         return "ATS, paper"
-    prior = result.image.settings.get("prior", "")
-    if prior == PIXELS:
+    prior = Prior.of(result.image.settings)
+    if prior is Prior.PIXELS:
         return "ATS, sparse solution"
-    iterations = linear_iterations(prior)
-    if iterations is None:
+    if prior.iterations is None:
         return result.method.upper()
-    return "ATS, backprojection" if iterations <= 1 else "ATS, linear solution"
+    return "ATS, backprojection" if prior.iterations <= 1 else "ATS, linear solution"

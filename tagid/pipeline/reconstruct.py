@@ -14,9 +14,9 @@ from tagid._version import __version__
 from tagid.capture import Capture
 from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.adapt import has_field, image_without_field, linear_iterations, settings_of
+from tagid.imaging.ats.adapt import image_without_field, settings_of
 from tagid.imaging.ats.fit import fit
-from tagid.imaging.ats.settings import AtsSettings
+from tagid.imaging.ats.settings import AtsSettings, Prior
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
 from tagid.imaging.heldout import HeldOut, check, left_out
@@ -185,8 +185,7 @@ def reconstruct(
         remark = _remark(progress, "held-out views")
         predicted = _held_out(prepared, scans, grid, method, settings, image, subtracted, remark)
     with watch.stage("image"):
-        linear = linear_iterations(image.settings.get("prior", "")) is not None
-        sharp = METHODS[method].sparse and not linear
+        sharp = METHODS[method].sparse and Prior.of(image.settings).iterations is None
         if settings.restore and sharp and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
     facts = _facts(prepared, scans, image, _Found(focus, region, outside, subtracted, predicted))
@@ -351,15 +350,14 @@ def _held_out(
         echoes = find_outside(select_views(scans, seen), grid, progress)
         scans = scans if echoes is None else echoes.removed(scans)
         unfiltered = scans
-    ats = settings_of(made.settings, replace(settings.ats, adapt=0, held_out=0.0, calibrate=()))
-    prior = made.settings.get("prior", "")
+    ats, prior = settings_of(made.settings, settings.ats), Prior.of(made.settings)
     axis = made.settings.get("calibration", {}).get("axis")
     if axis:
         moved = scans.aperture.with_axis_distance(axis["distance_m"])
         scans, unfiltered = scans.with_aperture(moved), unfiltered.with_aperture(moved)
 
     def make(some: BasebandScans) -> Image:
-        if not has_field(prior):
+        if prior.field is None:
             return image_without_field(some, grid, prior)
         return make_image(some, grid, method, settings.seed, "field", None, ats)
 
@@ -367,7 +365,7 @@ def _held_out(
         fitted = replace(ats, seed=settings.seed)
         return fit(all_views, grid, fitted, lambda step, of, _: progress(step, of), unseen).held_out
 
-    return check(scans, unfiltered, grid, make, predicted if method == "ats" and has_field(prior) else None)
+    return check(scans, unfiltered, grid, make, predicted if method == "ats" and prior.field else None)
 
 
 def check_extent(capture: Capture, grid: ImageGrid) -> None:

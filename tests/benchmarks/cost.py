@@ -23,9 +23,10 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import fit_adapted
-from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.fit_native import OnnxEngine
 from tagid.imaging.ats.problem import FineRange, GridArrays, draw_weights, view_arrays
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import sparse_recovery
@@ -124,7 +125,7 @@ def shares(views: int, pixels: int, oversampling: float, repeats: int) -> tuple[
     raw, settings = scans(views, oversampling), AtsSettings()
     grid = ImageGrid(EXTENT_M, pixels)
     shape = settings.shape(grid, raw.wavelength_m)
-    numbers = np.array([1e-4, 1e-4, 1, 1, 1, 1e-3, 1e-4, 0, 1e-5], dtype=np.float32)
+    numbers = np.array([1e-4, 1, 1, 1, 1e-3, 1e-4, 1e-5], dtype=np.float32)
     engine = OnnxEngine(draw_weights(shape, grid, 1.0, 0))
     count = min(views, settings.views_per_step)
 
@@ -199,7 +200,8 @@ _ENGINE = """
 import pickle, resource, sys, time, numpy as np
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import fit_adapted
-from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.ats.fit import fit
+from tagid.imaging.ats.settings import AtsSettings
 raw, grid = pickle.load(open({scene!r}, "rb")), ImageGrid({extent}, 96)
 seconds = []
 for _ in range({repeats}):

@@ -17,9 +17,9 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging.ats.adapt import has_field, image_without_field, settings_of
+from tagid.imaging.ats.adapt import image_without_field, settings_of
 from tagid.imaging.ats.fit import fit
-from tagid.imaging.ats.settings import AtsSettings
+from tagid.imaging.ats.settings import AtsSettings, Prior
 from tagid.imaging.heldout import check
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.restore import restore
@@ -207,19 +207,19 @@ def held_out_percent(problem: Problem, row: str) -> float:
         return 100 * found.residual if found is not None else float("nan")
     # With the prior and the views a step of the image of all views.
     facts = problem.image(f"{row}, bare")[0].settings if method == "ats" else {}
-    prior = facts.get("prior", "")
-    ats = settings_of(facts, AtsSettings(steps=steps, adapt=0))
+    prior = Prior.of(facts)
+    ats = settings_of(facts, AtsSettings(steps=steps))
 
     def make(some: BasebandScans) -> Image:
-        if not has_field(prior):
+        if prior.field is None:
             return image_without_field(some, problem.grid, prior)
         return make_image(some, problem.grid, method, problem.seed, ats=ats)
 
     def predicted(every: BasebandScans, unseen: np.ndarray) -> float:
         # The fit is more than its image: what no turn changes, and what depends on the aspect.
-        return fit(every, problem.grid, replace(ats, held_out=0.0, seed=problem.seed), unseen=unseen).held_out
+        return fit(every, problem.grid, replace(ats, seed=problem.seed), unseen=unseen).held_out
 
-    field = method == "ats" and has_field(prior)
+    field = method == "ats" and prior.field
     found = check(scans, raw, problem.grid, make, predicted if field else None)
     return 100 * found.residual if found is not None else float("nan")
 

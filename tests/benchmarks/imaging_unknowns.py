@@ -14,7 +14,8 @@ from tagid.capture import Capture, Pulse
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.ats.fit import fit
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess

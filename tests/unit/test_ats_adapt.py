@@ -8,23 +8,19 @@ import numpy as np
 import pytest
 
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats import adapt, start
+from tagid.imaging.ats import adapt, problem
 from tagid.imaging.ats.adapt import (
     BACKPROJECTIONS,
-    CANDIDATES,
-    ITERATIONS,
-    PIXELS,
+    LINEAR,
     SHADED,
     fit_adapted,
     folds,
-    has_field,
     image_without_field,
     settings_of,
-    with_prior,
 )
 from tagid.imaging.ats.fit import fit, sparsity_weight
-from tagid.imaging.ats.settings import AtsSettings
-from tagid.imaging.ats.start import FirstImages
+from tagid.imaging.ats.problem import FirstImages
+from tagid.imaging.ats.settings import AtsSettings, FieldPrior, FitSettings, Prior
 from tagid.imaging.heldout import Prediction, left_out, residual
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
@@ -85,12 +81,12 @@ def test_sparse_pixels_make_the_image_where_they_predict_more_than_a_field() -> 
     scans = two_cans(18)
     image = fit_adapted(scans, GRID, AtsSettings()).image
     tried = image.settings["prior_trials"]
-    assert image.settings["prior"] == PIXELS
-    assert tried[PIXELS] == min(tried.values())
-    np.testing.assert_array_equal(image.values, image_without_field(scans, GRID, PIXELS).values)
+    assert image.settings["prior"] == Prior.PIXELS
+    assert tried[Prior.PIXELS] == min(tried.values())
+    np.testing.assert_array_equal(image.values, image_without_field(scans, GRID, Prior.PIXELS).values)
     unseen = left_out(18)
     seen = select_views(scans, np.setdiff1d(np.arange(18), unseen))
-    left = residual(select_views(scans, unseen), image_without_field(seen, GRID, PIXELS))
+    left = residual(select_views(scans, unseen), image_without_field(seen, GRID, Prior.PIXELS))
     assert left < fit(scans, GRID, AtsSettings(), unseen=unseen).held_out
     # Its amplitudes are not those that the sparsity prior shrank.
     shrunk = sparse_recovery(scans, GRID).values
@@ -107,7 +103,7 @@ def test_a_dozen_views_that_the_defaults_explain_keep_them_whatever_else_predict
     )
     settings = fit_adapted(scans, GRID, AtsSettings()).image.settings
     assert settings["prior"] == "default"
-    assert settings["prior_trials"][PIXELS] < settings["prior_trials"]["default"]
+    assert settings["prior_trials"][Prior.PIXELS] < settings["prior_trials"]["default"]
 
 
 def test_a_prior_and_the_defaults_are_compared_on_the_views_that_both_were_tried_on() -> None:
@@ -129,18 +125,19 @@ def test_an_outline_seen_from_its_side_gets_a_prior_that_predicts_better_than_ba
     scans = rough()
     settings = fit_adapted(scans, GRID, AtsSettings()).image.settings
     tried, chosen = settings["prior_trials"], settings["prior"]
-    assert {"default", *(f"linear {k}" for k in (0, *ITERATIONS))} <= set(tried)
+    assert {"default", "linear 0", *LINEAR} <= set(tried)
     assert tried[chosen] == min(tried.values()) or chosen == "default"
-    assert has_field(chosen)
+    field = Prior(chosen).field
+    assert field is not None
     shaded = [name for name in SHADED if name in tried]
     assert set(shaded) <= set(SHADED) and all(SHADED[name] in tried for name in shaded)
-    for name, value in asdict(CANDIDATES[chosen]).items():
+    for name, value in asdict(field).items():
         assert settings[name] == value
     # On views that took no part in the choice, as the image is judged in the end.
     unseen = left_out(60)
-    mine = fit(scans, GRID, with_prior(AtsSettings(), chosen), unseen=unseen).held_out
+    mine = fit(scans, GRID, FitSettings().with_prior(Prior(chosen)), unseen=unseen).held_out
     seen = np.setdiff1d(np.arange(60), unseen)
-    plain = image_without_field(select_views(scans, seen), GRID, "linear 1")
+    plain = image_without_field(select_views(scans, seen), GRID, Prior.LINEAR_1)
     assert mine < 0.3 * residual(select_views(scans, unseen), plain)
 
 
@@ -161,7 +158,7 @@ def test_every_view_takes_part_often_enough_for_a_scene_whose_views_differ() -> 
 
 
 def test_a_dozen_views_a_step_are_enough_where_the_steps_see_each_ten_times() -> None:
-    plain = AtsSettings()
+    plain = FitSettings()
     assert [plain.seeing_all(n).views_per_step for n in (12, 36, 120, 121, 360)] == [12, 12, 12, 13, 36]
     assert replace(plain, steps=400).seeing_all(360).views_per_step == 12
     assert replace(plain, steps=5).seeing_all(60).views_per_step == 60
@@ -176,7 +173,7 @@ def test_where_nothing_predicts_clearly_better_the_image_is_backprojection() -> 
     samples = (noise[0] + 1j * noise[1]).astype(np.complex64)
     image = fit_adapted(replace(scans, samples=samples, noise_std=0.0), GRID, QUICK).image
     assert image.settings["prior"] in ("linear 0", "linear 1")
-    expected = image_without_field(replace(scans, samples=samples), GRID, image.settings["prior"])
+    expected = image_without_field(replace(scans, samples=samples), GRID, Prior(image.settings["prior"]))
     np.testing.assert_array_equal(image.values, expected.values)
 
 
@@ -199,7 +196,7 @@ def test_points_at_twelve_views_keep_the_default_prior() -> None:
 
 def test_a_prior_given_by_hand_is_not_changed() -> None:
     scans = rough(24)
-    for settings in (AtsSettings(steps=5, adapt=0), AtsSettings(steps=5, l1=0.1)):
+    for settings in (AtsSettings(steps=5, prior="default"), AtsSettings(steps=5, prior="sparse")):
         assert "prior" not in fit_adapted(scans, GRID, settings).image.settings
 
 
@@ -235,7 +232,7 @@ def test_a_field_is_tried_once_where_noise_sets_two_priors_alike() -> None:
     scans = rough(24)
     peak = float(np.abs(ForwardOperator(scans, GRID).adjoint(scans.samples)).max())
     loud = replace(scans, noise_std=0.2 * peak / column_norm(scans))
-    weights = [sparsity_weight(loud, peak, with_prior(QUICK, n)) for n in ("default", "sparse")]
+    weights = [sparsity_weight(loud, peak, p) for p in (FieldPrior(), Prior.SPARSE.field)]
     assert weights[0] == weights[1]
     tried = fit_adapted(loud, GRID, QUICK).image.settings
     assert "sparse" not in tried.get("prior_trials", {})
@@ -259,16 +256,16 @@ def test_priors_that_are_compared_on_the_same_views_share_their_first_image(
 ) -> None:
     """The sparse solution is up to half of a fit and does not depend on the prior."""
     made: list[int] = []
-    plain = start.first_image
+    plain = problem.first_image
 
     def counted(scans: BasebandScans, *rest: object) -> object:
         made.append(scans.aperture.views)
         return plain(scans, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(start, "first_image", counted)
+    monkeypatch.setattr(problem, "first_image", counted)
     scans = rough(60)
     settings = fit_adapted(scans, GRID, QUICK).image.settings
-    fields = [name for name in settings["prior_trials"] if has_field(name)]
+    fields = [name for name in settings["prior_trials"] if Prior(name).field]
     assert len(fields) > 2
     # One for the image, whatever its prior, and one for each group of unseen views.
     groups = folds(60 - len(left_out(60)))
@@ -279,7 +276,7 @@ def test_a_shared_first_image_changes_nothing() -> None:
     scans, unseen = rough(36), np.array([3, 17, 30])
     images = FirstImages()
     fit(scans, GRID, QUICK, unseen=unseen, images=images)
-    dense = with_prior(QUICK, "dense")
+    dense = FitSettings.of(QUICK).with_prior(Prior.DENSE)
     shared = fit(scans, GRID, dense, unseen=unseen, images=images).image
     np.testing.assert_array_equal(shared.values, fit(scans, GRID, dense, unseen=unseen).image.values)
     others = fit(scans, GRID, dense, unseen=unseen + 1, images=images).image
@@ -301,11 +298,10 @@ def test_of_a_large_image_some_priors_are_left_out_and_the_result_says_which(
     better = min(("default", "dense"), key=tried.__getitem__)
     aspect = {"default": "aspect", "dense": "dense, aspect"}
     assert aspect[better] in tried
-    assert [name for name in skipped if has_field(name) and name not in SHADED] == [
+    assert [name for name in skipped if Prior(name).field and name not in SHADED] == [
         name for prior, name in aspect.items() if prior != better
     ]
     # Of the linear solution the highest numbers of iterations.
-    linear = [f"linear {k}" for k in ITERATIONS]
     assert "linear 1" in tried
-    assert linear[-len([name for name in linear if name in skipped]) :] == [n for n in linear if n in skipped]
+    assert LINEAR[-len([name for name in LINEAR if name in skipped]) :] == [n for n in LINEAR if n in skipped]
     assert all(name in prior_words(image)[0] for name in skipped)

@@ -12,9 +12,17 @@ from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging import memory
-from tagid.imaging.ats.calibration import Unknowns, _gains, _solve, angle_error, improve
-from tagid.imaging.ats.fit import AtsSettings, fit
-from tagid.imaging.ats.occlusion import illumination, transmission
+from tagid.imaging.ats.calibration import (
+    Unknowns,
+    _gains,
+    _solve,
+    angle_error,
+    illumination,
+    improve,
+    transmission,
+)
+from tagid.imaging.ats.fit import fit
+from tagid.imaging.ats.settings import AtsSettings, FitSettings
 from tagid.imaging.heldout import left_out
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
@@ -125,18 +133,18 @@ def test_gain_and_static_component_of_a_known_scene() -> None:
 def test_scene_and_calibration_are_learned_together() -> None:
     scans = scans_of(2 * WOBBLE)
     plain = fit(scans, GRID, AtsSettings())
-    joint = fit(scans, GRID, AtsSettings(calibrate=("axis", "wobble"), wobble_harmonics=2))
+    joint = fit(scans, GRID, AtsSettings(calibrate=("axis", "wobble")))
     assert joint.held_out < 0.75 * plain.held_out
     assert joint.calibration.axis_offset_m == pytest.approx(0.004, abs=5e-4)
-    assert np.abs(joint.calibration.wobble_rad - 2 * WOBBLE).max() < 3e-3
+    assert np.abs(joint.calibration.wobble_rad[:2] - 2 * WOBBLE).max() < 3e-3
     assert joint.calibration.axis_sigma_m < 0.001
 
 
 def test_aspect_harmonics_explain_what_is_dim_from_behind() -> None:
     facing = 0.5 + 0.5 * np.cos(np.arange(VIEWS) * 2 * np.pi / VIEWS - 1.0)
     scans = scans_of(np.zeros(1), 0.0, gain=facing)
-    isotropic = fit(scans, GRID, AtsSettings(held_out=0.25))
-    aspect = fit(scans, GRID, AtsSettings(held_out=0.25, aspect_harmonics=2))
+    isotropic = fit(scans, GRID, FitSettings(held_out=0.25))
+    aspect = fit(scans, GRID, FitSettings(held_out=0.25, aspect_harmonics=2))
     assert aspect.held_out < 0.6 * isotropic.held_out
     assert aspect.field is not None
     assert aspect.field.evaluate(POINTS).shape == (5, 3)
@@ -149,8 +157,8 @@ def test_robust_weights_resist_a_few_wild_scans() -> None:
     wild[5::16] += 3 * (rng.standard_normal(wild[5::16].shape) + 1j * rng.standard_normal(wild[5::16].shape))
     broken = BasebandScans(**{**scans.__dict__, "samples": wild})
     clean = fit(scans, GRID).image.values
-    plain = fit(broken, GRID, AtsSettings(held_out=0.0)).image.values
-    robust = fit(broken, GRID, AtsSettings(held_out=0.0, robust=3.0)).image.values
+    plain = fit(broken, GRID, FitSettings(held_out=0.0)).image.values
+    robust = fit(broken, GRID, FitSettings(held_out=0.0, robust=3.0)).image.values
     assert np.linalg.norm(robust - clean) < 0.9 * np.linalg.norm(plain - clean)
 
 
@@ -191,7 +199,7 @@ def test_views_that_no_fit_has_seen_are_predicted_with_their_shadows() -> None:
     seen = ForwardOperator(scans, GRID).forward_by_view(truth.ravel() * row for row in shade)
     level = np.abs(seen).max() / np.abs(scans.samples).max()
     scans = BasebandScans(**{**scans.__dict__, "samples": seen + level * scans.samples * np.float32(1e-3)})
-    dense = AtsSettings(l1=0.003, noise_factor=1.0)
+    dense = AtsSettings(prior="dense")
     plain, shaded = (fit(scans, GRID, replace(dense, occlusion=n), unseen=left_out(VIEWS)) for n in (0, 2.0))
     assert shaded.held_out < 0.8 * plain.held_out
 
@@ -223,15 +231,6 @@ def test_too_little_memory_is_foreseen_with_advice(monkeypatch) -> None:
     assert "pixels" in caught.value.remedy
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"preset": "x"}, {"engine": "x"}, {"calibrate": ("x",)}, {"held_out": 0.9}, {"robust": -1.0}],
-)
-def test_senseless_settings_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(UsageError):
-        AtsSettings(**wrong)  # type: ignore[arg-type]
-
-
 def test_a_removed_mean_is_part_of_the_model() -> None:
     """With the mean over the views goes a part of every echo; the fit knows, and sees unseen views better."""
     capture = record(POINTS, [1.0, 0.8, 0.9], turn(24), noise=0.02, analytic=True)
@@ -239,7 +238,7 @@ def test_a_removed_mean_is_part_of_the_model() -> None:
     scans = preprocess(capture, settings=settings)
     assert scans.background_removed
     unaware = BasebandScans(**{**scans.__dict__, "background_removed": False})
-    knowing, ignorant = (fit(s, GRID, AtsSettings(held_out=0.1)) for s in (scans, unaware))
+    knowing, ignorant = (fit(s, GRID, FitSettings(held_out=0.1)) for s in (scans, unaware))
     assert knowing.held_out < 0.8 * ignorant.held_out
     assert "static" not in knowing.image.settings["calibration"]
     assert np.abs(knowing.calibration.static).max() > 0

@@ -9,8 +9,9 @@ from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import TagidError, UsageError
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.problem import FieldShape, draw_weights
+from tagid.imaging.ats.settings import AtsSettings, FitSettings, parse_settings
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.heldout import check
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
@@ -73,7 +74,7 @@ def test_two_points_at_36_views_beat_backprojection() -> None:
 
 def test_many_views_are_used_in_subsets() -> None:
     scans = simulate(POINTS, 144, 1.0)
-    image = restore(fit(scans, GRID, AtsSettings(views_per_step=36)).image, scans.wavenumber)
+    image = restore(fit(scans, GRID, FitSettings(views_per_step=36)).image, scans.wavenumber)
     assert psnr(image.values, POINTS) > psnr(backproject(scans, GRID).values, POINTS) + 8
 
 
@@ -152,16 +153,6 @@ def test_progress_is_told_every_step() -> None:
     assert told[-1][2] < told[0][2]
 
 
-def test_stops_when_unseen_views_are_no_longer_explained_better() -> None:
-    """Noise alone: whatever is fitted to the seen views makes the unseen ones worse."""
-    scans = simulate(POINTS[:0], 36, 1.0)
-    noise_fitted = AtsSettings(steps=200, l1=0.0, noise_factor=0.0, patience=2)
-    result = fit(scans, GRID, noise_fitted)
-    assert len(result.losses) < 200
-    assert result.held_out > 0.9
-    assert len(fit(scans, GRID, AtsSettings(steps=40, patience=0)).losses) == 40
-
-
 def test_few_views_get_more_steps_unless_the_number_is_given() -> None:
     small = ImageGrid(0.5, 8)
     took = [len(fit(simulate(POINTS, views, 0.1), small).losses) for views in (12, 18)]
@@ -176,13 +167,34 @@ def test_a_tiny_grid_works() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"steps": -1}, {"learning_rate": float("nan")}, {"l1": -1.0}, {"views_per_step": 0}, {"levels": 0}],
+    [
+        {"steps": -1},
+        {"robust": float("nan")},
+        {"occlusion": -1.0},
+        {"prior": "pixels"},
+        {"engine": "x"},
+        {"calibrate": ("x",)},
+    ],
 )
 def test_senseless_settings_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(UsageError) as caught:
         AtsSettings(**wrong)
     assert isinstance(caught.value, TagidError)
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("word", "remedy"), [("l1=0.1", "prior=sparse"), ("levels=8", "8"), ("smoothness=1", "prior=dense")]
+)
+def test_a_setting_that_is_gone_says_what_takes_its_place(word: str, remedy: str) -> None:
+    with pytest.raises(UsageError, match=f"no longer has the setting {word.partition('=')[0]}") as caught:
+        parse_settings([word])
+    assert remedy in caught.value.remedy
+
+
+def test_no_trials_are_asked_for_as_before() -> None:
+    assert parse_settings(["adapt=0,steps=9"]) == {"prior": "default", "steps": 9}
+    assert AtsSettings(**parse_settings(["adapt=1"])) == AtsSettings()
 
 
 def test_a_dozen_views_of_reflectors_are_predicted_better_than_by_fista() -> None:

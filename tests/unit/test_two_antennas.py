@@ -12,7 +12,8 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging import kernel
-from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.ats.fit import fit
+from tagid.imaging.ats.settings import FitSettings
 from tagid.imaging.backprojection import backproject, upsample_at_carrier
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.operator import ForwardOperator
@@ -103,7 +104,7 @@ def test_every_engine_of_the_fit_takes_both_antennas() -> None:
     scans = preprocess(record(POINTS, [1, 1, 1], turn(36, apart=APART_M), noise=0.02), settings=PLAIN)
     grid = ImageGrid(0.4, 56)
     pair, alone = (
-        fit(s, grid, AtsSettings(held_out=0.1)).held_out for s in (scans, scans.with_aperture(turn(36)))
+        fit(s, grid, FitSettings(held_out=0.1)).held_out for s in (scans, scans.with_aperture(turn(36)))
     )
     assert pair < 0.1
     assert alone > 2 * pair

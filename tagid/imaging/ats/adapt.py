@@ -12,7 +12,7 @@ The views on which the image is judged in the end (`heldout.left_out`) take no p
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -21,9 +21,16 @@ from numpy.typing import NDArray
 
 from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.fit import fit, sparsity_weight, unshrinking
-from tagid.imaging.ats.settings import LEAST_HELD_OUT, AtsResult, AtsSettings, Progress
-from tagid.imaging.ats.start import LARGE_PAIRS, FirstImages
+from tagid.imaging.ats.fit import AtsResult, fit, sparsity_weight, unshrinking
+from tagid.imaging.ats.problem import LARGE_PAIRS, FirstImages
+from tagid.imaging.ats.settings import (
+    AUTO,
+    LEAST_HELD_OUT,
+    AtsSettings,
+    FitSettings,
+    Prior,
+    StepProgress,
+)
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.heldout import Prediction, left_out, residual
 from tagid.imaging.operator import ForwardOperator
@@ -88,99 +95,47 @@ SETTLES = 2
 LEAST_VIEWS = 8
 """Fewer views cannot be split further."""
 
-ISOTROPIC = {"aspect": "default", "dense, aspect": "dense"}
+BACKPROJECTIONS = (Prior.LINEAR_0, Prior.LINEAR_1)
+LINEAR = [prior for prior in Prior if prior.iterations]
+"""Linear priors by rising iterations, backprojection of the scans as they are left out."""
+
+ISOTROPIC = {Prior.ASPECT: Prior.DEFAULT, Prior.DENSE_ASPECT: Prior.DENSE}
 """Priors that depend on the aspect, the most expensive fields, and the same without it. Of a large image
 (`LARGE_PAIRS`) only that of the better of the two others is tried, and the linear solution ends where it gets
 worse. Fewer views in the trials are no way out: without their neighbours, views at 24 GHz are predicted by no
 prior."""
 
-LINEAR = "linear"
-ITERATIONS = (1, 2, 4, 8, 16)
-"""Iterations of conjugate gradients of the linear candidates. The first is backprojection of scans that are
-correlated with the pulse; 0 stands for backprojection of the scans as they are."""
-BACKPROJECTIONS = (f"{LINEAR} 0", f"{LINEAR} 1")
-
-PIXELS = "pixels"
-"""The sparse solution itself (`tagid.imaging.sparse`). Of few views of extended objects it predicts more than
-a field that starts from it: the encoding ties neighbours together, of which a dozen views tell nothing."""
-
-DEFAULT = "default"
-
-_PLAIN = AtsSettings()
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What a fit assumes of the scene: the settings of the same names (`AtsSettings`)."""
-
-    l1: float = _PLAIN.l1
-    noise_factor: float = _PLAIN.noise_factor
-    aspect_harmonics: int = _PLAIN.aspect_harmonics
-    occlusion: float = _PLAIN.occlusion
-
-    @classmethod
-    def of(cls, settings: AtsSettings) -> Prior:
-        """That of some settings."""
-        return cls(settings.l1, settings.noise_factor, settings.aspect_harmonics, settings.occlusion)
-
-
-_DENSE = Prior(l1=0.003, noise_factor=1.0)
-
-CANDIDATES: dict[str, Prior] = {
-    DEFAULT: Prior(),
-    "sparse": Prior(l1=0.1),
-    "dense": _DENSE,
-    "aspect": Prior(aspect_harmonics=2),
-    "dense, aspect": replace(_DENSE, aspect_harmonics=2),
-    "dense, shadows": replace(_DENSE, occlusion=1.0),
-    "dense, aspect, shadows": replace(_DENSE, aspect_harmonics=2, occlusion=1.0),
-}
-"""The defaults, a stronger and a weaker sparsity prior, reflectivity that depends on the aspect, the last two
-together, and the dense ones on a scene that hides what lies behind it. Of attenuations of 0.1 to 3 nepers 1
-leaves least of unseen views in most outlines, boxes and smooth bodies that were tried (seeds from 5000)."""
-
-SHADED = {"dense, shadows": "dense", "dense, aspect, shadows": "dense, aspect"}
+SHADED = {Prior.DENSE_SHADOWS: Prior.DENSE, Prior.DENSE_ASPECT_SHADOWS: Prior.DENSE_ASPECT}
 """Priors with shadows, and the same without. Only that of the best field so far is tried, where it still asks
 for another (`ASKS`), and none of a large image: every view takes a sum over all pixels."""
 
 
-def with_prior(settings: AtsSettings, prior: str) -> AtsSettings:
-    """Settings with a prior by its name; as they are for one that has no field, or for no name."""
-    return replace(settings, **asdict(CANDIDATES[prior])) if prior in CANDIDATES else settings
+def settings_of(facts: dict[str, Any], settings: AtsSettings) -> FitSettings:
+    """Settings that fit as an image says (`Image.settings`) that it was fitted: prior, and views of a step.
+
+    All views are fitted, no other prior is tried and nothing is learned beside the scene.
+    """
+    prior = Prior.DEFAULT if settings.prior == AUTO else settings.prior
+    same = FitSettings.of(replace(settings, prior=prior, calibrate=()))
+    views = facts.get("views_per_step", same.views_per_step)
+    chosen = same.with_prior(Prior.of(facts)) if "prior" in facts else same
+    return replace(chosen, views_per_step=views, held_out=0.0)
 
 
-def settings_of(facts: dict[str, Any], settings: AtsSettings) -> AtsSettings:
-    """Settings with what an image (`Image.settings`) says was changed for it: prior, and views of a step."""
-    views = facts.get("views_per_step", settings.views_per_step)
-    return replace(with_prior(settings, facts.get("prior", "")), views_per_step=views)
-
-
-def linear_iterations(prior: str) -> int | None:
-    """Iterations of a linear prior ("linear 4": 4), None for another prior."""
-    name, _, count = prior.rpartition(" ")
-    return int(count) if name == LINEAR else None
-
-
-def has_field(prior: str) -> bool:
-    """Whether an image of a prior shows a field: neither a linear solution nor sparse pixels."""
-    return prior != PIXELS and linear_iterations(prior) is None
-
-
-def image_without_field(scans: BasebandScans, grid: ImageGrid, prior: str) -> Image:
+def image_without_field(scans: BasebandScans, grid: ImageGrid, prior: Prior) -> Image:
     """The image of a prior that has no field.
 
     Raises:
         ValueError: it has one.
     """
-    iterations = linear_iterations(prior)
-    if prior == PIXELS:
+    if prior is Prior.PIXELS:
         values = _sparse_pixels(scans, grid, ForwardOperator(scans, grid))
-    elif iterations is None:
+    elif prior.iterations is None:
         raise ValueError(f"prior {prior} has a field")
-    elif iterations == 0:
+    elif prior.iterations == 0:
         values = backproject(scans, grid).values
     else:
-        *_, values = least_squares(ForwardOperator(scans, grid), scans.samples, (iterations,))
+        *_, values = least_squares(ForwardOperator(scans, grid), scans.samples, (prior.iterations,))
     facts = {"method": "ats", "axis_distance_m": scans.aperture.axis_distance}
     return Image(values.reshape(grid.pixels, grid.pixels), grid, facts)
 
@@ -193,7 +148,7 @@ def _sparse_pixels(scans: BasebandScans, grid: ImageGrid, operator: ForwardOpera
 
 
 def fit_adapted(
-    scans: BasebandScans, grid: ImageGrid, settings: AtsSettings, progress: Progress | None = None
+    scans: BasebandScans, grid: ImageGrid, settings: AtsSettings, progress: StepProgress | None = None
 ) -> AtsResult:
     """Fit with the settings; where unseen views ask for it, with more views a step (`seeing_all`);
     where they still ask for another prior and none was given, with that one.
@@ -204,30 +159,27 @@ def fit_adapted(
 
     Args and errors as `fit`.
     """
-    if (
-        Prior.of(settings) != Prior()
-        or not settings.adapt
-        or scans.aperture.views < LEAST_VIEWS
-        or not np.any(scans.samples)
-    ):
+    views = scans.aperture.views
+    if not settings.adapts or views < LEAST_VIEWS or not np.any(scans.samples):
         return fit(scans, grid, settings, progress)
     first: AtsResult | None = None
     images = FirstImages()
-    quick, settings = settings, settings.seeing_all(scans.aperture.views)
-    if settings.held_out > 0 and scans.aperture.views >= LEAST_HELD_OUT:
-        for fromkey in dict.fromkeys((quick, settings)):
-            first = fit(scans, grid, fromkey, progress, images=images)
+    quick = FitSettings.of(settings)
+    thorough = quick.seeing_all(views)
+    if quick.held_out > 0 and views >= LEAST_HELD_OUT:
+        for tried in dict.fromkeys((quick, thorough)):
+            first = fit(scans, grid, tried, progress, images=images)
             if not first.losses or _explains(scans, grid, first):
                 return first
-    trials = _Trials(scans, grid, settings, progress, without_field=settings.calibrate == ())
+    trials = _Trials(scans, grid, thorough, progress, without_field=settings.calibrate == ())
     prior = trials.chosen()
-    if first is None or (has_field(prior) and prior != DEFAULT):
-        first = fit(scans, grid, with_prior(settings, prior), progress, images=images)
-    facts = {**first.image.settings, "prior": prior, "prior_trials": trials.residuals()}
+    if first is None or (prior.field is not None and prior is not Prior.DEFAULT):
+        first = fit(scans, grid, thorough.with_prior(prior), progress, images=images)
+    facts = {**first.image.settings, "prior": prior.value, "prior_trials": trials.residuals()}
     facts["prior_against_default"] = trials.against_default(prior)
     if trials.skipped:
-        facts["priors_not_tried"] = trials.skipped
-    if has_field(prior):
+        facts["priors_not_tried"] = [skipped.value for skipped in trials.skipped]
+    if prior.field is not None:
         return replace(first, image=replace(first.image, settings=facts))
     image = image_without_field(scans, grid, prior)
     return replace(first, image=replace(image, settings=facts), field=None)
@@ -259,47 +211,46 @@ class _Trials:
         self,
         scans: BasebandScans,
         grid: ImageGrid,
-        settings: AtsSettings,
-        progress: Progress | None,
+        settings: FitSettings,
+        progress: StepProgress | None,
         without_field: bool,
     ) -> None:
         judged = left_out(scans.aperture.views)
         some = np.setdiff1d(np.arange(scans.aperture.views), judged)
         self.scans, self.bounded = select_views(scans, some), len(some) * grid.pixels**2 > LARGE_PAIRS
-        self.skipped: list[str] = []
+        self.skipped: list[Prior] = []
         self.images = FirstImages()
         self.grid, self.progress = grid, progress
         self.settings = replace(settings, calibrate=(), held_out=0.0)
         self.operator, self.without_field = ForwardOperator(self.scans, grid), without_field
         self.views = 0
         self.explained = False
-        self.found: dict[str, Prediction] = {}
+        self.found: dict[Prior, Prediction] = {}
         self._race(folds(self.scans.aperture.views))
 
     def residuals(self) -> dict[str, float]:
         """Share of the energy that every prior leaves of the groups that it was tried on."""
-        return {name: part.residual for name, part in self.found.items()}
+        return {prior.value: part.residual for prior, part in self.found.items()}
 
-    def against_default(self, name: str) -> dict[str, float]:
+    def against_default(self, prior: Prior) -> dict[str, float]:
         """What a prior and the defaults leave of the views that both were tried on, and their number.
 
         The defaults may fall behind after the first group; others are then judged on more views.
         """
-        parts = [self.found[prior] for prior in (name, DEFAULT)]
+        parts = [self.found[tried] for tried in (prior, Prior.DEFAULT)]
         views = min(len(part.measured) for part in parts)
         residual, default = (part.first(views).residual for part in parts)
         return {"residual": residual, "default": default, "views": views}
 
-    def chosen(self) -> str:
+    def chosen(self) -> Prior:
         """The best prior of those that were tried on every group; the defaults where it is hardly better,
         backprojection where none predicts anything."""
-        last = [name for name in self._last() if name != PIXELS or not self.explained]
-        residuals = self.residuals()
-        best = min(last, key=residuals.__getitem__)
-        if DEFAULT in last and self._gain(best, DEFAULT) < KEEPS:
-            best = min((name for name in (DEFAULT, PIXELS) if name in last), key=residuals.__getitem__)
-        if self.without_field and residuals[best] > 1 - BLANK:
-            best = min(BACKPROJECTIONS, key=residuals.__getitem__)
+        last = [prior for prior in self._last() if prior is not Prior.PIXELS or not self.explained]
+        best = min(last, key=self._residual)
+        if Prior.DEFAULT in last and self._gain(best, Prior.DEFAULT) < KEEPS:
+            best = min((p for p in (Prior.DEFAULT, Prior.PIXELS) if p in last), key=self._residual)
+        if self.without_field and self._residual(best) > 1 - BLANK:
+            best = min(BACKPROJECTIONS, key=self._residual)
         return best
 
     def _race(self, groups: list[NDArray[np.intp]]) -> None:
@@ -309,64 +260,65 @@ class _Trials:
             if self.without_field:
                 self._try_linear(group)
                 self._try_pixels(group)
-            for name in running:
-                if number == 0 and self._is_skipped(name, group):
+            for prior in running:
+                if number == 0 and self._is_skipped(prior, group):
                     continue
-                self._try(name, group)
-                if name == DEFAULT and number == 0 and self._enough(group):
+                self._try(prior, group)
+                if prior is Prior.DEFAULT and number == 0 and self._enough(group):
                     self.explained = True
                     return
             if self.views < SETTLES:
                 continue
-            residuals, last = self.residuals(), self._last()
-            best = min(residuals[name] for name in last)
-            near = [name for name in last if name in CANDIDATES and residuals[name] <= NEAR * best]
-            running = sorted(near, key=residuals.__getitem__)[:MOST_TRIED]
+            last = self._last()
+            best = min(map(self._residual, last))
+            near = [prior for prior in last if prior.field and self._residual(prior) <= NEAR * best]
+            running = sorted(near, key=self._residual)[:MOST_TRIED]
             if not running:
                 return
 
-    def _different(self) -> list[str]:
+    def _residual(self, prior: Prior) -> float:
+        return self.found[prior].residual
+
+    def _different(self) -> list[Prior]:
         """Fields without those whose sparsity prior has the weight of another's: noise may set both."""
         peak = float(np.abs(self.operator.adjoint(self.scans.samples)).max())
-        kept: dict[tuple[float, int, float], str] = {}
-        for name in CANDIDATES:
-            settings = with_prior(self.settings, name)
-            weight = sparsity_weight(self.scans, peak, settings)
-            kept.setdefault((weight, settings.aspect_harmonics, settings.occlusion), name)
+        kept: dict[tuple[float, int, float], Prior] = {}
+        for prior in Prior:
+            if prior.field is not None:
+                weight = sparsity_weight(self.scans, peak, prior.field)
+                kept.setdefault((weight, prior.field.aspect_harmonics, prior.field.occlusion), prior)
         return list(kept.values())
 
-    def _is_skipped(self, name: str, group: NDArray[np.intp]) -> bool:
+    def _is_skipped(self, prior: Prior, group: NDArray[np.intp]) -> bool:
         """Whether a prior is left out of the trials; noted where it is because the image is large."""
-        tried = self.residuals()
-        if name in SHADED:
-            best = min((candidate for candidate in CANDIDATES if candidate in tried), key=tried.__getitem__)
-            asks = tried[best] > _noise_share(select_views(self.scans, group)) + ASKS
-            if SHADED[name] != best or not asks:
+        if prior in SHADED:
+            best = min((tried for tried in self.found if tried.field), key=self._residual)
+            asks = self._residual(best) > _noise_share(select_views(self.scans, group)) + ASKS
+            if SHADED[prior] != best or not asks:
                 return True
             if self.bounded:
-                self.skipped.append(name)
+                self.skipped.append(prior)
             return self.bounded
-        others = [prior for prior in ISOTROPIC.values() if prior in tried]
-        if not self.bounded or name not in ISOTROPIC or not others:
+        others = [tried for tried in ISOTROPIC.values() if tried in self.found]
+        if not self.bounded or prior not in ISOTROPIC or not others:
             return False
-        if ISOTROPIC[name] == min(others, key=tried.__getitem__):
+        if ISOTROPIC[prior] == min(others, key=self._residual):
             return False
-        self.skipped.append(name)
+        self.skipped.append(prior)
         return True
 
     def _enough(self, group: NDArray[np.intp]) -> bool:
         """Whether the defaults leave little but noise of the first group, and less than backprojection."""
-        residuals = self.residuals()
         part = select_views(self.scans, group)
-        plain = [residuals[name] for name in BACKPROJECTIONS if name in residuals]
-        return residuals[DEFAULT] <= min([_noise_share(part) + ASKS, *plain])
+        plain = [self._residual(prior) for prior in BACKPROJECTIONS if prior in self.found]
+        return self._residual(Prior.DEFAULT) <= min([_noise_share(part) + ASKS, *plain])
 
-    def _last(self) -> list[str]:
+    def _last(self) -> list[Prior]:
         """Priors that were tried on every group so far."""
-        return [name for name, part in self.found.items() if len(part.measured) == self.views]
+        return [prior for prior, part in self.found.items() if len(part.measured) == self.views]
 
-    def _add(self, name: str, prediction: Prediction) -> None:
-        self.found[name] = self.found.get(name, Prediction.none()).and_of(prediction)
+    def _add(self, prior: Prior, prediction: Prediction) -> None:
+        self.found[prior] = self.found.get(prior, Prediction.none()).and_of(prediction)
 
     def _try_linear(self, group: NDArray[np.intp]) -> None:
         """Backprojection, and least squares after every number of iterations."""
@@ -374,43 +326,45 @@ class _Trials:
         rest = np.setdiff1d(np.arange(operator.views), group)
         seen, unseen = select_views(self.scans, rest), operator.select(group)
         plain = backproject(seen, self.grid).values.ravel()
-        counts = [count for count in ITERATIONS if f"{LINEAR} {count}" not in self.skipped]
+        priors = [prior for prior in LINEAR if prior not in self.skipped]
+        counts = [prior.iterations for prior in priors if prior.iterations]
         solutions = least_squares(operator.select(rest), seen.samples, counts)
         residuals: list[float] = []
-        for iterations, values in zip((0, *counts), chain([plain], solutions), strict=True):
+        for prior, values in zip((Prior.LINEAR_0, *priors), chain([plain], solutions), strict=True):
             prediction = Prediction.of(self.scans.samples[group], unseen.forward(values))
-            self._add(f"{LINEAR} {iterations}", prediction)
+            self._add(prior, prediction)
             residuals.append(prediction.residual)
-            if self.bounded and not self.skipped and iterations > 1 and residuals[-1] > residuals[-2]:
-                self.skipped = [f"{LINEAR} {more}" for more in counts if more > iterations]
+            worse = len(residuals) > 2 and residuals[-1] > residuals[-2]
+            if self.bounded and not self.skipped and worse:
+                self.skipped = priors[priors.index(prior) + 1 :]
                 break
 
     def _try_pixels(self, group: NDArray[np.intp]) -> None:
         """Sparse pixels; of a large image they take as long as all fields together."""
         if self.bounded:
-            if PIXELS not in self.skipped:
-                self.skipped.append(PIXELS)
+            if Prior.PIXELS not in self.skipped:
+                self.skipped.append(Prior.PIXELS)
             return
         operator = self.operator
         rest = np.setdiff1d(np.arange(operator.views), group)
         values = _sparse_pixels(select_views(self.scans, rest), self.grid, operator.select(rest))
         predicted = operator.select(group).forward(values)
-        self._add(PIXELS, Prediction.of(self.scans.samples[group], predicted))
+        self._add(Prior.PIXELS, Prediction.of(self.scans.samples[group], predicted))
 
-    def _try(self, name: str, group: NDArray[np.intp]) -> None:
+    def _try(self, prior: Prior, group: NDArray[np.intp]) -> None:
         """A field; left out where its engine or the memory for it is missing."""
-        settings = with_prior(self.settings, name)
+        settings = self.settings.with_prior(prior)
         try:
             fitted = fit(self.scans, self.grid, settings, self.progress, group, images=self.images)
         except (MissingExtraError, UsageError):
-            if name == DEFAULT:
+            if prior is Prior.DEFAULT:
                 raise
             return
-        self._add(name, fitted.prediction)
+        self._add(prior, fitted.prediction)
 
-    def _gain(self, name: str, than: str) -> float:
+    def _gain(self, prior: Prior, than: Prior) -> float:
         """Mean over its standard error of what one prior leaves less than another, over the views."""
-        gain = self.found[than].misfits - self.found[name].misfits
+        gain = self.found[than].misfits - self.found[prior].misfits
         spread = float(np.sqrt((gain**2).sum()))
         return float(gain.sum()) / spread if spread > 0 else 0.0
 

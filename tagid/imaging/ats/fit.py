@@ -5,7 +5,7 @@ and from the smoothness of the encoding.
 
 Model of the "field" preset: sigma(p) = network(grid features at p), synthesized scan
 y[v, b] = gain_v sum_p T_vp sigma_vp response(R_b - d_vp) exp(-2jk d_vp) + static_b, and the loss is the Huber
-sum of |y - measured|^2 with sum |sigma| and the squared difference of neighbours.
+sum of |y - measured|^2 with sum |sigma|.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,20 +23,35 @@ from tagid.capture import Capture
 from tagid.errors import DataError, MissingExtraError, UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats import calibration
-from tagid.imaging.ats.occlusion import illumination, transmission
+from tagid.imaging.ats.calibration import illumination, transmission
 from tagid.imaging.ats.problem import (
     Array,
+    FieldShape,
     FieldWeights,
     FineRange,
+    FirstImages,
     GridArrays,
     ViewArrays,
     draw_weights,
     view_arrays,
     view_subsets,
 )
-from tagid.imaging.ats.settings import LEAST_HELD_OUT, AtsResult, AtsSettings, Calibration, Progress
-from tagid.imaging.ats.start import FirstImages
-from tagid.imaging.ats.taps import CHECK_AT, Support
+from tagid.imaging.ats.settings import (
+    DECAY,
+    FEATURES,
+    LEARNING_RATE,
+    LEAST_HELD_OUT,
+    LEVELS,
+    THREADS,
+    WIDTH,
+    WOBBLE_HARMONICS,
+    AtsSettings,
+    Calibration,
+    FieldPrior,
+    FitSettings,
+    StepProgress,
+)
+from tagid.imaging.ats.taps import BETA1, BETA2, CHECK_AT, EPSILON, Support
 from tagid.imaging.heldout import Prediction
 from tagid.imaging.kernel import is_compiled
 from tagid.imaging.lengths import finest_cell_m
@@ -46,13 +61,10 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_view
 from tagid.imaging.sparse import column_norm
 from tagid.imaging.types import BasebandScans, Image
 
-__all__ = ["AtsResult", "AtsSettings", "fit"]
-
 _CALIBRATED_WAVELENGTHS = 0.79
 """Range that the calibration may move points by: one and a half times the search for the axis distance (60 mm
 for a P440)."""
 
-_CHECK_EVERY = 10
 _LEARN_AT = (0.25, 0.4, 0.55, 0.7, 0.85)
 """Parts of the steps after which calibration, robust weights and occlusion are brought up to date."""
 
@@ -65,7 +77,7 @@ _MOST_SHRUNK = 2.0
 
 
 class Engine(Protocol):
-    """What runs the steps: `fit_torch.TorchEngine` or `runtime.OnnxEngine`."""
+    """What runs the steps: `fit_native.NativeEngine` or `OnnxEngine`, or `fit_torch.TorchEngine`."""
 
     name: str
 
@@ -78,11 +90,48 @@ class Engine(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class AtsResult:
+    """What a fit gives.
+
+    Attributes:
+        image: complex reflectivity on the grid asked for.
+        losses: loss of every step.
+        calibration: what was learned beside the scene.
+        unseen: (n,) numbers of the views that the fit did not see.
+        prediction: what it predicts of them.
+        seconds: of the whole fit, set-up included.
+        field: the fitted field, to be evaluated at any resolution; None for blank data and where the linear
+            solution took its place.
+    """
+
+    image: Image
+    losses: tuple[float, ...]
+    calibration: Calibration
+    unseen: NDArray[np.integer]
+    prediction: Prediction
+    seconds: float
+    field: FieldWeights | None = field(default=None, repr=False)
+
+    @property
+    def held_out(self) -> float:
+        """Energy of the residual on the unseen views over their energy, one complex factor fitted; nan
+        without any."""
+        return self.prediction.residual
+
+    def on(self, grid: ImageGrid) -> Image:
+        """The same field on another grid; its mean over aspects where it has several channels."""
+        if self.field is None:
+            return Image(np.zeros((grid.pixels, grid.pixels), np.complex64), grid, self.image.settings)
+        values = self.field.on(grid)
+        return Image(values[len(values) // 2], grid, self.image.settings)
+
+
 def fit(
     capture_or_problem: Capture | BasebandScans,
     grid: ImageGrid,
     settings: AtsSettings | None = None,
-    progress: Progress | None = None,
+    progress: StepProgress | None = None,
     unseen: NDArray[np.integer] | None = None,
     start: FieldWeights | None = None,
     images: FirstImages | None = None,
@@ -96,7 +145,7 @@ def fit(
         settings: parameters; the defaults are for 12 to 360 views of an object of up to a metre.
         progress: called after every step.
         unseen: numbers of the views that the fit does not see and on which it is judged; None: as
-            `settings.held_out` says.
+            `FitSettings.held_out` says.
         start: field to begin with, of an earlier fit on this grid with the same sizes of the network; None
             begins with the sparse solution.
         images: first images of other fits of these scans on this grid with other priors, to share them.
@@ -110,13 +159,13 @@ def fit(
         MissingExtraError: the engine asked for is not installed.
     """
     begun = time.perf_counter()
-    settings = settings or AtsSettings()
     scans = capture_or_problem
     if isinstance(scans, Capture):
         scans = preprocess(scans, settings=PreprocessSettings("none", False, extent_m=grid.extent))
     if not np.isfinite(scans.samples).all():
         raise DataError("the scans hold samples that are not finite", "Leave out the broken scans.")
-    return _Fit(scans, grid, settings, unseen).run(progress, begun, images or FirstImages(), start)
+    plan = FitSettings.of(settings or AtsSettings()).for_views(scans.aperture.views)
+    return _Fit(scans, grid, plan, unseen).run(progress, begun, images or FirstImages(), start)
 
 
 def unshrinking(seen: NDArray[np.complexfloating], data: NDArray[np.complexfloating]) -> float:
@@ -141,7 +190,6 @@ class _Scales:
     step: float
     output: float
     weight: float
-    smoothness: float
     back: NDArray[np.float32]
 
     @property
@@ -157,17 +205,17 @@ class _Fit:
         self,
         scans: BasebandScans,
         grid: ImageGrid,
-        settings: AtsSettings,
+        settings: FitSettings,
         unseen: NDArray[np.integer] | None,
     ) -> None:
-        self.grid, self.settings, self.all = grid, settings.for_views(scans.aperture.views), scans
+        self.grid, self.settings, self.all = grid, settings, scans
         _foresee(scans, grid, settings)
         views = np.arange(scans.aperture.views)
         self.unseen = _held_out(len(views), settings.held_out) if unseen is None else unseen
         self.scans = select_views(scans, np.setdiff1d(views, self.unseen))
         # The subtracted background is known except for the mean of the scene's own echoes.
         self.what = settings.calibrate + (("static",) if scans.background_removed else ())
-        self.known = calibration.begin(self.scans, grid, settings.calibrate, settings.wobble_harmonics)
+        self.known = calibration.begin(self.scans, grid, settings.calibrate, WOBBLE_HARMONICS)
         self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)
         self.shadow = self._light(self.scans)
         self.support = Support.all(grid.pixels)
@@ -175,11 +223,15 @@ class _Fit:
         self.losses: list[float] = []
 
     def run(
-        self, progress: Progress | None, begun: float, images: FirstImages, start: FieldWeights | None = None
+        self,
+        progress: StepProgress | None,
+        begun: float,
+        images: FirstImages,
+        start: FieldWeights | None = None,
     ) -> AtsResult:
         now = self.scans.with_aperture(self.known.aperture(self.scans.aperture))
         scales = _scales(now, self._operators()[0], self.settings)
-        shape = self.settings.shape(self.grid, self.scans.wavelength_m)
+        shape = FieldShape.of(self.grid, self.scans.wavelength_m, 2 * self.settings.aspect_harmonics + 1)
         if scales is None:
             blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
             return self._result(blank, None, "none", begun)
@@ -202,10 +254,10 @@ class _Fit:
         return self._result(values[len(values) // 2], field, engine.name, begun)
 
     def _optimise(
-        self, engine: Engine, scales: _Scales, cells: tuple[int, ...], progress: Progress | None
+        self, engine: Engine, scales: _Scales, cells: tuple[int, ...], progress: StepProgress | None
     ) -> FieldWeights:
         """All steps; the mean field over the last of them."""
-        settings, steps = self.settings, self.settings.steps
+        steps = self.settings.steps
         native = engine.name == "native"
         fine = FineRange.of(self.all, self.grid.points, self._margin(), between=native)
         every = GridArrays.of(self.grid, cells)
@@ -213,7 +265,6 @@ class _Fit:
         check = {max(1, int(part * steps)) for part in CHECK_AT} if self._screened() else set()
         grid = every.select(self.support.numbers)
         subsets = self._subsets(fine, native)
-        best, worse = np.inf, 0
         total: list[Array] = []
         count = 0
         for step in range(steps):
@@ -234,12 +285,6 @@ class _Fit:
                 now = engine.weights().arrays
                 total = [a + b for a, b in zip(total, now, strict=True)] if count else now
                 count += 1
-            if len(self.unseen) and settings.patience and step >= steps / 2 and step % _CHECK_EVERY == 0:
-                residual = self._prediction(engine.weights()).residual
-                worse = worse + 1 if residual > best else 0
-                best = min(best, residual)
-                if worse >= settings.patience and step + 1 > max(learn, default=0):
-                    break
         field = engine.weights()
         if count:
             field = field.with_arrays([a / np.float32(count) for a in total])
@@ -252,17 +297,16 @@ class _Fit:
         return replace(field, scale=field.scale * unshrinking(seen, data))
 
     def _numbers(self, scales: _Scales, step: int, views: int) -> Array:
-        """The step's scalars in the order of `step.Step.numbers`."""
-        s = self.settings
-        rate = s.learning_rate * s.decay ** (step / s.steps)
+        """The step's scalars in the order of `fit_torch.Step.numbers`."""
+        rate = LEARNING_RATE * DECAY ** (step / self.settings.steps)
         data = self.scans.aperture.views / views / scales.energy
-        corrections = (1 / (1 - _BETA1 ** (step + 1)), 1 / (1 - _BETA2 ** (step + 1)))
-        numbers = (rate, rate * s.network_rate, *corrections, scales.output, data)
-        return np.array([*numbers, scales.sparsity, scales.smoothness, _EPSILON], dtype=np.float32)
+        corrections = (1 / (1 - BETA1 ** (step + 1)), 1 / (1 - BETA2 ** (step + 1)))
+        numbers = (rate, *corrections, scales.output, data, scales.sparsity, EPSILON)
+        return np.array(numbers, dtype=np.float32)
 
     def _screened(self) -> bool:
-        """Whether dark pixels may be left out: the neighbourhood prior and shadows need all of them."""
-        return self.settings.smoothness == 0 and not _weighted(self.settings)
+        """Whether dark pixels may be left out: shadows need all of them."""
+        return not _weighted(self.settings)
 
     def _screen(self, field: FieldWeights, grid: GridArrays, weight: float) -> None:
         """Choose the pixels again, by the residual of all views under the present field."""
@@ -411,9 +455,8 @@ class _Fit:
             known.gain_sigma,
             known.static,
         )
-        facts: dict[str, Any] = {"method": "ats", **asdict(self.settings), "engine": engine}
-        facts["held_out_share"] = facts.pop("held_out")  # in an image that is how well it predicts
-        facts |= {"calibrate": list(self.settings.calibrate), "axis_distance_m": learned.axis_distance_m}
+        facts: dict[str, Any] = {"method": "ats", **self.settings.facts(), "engine": engine}
+        facts["axis_distance_m"] = learned.axis_distance_m
         facts["calibration"] = learned.facts(self.settings.calibrate)
         facts |= {"steps_done": len(self.losses), "loss": self.losses[-1] if self.losses else 0.0}
         facts |= {"held_out_residual": None if np.isnan(held_out) else held_out}
@@ -421,13 +464,6 @@ class _Fit:
         seconds = time.perf_counter() - begun
         return AtsResult(image, tuple(self.losses), learned, self.unseen, prediction, seconds, field)
 
-
-_BETA1, _BETA2 = 0.9, 0.95
-"""Those of `step`, which cannot be imported here: it needs torch."""
-
-_EPSILON = 0.1
-"""Adam's, relative to the largest gradient of a tensor: with 0.01 and less rounding and noise move quiet
-pixels as fast as bright ones, with 0.3 and more faint false points are not drawn to zero in time."""
 
 _SHARPENED = 3.0
 """How much brighter a point gets than backprojection shows it, once it is sharp: the output's scale."""
@@ -441,14 +477,10 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
         UsageError: it cannot do what is asked, or the device is not there.
     """
     name = settings.engine
-    if name == "auto":
-        from tagid.imaging.ats.fit_native import HIDDEN, LEVELS
-
-        if settings.device == "cpu" and is_compiled():
-            name = "native"
-        shipped = (settings.levels, settings.hidden, settings.device) == (LEVELS, HIDDEN, "cpu")
-        if name == "auto":
-            name = "onnx" if shipped and importlib.util.find_spec("onnxruntime") else "torch"
+    if name == "auto" and settings.device == "cpu" and is_compiled():
+        name = "native"
+    elif name == "auto":
+        name = "onnx" if settings.device == "cpu" and importlib.util.find_spec("onnxruntime") else "torch"
     if name == "native":
         from tagid.imaging.ats.fit_native import NativeEngine
 
@@ -462,10 +494,10 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
     if name == "onnx":
         from tagid.imaging.ats.fit_native import OnnxEngine
 
-        return OnnxEngine(start, settings.threads)
+        return OnnxEngine(start, THREADS)
     from tagid.imaging.ats.fit_torch import TorchEngine
 
-    return TorchEngine(start, settings.device, settings.threads)
+    return TorchEngine(start, settings.device, THREADS)
 
 
 def _check_continues(start: FieldWeights, new: FieldWeights) -> None:
@@ -483,13 +515,13 @@ def _weighted(settings: AtsSettings) -> bool:
     return settings.occlusion > 0 or settings.spreading > 0 or settings.beam_width_deg > 0
 
 
-def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> None:
+def _foresee(scans: BasebandScans, grid: ImageGrid, settings: FitSettings) -> None:
     """Refuse sizes that will not fit before anything is allocated."""
     points = grid.pixels**2
     views = 2 * max(map(len, view_subsets(scans.aperture, settings.views_per_step)))
     per_pair = 8 + 4 * 6
     channels = 2 * settings.aspect_harmonics + 1
-    per_point = 4 * (6 * settings.width + 4 * settings.levels * settings.features) + 8 * 6 * channels
+    per_point = 4 * (6 * WIDTH + 4 * LEVELS * FEATURES) + 8 * 6 * channels
     shadows = 8 * scans.aperture.views * points if _weighted(settings) else 0
     require_memory(
         points * (views * per_pair + per_point + 8 * scans.aperture.views) + shadows,
@@ -512,13 +544,13 @@ def _aspect(positions: NDArray[np.float64], harmonics: int) -> NDArray[np.comple
     return np.exp(1j * np.outer(bearing, np.arange(-harmonics, harmonics + 1)))
 
 
-def sparsity_weight(scans: BasebandScans, peak: float, settings: AtsSettings) -> float:
+def sparsity_weight(scans: BasebandScans, peak: float, prior: FieldPrior | FitSettings) -> float:
     """Weight of the sparsity prior beside 1/2 ||A sigma - y||^2 where |A^H y| is `peak` at most."""
-    floor = settings.noise_factor * scans.noise_std * column_norm(scans)
-    return min(max(settings.l1 * peak, floor), 0.5 * peak)
+    floor = prior.noise_factor * scans.noise_std * column_norm(scans)
+    return min(max(prior.l1 * peak, floor), 0.5 * peak)
 
 
-def _scales(scans: BasebandScans, operator: ForwardOperator, settings: AtsSettings) -> _Scales | None:
+def _scales(scans: BasebandScans, operator: ForwardOperator, settings: FitSettings) -> _Scales | None:
     """Scales and weights; None if nothing is to be fitted (zero data, or none within the grid's reach)."""
     data = np.ascontiguousarray(scans.samples, dtype=np.complex64)
     back = operator.adjoint(data)
@@ -528,9 +560,7 @@ def _scales(scans: BasebandScans, operator: ForwardOperator, settings: AtsSettin
         return None
     seen = operator.forward(back)
     step = float(np.vdot(seen, data).real / np.vdot(seen, seen).real)
-    norm, weight = column_norm(scans), sparsity_weight(scans, peak, settings)
+    weight = sparsity_weight(scans, peak, settings)
     side = math.isqrt(operator.points)
     magnitude = np.abs(back).reshape(side, side)
-    return _Scales(
-        energy, step, _SHARPENED * step * peak, weight, settings.smoothness * norm**2 / energy, magnitude
-    )
+    return _Scales(energy, step, _SHARPENED * step * peak, weight, magnitude)

@@ -1,6 +1,6 @@
 """The optimisation step on numpy and compiled kernels, the fastest on a processor, or by onnxruntime.
 
-It computes what `forward_step.optimise` does; tests compare the two. Three differences only save time: a
+It computes what `fit_torch.optimise` does; tests compare the two. Three differences only save time: a
 point lies between two fine range bins where the graph takes the nearest, pixels outside the support are left
 out where the graph sets them to zero, and all parameters share one array, so that Adam is one update.
 """
@@ -13,13 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.errors import UsageError
-from tagid.imaging.ats.problem import Array, FieldWeights, FineRange, GridArrays, ViewArrays
+from tagid.imaging.ats.problem import (
+    MAGNITUDE_FLOOR,
+    Array,
+    FieldWeights,
+    FineRange,
+    GridArrays,
+    ViewArrays,
+)
+from tagid.imaging.ats.settings import HIDDEN, LEVELS
 from tagid.imaging.ats.taps import Adam
 from tagid.models_store import open_model
-
-_MAGNITUDE_FLOOR = 1e-2
-"""As `forward_step.MAGNITUDE_FLOOR`, which needs torch."""
 
 
 class NativeEngine:
@@ -66,20 +70,14 @@ class NativeEngine:
 
     def step(self, grid: GridArrays, views: ViewArrays, fine: FineRange, numbers: Array) -> float:
         """One step of Adam on some views, on the pixels of `grid.pixels`; the loss before it."""
-        scale, data, sparsity, smoothness = (float(n) for n in numbers[4:8])
+        scale, data, sparsity = (float(n) for n in numbers[3:6])
         layers = self._forward(grid)
         sigma = layers[-1] * np.float32(scale)
         loss, slope = _data_term(sigma, views, fine, data)
         square = np.einsum("pc,pc->p", sigma, sigma)
-        magnitude = np.sqrt(square + np.float32((scale * _MAGNITUDE_FLOOR) ** 2))[:, None]
+        magnitude = np.sqrt(square + np.float32((scale * MAGNITUDE_FLOOR) ** 2))[:, None]
         loss += sparsity * float(magnitude.sum())
         slope += sigma * (np.float32(sparsity) / magnitude)
-        if smoothness > 0:
-            side = len(grid.neighbours)
-            image = sigma.T.reshape(-1, side, side)
-            rough = np.float32(smoothness) * (grid.neighbours @ image + image @ grid.neighbours)
-            loss += float((image * rough).sum())
-            slope += 2 * rough.reshape(sigma.shape[::-1]).T
         slope *= np.float32(scale)
         self._update(self._backward(grid, layers, slope), numbers)
         return loss
@@ -134,10 +132,9 @@ class NativeEngine:
         return out
 
     def _update(self, gradient: Array, numbers: Array) -> None:
-        tables, network, first, second = (np.float32(n) for n in numbers[:4])
-        rates = np.full(len(self._adam.sizes), network * first, dtype=np.float32)
-        rates[: self._levels] = tables * first
-        self._adam.update(self._all, gradient, rates, float(second), float(numbers[8]))
+        rate, first, second = (np.float32(n) for n in numbers[:3])
+        rates = np.full(len(self._adam.sizes), rate * first, dtype=np.float32)
+        self._adam.update(self._all, gradient, rates, float(second), float(numbers[6]))
 
 
 def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -> tuple[float, Array]:
@@ -157,10 +154,7 @@ def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -
 
 
 MODEL = "ats_step"
-LEVELS = 8
-"""Levels of the encoding in the shipped graph; everything else about it is dynamic."""
-HIDDEN = 1
-"""Hidden layers in the shipped graph."""
+"""The shipped graph; all but the numbers of levels and hidden layers is dynamic in it."""
 
 
 def parameter_names(prefix: str = "") -> list[str]:
@@ -182,17 +176,7 @@ def input_names() -> list[str]:
     """Names of the graph's inputs, in the order of `Step`."""
     state = [f"{prefix}{name}" for prefix in ("", "first_", "second_") for name in parameter_names()]
     grid = [f"interpolation_{i}" for i in range(LEVELS)]
-    rest = [
-        "neighbours",
-        "support",
-        "index",
-        "real",
-        "imaginary",
-        "transmission",
-        "spread",
-        "samples",
-        "confidence",
-    ]
+    rest = ("support", "index", "real", "imaginary", "transmission", "spread", "samples", "confidence")
     return [*state, *grid, *rest, "numbers"]
 
 
@@ -204,22 +188,15 @@ class OnnxEngine:
         threads: onnxruntime's threads.
 
     Raises:
-        UsageError: the field has other levels or layers than the shipped graph.
         ModelError: the shipped graph is damaged.
     """
 
     name = "onnx"
 
     def __init__(self, weights: FieldWeights, threads: int = 1) -> None:
-        levels, hidden = len(weights.tables), len(weights.weights) - 1
-        if (levels, hidden) != (LEVELS, HIDDEN):
-            raise UsageError(
-                f"the shipped graph has {LEVELS} levels and {HIDDEN} hidden layers, not {levels}, {hidden}",
-                "Leave levels and hidden layers at their defaults, or use `engine=torch`.",
-            )
         self._model = open_model(MODEL, threads)
         self._start = weights
-        arrays = [*weights.tables, *weights.weights, *weights.biases]
+        arrays = weights.arrays
         zeros = [a * 0 for a in arrays]
         state = [f"{prefix}{name}" for prefix in ("", "first_", "second_") for name in parameter_names()]
         self._state: dict[str, Array] = dict(zip(state, [*arrays, *zeros, *zeros], strict=True))
@@ -231,7 +208,6 @@ class OnnxEngine:
         feeds: dict[str, NDArray[Any]] = dict(self._state)
         feeds |= {f"interpolation_{i}": a for i, a in enumerate(grid.interpolation)}
         feeds |= {
-            "neighbours": grid.neighbours,
             "support": grid.support,
             "index": views.index,
             "real": views.real,
@@ -252,13 +228,5 @@ class OnnxEngine:
 
     def weights(self) -> FieldWeights:
         """The parameters as they are now."""
-        arrays = [self._state[name] for name in parameter_names()]
-        layers = HIDDEN + 1
-        return FieldWeights(
-            arrays[:LEVELS],
-            arrays[LEVELS : LEVELS + layers],
-            arrays[LEVELS + layers :],
-            self._start.scale,
-            self._start.extent,
-            self._start.pixels,
-        )
+        parameters = self._start.with_arrays([self._state[name] for name in parameter_names()])
+        return replace(parameters, support=None)

@@ -1,14 +1,13 @@
 """`--preset paper`: the published optimisation, one scene by one hash-encoded network, through the ray model.
 
-See `forward_paper` for the model and for every choice that the paper leaves open about it; the choices about
-the optimisation stand at `PaperSettings`.
+The model is `sample_view` and `synthesize_profile`; the choices that the paper leaves open about the
+optimisation stand at `PaperSettings`.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -19,6 +18,7 @@ from scipy import sparse
 
 from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging.ats.settings import StepProgress
 from tagid.imaging.backprojection import upsample_at_carrier
 from tagid.imaging.memory import require_memory
 from tagid.imaging.types import BasebandScans, Image
@@ -264,8 +264,6 @@ class ReflectivityNetwork(torch.nn.Module):  # type: ignore[misc]
         return torch.view_as_complex(x)
 
 
-Progress = Callable[[int, int, float], None]
-
 _FIRST_OUTPUT = 0.01
 """The last layer starts this much smaller, so that the fit starts from an empty scene."""
 
@@ -294,7 +292,7 @@ class PaperSettings:
         beam_width_rad: full -3 dB width of the beam.
         ray_spacing_wavelengths: rays' distance at the middle of the scene, in wavelengths of the carrier.
         lambert_floor: least value of the Lambertian factor.
-        opacity: factor of |sigma| in the transmission, see `forward_paper`.
+        opacity: factor of |sigma| in the transmission, see `synthesize_profile`.
         outside: weight of the residual outside of the pulse's band.
         output_scale: the network's unit output in 1/m; a reflector that returns the peak of the scans has
             about 80.
@@ -333,12 +331,12 @@ def fit_paper(
     scans: BasebandScans,
     grid: ImageGrid,
     settings: PaperSettings | None = None,
-    progress: Progress | None = None,
+    progress: StepProgress | None = None,
 ) -> Image:
     """Reconstruct by the paper's analysis through synthesis.
 
     Minimises sum over views of |r_v(sigma(theta)) - y_v|^2 plus the sparsity term, y the real RF samples of
-    the scans divided by their peak, r the model of `forward_paper`.
+    the scans divided by their peak, r the model of `synthesize_profile`.
 
     Args:
         scans: preprocessed without matched filter.
@@ -455,7 +453,7 @@ class _Fit:
         features = interpolate(self.table, matrix, matrix.T, self.encoding)
         return self.network(features) * self.scale
 
-    def run(self, progress: Progress | None) -> list[float]:
+    def run(self, progress: StepProgress | None) -> list[float]:
         """Adam; every step's squared residual relative to that of a blank image."""
         s = self.settings
         parameters = [self.table, *self.network.parameters()]

@@ -5,6 +5,7 @@ It is the reference that the exported graph is compared with, and the way onto a
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,17 +13,15 @@ import torch
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
-from tagid.imaging.ats.problem import Array, FieldWeights, FineRange, GridArrays, ViewArrays
-
-BETA1, BETA2 = 0.9, 0.95
-"""Decay of Adam's moments (Kingma and Ba, ICLR 2015); Müller et al. take 0.99 for the second."""
-
-SMALLEST = 1e-20
-"""Keeps a tensor without gradient where it is."""
-
-MAGNITUDE_FLOOR = 1e-2
-"""Of |sigma| / scale in the square root of the sparsity prior: below it a pixel is no longer pushed about
-zero, where rounding would decide its sign and two engines would part."""
+from tagid.imaging.ats.problem import (
+    MAGNITUDE_FLOOR,
+    Array,
+    FieldWeights,
+    FineRange,
+    GridArrays,
+    ViewArrays,
+)
+from tagid.imaging.ats.taps import BETA1, BETA2, SMALLEST
 
 
 class Step(NamedTuple):
@@ -34,7 +33,6 @@ class Step(NamedTuple):
             channels of the reflectivity before the imaginary ones.
         first, second: Adam's moments, one tensor a parameter in the order tables, weights, biases.
         interpolation: one (pixels, k) matrix a level, the same along x and y.
-        neighbours: (pixels, pixels) symmetric K of the neighbourhood prior sum sigma (K sigma + sigma K).
         support: (1, P) 1 for pixels that the step works on, 0 for those that are zero.
         index: (V, P) int32, fine range bin of every pixel (row-major) in every view.
         real, imaginary: (V, 2C) what a view sees of the channels.
@@ -42,9 +40,8 @@ class Step(NamedTuple):
         spread: (fine bins, 2B) carrier and range response, real part before imaginary part.
         samples: (2, V, B) measured scans, real and imaginary part.
         confidence: (V, B) weight of every sample.
-        numbers: (9,) learning rate of the tables, of the network, Adam's two bias corrections, scale of the
-            output, weights of data, sparsity and neighbourhood terms, Adam's epsilon relative to the largest
-            gradient of a tensor.
+        numbers: (7,) learning rate, Adam's two bias corrections, scale of the output, weights of data and
+            sparsity terms, Adam's epsilon relative to the largest gradient of a tensor.
     """
 
     tables: list[Any]
@@ -53,7 +50,6 @@ class Step(NamedTuple):
     first: list[Any]
     second: list[Any]
     interpolation: list[Any]
-    neighbours: Any
     support: Any
     index: Any
     real: Any
@@ -86,16 +82,15 @@ def activations(inputs: Any, weights: list[Any], biases: list[Any]) -> list[Any]
 def optimise(s: Step) -> tuple[Any, ...]:
     """Loss and updated state: (loss, tables.., weights.., biases.., first.., second..).
 
-    loss = a sum c |A sigma - y|^2 + l sum_p |sigma_p| + n sum sigma (K sigma + sigma K), where A puts every
-    point into the nearest fine range bin of every view and applies carrier and response there.
+    loss = a sum c |A sigma - y|^2 + l sum_p |sigma_p|, where A puts every point into the nearest fine range
+    bin of every view and applies carrier and response there.
     """
     layers = activations(features(s.tables, s.interpolation), s.weights, s.biases)
-    sigma = layers[-1] * s.numbers[4] * s.support
+    sigma = layers[-1] * s.numbers[3] * s.support
     data, slope = _data_term(s, sigma)
     sparsity, pull = _sparsity(sigma, s)
-    roughness, smoothing = _neighbourhood(sigma, s)
-    loss = data + sparsity + roughness
-    grads = _backwards(s, layers, (slope + pull + smoothing) * s.numbers[4] * s.support)
+    loss = data + sparsity
+    grads = _backwards(s, layers, (slope + pull) * s.numbers[3] * s.support)
     return (loss.reshape(1), *_adam(s, grads))
 
 
@@ -114,7 +109,7 @@ def _data_term(s: Step, sigma: Any) -> tuple[Any, Any]:
     seen = torch.matmul(rows, s.spread).reshape(2, views, 2, -1)
     residual_re = seen[0, :, 0] - seen[1, :, 1] - s.samples[0]
     residual_im = seen[0, :, 1] + seen[1, :, 0] - s.samples[1]
-    weight = s.confidence * s.numbers[5]
+    weight = s.confidence * s.numbers[4]
     loss = (weight * (residual_re.square() + residual_im.square())).sum()
     back_re, back_im = 2 * weight * residual_re, 2 * weight * residual_im
     back = torch.cat([torch.cat([back_re, back_im], 1), torch.cat([back_im, -back_re], 1)], 0)
@@ -126,18 +121,9 @@ def _data_term(s: Step, sigma: Any) -> tuple[Any, Any]:
 
 def _sparsity(sigma: Any, s: Step) -> tuple[Any, Any]:
     """l sum |sigma| over the pixels, the channels of a pixel taken together, and its gradient."""
-    floor = (s.numbers[4] * MAGNITUDE_FLOOR).square()
+    floor = (s.numbers[3] * MAGNITUDE_FLOOR).square()
     magnitude = (sigma.square().sum(0, keepdim=True) + floor).sqrt()
-    return s.numbers[6] * magnitude.sum(), s.numbers[6] * sigma / magnitude
-
-
-def _neighbourhood(sigma: Any, s: Step) -> tuple[Any, Any]:
-    """n sum sigma (K sigma + sigma K) and its gradient; K is symmetric."""
-    pixels = s.neighbours.shape[0]
-    image = sigma.reshape(-1, pixels, pixels)
-    rough = torch.matmul(s.neighbours, image) + torch.matmul(image, s.neighbours)
-    weighted = s.numbers[7] * rough
-    return (image * weighted).sum(), 2 * weighted.reshape(sigma.shape)
+    return s.numbers[5] * magnitude.sum(), s.numbers[5] * sigma / magnitude
 
 
 def _backwards(s: Step, layers: list[Any], slope: Any) -> list[Any]:
@@ -167,12 +153,11 @@ def _adam(s: Step, grads: list[Any]) -> list[Any]:
     parameters = [*s.tables, *s.weights, *s.biases]
     first = [BETA1 * m + (1 - BETA1) * g for m, g in zip(s.first, grads, strict=True)]
     second = [BETA2 * v + (1 - BETA2) * g * g for v, g in zip(s.second, grads, strict=True)]
-    rates = [s.numbers[0] * s.numbers[2]] * len(s.tables)
-    rates += [s.numbers[1] * s.numbers[2]] * (len(s.weights) + len(s.biases))
+    rate = s.numbers[0] * s.numbers[1]
     moved = []
-    for p, m, v, rate in zip(parameters, first, second, rates, strict=True):
-        size = (v * s.numbers[3]).sqrt()
-        moved.append(p - rate * m / (size + s.numbers[8] * size.max() + SMALLEST))
+    for p, m, v in zip(parameters, first, second, strict=True):
+        size = (v * s.numbers[2]).sqrt()
+        moved.append(p - rate * m / (size + s.numbers[6] * size.max() + SMALLEST))
     return moved + first + second
 
 
@@ -195,7 +180,7 @@ class TorchEngine:
         self._threads = threads
         self._start = weights
         self._levels, self._layers = len(weights.tables), len(weights.weights)
-        arrays = [*weights.tables, *weights.weights, *weights.biases]
+        arrays = weights.arrays
         self._state = [torch.tensor(a, device=self._device) for a in arrays]
         self._state += [torch.zeros_like(a) for a in self._state * 2]
         self._constants: dict[int, tuple[NDArray[Any], Any]] = {}
@@ -211,7 +196,6 @@ class TorchEngine:
             first=self._state[count : 2 * count],
             second=self._state[2 * count :],
             interpolation=[self._constant(a) for a in grid.interpolation],
-            neighbours=self._constant(grid.neighbours),
             support=self._constant(grid.support),
             index=self._constant(views.index),
             real=self._constant(views.real),
@@ -234,15 +218,7 @@ class TorchEngine:
     def weights(self) -> FieldWeights:
         """The parameters as they are now."""
         arrays: list[NDArray[np.float32]] = [a.cpu().numpy().copy() for a in self._state]
-        cut, layers = self._levels, self._layers
-        return FieldWeights(
-            arrays[:cut],
-            arrays[cut : cut + layers],
-            arrays[cut + layers : cut + 2 * layers],
-            self._start.scale,
-            self._start.extent,
-            self._start.pixels,
-        )
+        return replace(self._start.with_arrays(arrays[: self._levels + 2 * self._layers]), support=None)
 
     def _constant(self, array: NDArray[Any]) -> Any:
         """The array on the device; sent there once."""

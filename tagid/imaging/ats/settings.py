@@ -6,22 +6,16 @@ Commands, benchmarks and both presets mean the same by a setting and by a result
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, fields, replace
+from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
-from tagid.geometry import ImageGrid
-from tagid.imaging.heldout import Prediction
-from tagid.imaging.lengths import finest_cell_m
-from tagid.imaging.types import Image
 
-if TYPE_CHECKING:
-    from tagid.imaging.ats.problem import FieldShape, FieldWeights
-
-Progress = Callable[[int, int, float], None]
+StepProgress = Callable[[int, int, float], None]
 """Called after every step with (steps done, steps at most, loss)."""
 
 LEAST_HELD_OUT = 18
@@ -36,45 +30,114 @@ views a step leaves 5 % more of the energy of unseen views than with 10 passes, 
 backprojection, with 10 passes in none. 20 passes change nothing. Reflectors do not ask for it: their places
 are read more accurately from a field that is still a little blurred (0.22 mm, with 10 passes 0.33 mm)."""
 
-PRESETS = ("field",)
 ENGINES = ("auto", "native", "onnx", "torch")
 CALIBRATIONS = ("axis", "wobble", "gain", "static")
 
+LEARNING_RATE, DECAY = 0.06, 0.2
+"""Adam's rate, and what is left of it after all steps (exponential decay)."""
+WOBBLE_HARMONICS = 4
+"""Harmonics of the angle error over a turn that `calibrate=wobble` learns."""
+LEVELS, FEATURES, COARSEST, WIDTH, HIDDEN = 8, 2, 8, 16, 1
+"""Sizes of the field: resolutions of the encoding, features of each, cells a side of the coarsest, units of a
+hidden layer, and hidden layers. The exported graph has these levels and layers."""
+THREADS = 1
+"""Of an engine: the layers are so small that a second thread gains little where the cores are idle, and waits
+for its slice where they are not."""
+
+
+@dataclass(frozen=True)
+class FieldPrior:
+    """What a field assumes of the scene.
+
+    Attributes:
+        l1: weight of the sparsity prior, as a fraction of the weight at which the image would be zero.
+        noise_factor: the weight is never less than this times the standard deviation of A^H noise (where the
+            noise is known), and never more than half of what gives a zero image.
+        aspect_harmonics, occlusion: see `AtsSettings`.
+    """
+
+    l1: float = 0.03
+    noise_factor: float = 3.0
+    aspect_harmonics: int = 0
+    occlusion: float = 0.0
+
+
+_DENSE = FieldPrior(l1=0.003, noise_factor=1.0)
+
+
+class Prior(StrEnum):
+    """What an image assumes of the scene, by the name that the image's settings give it.
+
+    The defaults, a stronger and a weaker sparsity prior, reflectivity that depends on the aspect, the last
+    two together, and the dense ones on a scene that hides what lies behind it; of attenuations of 0.1 to 3
+    nepers 1 leaves least of unseen views in most outlines, boxes and smooth bodies (seeds from 5000). Then
+    two without a field: the sparse solution itself (`tagid.imaging.sparse`), which of few views of
+    extended objects predicts more than a field that starts from it, since the encoding ties neighbours
+    together of which a dozen views tell nothing; and iterations of conjugate gradients, of which the first is
+    backprojection of scans that are correlated with the pulse, and 0 that of the scans as they are.
+
+    Attributes:
+        field: what its field assumes; None: it has none.
+        iterations: of the linear solution; None: it is none.
+    """
+
+    field: FieldPrior | None
+    iterations: int | None
+
+    def __new__(cls, name: str, field: FieldPrior | None = None, iterations: int | None = None) -> Prior:
+        """A name with its assumptions."""
+        made = str.__new__(cls, name)
+        made._value_, made.field, made.iterations = name, field, iterations
+        return made
+
+    DEFAULT = "default", FieldPrior()
+    SPARSE = "sparse", FieldPrior(l1=0.1)
+    DENSE = "dense", _DENSE
+    ASPECT = "aspect", FieldPrior(aspect_harmonics=2)
+    DENSE_ASPECT = "dense, aspect", replace(_DENSE, aspect_harmonics=2)
+    DENSE_SHADOWS = "dense, shadows", replace(_DENSE, occlusion=1.0)
+    DENSE_ASPECT_SHADOWS = "dense, aspect, shadows", replace(_DENSE, aspect_harmonics=2, occlusion=1.0)
+    PIXELS = "pixels"
+    LINEAR_0 = "linear 0", None, 0
+    LINEAR_1 = "linear 1", None, 1
+    LINEAR_2 = "linear 2", None, 2
+    LINEAR_4 = "linear 4", None, 4
+    LINEAR_8 = "linear 8", None, 8
+    LINEAR_16 = "linear 16", None, 16
+
+    @classmethod
+    def of(cls, facts: dict[str, Any]) -> Prior:
+        """That of an image, by its settings; an image of which nothing was tried has the default."""
+        return cls(facts.get("prior", cls.DEFAULT))
+
+
+AUTO = "auto"
+PRIORS = (AUTO, *(prior.value for prior in (Prior.DEFAULT, Prior.SPARSE, Prior.DENSE)))
+"""Choices of `AtsSettings.prior`."""
+
 _BOUNDS = {
-    "steps": (0, 10**6), "views_per_step": (1, 10**6), "patience": (0, 10**6), "seed": (0, 2**32 - 1),
-    "threads": (1, 1024), "adapt": (0, 10**6), "width": (1, 1024), "hidden": (0, 64), "levels": (1, 64),
-    "features": (1, 64), "coarsest": (1, 1024), "wobble_harmonics": (0, 64), "aspect_harmonics": (0, 64),
-    "learning_rate": (1e-9, 1e3), "network_rate": (1e-9, 1e3), "decay": (1e-9, 1e3), "l1": (0, 1e3),
-    "noise_factor": (0, 1e6), "smoothness": (0, 1e6), "robust": (0, 1e6), "occlusion": (0, 1e3),
-    "spreading": (0, 16), "beam_width_deg": (0, 360), "finest_m": (0, 1e4),
+    "steps": (0, 10**6), "seed": (0, 2**32 - 1), "robust": (0, 1e6), "aspect_harmonics": (0, 64),
+    "occlusion": (0, 1e3), "spreading": (0, 16), "beam_width_deg": (0, 360),
 }  # fmt: skip
 """Least and greatest value of each setting: what no fit has a use for beyond, or cannot compute."""
 
 
 @dataclass(frozen=True)
 class AtsSettings:
-    """Parameters of the fit.
+    """What a person chooses of the fit.
 
     Attributes:
-        preset: "field", this project's method.
         engine: "native" (numpy and the compiled kernels), "onnx", "torch", or "auto": the first of them that
             is there and can do what is asked.
         device: "cpu", or "cuda" (torch only).
-        steps: optimisation steps at most; 0: 100, and 150 with so few views (`LEAST_HELD_OUT`) that the scans
-            leave the scene ill determined and the fit converges slowly (100 leave a quarter more of unseen
-            views).
-        learning_rate: Adam's rate for the encoding; the network gets `network_rate` of it.
-        network_rate: see there.
-        decay: what is left of the rates after `steps` steps (exponential decay).
-        l1: weight of the sparsity prior, as a fraction of the weight at which the image would be zero.
-        noise_factor: the weight is never less than this times the standard deviation of A^H noise (where the
-            noise is known), and never more than half of what gives a zero image.
-        smoothness: weight of the neighbourhood prior sum |sigma_i - sigma_j|^2, relative to the weight of the
-            data in one pixel.
-        robust: residuals beyond this many standard deviations are weighed down (Huber); 0: never.
+        seed: of the initial weights; the same seed gives the same image on the same machine and engine.
+        steps: optimisation steps; 0: 100, and 150 with so few views (`LEAST_HELD_OUT`) that the scans leave
+            the scene ill determined and the fit converges slowly (100 leave a quarter more of unseen views).
+        prior: of `PRIORS`: how sparse the scene is, or "auto": as unseen views ask for it
+            (`tagid.imaging.ats.adapt`), unless aspect_harmonics or occlusion are given.
         calibrate: what is learned together with the scene, of `CALIBRATIONS`: the axis distance, the
             harmonics of the rotation's wobble, a gain of every scan, a static component that no turn changes.
-        wobble_harmonics: harmonics of the angle error over a turn.
+        robust: residuals beyond this many standard deviations are weighed down (Huber); 0: never.
         aspect_harmonics: M; a point's reflectivity is a sum of exp(j m aspect), |m| <= M. 0: isotropic.
         occlusion: what lies behind bright points is dimmed: attenuation by a cell of the encoding (0.096
             wavelengths) that is as bright as the brightest, in nepers, two ways; 0: nothing hides behind
@@ -82,53 +145,22 @@ class AtsSettings:
         spreading: an echo's amplitude falls with this power of the range: 2 for a point reflector in free
             space, 0 if the radar or an earlier step has made up for it.
         beam_width_deg: full -3 dB width of the antenna's one-way power pattern; 0: it sees all round.
-        views_per_step: views of one step; a capture with more is used in interleaved subsets by turns. A
-            scene that is not explained so gets more (`seeing_all`), unless `adapt` is 0.
-        held_out: share of the views that the fit does not see, which tell when to stop; none under 18 views.
-        patience: checks (every 10 steps of the second half) without a lower held-out residual before the fit
-            stops; 0: never, which is the default since a noisy check stops some fits long before their end.
-        adapt: try other priors where unseen views ask for it (`tagid.imaging.ats.adapt`); 0: never.
-        width, hidden: units of a hidden layer, and hidden layers of the network.
-        finest_m: edge of the finest cell of the encoding, m, never finer than the pixels; 0: from the
-            wavelength (`tagid.imaging.lengths.CELL_WAVELENGTHS`).
-        levels, features, coarsest: resolutions, features of each, cells a side of the coarsest.
-        seed: of the initial weights; the same seed gives the same image on the same machine and engine.
-        threads: of the engine. One is the default: the layers are so small that a second thread gains little
-            where the cores are idle, and waits for its slice where they are not.
     """
 
-    preset: str = "field"
     engine: str = "auto"
     device: str = "cpu"
+    seed: int = 0
     steps: int = 0
-    learning_rate: float = 0.06
-    network_rate: float = 1.0
-    decay: float = 0.2
-    l1: float = 0.03
-    noise_factor: float = 3.0
-    smoothness: float = 0.0
-    robust: float = 0.0
+    prior: str = AUTO
     calibrate: tuple[str, ...] = ()
-    wobble_harmonics: int = 4
+    robust: float = 0.0
     aspect_harmonics: int = 0
     occlusion: float = 0.0
     spreading: float = 0.0
     beam_width_deg: float = 0.0
-    views_per_step: int = 12
-    held_out: float = 0.04
-    patience: int = 0
-    adapt: int = 1
-    width: int = 16
-    hidden: int = 1
-    finest_m: float = 0.0
-    levels: int = 8
-    features: int = 2
-    coarsest: int = 8
-    seed: int = 0
-    threads: int = 1
 
     def __post_init__(self) -> None:
-        for name, value, known in (("preset", self.preset, PRESETS), ("engine", self.engine, ENGINES)):
+        for name, value, known in (("engine", self.engine, ENGINES), ("prior", self.prior, PRIORS)):
             if value not in known:
                 raise UsageError(f"there is no ATS {name} {value!r}", f"Use {', '.join(known)}.")
         for what in self.calibrate:
@@ -139,29 +171,57 @@ class AtsSettings:
         for name, (low, high) in _BOUNDS.items():
             if not low <= getattr(self, name) <= high:
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", f"Give {low:g} to {high:g}.")
-        if not 0 <= self.held_out <= 0.5:
-            raise UsageError(f"held-out share is {self.held_out}", "Give 0 to 0.5.")
 
-    def for_views(self, views: int) -> AtsSettings:
-        """These settings with a number of steps where they leave it open."""
-        steps = self.steps or (STEPS if views >= LEAST_HELD_OUT else STEPS_OF_FEW)
-        return replace(self, steps=steps)
+    @property
+    def adapts(self) -> bool:
+        """Whether other priors are tried where unseen views ask for them."""
+        return self.prior == AUTO and not self.aspect_harmonics and not self.occlusion
 
-    def seeing_all(self, views: int) -> AtsSettings:
-        """These settings with so many views a step that the fit sees each `PASSES` times."""
+
+@dataclass(frozen=True)
+class FitSettings(AtsSettings):
+    """What one fit runs with: the settings, and what the prior and the number of views make of them.
+
+    Attributes:
+        l1, noise_factor: see `FieldPrior`.
+        views_per_step: views of one step; a capture with more is used in interleaved subsets by turns. A
+            scene that is not explained so gets more (`seeing_all`).
+        held_out: share of the views that the fit does not see; none under `LEAST_HELD_OUT` views.
+    """
+
+    l1: float = FieldPrior.l1
+    noise_factor: float = FieldPrior.noise_factor
+    views_per_step: int = 12
+    held_out: float = 0.04
+
+    @classmethod
+    def of(cls, settings: AtsSettings) -> FitSettings:
+        """Those of a fit as the settings ask for it."""
+        if isinstance(settings, FitSettings):
+            return settings
+        prior = (Prior.DEFAULT if settings.prior == AUTO else Prior(settings.prior)).field
+        assert prior is not None  # `PRIORS` have one
+        return cls(**vars(settings), l1=prior.l1, noise_factor=prior.noise_factor)
+
+    def with_prior(self, prior: Prior) -> FitSettings:
+        """The same with a prior; as they are for one that has no field."""
+        return self if prior.field is None else replace(self, **asdict(prior.field))
+
+    def for_views(self, views: int) -> FitSettings:
+        """The same with a number of steps where they leave it open."""
+        return replace(self, steps=self.steps or (STEPS if views >= LEAST_HELD_OUT else STEPS_OF_FEW))
+
+    def seeing_all(self, views: int) -> FitSettings:
+        """The same with so many views a step that the fit sees each `PASSES` times."""
         needed = -(-PASSES * views // self.for_views(views).steps)
         return replace(self, views_per_step=max(self.views_per_step, min(needed, views)))
 
-    def shape(self, grid: ImageGrid, wavelength_m: float) -> FieldShape:
-        """Sizes of the field for a grid: the finest cell is `finest_m`, or a pixel where that is larger."""
-        from tagid.imaging.ats.problem import FieldShape
-
-        cell = self.finest_m or finest_cell_m(wavelength_m)
-        finest = min(grid.pixels, max(self.coarsest, round(grid.extent / cell)))
-        coarsest = min(self.coarsest, finest)
-        series = np.geomspace(coarsest, finest, self.levels) if self.levels > 1 else np.array([finest])
-        cells = tuple(int(n) for n in np.floor(series + 1e-9))
-        return FieldShape(cells, self.features, self.width, self.hidden, 2 * self.aspect_harmonics + 1)
+    def facts(self) -> dict[str, Any]:
+        """All of them and what is fixed, as JSON values of an image's settings."""
+        facts = {**asdict(self), **_FIXED, "preset": "field", "adapt": int(self.prior == AUTO)}
+        del facts["prior"]  # in an image that is the one chosen by trials
+        facts["held_out_share"] = facts.pop("held_out")  # in an image that is how well it predicts
+        return {**facts, "calibrate": list(self.calibrate)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,44 +281,22 @@ class Calibration:
         return values
 
 
-@dataclass(frozen=True, eq=False)
-class AtsResult:
-    """What a fit gives.
+_FIXED: dict[str, float] = {
+    "learning_rate": LEARNING_RATE, "network_rate": 1.0, "decay": DECAY, "smoothness": 0.0,
+    "wobble_harmonics": WOBBLE_HARMONICS, "patience": 0, "width": WIDTH, "hidden": HIDDEN, "finest_m": 0.0,
+    "levels": LEVELS, "features": FEATURES, "coarsest": COARSEST, "threads": THREADS,
+}  # fmt: skip
+"""What once was a setting, as an image's settings go on to say it; nothing else was ever found better."""
 
-    Attributes:
-        image: complex reflectivity on the grid asked for.
-        losses: loss of every step.
-        calibration: what was learned beside the scene.
-        unseen: (n,) numbers of the views that the fit did not see.
-        prediction: what it predicts of them.
-        seconds: of the whole fit, set-up included.
-        field: the fitted field, to be evaluated at any resolution; None for blank data and where the linear
-            solution took its place.
-    """
+_SPARSITY = "Use prior=sparse (l1 0.1), prior=default (0.03) or prior=dense (0.003)."
+_NOW = {
+    "l1": _SPARSITY, "noise_factor": _SPARSITY, "smoothness": "Use prior=dense.",
+    "patience": "Give steps=N to end a fit earlier.", "finest_m": "Give more or fewer `imaging.pixels`.",
+    "held_out": "Leave it away: it is 0.04.", "views_per_step": "Leave it away: it follows the scene.",
+}  # fmt: skip
+"""What to do in the place of a setting that is gone."""
 
-    image: Image
-    losses: tuple[float, ...]
-    calibration: Calibration
-    unseen: NDArray[np.integer]
-    prediction: Prediction
-    seconds: float
-    field: FieldWeights | None = field(default=None, repr=False)
-
-    @property
-    def held_out(self) -> float:
-        """Energy of the residual on the unseen views over their energy, one complex factor fitted; nan
-        without any."""
-        return self.prediction.residual
-
-    def on(self, grid: ImageGrid) -> Image:
-        """The same field on another grid; its mean over aspects where it has several channels."""
-        if self.field is None:
-            return Image(np.zeros((grid.pixels, grid.pixels), np.complex64), grid, self.image.settings)
-        values = self.field.on(grid)
-        return Image(values[len(values) // 2], grid, self.image.settings)
-
-
-NOT_WORDS = ("preset", "seed", "engine", "device")
+NOT_WORDS = ("seed", "engine", "device")
 """Settings with options of their own."""
 
 
@@ -270,22 +308,26 @@ def setting_names() -> list[str]:
 def parse_settings(words: Iterable[str]) -> dict[str, Any]:
     """Arguments for `AtsSettings` of words KEY=VALUE, each of which may hold several after commas.
 
-    Values of a list are joined by "+": `calibrate=axis+wobble`.
+    Values of a list are joined by "+": `calibrate=axis+wobble`. `adapt=0` means `prior=default`.
 
     Raises:
         UsageError: a name that does not exist, or a value of the wrong kind.
     """
     values: dict[str, Any] = {}
-    defaults = AtsSettings()
     for part in (p.strip() for word in words for p in word.split(",")):
         if not part:
             continue
         name, equals, text = (t.strip() for t in part.partition("="))
+        if equals and name == "adapt":
+            name, text = "prior", Prior.DEFAULT if _value(name, text, 1) == 0 else AUTO
+        if equals and name in {*_FIXED, *_NOW}:
+            remedy = _NOW.get(name, f"Leave it away: it is {_FIXED.get(name)}.")
+            raise UsageError(f"ATS no longer has the setting {name} (`--ats`, `imaging.ats`)", remedy)
         if not equals or name not in setting_names():
             raise UsageError(
                 f"there is no ATS setting {part!r}", f"Give KEY=VALUE with {', '.join(setting_names())}."
             )
-        values[name] = _value(name, text, getattr(defaults, name))
+        values[name] = _value(name, text, getattr(AtsSettings, name))
     return values
 
 

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.geometry import VolumeGrid
+from tagid.imaging.ats.problem import MAGNITUDE_FLOOR
+from tagid.imaging.ats.taps import BETA1, BETA2, EPSILON, SMALLEST
 from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
@@ -28,8 +30,6 @@ from tagid.types import Progress
 
 Array = NDArray[np.float32]
 
-_BETA1, _BETA2, _EPSILON, _SMALLEST = 0.9, 0.95, 0.1, 1e-20
-"""Adam's, as in the plane (`tagid.imaging.ats.fit`)."""
 _SHARPENED = 3.0
 """A point gets so much brighter than backprojection shows it, once it is sharp: the scale of the output."""
 _MEAN_OVER = 0.3
@@ -43,7 +43,6 @@ _PASSED = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
 _CELLS_PER_RESOLUTION = 2.0
 """Cells of the finest level per vertical resolution, as in the plane per null radius of the point
 response."""
-_MAGNITUDE_FLOOR = 1e-2
 _SAMPLE_VIEWS = 1500
 """Views from which scales and the first image are computed; more would not change them."""
 _SEED_SHARE = 0.35
@@ -212,7 +211,7 @@ class _Fit:
             sigma = field.evaluate(layers[-1])
             residual = some.forward(sigma) - data
             share = views / len(chosen) / energy
-            magnitude = np.sqrt(np.abs(sigma) ** 2 + np.float32((field.scale * _MAGNITUDE_FLOOR) ** 2))
+            magnitude = np.sqrt(np.abs(sigma) ** 2 + np.float32((field.scale * MAGNITUDE_FLOOR) ** 2))
             losses.append(share * float(np.vdot(residual, residual).real) + sparsity * float(magnitude.sum()))
             slope = np.float32(2 * share) * some.adjoint(residual) + np.float32(sparsity) * sigma / magnitude
             rate = settings.learning_rate * settings.decay ** (step / settings.steps)
@@ -358,11 +357,11 @@ class Field:
         gradients += [by_middle.sum(axis=1, keepdims=True), by_output.sum(axis=1, keepdims=True)]
         moved = zip(self.parameters, gradients, self._first, self._second, strict=True)
         for parameter, gradient, first, second in moved:
-            first += np.float32(1 - _BETA1) * (gradient - first)
-            second += np.float32(1 - _BETA2) * (gradient * gradient - second)
-            size = np.sqrt(second / np.float32(1 - _BETA2**step))
-            ahead = np.float32(rate / (1 - _BETA1**step)) * first
-            parameter -= ahead / (size + np.float32(_EPSILON) * size.max() + np.float32(_SMALLEST))
+            first += np.float32(1 - BETA1) * (gradient - first)
+            second += np.float32(1 - BETA2) * (gradient * gradient - second)
+            size = np.sqrt(second / np.float32(1 - BETA2**step))
+            ahead = np.float32(rate / (1 - BETA1**step)) * first
+            parameter -= ahead / (size + np.float32(EPSILON) * size.max() + np.float32(SMALLEST))
 
     def copy(self) -> Field:
         """A field with the same parameters, which may be changed."""

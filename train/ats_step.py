@@ -1,6 +1,6 @@
 """The optimisation step as an ONNX graph: what torch runs in the laboratory, onnxruntime runs in the field.
 
-Run `python -m tagid.imaging.ats.export` in a checkout with the extra `export` to rewrite `models/`.
+Run `python -m train.ats_step` in a checkout with the extra `export` to rewrite `models/`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from typing import Any
 import torch
 
 from tagid._version import __version__
-from tagid.imaging.ats.fit_native import HIDDEN, LEVELS, MODEL, input_names, state_names
+from tagid.imaging.ats.fit_native import MODEL, input_names, state_names
 from tagid.imaging.ats.fit_torch import Step, optimise
+from tagid.imaging.ats.settings import HIDDEN, LEVELS
 from tagid.models_store import FOLDER, OPSET, ModelEntry, Tensor, entry_of, write_entry
 
 
@@ -73,15 +74,9 @@ def dimensions() -> dict[str, Tensor]:
     state: list[tuple[int | str, ...]] = [*table, *layers, *biases]
     shapes: list[tuple[int | str, ...]] = [*state * 3]
     shapes += [("pixels", f"vertices_{i}") for i in range(LEVELS)]
-    shapes += [
-        ("pixels", "pixels"),
-        (1, "points"),
-        ("views", "points"),
-        ("views", "parts"),
-        ("views", "parts"),
-    ]
+    shapes += [(1, "points"), ("views", "points"), ("views", "parts"), ("views", "parts")]
     shapes += [("seen_views", "seen_points")]
-    shapes += [("fine", "spread"), (2, "views", "bins"), ("views", "bins"), (9,)]
+    shapes += [("fine", "spread"), (2, "views", "bins"), ("views", "bins"), (7,)]
     kinds = {"index": "int32"}
     tensors = {
         name: Tensor(kinds.get(name, "float32"), shape)
@@ -101,21 +96,23 @@ def _example() -> list[Any]:
     weights = [torch.zeros(b, a) for a, b in itertools.pairwise(layers)]
     biases = [torch.zeros(b, 1) for b in layers[1:]]
     moments = [[torch.zeros_like(p) for p in (*tables, *weights, *biases)] for _ in range(2)]
-    grid = [[torch.zeros(pixels, n) for n in vertices], torch.zeros(pixels, pixels)]
+    grid = [torch.zeros(pixels, n) for n in vertices]
     rest: list[tuple[int, ...]] = [(views, parts), (views, parts), (views, pixels**2), (fine, 2 * bins)]
-    rest += [(2, views, bins), (views, bins), (9,)]
+    rest += [(2, views, bins), (views, bins), (7,)]
     support = torch.ones(1, pixels**2)
     index = torch.zeros(views, pixels**2, dtype=torch.int32)
     others = [torch.zeros(*shape) for shape in rest]
-    return [tables, weights, biases, *moments, *grid, support, index, *others]
+    return [tables, weights, biases, *moments, grid, support, index, *others]
 
 
 def _dynamic(part: Any) -> Any:
-    """Every dimension of a tensor or of the tensors of a list left open, those that never vary fixed."""
+    """Every dimension of a tensor or of the tensors of a list left open, those that never vary fixed: of
+    `numbers`, the only vector, its length."""
     if isinstance(part, list):
         return [_dynamic(item) for item in part]
     auto, static = torch.export.Dim.AUTO, torch.export.Dim.STATIC
-    return {i: static if size in (1, 2, 3, 9) else auto for i, size in enumerate(part.shape)}
+    fixed = part.dim() == 1
+    return {i: static if fixed or size in (1, 2, 3) else auto for i, size in enumerate(part.shape)}
 
 
 def _rename(value: Any, tensor: Tensor) -> None:
