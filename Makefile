@@ -17,6 +17,19 @@ $(VENV)/.dev: $(VENV)/.base firmware_tools/pyproject.toml
 	$(PIP) --editable '.[dev]' --editable ./firmware_tools
 	@touch $@
 
+# For Linux the package index has torch with gigabytes of CUDA packages. A build without them comes from an index that
+# TORCH_INDEX or pip's own configuration names; where none does, the tests of torch are skipped with that reason.
+TORCH_INDEX ?=
+TORCH = $(PIP) $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
+$(VENV)/.torch: $(VENV)/.dev
+	@if selected=$$($(TORCH) --dry-run --no-deps --ignore-installed --report - torch 2>/dev/null) \
+	  && ! printf '%s' "$$selected" | grep -Eq '"(nvidia|cuda)-'; then \
+	  $(TORCH) --editable '.[ats,export]'; \
+	else \
+	  echo "torch is left out: pip finds no build without CUDA. Its tests are skipped; see TORCH_INDEX in README.md"; \
+	fi
+	@touch $@
+
 demo: $(VENV)/.base
 	PYTHONDONTWRITEBYTECODE=1 $(BIN)/tagid scan --demo --save-dir $(DEMO_DIR)
 	@echo "the same in a browser, on a tablet or phone: $(BIN)/tagid station --demo"
@@ -47,7 +60,7 @@ browser:
 # Scans wait for radars and tables in real time: three processes keep two cores busy, two do not.
 WORKERS = $(shell $(BIN)/python -c "import os; print(max(2, 3 * (os.cpu_count() or 1) // 2))")
 
-check: $(VENV)/.dev browser
+check: $(VENV)/.torch browser
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not realtime"
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal -m realtime
 
