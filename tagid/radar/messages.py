@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tagid.errors import DeviceError
 
@@ -293,10 +294,13 @@ class Message:
         """The message's name in the API."""
         return self.type.name
 
-    def __getitem__(self, field: str) -> Any:
-        """A field: a Python int for integers, an array or record otherwise."""
-        value = self.fields[field]
-        return int(value) if isinstance(value, np.integer) else value
+    def __getitem__(self, field: str) -> int:
+        """A field that is an integer; arrays and records are in `fields`."""
+        return int(self.fields[field])
+
+
+Value = int | bytes | np.void | NDArray[np.generic]
+"""Of a field: a number, a text, a record, or several numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +313,7 @@ class Request:
     """
 
     type: MessageType
-    fields: Mapping[str, int | np.void] = field(default_factory=dict)
+    fields: Mapping[str, Value] = field(default_factory=dict)
 
     def starts_run(self) -> bool:
         """Whether scans follow."""
@@ -320,7 +324,7 @@ class Request:
         return encode(self.type, message_id, **self.fields)
 
 
-def encode(message_type: MessageType, message_id: int, **fields: Any) -> bytes:
+def encode(message_type: MessageType, message_id: int, **fields: Value) -> bytes:
     """The bytes of a message; fields that are not given are zero.
 
     Raises:
@@ -333,7 +337,7 @@ def encode(message_type: MessageType, message_id: int, **fields: Any) -> bytes:
     return _packed(message_type, MESSAGES[message_type].dtype, {"id": message_id, **fields})
 
 
-def encode_older(message_type: MessageType, message_id: int, **fields: Any) -> bytes:
+def encode_older(message_type: MessageType, message_id: int, **fields: Value) -> bytes:
     """A message in the layout of older firmware; raises the same errors as `encode`.
 
     >>> len(encode_older(MessageType.GET_SLEEPMODE_CONFIRM, 1, mode=2))
@@ -342,7 +346,7 @@ def encode_older(message_type: MessageType, message_id: int, **fields: Any) -> b
     return _packed(message_type, MESSAGES[message_type].older[0], {"id": message_id, **fields})
 
 
-def _packed(message_type: MessageType, dtype: np.dtype[np.void], fields: dict[str, Any]) -> bytes:
+def _packed(message_type: MessageType, dtype: np.dtype[np.void], fields: Mapping[str, Value]) -> bytes:
     record = np.zeros((), dtype)
     for name, value in {"type": int(message_type), **fields}.items():
         if name not in (record.dtype.names or ()):
@@ -352,7 +356,9 @@ def _packed(message_type: MessageType, dtype: np.dtype[np.void], fields: dict[st
             limits = np.iinfo(kind)
             numbers = np.asarray(value)
             if numbers.size and (int(numbers.min()) < limits.min or int(numbers.max()) > limits.max):
-                raise ValueError(f"{message_type.name}.{name} is {value}, outside {limits.min}..{limits.max}")
+                raise ValueError(
+                    f"{message_type.name}.{name} is {value!r}, outside {limits.min}..{limits.max}"
+                )
         record[name] = value
     return record.tobytes()
 

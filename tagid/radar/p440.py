@@ -206,14 +206,14 @@ class P440:
         """The radar's clock: seconds since its boot, modulo 2^32 ms."""
         confirm = self._talk.request(_T.GET_CONFIG_REQUEST)
         accept(confirm, "get configuration")
-        return float(confirm["timestamp_ms"] * 1e-3)
+        return confirm["timestamp_ms"] * 1e-3
 
     def get_config(self) -> RadarConfig:
         """The settings in force. Raises DeviceRejectedError if tagid cannot use them."""
         confirm = self._talk.request(_T.GET_CONFIG_REQUEST)
         accept(confirm, "get configuration")
         try:
-            self._config = RadarConfig.from_record(confirm["config"])
+            self._config = RadarConfig.from_record(confirm.fields["config"])
         except ConfigError as error:
             raise DeviceRejectedError(
                 f"the radar reports settings that cannot be used: {error.message}", error.remedy
@@ -240,7 +240,7 @@ class P440:
         """Set the operating mode; return the mode in force."""
         confirm = self._talk.request(_T.SET_OPMODE_REQUEST, mode=mode)
         accept(confirm, f"set operating mode {mode}")
-        return int(confirm["mode"])
+        return confirm["mode"]
 
     def get_sleep_mode(self) -> int:
         """Sleep mode: 0 active, 1 idle, 2 standby (Ethernet), 3 standby (serial), 4 sleep."""

@@ -60,7 +60,7 @@ def status_from(message: Message) -> RadarStatus:
         board_revision=chr(m["board_revision"]) if 32 < m["board_revision"] < 127 else "",
         built_in_test=m["bit_result"],
         temperature_c=m["temperature_quarter_c"] / 4,
-        package=_printable(bytes(m["package"]).split(b"\0")[0]),
+        package=_printable(bytes(m.fields["package"]).split(b"\0")[0]),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -13,7 +14,7 @@ from tagid._version import __version__
 from tagid.errors import UsageError
 from tagid.station import wire
 from tagid.station.errors import BusyError
-from tagid.station.requests import json_object, refusal_of, refused
+from tagid.station.requests import Body, json_object, refusal_of, refused
 from tagid.station.station import MAX_CONNECTIONS, Station
 
 FRAME_S = 0.1
@@ -186,7 +187,7 @@ class LiveSocket:
         while True:
             await self._act(client, _message(await socket.receive()))
 
-    async def _act(self, client: Client, message: dict[str, Any]) -> None:
+    async def _act(self, client: Client, message: Body) -> None:
         """Execute a message; a refusal is reported to its sender."""
         station, kind = self._station, message.get("type")
         try:
@@ -226,7 +227,7 @@ async def _hello(socket: WebSocket) -> str | None:
     return key
 
 
-def _message(received: Any) -> dict[str, Any]:
+def _message(received: Mapping[str, Any]) -> Body:
     """The JSON object of a text frame. Raises _BadMessageError, WebSocketDisconnect."""
     if received["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(received.get("code", 1005))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from typing import Any
+from collections.abc import Mapping
 
 from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
@@ -61,7 +61,15 @@ class _Number(Convertor[int]):
 register_url_convertor("number", _Number())
 
 
-async def body(request: Request) -> dict[str, Any]:
+Body = Mapping[str, object]
+"""A JSON object that a client sent: whoever reads a value of it must see first what it is.
+
+msgspec would decode and check in one step, but its 696 KB and 11 ms at every start replace 20 lines here, and
+its messages would have to be put into these words.
+"""
+
+
+async def body(request: Request) -> Body:
     """The JSON object of a request; empty without a body. Raises UsageError."""
     content = b""
     async for part in request.stream():
@@ -71,7 +79,7 @@ async def body(request: Request) -> dict[str, Any]:
     return json_object(content or b"{}")
 
 
-def json_object(content: bytes | str) -> dict[str, Any]:
+def json_object(content: bytes | str) -> Body:
     """The JSON object of a body or a message. Raises UsageError, also for a text that is not Unicode."""
     try:
         value = json.loads(content)
@@ -85,7 +93,7 @@ def json_object(content: bytes | str) -> dict[str, Any]:
     return value
 
 
-def text_of(asked: dict[str, Any], name: str, default: str | None = "") -> str:
+def text_of(asked: Body, name: str, default: str | None = "") -> str:
     """A text in a body. Raises UsageError if it is not a text, or missing without a default."""
     value = asked.get(name, default)
     if not isinstance(value, str):
@@ -93,7 +101,7 @@ def text_of(asked: dict[str, Any], name: str, default: str | None = "") -> str:
     return value
 
 
-def key_of(asked: dict[str, Any]) -> str | None:
+def key_of(asked: Body) -> str | None:
     """The key of a WebSocket connection in a body; None if there is none. Raises UsageError."""
     key = asked.get("key")
     if not (key is None or isinstance(key, str)):
@@ -101,7 +109,7 @@ def key_of(asked: dict[str, Any]) -> str | None:
     return key
 
 
-def flag_of(asked: dict[str, Any], name: str) -> bool:
+def flag_of(asked: Body, name: str) -> bool:
     """Whether something is requested in a body; not without a value. Raises UsageError."""
     value = asked.get(name, False)
     if not isinstance(value, bool):
@@ -109,17 +117,15 @@ def flag_of(asked: dict[str, Any], name: str) -> bool:
     return value
 
 
-def entries_of(numbers: Any) -> tuple[int, ...]:
+def entries_of(numbers: object) -> tuple[int, ...]:
     """Numbers of entries of the history. Raises UsageError."""
-    right = isinstance(numbers, list) and all(
-        isinstance(number, int) and not isinstance(number, bool) and 0 < number < 10**_MOST_DIGITS
-        for number in numbers
-    )
-    if not right or not 1 <= len(numbers) <= HISTORY_LIMIT:
+    given = numbers if isinstance(numbers, list) else []
+    right = all(type(number) is int and 0 < number < 10**_MOST_DIGITS for number in given)
+    if not right or not 1 <= len(given) <= HISTORY_LIMIT:
         raise UsageError(
             "entries is not a list of numbers of the history", f"Give 1 to {HISTORY_LIMIT} numbers."
         )
-    return tuple(numbers)
+    return tuple(given)
 
 
 def filter_of(request: Request) -> Filter:
@@ -156,7 +162,7 @@ def number_in(request: Request) -> int:
     return int(request.path_params["number"])
 
 
-def as_json(value: dict[str, Any], status: int = 200) -> Response:
+def as_json(value: wire.Json, status: int = 200) -> Response:
     """A JSON response; numbers that are not finite become null."""
     return Response(wire.to_text(value), status, media_type="application/json")
 

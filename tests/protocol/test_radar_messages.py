@@ -124,7 +124,7 @@ def test_old_firmware_is_understood() -> None:
     message = decode(short)
     assert len(short) == 32
     assert (message["serial"], message["temperature_quarter_c"], message["status"]) == (7, 164, 2)
-    assert bytes(message["package"]) == b""
+    assert bytes(message.fields["package"]) == b""
     assert decode(bytes.fromhex("f106 0001 00000001"))["mode"] == 1
 
 
