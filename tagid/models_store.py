@@ -18,9 +18,8 @@ from typing import Any, Final
 
 from numpy.typing import NDArray
 
-from tagid import interrupts
 from tagid.errors import ModelError, StorageError
-from tagid.files import read_bytes, write_bytes
+from tagid.files import read_bytes
 
 _INSIDE: Final[Mapping[str, Mapping[int, str]]] = MappingProxyType(
     {
@@ -313,31 +312,6 @@ def check_all(folder: Path = FOLDER) -> None:
     """Raises ModelError or StorageError if any shipped file does not match the manifest."""
     for name in manifest(folder):
         model_bytes(name, folder)
-
-
-def write_entry(entry: ModelEntry, content: bytes, folder: Path = FOLDER) -> None:
-    """Add a model and its manifest entry to a folder, replacing one of the same name."""
-    path = folder / "manifest.json"
-    data: dict[str, Any] = {"manifest_version": MANIFEST_VERSION, "models": {}}
-    if path.exists():
-        data["models"] = {name: old.to_json() for name, old in manifest(folder).items()}
-    data["models"][entry.name] = entry.to_json()
-    with interrupts.deferred():
-        write_bytes(folder / entry.file, content)
-        write_bytes(path, (json.dumps(data, indent=1, sort_keys=True) + "\n").encode())
-    manifest.cache_clear()
-
-
-def entry_of(
-    name: str,
-    content: bytes,
-    inputs: Mapping[str, Tensor],
-    outputs: Mapping[str, Tensor],
-    facts: Mapping[str, Any],
-) -> ModelEntry:
-    """The manifest entry of a graph with these inputs and outputs."""
-    digest = hashlib.sha256(content).hexdigest()
-    return ModelEntry(name, f"{name}.onnx", digest, len(content), OPSET, inputs, outputs, facts)
 
 
 def _shape(dimensions: Any) -> Shape:

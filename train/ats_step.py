@@ -11,10 +11,11 @@ from typing import Any
 import torch
 
 from tagid._version import __version__
-from tagid.imaging.ats.fit_native import MODEL, input_names, state_names
+from tagid.imaging.ats.fit_native import MODEL, parameter_names, state_names
 from tagid.imaging.ats.fit_torch import Step, optimise
 from tagid.imaging.ats.settings import HIDDEN, LEVELS
-from tagid.models_store import FOLDER, OPSET, ModelEntry, Tensor, entry_of, write_entry
+from tagid.models_store import FOLDER, OPSET, ModelEntry, Tensor
+from train.model_files import entry_of, write_entry
 
 
 class _Module(torch.nn.Module):  # type: ignore[misc]
@@ -62,6 +63,14 @@ def export_step() -> tuple[bytes, ModelEntry]:
     }
     sides = [{name: tensors[name] for name in side} for side in (names, outputs)]
     return content, entry_of(MODEL, content, sides[0], sides[1], facts)
+
+
+def input_names() -> list[str]:
+    """Names of the graph's inputs, in the order of `Step`."""
+    state = [f"{prefix}{name}" for prefix in ("", "first_", "second_") for name in parameter_names()]
+    grid = [f"interpolation_{i}" for i in range(LEVELS)]
+    rest = ("support", "index", "real", "imaginary", "transmission", "spread", "samples", "confidence")
+    return [*state, *grid, *rest, "numbers"]
 
 
 def dimensions() -> dict[str, Tensor]:

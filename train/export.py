@@ -16,10 +16,11 @@ import torch
 
 from tagid._version import __version__
 from tagid.errors import ModelError
-from tagid.models_store import OPSET, Tensor, entry_of, manifest, write_entry
+from tagid.models_store import OPSET, Tensor, manifest
 from train.card import PFA
 from train.detector import CELLS, CONTRACT_KEY, FOLDER, MODEL, Contract
 from train.evaluate import Figures
+from train.model_files import entry_of, write_entry
 from train.network import CHANNELS, DetectorNetwork
 from train.planes import GRID, PLANES
 

@@ -18,7 +18,7 @@ from tagid.simulate.noise import Interference, NoiseShape
 from tagid.simulate.objects import HANDLE_REACH_M, Variation, tagged_object
 from tagid.simulate.presets import room_clutter
 from tagid.simulate.pulses import random_pulse
-from tagid.simulate.scattering import Body, Box, Cylinder, DoubleBounce, Points
+from tagid.simulate.scattering import Body, Box, Cylinder, Points, Returns
 from tagid.simulate.scene import Scene
 from tagid.simulate.specification import SHAPES, BodySpec, ReflectorSpec
 from train.distributions import (
@@ -87,13 +87,39 @@ def _reflectors(d: ObjectDistribution, radius: float, rng: np.random.Generator) 
     return Points(positions, amplitudes, facing, width, floor)
 
 
+@dataclass(frozen=True, eq=False)
+class _DoubleBounce:
+    """The interaction of two close reflectors: from the radar to one, to the other, and back, in both orders.
+
+    The path is |a - p| + |p - q| + |q - a|, so the image shows a ring of radius |p - q| / 2 about their
+    midpoint; reported for reflectors about a wavelength apart.
+
+    Attributes:
+        positions: (2, 3), m.
+        amplitude: sum of both orders.
+    """
+
+    positions: NDArray[np.float64]
+    amplitude: float
+
+    def returns(self, antennas: NDArray[np.float64]) -> Returns:
+        """One point per view, at half the path length in the direction of the midpoint."""
+        p, q = self.positions
+        path = np.linalg.norm(antennas - p, axis=1) + np.linalg.norm(antennas - q, axis=1)
+        distance = (path + np.linalg.norm(p - q)) / 2
+        sight = (p + q) / 2 - antennas
+        unit = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+        points = antennas + unit * distance[:, None]
+        return Returns(points[:, None], np.full((len(antennas), 1), self.amplitude, dtype=np.complex128))
+
+
 def _bounces(drawing: _Drawing, points: Points, amplitude: float) -> None:
     """Interaction images of reflectors closer than 8 cm, as reported for coupled patches."""
     p = points.positions[:, :2]
     pairs = [(i, j) for i in range(len(p)) for j in range(i) if np.linalg.norm(p[i] - p[j]) < 0.08]
     for i, j in pairs:
         both = np.asarray(points.positions[[i, j]], dtype=np.float64)
-        drawing.turning.append(DoubleBounce(both, amplitude))
+        drawing.turning.append(_DoubleBounce(both, amplitude))
         drawing.ghosts.append(Ghost((p[i] + p[j]) / 2, float(np.linalg.norm(p[i] - p[j])) / 2))
     if pairs:
         drawing.kinds.append("bounce")

@@ -174,12 +174,3 @@ def _free(options: Options) -> FreeTurntable:
     table = FreeTurntable(rpm, options.direction(), seconds or 0.0, marker=bool(marker))
     options.done()
     return table
-
-
-def public_url(url: str | MotionUrl) -> str:
-    """The URL without its pass-key, as stored with a capture.
-
-    >>> public_url("roomba+ble://R2?passkey=123456&step=3")
-    'roomba+ble://R2?step=3'
-    """
-    return MotionUrl(url).public

@@ -200,7 +200,7 @@ def _keys(contents: RegistryContents) -> set[Key]:
     }
 
 
-Progress = Callable[[str], None]
+Remark = Callable[[str], None]
 """Called with what was just finished: the name of a capture, or "signature"."""
 
 
@@ -279,7 +279,7 @@ def measure(
     name: str,
     captures: Sequence[Sighted],
     imaging: ImagingSettings,
-    progress: Progress = lambda what: None,
+    progress: Remark = lambda what: None,
 ) -> Measured:
     """Positions and signature of a tagged object.
 
@@ -377,7 +377,7 @@ def signature(
     kind: SignatureKind,
     captures: Sequence[Prepared],
     imaging: ImagingSettings,
-    progress: Progress = lambda what: None,
+    progress: Remark = lambda what: None,
 ) -> Joint:
     """Signature of a body or object. Raises DataError if its captures do not confirm it."""
     from tagid.pipeline.identify import aspect_spectra

@@ -46,15 +46,6 @@ def viridis(levels: int = 256) -> NDArray[np.uint8]:
     return np.rint(np.stack(channels, axis=1)).astype(np.uint8)
 
 
-def lightness(rgb: NDArray[np.integer]) -> NDArray[np.float64]:
-    """CIE L* (0..100) of sRGB colours (..., 3), after IEC 61966-2-1 and CIE 15."""
-    linear = np.asarray(rgb, dtype=np.float64) / 255
-    linear = np.where(linear <= 0.04045, linear / 12.92, ((linear + 0.055) / 1.055) ** 2.4)
-    luminance = linear @ np.array([0.2126, 0.7152, 0.0722])
-    curve = np.where(luminance > 216 / 24389, np.cbrt(luminance), luminance * 24389 / 27 / 116 + 16 / 116)
-    return np.asarray(116 * curve - 16)
-
-
 def to_decibels(
     magnitude: NDArray[np.floating], dynamic_range_db: float, reference: float | None = None
 ) -> NDArray[np.float64]:

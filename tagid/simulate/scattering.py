@@ -105,36 +105,6 @@ class Points:
         return Returns(points, amplitudes)
 
 
-@dataclass(frozen=True, eq=False)
-class DoubleBounce:
-    """The interaction of two close reflectors: from the radar to one, to the other, and back, in both orders.
-
-    The path is |a - p| + |p - q| + |q - a|, so the image shows a ring of radius |p - q| / 2 about their
-    midpoint; reported for reflectors about a wavelength apart.
-
-    Attributes:
-        positions: (2, 3), m.
-        amplitude: sum of both orders.
-    """
-
-    positions: NDArray[np.float64]
-    amplitude: float
-
-    def __post_init__(self) -> None:
-        if np.shape(self.positions) != (2, 3) or not np.isfinite(self.positions).all():
-            raise DataError("a double bounce needs two points (2, 3), finite")
-
-    def returns(self, antennas: Floats) -> Returns:
-        """One point per view, at half the path length in the direction of the midpoint."""
-        p, q = self.positions
-        path = np.linalg.norm(antennas - p, axis=1) + np.linalg.norm(antennas - q, axis=1)
-        distance = (path + np.linalg.norm(p - q)) / 2
-        sight = (p + q) / 2 - antennas
-        unit = sight / np.linalg.norm(sight, axis=1, keepdims=True)
-        points = antennas + unit * distance[:, None]
-        return Returns(points[:, None], np.full((len(antennas), 1), self.amplitude, dtype=np.complex128))
-
-
 @dataclass(frozen=True)
 class Cylinder:
     """An upright cylinder as a single specular return of constant amplitude from its nearest surface point.

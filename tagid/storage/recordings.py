@@ -393,19 +393,13 @@ def _around_config(data: bytes, at: int, order: str) -> tuple[int, int]:
     return at, end
 
 
-def write_recording(path: Path, capture: Capture) -> None:
-    """Write a `.prd`/`.out` recording atomically; one read from such a file is restored byte for byte.
+def encode_recording(capture: Capture) -> bytes:
+    """The bytes of a `.prd`/`.out` recording; one read from such a file is restored byte for byte.
 
     Raises:
         UsageError: the samples are not int32 counts, the only type that the format supports.
         DataError: too many bins, or settings that do not fit the format.
-        DiskFullError, StorageError: the file cannot be written.
     """
-    files.write_bytes(path, encode_recording(capture))
-
-
-def encode_recording(capture: Capture) -> bytes:
-    """The bytes of a recording; errors as for `write_recording`."""
     if capture.samples.dtype != np.int32:
         raise UsageError(
             f"the capture holds {capture.samples.dtype} samples, a P440 recording holds int32 counts only",

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from tagid.errors import UsageError
-from tagid.motion.urls import open_motion, parse_motion_url, public_url
+from tagid.motion.urls import open_motion, parse_motion_url
 from tagid.radar.urls import parse_radar_url
 from tagid.secret import MotionUrl, Secret
 
@@ -47,12 +47,12 @@ WRONG_PLACES = (
 @pytest.mark.parametrize("target", WRONG_PLACES)
 def test_a_key_in_the_wrong_place_is_hidden(target: str) -> None:
     url = f"roomba+ble://{target}"
-    assert KEY not in str(MotionUrl(url)) + public_url(url)
+    assert KEY not in str(MotionUrl(url)) + MotionUrl(url).public
     with pytest.raises(UsageError) as refused:
         parse_radar_url(f"roomba+ble://R2?passkey={KEY}")
     assert KEY not in refused.value.message
     for plain in ("roomba+ble://AA:BB:CC:11:22:33?hci=hci1", "comxim+serial:///dev/ttyUSB0?baud=115200"):
-        assert str(MotionUrl(plain)) == public_url(plain) == plain
+        assert str(MotionUrl(plain)) == MotionUrl(plain).public == plain
 
 
 def test_a_secret_cannot_be_printed() -> None:
@@ -62,7 +62,7 @@ def test_a_secret_cannot_be_printed() -> None:
     options = parse_motion_url(f"roomba+ble://R2?pass%6bey={KEY}&step=3")
     assert KEY not in repr(options) and options.url == "roomba+ble://R2?step=3"
     assert options.passkey == secret
-    assert public_url(f"roomba+ble://R2?pass%6bey={KEY}") == "roomba+ble://R2"
+    assert MotionUrl(f"roomba+ble://R2?pass%6bey={KEY}").public == "roomba+ble://R2"
     with pytest.raises(TypeError):
         import pickle
 
@@ -73,7 +73,9 @@ def test_a_secret_cannot_be_printed() -> None:
 def test_no_error_about_a_url_holds_its_pass_key(url: str) -> None:
     with pytest.raises(UsageError) as refused:
         open_motion(url)
-    assert KEY not in refused.value.message + refused.value.remedy + str(MotionUrl(url)) + public_url(url)
+    assert (
+        KEY not in refused.value.message + refused.value.remedy + str(MotionUrl(url)) + MotionUrl(url).public
+    )
 
 
 def test_nothing_that_is_written_or_printed_holds_the_pass_key(

@@ -14,7 +14,7 @@ from PIL import Image
 from tagid.errors import DataError, DiskFullError, StorageError, UsageError
 from tagid.report.axes import Axes, nice_ticks, tick_labels
 from tagid.report.canvas import Canvas
-from tagid.report.colours import colourise, lightness, to_decibels, viridis
+from tagid.report.colours import colourise, to_decibels, viridis
 from tagid.report.picture import Marker, draw_image, fit_text, thumbnail
 
 LEFT, TOP, SIDE = 110, 100, 700  # the frame of draw_image, px
@@ -147,6 +147,15 @@ def test_a_full_disk_leaves_the_old_picture(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.undo()
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["image.png"]
+
+
+def lightness(rgb: np.ndarray) -> np.ndarray:
+    """CIE L* (0..100) of sRGB colours (..., 3), after IEC 61966-2-1 and CIE 15."""
+    linear = np.asarray(rgb, dtype=np.float64) / 255
+    linear = np.where(linear <= 0.04045, linear / 12.92, ((linear + 0.055) / 1.055) ** 2.4)
+    luminance = linear @ np.array([0.2126, 0.7152, 0.0722])
+    curve = np.where(luminance > 216 / 24389, np.cbrt(luminance), luminance * 24389 / 27 / 116 + 16 / 116)
+    return np.asarray(116 * curve - 16)
 
 
 def test_lightness_rises_over_the_whole_colour_table() -> None:

@@ -18,7 +18,7 @@ from tagid.storage.assembly import unwrap
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any, remarks
 from tagid.storage.mrm_ret import read_mrm_ret
-from tagid.storage.recordings import encode_recording, read_recording, write_recording
+from tagid.storage.recordings import encode_recording, read_recording
 
 SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
 REAL = [SHARED / "data" / "p440" / name for name in ("corner-reflector-scan08.out", "light-pole-scan04.out")]
@@ -199,7 +199,7 @@ def test_clipped_views_are_marked(tmp_path: Path) -> None:
         radar_time_ms=np.arange(3.0),
         radar=RadarInfo(config=RadarSettings(base_integration_index=11)),
     )
-    write_recording(tmp_path / "a.out", capture)
+    (tmp_path / "a.out").write_bytes(encode_recording(capture))
     again = read_recording(tmp_path / "a.out")
     assert again.flags is not None
     assert (again.flags & ViewFlag.CLIPPED).astype(bool).tolist() == [False, True, True]
@@ -211,7 +211,7 @@ def test_capture_from_elsewhere_keeps_its_ranges(tmp_path: Path, start: float) -
     capture = Capture(
         samples, start, RANGE_STEP_M, radar_time_ms=np.arange(12.0), radar=RadarInfo(cable_delay_ps=11_000.0)
     )
-    write_recording(tmp_path / "a.out", capture)
+    (tmp_path / "a.out").write_bytes(encode_recording(capture))
     again = read_recording(tmp_path / "a.out", cable_delay_ps=11_000)
     assert again.range_start_m == pytest.approx(start, abs=1e-4)  # whole ps are 0.15 mm
     np.testing.assert_array_equal(again.samples, samples)

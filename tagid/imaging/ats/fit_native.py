@@ -172,14 +172,6 @@ def state_names() -> list[str]:
     ]
 
 
-def input_names() -> list[str]:
-    """Names of the graph's inputs, in the order of `Step`."""
-    state = [f"{prefix}{name}" for prefix in ("", "first_", "second_") for name in parameter_names()]
-    grid = [f"interpolation_{i}" for i in range(LEVELS)]
-    rest = ("support", "index", "real", "imaginary", "transmission", "spread", "samples", "confidence")
-    return [*state, *grid, *rest, "numbers"]
-
-
 class OnnxEngine:
     """State of a fit on onnxruntime: parameters and Adam's moments.
 

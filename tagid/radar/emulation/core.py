@@ -137,7 +137,6 @@ class _State:
     filters: ServerFilters = field(default_factory=lambda: ServerFilters(RAW_FILTER, 0))
     boots_until_s: float | None = None
     run: _Run | None = None
-    clipped: int = 0
     ended: bool = False
 
 
@@ -196,11 +195,6 @@ class EmulatorCore:
     def ended(self) -> bool:
         """Whether a recording has ended: the run stopped because no scans were left."""
         return self._state.ended and self._state.run is None
-
-    @property
-    def clipped_samples(self) -> int:
-        """Samples that were clipped at the radar's full scale."""
-        return self._state.clipped
 
     @property
     def next_due_s(self) -> float | None:
@@ -295,7 +289,6 @@ class EmulatorCore:
         if samples.shape != (config.samples,):
             raise ValueError(f"source gave shape {samples.shape}, expected ({config.samples},)")
         limit = config.clip_counts
-        state.clipped += int(np.count_nonzero(np.abs(samples) > limit))
         stamp = self._fixed.timestamp_ms(index) & 0xFFFFFFFF if self._fixed else self._timestamp()
         taken = np.clip(samples, -limit, limit).astype(np.int32)
         return state.filters.packets(taken, config, (run.first_id + index) & 0xFFFF, stamp)

@@ -1,0 +1,38 @@
+"""Writing the graphs that the package ships, with their entries in the manifest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tagid import interrupts
+from tagid.files import write_bytes
+from tagid.models_store import FOLDER, MANIFEST_VERSION, OPSET, ModelEntry, Tensor, manifest
+
+
+def write_entry(entry: ModelEntry, content: bytes, folder: Path = FOLDER) -> None:
+    """Add a model and its manifest entry to a folder, replacing one of the same name."""
+    path = folder / "manifest.json"
+    data: dict[str, Any] = {"manifest_version": MANIFEST_VERSION, "models": {}}
+    if path.exists():
+        data["models"] = {name: old.to_json() for name, old in manifest(folder).items()}
+    data["models"][entry.name] = entry.to_json()
+    with interrupts.deferred():
+        write_bytes(folder / entry.file, content)
+        write_bytes(path, (json.dumps(data, indent=1, sort_keys=True) + "\n").encode())
+    manifest.cache_clear()
+
+
+def entry_of(
+    name: str,
+    content: bytes,
+    inputs: Mapping[str, Tensor],
+    outputs: Mapping[str, Tensor],
+    facts: Mapping[str, Any],
+) -> ModelEntry:
+    """The manifest entry of a graph with these inputs and outputs."""
+    digest = hashlib.sha256(content).hexdigest()
+    return ModelEntry(name, f"{name}.onnx", digest, len(content), OPSET, inputs, outputs, facts)
