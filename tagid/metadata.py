@@ -28,7 +28,11 @@ _LARGEST_INTEGRATION_INDEX = 15
 
 
 class JsonValue:
-    """A frozen dataclass that is a JSON object in files."""
+    """A frozen dataclass that is a JSON object in files.
+
+    msgspec would take the 25 lines of `_decoded` and `_encoded`, not `extra`, the checks of what code makes
+    or the words of the errors, for 696 KB and 11 ms at every start.
+    """
 
     def __post_init__(self) -> None:
         for name, kind in _kinds(type(self)).items():

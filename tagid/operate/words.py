@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tagid.counting import counted
+from tagid.imaging.facts import ImageFacts, facts_of
 from tagid.metadata import Ending, RadarInfo, ResolvedMotion
 from tagid.operate.truth import Comparison
 from tagid.pipeline.identify import WHOLE_TURN
@@ -238,7 +239,7 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
     return [f"the given axis distance is used: {focus.reason}"]
 
 
-def held_out_words(settings: dict[str, Any]) -> list[str]:
+def held_out_words(settings: ImageFacts) -> list[str]:
     """How well the image predicts held-out views: the main quality figure of every image."""
     held_out = settings.get("held_out")
     if not held_out:
@@ -272,7 +273,7 @@ def held_out_words(settings: dict[str, Any]) -> list[str]:
     return lines
 
 
-def prior_words(settings: dict[str, Any]) -> list[str]:
+def prior_words(settings: ImageFacts) -> list[str]:
     """The prior that ATS used instead of its default, if it tried any, and the priors that it did not try."""
     words = _prior_words(settings)
     skipped = settings.get("priors_not_tried")
@@ -281,7 +282,7 @@ def prior_words(settings: dict[str, Any]) -> list[str]:
     return words
 
 
-def _prior_words(settings: dict[str, Any]) -> list[str]:
+def _prior_words(settings: ImageFacts) -> list[str]:
     from tagid.imaging.ats.settings import Prior
 
     prior, tried = settings.get("prior"), settings.get("prior_trials")
@@ -308,7 +309,7 @@ def _prior_words(settings: dict[str, Any]) -> list[str]:
     return [f"prior {prior}: {residual}, {than}"]
 
 
-def outside_words(settings: dict[str, Any]) -> list[str]:
+def outside_words(settings: ImageFacts) -> list[str]:
     """The share of energy from outside the image, if it is large."""
     outside = settings.get("outside")
     if not outside:
@@ -332,9 +333,9 @@ def pulse_words(pulse: PulseEstimate | None) -> list[str]:
     return [f"assumed pulse kept: an estimate {unseen}, it {100 * pulse.assumed_residual:.1f} %"]
 
 
-def calibration_words(settings: dict[str, Any]) -> list[str]:
+def calibration_words(settings: ImageFacts) -> list[str]:
     """The parameters that ATS estimated besides the scene, one line each, with standard errors."""
-    calibration: dict[str, Any] = settings.get("calibration") or {}
+    calibration = settings.get("calibration") or {}
     lines: list[str] = []
     if "axis" in calibration:
         axis = calibration["axis"]
@@ -359,15 +360,16 @@ def calibration_words(settings: dict[str, Any]) -> list[str]:
 
 def learned_words(result: Reconstruction) -> list[str]:
     """Everything that a reconstruction reports of its image, one line each."""
+    facts = facts_of(result.image.settings)
     return [
-        *held_out_words(result.image.settings),
-        *prior_words(result.image.settings),
-        *outside_words(result.image.settings),
-        *result.image.settings.get("warnings", ()),
+        *held_out_words(facts),
+        *prior_words(facts),
+        *outside_words(facts),
+        *facts.get("warnings", ()),
         *focus_words(result.focus),
         *region_words(result.region),
         *pulse_words(result.pulse),
-        *calibration_words(result.image.settings),
+        *calibration_words(facts),
     ]
 
 

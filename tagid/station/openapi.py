@@ -1,4 +1,8 @@
-"""The description of the JSON API, OpenAPI 3.1."""
+"""The description of the JSON API, OpenAPI 3.1.
+
+msgspec would write the 26 schemas from 26 classes with the same 107 members, for 696 KB and 11 ms at every
+start; the answers, which are dictionaries, would have to become their instances first.
+"""
 
 from __future__ import annotations
 

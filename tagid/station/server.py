@@ -77,7 +77,11 @@ STALL_S = 20.0
 
 
 class StationHttp(H11Protocol):
-    """HTTP with limits on connections, on the arrival of a request, and on the reading of a response."""
+    """HTTP with limits on connections, on the arrival of a request, and on the reading of a response.
+
+    Of uvicorn's own, those on a request's head and on idle connections serve. `limit_concurrency` answers 503
+    to whoever comes last, so that one address could take every place, and nothing ends a slow reader.
+    """
 
     _stalled: asyncio.TimerHandle | None = None
     _waits_since = 0.0

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
+from tagid.imaging.facts import CalibrationFacts
 
 StepProgress = Callable[[int, int, float], None]
 """Called after every step with (steps done, steps at most, loss)."""
@@ -248,9 +249,9 @@ class Calibration:
     gain_sigma: NDArray[np.float64]
     static: NDArray[np.complex64]
 
-    def facts(self, learned: tuple[str, ...]) -> dict[str, Any]:
+    def facts(self, learned: tuple[str, ...]) -> CalibrationFacts:
         """What was learned, of `CALIBRATIONS`, as plain JSON values; empty if nothing was."""
-        values: dict[str, Any] = {}
+        values: CalibrationFacts = {}
         if "axis" in learned and np.isfinite(self.axis_sigma_m):
             values["axis"] = {
                 "distance_m": self.axis_distance_m,
@@ -286,7 +287,8 @@ _FIXED: dict[str, float] = {
     "wobble_harmonics": WOBBLE_HARMONICS, "patience": 0, "width": WIDTH, "hidden": HIDDEN, "finest_m": 0.0,
     "levels": LEVELS, "features": FEATURES, "coarsest": COARSEST, "threads": THREADS,
 }  # fmt: skip
-"""What once was a setting, as an image's settings go on to say it; nothing else was ever found better."""
+"""What once was a setting, as an image's settings go on to say it; no command, benchmark or page used another
+value."""
 
 _SPARSITY = "Use prior=sparse (l1 0.1), prior=default (0.03) or prior=dense (0.003)."
 _NOW = {
