@@ -15,7 +15,8 @@ from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid, VolumeGrid
 from tagid.imaging import kernel, memory, volume
-from tagid.imaging.ats.volume import Field, Interpolation, VolumeFitSettings, fit_volume
+from tagid.imaging.ats import volume as volume_fit
+from tagid.imaging.ats.volume import Field, Interpolation, fit_volume
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.volume import backproject_volume, sparse_volume
@@ -106,7 +107,7 @@ def test_sparse_voxels_are_points_of_their_amplitude() -> None:
     assert np.vdot(left, left).real < 0.05 * np.vdot(scans.samples, scans.samples).real
 
 
-def test_a_fit_begins_as_the_backprojection_and_ends_below_it() -> None:
+def test_a_fit_begins_as_the_backprojection_and_ends_below_it(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = PreprocessSettings("none", False, extent_m=0.24, heights_m=(-0.12, 0.12))
     one = join([record(POINTS, [1, 0.8, 1], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
     scans = preprocess(one, settings=settings)
@@ -114,9 +115,7 @@ def test_a_fit_begins_as_the_backprojection_and_ends_below_it() -> None:
     calls: list[float] = []
     left = []
     for steps in (1, 60):
-        made = fit_volume(
-            matched, scans, GRID, VolumeFitSettings(steps=steps), lambda d, t, _: calls.append(d / t)
-        )
+        made = fit_volume(matched, scans, GRID, lambda d, t, _: calls.append(d / t), steps)
         seen = ForwardOperator(scans, GRID.points()).forward(made.values.ravel())
         left.append(np.linalg.norm(seen - scans.samples) ** 2 / np.linalg.norm(scans.samples) ** 2)
         assert calls == sorted(calls)
@@ -128,7 +127,8 @@ def test_a_fit_begins_as_the_backprojection_and_ends_below_it() -> None:
     assert made.settings["active_voxels"] == fitted.sum()
     assert left[1] < 0.06
     assert left[1] < 0.2 * left[0]
-    few = fit_volume(matched, scans, GRID, VolumeFitSettings(steps=1, most_active=50))
+    monkeypatch.setattr(volume_fit, "MOST_ACTIVE", 50)
+    few = fit_volume(matched, scans, GRID, steps=1)
     assert np.count_nonzero(few.values) == 50
     assert np.abs(first.values)[few.values != 0].min() >= np.sort(np.abs(first.values).ravel())[-50]
     dark = replace(scans, samples=np.zeros_like(scans.samples))
@@ -143,7 +143,7 @@ def test_the_gradient_of_the_field_is_that_of_its_loss() -> None:
     table, values = rng.random((2, 27)).astype(np.float32), rng.random((2, 40)).astype(np.float32)
     assert np.vdot(at[1].read(table), values) == pytest.approx(np.vdot(table, at[1].spread(values)), rel=1e-5)
     first = rng.standard_normal(27) + 1j * rng.standard_normal(27)
-    field = Field.carrying(first, at, 2.0, VolumeFitSettings(levels=2))
+    field = Field.carrying(first, at, 2.0)
     values = field.evaluate(field.layers()[-1])
     np.testing.assert_allclose(
         values,

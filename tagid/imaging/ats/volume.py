@@ -10,20 +10,20 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.errors import UsageError
 from tagid.geometry import VolumeGrid
+from tagid.imaging.ats.fit import sparsity_weight
 from tagid.imaging.ats.problem import MAGNITUDE_FLOOR
+from tagid.imaging.ats.settings import DECAY, LEARNING_RATE, FieldPrior
 from tagid.imaging.ats.taps import BETA1, BETA2, EPSILON, SMALLEST
 from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
-from tagid.imaging.sparse import column_norm
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.volume import Volume, backproject_volume, vertical_resolution_m
 from tagid.types import Progress
@@ -49,53 +49,25 @@ _SEED_SHARE = 0.35
 """Part of the progress that the backprojection takes."""
 
 
-@dataclass(frozen=True)
-class VolumeFitSettings:
-    """Parameters of `fit_volume`.
-
-    Attributes:
-        steps: optimisation steps.
-        learning_rate, decay: Adam's rate, and what is left of it after all steps.
-        l1: weight of the sparsity prior, as a fraction of the weight at which the volume would be zero.
-        noise_factor: the weight is never less than this times the standard deviation of A^H noise.
-        views_per_step: largest number of views of one step.
-        active_share: voxels under this share of the backprojection's maximum stay zero.
-        most_active: largest number of voxels that are fitted, the brightest ones.
-        levels, features, coarsest: resolutions of the grid, features of each, cells per side of the coarsest.
-        width: units of the hidden layer.
-        seed: of the initial weights.
-    """
-
-    steps: int = 80
-    learning_rate: float = 0.06
-    decay: float = 0.2
-    l1: float = 0.03
-    noise_factor: float = 3.0
-    views_per_step: int = 400
-    active_share: float = 0.1
-    most_active: int = 200_000
-    levels: int = 6
-    features: int = 2
-    coarsest: int = 6
-    width: int = 16
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "views_per_step", "most_active", "levels", "features", "coarsest", "width"):
-            if not 1 <= getattr(self, name) <= 10**6:
-                raise UsageError(f"volume setting {name} is {getattr(self, name)}", "Give 1 to 1000000.")
-        for name in ("learning_rate", "decay", "l1", "noise_factor", "active_share"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise UsageError(f"volume setting {name} is {value}", "Give zero or more.")
+STEPS = 80
+_VIEWS_PER_STEP = 400
+"""Most views of one step."""
+_LEVELS, _FEATURES, _COARSEST, _WIDTH = 6, 2, 6, 16
+"""Resolutions of the grid, features of each, cells a side of the coarsest, units of the hidden layer."""
+_ACTIVE_SHARE = 0.1
+"""Voxels under this share of the backprojection's maximum stay zero."""
+MOST_ACTIVE = 200_000
+"""Most voxels that are fitted, the brightest ones."""
+_SEED = 0
+"""Of the initial weights and of the order of the views."""
 
 
 def fit_volume(
     matched: BasebandScans,
     scans: BasebandScans,
     grid: VolumeGrid,
-    settings: VolumeFitSettings | None = None,
     progress: Progress | None = None,
+    steps: int = STEPS,
 ) -> Volume:
     """Reconstruct a volume by analysis through synthesis.
 
@@ -103,13 +75,12 @@ def fit_volume(
         matched: baseband scans with matched filter, for the backprojection that seeds the fit.
         scans: the same without, which the field is fitted to.
         grid: voxels.
-        settings: see `VolumeFitSettings`.
         progress: called with (done, total, remark).
+        steps: of the optimisation.
 
     Raises:
         UsageError: the volume or the fit would not fit into memory.
     """
-    settings = settings or VolumeFitSettings()
 
     def part(begin: float, end: float) -> Callable[[float, float, str], None]:
         def report(done: float, total: float, remark: str) -> None:
@@ -119,9 +90,15 @@ def fit_volume(
         return report
 
     first = backproject_volume(matched, grid, part(0, _SEED_SHARE))
-    values, facts = _Fit(scans, grid, settings, np.abs(first.values).ravel()).run(part(_SEED_SHARE, 1))
+    values, facts = _Fit(scans, grid, steps, np.abs(first.values).ravel()).run(part(_SEED_SHARE, 1))
     shape = (grid.levels, grid.square.pixels, grid.square.pixels)
-    return Volume(values.reshape(shape), grid, {"method": "ats", **asdict(settings), **facts})
+    fixed = {
+        "learning_rate": LEARNING_RATE, "decay": DECAY, "l1": FieldPrior.l1,
+        "noise_factor": FieldPrior.noise_factor, "views_per_step": _VIEWS_PER_STEP,
+        "active_share": _ACTIVE_SHARE, "most_active": MOST_ACTIVE, "levels": _LEVELS, "features": _FEATURES,
+        "coarsest": _COARSEST, "width": _WIDTH, "seed": _SEED,
+    }  # fmt: skip
+    return Volume(values.reshape(shape), grid, {"method": "ats", "steps": steps, **fixed, **facts})
 
 
 class _Fit:
@@ -130,7 +107,7 @@ class _Fit:
     Args:
         scans: without matched filter.
         grid: voxels.
-        settings: see there.
+        steps: of the optimisation.
         bright: (voxels,) magnitude of the backprojection.
     """
 
@@ -138,20 +115,18 @@ class _Fit:
         self,
         scans: BasebandScans,
         grid: VolumeGrid,
-        settings: VolumeFitSettings,
+        steps: int,
         bright: NDArray[np.floating],
     ) -> None:
-        self.scans, self.grid, self.settings = scans, grid, settings
-        self.active = _active(bright, settings)
-        per_voxel = 4 * (
-            8 * 2 * settings.levels + 6 * settings.width + 4 * settings.levels * settings.features
-        )
+        self.scans, self.grid, self.steps = scans, grid, steps
+        self.active = _active(bright)
+        per_voxel = 4 * (8 * 2 * _LEVELS + 6 * _WIDTH + 4 * _LEVELS * _FEATURES)
         require_memory(
             per_voxel * len(self.active) + 16 * grid.voxels,
             f"fits of {len(self.active):,} voxels",
             "Use fewer pixels (`imaging.pixels`) or levels (`levels`).",
         )
-        rng = np.random.default_rng(settings.seed)
+        rng = np.random.default_rng(_SEED)
         views = scans.aperture.views
         self.order = rng.permutation(views)
         self.sample = np.sort(self.order[: min(views, _SAMPLE_VIEWS)])
@@ -170,8 +145,7 @@ class _Fit:
         peak = float(np.abs(back).max())
         seen = some.forward(back)
         step = float(np.vdot(seen, data).real / max(float(np.vdot(seen, seen).real), 1e-300))
-        floor = self.settings.noise_factor * self.scans.noise_std * column_norm(self.scans)
-        weight = min(max(self.settings.l1 * peak, floor), 0.5 * peak)
+        weight = sparsity_weight(self.scans, peak, FieldPrior())
         scale = _SHARPENED * step * peak
         field = self._field(scale, step, whole)
         mean, losses = self._optimise(field, operator, energy, 2 * weight / energy, progress)
@@ -184,8 +158,8 @@ class _Fit:
 
     def _field(self, scale: float, step: float, whole: float) -> Field:
         """The field that carries the backprojection."""
-        settings, grid = self.settings, self.grid
-        cells = _cells(self.scans, grid, settings)
+        grid = self.grid
+        cells = _cells(self.scans, grid)
         axes = [_axes(grid, cell) for cell in cells]
         vertices = np.stack([part.ravel() for part in np.meshgrid(*axes[-1][::-1], indexing="ij")], axis=1)
         some = ForwardOperator(self.scans, vertices[:, ::-1]).select(self.sample)
@@ -193,17 +167,17 @@ class _Fit:
         first = back * np.complex64(step * whole / scale)
         points = _points(grid, self.active)
         at = [Interpolation.of(points, axis) for axis in axes]
-        return Field.carrying(first, at, scale, settings)
+        return Field.carrying(first, at, scale)
 
     def _optimise(
         self, field: Field, operator: ForwardOperator, energy: float, sparsity: float, progress: Progress
     ) -> tuple[Field, list[float]]:
         """All steps; the mean field over the last of them, and the losses."""
-        settings, views = self.settings, self.scans.aperture.views
-        count = min(settings.views_per_step, views)
+        views = self.scans.aperture.views
+        count = min(_VIEWS_PER_STEP, views)
         stride = max(1, round(views / count))
         mean, since, losses = field, 0, list[float]()
-        for step in range(settings.steps):
+        for step in range(self.steps):
             chosen = np.sort(self.order[step % stride :: stride])
             data = self.scans.samples[chosen]
             some = operator.select(chosen)
@@ -214,12 +188,12 @@ class _Fit:
             magnitude = np.sqrt(np.abs(sigma) ** 2 + np.float32((field.scale * MAGNITUDE_FLOOR) ** 2))
             losses.append(share * float(np.vdot(residual, residual).real) + sparsity * float(magnitude.sum()))
             slope = np.float32(2 * share) * some.adjoint(residual) + np.float32(sparsity) * sigma / magnitude
-            rate = settings.learning_rate * settings.decay ** (step / settings.steps)
+            rate = LEARNING_RATE * DECAY ** (step / self.steps)
             field.descend(layers, slope, rate, step + 1)
-            if step + 1 > settings.steps * (1 - _MEAN_OVER):
+            if step + 1 > self.steps * (1 - _MEAN_OVER):
                 since += 1
                 mean = field.copy() if since == 1 else mean.mixed(field, 1 / since)
-            progress(step + 1, settings.steps, "")
+            progress(step + 1, self.steps, "")
         return (mean if since else field), losses
 
 
@@ -299,7 +273,6 @@ class Field:
         first: NDArray[np.complexfloating],
         at: list[Interpolation],
         scale: float,
-        settings: VolumeFitSettings,
     ) -> Field:
         """A field whose output is a first image, beside random features.
 
@@ -307,24 +280,22 @@ class Field:
             first: (vertices,) image at the vertices of the finest level, relative to the scale.
             at: interpolation of every level.
             scale: of the output.
-            settings: sizes and seed.
         """
-        rng = np.random.default_rng(settings.seed)
+        rng = np.random.default_rng(_SEED)
 
         def uniform(bound: float, *size: int) -> Array:
             return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
 
-        features, width = max(settings.features, 2), max(settings.width, len(_PASSED))
-        tables = [uniform(_TABLE_INIT, features, level.vertices) for level in at]
-        inputs, peak = features * len(at), float(np.abs(first).max(initial=1e-30))
-        hidden, output = uniform(inputs**-0.5, width, inputs), uniform(width**-0.5, 2, width)
+        tables = [uniform(_TABLE_INIT, _FEATURES, level.vertices) for level in at]
+        inputs, peak = _FEATURES * len(at), float(np.abs(first).max(initial=1e-30))
+        hidden, output = uniform(inputs**-0.5, _WIDTH, inputs), uniform(_WIDTH**-0.5, 2, _WIDTH)
         output *= np.float32(_REST)
-        biases = [uniform(inputs**-0.5, width, 1), np.zeros((2, 1), np.float32)]
+        biases = [uniform(inputs**-0.5, _WIDTH, 1), np.zeros((2, 1), np.float32)]
         tables[-1][0] += (first.real / peak).astype(np.float32)
         tables[-1][1] += (first.imag / peak).astype(np.float32)
         for row, (part, sign) in enumerate(_PASSED):
             hidden[row], biases[0][row], output[:, row] = 0, 0, 0
-            hidden[row, inputs - features + part] = sign
+            hidden[row, inputs - _FEATURES + part] = sign
             output[part, row] = sign * peak
         # What the biases alone give is an echo of the whole volume.
         biases[1][:] = -output @ np.maximum(biases[0], 0)
@@ -379,15 +350,15 @@ class Field:
         return self.parameters[self.levels : self.levels + 2]
 
 
-def _active(bright: NDArray[np.floating], settings: VolumeFitSettings) -> NDArray[np.intp]:
+def _active(bright: NDArray[np.floating]) -> NDArray[np.intp]:
     """Numbers of the voxels that are fitted, rising."""
     top = float(bright.max(initial=0.0))
     if top == 0:
         return np.zeros(0, dtype=np.intp)
-    active = np.flatnonzero(bright >= settings.active_share * top)
-    if len(active) > settings.most_active:
-        order = np.argpartition(bright[active], len(active) - settings.most_active)
-        active = np.sort(active[order[-settings.most_active :]])
+    active = np.flatnonzero(bright >= _ACTIVE_SHARE * top)
+    if len(active) > MOST_ACTIVE:
+        order = np.argpartition(bright[active], len(active) - MOST_ACTIVE)
+        active = np.sort(active[order[-MOST_ACTIVE:]])
     return np.asarray(active, dtype=np.intp)
 
 
@@ -398,14 +369,12 @@ def _points(grid: VolumeGrid, voxels: NDArray[np.intp]) -> NDArray[np.float64]:
     return np.column_stack([axis[column], axis[row], grid.heights[level]])
 
 
-def _cells(scans: BasebandScans, grid: VolumeGrid, settings: VolumeFitSettings) -> list[tuple[int, int]]:
+def _cells(scans: BasebandScans, grid: VolumeGrid) -> list[tuple[int, int]]:
     """(cells across, cells upwards) of every level, coarse to fine: half a resolution at the finest."""
     across = max(1, min(grid.square.pixels, round(grid.square.extent / finest_cell_m(scans.wavelength_m))))
     rise = (grid.top - grid.bottom) * _CELLS_PER_RESOLUTION / vertical_resolution_m(scans)
     up = int(np.clip(round(rise), 1, grid.levels))
-    series = np.geomspace(min(settings.coarsest, across), across, settings.levels)
-    if settings.levels == 1:
-        series = np.array([float(across)])
+    series = np.geomspace(min(_COARSEST, across), across, _LEVELS)
     return [(int(n), max(1, round(up * n / across))) for n in np.floor(series + 1e-9)]
 
 
