@@ -7,6 +7,7 @@ where a compiler was present at installation, numpy with the same arithmetic whe
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,14 @@ _PAIRS_PER_THREAD = 100_000
 _BYTES_PER_PAIR = 8
 """Index and single-precision weight of the fallback."""
 
+_MOST_STORED = 1 << 25
+"""Pairs of view and point whose places are kept in double precision; more are computed again each time."""
+
+
+FAR = 2.0**20
+"""Steps to an antenna from which on a distance is computed in double precision, by numpy: in single precision
+it is rounded to an eighth of a step there, and the phases of a flight at 10 km to stripes."""
+
 
 _NO_LIGHT = np.zeros(0, dtype=np.complex64)
 
@@ -48,16 +57,16 @@ class RangeGeometry:
     """Where points lie on the range grid of each view, in units of its step.
 
     Attributes:
-        antenna: (views, 3) float32 antenna positions.
-        second: (views, 3) float32 positions of the receiver where it is another antenna, else (0, 3).
+        antenna: (views, 3) antenna positions, float32, or float64 where one is `FAR`.
+        second: (views, 3) positions of the receiver where it is another antenna, else (0, 3).
         x, y: (points,) float32.
         z: (points,) float32 heights, or (0,) where all lie in the plane z = 0.
         start: range of the first bin.
         bins: bins of a row.
     """
 
-    antenna: NDArray[np.float32]
-    second: NDArray[np.float32]
+    antenna: NDArray[np.floating]
+    second: NDArray[np.floating]
     x: NDArray[np.float32]
     y: NDArray[np.float32]
     z: NDArray[np.float32]
@@ -88,8 +97,10 @@ class RangeGeometry:
                 "Check the antenna positions (metres, in the object's frame) and the extent of the image.",
             )
         first, step = range_m
-        antennas = [np.ascontiguousarray(antenna / step, dtype=np.float32) for antenna in aperture.antennas]
-        second = antennas[1] if len(antennas) > 1 else np.zeros((0, 3), dtype=np.float32)
+        farthest = max(float(np.abs(antenna).max()) for antenna in aperture.antennas)
+        exact: type[np.floating] = np.float64 if farthest > FAR * step else np.float32
+        antennas = [np.ascontiguousarray(antenna / step, dtype=exact) for antenna in aperture.antennas]
+        second = antennas[1] if len(antennas) > 1 else np.zeros((0, 3), dtype=exact)
         place = [np.ascontiguousarray(axis / step, dtype=np.float32) for axis in np.asarray(points_m).T]
         z = place[2] if len(place) > 2 else np.zeros(0, dtype=np.float32)
         return cls(antennas[0], second, place[0], place[1], z, first / step, bins)
@@ -98,6 +109,11 @@ class RangeGeometry:
     def views(self) -> int:
         """Number of views."""
         return len(self.antenna)
+
+    @property
+    def _in_single(self) -> bool:
+        """Whether single precision, which the C extension counts in, is enough."""
+        return self.antenna.dtype == np.float32
 
     @property
     def points(self) -> int:
@@ -129,7 +145,7 @@ class RangeGeometry:
         """
         z = np.ascontiguousarray(rows, dtype=np.complex64).reshape(self.views, self.bins)
         out = np.zeros((1 if light is None else light.shape[1], self.points), dtype=np.complex64)
-        if _compiled is not None:
+        if _compiled is not None and self._in_single:
             some = _NO_LIGHT if light is None else np.ascontiguousarray(light, dtype=np.complex64)
             place = (self.antenna, self.second, self.x, self.y, self.z, some)
             _compiled.gather(*place, z, out, self.bins, self.start, self._threads(self.points))
@@ -150,7 +166,7 @@ class RangeGeometry:
         channels = 1 if light is None else light.shape[1]
         x = np.ascontiguousarray(values, dtype=np.complex64).reshape(channels, self.points)
         out = np.zeros((self.views, self.bins), dtype=np.complex64)
-        if _compiled is not None:
+        if _compiled is not None and self._in_single:
             some = _NO_LIGHT if light is None else np.ascontiguousarray(light, dtype=np.complex64)
             place = (self.antenna, self.second, self.x, self.y, self.z, some)
             _compiled.scatter(*place, x, out, self.bins, self.start, self._threads(self.views))
@@ -184,8 +200,10 @@ class RangeGeometry:
         worth = min(self.views * self.points // _PAIRS_PER_THREAD + 1, parts)
         return max(1, min(cores(), worth)) if worth > 1 else 1
 
-    def _places(self) -> list[tuple[NDArray[np.int32], NDArray[np.float32]]]:
+    def _places(self) -> Iterable[tuple[NDArray[np.int32], NDArray[np.float32]]]:
         """Bin (points,) before every point, and its place between that and the next, for each view."""
+        if not self._in_single and self.views * self.points > _MOST_STORED:
+            return (self._place(view) for view in range(self.views))
         return self._stored
 
     @cached_property
@@ -202,16 +220,17 @@ class RangeGeometry:
         t = self._ranges(self.antenna[view])
         if len(self.second):
             t = np.float32(0.5) * (t + self._ranges(self.second[view]))
-        t -= np.float32(self.start)
+        # In double precision until the common part of all ranges is off.
+        t = np.asarray(t - t.dtype.type(self.start), dtype=np.float32)
         np.clip(t, np.float32(0), np.float32(self.bins - 1), out=t)
         whole = np.minimum(t, np.float32(self.bins - 2)).astype(np.int32)
         return whole, t - whole.astype(np.float32)
 
-    def _ranges(self, antenna: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _ranges(self, antenna: NDArray[np.floating]) -> NDArray[np.floating]:
         """(points,) distance from one antenna position (3,)."""
         ax, ay, az = antenna
         up = (self.z - az) ** 2 if len(self.z) else az * az
-        return np.asarray(np.sqrt((self.x - ax) ** 2 + (self.y - ay) ** 2 + up), dtype=np.float32)
+        return np.asarray(np.sqrt((self.x - ax) ** 2 + (self.y - ay) ** 2 + up), dtype=antenna.dtype)
 
 
 def cores() -> int:
