@@ -7,6 +7,7 @@ that a turntable and a free path are the same thing to them.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,14 @@ if TYPE_CHECKING:
 PHASE_STEP = 0.2
 """Phase of the carrier between fine range bins, rad. Between them the interpolated carrier is at most
 PHASE_STEP^2 / 8 too small (0.5 %); `interpolation_gain` takes the mean of that off, 0.15 % rms stays."""
+
+_ENVELOPE_STEPS = 4
+"""Steps of an envelope within a range bin."""
+
+_BLOCK_BINS = 32
+"""Bins between the fine bins of one block of the spread, where it is kept in blocks,"""
+_BANDED_FROM = 2
+"""which it is from so many times the bins of a block on."""
 
 
 class ForwardOperator:
@@ -53,13 +62,12 @@ class ForwardOperator:
         views, bins = scans.aperture.views, scans.samples.shape[1]
         start, step, fine_bins = fine_range(scans, points)
         require_memory(
-            8 * (fine_bins * (2 * views + 3 * bins) + 4 * len(points)),
+            8 * (fine_bins * (2 * views + 3 * _width(scans)) + 4 * len(points)),
             f"{views} views of points {start:.2f} to {start + step * fine_bins:.2f} m from the antenna",
             "Use fewer views or a smaller extent, and check the antenna positions (m, object's frame).",
         )
         self.geometry = RangeGeometry.of(scans.aperture, points, (start, step), fine_bins)
-        self._spread = _spread(scans, start + step * np.arange(fine_bins, dtype=np.float64))
-        self._collect = np.ascontiguousarray(self._spread.conj().T)
+        self._spread = _Spread.of(scans, start + step * np.arange(fine_bins, dtype=np.float64))
         self._fine_step, self._phase_step = step, 2 * scans.wavenumber * step
         self.views, self.bins, self.points = views, bins, len(points)
         self._norms: dict[tuple[int, int], float] = {}
@@ -75,33 +83,24 @@ class ForwardOperator:
 
     def forward(self, sigma: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """Scans (views, bins) complex64 of reflectivities (points,)."""
-        return np.asarray(self.geometry.scatter(sigma) @ self._spread, dtype=np.complex64)
+        return self._spread.forward(self.geometry.scatter(sigma))
 
     def forward_by_view(self, sigma: Iterable[NDArray[np.complexfloating]]) -> NDArray[np.complex64]:
         """As `forward`, where every view sees other reflectivities: (points,) of each view in turn."""
         by_view = (self.geometry.select(slice(view, view + 1)) for view in range(self.views))
         rows = [geometry.scatter(values) for geometry, values in zip(by_view, sigma, strict=True)]
-        return np.asarray(np.concatenate(rows) @ self._spread, dtype=np.complex64)
+        return self._spread.forward(np.concatenate(rows))
 
     def slope(self, sigma: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """Derivative (views, bins) of `forward` by a distance that all points move away by, per m."""
-        step = self._fine_step
-        by_range = np.asarray(np.gradient(self._spread, step, axis=0), dtype=np.complex64)
         # Central differences of a carrier that turns by phi a step are sin(phi) / phi too small.
-        gain = np.float32(1 / np.sinc(self._phase_step / np.pi))
-        return np.asarray(self.geometry.scatter(sigma) @ (by_range * gain), dtype=np.complex64)
+        gain = 1 / np.sinc(self._phase_step / np.pi)
+        return self._spread.slope(gain / self._fine_step).forward(self.geometry.scatter(sigma))
 
     def adjoint(self, scans: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """A^H y (points,) complex64 of scans (views, bins) or (views * bins,)."""
         y = np.asarray(scans, dtype=np.complex64).reshape(self.views, self.bins)
-        return self.geometry.gather(y @ self._collect)
-
-    def envelope(self, scans: NDArray[np.complexfloating]) -> NDArray[np.float32]:
-        """(points,) what `adjoint` would give at most, whatever the phases of the views: the sum of their
-        magnitudes. It changes with the range resolution, not with the wavelength."""
-        y = np.asarray(scans, dtype=np.complex64).reshape(self.views, self.bins)
-        rows = np.abs(y @ self._collect).astype(np.complex64)
-        return np.asarray(self.geometry.gather(rows).real, dtype=np.float32)
+        return self.geometry.gather(self._spread.adjoint(y))
 
     def norm_squared(self, iterations: int = 12, seed: int = 0) -> float:
         """Largest eigenvalue of A^H A by power iteration from a seeded start (a few % from below); kept."""
@@ -133,7 +132,7 @@ class ForwardOperator:
     def _with(self, geometry: RangeGeometry) -> ForwardOperator:
         part = object.__new__(ForwardOperator)
         part.geometry = geometry
-        part._spread, part._collect = self._spread, self._collect
+        part._spread = self._spread
         part._fine_step, part._phase_step = self._fine_step, self._phase_step
         part.views, part.bins, part.points = part.geometry.views, self.bins, part.geometry.points
         part._norms = {}
@@ -144,7 +143,7 @@ class ForwardOperator:
         """G (views * fine bins, points) and S^T (fine bins, bins): y = (G x).reshape(views, -1) @ S^T."""
         from scipy import sparse
 
-        return sparse.csr_array(self.geometry.matrix()), self._spread
+        return sparse.csr_array(self.geometry.matrix()), self._spread.matrix
 
     @cached_property
     def matrix(self) -> sparse.csr_array:
@@ -152,12 +151,28 @@ class ForwardOperator:
         from scipy import sparse
 
         gather, _ = self.stages
-        spread = sparse.csr_array(self._spread.T)
+        spread = sparse.csr_array(self._spread.matrix.T)
         fine = self.geometry.bins
         rows = [spread @ gather[at : at + fine] for at in range(0, gather.shape[0], fine)]
         matrix = sparse.csr_array(sparse.vstack(rows, format="csr"))
         matrix.sort_indices()
         return matrix
+
+
+def envelope(scans: BasebandScans, points: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(points,) what `ForwardOperator.adjoint` of the scans gives at most, whatever the phases of the views:
+    the sum of their magnitudes. It changes with the range resolution, not with the wavelength.
+
+    Args:
+        scans: with their samples.
+        points: (points, 2) in the plane z = 0 or (points, 3), m.
+    """
+    near, far = reach_of(scans.aperture, points)
+    step = scans.range_step_m / _ENVELOPE_STEPS
+    fine_m = near - step + step * np.arange(int(np.ceil((far - near) / step)) + 3, dtype=np.float64)
+    rows = np.abs(_Spread.of(scans, fine_m, carrier=False).adjoint(scans.samples))
+    geometry = RangeGeometry.of(scans.aperture, points, (near - step, step), len(fine_m))
+    return np.asarray(geometry.gather(rows.astype(np.complex64)).real, dtype=np.float32)
 
 
 def interpolation_gain(phase_step: float) -> float:
@@ -185,9 +200,88 @@ def reach_of(aperture: Aperture, points: NDArray[np.float64]) -> tuple[float, fl
     return float(near.min()), float(far.max())
 
 
-def _spread(scans: BasebandScans, fine_m: NDArray[np.float64]) -> NDArray[np.complex64]:
-    """S^T (fine bins, bins): carrier and response of a point at each fine range, in every bin."""
-    step = float(fine_m[1] - fine_m[0])
-    carrier = np.exp(-2j * scans.wavenumber * fine_m) * interpolation_gain(2 * scans.wavenumber * step)
-    response = scans.response(scans.ranges_m[None, :] - fine_m[:, None])
-    return np.asarray(response * carrier[:, None], dtype=np.complex64)
+def products(scans: BasebandScans, points: NDArray[np.floating]) -> float:
+    """Multiplications of one view by `ForwardOperator` besides those for its points: fine bins times the bins
+    that a response reaches."""
+    return float(fine_range(scans, np.asarray(points, dtype=np.float64))[2] * _width(scans))
+
+
+def _width(scans: BasebandScans) -> int:
+    """Bins that a block of the spread holds: all, unless they are many times the response's."""
+    bins = scans.samples.shape[1]
+    banded = _BLOCK_BINS + 2 * int(np.ceil(scans.response.half_width_m / scans.range_step_m)) + 2
+    return banded if bins > _BANDED_FROM * banded else bins
+
+
+@dataclass(frozen=True, eq=False)
+class _Spread:
+    """S^T (fine bins, bins): carrier and response of a point at each fine range, in every bin.
+
+    A response reaches a few bins, so that of long scans (a flight over 100 m) only blocks along the diagonal
+    are kept: each a slice of fine bins, a slice of bins, and the values between them.
+    """
+
+    blocks: tuple[tuple[slice, slice, NDArray[np.complex64]], ...]
+    fine: int
+    bins: int
+
+    @classmethod
+    def of(cls, scans: BasebandScans, fine_m: NDArray[np.float64], carrier: bool = True) -> _Spread:
+        """With or without the carrier."""
+        ranges, width = scans.ranges_m, _width(scans)
+        step = float(fine_m[1] - fine_m[0])
+        phase = 2 * scans.wavenumber if carrier else 0.0
+        gain = interpolation_gain(phase * step)
+        size, blocks = len(fine_m), []
+        if width < len(ranges):
+            size = max(1, int(_BLOCK_BINS * scans.range_step_m / step))
+        for first in range(0, len(fine_m), size):
+            part = slice(first, min(first + size, len(fine_m)))
+            some, reach = slice(0, len(ranges)), scans.response.half_width_m
+            if size < len(fine_m):
+                ends = (fine_m[part.start] - reach, fine_m[part.stop - 1] + reach)
+                some = slice(*(int(at) for at in np.searchsorted(ranges, ends)))
+            turned = np.exp(-1j * phase * fine_m[part]) * gain
+            response = scans.response(ranges[None, some] - fine_m[part, None])
+            blocks.append((part, some, np.asarray(response * turned[:, None], dtype=np.complex64)))
+        return cls(tuple(blocks), len(fine_m), len(ranges))
+
+    @cached_property
+    def _adjoints(self) -> list[NDArray[np.complex64]]:
+        return [np.ascontiguousarray(values.conj().T) for *_, values in self.blocks]
+
+    @cached_property
+    def matrix(self) -> NDArray[np.complex64]:
+        """(fine bins, bins), for checks."""
+        whole = np.zeros((self.fine, self.bins), dtype=np.complex64)
+        for part, some, values in self.blocks:
+            whole[part, some] = values
+        return whole
+
+    def forward(self, rows: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
+        """(views, bins) of what is written on the fine bins, (views, fine bins)."""
+        if len(self.blocks) == 1:
+            return np.asarray(rows @ self.blocks[0][2], dtype=np.complex64)
+        out = np.zeros((len(rows), self.bins), dtype=np.complex64)
+        for part, some, values in self.blocks:
+            out[:, some] += rows[:, part] @ values
+        return out
+
+    def adjoint(self, scans: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
+        """(views, fine bins) of scans (views, bins)."""
+        if len(self.blocks) == 1:
+            return np.asarray(scans @ self._adjoints[0], dtype=np.complex64)
+        out = np.empty((len(scans), self.fine), dtype=np.complex64)
+        for (part, some, _), values in zip(self.blocks, self._adjoints, strict=True):
+            out[:, part] = scans[:, some] @ values
+        return out
+
+    def slope(self, gain: float) -> _Spread:
+        """Central differences along the fine bins, times a gain."""
+        if len(self.blocks) == 1:
+            ((part, some, values),) = self.blocks
+            slope = np.asarray(np.gradient(values, axis=0), dtype=np.complex64)
+            return _Spread(((part, some, slope * np.float32(gain)),), self.fine, self.bins)
+        slopes = np.asarray(np.gradient(self.matrix, axis=0), dtype=np.complex64) * np.float32(gain)
+        whole = (slice(0, self.fine), slice(0, self.bins), slopes)
+        return _Spread((whole,), self.fine, self.bins)

@@ -1,10 +1,12 @@
 """Echoes of what turns with the object but lies outside the image.
 
-A fit that knows only the pixels of the image explains such echoes by bright pixels along its edge. They are
-therefore fitted on a larger square together with the inside, and their part is subtracted before the fit.
+A fit that knows only the pixels of the image (of a volume: its voxels) explains such echoes by bright ones
+along its edge. They are therefore fitted on a larger square or box together with the inside, and their part
+is subtracted before the fit.
 
 The search is bounded at any wavelength: where the envelopes of the scans, whatever their phases, are too weak
-for a bright point, no pixel is looked at, and the fit takes the brightest pixels only.
+for a bright point, no pixel is looked at, the fit takes the brightest pixels only, and fewer views are taken
+where it would cost more than half of what the image costs.
 """
 
 from __future__ import annotations
@@ -15,15 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.geometry import MOST_PIXELS, ImageGrid
+from tagid.geometry import ImageGrid, VolumeGrid
 from tagid.imaging.lengths import coarsest_pixel_m
-from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.operator import ForwardOperator, envelope, products
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import Progress, SparseSettings, sparse_amplitudes
 from tagid.imaging.types import BasebandScans
 
 _WIDER = 3
-"""Side of the larger square over that of the image."""
+"""Side of the larger square or box over that of the image or volume."""
 
 ASKS = 0.5
 """Backprojection outside over that inside, at its brightest, from which the outside is fitted. Sidelobes of a
@@ -45,10 +47,23 @@ _LOOK_PAIRS = 10**8
 """Pairs of view and cell of the first look, and of view and pixel of the second: each a second of two
 cores."""
 _FEWEST_VIEWS = 16
-"""Views that the first look visits at least, where the cells are so many that not all views can be."""
+"""Views that the search takes at least, where not all can be taken."""
 _FIT_PAIRS = 2 * 10**6
-"""Pairs of view and pixel of the fit, which visits each two hundred times at most."""
+"""Pairs of view and pixel of the fit."""
 _FEWEST_POINTS = 2000
+_FIT_PASSES = 200
+"""How often the fit visits each pair at most."""
+_PRODUCTS_PER_PAIR = 8
+"""Multiplications of the operator that take as long as a pair of view and pixel."""
+_IMAGE_PASSES = {True: 200, False: 4}
+"""How often an image with its held-out residual visits each pair: by a fit, and by backprojection."""
+_LEAST_WORK = {True: 2.4e9, False: 3e8}
+"""Visits of pairs that a search may take whatever the image takes: a few seconds of a core, and less than a
+second for an image that can only say what lies outside."""
+NOT_SEARCHED = (
+    "echoes from outside the image were not searched, which would take longer than the image: what lies "
+    "there shows along its edge; use a larger `imaging.extent_m`"
+)
 _FIT = SparseSettings(regularisation=0.05, iterations=60)
 
 
@@ -57,7 +72,7 @@ class Outside:
     """Reflectivities outside the image that explain part of the scans.
 
     Attributes:
-        points: (n, 2) m.
+        points: (n, 2) in the plane z = 0, or (n, 3), m.
         amplitudes: (n,) complex64.
         share: part of the energy of the scans that they explain.
     """
@@ -76,29 +91,57 @@ class Outside:
         return {"share": self.share, "points": len(self.points), "subtracted": subtracted}
 
 
-def find_outside(scans: BasebandScans, grid: ImageGrid, progress: Progress | None = None) -> Outside | None:
+def views_searched(scans: BasebandScans, grid: ImageGrid | VolumeGrid, subtracts: bool) -> int:
+    """How many views `find_outside` takes, spread over all; 0 where they would be too few.
+
+    The fit then takes at most half as long as the image, or a few seconds.
+    """
+    points, box = _points(grid), _Box.of(scans, grid)
+    views = scans.aperture.views
+
+    def pairs_of(corner: NDArray[np.float64]) -> float:
+        return products(scans, corner) / _PRODUCTS_PER_PAIR
+
+    image = views * (len(points) + pairs_of(box.corners(1)))
+    work = max(_LEAST_WORK[subtracts], _IMAGE_PASSES[subtracts] * image / 2)
+    fit = _fit_points(views) + pairs_of(box.corners(_WIDER))
+    most = min(views, int(work / (_FIT_PASSES * fit)), _LOOK_PAIRS // max(len(points), box.cells))
+    return most if most >= min(views, _FEWEST_VIEWS) else 0
+
+
+def find_outside(
+    scans: BasebandScans,
+    grid: ImageGrid | VolumeGrid,
+    progress: Progress | None = None,
+    *,
+    subtracts: bool = True,
+) -> Outside | None:
     """What lies outside the image and echoes in these scans; None where nothing much does.
 
-    argmin_x 1/2 ||A x - y||^2 + lambda ||x||_1 over the brightest pixels of a square of three times the side,
-    of which x inside the image is left to the method that makes the image. The outside is believed only where
-    the image's square alone leaves clearly more of the scans over: few views of many points have sidelobes as
-    bright as points.
+    argmin_x 1/2 ||A x - y||^2 + lambda ||x||_1 over the brightest pixels of a square (of a volume: voxels of
+    a box) of three times the side, of which x inside the image is left to the method that makes the image.
+    The outside is believed only where the image's square alone leaves clearly more of the scans over: few
+    views of many points have sidelobes as bright as points.
 
     Args:
         scans: baseband scans without matched filter.
-        grid: of the image.
+        grid: of the image or volume.
         progress: called after every iteration of the fits.
+        subtracts: whether the image is a fit, which the echoes are subtracted from; it may take longer.
     """
-    energy = _energy(scans.samples)
-    if energy == 0:
+    energy, views = _energy(scans.samples), views_searched(scans, grid, subtracts)
+    if energy == 0 or views == 0:
         return None
-    inside = _Bright.of(scans, grid.points)
-    outside = _Bright.of(scans, _may_be_bright(scans, grid, ASKS * inside.top))
+    some = scans
+    if views < scans.aperture.views:
+        some = select_views(scans, np.linspace(0, scans.aperture.views - 1, views).astype(np.intp))
+    inside = _Bright.of(some, _points(grid))
+    outside = _Bright.of(some, _may_be_bright(some, _Box.of(scans, grid), ASKS * inside.top))
     if not outside.top > ASKS * inside.top:
         return None
-    most = max(_FEWEST_POINTS, _FIT_PAIRS // scans.aperture.views)
+    most = _fit_points(scans.aperture.views)
     near, far = inside.brightest(most // 2), outside.brightest(most // 2)
-    x, residual = _fit(scans, np.concatenate([near, far]), progress)
+    x, residual = _fit(some, np.concatenate([near, far]), progress)
     bright = x[len(near) :] != 0
     if not bright.any():
         return None
@@ -106,8 +149,83 @@ def find_outside(scans: BasebandScans, grid: ImageGrid, progress: Progress | Non
     share = 1 - _energy(echoes.removed(scans).samples) / energy
     if share < LEAST_SHARE:
         return None
-    _, alone = _fit(scans, inside.brightest(most), progress)
+    _, alone = _fit(some, inside.brightest(most), progress)
     return replace(echoes, share=share) if residual <= MOST_LEFT * alone else None
+
+
+def _points(grid: ImageGrid | VolumeGrid) -> NDArray[np.float64]:
+    return grid.points if isinstance(grid, ImageGrid) else grid.points()
+
+
+def _fit_points(views: int) -> int:
+    """Points of the fit at most."""
+    return max(_FEWEST_POINTS, _FIT_PAIRS // views)
+
+
+@dataclass(frozen=True, eq=False)
+class _Box:
+    """The square of an image or the box of a volume, and the cells that a larger one is looked at in.
+
+    Attributes:
+        low, high: (2,) or (3,) corners, m.
+        sides: (2,) or (3,) pixels per cell along each axis.
+        counts: (2,) or (3,) cells of the larger box along each axis.
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    sides: NDArray[np.intp]
+    counts: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, scans: BasebandScans, grid: ImageGrid | VolumeGrid) -> _Box:
+        square = grid if isinstance(grid, ImageGrid) else grid.square
+        step = min(square.step, coarsest_pixel_m(scans.wavelength_m) / 2)
+        low, high, steps = [-square.extent / 2] * 2, [square.extent / 2] * 2, [step] * 2
+        if isinstance(grid, VolumeGrid):
+            low, high, steps = [*low, grid.bottom], [*high, grid.top], [*steps, grid.rise]
+        resolution = scans.wave_speed_m_s / (2 * scans.bandwidth_hz)
+        sides = np.maximum(1, (resolution / _CELLS_PER_RESOLUTION / np.array(steps)).astype(np.intp))
+        size = np.array(high) - np.array(low)
+        counts = np.ceil(_WIDER * size / (sides * np.array(steps))).astype(np.intp)
+        return cls(np.array(low), np.array(high), sides, counts)
+
+    @property
+    def cells(self) -> int:
+        """Number of cells of the larger box."""
+        return int(np.prod(self.counts, dtype=np.float64))
+
+    @property
+    def middle(self) -> NDArray[np.float64]:
+        """(2,) or (3,) m."""
+        return (self.low + self.high) / 2
+
+    @property
+    def size(self) -> NDArray[np.float64]:
+        """(2,) or (3,) m."""
+        return self.high - self.low
+
+    def corners(self, wider: float) -> NDArray[np.float64]:
+        """(2, n) the two corners of a box of the same middle and so many times the size, m."""
+        return np.stack([self.middle - wider / 2 * self.size, self.middle + wider / 2 * self.size])
+
+    def lattice(self) -> NDArray[np.float64]:
+        """(cells, n) middles of the cells, x fastest, m."""
+        axes = [
+            middle + ((np.arange(count) + 0.5) / count - 0.5) * _WIDER * size
+            for middle, count, size in zip(self.middle, self.counts, self.size, strict=True)
+        ]
+        return _product(axes)
+
+    def outside(self, points: NDArray[np.float64], margin: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(points,) whether points lie outside a box that is smaller by a margin (n,), m, in all."""
+        return np.asarray((np.abs(points - self.middle) > (self.size - margin) / 2).any(axis=1))
+
+
+def _product(axes: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """All points with coordinates of some axes, the first fastest."""
+    grids = np.meshgrid(*axes[::-1], indexing="ij")
+    return np.stack([part.ravel() for part in grids[::-1]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,39 +252,29 @@ class _Bright:
         return self.points[np.argpartition(-self.strength, most)[:most]]
 
 
-def _may_be_bright(scans: BasebandScans, grid: ImageGrid, level: float) -> NDArray[np.float64]:
-    """Pixels (n, 2), m, outside the image whose backprojection may exceed a level, at most `_LOOK_PAIRS`.
+def _may_be_bright(scans: BasebandScans, box: _Box, level: float) -> NDArray[np.float64]:
+    """Pixels (n, 2) or (n, 3), m, outside the box whose backprojection may exceed a level.
+
+    They are at most so many that all views and they are `_LOOK_PAIRS`.
 
     |A^H y| at a point is at most the sum of its envelopes over the views, which changes with the range
-    resolution only and is looked at in cells of many pixels. The most promising cells come first. Where the
-    cells are too many for all views, views spread over them are looked at, and nothing where they would be
-    few.
+    resolution only and is looked at in cells of many pixels. The most promising cells come first.
     """
-    step = min(grid.step, coarsest_pixel_m(scans.wavelength_m) / 2)
-    resolution = scans.wave_speed_m_s / (2 * scans.bandwidth_hz)
-    side = max(1, int(resolution / _CELLS_PER_RESOLUTION / step))
-    per_side = int(np.ceil(_WIDER * grid.extent / (side * step)))
-    views = scans.aperture.views
-    visited = min(views, _LOOK_PAIRS // per_side**2)
-    if per_side > MOST_PIXELS or visited < min(views, _FEWEST_VIEWS):
-        return np.zeros((0, 2))
-    cells = ImageGrid(_WIDER * grid.extent, per_side)
-    some = scans
-    if visited < views:
-        some = select_views(scans, np.linspace(0, views - 1, visited).astype(np.intp))
-    bound = ForwardOperator(some, cells).envelope(some.samples).reshape(cells.pixels, cells.pixels)
-    bound *= views / visited
-    wide = np.pad(bound, 1)
-    rows = np.maximum(np.maximum(wide[:-2], wide[1:-1]), wide[2:])
-    around = np.maximum(np.maximum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]).ravel()
-    outside = (np.abs(cells.points) > (grid.extent - cells.step) / 2).any(axis=1)
-    wanted = np.flatnonzero(outside & (around > _BETWEEN * level))
-    most = max(1, _LOOK_PAIRS // (views * side**2))
+    middles = box.lattice()
+    around = envelope(scans, middles).reshape(box.counts[::-1])
+    for axis in range(around.ndim):
+        ends = [(int(axis == other),) * 2 for other in range(around.ndim)]
+        around = np.lib.stride_tricks.sliding_window_view(np.pad(around, ends), 3, axis).max(axis=-1)
+    cell = _WIDER * box.size / box.counts
+    around = around.ravel()
+    wanted = np.flatnonzero(box.outside(middles, cell) & (around > _BETWEEN * level))
+    most = max(1, int(_LOOK_PAIRS / (scans.aperture.views * np.prod(box.sides, dtype=np.float64))))
     wanted = wanted[np.argsort(-around[wanted], kind="stable")[:most]]
-    offset = ((np.arange(side) + 0.5) / side - 0.5) * cells.step
-    offsets = np.stack([part.ravel() for part in np.meshgrid(offset, offset)], axis=1)
-    pixels = (cells.points[wanted][:, None] + offsets).reshape(-1, 2)
-    return np.asarray(pixels[(np.abs(pixels) > grid.extent / 2).any(axis=1)])
+    offsets = _product(
+        [((np.arange(side) + 0.5) / side - 0.5) * step for side, step in zip(box.sides, cell, strict=True)]
+    )
+    pixels = (middles[wanted][:, None] + offsets).reshape(-1, len(box.low))
+    return pixels[box.outside(pixels, np.zeros(len(box.low)))]
 
 
 def _fit(

@@ -21,7 +21,7 @@ from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
 from tagid.imaging.heldout import HeldOut, check, left_out
 from tagid.imaging.lengths import finest_cell_m, pixel_warning
-from tagid.imaging.outside import Outside, find_outside
+from tagid.imaging.outside import NOT_SEARCHED, Outside, find_outside, views_searched
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.pulsefit import PulseEstimate
 from tagid.imaging.region import Region, choose_region
@@ -172,12 +172,15 @@ def reconstruct(
     matched = METHODS[method].matched_filter
     scans = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched))
     focus, scans = prepared.focus(), prepared.focused(scans)
-    outside: Outside | None = None
-    if settings.preset != "paper" and (tell_outside or METHODS[method].sparse):
+    outside, unsearched = None, False
+    sparse = METHODS[method].sparse
+    if settings.outside and settings.preset != "paper" and (tell_outside or sparse):
         with watch.stage("outside"):
             unfiltered = _unfiltered(prepared, scans, method)
-            outside = find_outside(unfiltered, grid, _remark(progress, "echoes outside the image"))
-    subtracted = outside is not None and METHODS[method].sparse
+            remark = _remark(progress, "echoes outside the image")
+            outside = find_outside(unfiltered, grid, remark, subtracts=sparse)
+            unsearched = sparse and not views_searched(unfiltered, grid, sparse)
+    subtracted = outside is not None and sparse
     imaged = outside.removed(scans) if outside is not None and subtracted else scans
     with watch.stage("image"):
         image = make_image(imaged, grid, method, settings.seed, settings.preset, progress, settings.ats)
@@ -188,7 +191,7 @@ def reconstruct(
         sharp = METHODS[method].sparse and Prior.of(image.settings).iterations is None
         if settings.restore and sharp and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
-    facts = _facts(prepared, scans, image, _Found(focus, region, outside, subtracted, predicted))
+    facts = _facts(prepared, scans, image, _Found(focus, region, outside, subtracted, predicted, unsearched))
     centre_m = image.centre_m if region is None else region.centre_m
     image = replace(image, centre_m=centre_m, settings={**image.settings, **facts})
     seconds = {**prepared.watch.seconds, **watch.seconds}
@@ -259,6 +262,7 @@ class _Found:
 
     Attributes:
         subtracted: whether the image was made without what lies outside.
+        unsearched: whether the search for it was left out.
     """
 
     focus: AxisFocus | None
@@ -266,6 +270,7 @@ class _Found:
     outside: Outside | None
     subtracted: bool
     predicted: HeldOut | None
+    unsearched: bool
 
 
 def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks: _Found) -> dict[str, Any]:
@@ -287,6 +292,7 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks
         facts["outside"] = checks.outside.facts(checks.subtracted)
     coarse = pixel_warning(image.grid.extent, image.grid.pixels, scans.wavelength_m)
     warnings = [warning for warning in (band_warning(prepared.given), coarse) if warning]
+    warnings += [NOT_SEARCHED] if checks.unsearched else []
     if warnings:
         facts["warnings"] = warnings
     if checks.predicted is not None:

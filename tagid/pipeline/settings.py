@@ -73,6 +73,7 @@ class ImagingSettings:
         false_accept: probability of identifying an object without an enrolled tag.
         direction_known: see `tagid.reading.reader.ReaderSettings`.
         priors: on the place of a tag.
+        outside: search echoes from outside the image (`tagid.imaging.outside`).
     """
 
     method: str = "auto"
@@ -94,6 +95,7 @@ class ImagingSettings:
     false_accept: float = 5e-3
     direction_known: bool = True
     priors: TagPriors = field(default_factory=TagPriors)
+    outside: bool = True
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:

@@ -9,8 +9,9 @@ import pytest
 from imaging_scenes import helix, record, turn
 
 from tagid.errors import UsageError
-from tagid.geometry import ImageGrid
+from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging import memory
+from tagid.imaging import operator as operator_module
 from tagid.imaging.operator import PHASE_STEP, ForwardOperator, fine_range, interpolation_gain
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 
@@ -191,3 +192,19 @@ def test_too_large_is_refused_before_memory_is_taken(monkeypatch):
 def test_points_must_be_points(points):
     with pytest.raises(UsageError, match="points"):
         ForwardOperator(scans_of(turn(20)), points)
+
+
+def test_the_blocks_of_a_long_window_are_the_whole_operator(monkeypatch):
+    """Only bins near a fine range are kept; what is left out is zero."""
+    path = Aperture(np.stack([np.linspace(-3, 3, 9), np.full(9, -6.0), np.ones(9)], axis=1))
+    capture = record([[0.5, 0.1], [-2.0, 1.5]], [1.0, 0.7], path, start_m=2.0, bins=900)
+    scans = preprocess(capture, settings=PreprocessSettings("none", False, extent_m=5.0))
+    points = np.random.default_rng(3).uniform(-2.5, 2.5, (40, 2))
+    banded = ForwardOperator(scans, points)
+    monkeypatch.setattr(operator_module, "_BANDED_FROM", np.inf)
+    whole = ForwardOperator(scans, points)
+    assert len(banded._spread.blocks) > 3 and len(whole._spread.blocks) == 1
+    x = complex_noise(np.random.default_rng(4), 40)
+    for method, values in (("forward", x), ("slope", x), ("adjoint", scans.samples)):
+        one, other = getattr(banded, method)(values), getattr(whole, method)(values)
+        assert np.abs(one - other).max() < 1e-5 * np.abs(other).max()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging import outside
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.outside import find_outside
@@ -127,3 +128,21 @@ def test_a_large_image_is_not_searched_for_longer_and_never_refused(extent: floa
         patch.setattr(RangeGeometry, "gather", gather)
         find_outside(scans, ImageGrid(extent, 64))
     assert sum(visited) < 3e8
+
+
+def test_the_search_has_a_switch() -> None:
+    capture = record([*INSIDE, [0.33, 0.05]], [1, 0.8, 3], turn(48), noise=0.05, bins=180)
+    settings = ImagingSettings(method="sparse", extent_m=0.4, pixels=64, focus_m=0.0, held_out=False)
+    assert "outside" in reconstruct(capture, settings).image.settings
+    image = reconstruct(capture, replace(settings, outside=False))
+    assert "outside" not in image.image.settings and "outside" not in image.seconds
+
+
+def test_a_fit_whose_search_would_take_longer_than_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outside, "_LEAST_WORK", dict.fromkeys((True, False), 0.0))
+    monkeypatch.setattr(outside, "_IMAGE_PASSES", dict.fromkeys((True, False), 1))
+    capture = record(INSIDE, [1, 0.8], turn(48), noise=0.05, bins=180)
+    for method, warned in (("sparse", True), ("bp", False)):
+        settings = ImagingSettings(method, extent_m=0.4, pixels=64, focus_m=0.0, held_out=False)
+        warnings = reconstruct(capture, settings).image.settings.get("warnings", ())
+        assert (outside.NOT_SEARCHED in warnings) is warned
