@@ -102,7 +102,7 @@ Centre = Annotated[
     str | None,
     typer.Option(
         "--centre",
-        help="Centre of the image as X,Y in metres, for captures with antenna positions.",
+        help="Centre of the image or volume as X,Y in metres, for captures with antenna positions.",
         show_default=False,
     ),
 ]

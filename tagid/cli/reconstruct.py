@@ -85,6 +85,10 @@ class _ImageOptions:
         typer.Option("--subtract-body", help="Subtract the echo of the body that `identify` finds."),
     ] = False
     seed: options.Seed = 0
+    outside: Annotated[
+        bool,
+        typer.Option(help="Search echoes from outside the image; sparse and ats subtract them."),
+    ] = True
 
 
 @command("reconstruct")
@@ -130,7 +134,9 @@ def reconstruct(
     loading = replace(LoadSettings.of(config, setup.background), wave_speed_m_s=wanted.wave_speed)
     if volume.volume:
         files = volume.files(picture.out, picture.png, file)
-        levels = volume.settings(config, setup.background, wanted.held_out)
+        levels = volume.settings(
+            config, setup.background, wanted.held_out, centre=wanted.centre, outside=wanted.outside
+        )
         return make_volume(terminal, load_capture(file, loading), levels, files)
     place = Workplace(config, setup.background)
     plain = place.imaging(wanted.focus)
@@ -196,7 +202,6 @@ def _check_combined(how: _MethodOptions, wanted: _ImageOptions, volume: VolumeOp
             "--ats": how.ats,
             "--axis-search": wanted.axis_search is not None,
             "--delay-search": wanted.delay_search is not None,
-            "--centre": wanted.centre,
             "--side": wanted.side,
             "--subtract-body": wanted.subtract_body,
         }
@@ -228,6 +233,7 @@ def _settings(
         focus_m=wanted.axis_search if wanted.focus else 0.0,
         restore=wanted.beam,
         held_out=wanted.held_out,
+        outside=wanted.outside,
         free_extent=config.values["imaging.extent_m"].source == "default",
         free_pixels=config.values["imaging.pixels"].source == "default",
     )

@@ -136,8 +136,10 @@ class VolumeOptions:
             check_drawing(option, path, (".ply" if kind == "surface" else f".{kind}",), [source])
         return files
 
-    def settings(self, config: Config, background: str, held_out: bool) -> VolumeSettings:
-        """The settings of the volume. Raises UsageError."""
+    def settings(
+        self, config: Config, background: str, held_out: bool, *, centre: str | None, outside: bool
+    ) -> VolumeSettings:
+        """The settings of the volume, with options of the image. Raises UsageError."""
         from tagid.pipeline.volume import VolumeSettings
 
         return VolumeSettings(
@@ -148,6 +150,8 @@ class VolumeOptions:
             self.levels,
             "none" if background == "reference" else background,
             held_out,
+            None if centre is None else parse_point("--centre", centre),
+            outside,
         )
 
 
@@ -165,7 +169,7 @@ def make_volume(
     from rich.text import Text
 
     from tagid.imaging.facts import facts_of
-    from tagid.operate.words import held_out_words
+    from tagid.operate.words import held_out_words, outside_words
     from tagid.pipeline.volume import reconstruct_volume
 
     begun = time.monotonic()
@@ -187,6 +191,7 @@ def make_volume(
         f"{size} in {took:.2f} s",
         f"vertical resolution {1e3 * facts['vertical_resolution_m']:.0f} mm",
         *held_out_words(facts_of(facts)),
+        *outside_words(facts_of(facts)),
         *facts.get("warnings", ()),
         *(f"{kind} {path}" for kind, path in files.items()),
     ]
@@ -206,7 +211,8 @@ def _write(volume: Volume, files: dict[str, Path]) -> None:
     axes = volume.grid.square.axis, volume.grid.heights
     for kind, path in files.items():
         if kind == "png":
-            draw_projections(volume.values, *axes, path, f"{volume.settings['method'].upper()} volume")
+            title = f"{volume.settings['method'].upper()} volume"
+            draw_projections(volume.values, *axes, path, title, centre_m=volume.centre_m)
         elif kind == "surface":
             write_surface(path, volume)
         elif kind == "webp":

@@ -15,9 +15,16 @@ from tagid.imaging.heldout import HeldOut, left_out
 from tagid.imaging.lengths import pixel_warning
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.outside import NOT_SEARCHED, Outside, find_outside, views_searched
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
 from tagid.imaging.types import BasebandScans
-from tagid.imaging.volume import Volume, backproject_volume, sparse_volume, vertical_resolution_m
+from tagid.imaging.volume import (
+    Volume,
+    backproject_volume,
+    copies_apart_m,
+    sparse_volume,
+    vertical_resolution_m,
+)
 from tagid.pipeline.join import heights_of, without_background_of_each_height
 from tagid.pipeline.reconstruct import check_extent
 from tagid.pipeline.settings import Stopwatch
@@ -25,6 +32,10 @@ from tagid.types import Progress
 
 METHODS = ("bp", "sparse", "ats")
 _MOST_LEVELS = 200
+_COPIES = (
+    "the scene shows again {:.2g} m above and below itself: the {} antenna heights are too far apart or too "
+    "few; give a range of heights below that, or record heights in between"
+)
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,8 @@ class VolumeSettings:
         levels: number of levels; None: three per vertical resolution, but none thinner than a pixel.
         background: static part to subtract from the views of each height: mean, median or none.
         held_out: compute how well the volume predicts held-out views.
+        centre_m: (x, y) of the volume's axis for free antenna positions, m; None: the origin.
+        outside: search echoes from outside the volume, and subtract them in a fit (sparse, ats).
     """
 
     method: str = "bp"
@@ -47,12 +60,16 @@ class VolumeSettings:
     levels: int | None = None
     background: str = "mean"
     held_out: bool = True
+    centre_m: tuple[float, float] | None = None
+    outside: bool = True
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise UsageError(f"there is no volume by {self.method!r}", f"Use {', '.join(METHODS)}.")
         if self.background not in ("mean", "median", "none"):
             raise UsageError(f"background is {self.background!r}", "Choose mean, median or none.")
+        if self.centre_m is not None and not (np.abs(self.centre_m) <= 1e4).all():
+            raise UsageError(f"the volume's centre is {self.centre_m}", "Give X,Y in metres.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +104,9 @@ def reconstruct_volume(
     """
     settings = settings or VolumeSettings()
     square = ImageGrid(settings.extent_m, settings.pixels)
+    centre_m = settings.centre_m or (0.0, 0.0)
+    if settings.centre_m is not None:
+        capture = capture.shifted(np.array([*centre_m, 0.0]))
     check_extent(capture, square)
     watch = Stopwatch()
     positions = capture.aperture().positions
@@ -105,7 +125,10 @@ def reconstruct_volume(
     grid = VolumeGrid(square, low, high, levels)
     with watch.stage("volume"):
         whole = _part(progress, 0.0, 0.5 if settings.held_out else 1.0, "")
-        volume = _make(settings.method, matched, unfiltered, grid, whole)
+        fits = settings.method != "bp" and settings.outside
+        outside = find_outside(unfiltered, grid) if fits else None
+        clear, clear_unfiltered = _without(outside, matched, unfiltered)
+        volume = _make(settings.method, clear, clear_unfiltered, grid, whole)
     facts: dict[str, Any] = {
         "tool_version": __version__,
         "capture_uuid": capture.uuid,
@@ -117,17 +140,36 @@ def reconstruct_volume(
         "levels": levels,
         "extent_m": settings.extent_m,
     }
+    if settings.centre_m is not None:
+        facts["centre_m"] = list(centre_m)
+    if outside is not None:
+        facts["outside"] = outside.facts(subtracted=True)
     coarse = pixel_warning(settings.extent_m, settings.pixels, unfiltered.wavelength_m)
-    if coarse:
-        facts["warnings"] = [coarse]
+    warnings = [coarse] if coarse else []
+    apart = copies_apart_m(unfiltered, high - low)
+    if apart is not None:
+        warnings.append(_COPIES.format(apart, len(heights_of(capture))))
+    if fits and not views_searched(unfiltered, grid, subtracts=True):
+        warnings.append(NOT_SEARCHED)
+    if warnings:
+        facts["warnings"] = warnings
     if settings.held_out:
         with watch.stage("held out"):
             again = _part(progress, 0.5, 1.0, "held-out views")
-            predicted = _held_out(settings.method, matched, unfiltered, grid, again)
+            predicted = _held_out(settings.method, matched, unfiltered, grid, outside is not None, again)
         if predicted is not None:
             facts["held_out"] = predicted.facts()
-    volume = replace(volume, settings={**volume.settings, **facts})
+    volume = replace(volume, settings={**volume.settings, **facts}, centre_m=centre_m)
     return VolumeReconstruction(volume, capture.views, len(heights_of(capture)), watch.seconds)
+
+
+def _without(
+    outside: Outside | None, matched: BasebandScans, unfiltered: BasebandScans
+) -> tuple[BasebandScans, BasebandScans]:
+    """Scans less the echoes from outside."""
+    if outside is None:
+        return matched, unfiltered
+    return outside.removed(matched), outside.removed(unfiltered)
 
 
 def _levels(scans: BasebandScans, square: ImageGrid, rise_m: float) -> int:
@@ -171,10 +213,19 @@ def _held_out(
     matched: BasebandScans,
     unfiltered: BasebandScans,
     grid: VolumeGrid,
+    outside: bool,
     progress: Progress | None = None,
 ) -> HeldOut | None:
-    """Residual on views held out from the volume, and that of backprojection; None with too few views."""
+    """Residual on views held out from the volume, and that of backprojection; None with too few views.
+
+    Echoes from outside the volume, found in the other views alone, are subtracted from all if `outside`.
+    """
     unseen = left_out(unfiltered.aperture.views)
+    if outside and len(unseen):
+        others = np.setdiff1d(np.arange(unfiltered.aperture.views), unseen)
+        matched, unfiltered = _without(
+            find_outside(select_views(unfiltered, others), grid), matched, unfiltered
+        )
     test = select_views(unfiltered, unseen)
     if not len(unseen) or not np.any(test.samples):
         return None

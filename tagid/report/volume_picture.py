@@ -28,6 +28,7 @@ def draw_projections(
     path: Path,
     title: str = "",
     dynamic_range_db: float = 25.0,
+    centre_m: tuple[float, float] = (0.0, 0.0),
 ) -> None:
     """Write a PNG of the maximum projections from above, from the front and from the side.
 
@@ -38,16 +39,17 @@ def draw_projections(
         path: the PNG; written atomically.
         title: one line above.
         dynamic_range_db: voxels further below the brightest one have the darkest colour.
+        centre_m: (x, y) that the axis is about, m.
 
     Raises:
         DataError: not a finite volume. StorageError, DiskFullError.
     """
     magnitude = _magnitude(values)
-    across, up = _limits(axis_m), _limits(heights_m)
+    (along_x, along_y), up = (_limits(axis_m + middle) for middle in centre_m), _limits(heights_m)
     views = (
-        (magnitude.max(axis=0), across, across, "x (m)", "y (m)", "from above"),
-        (magnitude.max(axis=1), across, up, "x (m)", "z (m)", "along y"),
-        (magnitude.max(axis=2), across, up, "y (m)", "z (m)", "along x"),
+        (magnitude.max(axis=0), along_x, along_y, "x (m)", "y (m)", "from above"),
+        (magnitude.max(axis=1), along_x, up, "x (m)", "z (m)", "along y"),
+        (magnitude.max(axis=2), along_y, up, "y (m)", "z (m)", "along x"),
     )
     top = float(magnitude.max())
     canvas = Canvas(_LEFT + 3 * (_SIDE + _GAP) + 40, _TOP + _SIDE + 100)

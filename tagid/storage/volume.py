@@ -153,6 +153,17 @@ class GriddedVolume(Protocol):
         """Method and parameters."""
         ...
 
+    @property
+    def centre_m(self) -> tuple[float, float]:
+        """(x, y) that the grid is about, m."""
+        ...
+
+
+def _axes(volume: GriddedVolume) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Coordinates of the voxels along z, y and x, m."""
+    x_m, y_m = (volume.grid.square.axis + middle for middle in volume.centre_m)
+    return volume.grid.heights, y_m, x_m
+
 
 def write_volume(path: Path, volume: GriddedVolume) -> None:
     """Write a volume atomically, in the format given by the suffix.
@@ -186,9 +197,8 @@ def write_surface(path: Path, volume: GriddedVolume, level_db: float = SURFACE_D
             f"a volume of {magnitude.shape} voxels has no surface",
             "Use at least two `levels` and `imaging.pixels`.",
         )
-    axis = volume.grid.square.axis
     # A frame of zeros closes the surface where the object reaches the volume's border.
-    axes = [_framed(values) for values in (volume.grid.heights, axis, axis)]
+    axes = [_framed(values) for values in _axes(volume)]
     level = float(magnitude.max()) * 10 ** (-level_db / 20)
     surface = isosurface(np.pad(magnitude, 1), level if level > 0 else 1.0, tuple(axes))
     faces = np.zeros(len(surface.triangles), dtype=[("count", "u1"), ("vertices", "<i4", 3)])
@@ -209,13 +219,13 @@ def _framed(axis: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def _npz(volume: GriddedVolume) -> bytes:
     buffer = io.BytesIO()
-    axis = volume.grid.square.axis
+    z_m, y_m, x_m = _axes(volume)
     np.savez_compressed(
         buffer,
         volume=volume.values.astype(np.complex64),
-        x_m=axis,
-        y_m=axis,
-        z_m=volume.grid.heights,
+        x_m=x_m,
+        y_m=y_m,
+        z_m=z_m,
         settings=np.array(json.dumps(volume.settings, default=str)),
     )
     return buffer.getvalue()
@@ -224,8 +234,8 @@ def _npz(volume: GriddedVolume) -> bytes:
 def _vti(volume: GriddedVolume) -> bytes:
     levels, rows, columns = volume.values.shape
     extent = f"0 {columns - 1} 0 {rows - 1} 0 {levels - 1}"
-    axis, step = volume.grid.square.axis, volume.grid.square.step
-    origin = " ".join(repr(float(first)) for first in (axis[0], axis[0], volume.grid.heights[0]))
+    step = volume.grid.square.step
+    origin = " ".join(repr(float(axis[0])) for axis in _axes(volume)[::-1])
     arrays = {
         "magnitude": np.abs(volume.values).astype("<f4"),
         "phase": np.angle(volume.values).astype("<f4"),
@@ -260,9 +270,9 @@ def _ply(volume: GriddedVolume) -> bytes:
         )
         bright &= (magnitude >= before) & (magnitude >= after)
     z, y, x = np.nonzero(bright)
-    axis_m = volume.grid.square.axis
+    z_m, y_m, x_m = _axes(volume)
     points = np.zeros(len(x), dtype=[(name, "<f4") for name in ("x", "y", "z", "magnitude")])
-    points["x"], points["y"], points["z"] = axis_m[x], axis_m[y], volume.grid.heights[z]
+    points["x"], points["y"], points["z"] = x_m[x], y_m[y], z_m[z]
     points["magnitude"] = magnitude[bright]
     properties = "".join(f"property float {name}\n" for name in points.dtype.names or ())
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}end_header\n"

@@ -340,7 +340,8 @@ def test_levels_sample_the_vertical_resolution_three_times_and_are_no_thinner_th
 def test_a_sparse_volume_is_refused_where_less_memory_is_free_than_it_takes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    joined, settings = join(captures()), VolumeSettings("sparse", 0.24, 64, (-0.12, 0.12), 32, held_out=False)
+    joined = join(captures())
+    settings = VolumeSettings("sparse", 0.24, 64, (-0.12, 0.12), 32, held_out=False, outside=False)
     tracemalloc.start()
     reconstruct_volume(joined, settings)
     taken = tracemalloc.get_traced_memory()[1]
@@ -350,3 +351,42 @@ def test_a_sparse_volume_is_refused_where_less_memory_is_free_than_it_takes(
         reconstruct_volume(joined, settings)
     monkeypatch.setattr(memory, "free_memory", lambda: 2 * taken)
     assert reconstruct_volume(joined, settings).volume.grid.voxels == 131_072
+
+
+@pytest.mark.parametrize("method", ["sparse", "ats"])
+@pytest.mark.parametrize("place", [[0.30, 0.05, 0.0], [0.02, 0.03, 0.26]])
+def test_a_strong_reflector_outside_a_volume_leaves_its_faces_dark(method: str, place: list[float]) -> None:
+    points, amplitudes = [*POINTS.tolist(), place], [1, 0.8, 1, 3]
+    heights = np.linspace(-0.2, 0.2, 9)
+    some = [record(points, amplitudes, turn(24, 1.0, height), start_m=0.4, bins=160) for height in heights]
+    made = reconstruct_volume(join(some), VolumeSettings(method, 0.24, 24, (-0.12, 0.12), 12)).volume
+    power = np.abs(made.values) ** 2
+    assert power[1:-1, 2:-2, 2:-2].sum() > 0.9 * power.sum()
+    assert made.settings["outside"]["share"] > 0.3 and made.settings["outside"]["subtracted"]
+    assert made.settings["held_out"]["residual"] < 0.3
+    found = brightest(made.values, made.grid, 3, 0.04)
+    assert np.linalg.norm(found[:, None] - POINTS[None], axis=2).min(axis=0).max() < 0.03
+
+
+def test_a_volume_about_another_centre_shows_the_same_places(tmp_path: Path) -> None:
+    joined = join(captures())
+    assert joined.antenna_positions_m is not None
+    settings = VolumeSettings("bp", 0.24, 24, (-0.12, 0.12), 12, held_out=False)
+    about = reconstruct_volume(joined, settings).volume
+    moved = joined.shifted(np.array([-3.0, 2.0, 0.0]))
+    there = reconstruct_volume(moved, replace(settings, centre_m=(3.0, -2.0))).volume
+    np.testing.assert_allclose(there.values, about.values, atol=1e-4)
+    write_volume(tmp_path / "v.npz", there)
+    stored = np.load(tmp_path / "v.npz")
+    np.testing.assert_allclose([stored["x_m"].mean(), stored["y_m"].mean()], [3.0, -2.0])
+    np.testing.assert_allclose(np.diff(stored["x_m"]), 0.01)
+
+
+def test_copies_of_the_scene_in_height_are_warned_of() -> None:
+    """Antennas 0.1 m apart at 1 m: the copies are half a wavelength over 0.1 apart."""
+    low = VolumeSettings("bp", 0.24, 16, (-0.12, 0.12), 4, held_out=False)
+    high = replace(low, heights_m=(-0.3, 0.3), levels=8)
+    joined = join(captures())
+    assert "warnings" not in reconstruct_volume(joined, low).volume.settings
+    (words,) = reconstruct_volume(joined, high).volume.settings["warnings"]
+    assert "the scene shows again 0.39 m above and below itself" in words and "5 antenna heights" in words
