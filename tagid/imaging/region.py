@@ -13,6 +13,7 @@ import numpy as np
 
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
+from tagid.imaging.copies import are_copies
 from tagid.imaging.lengths import coarsest_pixel_m
 from tagid.imaging.pathside import is_straight
 from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
@@ -42,7 +43,8 @@ class Region:
         focus: result of the delay search; None if there was none.
         mirrored: what lies on one side of the path shows on the other, too: it is straight, or both sides
             explain the scans alike.
-        points: the strong echoes, strongest first, in the frame of the original positions.
+        points: the strong echoes, strongest first, in the frame of the original positions, without copies of
+            stronger ones (`tagid.imaging.copies`).
     """
 
     capture: Capture
@@ -101,6 +103,10 @@ def choose_region(
             points = focus.points
         else:
             points = find_echoes(scans, there)
+        if points:
+            places = np.array([(p.x_m, p.y_m) for p in points])
+            copies = are_copies(scans, places, np.array([p.amplitude for p in points]))
+            points = tuple(p for p, copy in zip(points, copies, strict=True) if not copy)
         points = tuple(replace(p, x_m=p.x_m + float(middle[0]), y_m=p.y_m + float(middle[1])) for p in points)
         if focus is not None:
             focus = replace(focus, points=points)

@@ -27,11 +27,6 @@ _SLAB_VOXELS = 1 << 18
 """Voxels of a slab, whose positions and sums take 5 MB."""
 
 
-_COPY = 0.7
-"""Amplitude of a copy of the scene at another height, over its own, from which on it is warned of: -3 dB."""
-_STEPS_PER_RESOLUTION = 16
-
-
 @dataclass(frozen=True, eq=False)
 class Volume:
     """A complex reflectivity volume.
@@ -113,21 +108,3 @@ def vertical_resolution_m(scans: BasebandScans) -> float:
     height = float(np.ptp(scans.aperture.positions[:, 2]))
     reach = float(np.median(scans.aperture.distances(np.zeros((1, 3)))))
     return scans.wavelength_m * reach / (2 * height) if height > 0 else float("inf")
-
-
-def copies_apart_m(scans: BasebandScans, rise_m: float) -> float | None:
-    """How far above and below itself a scene shows again in a volume of some height; None where it does not.
-
-    A point shows at another height dz with the part |mean_v exp(2jk dz z_v / R_v)| of its amplitude, z_v the
-    antenna's height and R_v its distance: one again every lambda R / 2D for antennas D apart.
-    """
-    resolution = vertical_resolution_m(scans)
-    if not resolution < rise_m:
-        return None
-    slopes = scans.aperture.positions[:, 2] / scans.aperture.distances(np.zeros((1, 3)))[:, 0]
-    slopes, views = np.unique(np.round(slopes - slopes.mean(), 6), return_counts=True)
-    apart = np.arange(resolution, rise_m, resolution / _STEPS_PER_RESOLUTION)
-    phases = 4 * np.pi / scans.wavelength_m * np.outer(apart, slopes)
-    strength = np.abs(np.exp(1j * phases) @ (views / views.sum()))
-    strongest = int(np.argmax(strength))
-    return float(apart[strongest]) if strength[strongest] >= _COPY else None

@@ -19,6 +19,7 @@ from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings, Prior
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
+from tagid.imaging.copies import path_warning
 from tagid.imaging.heldout import HeldOut, check, left_out
 from tagid.imaging.lengths import finest_cell_m, pixel_warning
 from tagid.imaging.outside import NOT_SEARCHED, Outside, find_outside, views_searched
@@ -291,7 +292,8 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks
     if checks.outside is not None:
         facts["outside"] = checks.outside.facts(checks.subtracted)
     coarse = pixel_warning(image.grid.extent, image.grid.pixels, scans.wavelength_m)
-    warnings = [warning for warning in (band_warning(prepared.given), coarse) if warning]
+    copies = None if region is None else path_warning(scans, image.grid.extent)
+    warnings = [warning for warning in (band_warning(prepared.given), coarse, copies) if warning]
     warnings += [NOT_SEARCHED] if checks.unsearched else []
     if warnings:
         facts["warnings"] = warnings

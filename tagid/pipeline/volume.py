@@ -11,6 +11,7 @@ from tagid._version import __version__
 from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid, VolumeGrid
+from tagid.imaging.copies import height_warning
 from tagid.imaging.heldout import HeldOut, left_out
 from tagid.imaging.lengths import pixel_warning
 from tagid.imaging.memory import require_memory
@@ -21,7 +22,6 @@ from tagid.imaging.types import BasebandScans
 from tagid.imaging.volume import (
     Volume,
     backproject_volume,
-    copies_apart_m,
     sparse_volume,
     vertical_resolution_m,
 )
@@ -32,10 +32,6 @@ from tagid.types import Progress
 
 METHODS = ("bp", "sparse", "ats")
 _MOST_LEVELS = 200
-_COPIES = (
-    "the scene shows again {:.2g} m above and below itself: the {} antenna heights are too far apart or too "
-    "few; give a range of heights below that, or record heights in between"
-)
 
 
 @dataclass(frozen=True)
@@ -145,10 +141,8 @@ def reconstruct_volume(
     if outside is not None:
         facts["outside"] = outside.facts(subtracted=True)
     coarse = pixel_warning(settings.extent_m, settings.pixels, unfiltered.wavelength_m)
-    warnings = [coarse] if coarse else []
-    apart = copies_apart_m(unfiltered, high - low)
-    if apart is not None:
-        warnings.append(_COPIES.format(apart, len(heights_of(capture))))
+    copies = height_warning(matched, high - low, len(heights_of(capture)))
+    warnings = [warning for warning in (coarse, copies) if warning]
     if fits and not views_searched(unfiltered, grid, subtracts=True):
         warnings.append(NOT_SEARCHED)
     if warnings:

@@ -255,3 +255,35 @@ def test_one_side_of_a_straight_path_is_chosen(side: float) -> None:
     found = np.array([[p.x_m, p.y_m] for p in result.region.points])
     assert localise(found, POINTS * [1, side], 0.03).detected == 2
     assert result.image.centre_m[1] * side > 1
+
+
+def coarse_path(views: int, wavelength_m: float = 0.0312) -> Capture:
+    """Three points seen at 10 GHz from a path of 3.4 m, 5 m away, with so many views."""
+    along = np.linspace(-1.7, 1.7, views)
+    path = np.stack([np.full(views, -5.0), along, np.ones(views)], axis=1)
+    step, bins = 0.2, 30
+    ranges = 3.0 + step * np.arange(bins)
+    samples = np.zeros((views, bins), dtype=np.complex64)
+    for (x, y), amplitude in (((0.3, 0.8), 1.0), ((0.1, 0.2), 0.7), ((-0.4, 1.5), 0.6)):
+        off = ranges - np.linalg.norm(path - [x, y, 0.0], axis=1)[:, None]
+        samples += amplitude * np.exp(-((off / 0.22) ** 2) + 4j * np.pi / wavelength_m * off)
+    frequency = 299_792_458.0 / wavelength_m
+    return Capture(
+        samples, 3.0, step, antenna_positions_m=path, center_frequency_hz=frequency, bandwidth_hz=6.2e8
+    )
+
+
+def test_copies_beside_a_coarsely_sampled_path_are_no_echoes_and_warned_of() -> None:
+    """Views 103 mm apart, 3.3 wavelengths: copies 0.8 m beside every point, 5 dB weaker."""
+    settings = ImagingSettings(
+        "bp", background="none", delay_m=0.0, focus_m=0.0, towards_m=(0, 0), free_extent=True, held_out=False
+    )
+    coarse, dense = (reconstruct(coarse_path(views), settings) for views in (34, 400))
+    for made in (coarse, dense):
+        assert made.region is not None
+        (x, y), extent = made.region.centre_m, made.region.grid.extent
+        assert np.hypot(x - 0.1, y - 0.8) < 0.6 and extent < 3.7
+        assert np.hypot(made.region.points[0].x_m - 0.3, made.region.points[0].y_m - 0.8) < 0.05
+    told = [words for words in coarse.image.settings["warnings"] if "shows again" in words]
+    assert len(told) == 1 and "shows again 0.8" in told[0], told
+    assert not any("shows again" in words for words in dense.image.settings.get("warnings", ()))

@@ -383,10 +383,10 @@ def test_a_volume_about_another_centre_shows_the_same_places(tmp_path: Path) -> 
 
 
 def test_copies_of_the_scene_in_height_are_warned_of() -> None:
-    """Antennas 0.1 m apart at 1 m: the copies are half a wavelength over 0.1 apart."""
+    """Antennas 0.1 m apart at 1 m: the copies are about half a wavelength over 0.1 apart."""
     low = VolumeSettings("bp", 0.24, 16, (-0.12, 0.12), 4, held_out=False)
     high = replace(low, heights_m=(-0.3, 0.3), levels=8)
     joined = join(captures())
     assert "warnings" not in reconstruct_volume(joined, low).volume.settings
     (words,) = reconstruct_volume(joined, high).volume.settings["warnings"]
-    assert "the scene shows again 0.39 m above and below itself" in words and "5 antenna heights" in words
+    assert "the scene shows again 0.42 m above and below itself" in words and "5 antenna heights" in words
