@@ -7,6 +7,7 @@ engines run in processes of their own, from the same seed, and report their peak
 
 from __future__ import annotations
 
+import ctypes
 import pickle
 import subprocess
 import sys
@@ -28,8 +29,9 @@ from tagid.imaging.ats.fit_native import OnnxEngine
 from tagid.imaging.ats.problem import FineRange, GridArrays, draw_weights, view_arrays
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.backprojection import backproject
+from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.imaging.sparse import sparse_recovery
+from tagid.imaging.sparse import SparseSettings, sparse_recovery
 from tagid.imaging.types import BasebandScans
 from tagid.pipeline.prepared import as_prepared
 from tagid.pipeline.reconstruct import reconstruct
@@ -97,6 +99,92 @@ def image_times(run: Run) -> Iterator[Table]:
     rows.append(["BP, error", "360", "128 x 128", f"{backprojection_error() * 100:.2f} %", ""])
     yield Table(
         ("method", "views", "pixels", "wall (ms)", "CPU (ms)"), rows, f"One scene, best of {repeats}."
+    )
+
+
+PLAIN = Path(__file__).with_name("plain_backprojection.cpp")
+
+
+def rivals(run: Run) -> Iterator[Table]:
+    """The same images by other programs and by each other, in turn, so that load slows all alike."""
+    repeats = _repeats(run)
+    wide, few = scans(360, oversampling=6.0, matched=True), scans(36)
+    large, small = ImageGrid(EXTENT_M, 128), ImageGrid(EXTENT_M, 96)
+    with tempfile.TemporaryDirectory() as folder:
+        plain = _plain_backprojection(Path(folder), wide, large)
+        exact, image = plain(), backproject(wide, large).values.ravel()
+        alike = abs(np.vdot(exact, image)) / (np.linalg.norm(exact) * np.linalg.norm(image))
+        assert alike > 0.99, f"the two images correlate by {alike:.3f}"
+        pairs: list[tuple[str, Callable[[], object], str, Callable[[], object]]] = [
+            ("BP, 360 views, 128 x 128", partial(backproject, wide, large), "plain C++ with OpenMP", plain),
+            ("FISTA, 36 views, 96 x 96", partial(sparse_recovery, few, small), "PyLops", _pylops(few, small)),
+            (
+                "ATS, 36 views, 96 x 96",
+                partial(fit, few, small),
+                "FISTA",
+                partial(sparse_recovery, few, small),
+            ),
+        ]
+        rows = []
+        for name, ours, other, theirs in pairs:
+            rounds = [(best(ours, 1)[0], best(theirs, 1)[0]) for _ in range(repeats)]
+            one, two = (min(times) for times in zip(*rounds, strict=True))
+            ratio, word = max(two / one, one / two), "faster" if one < two else "slower"
+            rows.append([name, f"{one * 1e3:.1f}", other, f"{two * 1e3:.1f}", f"{ratio:.1f}", word])
+            run.say(str(rows[-1]))
+    columns = ("image", "wall (ms)", "beside", "wall (ms) ", "ratio", "tagid is")
+    yield Table(columns, rows, f"One scene, best of {repeats}, wall clock, all cores.")
+
+
+def _plain_backprojection(folder: Path, raw: BasebandScans, grid: ImageGrid) -> Callable[[], np.ndarray]:
+    """The kernel of `plain_backprojection.cpp` on scans."""
+    library = folder / "plain.so"
+    words = [
+        "c++",
+        "-shared",
+        "-fPIC",
+        "-O3",
+        "-march=native",
+        "-ffast-math",
+        "-fopenmp",
+        "-o",
+        library,
+        PLAIN,
+    ]
+    subprocess.run(words, check=True)
+    loaded = ctypes.CDLL(str(library))
+    antennas = np.ascontiguousarray(raw.aperture.positions, dtype=np.float32)
+    points = np.ascontiguousarray(grid.points, dtype=np.float32)
+    rows = np.ascontiguousarray(raw.samples)
+    out = np.zeros(len(points), dtype=np.complex64)
+    numbers = [ctypes.c_float(value) for value in (raw.range_start_m, raw.range_step_m, raw.wavenumber)]
+
+    def run() -> np.ndarray:
+        loaded.backproject(
+            rows.ctypes, antennas.ctypes, *rows.shape, *numbers, points.ctypes, len(points), out.ctypes
+        )
+        return out
+
+    return run
+
+
+def _pylops(raw: BasebandScans, grid: ImageGrid) -> Callable[[], object]:
+    """FISTA of PyLops on the operator as a sparse matrix: the same problem, step and end."""
+    import pylops
+    from pylops.optimization.sparsity import fista
+
+    operator, settings = ForwardOperator(raw, grid), SparseSettings()
+    image = sparse_recovery(raw, grid)
+    matrix = pylops.MatrixMult(operator.matrix, dtype="complex64")
+    # Its problem is ||y - A x||^2 + eps ||x||_1, and its end an absolute change.
+    return partial(
+        fista,
+        matrix,
+        raw.samples.ravel(),
+        niter=settings.iterations,
+        eps=2 * image.settings["lambda"],
+        alpha=1 / (1.1 * operator.norm_squared()),
+        tol=settings.tolerance * float(np.linalg.norm(image.values)),
     )
 
 

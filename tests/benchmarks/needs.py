@@ -38,6 +38,8 @@ NEEDS: dict[str, tuple[Callable[[], bool], str]] = {
     ),
     "pip": (_module("pip"), "an environment with pip, and a package index that it reaches"),
     "cc": (_program("cc"), "a C compiler"),
+    "c++": (_program("c++"), "a C++ compiler with OpenMP"),
+    "pylops": (_module("pylops"), "pip install pylops"),
     "git": (_program("git"), "a checkout with git"),
     "linux": (_linux, "Linux: /proc, pseudo terminals, processor affinity"),
 }
