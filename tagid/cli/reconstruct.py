@@ -164,7 +164,9 @@ def reconstruct(
     lines.append(Text(f"{result.method} image of {counted(result.views, 'view')} in {took:.2f} s{where}"))
     lines += [Text(line) for line in learned_words(result)]
     if result.focus is not None and result.focus.reason == BEYOND_SEARCH:
-        lines.append(Text("--axis-search METRES searches farther"))
+        lines.append(
+            Text("--axis-search METRES searches farther; --antenna-height METRES raises the antenna")
+        )
     if wanted.subtract_body:
         lines.append(Text(SUBTRACTED[subtracted]))
     lines += [

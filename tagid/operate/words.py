@@ -24,6 +24,13 @@ if TYPE_CHECKING:
 _NOT_PREDICTED = 0.9
 """Residual from which on held-out views count as not predicted."""
 
+_CLEARLY = 2.0
+"""Standard errors from which on an axis distance is farther than the given one."""
+_HIGHER = (
+    "an antenna that stands higher above the object's plane than given looks the same, but for the size of "
+    "the picture: check `motion.antenna_height_m`"
+)
+
 SUBTRACTED = {
     True: "the echo of the body is subtracted from the image",
     False: "no body was found: nothing is subtracted from the image",
@@ -231,10 +238,13 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
         return []
     if focus.reliable:
         evidence = f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed"
-        return [
+        lines = [
             f"axis distance {focus.axis_distance_m:.4f} m, {focus.offset_m * 1e3:+.1f} mm from the given "
             f"(standard error {focus.sigma_m * 1e3:.2g} mm, {evidence})"
         ]
+        if focus.offset_m > _CLEARLY * focus.sigma_m:
+            lines.append(_HIGHER)
+        return lines
     # One statement: an estimate that is rejected, and its evidence, stand in the document alone.
     return [f"the given axis distance is used: {focus.reason}"]
 

@@ -19,6 +19,7 @@ from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings, Prior
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
+from tagid.imaging.closure import closure_warning
 from tagid.imaging.copies import path_warning
 from tagid.imaging.heldout import HeldOut, check, left_out
 from tagid.imaging.lengths import finest_cell_m, pixel_warning
@@ -173,14 +174,15 @@ def reconstruct(
     matched = METHODS[method].matched_filter
     scans = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched))
     focus, scans = prepared.focus(), prepared.focused(scans)
-    outside, unsearched = None, False
-    sparse = METHODS[method].sparse
+    unfiltered, sparse = _unfiltered(prepared, scans, method), METHODS[method].sparse
+    outside: Outside | None = None
+    warnings = [warning for warning in (closure_warning(unfiltered),) if warning]
     if settings.outside and settings.preset != "paper" and (tell_outside or sparse):
         with watch.stage("outside"):
-            unfiltered = _unfiltered(prepared, scans, method)
             remark = _remark(progress, "echoes outside the image")
             outside = find_outside(unfiltered, grid, remark, subtracts=sparse)
-            unsearched = sparse and not views_searched(unfiltered, grid, sparse)
+            if sparse and not views_searched(unfiltered, grid, sparse):
+                warnings.append(NOT_SEARCHED)
     subtracted = outside is not None and sparse
     imaged = outside.removed(scans) if outside is not None and subtracted else scans
     with watch.stage("image"):
@@ -192,7 +194,8 @@ def reconstruct(
         sharp = METHODS[method].sparse and Prior.of(image.settings).iterations is None
         if settings.restore and sharp and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
-    facts = _facts(prepared, scans, image, _Found(focus, region, outside, subtracted, predicted, unsearched))
+    checks = _Found(focus, region, outside, subtracted, predicted, warnings)
+    facts = _facts(prepared, scans, image, checks)
     centre_m = image.centre_m if region is None else region.centre_m
     image = replace(image, centre_m=centre_m, settings={**image.settings, **facts})
     seconds = {**prepared.watch.seconds, **watch.seconds}
@@ -263,7 +266,7 @@ class _Found:
 
     Attributes:
         subtracted: whether the image was made without what lies outside.
-        unsearched: whether the search for it was left out.
+        warnings: what else is to be told of it.
     """
 
     focus: AxisFocus | None
@@ -271,7 +274,7 @@ class _Found:
     outside: Outside | None
     subtracted: bool
     predicted: HeldOut | None
-    unsearched: bool
+    warnings: list[str]
 
 
 def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks: _Found) -> dict[str, Any]:
@@ -294,7 +297,7 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks
     coarse = pixel_warning(image.grid.extent, image.grid.pixels, scans.wavelength_m)
     copies = None if region is None else path_warning(scans, image.grid.extent)
     warnings = [warning for warning in (band_warning(prepared.given), coarse, copies) if warning]
-    warnings += [NOT_SEARCHED] if checks.unsearched else []
+    warnings += checks.warnings
     if warnings:
         facts["warnings"] = warnings
     if checks.predicted is not None:
