@@ -55,8 +55,10 @@ _FIT_PASSES = 200
 """How often the fit visits each pair at most."""
 _PRODUCTS_PER_PAIR = 8
 """Multiplications of the operator that take as long as a pair of view and pixel."""
-_IMAGE_PASSES = {True: 200, False: 4}
+_IMAGE_PASSES = {True: 90, False: 4}
 """How often an image with its held-out residual visits each pair: by a fit, and by backprojection."""
+_ENOUGH_VIEWS = 60
+"""More views than these are taken only while the search takes at most half of the image's time."""
 _LEAST_WORK = {True: 2.4e9, False: 3e8}
 """Visits of pairs that a search may take whatever the image takes: a few seconds of a core, and less than a
 second for an image that can only say what lies outside."""
@@ -103,9 +105,10 @@ def views_searched(scans: BasebandScans, grid: ImageGrid | VolumeGrid, subtracts
         return products(scans, corner) / _PRODUCTS_PER_PAIR
 
     image = views * (len(points) + pairs_of(box.corners(1)))
-    work = max(_LEAST_WORK[subtracts], _IMAGE_PASSES[subtracts] * image / 2)
-    fit = _fit_points(views) + pairs_of(box.corners(_WIDER))
-    most = min(views, int(work / (_FIT_PASSES * fit)), _LOOK_PAIRS // max(len(points), box.cells))
+    fit = _FIT_PASSES * (_fit_points(views) + pairs_of(box.corners(_WIDER)))
+    cheap = int(_IMAGE_PASSES[subtracts] * image / 2 / fit)
+    enough = min(_ENOUGH_VIEWS, int(_LEAST_WORK[subtracts] / fit))
+    most = min(views, max(cheap, enough), _LOOK_PAIRS // max(len(points), box.cells))
     return most if most >= min(views, _FEWEST_VIEWS) else 0
 
 
