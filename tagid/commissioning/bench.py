@@ -20,12 +20,16 @@ from tagid.config import Config, data_folder
 from tagid.constants import CAPTURE_SUFFIX, SAMPLE_STEP_S
 from tagid.errors import ConfigError, FileFormatError, UsageError
 from tagid.files import make_folder, parse_json, read_bytes, storage_error, write_bytes
+from tagid.operate.turn import Recorded, record_turn
 from tagid.operate.workplace import Workplace
 from tagid.radar.settings import RadarConfig
 from tagid.recording.calibration import LONGEST_DELAY_PS, calibration_window, take_scans
+from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
+from tagid.recording.recorder import Watch
 from tagid.rig import Measured
 from tagid.storage.hdf5 import read_capture, write_capture
+from tagid.types import Progress
 
 FOLDER: Final = "commissioning"
 _MAX_BYTES: Final = 1 << 20
@@ -82,6 +86,7 @@ class Bench:
         seconds: how long the link is watched.
         scans: of a recording of a scene that stands still.
         progress: called with (done, total, remark).
+        stop: whether to end a recording; asked about ten times per second.
 
     Attributes:
         tape: what was measured by tape, now or before.
@@ -96,9 +101,11 @@ class Bench:
         changes: TapeChanges,
         seconds: float = 30.0,
         scans: int = 200,
-        progress: Callable[[float, float, str], None] = lambda done, total, remark: None,
+        progress: Progress = lambda done, total, remark: None,
+        stop: Callable[[], bool] = lambda: False,
     ) -> None:
         self.config, self.seconds, self.scans, self.progress = config, seconds, scans, progress
+        self.stop = stop
         self.folder = data_folder() / FOLDER
         given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
         try:
@@ -187,6 +194,15 @@ class Bench:
         if delay is not None:
             known["radar.cable_delay_ps"] = delay.value
         return Workplace({**known, **{name.replace("__", "."): value for name, value in settings.items()}})
+
+    def take_turn(self, place: Workplace, plan: RecordingPlan, remark: str) -> Recorded:
+        """A recording of the table as it turns. Raises as `record_turn`."""
+        asked = plan.scans
+
+        def advance(scans: int, seconds: float) -> None:
+            self.progress(min(scans, asked or 0), asked or 1, f"{remark}, {scans} scans in {seconds:.0f} s")
+
+        return record_turn(place, plan, watch=Watch(progress=advance, stop=self.stop))
 
     def take_still(self, what: str) -> Capture:
         """Scans of a scene that stands still, with a window for axis and target and any usual delay.

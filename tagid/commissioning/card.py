@@ -11,12 +11,13 @@ import numpy as np
 
 from tagid.capture import Capture
 from tagid.commissioning.bench import Bench, reported
+from tagid.commissioning.pulse import received_from
 from tagid.commissioning.rows import Level, Row, StepReport
-from tagid.commissioning.turning import CARD_REFLECTOR, prepare_card
-from tagid.operate.turn import record_turn
-from tagid.operate.workplace import TURN_S
+from tagid.commissioning.turning import CARD_REFLECTOR, MIRRORED, MISSING_ADVICE
+from tagid.motion.urls import open_motion
+from tagid.operate.workplace import TURN_S, Workplace
 from tagid.pipeline.identify import identify
-from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.prepared import PreparedCapture, load_capture
 from tagid.pipeline.settings import ImagingSettings
 from tagid.planning.plan import Setup, gap
 from tagid.recording.inspection import inspect
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 _SHARES: Final = (("all", 1), ("half", 2), ("a quarter", 4))
 _MOST_RMS_M: Final = 1e-3
 _LEVEL_DB: Final = 3.0
+_EXTENT_M: Final = 0.3
 _MIRRORED: Final = f"{NAME}-mirrored"
 
 
@@ -41,10 +43,10 @@ def read_card(bench: Bench) -> StepReport:
     period = bench.value("turning", "period_s")
     place = bench.workplace(**({} if axis is None else {"motion__axis_distance_m": axis.value}))
     seconds = TURN_S if period is None else max(10.0, 3 * period.value)
-    recorded = record_turn(place, place.plan(max_seconds=seconds))
+    recorded = bench.take_turn(place, place.plan(max_seconds=seconds), "one turn")
     capture = recorded.capture
     name = bench.keep_file("card", recorded.path)
-    prepared = prepare_card(bench, place, capture, period)
+    prepared = _prepared(bench, place, capture, period)
     rows, readings = [], []
     for share, every in _SHARES:
         given = prepared.given.select(slice(None, None, every))
@@ -54,6 +56,20 @@ def read_card(bench: Bench) -> StepReport:
     rows.append(_places_row(readings[0]))
     rows.append(_level_row(bench, place.config["motion.axis_distance_m"], capture, period))
     return reported("card", rows, recording=name)
+
+
+def _prepared(bench: Bench, place: Workplace, capture: Capture, period: Measured | None) -> PreparedCapture:
+    """A recording of the test card for imaging: the measured period and pulse, one turn of views."""
+    pulse = bench.pulse()
+    if pulse is not None:
+        capture = replace(capture, pulse=received_from(pulse, CARD_REFLECTOR)[0])
+    motion = open_motion(place.config["motion.url"])
+    if period is not None and not motion.measures:
+        way = "cw" if motion.direction < 0 else "ccw"
+        place = bench.workplace(motion__url=f"free?rpm={60 / period.value:.6f}&direction={way}")
+    loading = replace(place.loading(), extent_m=_EXTENT_M)
+    settings = ImagingSettings(extent_m=_EXTENT_M)
+    return PreparedCapture(load_capture(capture, loading), settings)
 
 
 def _read(prepared: PreparedCapture) -> Reading:
@@ -72,16 +88,15 @@ def _named_row(share: str, views: int, reading: Reading) -> Row:
     if reading.status == "identified":
         return row(
             Level.FAIL,
-            text=f"{lead}: the card reads as its mirror image",
-            advice="The table turns the other way than given (see `motion.url`), or the card is "
-            "mirrored: print it again and put it on the table with its print upwards.",
+            text=f"{lead}: {MIRRORED[0]}",
+            advice=MIRRORED[1],
             code="mirrored",
         )
     if reading.missing:
         return row(
             Level.FAIL,
             text=f"{lead}: {reading.missing} of the card's {test_card().size} reflectors missing",
-            advice="Put a reflector on each mark of the card, then repeat.",
+            advice=MISSING_ADVICE,
             code="missing-reflector",
         )
     return row(

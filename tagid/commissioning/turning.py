@@ -1,49 +1,60 @@
-"""Step 4, turning: period, uniformity and axis distance, with the test card on the table."""
+"""Step 4, turning: period, evenness, direction and axis distance, with the test card on the table."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
+from tagid.angles.clock import fit_clock
+from tagid.angles.sinogram import uniform_grid
 from tagid.capture import Capture
 from tagid.commissioning.bench import Bench, reported
+from tagid.commissioning.card_fit import HARMONICS, CardFit, Known, fit_card
 from tagid.commissioning.pulse import received_from
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.commissioning.targets import Target
 from tagid.constants import SPEED_OF_LIGHT
-from tagid.errors import DataError
-from tagid.geometry import ImageGrid
-from tagid.imaging.ats.calibration import begin
-from tagid.imaging.autofocus import BEYOND_SEARCH
+from tagid.errors import ConfigError, DataError
+from tagid.motion.device import Motion
 from tagid.motion.urls import open_motion
-from tagid.operate.turn import record_turn
-from tagid.operate.workplace import MOST_SCANS, Workplace
-from tagid.pipeline.prepared import PreparedCapture, load_capture
-from tagid.pipeline.settings import ImagingSettings
-from tagid.recording.inspection import scan_rate, turning_period
+from tagid.operate.workplace import MOST_SCANS
+from tagid.recording.curves import slow_time
+from tagid.recording.inspection import turning_period
 from tagid.rig import Measured
+from tagid.signal import vertex
+from tagid.tags.layouts.test_card import test_card
+from tagid.types import Floats
 
 CARD_REFLECTOR: Final = Target("octahedron", 0.040)
 """What stands on the test card."""
-SEARCH_M: Final = 0.12
-"""Half width of the search for the axis: a tape read wrongly by a decimetre."""
+MIRRORED: Final = (
+    "the card appears as its mirror image",
+    "The table turns the other way than given (see `motion.url`), or the card is mirrored: print it again "
+    "and put it on the table with its print upwards.",
+)
+MISSING_ADVICE: Final = "Put a reflector on each mark of the card, then repeat."
 _TURNS: Final = 2.3
-_EXTENT_M: Final = 0.3
-_HARMONICS: Final = 4
-_VARIATION_SHARE: Final = 0.15
-"""Relative error of the speed variation on emulated rigs: estimates were up to a quarter too large."""
-_PERIOD_SHARE: Final = 1e-4
-"""Relative error of the period on emulated rigs with a wobble, where the repetition alone claims less."""
+_CLOCK: Final = 1e-5
+"""Relative error of the radar's clock, a crystal (assumed)."""
 _MOST_VARIATION: Final = 0.05
 _PERIOD_TOLERANCE: Final = 0.02
+_ANGLE_TOLERANCE: Final = 0.01
+"""Of the angle that a device reports (docs/first-robot.md, step 26)."""
 _AXIS_TOLERANCE_M: Final = 0.02
 """A tape measure does not reach the phase centre of the antennas, but within 2 cm."""
 _MOST_AXIS_SIGMA_M: Final = 0.01
-_HALVES: Final = 0.01
-"""Two halves of a recording that differ more in their period: the table slipped or stopped."""
+_MOST_UNEXPLAINED: Final = 0.5
+_FAINT: Final = 0.4
+"""Reflectors made by hand differ by 1 dB; -8 dB is none."""
+_SLIP: Final = 0.01
+"""Change of the time after which scans repeat, over the period, at which the table slipped or stopped."""
+_SLIP_REACH: Final = 0.25
+_SLIP_BLOCK: Final = 0.06
+"""Largest slip and length of the parts that are compared, in turns."""
+_ALIKE: Final = 0.5
 
 
 def measure_turning(bench: Bench) -> StepReport:
@@ -52,7 +63,7 @@ def measure_turning(bench: Bench) -> StepReport:
     motion = open_motion(place.config["motion.url"])
     nominal_s = motion.nominal_s
     if nominal_s is None:
-        first = record_turn(place, place.plan())
+        first = bench.take_turn(place, place.plan(), "looking for the speed")
         bench.keep_file("turning", first.path)
         nominal_s = turning_period(first.capture).period_s
         if nominal_s is None:
@@ -60,62 +71,98 @@ def measure_turning(bench: Bench) -> StepReport:
     window = place.plan().config
     scans = 400 if window is None else math.ceil(_TURNS * nominal_s / window.scan_period_s)
     seconds = 3 * _TURNS * nominal_s
-    recorded = record_turn(place, place.plan(scans=min(scans, MOST_SCANS), max_seconds=seconds))
-    capture = recorded.capture
+    plan = place.plan(scans=min(scans, MOST_SCANS), max_seconds=seconds)
+    recorded = bench.take_turn(place, plan, "two turns")
     name = bench.keep_file("turning", recorded.path)
+    return evaluated(bench, motion, recorded.capture, nominal_s, name)
+
+
+def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, recording: str) -> StepReport:
+    """The report of a recording of the test card. Raises DataError, ConfigError.
+
+    Args:
+        bench: with the results of the earlier steps.
+        motion: the device that turned the card.
+        capture: two turns of it.
+        nominal_s: seconds per turn as expected.
+        recording: name of the recording's file.
+    """
     turning = turning_period(capture)
-    if turning.period_s is None or turning.sigma_s is None:
-        return reported(
-            "turning",
-            [
-                Row(
-                    "period",
-                    Level.FAIL,
-                    text=turning.note,
-                    code="period",
-                    advice="Check that the table turns evenly, and its speed in `motion.url`.",
-                )
-            ],
-            recording=name,
+    evenness = _evenness(capture, nominal_s)
+    if evenness.level is Level.FAIL:
+        return reported("turning", [evenness], recording=recording)
+    if turning.period_s is None:
+        advice = "Check that the table turns evenly, and its speed in `motion.url`."
+        row = Row("period", Level.FAIL, text=turning.note, advice=advice, code="period")
+        return reported("turning", [row], recording=recording)
+    fit = _fitted(bench, motion, capture, turning.period_s)
+    if fit.unexplained > _MOST_UNEXPLAINED or fit.axis_distance_m.sigma > _MOST_AXIS_SIGMA_M:
+        row = Row(
+            "test card",
+            Level.FAIL,
+            100 * fit.unexplained,
+            unit="%",
+            text="of the changing echo is not that of the test card",
+            advice="Put the test card alone on the middle of the table and point both antennas at it; "
+            "then repeat.",
+            code="axis-unknown",
         )
-    period = Measured(turning.period_s, math.hypot(turning.sigma_s, _PERIOD_SHARE * turning.period_s))
-    rows = [_period_row(period, nominal_s), _evenness(capture, period)]
-    values = {"period_s": period}
-    facts: dict[str, str | int] = {"direction": motion.direction}
-    rows.append(_direction_row(motion.direction))
-    prepared = prepare_card(bench, place, capture, period)
-    axis, axis_row = _axis(bench, prepared)
-    rows.append(axis_row)
-    if axis is not None:
-        values["axis_distance_m"] = axis
-        variation, row = _variation(prepared)
-        values["speed_variation"] = variation
-        rows.append(row)
+        return reported("turning", [evenness, row], recording=recording)
+    given = turning.period_s if not motion.measures else nominal_s
+    period = Measured(given / fit.speed.value, given * math.hypot(fit.speed.sigma, _CLOCK))
+    if motion.measures:
+        period = Measured(turning.period_s, turning.sigma_s or 0.0)
     height = Measured(bench.tape.antenna_height_m, bench.tape.error_m)
-    rows.append(
+    values = {
+        "period_s": period,
+        "axis_distance_m": fit.axis_distance_m,
+        "speed_variation": fit.speed_variation,
+        "antenna_height_m": height,
+        "antenna_separation_m": Measured(bench.tape.antenna_separation_m, bench.tape.error_m),
+    }
+    rows = [
+        _period_row(period, nominal_s),
+        evenness,
+        *([_angle_row(fit.speed)] if motion.measures else []),
+        _direction_row(motion.direction, fit.mirrored),
+        _reflectors_row(fit.strengths),
+        _axis_row(fit.axis_distance_m, bench),
         Row(
             "antenna height", Level.NOTE, height.value, height.sigma, "m", "by tape: the scans do not tell it"
-        )
+        ),
+        _variation_row(fit),
+    ]
+    facts: dict[str, str | int] = {"direction": motion.direction}
+    return reported("turning", rows, values=values, facts=facts, recording=recording)
+
+
+def _fitted(bench: Bench, motion: Motion, capture: Capture, period_s: float) -> CardFit:
+    """The card in a recording. Raises ConfigError if the reference target was not measured."""
+    pulse, delay = bench.pulse(), bench.value("target", "path_delay_ps")
+    if pulse is None or delay is None:
+        raise ConfigError("the reference target was not measured", "Do the step target first.")
+    received, late_ps = received_from(pulse, CARD_REFLECTOR)
+    tape, metres = bench.tape, 1e-12 * SPEED_OF_LIGHT / 2
+    noise = bench.value("room", "noise_counts")
+    known = Known(
+        bench.axis_distance_m(),
+        Measured(tape.antenna_height_m, tape.error_m),
+        tape.antenna_separation_m,
+        Measured(late_ps * metres, delay.sigma * metres),
+        received,
+        0.0 if noise is None else noise.value,
     )
-    values["antenna_height_m"] = height
-    values["antenna_separation_m"] = Measured(bench.tape.antenna_separation_m, bench.tape.error_m)
-    return reported("turning", rows, values=values, facts=facts, recording=name)
+    angles = capture.angles_rad if motion.measures else None
+    if angles is None:
+        angles = motion.direction * 2 * np.pi * _times_s(capture) / period_s
+    return fit_card(capture, angles, test_card().positions, known)
 
 
-def prepare_card(
-    bench: Bench, place: Workplace, capture: Capture, period: Measured | None
-) -> PreparedCapture:
-    """A recording of the test card for imaging: the measured period and pulse, one turn of views."""
-    pulse = bench.pulse()
-    if pulse is not None:
-        capture = replace(capture, pulse=received_from(pulse, CARD_REFLECTOR)[0])
-    motion = open_motion(place.config["motion.url"])
-    if period is not None and not motion.measures:
-        way = "cw" if motion.direction < 0 else "ccw"
-        place = bench.workplace(motion__url=f"free?rpm={60 / period.value:.6f}&direction={way}")
-    loading = replace(place.loading(), extent_m=_EXTENT_M)
-    settings = ImagingSettings(extent_m=_EXTENT_M, focus_m=SEARCH_M)
-    return PreparedCapture(load_capture(capture, loading), settings)
+def _times_s(capture: Capture) -> Floats:
+    """(views,) of the scans."""
+    if capture.radar_time_ms is None:
+        return np.asarray(slow_time(capture)[0], dtype=np.float64)
+    return fit_clock(capture.radar_time_ms, capture.scan_id).times_s
 
 
 def _period_row(period: Measured, nominal_s: float) -> Row:
@@ -133,34 +180,31 @@ def _period_row(period: Measured, nominal_s: float) -> Row:
     )
 
 
-def _evenness(capture: Capture, period: Measured) -> Row:
-    """Whether the first and the second part repeat after the same time, and the table never stood."""
+def _evenness(capture: Capture, period_s: float) -> Row:
+    """Whether every part of the later turns repeats after the same time.
+
+    The wobble of a table repeats with it; a table that slips or stops does not.
+    """
+    row = partial(Row, "repetition of the turns")
     resolved = capture.motion.resolved
     stopped = resolved is not None and resolved.standstill is not None
-    rate, duration = scan_rate(capture)
-    change, sigma = 0.0, period.sigma / period.value
-    if rate is not None and duration is not None:
-        part = min(capture.views, math.ceil(1.35 * period.value * rate))
-        ends = [
-            turning_period(capture.select(s)) for s in (slice(0, part), slice(capture.views - part, None))
-        ]
-        periods = [end for end in ends if end.period_s is not None and end.sigma_s is not None]
-        if len(periods) == 2:
-            a, b = periods
-            assert a.period_s and b.period_s and a.sigma_s is not None and b.sigma_s is not None
-            change, sigma = (
-                (b.period_s - a.period_s) / period.value,
-                math.hypot(a.sigma_s, b.sigma_s) / period.value,
-            )
-        else:
-            stopped = stopped or len(periods) < len(ends)
-    if not stopped and abs(change) <= max(_HALVES, 3 * sigma):
-        return Row("second turn against first", Level.PASS, 100 * change, 100 * sigma, "%")
-    return Row(
-        "second turn against first",
+    lags = repetition(capture, period_s)
+    if len(lags) < 2:
+        if not stopped:
+            return row(Level.NOTE, text="less than two turns: not compared")
+        change, sigma = None, None
+    else:
+        middle = float(np.median(lags))
+        apart = np.abs(lags / middle - 1) > _SLIP
+        stopped = stopped or bool((apart[1:] & apart[:-1]).any())
+        change = 100 * float(np.ptp(lags)) / middle
+        sigma = 100 * float(np.median(np.abs(np.diff(lags)))) / middle
+    if not stopped:
+        return row(Level.PASS, change, sigma, "%", "largest difference between parts of the turns")
+    return row(
         Level.FAIL,
-        100 * change,
-        100 * sigma,
+        change,
+        sigma,
         "%",
         "the table slips or stops",
         "Check the drive and the weight on the table; fix the card on the table; then repeat.",
@@ -168,79 +212,95 @@ def _evenness(capture: Capture, period: Measured) -> Row:
     )
 
 
-def _direction_row(direction: int) -> Row:
-    way = "counter-clockwise" if direction > 0 else "clockwise"
-    return Row("direction", Level.NOTE, text=f"{way} from above, as given; the test card confirms it")
+def repetition(capture: Capture, period_s: float) -> Floats:
+    """(parts,) time after which each part of the later turns repeats an earlier one, s, in their order.
 
-
-def _axis(bench: Bench, prepared: PreparedCapture) -> tuple[Measured | None, Row]:
-    """The axis distance by focusing the card, whose reflectors look farther away by their own delay.
-
-    The search is made for any object; here its estimate is taken with its standard error.
+    Args:
+        capture: more than a turn.
+        period_s: about the time of a turn.
     """
-    given = bench.axis_distance_m()
-    focus = prepared.focus()
-    usable = focus is not None and focus.evidence >= focus.needed and focus.sigma_m <= _MOST_AXIS_SIGMA_M
-    if focus is None or focus.best_m is None or not usable or focus.reason == BEYOND_SEARCH:
-        reason = "" if focus is None else focus.reason
-        return None, Row(
-            "axis distance",
-            Level.FAIL,
-            text=f"the scans do not tell it: {reason}",
-            advice="Put the test card on the middle of the table and point both antennas at it; then repeat.",
-            code="axis-unknown",
-        )
-    delay = bench.value("target", "path_delay_ps")
-    pulse = bench.pulse()
-    late_ps = CARD_REFLECTOR.delay_ps() if pulse is None else received_from(pulse, CARD_REFLECTOR)[1]
-    of_reflector = late_ps * 1e-12 * SPEED_OF_LIGHT / 2
-    parts = [focus.sigma_m]
-    if delay is not None:
-        parts.append(delay.sigma * 1e-12 * SPEED_OF_LIGHT / 2)
-    parts.append(bench.tape.antenna_height_m * bench.tape.error_m / given)
-    axis = Measured(focus.best_m - of_reflector, math.hypot(*parts))
-    off = axis.value - given
-    if abs(off) <= max(_AXIS_TOLERANCE_M, 3 * math.hypot(axis.sigma, bench.tape.error_m)):
-        return axis, Row(
-            "axis distance", Level.PASS, axis.value, axis.sigma, "m", f"{off * 1e3:+.0f} mm against the tape"
-        )
-    return axis, Row(
-        "axis distance",
+    grid, received, step_s = uniform_grid(capture.samples, _times_s(capture))
+    grid[received] -= grid[received].mean(axis=0)
+    low, high = (round((1 + side * _SLIP_REACH) * period_s / step_s) for side in (-1, 1))
+    width = max(3, round(_SLIP_BLOCK * period_s / step_s))
+    window, energy = np.ones(width), np.einsum("ib,ib->i", grid, grid).astype(np.float64)
+    at = np.arange(high + width // 2, len(grid) - width // 2, width)
+    if not len(at):
+        return np.zeros(0)
+    alike = []
+    for lag in range(low, high + 1):
+        product = np.einsum("ib,ib->i", grid[lag:], grid[:-lag]).astype(np.float64)
+        sums = [np.convolve(x, window, "same")[at - lag] for x in (product, energy[lag:], energy[:-lag])]
+        alike.append(sums[0] / np.sqrt(np.maximum(sums[1] * sums[2], 1e-30)))
+    score = np.array(alike)
+    best = score.argmax(axis=0)
+    seen = score[best, np.arange(len(at))] > _ALIKE
+    inner = np.clip(best, 1, len(score) - 2)
+    part = np.arange(len(at))
+    beside = [vertex(*score[i - 1 : i + 2, k].tolist()) for i, k in zip(inner, part, strict=True)]
+    return np.asarray((low + inner + np.array(beside))[seen] * step_s)
+
+
+def _angle_row(speed: Measured) -> Row:
+    """The angle that the device reports against that of the scans."""
+    off = 1 - 1 / speed.value
+    row = partial(Row, "reported angle against scans", value=-100 * off, sigma=100 * speed.sigma, unit="%")
+    if abs(off) <= max(_ANGLE_TOLERANCE, 3 * speed.sigma):
+        return row(Level.PASS)
+    return row(
         Level.FAIL,
-        axis.value,
-        axis.sigma,
-        "m",
-        f"{off * 1e2:+.1f} cm against the tape",
-        "Measure again, horizontally, from the antennas to the middle of the table; then repeat.",
-        "axis",
+        text="the device turns further or less far than it reports",
+        advice="Calibrate it: `tagid motion calibrate`; a robot first passes docs/first-robot.md.",
+        code="angle",
     )
 
 
-def _variation(prepared: PreparedCapture) -> tuple[Measured, Row]:
+def _direction_row(direction: int, mirrored: bool) -> Row:
+    way = "counter-clockwise" if direction > 0 else "clockwise"
+    if not mirrored:
+        return Row("direction", Level.PASS, text=f"{way} from above, by the order of the card's reflectors")
+    return Row("direction", Level.FAIL, text=MIRRORED[0], advice=MIRRORED[1], code="mirrored")
+
+
+def _reflectors_row(strengths: Floats) -> Row:
+    faint = int(np.count_nonzero(strengths < _FAINT))
+    weakest = 20 * math.log10(max(float(strengths.min()), 1e-2))
+    row = partial(Row, "weakest reflector", value=weakest, unit="dB")
+    if not faint:
+        return row(Level.PASS, text="against the median of the card's reflectors")
+    return row(
+        Level.FAIL,
+        text=f"{faint} of the card's {len(strengths)} reflectors missing",
+        advice=MISSING_ADVICE,
+        code="missing-reflector",
+    )
+
+
+def _axis_row(axis: Measured, bench: Bench) -> Row:
+    off = axis.value - bench.axis_distance_m()
+    row = partial(Row, "axis distance", value=axis.value, sigma=axis.sigma, unit="m")
+    if abs(off) <= max(_AXIS_TOLERANCE_M, 3 * math.hypot(axis.sigma, bench.tape.error_m)):
+        return row(Level.PASS, text=f"{off * 1e3:+.0f} mm against the tape")
+    return row(
+        Level.FAIL,
+        text=f"{off * 1e2:+.1f} cm against the tape",
+        advice="Measure again, horizontally, from the antennas to the middle of the table; then repeat.",
+        code="axis",
+    )
+
+
+def _variation_row(fit: CardFit) -> Row:
     """RMS deviation of the speed over a turn, and its harmonics."""
-    settings = prepared.settings
-    scans = prepared.focused(
-        prepared.scans(settings.preprocessing_for_focus(prepared.given, matched_filter=False))
-    )
-    unknown = begin(scans, ImageGrid(_EXTENT_M, 60), ("axis", "wobble"), _HARMONICS)
-    orders = np.arange(1, _HARMONICS + 1)
-    levels = orders * np.abs(unknown.wobble) / math.sqrt(2)
-    sigmas = orders * np.nan_to_num(unknown.wobble_sigma) / math.sqrt(2)
-    total = float(np.sqrt((levels**2).sum()))
-    sigma = (
-        float(np.sqrt((levels**2 * sigmas**2).sum()) / total) if total > 0 else float(np.hypot.reduce(sigmas))
-    )
-    sigma = math.hypot(sigma, _VARIATION_SHARE * total)
-    spectrum = ", ".join(f"{100 * level:.2f}" for level in levels)
-    even = total <= _MOST_VARIATION + 3 * sigma
-    row = Row(
+    total = fit.speed_variation
+    spectrum = ", ".join(f"{100 * level:.2f}" for level in fit.speed_levels)
+    even = total.value <= _MOST_VARIATION + 3 * total.sigma
+    return Row(
         "speed variation",
         Level.PASS if even else Level.FAIL,
-        100 * total,
-        100 * sigma,
+        100 * total.value,
+        100 * total.sigma,
         "%",
-        f"1 to {_HARMONICS} times a turn: {spectrum} %",
+        f"1 to {HARMONICS} times a turn: {spectrum} %",
         "" if even else "Check the drive; put the table on a level surface; then repeat.",
         "" if even else "uneven",
     )
-    return Measured(total, sigma), row

@@ -10,6 +10,7 @@ from urllib.parse import quote
 import numpy as np
 import pytest
 
+from tagid.capture import Capture
 from tagid.commissioning import card as card_step
 from tagid.commissioning.bench import Bench
 from tagid.commissioning.page import write_page
@@ -17,12 +18,16 @@ from tagid.commissioning.pulse import echo_pulse
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.commissioning.steps import next_step, run_step, step_named
 from tagid.commissioning.targets import parse_target
+from tagid.commissioning.turning import evaluated
 from tagid.config import load_config
-from tagid.constants import SAMPLE_STEP_S
+from tagid.constants import RANGE_STEP_M, SAMPLE_STEP_S, SPEED_OF_LIGHT
 from tagid.enrolling.registry import Registry
 from tagid.errors import ConfigError, UsageError
+from tagid.metadata import MotionInfo
+from tagid.motion.urls import open_motion
 from tagid.rig import Measured
-from tagid.simulate.rig import parse_rig
+from tagid.simulate.acquisition import Placement
+from tagid.simulate.rig import EmulatedRig, RigScene, parse_rig
 from tagid.tags.layouts.test_card import test_card
 from tagid.waveform import nominal_pulse, pulse_at
 
@@ -100,6 +105,60 @@ def test_the_delay_of_a_target_is_taken_out_of_the_pulse(text: str) -> None:
     assert echo.delay_ps == pytest.approx(target.delay_ps(), abs=2)
     middle = len(echo.pulse.samples) // 2
     assert abs(int(np.argmax(echo.pulse.samples)) - middle) <= 1
+
+
+def turned(at: Bench, rig: EmulatedRig, views: int = 300) -> Capture:
+    """2.3 turns of the card as the emulated radar records them, without its link."""
+    delay = at.value("target", "path_delay_ps")
+    config = at.workplace().plan().config
+    scene = RigScene(rig.scene("test-card", {"test-card": test_card()}), rig, Placement(), seed=1)
+    times_s = np.arange(views) * 2.3 * rig.period_s / views
+    start_m = (config.scan_start_ps - delay.value) * 1e-12 * SPEED_OF_LIGHT / 2
+    return Capture(
+        np.stack([scene.scan(i, float(t), config) for i, t in enumerate(times_s)]),
+        start_m,
+        RANGE_STEP_M,
+        radar_time_ms=times_s * 1e3,
+        scan_id=np.arange(views),
+        axis_distance_m=1.0,
+        motion=MotionInfo(nominal_rpm=round(60 / rig.period_s, 1)),
+    )
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which room and target of the rig of `bench` are measured."""
+    folder = tmp_path_factory.mktemp("rig")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TAGID_DATA", str(folder))
+        patch.setenv("TAGID_CONFIG", str(folder / "config.toml"))
+        for name, scene in (("room", "empty"), ("target", "target")):
+            run_step(step_named(name), bench(folder, scene))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("fault", "code"),
+    [("", ""), ("slip", "slip"), ("missing-reflector", "missing-reflector"), ("mirrored-card", "mirrored"),
+     ("direction", "mirrored"), ("axis", "axis")],
+)  # fmt: skip
+def test_the_card_gives_axis_and_period_and_names_faults(
+    measured: Path, monkeypatch: pytest.MonkeyPatch, fault: str, code: str
+) -> None:
+    monkeypatch.setenv("TAGID_DATA", str(measured))
+    text = "realistic?seed=3" + (f"&fault={fault}" if fault else "")
+    at, true = bench(measured, "test-card"), parse_rig(text)
+    motion = open_motion(f"free?rpm={60 / true.period_s:.2g}")
+    report = evaluated(at, motion, turned(at, true), motion.nominal_s, "")
+    assert report.faults == ((code,) if code else ())
+    if fault == "slip":
+        assert not report.values
+        return
+    for name in ("axis_distance_m", "period_s", "speed_variation", "antenna_height_m"):
+        value, truth = report.values[name], getattr(true, name)
+        assert abs(value.value - truth) < max(3 * value.sigma, 1e-6), name
+    assert report.values["axis_distance_m"].sigma < 2e-3
+    assert report.values["period_s"].sigma < 1e-4 * true.period_s
 
 
 def reading(status: str, name: str | None, missing: int = 0):
