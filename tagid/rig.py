@@ -25,6 +25,8 @@ MAX_BYTES: Final = 1 << 18
 """Largest profile, bytes: a pulse of some hundred samples is its largest part."""
 _DELAY_TOLERANCE_PS: Final = 20.0
 """Drift of the delay with the temperature of a P440 between two days (assumed; 3 mm of range)."""
+_AXIS_TOLERANCE_M: Final = 0.005
+"""How well a table stands in its old place after it was moved and put back (assumed)."""
 _PERIOD_TOLERANCE: Final = 0.02
 """A free-running table of the same setting differs by less from day to day (assumed)."""
 
@@ -153,7 +155,7 @@ class RigProfile:
         }
 
     def contradictions(self, capture: Capture) -> tuple[str, ...]:
-        """How a capture contradicts the profile, one sentence each: delay, period, radar, band."""
+        """How a capture contradicts the profile, one sentence each: delay, axis, period, radar, band."""
         name = f"the rig profile of {self.day}"
         remarks = []
         delay, expected = capture.radar.cable_delay_ps, self.path_delay_ps
@@ -163,6 +165,14 @@ class RigProfile:
             remarks.append(
                 f"the path delay of this recording is {delay:.0f} ps, {name} measured "
                 f"{expected.value:.0f} ps: other cables, or a delay set by hand"
+            )
+        axis, measured = capture.axis_distance_m, self.axis_distance_m
+        if axis is not None and abs(axis - measured.value) > 3 * math.hypot(
+            measured.sigma, _AXIS_TOLERANCE_M
+        ):
+            remarks.append(
+                f"the axis distance of this recording is {axis:.3f} m, {name} measured "
+                f"{measured.value:.3f} m: radar or table moved, or a distance set by hand"
             )
         turned = capture.motion.resolved
         period = None if turned is None or turned.source == "nominal" else turned.period_s
