@@ -72,7 +72,8 @@ def commission(
     ] = 30.0,
     scans: Annotated[int, typer.Option("--scans", min=32, max=5000, help="Scans of room and target.")] = 200,
     page: Annotated[
-        Path | None, typer.Option("--page", help="Write the results as a page (.html).", show_default=False)
+        Path | None,
+        typer.Option("--page", help="Write the results as a page (.html or .pdf).", show_default=False),
     ] = None,
     bundle: Annotated[
         Path | None,
@@ -97,7 +98,7 @@ def commission(
     if step is not None and step not in {known.name for known in STEPS}:
         names = ", ".join(known.name for known in STEPS)
         raise UsageError(f"--step is {step[:40]!r}", f"Give one of {names}.")
-    check_drawing("--page", page, (".html",))
+    check_drawing("--page", page, (".html", ".pdf"))
     check_drawing("--bundle", bundle, (".zip",))
     config = load_config({"radar.url": radar, "motion.url": motion})
     given: TapeChanges = {

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import html
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from tagid._version import __version__
+from tagid.commissioning.page_content import Curve, curves_of, heading, plain
 from tagid.commissioning.rows import Level, Row, StepReport
-from tagid.constants import SAMPLE_STEP_S
 from tagid.files import write_bytes
 from tagid.rig import RigProfile
 
@@ -43,19 +40,21 @@ def write_page(
     """Write the page atomically.
 
     Args:
-        path: the file.
+        path: the file; .pdf for a PDF of vectors, else HTML.
         reports: of the steps done, in their order.
         titles: of the same steps.
         profile: the profile, if there is one already.
 
     Raises StorageError, DiskFullError.
     """
+    if path.suffix.lower() == ".pdf":
+        from tagid.commissioning.page_pdf import to_pdf
+
+        write_bytes(path, to_pdf(reports, titles, profile))
+        return
     parts = [_section(title, report) for title, report in zip(titles, reports, strict=True)]
-    passed = all(report.passed for report in reports) and profile is not None
-    head = "The rig is commissioned" if passed else "The rig is not commissioned yet"
-    about = (
-        "" if profile is None else f"<p>Rig of {html.escape(profile.day)}, radar {profile.radar.serial}.</p>"
-    )
+    head, rig = heading(reports, profile)
+    about = f"<p>{html.escape(rig)}</p>" if rig else ""
     page = (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta http-equiv="Content-Security-Policy" '
@@ -89,62 +88,36 @@ def _row(row: Row) -> str:
 
 
 def _text(text: str) -> str:
-    """A sentence without the marks around commands and settings."""
-    return html.escape(text.replace("`", ""))
+    return html.escape(plain(text))
 
 
 def _pulse(samples: Sequence[float]) -> str:
-    """The measured pulse over time and its spectrum, as a drawing."""
-    wave = np.array(samples)
-    time_ns = (np.arange(len(wave)) - len(wave) // 2) * SAMPLE_STEP_S * 1e9
-    shown = (time_ns >= -2) & (time_ns <= 4)
-    power = np.abs(np.fft.rfft(wave, 1024)) ** 2
-    decibels = 10 * np.log10(np.maximum(power / power.max(), 1e-4))
-    frequency = np.fft.rfftfreq(1024, SAMPLE_STEP_S) / 1e9
-    band = (frequency >= 2.5) & (frequency <= 6)
+    """The measured pulse and its spectrum, as a drawing."""
+    boxes = ((50.0, 20.0, 400.0, 170.0), (500.0, 20.0, 380.0, 170.0))
+    drawn = [_curve(curve, box) for curve, box in zip(curves_of(samples), boxes, strict=True)]
     return (
         '<svg viewBox="0 0 900 240" role="img" aria-label="measured pulse and its spectrum">'
-        + _curve(time_ns[shown], wave[shown], (50, 20, 400, 170), (-2.0, 4.0), (-1.0, 1.0), "ns", "pulse")
-        + _curve(
-            frequency[band],
-            decibels[band],
-            (500, 20, 380, 170),
-            (2.5, 6.0),
-            (-40.0, 0.0),
-            "GHz",
-            "spectrum, dB",
-        )
-        + "</svg>"
+        f"{''.join(drawn)}</svg>"
     )
 
 
-def _curve(
-    x: np.ndarray,
-    y: np.ndarray,
-    box: tuple[float, float, float, float],
-    across: tuple[float, float],
-    up: tuple[float, float],
-    unit: str,
-    title: str,
-) -> str:
+def _curve(curve: Curve, box: tuple[float, float, float, float]) -> str:
     left, top, width, height = box
-    px = left + (x - across[0]) / (across[1] - across[0]) * width
-    py = top + (up[1] - np.clip(y, *up)) / (up[1] - up[0]) * height
-    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))
+    x, y = curve.within(width, height)
+    points = " ".join(f"{left + a:.1f},{top + height - b:.1f}" for a, b in zip(x, y, strict=True))
     marks = "".join(
-        f'<text x="{left + (v - across[0]) / (across[1] - across[0]) * width:.0f}" '
-        f'y="{top + height + 18:.0f}" '
-        f'font-size="13" text-anchor="middle">{v:g}</text>'
-        for v in range(math.ceil(across[0]), math.floor(across[1]) + 1)
+        f'<text x="{left + at:.0f}" y="{top + height + 18:.0f}" font-size="13" '
+        f'text-anchor="middle">{words}</text>'
+        for at, words in curve.across_marks(width)
     )
     levels = "".join(
-        f'<text x="{left - 6:.0f}" y="{top + (up[1] - v) / (up[1] - up[0]) * height + 4:.0f}" font-size="13" '
-        f'text-anchor="end">{v:g}</text>'
-        for v in (up[0], (up[0] + up[1]) / 2, up[1])
+        f'<text x="{left - 6:.0f}" y="{top + height - at + 4:.0f}" font-size="13" '
+        f'text-anchor="end">{words}</text>'
+        for at, words in curve.up_marks(height)
     )
     return (
         f'<rect x="{left}" y="{top}" width="{width}" height="{height}" fill="none" stroke="#999"/>'
         f'<polyline points="{points}" fill="none" stroke="#1f5fa8" stroke-width="1.5"/>{marks}{levels}'
         f'<text x="{left + width / 2}" y="{top + height + 38}" font-size="13" text-anchor="middle">'
-        f"{title} ({unit})</text>"
+        f"{curve.title}</text>"
     )
