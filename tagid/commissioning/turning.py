@@ -95,7 +95,8 @@ def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, 
         advice = "Check that the table turns evenly, and its speed in `motion.url`."
         row = Row("period", Level.FAIL, text=turning.note, advice=advice, code="period")
         return reported("turning", [row], recording=recording)
-    fit = _fitted(bench, motion, capture, turning.period_s)
+    angles, reported_turns = _angles(motion, capture, turning.period_s)
+    fit = _fitted(bench, capture, angles)
     if fit.unexplained > _MOST_UNEXPLAINED or fit.axis_distance_m.sigma > _MOST_AXIS_SIGMA_M:
         row = Row(
             "test card",
@@ -108,10 +109,9 @@ def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, 
             code="axis-unknown",
         )
         return reported("turning", [evenness, row], recording=recording)
-    given = turning.period_s if not motion.measures else nominal_s
-    period = Measured(given / fit.speed.value, given * math.hypot(fit.speed.sigma, _CLOCK))
-    if motion.measures:
-        period = Measured(turning.period_s, turning.sigma_s or 0.0)
+    period = Measured(
+        turning.period_s / fit.speed.value, turning.period_s * math.hypot(fit.speed.sigma, _CLOCK)
+    )
     height = Measured(bench.tape.antenna_height_m, bench.tape.error_m)
     values = {
         "period_s": period,
@@ -123,7 +123,7 @@ def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, 
     rows = [
         _period_row(period, nominal_s),
         evenness,
-        *([_angle_row(fit.speed)] if motion.measures else []),
+        *([_angle_row(reported_turns, fit.speed)] if motion.measures else []),
         _direction_row(motion.direction, fit.mirrored),
         _reflectors_row(fit.strengths),
         _axis_row(fit.axis_distance_m, bench),
@@ -136,7 +136,20 @@ def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, 
     return reported("turning", rows, values=values, facts=facts, recording=recording)
 
 
-def _fitted(bench: Bench, motion: Motion, capture: Capture, period_s: float) -> CardFit:
+def _angles(motion: Motion, capture: Capture, period_s: float) -> tuple[Floats, float]:
+    """(angle of every view, rad, of a turn a period; turns that the device reports in a period).
+
+    A device that slips reports another angle than it turns: its angles are brought to the scans' period,
+    from where the fit begins.
+    """
+    times_s, reported = _times_s(capture), capture.angles_rad
+    if not motion.measures or reported is None:
+        return motion.direction * 2 * np.pi * times_s / period_s, 1.0
+    turns = abs(float(np.polyfit(times_s, reported, 1)[0])) * period_s / (2 * math.pi)
+    return reported / turns, turns
+
+
+def _fitted(bench: Bench, capture: Capture, angles: Floats) -> CardFit:
     """The card in a recording. Raises ConfigError if the reference target was not measured."""
     pulse, delay = bench.pulse(), bench.value("target", "path_delay_ps")
     if pulse is None or delay is None:
@@ -152,9 +165,6 @@ def _fitted(bench: Bench, motion: Motion, capture: Capture, period_s: float) -> 
         received,
         0.0 if noise is None else noise.value,
     )
-    angles = capture.angles_rad if motion.measures else None
-    if angles is None:
-        angles = motion.direction * 2 * np.pi * _times_s(capture) / period_s
     return fit_card(capture, angles, test_card().positions, known)
 
 
@@ -241,10 +251,10 @@ def repetition(capture: Capture, period_s: float) -> Floats:
     return np.asarray((low + inner + np.array(beside))[seen] * step_s)
 
 
-def _angle_row(speed: Measured) -> Row:
-    """The angle that the device reports against that of the scans."""
-    off = 1 - 1 / speed.value
-    row = partial(Row, "reported angle against scans", value=-100 * off, sigma=100 * speed.sigma, unit="%")
+def _angle_row(turns: float, speed: Measured) -> Row:
+    """The angle that the device reports, in turns per period as of `_angles`, against that of the scans."""
+    off = turns / speed.value - 1
+    row = partial(Row, "reported angle against scans", value=100 * off, sigma=100 * speed.sigma, unit="%")
     if abs(off) <= max(_ANGLE_TOLERANCE, 3 * speed.sigma):
         return row(Level.PASS)
     return row(

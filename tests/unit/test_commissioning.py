@@ -62,6 +62,10 @@ def test_link_room_and_target_measure_the_rig(tmp_path: Path) -> None:
     write_page(page, [report], ["Reference target"], None)
     text = page.read_text()
     assert 'class="pass"' in text and "polyline" in text and "not commissioned yet" in text
+    write_page(page.with_suffix(".pdf"), [report], ["Reference target <1>"], None)
+    content = page.with_suffix(".pdf").read_bytes()
+    assert content.startswith(b"%PDF") and b"/Subtype /Image" not in content, "vectors alone"
+    assert b"path delay" in content and b"not commissioned yet" in content
 
 
 @pytest.mark.parametrize(
@@ -159,6 +163,22 @@ def test_the_card_gives_axis_and_period_and_names_faults(
         assert abs(value.value - truth) < max(3 * value.sigma, 1e-6), name
     assert report.values["axis_distance_m"].sigma < 2e-3
     assert report.values["period_s"].sigma < 1e-4 * true.period_s
+
+
+@pytest.mark.parametrize(("reported", "code"), [(1.0, ""), (1.05, "angle")])
+def test_the_angle_that_a_device_reports_is_compared_with_the_scans(
+    measured: Path, monkeypatch: pytest.MonkeyPatch, reported: float, code: str
+) -> None:
+    monkeypatch.setenv("TAGID_DATA", str(measured))
+    rig = parse_rig("realistic?seed=3")
+    at = bench(measured, "test-card")
+    capture = turned(at, rig)
+    angles = reported * 2 * np.pi * capture.radar_time_ms * 1e-3 / rig.period_s
+    motion = open_motion("comxim+serial:///dev/ttyUSB9")
+    report = evaluated(at, motion, replace(capture, angles_rad=angles), rig.period_s, "")
+    assert report.faults == ((code,) if code else ())
+    (row,) = (row for row in report.rows if row.name == "reported angle against scans")
+    assert abs(row.value - 100 * (reported - 1)) < max(3 * row.sigma, 0.05)
 
 
 def reading(status: str, name: str | None, missing: int = 0):
