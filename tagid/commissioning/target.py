@@ -149,7 +149,7 @@ def _delay_row(delay: Measured) -> Row:
             advice="Check the distance to the target; a metre of cable more at each antenna adds 10 ns.",
             code="cable",
         )
-    return row(Level.PASS, text="for the pulse below")
+    return row(Level.PASS, text="for the measured pulse")
 
 
 def _pulse_rows(echo: EchoPulse, noise: Measured, scan: np.ndarray, scans: int) -> list[Row]:

@@ -59,6 +59,7 @@ class Hub:
         shown: tuple[int, int, bool] | None = None
         work: tuple[object, ...] = ()
         measured: tuple[object, ...] = ()
+        stepped: tuple[object, ...] = ()
         status_at = 0.0
         loop = asyncio.get_running_loop()
         while True:
@@ -81,6 +82,11 @@ class Hub:
                 before, measured = measured, (run_profile, run_profile.profile, run_profile.running)
                 if measured != before:
                     self._send_all("profile", {"type": "profile", **wire.profile(run_profile)})
+            step = self._station.commissioning
+            if step is not None:
+                before, stepped = stepped, (step, step.progress, step.running)
+                if stepped != before:
+                    self._send_all("commissioning", {"type": "commissioning", **wire.step_progress(step)})
 
     def _send_all(self, kind: str, message: wire.Json) -> None:
         text = wire.to_text(message)

@@ -9,7 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 from tagid._version import __version__
+from tagid.commissioning.rows import Level
+from tagid.commissioning.steps import STEPS
 from tagid.report.drafting import PAPERS_MM
+from tagid.station.commissioning import TAPE_NUMBERS
 from tagid.station.reports import MEDIA
 from tagid.station.security import COOKIE, KEY_HEADER, NAME_HEADER, OWN_HEADER, UPLOAD_PATH
 from tagid.station.settings import DEVICE_KINDS, NAMES
@@ -51,6 +54,7 @@ def document() -> dict[str, Any]:
             **_reports(),
             **_enrolment(),
             **_setting_up(),
+            **_commissioning(),
         },
         "components": {
             "schemas": _schemas(),
@@ -198,6 +202,21 @@ def _setting_up() -> dict[str, Any]:
     }
 
 
+def _commissioning() -> dict[str, Any]:
+    return {
+        "/api/v1/commissioning": {
+            "get": _get("The steps of the commissioning with their results", "Commissioning"),
+            "post": _post("Start or repeat a step", "StepStart", 202, "Empty"),
+        },
+        "/api/v1/commissioning/stop": {
+            "post": _post("End the running step; earlier results are kept", "Empty", 202, "Empty")
+        },
+        "/api/v1/commissioning/page.pdf": {
+            "get": _file("The results as a page to be filed", "application/pdf", missing=True)
+        },
+    }
+
+
 def _header(name: str, description: str) -> dict[str, Any]:
     return {"name": name, "in": "header", "schema": {"type": "string"}, "description": description}
 
@@ -331,6 +350,7 @@ def _schemas() -> dict[str, Any]:
         "Started": _object(number=whole),
         "Received": _object(number=whole, file=text),
         **_setting_up_schemas(key),
+        **_commissioning_schemas(key),
         "ReportStarted": _object(number=whole, left_out=text),
         "Answer": answer,
         "Scan": _object(
@@ -440,6 +460,38 @@ def _schemas() -> dict[str, Any]:
         ),
         "Problem": _object(code=text, message=text, remedy=text),
         "Error": _object(error=_ref("Problem")),
+    }
+
+
+def _commissioning_schemas(key: dict[str, Any]) -> dict[str, Any]:
+    text, number, yes_no = {"type": "string"}, {"type": "number"}, {"type": "boolean"}
+    row = _object(name=text, level={"enum": list(Level)}, number=text, text=text, advice=text)
+    report = _object(date_utc=text, passed=yes_no, rows={"type": "array", "items": row})
+    names = {"enum": [step.name for step in STEPS]}
+    tape = {name: {"type": ["number", "null"]} for name in TAPE_NUMBERS} | {"target": text}
+    return {
+        "StepStart": {
+            "type": "object",
+            "properties": {"step": names, "tape": {"type": "object", "properties": tape}, "key": key},
+            "required": ["step"],
+        },
+        "StepProgress": _object(
+            running=yes_no,
+            step={"type": ["string", "null"]},
+            share=number,
+            remark=text,
+            error=_or_null(_ref("Problem")),
+        ),
+        "Commissioning": _object(
+            steps={
+                "type": "array",
+                "items": _object(name=names, title=text, prepare=text, report=_or_null(report)),
+            },
+            next=names,
+            tape=_object(**tape),
+            profile={"type": ["string", "null"]},
+            progress=_ref("StepProgress"),
+        ),
     }
 
 

@@ -11,7 +11,17 @@ PAGE_FILES: Final = {
     "/station.svg": ("station.svg", "image/svg+xml"),
     **{
         f"/{name}.js": (f"{name}.js", _SCRIPT)
-        for name in ("theme", "station", "pictures", "enrol", "history", "settings", "profile", "drop")
+        for name in (
+            "theme",
+            "station",
+            "pictures",
+            "enrol",
+            "history",
+            "settings",
+            "profile",
+            "drop",
+            "commission",
+        )
     },
 }
 """Path of a request -> file of the package and its media type; they need no token."""

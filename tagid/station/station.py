@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from tagid.commissioning.bench import TapeChanges
+from tagid.commissioning.steps import Step
 from tagid.config import data_folder
 from tagid.doctor import Finding, examine
 from tagid.errors import StorageError, TagidError, UsageError
@@ -19,6 +21,7 @@ from tagid.files import read_bytes
 from tagid.metadata import ObjectInfo
 from tagid.operate.turn import picture_of, residuals_beside
 from tagid.operate.workplace import TURN_S, Workplace, open_registry
+from tagid.station.commissioning import Commissioning, CommissioningRun
 from tagid.station.demo import DemoObject
 from tagid.station.enrolling import Enrolling, Subject
 from tagid.station.errors import (
@@ -134,6 +137,7 @@ class Station:
         self._starting = threading.Lock()
         self._scan: Run | None = None
         self._profile: ProfileRun | None = None
+        self._commissioning: CommissioningRun | None = None
         self._count = 0
         self._health = Health()
         self._checker: Worker | None = None
@@ -156,6 +160,11 @@ class Station:
     def profile(self) -> ProfileRun | None:
         """The newest range profile; None before the first one."""
         return self._profile
+
+    @property
+    def commissioning(self) -> CommissioningRun | None:
+        """The newest step of the commissioning; None before the first one of this station."""
+        return self._commissioning
 
     @property
     def health(self) -> Health:
@@ -261,6 +270,8 @@ class Station:
         """Raise BusyError while a scan is running."""
         if self._scan is not None and self._scan.running:
             raise BusyError("a scan is running", "Wait for its end, or stop it.")
+        if self._commissioning is not None and self._commissioning.running:
+            raise BusyError("a step of the commissioning is running", "Wait for its end, or stop it.")
 
     def check_free(self, key: str | None) -> None:
         """Take the lock for a browser. Raises BusyError, NotOperatorError."""
@@ -298,6 +309,32 @@ class Station:
         """End the range profile; every connection may."""
         if self._profile is not None:
             self._profile.stop()
+
+    def start_commissioning(self, key: str | None, step: Step, tape: TapeChanges) -> None:
+        """Begin a step of the commissioning.
+
+        Raises BusyError, NotOperatorError, InterlockError, OverloadedError, and as `CommissioningRun`.
+        """
+        with self._starting:
+            self.check_free(key)
+            if self._over.is_set():
+                raise InterlockError("the station is ending", "Start it again.")
+            run = CommissioningRun(self.source.of_object("", self._count), step, tape, self._radar)
+            self.stop_profile()
+            run.start()
+            self._commissioning = run
+
+    def commissioning_page(self) -> bytes:
+        """The results so far as a PDF.
+
+        Raises NoSuchItemError before the first one; StorageError, ConfigError.
+        """
+        return Commissioning.stored(self.source.place().config).to_pdf()
+
+    def stop_commissioning(self) -> None:
+        """End the running step of the commissioning; every connection may."""
+        if self._commissioning is not None:
+            self._commissioning.stop()
 
     def find_devices(self, key: str | None, kind: Kind) -> Search:
         """Search for radars, or robots and tables. Raises as `start_profile` and `Settings.find`."""
@@ -387,8 +424,8 @@ class Station:
 
     @property
     def _measuring(self) -> bool:
-        """Whether the range profile uses the radar."""
-        return self._profile is not None and self._profile.running
+        """Whether the range profile or the commissioning uses the radar."""
+        return any(run is not None and run.running for run in (self._profile, self._commissioning))
 
     def _unchecked(self, error: BaseException) -> None:
         """Show why there is no health check; the next one is due as usual."""
@@ -493,12 +530,14 @@ class Station:
         self._over.set()
         self.stop()
         self.stop_profile()
+        self.stop_commissioning()
         self._interlock.join(_STOP_S)
         self.reports.close(_STOP_S)
         if self._scan is not None:
             self._scan.join(_STOP_S)
-        if self._profile is not None:
-            self._profile.join(_STOP_S)
+        for measuring in (self._profile, self._commissioning):
+            if measuring is not None:
+                measuring.join(_STOP_S)
         if self._checker is not None:
             self._checker.join(_STOP_S)
 

@@ -23,6 +23,7 @@ from tagid.station.page import PAGE_FILES
 from tagid.station.requests import as_json, body, key_of, on_error, on_gone, on_missing, refused, text_of
 from tagid.station.security import COOKIE, Guard, Guesses, Pairing
 from tagid.station.station import Station
+from tagid.station.web_commissioning import CommissioningHandlers
 from tagid.station.web_enrollment import EnrolmentHandlers
 from tagid.station.web_history import HistoryHandlers
 from tagid.station.web_settings import SettingsHandlers
@@ -67,6 +68,7 @@ def build(station: Station, host: str, port: int, pairing: Pairing | None) -> Gu
         *HistoryHandlers(station).routes(),
         *EnrolmentHandlers(station).routes(),
         *SettingsHandlers(station).routes(),
+        *CommissioningHandlers(station).routes(),
         WebSocketRoute("/api/v1/live", LiveSocket(station, hub).serve),
     ]
     errors: dict[Any, Any] = {

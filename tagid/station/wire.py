@@ -5,11 +5,14 @@ from __future__ import annotations
 import base64
 import json
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.commissioning.rows import Level, StepReport
+from tagid.commissioning.steps import STEPS
 from tagid.errors import TagidError
 from tagid.live.state import LiveState
 from tagid.pipeline.answer import Identification
@@ -17,6 +20,7 @@ from tagid.pipeline.enrollment import LayoutProposal, Measured, SignatureProposa
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.preview import resample
 from tagid.result import Problem, reworded, reworded_document
+from tagid.station.commissioning import Commissioning, CommissioningRun
 from tagid.station.enrolling import NEEDED, EnrolmentState, Taken
 from tagid.station.profile import ProfileRun
 from tagid.station.reports import ReportRun
@@ -31,6 +35,8 @@ _NEAREST = 6
 """Neighbours of a new layout that are shown."""
 
 _CONTROLS = {
+    "axis_distance": "“Axis distance”",
+    "distance": "“Target distance”",
     "force": "the button “Enroll it anyway”",
     "paper": "“Paper”",
     "since": "“Since”",
@@ -154,6 +160,54 @@ def profile(run: ProfileRun) -> Json:
         "scans": shown.scans,
         "error": None if shown.error is None else error_entry(shown.error),
     }
+
+
+def step_progress(run: CommissioningRun | None) -> Json:
+    """How far a step of the commissioning is."""
+    shown = None if run is None else run.progress
+    return {
+        "running": run is not None and run.running,
+        "step": None if shown is None else shown.step,
+        "share": 0.0 if shown is None else round(shown.share, 3),
+        "remark": "" if shown is None else shown.remark,
+        "error": None if shown is None or shown.error is None else error_entry(shown.error),
+    }
+
+
+def commissioning(station: Station) -> Json:
+    """All steps of the commissioning. Raises ConfigError, StorageError."""
+    state = Commissioning.stored(station.source.place().config)
+    return {
+        "steps": [
+            {
+                "name": step.name,
+                "title": step.title,
+                "prepare": step.prepare,
+                "report": _step_report(state.reports.get(step.name)),
+            }
+            for step in STEPS
+        ],
+        "next": state.following,
+        "tape": asdict(state.tape),
+        "profile": None if state.profile is None else state.profile.day,
+        "progress": step_progress(station.commissioning),
+    }
+
+
+def _step_report(report: StepReport | None) -> Json | None:
+    if report is None:
+        return None
+    rows = [
+        {
+            "name": row.name,
+            "level": row.level.value,
+            "number": row.number,
+            "text": row.text,
+            "advice": "" if row.level is Level.PASS else row.advice,
+        }
+        for row in report.rows
+    ]
+    return {"date_utc": report.date_utc, "passed": report.passed, "rows": rows}
 
 
 def settings(station: Station) -> Json:

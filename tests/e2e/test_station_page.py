@@ -27,6 +27,7 @@ from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
 from tagid.radar.settings import RadarConfig
 from tagid.result import Problem
+from tagid.simulate.rig import parse_rig
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.station import live_socket, station
 from tagid.station.server import Server
@@ -251,7 +252,7 @@ def test_accessibility_and_fit(
     scan = browser.find_element(By.ID, "scan").rect
     assert scan["height"] >= 80 and scan["width"] >= 250, "a thumb hits it"
     assert scan["y"] + scan["height"] <= shape[1], "without scrolling"
-    for shown in ("scan", "health", "history", "enrol", "settings"):
+    for shown in ("scan", "health", "history", "enrol", "settings", "commission"):
         view(browser, shown)
         if shown == "settings":
             wait(browser, lambda: browser.find_element(By.ID, "s-axis").get_property("value"))
@@ -326,6 +327,73 @@ def test_a_station_is_set_up_on_its_page(
     # Loading the page again closes its socket, which some browsers log.
     (refused,) = [message for message in logged(browser, one.url) if "WebSocket" not in message]
     assert "400 (Bad Request)" in refused
+
+
+def test_a_rig_is_commissioned_on_its_page(
+    browser: Any, serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    one = serve(check=lambda config: [])
+    shown = ["empty"]
+
+    def place() -> Workplace:
+        url = f"emulator://{shown[0]}?rig=realistic%3Fseed%3D3&seed=1"
+        return Workplace({"radar.url": url, "radar.integration": 15, "storage.folder": str(tmp_path / "out")})
+
+    one._station.source = station.Source(place)
+    size(browser, 820, 1180)
+    theme(browser, "light")
+    browser.get(f"{one.url}/#view-commission")
+
+    def row(step: str) -> list[Any]:
+        """(state, text, whether it can be started) of a step; its row is drawn anew when it ends."""
+        return browser.execute_script(
+            "const button = document.querySelector(`#c-steps button[data-step=${arguments[0]}]`);"
+            "const row = button ? button.closest('li') : null;"
+            "return row ? [row.className, row.textContent, !button.disabled] : ['', '', false];",
+            step,
+        )
+
+    def started(step: str) -> None:
+        wait(browser, lambda: row(step)[2])
+        browser.find_element(By.CSS_SELECTOR, f"#c-steps button[data-step='{step}']").send_keys(Keys.ENTER)
+
+    def done(step: str, state: str) -> str:
+        started(step)
+        wait(browser, lambda: row(step)[0] == state and row(step)[2])
+        return row(step)[1]
+
+    wait(browser, lambda: row("link")[2])
+    for identity, words in (("c-axis", "1,0"), ("c-height", "0.05"), ("c-target", "one")):
+        browser.find_element(By.ID, identity).clear()
+        browser.find_element(By.ID, identity).send_keys(words)
+    started("room")
+    wait(browser, lambda: "Target distance, m: that is no number" in text(browser, "problem"))
+    true = parse_rig("realistic?seed=3")
+    browser.find_element(By.ID, "c-target").clear()
+    browser.find_element(By.ID, "c-target").send_keys(f"{true.axis_distance_m:.3f}")
+    assert "noise of a sample" in done("room", "passed")
+    # The target is not there: the step says so and what to do; with it the same step passes.
+    assert "Check both antenna cables" in done("target", "failed")
+    assert problems(browser) == []
+    shown[0] = "target"
+    assert "path delay" in done("target", "passed") and "±" in row("target")[1]
+    focused = browser.execute_script("return document.activeElement.dataset.step")
+    assert focused == "target", "the keyboard stays where it was"
+    written = Asks(one.url, {}).get("/api/v1/commissioning/page.pdf")
+    assert written.status == 200 and written.content.startswith(b"%PDF") and b"path delay" in written.content
+    # A script may not begin a step while a browser operates.
+    refused = Asks(one.url, {"tagid-station": "1"}).post("/api/v1/commissioning", step="room")
+    assert refused.status == 403
+    browser.refresh()
+    wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#c-steps li.passed"))
+    assert browser.find_element(By.ID, "c-axis").get_property("value") == "1"
+    assert len(browser.find_elements(By.CSS_SELECTOR, "#c-steps li.passed")) == 2
+    for shape in ((390, 844, True), (820, 1180, False), (1440, 900, False)):
+        for name in ("light", "dark"):
+            size(browser, *shape)
+            theme(browser, name)
+            assert problems(browser) == [], (shape, name)
+            assert browser.execute_script("return document.documentElement.scrollWidth") <= shape[0]
 
 
 def test_two_browsers_a_reload_and_a_restart_of_the_station(

@@ -18,7 +18,7 @@ let sound = false;
 let audio = null;
 let told = null;
 let listed = -1;
-const VIEWS = ["scan", "enrol", "history", "health", "settings"];
+const VIEWS = ["scan", "enrol", "history", "health", "settings", "commission"];
 
 // One view at a time; the address keeps it over a reload.
 function showView() {
@@ -36,6 +36,7 @@ function showView() {
   if (view === "history") loadHistory();
   if (view === "enrol") loadLayouts();
   if (view === "settings") loadSettings();
+  if (view === "commission") loadCommissioning();
   // A canvas that was hidden has no size.
   window.dispatchEvent(new Event("resize"));
   window.scrollTo(0, 0);
@@ -187,6 +188,7 @@ function showButton() {
   showReport();
   showProfile();
   showSettingsState();
+  showStepState();
   $("file-button").disabled = !mayAct() || running;
 }
 
@@ -329,6 +331,8 @@ function receive(message) {
   } else if (message.type === "profile") {
     profile = message;
     showProfile();
+  } else if (message.type === "commissioning") {
+    showStepProgress(message);
   } else if (message.type === "error") {
     showProblem(message.error);
   }

@@ -1,0 +1,122 @@
+"""A step of the commissioning, with the functions of `tagid commission`, and the state of all steps."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+from tagid.commissioning.bench import Bench, Tape, TapeChanges
+from tagid.commissioning.rows import StepReport
+from tagid.commissioning.steps import STEPS, Step, next_step, run_step
+from tagid.config import Config, data_folder
+from tagid.errors import CaptureInterrupted, TagidError, UsageError
+from tagid.motion.urls import open_motion
+from tagid.operate.workplace import Workplace
+from tagid.rig import RigProfile, installed_profile
+from tagid.station.background import BackgroundRun
+from tagid.station.errors import NoSuchItemError, reported
+from tagid.station.scans import radar_alone
+
+_TURNING = ("turning", "card")
+TAPE_NUMBERS = (
+    "target_distance_m",
+    "axis_distance_m",
+    "antenna_height_m",
+    "antenna_separation_m",
+    "error_m",
+)
+"""Lengths of `Tape` that a page may give."""
+
+
+@dataclass(frozen=True)
+class StepProgress:
+    """How far a step is.
+
+    Attributes:
+        step: its name.
+        share: 0 to 1; 0 where the step does not tell.
+        remark: what it does.
+        error: why it ended without a report; None if it did not.
+    """
+
+    step: str
+    share: float = 0.0
+    remark: str = ""
+    error: TagidError | None = None
+
+
+@dataclass(frozen=True)
+class Commissioning:
+    """All steps as they are stored.
+
+    Attributes:
+        reports: of the steps that were done, by their names.
+        following: name of the first step that did not pass.
+        tape: what was measured by tape.
+        profile: the profile of the rig; None until the last step has passed.
+    """
+
+    reports: dict[str, StepReport]
+    following: str
+    tape: Tape
+    profile: RigProfile | None
+
+    @classmethod
+    def stored(cls, config: Config) -> Commissioning:
+        """The state in the data folder. Raises StorageError, ConfigError."""
+        bench = Bench(config, {})
+        every = {step.name: bench.report(step.name) for step in STEPS}
+        reports = {name: report for name, report in every.items() if report is not None}
+        return cls(reports, next_step(bench).name, bench.tape, installed_profile(data_folder()))
+
+    def to_pdf(self) -> bytes:
+        """The page of the results. Raises NoSuchItemError before the first one."""
+        from tagid.commissioning.page_pdf import to_pdf
+
+        if not self.reports:
+            raise NoSuchItemError("no step was done yet", "Start the first one.")
+        titles = [step.title for step in STEPS if step.name in self.reports]
+        return to_pdf(list(self.reports.values()), titles, self.profile)
+
+
+class CommissioningRun(BackgroundRun):
+    """One step.
+
+    Args:
+        place: settings of radar and motion.
+        step: the step.
+        tape: what the person measured by tape now.
+        radar: held while the radar is used.
+
+    Raises:
+        UsageError: a distance is out of range, or the step would move a device, which no page can stop.
+        ConfigError, StorageError: see `Bench`.
+    """
+
+    def __init__(self, place: Workplace, step: Step, tape: TapeChanges, radar: threading.Lock) -> None:
+        super().__init__("station-commissioning")
+        if step.name in _TURNING and open_motion(place.config["motion.url"]).moves:
+            raise UsageError(
+                f"the step {step.name} moves {place.config['motion.url'].public}",
+                f"Stand beside it and do this step with `tagid commission --step {step.name}`.",
+            )
+        self._step, self._radar = step, radar
+        self._progress = StepProgress(step.name)
+        self._bench = Bench(place.config, tape, progress=self._advance, stop=self._stop.is_set)
+
+    @property
+    def progress(self) -> StepProgress:
+        """The newest state."""
+        return self._progress
+
+    def _advance(self, done: float, total: float, remark: str) -> None:
+        if self._stop.is_set():
+            raise CaptureInterrupted("stopped before the end of the step; earlier results are kept")
+        self._progress = StepProgress(self._step.name, done / total, remark)
+
+    def _run(self) -> None:
+        with radar_alone(self._radar, self._stop):
+            run_step(self._step, self._bench)
+
+    def _fail(self, error: BaseException) -> None:
+        self._progress = StepProgress(self._step.name, error=reported(error))
