@@ -99,10 +99,10 @@ def read_npz(path: Path) -> Capture:
         arrays.setdefault("angles_rad", arrays[_OLD_ANGLES])
     missing = [key for key in ("samples", "range_start_m", "range_step_m") if key not in arrays]
     if missing and is_image(path):
-        capture = path.name.removesuffix(".npz").removesuffix(".image")
+        name = path.name.removesuffix(".npz").removesuffix(".image")
         raise FileFormatError(
             f"{path} is an image, not a recording",
-            f"Give the capture that it was made from, e.g. {path.with_name(capture)}.tagid.h5.",
+            f"Give the capture that it was made from, e.g. {path.with_name(name)}.tagid.h5.",
         )
     if missing:
         raise FileFormatError(
