@@ -39,7 +39,7 @@ def closure_warning(scans: BasebandScans) -> str | None:
     return (
         f"the turn does not close: its last scan and its first are less alike ({ends:.2f}) than any "
         f"neighbours ({min(between):.2f} to {max(between):.2f}). Did the object make one turn, and keep its "
-        "place? If it made half of one, store half of `angles_rad`, or give half the speed (`motion.url`)"
+        "place? If it made half of one, store half of angles_rad, or give half the speed (`motion.url`)"
     )
 
 

@@ -58,7 +58,7 @@ _PRODUCTS_PER_PAIR = 8
 _IMAGE_PASSES = {True: 90, False: 4}
 """How often an image with its held-out residual visits each pair: by a fit, and by backprojection."""
 _ENOUGH_VIEWS = 60
-"""More views than these are taken only while the search takes at most half of the image's time."""
+"""More views than these of an image are taken only while the search takes at most half of its time."""
 _LEAST_WORK = {True: 2.4e9, False: 3e8}
 """Visits of pairs that a search may take whatever the image takes: a few seconds of a core, and less than a
 second for an image that can only say what lies outside."""
@@ -98,17 +98,19 @@ def views_searched(scans: BasebandScans, grid: ImageGrid | VolumeGrid, subtracts
 
     The fit then takes at most half as long as the image, or a few seconds.
     """
-    points, box = _points(grid), _Box.of(scans, grid)
-    views = scans.aperture.views
+    points = grid.pixels**2 if isinstance(grid, ImageGrid) else grid.voxels
+    box, views = _Box.of(scans, grid), scans.aperture.views
 
     def pairs_of(corner: NDArray[np.float64]) -> float:
         return products(scans, corner) / _PRODUCTS_PER_PAIR
 
-    image = views * (len(points) + pairs_of(box.corners(1)))
+    image = views * (points + pairs_of(box.corners(1)))
     fit = _FIT_PASSES * (_fit_points(views) + pairs_of(box.corners(_WIDER)))
     cheap = int(_IMAGE_PASSES[subtracts] * image / 2 / fit)
-    enough = min(_ENOUGH_VIEWS, int(_LEAST_WORK[subtracts] / fit))
-    most = min(views, max(cheap, enough), _LOOK_PAIRS // max(len(points), box.cells))
+    enough = int(_LEAST_WORK[subtracts] / fit)
+    if isinstance(grid, ImageGrid):  # a volume needs views of every height
+        enough = min(enough, _ENOUGH_VIEWS)
+    most = min(views, max(cheap, enough), _LOOK_PAIRS // max(points, box.cells))
     return most if most >= min(views, _FEWEST_VIEWS) else 0
 
 

@@ -46,5 +46,5 @@ def test_angles_from_the_middle_of_a_turn_are_no_gap() -> None:
 
 def test_half_a_turn_given_as_a_whole_one_does_not_close() -> None:
     words = said(turned(part=0.5, factor=2.0))
-    assert "does not close" in words and "half of `angles_rad`" in words
+    assert "does not close" in words and "half of angles_rad" in words
     assert "does not close" in said(turned(part=0.5, factor=-2.0))
