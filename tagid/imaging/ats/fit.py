@@ -68,7 +68,7 @@ for a P440)."""
 _LEARN_AT = (0.25, 0.4, 0.55, 0.7, 0.85)
 """Parts of the steps after which calibration, robust weights and occlusion are brought up to date."""
 
-_MEAN_OVER = 0.3
+MEAN_OVER = 0.3
 """Part of the steps, at the end, whose mean is the result: it is smoother than any of them, and the rounding
 of an engine shows less in it."""
 
@@ -281,7 +281,7 @@ class _Fit:
                 grid = every.select(self.support.numbers)
             if step + 1 in learn | check:
                 subsets = self._subsets(fine, native)
-            if step + 1 > steps * (1 - _MEAN_OVER):
+            if step + 1 > steps * (1 - MEAN_OVER):
                 now = engine.weights().arrays
                 total = [a + b for a, b in zip(total, now, strict=True)] if count else now
                 count += 1
@@ -465,7 +465,7 @@ class _Fit:
         return AtsResult(image, tuple(self.losses), learned, self.unseen, prediction, seconds, field)
 
 
-_SHARPENED = 3.0
+SHARPENED = 3.0
 """How much brighter a point gets than backprojection shows it, once it is sharp: the output's scale."""
 
 
@@ -563,4 +563,4 @@ def _scales(scans: BasebandScans, operator: ForwardOperator, settings: FitSettin
     weight = sparsity_weight(scans, peak, settings)
     side = math.isqrt(operator.points)
     magnitude = np.abs(back).reshape(side, side)
-    return _Scales(energy, step, _SHARPENED * step * peak, weight, magnitude)
+    return _Scales(energy, step, SHARPENED * step * peak, weight, magnitude)

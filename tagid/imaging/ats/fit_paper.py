@@ -18,6 +18,7 @@ from scipy import sparse
 
 from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging.ats.problem import TABLE_INIT
 from tagid.imaging.ats.settings import StepProgress
 from tagid.imaging.backprojection import upsample_at_carrier
 from tagid.imaging.memory import require_memory
@@ -26,9 +27,6 @@ from tagid.types import Floats
 
 _HASH_PRIME = 2_654_435_761
 """Second prime of the spatial hash (Müller et al., eq. 4; the first one is 1)."""
-
-_TABLE_INIT = 1e-2
-"""Features start uniform in +-1e-2, small beside the network's weights, so that a fit starts near zero."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,7 @@ def interpolate(table: Any, matrix: Any, transposed: Any, settings: EncodingSett
 def draw_table(settings: EncodingSettings, generator: torch.Generator) -> Any:
     """(entries, features) float32 parameter, all levels one after the other, drawn from `generator`."""
     drawn = torch.rand(sum(level_sizes(settings)), settings.features, generator=generator)
-    return torch.nn.Parameter((drawn * 2 - 1) * _TABLE_INIT)
+    return torch.nn.Parameter((drawn * 2 - 1) * TABLE_INIT)
 
 
 LEAST_GRADIENT = 1000.0

@@ -37,13 +37,13 @@ MAGNITUDE_FLOOR = 1e-2
 """Of |sigma| / scale in the square root of the sparsity prior: below it a pixel is no longer pushed about
 zero, where rounding would decide its sign and two engines would part."""
 
-_TABLE_INIT = 1e-2
+TABLE_INIT = 1e-2
 """Features start uniform in +-1e-2, small beside the network's weights, so that a fit starts near zero."""
 
-_PARTS = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
+PARTS = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
 """Feature and sign of the units that pass the first image on: a ReLU lets only one sign through."""
 
-_REST = 0.3
+REST = 0.3
 """What is left of the output's random weights, so that the first image stands out of them."""
 
 
@@ -189,7 +189,7 @@ def draw_weights(
     def uniform(bound: float, *size: int) -> Array:
         return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
 
-    tables = [uniform(_TABLE_INIT, shape.features, n + 1, n + 1) for n in shape.cells]
+    tables = [uniform(TABLE_INIT, shape.features, n + 1, n + 1) for n in shape.cells]
     sizes = [shape.features * len(shape.cells)] + [shape.width] * shape.hidden + [2 * shape.channels]
     weights, biases = [], []
     for fan_in, fan_out in itertools.pairwise(sizes):
@@ -204,21 +204,21 @@ def draw_weights(
 def _carry(field: FieldWeights, shape: FieldShape, first: NDArray[np.complexfloating]) -> None:
     """Put the first image into a field and take the rest of the network down to zero where features are."""
     peak = float(np.abs(first).max(initial=0.0))
-    wide = shape.features >= 2 and (shape.hidden == 0 or shape.width >= len(_PARTS))
+    wide = shape.features >= 2 and (shape.hidden == 0 or shape.width >= len(PARTS))
     middle, last = shape.channels // 2, field.weights[-1]
-    last *= np.float32(_REST)
+    last *= np.float32(REST)
     if wide and peak > 0:
         at = shape.features * (len(shape.cells) - 1)
         field.tables[-1][0] += (first.real / peak).astype(np.float32)
         field.tables[-1][1] += (first.imag / peak).astype(np.float32)
-        inputs = [(at + part, sign) for part, sign in _PARTS]
+        inputs = [(at + part, sign) for part, sign in PARTS]
         for weight, bias in zip(field.weights[:-1], field.biases[:-1], strict=True):
             for row, (column, sign) in enumerate(inputs):
                 weight[row], bias[row] = 0, 0
                 weight[row, column] = sign
-            inputs = [(row, 1.0) for row in range(len(_PARTS))]
-        signs = [sign for _, sign in _PARTS] if shape.hidden else [1.0] * len(_PARTS)
-        for (column, _), (part, _), sign in zip(inputs, _PARTS, signs, strict=True):
+            inputs = [(row, 1.0) for row in range(len(PARTS))]
+        signs = [sign for _, sign in PARTS] if shape.hidden else [1.0] * len(PARTS)
+        for (column, _), (part, _), sign in zip(inputs, PARTS, signs, strict=True):
             last[:, column] = 0
             last[middle + part * shape.channels, column] = sign * peak
     # What the biases alone give is an echo of the whole square: it would be the first thing to be unlearned.

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.geometry import VolumeGrid
-from tagid.imaging.ats.fit import sparsity_weight
-from tagid.imaging.ats.problem import MAGNITUDE_FLOOR
+from tagid.imaging.ats.fit import MEAN_OVER, SHARPENED, sparsity_weight, unshrinking
+from tagid.imaging.ats.problem import MAGNITUDE_FLOOR, PARTS, REST, TABLE_INIT
 from tagid.imaging.ats.settings import DECAY, LEARNING_RATE, FieldPrior
 from tagid.imaging.ats.taps import BETA1, BETA2, EPSILON, SMALLEST
 from tagid.imaging.lengths import finest_cell_m
@@ -30,16 +30,6 @@ from tagid.types import Progress
 
 Array = NDArray[np.float32]
 
-_SHARPENED = 3.0
-"""A point gets so much brighter than backprojection shows it, once it is sharp: the scale of the output."""
-_MEAN_OVER = 0.3
-"""Part of the steps, at the end, whose mean is the result."""
-_MOST_SHRUNK = 2.0
-"""The prior may make the field darker by this factor at most, which is undone."""
-_TABLE_INIT, _REST = 1e-2, 0.3
-"""Random features beside the first image, and what is left of the network's random output weights."""
-_PASSED = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
-"""Feature and sign of the hidden units that pass the first image on, as positive and negative parts."""
 _CELLS_PER_RESOLUTION = 2.0
 """Cells of the finest level per vertical resolution, as in the plane per null radius of the point
 response."""
@@ -146,14 +136,12 @@ class _Fit:
         seen = some.forward(back)
         step = float(np.vdot(seen, data).real / max(float(np.vdot(seen, seen).real), 1e-300))
         weight = sparsity_weight(self.scans, peak, FieldPrior())
-        scale = _SHARPENED * step * peak
+        scale = SHARPENED * step * peak
         field = self._field(scale, step, whole)
         mean, losses = self._optimise(field, operator, energy, 2 * weight / energy, progress)
         sigma = mean.evaluate(mean.layers()[-1])
         seen = some.forward(sigma)
-        power = float(np.vdot(seen, seen).real)
-        factor = float(np.vdot(seen, data).real) / power if power > 0 else 1.0
-        out[self.active] = sigma * np.float32(np.clip(factor, 1.0, _MOST_SHRUNK))
+        out[self.active] = sigma * np.float32(unshrinking(seen, data))
         return out, {"steps_done": len(losses), "active_voxels": len(self.active), "loss": losses[-1]}
 
     def _field(self, scale: float, step: float, whole: float) -> Field:
@@ -190,7 +178,7 @@ class _Fit:
             slope = np.float32(2 * share) * some.adjoint(residual) + np.float32(sparsity) * sigma / magnitude
             rate = LEARNING_RATE * DECAY ** (step / self.steps)
             field.descend(layers, slope, rate, step + 1)
-            if step + 1 > self.steps * (1 - _MEAN_OVER):
+            if step + 1 > self.steps * (1 - MEAN_OVER):
                 since += 1
                 mean = field.copy() if since == 1 else mean.mixed(field, 1 / since)
             progress(step + 1, self.steps, "")
@@ -286,14 +274,14 @@ class Field:
         def uniform(bound: float, *size: int) -> Array:
             return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
 
-        tables = [uniform(_TABLE_INIT, _FEATURES, level.vertices) for level in at]
+        tables = [uniform(TABLE_INIT, _FEATURES, level.vertices) for level in at]
         inputs, peak = _FEATURES * len(at), float(np.abs(first).max(initial=1e-30))
         hidden, output = uniform(inputs**-0.5, _WIDTH, inputs), uniform(_WIDTH**-0.5, 2, _WIDTH)
-        output *= np.float32(_REST)
+        output *= np.float32(REST)
         biases = [uniform(inputs**-0.5, _WIDTH, 1), np.zeros((2, 1), np.float32)]
         tables[-1][0] += (first.real / peak).astype(np.float32)
         tables[-1][1] += (first.imag / peak).astype(np.float32)
-        for row, (part, sign) in enumerate(_PASSED):
+        for row, (part, sign) in enumerate(PARTS):
             hidden[row], biases[0][row], output[:, row] = 0, 0, 0
             hidden[row, inputs - _FEATURES + part] = sign
             output[part, row] = sign * peak
