@@ -218,7 +218,7 @@ def bands(sheet: Drawing, width: float, height: float) -> list[Drawing]:
     inner = width - 2 * CUT_MM
     fewest = len(_cuts(sheet, inner))
     narrower = np.linspace(sheet.width / fewest, inner, 40)
-    cuts = next(cuts for each in narrower if len(cuts := _cuts(sheet, float(each))) <= fewest)
+    cuts = next(cuts for limit in narrower if len(cuts := _cuts(sheet, float(limit))) <= fewest)
     parts = [_between(sheet, *ends, number) for number, ends in enumerate(pairwise(cuts))]
     many = max(1, int(height // sheet.height))
     return [stacked(parts[at : at + many]) for at in range(0, len(parts), many)]
