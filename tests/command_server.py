@@ -5,8 +5,8 @@ server that has imported tagid forks for each one; the child takes the folder, e
 it is given and runs `python -m tagid` as a fresh interpreter does. Tests of the start itself, of late
 imports and of signals start an interpreter.
 
-The server is this file as a script: it takes connections on the Unix socket whose descriptor is its argument,
-and ends with its standard input.
+The server is this file as a script: it takes connections on the Unix socket whose descriptor is its first
+argument, remembers results in the folder that is its second, if any, and ends with its standard input.
 """
 
 from __future__ import annotations
@@ -50,9 +50,10 @@ class Ran:
 class CommandServer:
     """Client side; use as a context manager around the tests of one process."""
 
-    def __init__(self, folder: Path, environment: dict[str, str]) -> None:
+    def __init__(self, folder: Path, environment: dict[str, str], *remembered: Path) -> None:
         self._address = str(folder / "socket")
         self._environment = environment
+        self._remembered = remembered
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> CommandServer:
@@ -104,7 +105,7 @@ class CommandServer:
             listening.bind(self._address)
             listening.listen(8)
             self._process = subprocess.Popen(
-                [sys.executable, __file__, str(listening.fileno())],
+                [sys.executable, __file__, str(listening.fileno()), *map(str, self._remembered)],
                 stdin=subprocess.PIPE,
                 env=self._environment,
                 pass_fds=[listening.fileno()],
@@ -158,6 +159,8 @@ def main() -> None:
     for name in IMPORTS:
         with suppress(ImportError):  # those of other packages are theirs to change
             import_module(name)
+    for folder in sys.argv[2:]:
+        import_module("remembered").remember(Path(folder))
     words = _serve(listening)
     # As `python -m tagid` has it: the current folder, not this file's, is where modules are found first.
     sys.path[0] = ""

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from command_server import CommandServer, Ran
 from hypothesis import settings
+from remembered import remember
 
 # The same examples in every run; fresh ones are for the long runs that CONTRIBUTING names.
 settings.register_profile("fixed", derandomize=True)
@@ -35,17 +36,27 @@ def home(tmp_path: Path) -> dict[str, str]:
     }
 
 
+@pytest.fixture(scope="session", autouse=True)
+def remembered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of results that all processes of the session share."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "remembered"
+    folder.mkdir(exist_ok=True)
+    remember(folder)
+    return folder
+
+
 @pytest.fixture(scope="session")
-def commands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CommandServer]:
+def commands(tmp_path_factory: pytest.TempPathFactory, remembered: Path) -> Iterator[CommandServer]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    with CommandServer(tmp_path_factory.mktemp("commands"), environment) as server:
+    with CommandServer(tmp_path_factory.mktemp("commands"), environment, remembered) as server:
         yield server
 
 
 @pytest.fixture
 def tagid(tmp_path: Path, home: dict[str, str], commands: CommandServer) -> Callable[..., Ran]:
     def run(*words: object, **more: str) -> Ran:
-        done = commands.run([str(word) for word in words], tmp_path, {**home, **more}, 120)
+        done = commands.run([str(word) for word in words], tmp_path, {**home, **more}, 300)
         assert "Traceback" not in done.stderr, done.stderr
         return Ran(done.returncode, done.stdout, done.stderr)
 

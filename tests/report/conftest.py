@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,29 +12,10 @@ from report_batches import OBJECTS, a_job, copy_captures, in_this_process
 from tagid.batch.inputs import collect
 from tagid.batch.job import Job
 from tagid.batch.run import BatchPlan, Finished, run_batch
-from tagid.reading import reader
-from tagid.reading.reading import Reading
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.storage.hdf5 import write_capture
-
-
-@pytest.fixture(scope="session", autouse=True)
-def read_once() -> Iterator[None]:
-    """In this process, the same scans are read once: these tests are about what is made of a reading."""
-    known: dict[str, Reading] = {}
-    read = reader.read
-
-    def remembered(*given: Any) -> Reading:
-        key = hashlib.sha256(pickle.dumps(given)).hexdigest()
-        if key not in known:
-            known[key] = read(*given)
-        return known[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reader, "read", remembered)
-        yield
 
 
 @pytest.fixture(scope="session")

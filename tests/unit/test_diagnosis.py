@@ -15,7 +15,13 @@ from tagid.errors import DataError
 from tagid.metadata import Ending, MotionInfo, RadarInfo, ResolvedMotion, Standstill
 from tagid.pipeline import diagnosis
 from tagid.pipeline.diagnosis import circling, recording_remarks, with_causes
-from tagid.pipeline.identify import identify, identify_together, of_the_part, widest_gap
+from tagid.pipeline.identify import (
+    identify,
+    identify_together,
+    of_the_part,
+    reader_settings,
+    widest_gap,
+)
 from tagid.pipeline.prepared import PreparedCapture, load_capture
 from tagid.reading.reader import read
 from tagid.reading.reading import Kind, Reading
@@ -114,7 +120,7 @@ def part_alone(share: float) -> str | None:
     """The name that part of a turn has, whatever sides it shows."""
     prepared = part_of_a_turn("helmet-120", share)
     scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
-    return read(scans, LAYOUTS).layout
+    return read(scans, LAYOUTS, reader_settings(prepared.settings)).layout
 
 
 def test_scans_of_one_side_alone_show_the_layout_and_do_not_name_it() -> None:
