@@ -8,34 +8,19 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_server import Ran
 
 from tagid.storage.importers import read_any
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared"))
 TAGID = [sys.executable, "-m", "tagid"]
-
-
-def environment(folder: Path) -> dict[str, str]:
-    """Of a process that keeps everything in `folder` and waits half a second for a radar."""
-    own = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
-    return {
-        **own,
-        "TAGID_CONFIG": str(folder / "config.toml"),
-        "TAGID_DATA": str(folder / "data"),
-        "TAGID_RADAR_TIMEOUT_S": "0.5",
-        "OMP_NUM_THREADS": "1",
-    }
-
-
-@pytest.fixture
-def home(tmp_path: Path) -> dict[str, str]:
-    return environment(tmp_path)
 
 
 @contextmanager
@@ -54,32 +39,25 @@ def emulator(home: dict[str, str], *options: str):
         process.communicate(timeout=10)
 
 
-def scan(home: dict[str, str], url: str, folder: Path, *options: str) -> tuple[int, dict]:
-    done = subprocess.run(
-        [*TAGID, "scan", "--radar", url, "--axis-distance", "1", "--save-dir", str(folder), "--method", "bp",
-         "--output", "json", *options],
-        capture_output=True,
-        text=True,
-        env=home,
-        timeout=120,
-    )  # fmt: skip
-    assert "Traceback" not in done.stderr, done.stderr
-    return done.returncode, json.loads(done.stdout)
+def scan(tagid: Callable[..., Ran], url: str, *options: str) -> Ran:
+    """`tagid scan` of a radar at 1 m, into the folder `out`."""
+    words = ("--radar", url, "--axis-distance", 1, "--save-dir", "out", "--method", "bp", "--output", "json")
+    return tagid("scan", *words, *options)
 
 
 @pytest.mark.parametrize("motion", ["free?rpm=20", "free"])
 def test_a_turning_helmet_is_named_and_everything_is_left_on_disk(
-    home: dict[str, str], tmp_path: Path, motion: str
+    tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path, motion: str
 ) -> None:
     with emulator(home, "--scene", "helmet-120", "--rpm", "20", "--rate", "0", "--lose", "0.02",
                   "--duplicate", "0.02", "--reorder", "0.05", "--seed", "4") as (url, _):  # fmt: skip
-        code, document = scan(home, url, tmp_path / "out", "--motion", motion)
-    assert code == 0, document
-    (item,) = document["data"]["items"]
+        done = scan(tagid, url, "--motion", motion)
+    assert done.code == 0, done
+    (item,) = done.json["data"]["items"]
     assert (item["status"], item["layout"]) == ("identified", "helmet-120")
-    files = document["data"]["files"]
-    assert Path(files["png"]).read_bytes().startswith(b"\x89PNG")
-    capture = read_any(Path(files["capture"]))
+    files = done.json["data"]["files"]
+    assert (tmp_path / files["png"]).read_bytes().startswith(b"\x89PNG")
+    capture = read_any(tmp_path / files["capture"])
     assert capture.complete
     assert capture.angles_rad is not None
     assert np.ptp(capture.angles_rad) >= 2 * np.pi
@@ -94,7 +72,8 @@ def test_a_radar_that_dies_costs_nothing_that_arrived(home: dict[str, str], tmp_
         client = subprocess.Popen(
             [*TAGID, "scan", "--radar", url, "--axis-distance", "1", "--save-dir", str(tmp_path / "out"),
              "--motion", "free?rpm=1", "--output", "json"],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            env=home | {"TAGID_RADAR_TIMEOUT_S": "0.5"},
         )  # fmt: skip
         wait_for_scans(tmp_path / "out")
         process.kill()
@@ -108,7 +87,9 @@ def test_a_radar_that_dies_costs_nothing_that_arrived(home: dict[str, str], tmp_
     assert not capture.complete
 
 
-def test_ctrl_c_stops_the_radar_and_keeps_the_scans(home: dict[str, str], tmp_path: Path) -> None:
+def test_ctrl_c_stops_the_radar_and_keeps_the_scans(
+    tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path
+) -> None:
     with emulator(home, "--scene", "helmet-120", "--rpm", "1") as (url, _):
         client = subprocess.Popen(
             [*TAGID, "scan", "--radar", url, "--axis-distance", "1", "--save-dir", str(tmp_path / "out"),
@@ -123,9 +104,8 @@ def test_ctrl_c_stops_the_radar_and_keeps_the_scans(home: dict[str, str], tmp_pa
         (path,) = (tmp_path / "out").glob("*.tagid.h5")
         assert read_any(path).views > 20
         # The radar stands still: the next user connects and scans at once.
-        code, document = scan(home, url, tmp_path / "next", "--scans", "30", "--motion", "free?rpm=1")
-        assert document["data"]["views"] == 30, document
-        assert code in (1, 3)
+        next_one = scan(tagid, url, "--scans", "30", "--motion", "free?rpm=1")
+        assert next_one.code in (1, 3) and next_one.json["data"]["views"] == 30, next_one
 
 
 def wait_for_scans(folder: Path) -> None:
@@ -140,43 +120,35 @@ def wait_for_scans(folder: Path) -> None:
 @pytest.mark.skipif(not SHARED.is_dir(), reason="no real recordings beside the checkout")
 @pytest.mark.parametrize("name", ["corner-reflector-scan08", "light-pole-scan04"])
 def test_a_replayed_recording_is_captured_sample_for_sample(
-    home: dict[str, str], tmp_path: Path, name: str
+    tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path, name: str
 ) -> None:
     source = SHARED / "p440" / f"{name}.out"
     source = source if source.exists() else SHARED / "data" / "p440" / f"{name}.out"
     if not source.exists():
         pytest.skip(f"{source} is not there")
     with emulator(home, "--replay", str(source), "--rate", "0") as (url, _):
-        _, document = scan(home, url, tmp_path / "out", "--scans", "200")
-    capture = read_any(Path(document["data"]["files"]["capture"]))
+        done = scan(tagid, url, "--scans", "200")
+    capture = read_any(tmp_path / done.json["data"]["files"]["capture"])
     recorded = read_any(source)
     np.testing.assert_array_equal(capture.samples, recorded.samples)
     assert capture.range_start_m == pytest.approx(recorded.range_start_m)
     np.testing.assert_array_equal(np.diff(capture.radar_time_ms), np.diff(recorded.radar_time_ms))
 
 
-def test_the_demo_says_which_scenes_there_are(home: dict[str, str], tmp_path: Path) -> None:
-    done = subprocess.run(
-        [*TAGID, "scan", "--demo", "--demo-scene", "nonsense", "--save-dir", str(tmp_path), "--output",
-         "json"],
-        capture_output=True, text=True, env=home, timeout=60,
-    )  # fmt: skip
-    (error,) = json.loads(done.stdout)["errors"]
-    assert done.returncode == 2 and error["code"] == "usage"
+def test_the_demo_says_which_scenes_there_are(tagid: Callable[..., Ran]) -> None:
+    done = tagid("scan", "--demo", "--demo-scene", "nonsense", "--output", "json")
+    (error,) = done.json["errors"]
+    assert done.code == 2 and error["code"] == "usage"
     assert "scene 'nonsense' is unknown" in error["message"]
     assert "container-90, helmet-120" in error["remedy"] and "points-N" in error["remedy"]
 
 
-def test_the_demo(home: dict[str, str], tmp_path: Path) -> None:
-    done = subprocess.run(
-        [*TAGID, "scan", "--demo", "--demo-scene", "container-90", "--save-dir", str(tmp_path), "--method",
-         "bp", "--output", "json"],
-        capture_output=True, text=True, env=home, timeout=120,
-    )  # fmt: skip
-    document = json.loads(done.stdout)
-    assert done.returncode == 0, document
-    assert document["data"]["items"][0]["layout"] == "container-90"
-    assert "scans" in done.stderr
-    shown = read_any(Path(document["data"]["files"]["capture"])).object
+def test_the_demo(tagid: Callable[..., Ran], tmp_path: Path) -> None:
+    words = ("scan", "--demo", "--demo-scene", "container-90", "--method", "bp", "--output", "json")
+    done = tagid(*words, TAGID_RADAR_INTEGRATION="13")
+    assert done.code == 0, done
+    assert done.json["data"]["items"][0]["layout"] == "container-90"
+    assert "scans" in done.err
+    shown = read_any(tmp_path / done.json["data"]["files"]["capture"]).object
     assert shown.demo and shown.scene == "container-90"
     assert shown.truth is not None and shown.truth.centre_m == (0.005, -0.003)

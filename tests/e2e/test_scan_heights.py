@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_server import Ran
 
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import UsageError
@@ -23,17 +24,12 @@ from tagid.simulate.source import HeightFile
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.storage.importers import read_any
 from tests.cli.on_a_terminal import Drawn, run
-from tests.e2e.test_scan import TAGID, emulator, environment
+from tests.e2e.test_scan import emulator
 
 HEIGHTS = (0.0, 0.15, 0.3)
 POSITIONS = [[0.1, 0.0], [-0.02, 0.08], [-0.05, -0.09]]
 ROWS = [0.0, 0.06, -0.05]
 QUESTION = b"Is it there?"
-
-
-@pytest.fixture
-def home(tmp_path: Path) -> dict[str, str]:
-    return environment(tmp_path)
 
 
 @pytest.fixture
@@ -58,7 +54,7 @@ def on_terminal(
             if child.poll() is None:
                 os.write(keyboard, b"\n")
 
-    return run(home, words, (24, 200), react, seconds=300)
+    return run(home, words, (24, 200), react, seconds=300, TAGID_RADAR_INTEGRATION="13")
 
 
 def words_of(url: str, folder: Path) -> list[str]:
@@ -68,11 +64,11 @@ def words_of(url: str, folder: Path) -> list[str]:
 
 
 def test_heights_are_asked_for_recorded_and_joined(
-    home: dict[str, str], layout: Path, tmp_path: Path
+    tagid: Callable[..., Ran], home: dict[str, str], layout: Path, tmp_path: Path
 ) -> None:
     lift = tmp_path / "height"
     lift.write_text("5.0")
-    subprocess.run([*TAGID, "enroll", "--file", str(layout), "--yes"], env=home, check=True, timeout=300)
+    assert tagid("enroll", "--file", layout, "--yes").code == 0
 
     def move(number: int, _: subprocess.Popen) -> None:
         lift.write_text(str(HEIGHTS[number]))
@@ -111,7 +107,7 @@ def _placed(item: dict) -> np.ndarray:
 
 
 def test_ctrl_c_between_heights_keeps_what_is_recorded(
-    home: dict[str, str], layout: Path, tmp_path: Path
+    tagid: Callable[..., Ran], home: dict[str, str], layout: Path, tmp_path: Path
 ) -> None:
     lift = tmp_path / "height"
     lift.write_text("0.0")
@@ -136,13 +132,9 @@ def test_ctrl_c_between_heights_keeps_what_is_recorded(
     assert all(read_any(path).complete and str(path) in error["remedy"] for path in kept)
     assert not list((tmp_path / "out").glob("*.journal"))
     # The command that the error names works.
-    out = tmp_path / "all.npz"
-    done = subprocess.run(
-        [*TAGID, "join", "--align", *map(str, kept), "--out", str(out), "--output", "json"],
-        env=home, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout
-    assert json.loads(done.stdout)["data"]["heights_m"] == pytest.approx(HEIGHTS[:2])
+    done = tagid("join", "--align", *kept, "--out", "all.npz", "--output", "json")
+    assert done.code == 0, done
+    assert done.json["data"]["heights_m"] == pytest.approx(HEIGHTS[:2])
 
 
 def test_without_a_terminal_nothing_is_recorded(tagid, tmp_path: Path) -> None:
@@ -157,7 +149,7 @@ def test_without_a_terminal_nothing_is_recorded(tagid, tmp_path: Path) -> None:
 
 
 def test_the_demo_moves_its_own_antenna(tagid, tmp_path: Path) -> None:
-    words = ("scan", "--demo", "--save-dir", tmp_path, "--scans", 160, "--heights", "0,0.2")
+    words = ("scan", "--demo", "--save-dir", tmp_path, "--scans", 40, "--heights", "0,0.2")
     done = tagid(*words, "--output", "json")
     assert done.code in (0, 3), done.err
     files = [Path(row["file"]) for row in done.json["data"]["heights"]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -23,13 +22,6 @@ from tagid.storage.importers import read_any
 pytestmark = pytest.mark.realtime
 
 TAGID = [sys.executable, "-m", "tagid"]
-
-
-@pytest.fixture
-def home(tmp_path: Path) -> dict[str, str]:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
-    folder = {"TAGID_CONFIG": str(tmp_path / "config.toml"), "TAGID_DATA": str(tmp_path / "data")}
-    return {**environment, **folder, "OMP_NUM_THREADS": "1"}
 
 
 @contextmanager

@@ -7,18 +7,20 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_server import Ran
 
 from tagid.motion.calibration import Calibration, remember
 from tagid.motion.emulation.truth import TrueAngle
 from tagid.reading.looks import LOOKS
 from tagid.storage.importers import read_any
 from tests.cli.on_a_terminal import run
-from tests.e2e.test_scan import TAGID, emulator, environment
+from tests.e2e.test_scan import TAGID, emulator
 from tests.e2e.test_scan_roomba import robot, scan_words, wait_until
 
 pytestmark = pytest.mark.realtime
@@ -27,9 +29,9 @@ RADAR = "emulator://helmet-120?rpm=1&rate=1&seed=2"
 
 
 @pytest.fixture
-def home(tmp_path: Path) -> dict[str, str]:
+def home(home: dict[str, str]) -> dict[str, str]:
     """Few scans per second, which the emulated radar makes in time on a busy computer, too."""
-    return environment(tmp_path) | {"TAGID_RADAR_INTEGRATION": "15"}
+    return home | {"TAGID_RADAR_INTEGRATION": "15"}
 
 
 def live_words(radar: str, folder: Path) -> list[str]:
@@ -37,14 +39,10 @@ def live_words(radar: str, folder: Path) -> list[str]:
             "1", "--method", "bp", "--save-dir", str(folder), "--output", "json"]  # fmt: skip
 
 
-def shown_end(home: dict[str, str], path: str) -> dict[str, Any]:
+def shown_end(tagid: Callable[..., Ran], path: str) -> dict[str, Any]:
     """What `tagid show` says of the end of a capture, after a look at its text."""
-    words = [*TAGID, "show", path]
-    text = subprocess.run(words, capture_output=True, text=True, env=home, check=True).stdout
-    assert "was certain" in " ".join(text.split())
-    words += ["--output", "json"]
-    found = subprocess.run(words, capture_output=True, text=True, env=home, check=True).stdout
-    return json.loads(found)["data"]["ended"]
+    assert "was certain" in " ".join(tagid("show", path).out.split())
+    return tagid("show", path, "--output", "json").json["data"]["ended"]
 
 
 def sure(ended: dict[str, Any]) -> bool:
@@ -54,7 +52,7 @@ def sure(ended: dict[str, Any]) -> bool:
 
 
 def test_a_live_scan_ends_when_it_is_sure_and_says_so_on_the_screen(
-    home: dict[str, str], tmp_path: Path
+    tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path
 ) -> None:
     ended = run(home, live_words(RADAR, tmp_path / "out"), (40, 140))
     assert ended.code == 0, ended
@@ -64,12 +62,14 @@ def test_a_live_scan_ends_when_it_is_sure_and_says_so_on_the_screen(
     screen = ended.sent.decode(errors="replace")
     assert "because helmet-120 was certain" in screen and "\x1b[?1049l" in screen, "the screen is given back"
     assert data["live"]["frames"] > 3
-    assert shown_end(home, data["files"]["capture"]) == data["ended"]
+    assert shown_end(tagid, data["files"]["capture"]) == data["ended"]
     capture = read_any(Path(data["files"]["capture"]))
     assert capture.complete and data["ended"]["share"] < np.ptp(capture.angles_rad) / (2 * np.pi) < 1
 
 
-def test_a_calibrated_robot_stands_at_once_when_it_is_sure(home: dict[str, str], tmp_path: Path) -> None:
+def test_a_calibrated_robot_stands_at_once_when_it_is_sure(
+    tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path
+) -> None:
     # Wheels far apart turn slowly: looks have time on a busy computer, too.
     with robot(home, "--wheel-base", "470", "--slip", "0.01", "--seed", "3") as there:
         port = there["url"].partition("://")[2].partition("?")[0]
@@ -95,7 +95,7 @@ def test_a_calibrated_robot_stands_at_once_when_it_is_sure(home: dict[str, str],
     last_scan_s = int(capture.host_time_ns[-1]) * 1e-9 - clock_s
     assert state["still_since_s"] - last_scan_s < 0.5
     assert state["mode"] == 1
-    assert shown_end(home, data["files"]["capture"]) == data["ended"]
+    assert shown_end(tagid, data["files"]["capture"]) == data["ended"]
 
 
 def journal_size(folder: Path) -> int:
@@ -111,7 +111,8 @@ def test_a_radar_that_is_unplugged_in_the_middle_ends_the_scan_and_keeps_it(
             target=lambda: (wait_until(lambda: journal_size(out) > 20_000, 60), radar.kill())
         )
         unplug.start()
-        ended = run({**home, "TAGID_RADAR_RESUME_S": "0"}, live_words(url, out), (40, 140))
+        quick = {"TAGID_RADAR_TIMEOUT_S": "0.5", "TAGID_RADAR_RESUME_S": "0"}
+        ended = run({**home, **quick}, live_words(url, out), (40, 140))
         unplug.join()
     assert ended.code == 4, ended
     (error,) = json.loads(ended.out)["errors"]
@@ -125,7 +126,7 @@ def test_a_radar_that_is_unplugged_in_the_middle_ends_the_scan_and_keeps_it(
 
 
 def test_a_full_disk_ends_a_live_scan_and_the_journal_is_recovered(
-    home: dict[str, str], tmp_path: Path
+    tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     limit = (
@@ -141,8 +142,8 @@ def test_a_full_disk_ends_a_live_scan_and_the_journal_is_recovered(
     (error,) = json.loads(done.stdout)["errors"]
     assert (done.returncode, error["code"]) == (1, "disk_full") and "tagid recover" in error["remedy"], error
     (journal,) = out.iterdir()
-    recovered = subprocess.run([*TAGID, "recover", str(journal)], capture_output=True, text=True, env=home)
-    assert recovered.returncode == 0, recovered.stderr
+    recovered = tagid("recover", journal)
+    assert recovered.code == 0, recovered.err
     (path,) = out.glob("*.tagid.h5")
     assert read_any(path).views > 5 and not read_any(path).complete
 
