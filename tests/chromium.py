@@ -46,4 +46,4 @@ def wait(browser: Any, condition: Callable[[], Any]) -> Any:
     """The first true value of a condition."""
     from selenium.webdriver.support.ui import WebDriverWait
 
-    return WebDriverWait(browser, WAIT_S).until(lambda _: condition())
+    return WebDriverWait(browser, WAIT_S, poll_frequency=0.05).until(lambda _: condition())

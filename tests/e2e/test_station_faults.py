@@ -28,13 +28,13 @@ from tagid.storage.importers import read_any
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def core(rpm: float = 20) -> EmulatorCore:
+def core(rpm: float) -> EmulatorCore:
     return EmulatorCore(turning_scene(SceneSpec("helmet-120", rpm=rpm, seed=2)), RadarConfig())
 
 
 def test_a_radar_that_is_gone_is_told_with_its_wiring_and_the_next_scan_works(serve, tmp_path: Path) -> None:
-    with UdpEmulator(core(6), ServeOptions(port=0)) as radar:
-        one = serve(radar.url, check=examine, rpm=6, resume_s=0.0)
+    with UdpEmulator(core(8), ServeOptions(port=0)) as radar:
+        one = serve(radar.url, check=examine, rpm=8, resume_s=0.0)
         page, _ = joined(one.port)
         first = page.until("status", lambda m: m["health"]["checked"])["health"]
         assert first["wiring"] is None
@@ -48,7 +48,7 @@ def test_a_radar_that_is_gone_is_told_with_its_wiring_and_the_next_scan_works(se
     help_ = page.until("status", lambda m: m["health"]["wiring"])["health"]
     assert help_["wiring"]["cable"] == "ethernet" and "127.0.0.1" in " ".join(help_["wiring"]["steps"])
     assert any(one["topic"] == "radar" and one["level"] == "problem" for one in help_["findings"])
-    with UdpEmulator(core(), ServeOptions(port=int(radar.url.rpartition(":")[2]), rate=0)):
+    with UdpEmulator(core(8), ServeOptions(port=int(radar.url.rpartition(":")[2]), rate=0)):
         page.until("status", lambda m: m["health"]["wiring"] is None)
         page.say(type="scan")
         page.until("frame", lambda m: m["scan"]["number"] == 2 and not m["scan"]["running"])
@@ -96,9 +96,10 @@ time.time = lambda: real_s() + shift
 time.time_ns = lambda: int((real_s() + shift) * 1e9)
 time.localtime = lambda s=None: real_local(time.time() if s is None else s)
 
-sys.path.insert(0, "tests/e2e")
+sys.path[:0] = ["tests", "tests/e2e"]
 from pathlib import Path
 import station_harness as h
+from remembered import remember
 from tagid.storage.importers import read_any
 
 def main(place):
@@ -126,15 +127,16 @@ def main(place):
         assert all(read_any(path).complete for path in captures)
         assert all(ask.get(f"/api/v1/history/{row['id']}/picture").status == 200 for row in rows)
 
+remember(Path(sys.argv[2]))
 main(Path(sys.argv[1]))
 """
 
 
-def test_a_clock_that_jumps_loses_nothing(tmp_path: Path) -> None:
+def test_a_clock_that_jumps_loses_nothing(tmp_path: Path, remembered: Path) -> None:
     (tmp_path / "out").mkdir()
     own = {"TAGID_DATA": str(tmp_path / "data"), "TAGID_CONFIG": str(tmp_path / "c.toml")}
     done = subprocess.run(
-        [sys.executable, "-c", CLOCK, str(tmp_path / "out")],
+        [sys.executable, "-c", CLOCK, str(tmp_path / "out"), str(remembered)],
         capture_output=True, text=True, cwd=ROOT,
         env={**os.environ, **own, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
     )  # fmt: skip

@@ -235,11 +235,10 @@ def test_the_history_says_why_nothing_was_named(browser: Any, serve: Callable[..
 
 
 @pytest.mark.parametrize(
-    "shape",
-    [(390, 844, True), (1180, 820, False), (1440, 900, False)],
+    ("shape", "name"),
+    [((390, 844, True), "dark"), ((1180, 820, False), "light"), ((1440, 900, False), "dark")],
     ids=["phone", "tablet", "desktop"],
 )
-@pytest.mark.parametrize("name", ["light", "dark"])
 def test_accessibility_and_fit(
     browser: Any, station_with_history: Server, shape: tuple[int, int, bool], name: str
 ) -> None:
@@ -536,20 +535,20 @@ def test_an_object_is_enrolled_by_keyboard_and_the_enrolment_undone(
 def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
     browser: Any, serve: Callable[..., Server]
 ) -> None:
-    def core(rpm: float) -> EmulatorCore:
-        return EmulatorCore(turning_scene(SceneSpec("helmet-120", rpm=rpm)), RadarConfig())
+    def core() -> EmulatorCore:
+        return EmulatorCore(turning_scene(SceneSpec("helmet-120", rpm=8)), RadarConfig())
 
     size(browser, 390, 844, True)
-    with UdpEmulator(core(6), ServeOptions(port=0)) as radar:
+    with UdpEmulator(core(), ServeOptions(port=0)) as radar:
         port = int(radar.url.rpartition(":")[2])
-    one = serve(radar.url, check=examine, rpm=6, resume_s=4.0)
+    one = serve(radar.url, check=examine, rpm=8, resume_s=4.0)
     browser.get(one.url)
     # Before anybody scans.
     wait(browser, lambda: text(browser, "answer") == "No radar")
     assert text(browser, "radar") == "no radar" and text(browser, "link") == "connected"
     assert radar.url in text(browser, "reason") and "cable" in text(browser, "advice")
     assert problems(browser) == []
-    with UdpEmulator(core(6), ServeOptions(port=port)):
+    with UdpEmulator(core(), ServeOptions(port=port)):
         wait(browser, lambda: text(browser, "answer") == "Ready" and text(browser, "radar") == "radar ok")
         assert not browser.find_element(By.ID, "alert").is_displayed()
         browser.find_element(By.ID, "scan").click()
@@ -565,7 +564,7 @@ def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
     assert problems(browser) == []
     assert text(browser, "radar") == "no radar"
-    with UdpEmulator(core(20), ServeOptions(port=port, rate=0)):
+    with UdpEmulator(core(), ServeOptions(port=port, rate=0)):
         wait(browser, lambda: not browser.find_element(By.ID, "wiring").is_displayed())
         view(browser, "scan")
         assert text(browser, "answer") == "Ready" and text(browser, "radar") == "radar ok"

@@ -39,7 +39,7 @@ def capture(layout: Layout, pose: Sequence[float]):
     )
     x, y, turn = pose
     placement = Placement((x, y), math.radians(turn))
-    acquisition = Acquisition(views=72, snr_db=20.0, placement=placement)
+    acquisition = Acquisition(views=36, snr_db=20.0, placement=placement)
     return prepare(simulate_capture(scene, acquisition, seed=int(turn))[0])
 
 
