@@ -49,19 +49,20 @@ def here(tmp_path: Path, home: dict[str, str], monkeypatch: pytest.MonkeyPatch) 
 def test_a_set_that_cannot_be_enrolled_comes_with_options_that_work(
     here: Callable[..., Ran], tmp_path: Path
 ) -> None:
-    words = ("layouts", "design", "--object", "container", "--reflectors", 2, "--output", "json")
-    six = here(*words, "--count", 6, "--out", "six.toml").json["data"]
-    assert not six["can_be_enrolled"] and here("layouts", "import", "six.toml").code == 1
-    options = re.findall(r"--\w+ \d+(?:\.\d+)?", six["advice"])
+    words = ("layouts", "design", "--object", "container", "--reflectors", 2, "--spacing", 0.08)
+    words += ("--count", 5, "--output", "json")
+    five = here(*words, "--out", "five.toml").json["data"]
+    assert not five["can_be_enrolled"] and here("layouts", "import", "five.toml").code == 1
+    options = re.findall(r"--\w+ \d+(?:\.\d+)?", five["advice"])
     assert len(options) == 2
     for number, option in enumerate(options):
         data = str(tmp_path / f"data{number}")
         out = f"{number}.toml"
-        again = here(*words, "--count", 6, *option.split(), "--out", out, TAGID_DATA=data).json["data"]
+        again = here(*words, *option.split(), "--out", out, TAGID_DATA=data).json["data"]
         assert again["can_be_enrolled"] and here("layouts", "import", out, TAGID_DATA=data).code == 0
         # Sets that differ bear other names, so one can be imported beside the other.
         names = {one["name"] for one in again["layouts"]}
-        assert not names & {one["name"] for one in six["layouts"]}
+        assert not names & {one["name"] for one in five["layouts"]}
     mug = ("layouts", "design", "--object", "mug", "--output", "json")
     narrow = here(*mug, "--count", 2, "--spacing", 0.07)
     assert narrow.code == 2 and narrow.json["errors"][0]["remedy"].startswith("These work: --")
@@ -192,7 +193,7 @@ def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
         url = process.stdout.readline().strip()
         assert re.fullmatch(r"udp://127\.0\.0\.1:\d+", url)
         # Fewer scans per turn are enough here.
-        monkeypatch.setenv("TAGID_RADAR_INTEGRATION", "14")
+        monkeypatch.setenv("TAGID_RADAR_INTEGRATION", "15")
         scan = ("scan", "--radar", url, "--axis-distance", 1, "--motion", "free?rpm=20", "--method", "bp")
         ran = here(*scan, *truth, "--note", "second", "--output", "json")
     finally:
@@ -241,7 +242,6 @@ def test_centimetres_are_not_taken_for_metres(here: Callable[..., Ran], tmp_path
     "words",
     [
         ("--object", "mug", "--reflectors", 6, "--spacing", 0.1, "--count", 4),
-        ("--object", "mug", "--count", 60),
         ("--radius", 0.025, "--count", 2),
     ],
 )

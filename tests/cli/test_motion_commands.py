@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import stat
 import subprocess
 import sys
@@ -155,33 +154,46 @@ def test_the_passkey_is_kept_private(tagid: Callable[..., Any], home: dict[str, 
     assert stat.S_IMODE(config.stat().st_mode) == 0o600
 
 
+def a_turn(folder: Path, true_way: int, was_reversed: bool) -> Path:
+    """A capture on a table that was told to turn counter-clockwise."""
+    capture, _ = simulate_capture(scene_from_layout(SCALENE, seed=1), Acquisition(snr_db=20, views=36), 1)
+    assert capture.angles_rad is not None
+    resolved = ResolvedMotion(kind="comxim", table="/dev/table", direction=1, reversed=was_reversed)
+    told = replace(capture, angles_rad=true_way * capture.angles_rad, motion=MotionInfo(resolved=resolved))
+    path = folder / "turn.tagid.h5"
+    write_capture(path, told)
+    return path
+
+
 @pytest.mark.parametrize("true_way", [1, -1])
 @pytest.mark.parametrize("was_reversed", [False, True])
 def test_the_direction_is_found_with_an_object_that_is_not_its_own_mirror_image(
-    tagid: Callable[..., Any], home: dict[str, str], tmp_path: Path, true_way: int, was_reversed: bool
+    tagid: Callable[..., Any],
+    home: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    true_way: int,
+    was_reversed: bool,
 ) -> None:
     """The table was told to turn counter-clockwise; where it did not, the next scan has `reversed` set."""
     layout = tmp_path / "scalene.toml"
     rows = ", ".join(f"[{x}, {y}]" for x, y in SCALENE)
     layout.write_text(f'name = "scalene"\nkind = "helmet"\nlabel = "S"\nnotes = ""\npositions_m = [{rows}]\n')
     assert tagid("layouts", "import", layout).code == 0, tagid("layouts", "import", layout).err
-    capture, _ = simulate_capture(scene_from_layout(SCALENE, seed=1), Acquisition(snr_db=20, views=180), 1)
-    assert capture.angles_rad is not None
-    resolved = ResolvedMotion(kind="comxim", table="/dev/table", direction=1, reversed=was_reversed)
-    told = replace(capture, angles_rad=true_way * capture.angles_rad, motion=MotionInfo(resolved=resolved))
-    path = tmp_path / "turn.tagid.h5"
-    write_capture(path, told)
-    words = ("motion", "calibrate", path, "--direction", "--layout")
+    words = ("motion", "calibrate", a_turn(tmp_path, true_way, was_reversed), "--direction", "--layout")
     ran = tagid(*words, "scalene", "--output", "json")
     assert ran.code == 0, ran.json
     data = ran.json["data"]
     assert data["other_way"] == (true_way < 0) and data["reversed"] == ((true_way < 0) != was_reversed)
-    code = "from tagid.motion.urls import open_motion; "
-    code += "print(open_motion('comxim+serial:///dev/table').reversed)"
-    told_next = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, **home}, capture_output=True, text=True
-    )
-    assert told_next.stdout.strip() == str(data["reversed"])
+    for name in ("TAGID_DATA", "TAGID_CONFIG"):
+        monkeypatch.setenv(name, home[name])
+    assert open_motion("comxim+serial:///dev/table").reversed == data["reversed"]
+
+
+def test_the_direction_is_not_found_with_a_symmetric_or_unknown_layout(
+    tagid: Callable[..., Any], tmp_path: Path
+) -> None:
+    words = ("motion", "calibrate", a_turn(tmp_path, 1, False), "--direction", "--layout")
     symmetric = tagid(*words, "helmet-120", "--output", "json")
     assert symmetric.code == 2 and "mirror image" in symmetric.json["errors"][0]["message"]
     assert tagid(*words, "nobody").code == 2

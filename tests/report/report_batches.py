@@ -39,6 +39,13 @@ def copy_captures(recorded: Path, folder: Path) -> Path:
     return folder
 
 
+def keep(captures: Path, *names: str) -> None:
+    """Remove the captures of a folder that are not named."""
+    for path in captures.glob("*.tagid.h5"):
+        if path.name.removesuffix(".tagid.h5") not in names:
+            path.unlink()
+
+
 def part_of_a_turn(whole: Path, part: Path, share: float) -> None:
     """Write the first part of a recording's views, with a time and a note."""
     capture = read_capture(whole)

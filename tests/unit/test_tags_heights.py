@@ -41,7 +41,7 @@ def test_a_higher_point_is_nearer_to_a_higher_antenna() -> None:
 
 @pytest.mark.parametrize(("layout", "raised"), [(UP, 0.02), (DOWN, 0.0)], ids=["up", "down"])
 def test_layouts_that_differ_in_height_alone_are_told_apart(layout: Layout, raised: float) -> None:
-    reading = identify(prepare(scan(layout, (0.0, 0.2), raised)), ALL).reading
+    reading = identify(prepare(scan(layout, (0.0, 0.2), raised, views=24)), ALL).reading
     assert reading is not None and (reading.status, reading.layout) == ("identified", layout.name)
     measured = [each.z_m for each in reading.reflectors]
     assert measured == pytest.approx(np.asarray(layout.heights) + raised, abs=0.01)

@@ -79,9 +79,9 @@ def scaled(scans: BasebandScans, scale: float) -> BasebandScans:
     return replace(scans, aperture=scans.aperture.turned(scale * angles, distance))
 
 
-@pytest.mark.parametrize("scale", [0.98, 1.02])
-def test_part_of_a_turn_of_another_scale_is_named(scale: float) -> None:
-    scans = scaled(scans_of("helmet-120", views=54, turns=0.9, snr_db=20.0), scale)
+def test_part_of_a_turn_of_another_scale_is_named() -> None:
+    scale = 1.02  # the other way than that of the test before
+    scans = scaled(scans_of("helmet-120", views=45, turns=0.9, snr_db=20.0), scale)
     reading = read(scans, LAYOUTS)
     assert (reading.status, reading.layout) == ("identified", "helmet-120"), reading.reason
     own = contest(scans, LAYOUTS)
