@@ -189,7 +189,8 @@ class UdpLink:
                 if isinstance(error, ConnectionError) and not self._heard:
                     raise DeviceTimeoutError(
                         f"nothing listens at {self}",
-                        f"Check {port_remedy(self.address[1])}, and that the radar or its emulator runs.",
+                        f"Check power and cable, {port_remedy(self.address[1])}, and that the radar or its "
+                        "emulator runs.",
                     ) from error
                 if error.errno not in _NOT_REACHED:
                     raise DeviceError(

@@ -33,7 +33,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A capture that is soon read."""
     file = tmp_path_factory.mktemp("small") / "a.tagid.h5"
-    write_capture(file, simulate_capture(scene_from_name("empty", 1), Acquisition(views=12), seed=1)[0])
+    write_capture(file, simulate_capture(scene_from_name("helmet-120", 1), Acquisition(views=12), seed=1)[0])
     return file
 
 

@@ -324,7 +324,7 @@ def parse_settings(words: Iterable[str]) -> dict[str, Any]:
             name, text = "prior", Prior.DEFAULT if _value(name, text, 1) == 0 else AUTO
         if equals and name in {*_FIXED, *_NOW}:
             remedy = _NOW.get(name, f"Leave it away: it is {_FIXED.get(name)}.")
-            raise UsageError(f"ATS no longer has the setting {name} (`--ats`, `imaging.ats`)", remedy)
+            raise UsageError(f"ATS no longer has the setting {name}", remedy)
         if not equals or name not in setting_names():
             raise UsageError(
                 f"there is no ATS setting {part!r}", f"Give KEY=VALUE with {', '.join(setting_names())}."
