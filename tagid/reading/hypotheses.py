@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -27,7 +27,6 @@ from tagid.reading.hypothesis import (
     distinct,
     middle_of,
     same_place,
-    unlike_places,
 )
 from tagid.reading.odd import OddMap
 from tagid.reading.remainder import anywhere
@@ -54,8 +53,6 @@ MOST_ODD, MOST_ODD_UNTAGGED = 2, 5
 """Odd scatterers that one search adds beside a tag, and where there is none."""
 LIMIT_ODD, LIMIT_ODD_UNTAGGED = 4, 7
 """Odd scatterers beside a tag, and where there is none, at most."""
-DEEPENED = 4
-"""Best layouts, free arrangements and untagged bodies that get as many odd scatterers as pay."""
 MOST_REFLECTORS = 5
 """Reflectors of an arrangement that is not enrolled."""
 FIRST, THEN = 16, 8
@@ -183,8 +180,6 @@ class Contest:
         self._one_more()
         self._by_hand()
         self._unbound()
-        self._deepened()
-        self._as_enrolled()
 
     @property
     def _searched(self) -> Sequence[Transfer]:
@@ -574,13 +569,6 @@ class Contest:
                 hypothesis.middle,
             )
             self.grow(best, self.most_odd - hypothesis.estimate.model.odd)
-
-    def _deepened(self) -> None:
-        """The best of every kind beside all odd scatterers that pay: no kind wins by a longer search."""
-        kinds = self._untagged_best, partial(self._best, enrolled=True), partial(self._best, enrolled=False)
-        for kind in kinds:
-            for hypothesis in unlike_places(kind(len(self.hypotheses)), DEEPENED):
-                self.grow(hypothesis, LIMIT_ODD_UNTAGGED)
 
     def _unbound(self) -> None:
         """The best layouts' reflectors as free ones: far from their places they are another tag."""

@@ -244,18 +244,6 @@ def unlike(starts: list[Candidate], count: int) -> list[Candidate]:
     return out
 
 
-def unlike_places(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
-    """The first hypotheses whose layouts differ, or models or places."""
-    chosen: list[Hypothesis] = []
-    for hypothesis in hypotheses:
-        layout, estimate = hypothesis.layout, hypothesis.estimate
-        if not any(layout is other.layout and same_place(estimate, other.estimate) for other in chosen):
-            chosen.append(hypothesis)
-        if len(chosen) == count:
-            break
-    return chosen
-
-
 def same_place(estimate: Estimate, other: Estimate) -> bool:
     """Both are of one model and stand at one place."""
     if estimate.model.transfer is not other.model.transfer or len(estimate.positions) != len(other.positions):

@@ -9,7 +9,7 @@ from reader_scenes import LAYOUTS, scans_at, scans_of
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.reading.decision import SURE, Decision, decide
-from tagid.reading.hypotheses import LIMIT_ODD_UNTAGGED, Contest
+from tagid.reading.hypotheses import Contest
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
 from tagid.reading.transfers.shade import SHADES
@@ -98,8 +98,8 @@ def test_a_foreign_pair_on_an_oval_shell_is_not_named() -> None:
 @pytest.mark.parametrize(
     ("seed", "code"),
     [
-        # A box and something beside it, at 12 views: a pair at an enrolled distance fits hardly better.
-        (300_186, Code.WEAK),
+        # A box and something beside it, at 12 views: pairs at other angles or distances fit as well.
+        (300_186, Code.DISPLACED),
         # A loud tag moves the centre that its body seems to have.
         (300_146, Code.EXTRA),
     ],
@@ -107,7 +107,7 @@ def test_a_foreign_pair_on_an_oval_shell_is_not_named() -> None:
 def test_a_stranger_beside_a_body_is_not_named(seed: int, code: Code) -> None:
     scans = preprocess(draw(seed).capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
     answer = decide(Contest(Spectra.of(scans), LAYOUTS, sheets=()).run())
-    assert answer.name is None and answer.lead < SURE
+    assert answer.name is None and answer.lead < 0
     assert answer.code is code
 
 
@@ -117,15 +117,3 @@ def test_a_layout_far_from_its_places_is_another_tag() -> None:
     scans = preprocess(specimen.capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
     answer = decide(Contest(Spectra.of(scans), LAYOUTS, sheets=()).run())
     assert answer.name is None and answer.lead < -20
-
-
-def test_no_kind_of_hypothesis_wins_by_a_longer_search() -> None:
-    """A handle and a cable: a layout beside four odd scatterers led by 72 nats while others had fewer."""
-    scans = preprocess(
-        draw(341_097, views=36).capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5)
-    )
-    contest = Contest(Spectra.of(scans), LAYOUTS, sheets=())
-    answer = decide(contest.run())
-    assert answer.best is not None and answer.lead < 20
-    for best in (answer.best, answer.rival):
-        assert contest.grow(best, LIMIT_ODD_UNTAGGED) is best
