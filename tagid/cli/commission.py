@@ -152,7 +152,7 @@ def _progress(advance: Callable[[float, str], None]) -> Progress:
 
 def _prepare(step: Step, config: Config, yes: bool, ask: bool) -> None:
     """Tell the person what to do first, and wait. Raises UsageError, CaptureInterrupted."""
-    if step.name in ("turning", "card"):
+    if step.turns:
         consent.agree_to(config["motion.url"], yes)
     if not (step.prepare and ask) or yes:
         return
@@ -174,11 +174,10 @@ def _page(page: Path | None, bench: Bench) -> str | None:
     if page is None:
         return None
     from tagid.commissioning.page import write_page
-    from tagid.commissioning.steps import STEPS
+    from tagid.commissioning.steps import reports_by_title
     from tagid.rig import installed_profile
 
-    reports = [(step.title, report) for step in STEPS if (report := bench.report(step.name)) is not None]
-    write_page(page, [r for _, r in reports], [t for t, _ in reports], installed_profile(data_folder()))
+    write_page(page, reports_by_title(bench), installed_profile(data_folder()))
     return str(page)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from tagid.capture import Capture, Pulse
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.geometry import Aperture
+from tagid.imaging.kernel import RangeGeometry
 from tagid.rig import Measured
 from tagid.signal import positive_spectrum
 from tagid.types import Complex, Floats
@@ -259,19 +260,13 @@ def _starts(data: _Data) -> list[tuple[float, Floats]]:
         np.outer(np.cos(turns), data.marks[:, 0]) - np.outer(np.sin(turns), data.marks[:, 1]),
         np.outer(np.sin(turns), data.marks[:, 0]) + np.outer(np.cos(turns), data.marks[:, 1]),
     ])  # fmt: skip
-    view = np.arange(len(scans))[:, None]
     mean, _ = _priors(data)
-    found = []
+    starts = []
     for offset in np.arange(-SEARCH_M, SEARCH_M + _STEP_M / 2, _STEP_M):
         axis = data.known.axis_distance_m + offset
         here = Aperture.turntable(angles, axis, data.known.height.value, data.known.separation_m)
-        ranges = np.mean(
-            [np.linalg.norm(end[:, None] - pixels[None], axis=2) for end in here.antennas], axis=0
-        )
-        place = np.clip((ranges - data.ranges_m[0]) / step, 0, rows.shape[1] - 2)
-        low = place.astype(np.int64)
-        values = rows[view, low] * (1 - place + low) + rows[view, low + 1] * (place - low)
-        image = np.abs(values.sum(axis=0)).reshape(len(side), len(side))
+        geometry = RangeGeometry.of(here, pixels, (data.ranges_m[0], step), rows.shape[1])
+        image = np.abs(geometry.gather(rows)).reshape(len(side), len(side))
         best = (-1.0, 0.0, 0.0, 0.0)
         for dx in _SHIFTS_M:
             for dy in _SHIFTS_M:
@@ -282,8 +277,8 @@ def _starts(data: _Data) -> list[tuple[float, Floats]]:
                 best = max(best, (float(bright[top]), float(turns[top]), dx, dy))
         x = mean.copy()
         x[_AXIS], x[_TURN], x[_CENTRE] = axis, best[1], best[2:]
-        found.append((best[0], x))
-    return found
+        starts.append((best[0], x))
+    return starts
 
 
 def _descended(data: _Data, x: Floats) -> _State:

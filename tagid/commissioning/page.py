@@ -34,15 +34,12 @@ svg { max-width: 100%; height: auto; }
 """
 
 
-def write_page(
-    path: Path, reports: Sequence[StepReport], titles: Sequence[str], profile: RigProfile | None
-) -> None:
+def write_page(path: Path, reports: Sequence[tuple[str, StepReport]], profile: RigProfile | None) -> None:
     """Write the page atomically.
 
     Args:
         path: the file; .pdf for a PDF of vectors, else HTML.
-        reports: of the steps done, in their order.
-        titles: of the same steps.
+        reports: of the steps done, in their order, each after its title.
         profile: the profile, if there is one already.
 
     Raises StorageError, DiskFullError.
@@ -50,9 +47,9 @@ def write_page(
     if path.suffix.lower() == ".pdf":
         from tagid.commissioning.page_pdf import to_pdf
 
-        write_bytes(path, to_pdf(reports, titles, profile))
+        write_bytes(path, to_pdf(reports, profile))
         return
-    parts = [_section(title, report) for title, report in zip(titles, reports, strict=True)]
+    parts = [_section(title, report) for title, report in reports]
     head, rig = heading(reports, profile)
     about = f"<p>{html.escape(rig)}</p>" if rig else ""
     page = (

@@ -14,9 +14,9 @@ from tagid.rig import RigProfile
 from tagid.types import Floats
 
 
-def heading(reports: Sequence[StepReport], profile: RigProfile | None) -> tuple[str, str]:
+def heading(reports: Sequence[tuple[str, StepReport]], profile: RigProfile | None) -> tuple[str, str]:
     """(head line, sentence about the rig or nothing) of a page."""
-    passed = all(report.passed for report in reports) and profile is not None
+    passed = all(report.passed for _, report in reports) and profile is not None
     head = "The rig is commissioned" if passed else "The rig is not commissioned yet"
     return head, "" if profile is None else f"Rig of {profile.day}, radar {profile.radar.serial}."
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 from collections.abc import Sequence
 from typing import Final
@@ -31,7 +32,7 @@ _BOX_MM: Final = (78.0, 40.0)
 _INSET_MM: Final = (9.0, 9.0)
 
 
-def to_pdf(reports: Sequence[StepReport], titles: Sequence[str], profile: RigProfile | None) -> bytes:
+def to_pdf(reports: Sequence[tuple[str, StepReport]], profile: RigProfile | None) -> bytes:
     """The pages, A4; arguments as of `tagid.commissioning.page.write_page`."""
     buffer = io.BytesIO()
     head, about = heading(reports, profile)
@@ -41,9 +42,13 @@ def to_pdf(reports: Sequence[StepReport], titles: Sequence[str], profile: RigPro
     )  # fmt: skip
     story: list[Flowable] = [Paragraph(head, _HEAD)]
     if about:
-        story.append(Paragraph(_safe(about), _TEXT))
-    for title, report in zip(titles, reports, strict=True):
-        step = [Paragraph(_safe(title), _STEP), Paragraph(_safe(report.date_utc), _TEXT), Spacer(1, 2)]
+        story.append(Paragraph(html.escape(about), _TEXT))
+    for title, report in reports:
+        step = [
+            Paragraph(html.escape(title), _STEP),
+            Paragraph(html.escape(report.date_utc), _TEXT),
+            Spacer(1, 2),
+        ]
         story.append(KeepTogether([*step, _table(report.rows)]))
         if report.pulse:
             story += [Spacer(1, 4), _pictures(curves_of(report.pulse))]
@@ -56,14 +61,14 @@ def _table(rows: Sequence[Row]) -> Table:
     lines, colours = [], []
     for number, row in enumerate(rows):
         verdict = ParagraphStyle("verdict", parent=_BOLD, textColor=HexColor(_INK[row.level]))
-        words = [Paragraph(_safe(plain(row.text)), _TEXT)] if row.text else []
+        words = [Paragraph(html.escape(plain(row.text)), _TEXT)] if row.text else []
         if row.advice and row.level is not Level.PASS:
-            words.append(Paragraph(_safe(plain(row.advice)), _BOLD))
+            words.append(Paragraph(html.escape(plain(row.advice)), _BOLD))
         lines.append(
             [
                 Paragraph(row.level.value, verdict),
-                Paragraph(_safe(row.name), _BOLD),
-                Paragraph(_safe(row.number.replace("+-", "±")), _TEXT),
+                Paragraph(html.escape(row.name), _BOLD),
+                Paragraph(html.escape(row.number.replace("+-", "±")), _TEXT),
                 words,
             ]
         )
@@ -100,8 +105,3 @@ def _drawing(curve: Curve) -> Drawing:
         drawing.add(String(left - 1 * mm, bottom + at - 2, words, fontSize=7, textAnchor="end"))
     drawing.add(String(left + width / 2, 0, curve.title, fontSize=7.5, textAnchor="middle"))
     return drawing
-
-
-def _safe(text: str) -> str:
-    """A text without markup of paragraphs."""
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

@@ -14,6 +14,7 @@ from tagid.commissioning.room import watch_room
 from tagid.commissioning.rows import StepReport
 from tagid.commissioning.target import measure_target
 from tagid.commissioning.turning import measure_turning
+from tagid.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -25,12 +26,14 @@ class Step:
         title: for people.
         prepare: what the person does first; empty for nothing.
         run: measures and reports.
+        turns: whether the table turns, which moves a device if one is configured.
     """
 
     name: str
     title: str
     prepare: str
     run: Callable[[Bench], StepReport]
+    turns: bool = False
 
 
 STEPS: Final = (
@@ -49,15 +52,25 @@ STEPS: Final = (
         "Turning",
         "Put the test card on the table, with its print upwards, and switch the table on",
         measure_turning,
+        turns=True,
     ),
-    Step("card", "Test card", "", read_card),
+    Step("card", "Test card", "", read_card, turns=True),
     Step("result", "Result", "", write_result),
 )
 
 
 def step_named(name: str) -> Step:
-    """The step of a name, which must be one of `STEPS`."""
-    return next(step for step in STEPS if step.name == name)
+    """The step of a name. Raises UsageError."""
+    for step in STEPS:
+        if step.name == name:
+            return step
+    raise UsageError(f"there is no step {name[:40]!r}", f"Use {', '.join(step.name for step in STEPS)}.")
+
+
+def reports_by_title(bench: Bench) -> list[tuple[str, StepReport]]:
+    """The title and report of every step that was done. Raises StorageError, ConfigError."""
+    reports = [(step.title, bench.report(step.name)) for step in STEPS]
+    return [(title, report) for title, report in reports if report is not None]
 
 
 def next_step(bench: Bench) -> Step:

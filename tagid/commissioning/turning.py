@@ -247,8 +247,8 @@ def repetition(capture: Capture, period_s: float) -> Floats:
     seen = score[best, np.arange(len(at))] > _ALIKE
     inner = np.clip(best, 1, len(score) - 2)
     part = np.arange(len(at))
-    beside = [vertex(*score[i - 1 : i + 2, k].tolist()) for i, k in zip(inner, part, strict=True)]
-    return np.asarray((low + inner + np.array(beside))[seen] * step_s)
+    parts_of_step = [vertex(*score[i - 1 : i + 2, k].tolist()) for i, k in zip(inner, part, strict=True)]
+    return np.asarray((low + inner + np.array(parts_of_step))[seen] * step_s)
 
 
 def _angle_row(turns: float, speed: Measured) -> Row:

@@ -75,34 +75,34 @@ def strongest_copy(scans: BasebandScans, direction: Floats, reach_m: float) -> t
     return abs(float(apart[strongest])), float(strength[strongest])
 
 
-def are_copies(scans: BasebandScans, places: Floats, amplitudes: Floats) -> list[bool]:
+def are_copies(scans: BasebandScans, points: Floats, amplitudes: Floats) -> list[bool]:
     """Whether each of some echoes is a copy of a stronger one.
 
     Args:
-        scans: matched-filtered, in whose frame the places are.
-        places: (n, 2) m, strongest first.
+        scans: matched-filtered, in whose frame the points lie.
+        points: (n, 2) m, strongest first.
         amplitudes: (n,).
     """
     positions = scans.aperture.positions
-    distance = np.median(scans.aperture.distances(places))
+    distance = np.median(scans.aperture.distances(points))
     fine = scans.wavelength_m * distance / (4 * max(float(np.ptp(positions, axis=0).max()), 1e-9))
     steps = np.stack(np.meshgrid(_AROUND, _AROUND), axis=-1).reshape(-1, 2)
-    copies = [False] * len(places)
-    for weaker in range(1, len(places)):
-        around = places[weaker] + steps * max(fine, scans.wavelength_m / 4)
+    copies = [False] * len(points)
+    for weaker in range(1, len(points)):
+        around = points[weaker] + steps * max(fine, scans.wavelength_m / 4)
         around = np.column_stack([around, np.zeros(len(around))])
         for stronger in np.flatnonzero(~np.array(copies[:weaker])):
-            shown = _shown_at(scans, np.array([*places[stronger], 0.0]), around, free=False).max()
+            shown = _shown_at(scans, np.array([*points[stronger], 0.0]), around, free=False).max()
             if shown * amplitudes[stronger] >= _LEAST_PREDICTED * amplitudes[weaker]:
                 copies[weaker] = True
                 break
     return copies
 
 
-def _shown_at(scans: BasebandScans, point: Floats, places: Floats, free: bool = True) -> Floats:
-    """(n,) part of the amplitude of a point (3,) that shows at places (n, 3); `free`: the places may move by
+def _shown_at(scans: BasebandScans, point: Floats, points: Floats, free: bool = True) -> Floats:
+    """(n,) part of the amplitude of a point (3,) that shows at others (n, 3); `free`: those may move by
     the mean difference of their ranges."""
-    ranges = scans.aperture.distances(places) - scans.aperture.distances(point[None])
+    ranges = scans.aperture.distances(points) - scans.aperture.distances(point[None])
     if free:
         ranges -= ranges.mean(axis=0)
     phases = np.exp(4j * np.pi / scans.wavelength_m * ranges)

@@ -104,8 +104,8 @@ def choose_region(
         else:
             points = find_echoes(scans, there)
         if points:
-            places = np.array([(p.x_m, p.y_m) for p in points])
-            copies = are_copies(scans, places, np.array([p.amplitude for p in points]))
+            spots = np.array([(p.x_m, p.y_m) for p in points])
+            copies = are_copies(scans, spots, np.array([p.amplitude for p in points]))
             points = tuple(p for p, copy in zip(points, copies, strict=True) if not copy)
         points = tuple(replace(p, x_m=p.x_m + float(middle[0]), y_m=p.y_m + float(middle[1])) for p in points)
         if focus is not None:

@@ -176,7 +176,7 @@ def reconstruct(
     focus, scans = prepared.focus(), prepared.focused(scans)
     unfiltered, sparse = _unfiltered(prepared, scans, method), METHODS[method].sparse
     outside: Outside | None = None
-    warnings = [warning for warning in (closure_warning(unfiltered),) if warning]
+    warnings = [closure_warning(unfiltered)]
     if settings.outside and settings.preset != "paper" and (tell_outside or sparse):
         with watch.stage("outside"):
             remark = _remark(progress, "echoes outside the image")
@@ -266,7 +266,7 @@ class _Found:
 
     Attributes:
         subtracted: whether the image was made without what lies outside.
-        warnings: what else is to be told of it.
+        warnings: what else is to be told of it; None for nothing.
     """
 
     focus: AxisFocus | None
@@ -274,7 +274,7 @@ class _Found:
     outside: Outside | None
     subtracted: bool
     predicted: HeldOut | None
-    warnings: list[str]
+    warnings: list[str | None]
 
 
 def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks: _Found) -> dict[str, Any]:
@@ -296,8 +296,8 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks
         facts["outside"] = checks.outside.facts(checks.subtracted)
     coarse = pixel_warning(image.grid.extent, image.grid.pixels, scans.wavelength_m)
     copies = None if region is None else path_warning(scans, image.grid.extent)
-    warnings = [warning for warning in (band_warning(prepared.given), coarse, copies) if warning]
-    warnings += checks.warnings
+    every = (band_warning(prepared.given), coarse, copies, *checks.warnings)
+    warnings = [warning for warning in every if warning]
     if warnings:
         facts["warnings"] = warnings
     if checks.predicted is not None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from tagid.commissioning.bench import Bench, Tape, TapeChanges
 from tagid.commissioning.rows import StepReport
-from tagid.commissioning.steps import STEPS, Step, next_step, run_step
+from tagid.commissioning.steps import STEPS, Step, next_step, reports_by_title, run_step
 from tagid.config import Config, data_folder
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
 from tagid.motion.urls import open_motion
@@ -17,14 +17,7 @@ from tagid.station.background import BackgroundRun
 from tagid.station.errors import NoSuchItemError, reported
 from tagid.station.scans import radar_alone
 
-_TURNING = ("turning", "card")
-TAPE_NUMBERS = (
-    "target_distance_m",
-    "axis_distance_m",
-    "antenna_height_m",
-    "antenna_separation_m",
-    "error_m",
-)
+TAPE_NUMBERS = tuple(field.name for field in fields(Tape) if field.name != "target")
 """Lengths of `Tape` that a page may give."""
 
 
@@ -69,14 +62,15 @@ class Commissioning:
         reports = {name: report for name, report in every.items() if report is not None}
         return cls(reports, next_step(bench).name, bench.tape, installed_profile(data_folder()))
 
-    def to_pdf(self) -> bytes:
-        """The page of the results. Raises NoSuchItemError before the first one."""
-        from tagid.commissioning.page_pdf import to_pdf
 
-        if not self.reports:
-            raise NoSuchItemError("no step was done yet", "Start the first one.")
-        titles = [step.title for step in STEPS if step.name in self.reports]
-        return to_pdf(list(self.reports.values()), titles, self.profile)
+def results_page(config: Config) -> bytes:
+    """The results so far as a PDF. Raises NoSuchItemError before the first one; StorageError, ConfigError."""
+    from tagid.commissioning.page_pdf import to_pdf
+
+    reports = reports_by_title(Bench(config, {}))
+    if not reports:
+        raise NoSuchItemError("no step was done yet", "Start the first one.")
+    return to_pdf(reports, installed_profile(data_folder()))
 
 
 class CommissioningRun(BackgroundRun):
@@ -95,7 +89,7 @@ class CommissioningRun(BackgroundRun):
 
     def __init__(self, place: Workplace, step: Step, tape: TapeChanges, radar: threading.Lock) -> None:
         super().__init__("station-commissioning")
-        if step.name in _TURNING and open_motion(place.config["motion.url"]).moves:
+        if step.turns and open_motion(place.config["motion.url"]).moves:
             raise UsageError(
                 f"the step {step.name} moves {place.config['motion.url'].public}",
                 f"Stand beside it and do this step with `tagid commission --step {step.name}`.",

@@ -21,7 +21,7 @@ from tagid.files import read_bytes
 from tagid.metadata import ObjectInfo
 from tagid.operate.turn import picture_of, residuals_beside
 from tagid.operate.workplace import TURN_S, Workplace, open_registry
-from tagid.station.commissioning import Commissioning, CommissioningRun
+from tagid.station.commissioning import CommissioningRun, results_page
 from tagid.station.demo import DemoObject
 from tagid.station.enrolling import Enrolling, Subject
 from tagid.station.errors import (
@@ -278,12 +278,15 @@ class Station:
         self._check_idle()
         self.operate(key)
 
-    def _begin(self, run: Run) -> int:
-        """Start a run; returns its number. Raises InterlockError, OverloadedError."""
+    def _check_open(self) -> None:
+        """Raise InterlockError while the station is ending."""
         if self._over.is_set():
             raise InterlockError("the station is ending", "Start it again.")
-        if self._profile is not None:
-            self._profile.stop()
+
+    def _begin(self, run: Run) -> int:
+        """Start a run; returns its number. Raises InterlockError, OverloadedError."""
+        self._check_open()
+        self.stop_profile()
         run.start()
         self._count, self._scan = run.number, run
         if self._over.is_set():  # since it was asked above
@@ -297,8 +300,7 @@ class Station:
         """
         with self._starting:
             self.check_free(key)
-            if self._over.is_set():
-                raise InterlockError("the station is ending", "Start it again.")
+            self._check_open()
             if self._profile is not None and self._profile.running:
                 return
             run = ProfileRun(self.source.of_object("", self._count), self._radar)
@@ -317,8 +319,7 @@ class Station:
         """
         with self._starting:
             self.check_free(key)
-            if self._over.is_set():
-                raise InterlockError("the station is ending", "Start it again.")
+            self._check_open()
             run = CommissioningRun(self.source.of_object("", self._count), step, tape, self._radar)
             self.stop_profile()
             run.start()
@@ -329,7 +330,7 @@ class Station:
 
         Raises NoSuchItemError before the first one; StorageError, ConfigError.
         """
-        return Commissioning.stored(self.source.place().config).to_pdf()
+        return results_page(self.source.place().config)
 
     def stop_commissioning(self) -> None:
         """End the running step of the commissioning; every connection may."""

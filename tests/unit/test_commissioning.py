@@ -59,10 +59,10 @@ def test_link_room_and_target_measure_the_rig(tmp_path: Path) -> None:
     assert abs(delay.value - true.cable_delay_ps) < min(15.0, 2 * delay.sigma)
     assert abs(gain.value - true.gain_db) < 2 * gain.sigma
     page = tmp_path / "rig.html"
-    write_page(page, [report], ["Reference target"], None)
+    write_page(page, [("Reference target", report)], None)
     text = page.read_text()
     assert 'class="pass"' in text and "polyline" in text and "not commissioned yet" in text
-    write_page(page.with_suffix(".pdf"), [report], ["Reference target <1>"], None)
+    write_page(page.with_suffix(".pdf"), [("Reference target <1>", report)], None)
     content = page.with_suffix(".pdf").read_bytes()
     assert content.startswith(b"%PDF") and b"/Subtype /Image" not in content, "vectors alone"
     assert b"path delay" in content and b"not commissioned yet" in content

@@ -6,31 +6,25 @@ let pressed = null;
 const TAPE = { "c-axis": "axis_distance_m", "c-height": "antenna_height_m", "c-target": "target_distance_m", "c-error": "error_m" };
 
 async function loadCommissioning() {
-  try {
-    const answer = await fetch("api/v1/commissioning", { cache: "no-store" });
-    const found = await answer.json();
-    if (answer.ok) showCommissioning(found);
-    else showProblem(found.error);
-  } catch (error) {
-    showProblem({ message: "The station does not respond", remedy: "" });
-  }
+  const answer = await ask("commissioning");
+  if (answer) showCommissioning(answer);
 }
 
-function showCommissioning(found) {
-  commissioning = found;
-  stepping = found.progress;
+function showCommissioning(state) {
+  commissioning = state;
+  stepping = state.progress;
   for (const [id, name] of Object.entries(TAPE)) {
-    const value = found.tape[name];
+    const value = state.tape[name];
     if ($(id) !== document.activeElement) $(id).value = value === null ? "" : String(value);
   }
-  $("c-page").hidden = !found.steps.some((one) => one.report);
-  const [kind, size] = found.tape.target.split(":");
+  $("c-page").hidden = !state.steps.some((one) => one.report);
+  const [kind, size] = state.tape.target.split(":");
   $("c-kind").value = kind;
   if ($("c-size") !== document.activeElement) $("c-size").value = size || "";
-  setText("c-profile", found.profile ? `The rig was commissioned on ${found.profile}; the profile is in use.` : "The rig is not commissioned yet.");
+  setText("c-profile", state.profile ? `The rig was commissioned on ${state.profile}; the profile is in use.` : "The rig is not commissioned yet.");
   // A button that is disabled loses the keyboard; it gets it back when its step has ended.
   const focused = document.activeElement === document.body ? pressed : document.activeElement.dataset.step;
-  $("c-steps").replaceChildren(...found.steps.map(stepRow));
+  $("c-steps").replaceChildren(...state.steps.map(stepRow));
   showStepState();
   if (focused && !stepping.running) document.querySelector(`#c-steps button[data-step="${focused}"]`).focus();
 }

@@ -4,14 +4,8 @@ let settings = null;
 const FREE = /^free(?:\?rpm=([0-9.]+)(&direction=(?:cw|ccw))?)?$/;
 
 async function loadSettings() {
-  try {
-    const answer = await fetch("api/v1/settings", { cache: "no-store" });
-    const found = await answer.json();
-    if (answer.ok) showSettings(found);
-    else showProblem(found.error);
-  } catch (error) {
-    showProblem({ message: "The station does not respond", remedy: "" });
-  }
+  const answer = await ask("settings");
+  if (answer) showSettings(answer);
 }
 
 function setting(name) {

@@ -377,20 +377,25 @@ function showProblem(error) {
 }
 
 // A request that changes something; the answer, or null after showing the refusal.
-async function post(path, values) {
-  showProblem(null);
+// The answer to a request; null where there is none, which is shown.
+async function ask(path, options = { cache: "no-store" }) {
   try {
-    const answer = await fetch(`api/v1/${path}`, {
-      method: "POST", headers: { ...OWN, "content-type": "application/json" },
-      body: JSON.stringify({ ...values, key: sessionStorage.getItem("key") }),
-    });
-    const found = await answer.json();
-    if (answer.ok) return found;
-    showProblem(found.error);
+    const response = await fetch(`api/v1/${path}`, options);
+    const answer = await response.json();
+    if (response.ok) return answer;
+    showProblem(answer.error);
   } catch (error) {
     showProblem({ message: "The station does not respond", remedy: "" });
   }
   return null;
+}
+
+function post(path, values) {
+  showProblem(null);
+  return ask(path, {
+    method: "POST", headers: { ...OWN, "content-type": "application/json" },
+    body: JSON.stringify({ ...values, key: sessionStorage.getItem("key") }),
+  });
 }
 
 function send(message) {
