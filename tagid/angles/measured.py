@@ -53,7 +53,13 @@ def turn_in_own_angle(
     angle, seen = turned[inside], np.asarray(samples)[inside]
     rising = np.concatenate([[True], np.diff(np.maximum.accumulate(angle)) > 0.2 * usual])
     tolerance = float(np.clip(3.2 * scale_sigma, 0.03, _WIDEST))
-    return find_period(seen[rising], angle[rising], TURN, tolerance=tolerance)
+    try:
+        return find_period(seen[rising], angle[rising], TURN, tolerance=tolerance)
+    except DataError as error:
+        turns = float(np.ptp(angle)) / TURN
+        raise DataError(
+            f"the scans do not repeat within {turns:.2f} turns of the device", "Record at least 1.1 turns."
+        ) from error
 
 
 def measured_angles(

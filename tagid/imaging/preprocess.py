@@ -153,7 +153,14 @@ def preprocess(
         background_removed=settings.background != "none",
         wave_speed_m_s=capture.wave_speed_m_s,
         center_hz=band.center_hz,
+        angle_scale_sigma=_scale_sigma(capture),
     )
+
+
+def _scale_sigma(capture: Capture) -> float | None:
+    """See `BasebandScans.angle_scale_sigma`: a period in the scans tells the scale better than any device."""
+    resolved = capture.motion.resolved
+    return None if resolved is None or resolved.checked_by_radar else resolved.scale_sigma
 
 
 def remove_background(samples: NDArray[Any], background: Background) -> NDArray[Any]:

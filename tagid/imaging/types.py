@@ -66,6 +66,8 @@ class BasebandScans:
         background_removed: the mean (or median) over the views was subtracted, and with it the mean echo of
             the scene.
         independent_samples: n of `reading`: views * bins * bandwidth / sampling rate.
+        angle_scale_sigma: relative standard deviation of a factor common to all angles, where a device states
+            them and the scans do not tell; None: not stated.
     """
 
     samples: NDArray[np.complex64]
@@ -81,6 +83,7 @@ class BasebandScans:
     background_removed: bool = False
     wave_speed_m_s: float = SPEED_OF_LIGHT
     center_hz: float | None = None
+    angle_scale_sigma: float | None = None
 
     @property
     def bandwidth_hz(self) -> float:

@@ -51,6 +51,8 @@ SEARCHED = frozenset((BARE, POINTS, *WALLS[:4], RODS[0], SHADES[1]))
 """Behind which arrangements are looked for; what is found is tried behind the others, too."""
 MOST_ODD, MOST_ODD_UNTAGGED = 2, 5
 """Odd scatterers that one search adds beside a tag, and where there is none."""
+STRAIGHTENED = 3
+"""Times at most that the angles of a part of a turn are found: first by hypotheses that wrong ones bent."""
 LIMIT_ODD, LIMIT_ODD_UNTAGGED = 4, 7
 """Odd scatterers beside a tag, and where there is none, at most."""
 MOST_REFLECTORS = 5
@@ -131,21 +133,29 @@ class Contest:
     def run(self) -> list[Hypothesis]:
         """All hypotheses, the best first, at the stated angles or at those that explain more."""
         self._explore()
-        best = max(hypothesis.estimate.log_z for hypothesis in self.hypotheses)
-        # An enrolled body has an uneven turn of its own.
-        others = [
-            hypothesis.estimate
-            for hypothesis in self.hypotheses
-            if not isinstance(hypothesis.estimate.model, SignatureModel)
-        ]
-        turned = straightened(self.spectra, others, best)
-        if turned is not None:
+        stated, errors, best = self.spectra, None, self._highest
+        for _ in range(STRAIGHTENED):
+            # An enrolled body has an uneven turn of its own.
+            others = [
+                hypothesis.estimate
+                for hypothesis in self.hypotheses
+                if not isinstance(hypothesis.estimate.model, SignatureModel)
+            ]
+            turned = straightened(stated, others, best, errors)
+            if turned is None:
+                break
             other = replace(self, spectra=turned.spectra)
             other._explore()
-            if max(hypothesis.estimate.log_z for hypothesis in other.hypotheses) - turned.cost > best:
-                vars(self).update(vars(other))
+            if other._highest - turned.cost <= best:
+                break
+            vars(self).update(vars(other))
+            errors, best = turned.errors, other._highest - turned.cost
         self.hypotheses = smoothed(self.spectra, self.hypotheses)
         return self.hypotheses
+
+    @property
+    def _highest(self) -> float:
+        return max(hypothesis.estimate.log_z for hypothesis in self.hypotheses)
 
     def _explore(self) -> None:
         bodies = self._untagged()

@@ -98,7 +98,8 @@ class Spectra:
         height_m: (V,) of the antenna above the object's plane, m.
         distance_m: d, mean distance from the axis to the antenna, m.
         moving: (F,) energy of the moving echo per view, in the same units.
-        full_turn: the views are evenly spaced over a turn at one height.
+        full_turn: the views are evenly spaced over a turn at one height, and that it is one turn is known.
+        scale_sigma: relative standard deviation of a factor common to all angles; None: not stated.
         stated: the recording with its angles as stated, where they were found to be wrong.
     """
 
@@ -109,6 +110,7 @@ class Spectra:
     distance_m: float
     moving: Floats
     full_turn: bool
+    scale_sigma: float | None = None
     stated: Spectra | None = None
 
     @classmethod
@@ -160,7 +162,8 @@ class Spectra:
             height,
             distance,
             moving / unit,
-            _is_full_turn(antenna, height),
+            not scans.angle_scale_sigma and _is_full_turn(antenna, height),
+            scans.angle_scale_sigma,
         )
 
     @property

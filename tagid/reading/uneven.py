@@ -4,6 +4,7 @@ The direction of the antenna in view v differs from the stated one by the sum of
 variance: one and two cycles a turn, and the scale of the angles. A turned antenna is an object that is turned
 back, so the slopes over t are those of the parameters that turn the object. A whole even turn has no scale to
 find, and is left as it is stated: its bodies, which no hypothesis describes wholly, would be read as uneven.
+Where a device states the angles and the scans do not come again, a whole turn is not known to be one.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from tagid.types import Floats
 CYCLES_RAD = (0.01, 0.005)
 """Standard deviations of the error of the angles of one and of two cycles a turn, cosine and sine, rad."""
 SCALE = 0.02
-"""Standard deviation of the scale of the angles of a part of a turn: a calibrated robot slips by as much on
-another floor; over a whole turn the scans themselves tell the scale."""
+"""Standard deviation of the scale of the angles of a part of a turn where no device states one: a calibrated
+robot slips by as much on another floor. Over a whole turn the scans themselves tell the scale."""
 PAYS = 3.0
 """Nats that an uneven turn gains at least before everything is looked for again with it."""
 MOST = 8
@@ -42,12 +43,13 @@ def cycles(direction: Floats) -> Floats:
 
 def errors(spectra: Spectra) -> Floats:
     """(T, V) errors of the stated angles of one standard deviation, rad."""
+    scale = SCALE if spectra.scale_sigma is None else spectra.scale_sigma
     rows = np.repeat(CYCLES_RAD, 2)[:, None] * cycles(spectra.direction)
     turn = np.sort(spectra.direction)
     gaps = np.diff(np.append(turn, turn[0] + 2 * np.pi))
     first = turn[(int(gaps.argmax()) + 1) % len(turn)]
     since = np.mod(spectra.direction - first + 1e-9, 2 * np.pi)
-    return np.concatenate([rows, SCALE * (since - since.mean())[None]])
+    return np.concatenate([rows, scale * (since - since.mean())[None]])
 
 
 def spin(model: Model, x: Floats) -> Floats:
@@ -72,15 +74,24 @@ class Turned:
     Attributes:
         log_z: log evidence of the hypothesis by which they were found, nats.
         cost: what the errors of the angles cost in it: all hypotheses at these angles cost as much.
+        errors: (T,) of the stated angles, standard deviations.
     """
 
     spectra: Spectra
     log_z: float
     cost: float
+    errors: Floats
 
 
-def fitted(spectra: Spectra, estimate: Estimate, least: float = -np.inf) -> Turned | None:
-    """The angles that suit a hypothesis; None where its log evidence will hardly reach the least, nats."""
+def fitted(
+    spectra: Spectra, estimate: Estimate, least: float = -np.inf, start: Floats | None = None
+) -> Turned | None:
+    """The angles that suit a hypothesis; None where its log evidence will hardly reach the least, nats.
+
+    Args:
+        spectra: with the angles as stated.
+        estimate: the hypothesis, at the angles whose errors are `start`: (T,), None for the stated ones.
+    """
     model, powers = estimate.model, estimate.powers
     rows, whitener, white = errors(spectra), spectra.whiteners[model.disc], spectra.white[model.disc]
     lam = variance(spectra, model, powers.clutter)
@@ -103,7 +114,7 @@ def fitted(spectra: Spectra, estimate: Estimate, least: float = -np.inf) -> Turn
         gradient = 2 * back.sum(axis=(1, 2)).real + np.append(slope, -t)
         return fit_here.log + log - 0.5 * float(t @ t), gradient, hessian
 
-    z = np.append(estimate.x, np.zeros(len(rows)))
+    z = np.append(estimate.x, np.zeros(len(rows)) if start is None else start)
     precision = np.append(model.precision, np.ones(len(rows)))
     z, here = climbed(expanded, precision, z, _ROUNDS, least - estimate.log_z + estimate.log)
     t, (curved, volume) = z[size:], spread(here.hessian, precision)
@@ -111,14 +122,17 @@ def fitted(spectra: Spectra, estimate: Estimate, least: float = -np.inf) -> Turn
     if log_z < least or np.abs(t).max() > FARTHEST:
         return None
     cost = 0.5 * float(t @ t + volume - np.linalg.slogdet(curved[:size, :size])[1])
-    return Turned(spectra.turned(t @ rows), float(log_z), cost)
+    return Turned(spectra.turned(t @ rows), float(log_z), cost, t)
 
 
-def straightened(spectra: Spectra, every: Sequence[Estimate], best: float) -> Turned | None:
+def straightened(
+    spectra: Spectra, every: Sequence[Estimate], best: float, start: Floats | None = None
+) -> Turned | None:
     """The recording at the angles that hypotheses show; None for a whole turn, and where those do as well.
 
     Args:
-        every: hypotheses at the stated angles.
+        spectra: with the angles as stated.
+        every: hypotheses at the angles whose errors are `start`: (T,), None for the stated ones.
         best: log evidence of the likeliest one, nats.
     """
     if spectra.full_turn:
@@ -129,7 +143,7 @@ def straightened(spectra: Spectra, every: Sequence[Estimate], best: float) -> Tu
             (0, 0) if estimate.model.tag is None else (estimate.model.tag.turns, estimate.model.tag.count)
         )
         kinds.setdefault((estimate.model.odd > 0, turns, count), estimate)
-    turned = [fitted(spectra, kind, best + PAYS) for kind in list(kinds.values())[:MOST]]
+    turned = [fitted(spectra, kind, best + PAYS, start) for kind in list(kinds.values())[:MOST]]
     return max(
         (turned_scans for turned_scans in turned if turned_scans is not None),
         key=lambda turned_scans: turned_scans.log_z,

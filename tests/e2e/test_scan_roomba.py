@@ -124,7 +124,6 @@ def test_the_helmet_on_a_sleeping_robot_behind_the_bridge_is_named(
     pytest.importorskip("bumble", reason="needs bumble: pip install ./firmware_tools")
     options = ("--passkey", "482913", "--asleep", "--wheel-base", "237", "--slip", "0")
     with robot(home, *options, wire="--ble") as there:
-        there["url"] += "&turns=1.02"
         words = scan_words(there, tmp_path, "--yes")
         done = subprocess.run(words, capture_output=True, text=True, env=home, timeout=120)
         assert "Traceback" not in done.stderr

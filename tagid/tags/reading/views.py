@@ -47,7 +47,8 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
     turn = np.mod(angles, 2 * np.pi)
     order = np.argsort(turn, kind="stable")
     gap = np.diff(np.append(turn[order], turn[order[0]] + 2 * np.pi))
-    if gap.max() > 2 * np.pi / count:
+    if gap.max() > 2 * np.pi / count or scans.angle_scale_sigma:
+        # What is not known to be one turn has a seam that no filter may cross.
         return _averaged(scans, turn, count)
     weight = np.empty(len(turn))
     weight[order] = (gap + np.roll(gap, 1)) / (4 * np.pi)
