@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from tagid.errors import StorageError
-from tagid.files import read_bytes, write_bytes
+from tagid.files import make_folder, read_bytes, write_bytes
 from train.dataset import DatasetPlan
 
 SCENES, ATS_EVERY = 6000, 4
@@ -25,13 +25,16 @@ class Size:
     ats_every: int = ATS_EVERY
 
     def remember(self, work: Path) -> None:
-        """Write it into the folder of the dataset. Raises StorageError."""
+        """Write it into the folder of the dataset, which is made if it is not there. Raises StorageError."""
+        make_folder(work)
         write_bytes(work / _NAME, (json.dumps(asdict(self)) + "\n").encode())
 
     @classmethod
     def of(cls, work: Path, scenes: int | None, ats_every: int | None) -> Size:
         """What is given, and else that of the dataset in the folder. Raises StorageError."""
         stored = cls()
+        if not work.is_dir():
+            raise StorageError(f"{work} holds no dataset", "Make one with `python -m train dataset`.")
         if (work / _NAME).exists():
             try:
                 stored = cls(**json.loads(read_bytes(work / _NAME)))

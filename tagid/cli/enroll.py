@@ -150,19 +150,19 @@ def enroll(
         if kind is not None or notes is not None:
             raise UsageError("--kind and --notes apply to layouts only", "Omit them with --body.")
         joint = _body_signature(terminal, given.name, captures, config)
-        return _enrol_signature(terminal, given, joint, f"{len(captures)} captures", ())
+        return _enrol_signature(terminal, given, joint, f"tagid enroll, {len(captures)} captures", ())
     measured = None
     if file is not None:
-        layout, source = _from_file(file), f"file {file.name}"
+        layout, source = _from_file(file), f"tagid enroll, file {file.name}"
     elif captures:
         measured = _measure(terminal, given.name, captures, config)
-        source = f"{len(captures)} captures"
+        source = f"tagid enroll, {len(captures)} captures"
         if measured.estimate is None:
             assert measured.joint is not None
             return _enrol_signature(terminal, given, measured.joint, source, measured.remarks)
         layout = measured.estimate.layout
     else:
-        layout, source = _from_points(given.name, points or [], sigma), "command line"
+        layout, source = _from_points(given.name, points or [], sigma), "tagid enroll"
     fields = {"name": name, "kind": kind, "label": label, "notes": notes}
     layout = replace(layout, **{key: value for key, value in fields.items() if value is not None})  # type: ignore[arg-type]
     return _enrol_layout(terminal, layout, measured, source, given.wish)

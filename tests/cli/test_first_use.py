@@ -73,7 +73,7 @@ def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Ran]
     undone = here("layouts", "undo")
     assert "undone: " in undone.out and "removed mine" in undone.out
     redone = here("layouts", "redo")
-    assert "redone: command line" in redone.out and "added mine" in redone.out
+    assert "redone: tagid enroll" in redone.out and "added mine" in redone.out
     history = here("layouts", "--history", COLUMNS="80").out
     assert len(re.findall(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d ", history)) >= 6 and "…" not in history
     nothing = here("layouts", "redo")

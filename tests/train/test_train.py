@@ -176,6 +176,9 @@ def test_a_worse_network_does_not_replace_the_shipped_one() -> None:
 
 def test_a_folder_remembers_the_size_of_its_dataset(tmp_path: Path) -> None:
     assert Size.of(tmp_path, None, None) == Size()
-    Size(24, 0).remember(tmp_path)
-    assert Size.of(tmp_path, None, None) == Size(24, 0)
-    assert Size.of(tmp_path, 30, None) == Size(30, 0)
+    work = tmp_path / "new" / "work"
+    with pytest.raises(StorageError, match="holds no dataset"):
+        Size.of(work, None, None)
+    Size(24, 0).remember(work)
+    assert Size.of(work, None, None) == Size(24, 0)
+    assert Size.of(work, 30, None) == Size(30, 0)
