@@ -22,8 +22,9 @@ class Comparison:
         right: whether the answer names this layout, or nothing if there is none.
         rotation_error_deg: error of the rotation, at most 180 degrees divided by the layout's symmetry; None
             if the layout was not named or the rotation is unknown, as on an emulated table, which turns
-            before the first scan.
-        centre_error_m: distance between estimated and true centre, m; None if not named or unknown.
+            before the first scan, and of a layout measured from captures, whose directions are its own.
+        centre_error_m: distance between estimated and true centre, m; None if not named or unknown, and of a
+            layout measured from captures.
     """
 
     layout: str | None
@@ -45,7 +46,10 @@ def compare(capture: Capture, answer: Identification, layouts: Sequence[Layout])
     named = reading.layout if reading is not None and answer.status == "identified" else None
     if named is None or named != carried or reading is None:
         return Comparison(carried, named == carried)
-    order = next((layout.symmetry for layout in layouts if layout.name == named), 0) or 1
+    layout = next((layout for layout in layouts if layout.name == named), None)
+    if layout is not None and layout.covariance is not None:
+        return Comparison(carried, True)
+    order = (layout.symmetry if layout is not None else 0) or 1
     turn = 360.0 / order
     rotation = centre = None
     # An emulated table turns before the first scan: its rotation then is not that of the truth.

@@ -86,7 +86,7 @@ def truth_words(truth: Comparison | None) -> str:
     if truth.layout is None:
         words = "no tag: nothing named" if truth.right else "no tag: named wrongly"
     if truth.rotation_error_deg is not None:
-        words += f", rotation {truth.rotation_error_deg:+.1f} deg"
+        words += f", rotation {round(truth.rotation_error_deg, 1) + 0.0:+.1f} deg"
     if truth.centre_error_m is not None:
         words += f", centre {truth.centre_error_m * 1e3:.1f} mm off"
     return words

@@ -99,13 +99,19 @@ def settled(named: Joint | None, other: Joint, untagged: Joint, needed: Needed =
     if winner.log_z - untagged.log_z < SURE:
         return refused("no_tag", words(untagged.shown), untagged.shown, _without_tag(untagged.shown))
     if best is None:
-        return refused("unknown", words(rival), rival, Code.OTHER)
+        return refused("unknown", _stranger(rival), rival, Code.OTHER)
     if rival.name is not None:
         return refused("ambiguous", f"{words(best)}, or {words(rival)}", winner.shown, Code.AMBIGUOUS)
     if winner is other:
-        return refused("unknown", words(rival), rival, _difference(rival, best))
+        return refused("unknown", _stranger(rival), rival, _difference(rival, best))
     code = Code.WEAK if np.isfinite(needed.lead) else Code.UNCALIBRATED
     return refused("unknown", f"{words(best)}, or nearly as likely: {words(rival)}", best, code)
+
+
+def _stranger(winner: Hypothesis) -> str:
+    """A hypothesis without a name; of reflectors, that nobody enrolled their arrangement."""
+    arranged = winner.estimate.model.tag is not None and len(winner.estimate.positions) > 1
+    return words(winner) + ("; this arrangement is not enrolled" if arranged else "")
 
 
 def _without_tag(winner: Hypothesis) -> Code:
