@@ -109,7 +109,7 @@ function showAnswer(scan) {
     }
   }
   setText("answer", text);
-  box.className = kind + (text.length > 14 ? " long" : "");
+  box.className = kind + (text.length > 10 ? " long" : "");
   setText("reason", reason || "");
   setText("advice", advice || "");
   const ended = scan && !recovered && (scan.final || scan.phase === "failed");
@@ -148,7 +148,8 @@ function showScan(scan) {
     const words = scan.file ? [`Stored capture ${scan.file}`] : [];
     if (!scan.file || scan.scans) words.push(`${scan.scans} scans in ${scan.seconds.toFixed(1)} s`);
     if (!scan.file || scan.scans) words.push(scan.turned_deg === null ? "angle not known yet" : `${Math.min(scan.turned_deg, 360).toFixed(0)} of 360 degrees`);
-    if (!scan.file) words.push(scan.snr_db === null ? "SNR -" : `SNR ${scan.snr_db.toFixed(1)} dB`, `lost ${scan.lost}`);
+    if (!scan.file) words.push(scan.snr_db === null ? "SNR -" : `SNR ${scan.snr_db.toFixed(1)} dB`);
+    if (!scan.file && !scan.remark.includes("lost between")) words.push(`lost ${scan.lost}`);
     if (scan.note && scan.answer) words.push(scan.note);
     if (scan.remark) words.push(scan.remark);
     setText("figures", words.join(" · "));
