@@ -24,7 +24,7 @@ from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 
-SIZES = {"phone": (390, 844, True), "tablet": (1180, 820, False)}
+SIZES = {"phone": (390, 844, True), "tablet": (1180, 820, False), "desk": (1440, 900, False)}
 WAIT_S = 120
 COLOURS = 96
 

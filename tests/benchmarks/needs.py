@@ -40,6 +40,10 @@ NEEDS: dict[str, tuple[Callable[[], bool], str]] = {
     "cc": (_program("cc"), "a C compiler"),
     "c++": (_program("c++"), "a C++ compiler with OpenMP"),
     "pylops": (_module("pylops"), "pip install pylops"),
+    "chromium": (
+        lambda: _module("selenium")() and _program("chromium", "chromedriver")(),
+        "pip install '.[dev]', Chromium and chromedriver",
+    ),
     "git": (_program("git"), "a checkout with git"),
     "linux": (_linux, "Linux: /proc, pseudo terminals, processor affinity"),
 }
