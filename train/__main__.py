@@ -47,7 +47,7 @@ def _bar() -> Progress:
 
 def _shown(bar: Progress, text: str) -> Callable[[int, int], None]:
     """A progress callback (done, total) that moves a bar of its own."""
-    task = bar.add_task(text)
+    task = bar.add_task(text, total=None)
 
     def show(done: int, total: int) -> None:
         bar.update(task, completed=done, total=total)
@@ -86,10 +86,12 @@ def fit(
     console = Console(stderr=True)
     size = Size.of(work, scenes, ats_every)
     split = plans(size.scenes, size.ats_every)
+    trained: list[int] = []
     with _bar() as bar:
         show = _shown(bar, "training")
 
         def report(epoch: Epoch) -> None:
+            trained.append(epoch.number)
             console.print(
                 f"epoch {epoch.number}/{epoch.epochs}: loss {epoch.training:.4f}, "
                 f"validation {epoch.validation:.4f}"
@@ -104,6 +106,8 @@ def fit(
             report,
             jobs,
         )
+    if not trained:
+        console.print(f"nothing to train: {work / 'checkpoint.pt'} has all {epochs} epochs")
 
 
 @app.command()

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from tagid.errors import ModelError
 from tagid.imaging.types import Image
 from train.dataset import Samples
 from train.detector import Contract, Detection, decode, sigmoid
@@ -100,13 +101,18 @@ def _logit(p: NDArray[np.float64]) -> NDArray[np.float64]:
 def calibrate(network: DetectorNetwork, validation: Samples) -> Contract:
     """The contract whose probabilities, sigmas and thresholds hold on the validation scenes.
 
-    Its `training` is empty.
+    Its `training` is empty. Raises ModelError where no validation scene is without a reflector.
     """
     raw = outcomes(network, validation)
     logits = _logit(np.array([d.probability for o in raw for d in o.detections]))
     labels = np.array([hit for o in raw for hit in o.hits], dtype=np.float64)
     slope, intercept = _logistic(logits, labels)
     there = np.array([o.missed + sum(o.hits) > 0 for o in raw], dtype=np.float64)
+    if there.all():
+        raise ModelError(
+            f"all {len(raw)} validation images show reflectors: false alarms cannot be measured",
+            "Make a larger dataset: python -m train dataset --scenes 400",
+        )
     present = _logistic(np.array([o.present for o in raw]), there)
     errors = np.concatenate([o.errors_m for o in raw])
     sigmas = np.array([d.sigma_m for o in raw for d, hit in zip(o.detections, o.hits, strict=True) if hit])

@@ -71,7 +71,7 @@ def plan(
 
     Every number of the link budget is listed with its source.
 
-    Example: tagid plan --reflector octahedron:40mm --body can:35mm --distance 1.0 --pii 11 --rpm 2
+    Example: tagid plan --reflector octahedron:40mm --body can:35mm --distance 1.0 --integration 11 --rpm 2
     Example: tagid plan --reflector octahedron:20mm --want 0.99
     """
     from tagid.planning.plan import invert, planned_snr_db
@@ -317,7 +317,7 @@ def _reached(wanted: Wanted, table: Any) -> RenderableType:
         wanted.integration,
         "none",
         lambda alternative: (
-            f"--pii {alternative.setup.budget.integration} or more, {alternative.views} views"
+            f"--integration {alternative.setup.budget.integration} or more, {alternative.views} views"
         ),
     )
     return table  # type: ignore[no-any-return]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,10 @@ OUTCOME = 64
 """Most characters of an outcome."""
 QUIET = ("read ", "look ", "open report", "tagid simulate ")
 """Beginnings of steps that only a check needs."""
+PROGRESS = re.compile(r"(record|image|identify|measuring|target|empty scene|volume|training|If its cable)\b")
+"""Beginnings of lines that say nothing of the outcome."""
+END_OF_SCREEN = "\x1b[?1049l"
+"""With which a terminal goes back to what it showed before the live view."""
 SHOWN = {
     "doctor", "wrong-port", "demo", "identify", "explain", "half", "rpm-12", "axis-10cm", "unenrolled",
     "held", "design-8", "template", "enroll", "enrolled", "undo", "calibrate-1", "calibrate-2",
@@ -104,11 +109,13 @@ def table_of(role: str, now: Sequence[Step], before: Sequence[Step]) -> Table:
         elif step.code is None:
             rows.append((step.shown, took, "-", "-", outcome(step)))
         else:
-            rows.append((f"`{step.shown}`", took, f"{step.cpu_s:.1f}", step.code, outcome(step)))
+            rows.append(
+                (f"`{short(step.shown).strip()}`", took, f"{step.cpu_s:.1f}", step.code, outcome(step))
+            )
     columns = ("command", "s", "user CPU s", "exit code", "outcome")
     if before:
         columns = ("act", "s", "outcome", "s before", "outcome before")
-    shown = {f"`{step.shown}`" for step in now if step.key in SHOWN}
+    shown = {f"`{short(step.shown).strip()}`" for step in now if step.key in SHOWN}
     note = f"### {role.capitalize()}"
     return Table(
         columns, rows, note, shown=lambda row: row[0] in shown, name=role.replace(",", "").replace(" ", "-")
@@ -116,13 +123,20 @@ def table_of(role: str, now: Sequence[Step], before: Sequence[Step]) -> Table:
 
 
 def outcome(step: Step) -> str:
-    """The first line that says what came of it."""
-    lines = [line.strip() for line in step.text.splitlines() if any(letter.isalpha() for letter in line)]
-    lines = [line for line in lines if "━" not in line]
-    if not lines:
-        return "nothing to say"
-    first = " ".join(lines[0].split())
+    """The line that says what came of it: an error, a problem, or the first one."""
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", step.text.rpartition(END_OF_SCREEN)[2])
+    if text.lstrip().startswith("{"):
+        return "a JSON document"
+    lines = [short(line) for line in text.splitlines() if re.search(r"[A-Za-z]", line)]
+    lines = [line for line in lines if not PROGRESS.match(line)]
+    first = next((line for line in lines if line.startswith(("error:", "problem"))), (lines or ["done"])[0])
     return first if len(first) <= OUTCOME else f"{first[: OUTCOME - 1].rsplit(' ', 1)[0]} …"
+
+
+def short(text: str) -> str:
+    """A command or a line without what differs from run to run."""
+    text = re.sub(r"(scan|report)-\d{8}-\d{6}", r"\1-TIME", " ".join(text.split()))
+    return re.sub(r"127\.0\.0\.1:(?!9\b|21999)\d+", "127.0.0.1:PORT", text)
 
 
 def findings_of(now: Seen) -> Table:

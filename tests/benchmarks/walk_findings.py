@@ -170,12 +170,12 @@ def _(seen: Seen) -> Iterator[bool]:
     "H8",
     "standard error of the axis distance",
     "1.4 mm where 10 mm wrong; offered for part of a turn",
-    "`scan -v --until-sure`, `identify -v`",
+    "`scan -v --until-sure`",
 )
 def _(seen: Seen) -> Iterator[bool]:
-    yield bool(seen["axis-sure"]) and "from the given" not in seen["axis-sure"]
-    found = re.search(r"(-?[\d.]+) mm from the given \(standard error ([\d.]+) mm", seen.flat("verbose"))
-    yield found is None or abs(float(found[1])) < 2 * float(found[2])
+    text = seen.flat("axis-sure")
+    found = re.search(r"(-?[\d.]+) mm from the given \(standard error ([\d.]+) mm", text)
+    yield bool(text) and (found is None or abs(float(found[1])) < 2 * float(found[2]))
 
 
 @finding(
@@ -329,6 +329,7 @@ def _(seen: Seen) -> Iterator[bool]:
     turned = [int(one) for one in re.findall(r"(\d+) of 360", seen["live"])]
     yield bool(turned) and max(turned) <= 360
     yield "nats" not in seen["live"]
+    yield "▀" in seen["live"].rpartition("\x1b[?1049l")[2]
 
 
 @finding("L26", "`scan --truth`", "the answer is not compared", "`scan --truth`")
