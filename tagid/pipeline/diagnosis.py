@@ -170,7 +170,7 @@ _TOLD_M = 0.020
 _CENTRE_IT = "Place the object's axis within 10 mm of the rotation axis."
 _CENTRE_FIRST = {
     Code.NO_TAG: f"{_CENTRE_IT} {ADVICE[Code.NO_TAG]}",
-    Code.OTHER: f"{_CENTRE_IT} If it is there: {ADVICE[Code.OTHER]}",
+    Code.OTHER: f"{_CENTRE_IT} If it is there: {ADVICE[Code.OTHER][0].lower()}{ADVICE[Code.OTHER][1:]}",
 }
 """Advice in the place of the reader's, which lets the body be enrolled, where it may stand off the axis."""
 _IN_RANGE = f"Check that the object lies in the recorded range and turns. {ADVICE[Code.NO_TAG]}"

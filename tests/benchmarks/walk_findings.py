@@ -163,6 +163,7 @@ def _(seen: Seen) -> Iterator[bool]:
     text = seen.flat("axis-10cm")
     yield "likely cause" in text or "MINE-01" in text
     yield "--axis-search" not in text and "do not determine" not in text
+    yield "axis distance" in text
     yield "MINE-01" in seen["axis-again"]
 
 

@@ -36,7 +36,7 @@ files.items.add(new File([bytes], "dragged.tagid.h5"));
 for (const kind of ["dragenter", "dragover", "drop"])
   document.body.dispatchEvent(new DragEvent(kind, { dataTransfer: files, bubbles: true, cancelable: true }));
 """
-ROW, GAP, LABEL, COLOURS = 160, 6, 92, 64
+ROW, GAP, LABEL, COLOURS = 200, 6, 92, 128
 """Height of a small picture, space around it, width of the labels (pixels), and colours of a sheet."""
 
 
@@ -396,4 +396,4 @@ def sheet(shots: Path, target: Path, title: str) -> None:
         for one in row:
             whole.paste(one, (left, top))
             left += one.width + GAP
-    whole.quantize(COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
+    whole.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(target, optimize=True)
