@@ -276,7 +276,7 @@ def listed(screen: Screen) -> None:
         "report-page", "History: report over all entries", began, screen.text("report-text", "selected")
     )
     screen.pictures("history")
-    below = []
+    below, began = [], time.monotonic()
     for size in SIZES:
         screen.script.size(screen.page, size, "light")
         screen.press_first("Picture")
