@@ -50,6 +50,7 @@ class Finding:
         what, before: what was tried, and what came of it at e61f330.
         how: what the check looks at; "by hand" where no script can.
         checks: what holds where the finding is gone.
+        left: what is left of one that is gone in part.
     """
 
     number: str
@@ -57,23 +58,26 @@ class Finding:
     before: str
     how: str
     checks: Checks
+    left: str = ""
 
     def state(self, seen: Seen) -> str:
         """Whether it is gone, there, or gone in part."""
         held = list(self.checks(seen))
         if not held:
             return "by hand"
-        return "gone" if all(held) else "in part" if any(held) else "there"
+        if all(held):
+            return "gone"
+        return f"in part: {self.left}".removesuffix(": ") if any(held) else "there"
 
 
 FINDINGS: list[Finding] = []
 
 
-def finding(number: str, what: str, before: str, how: str) -> Callable[[Checks], Checks]:
+def finding(number: str, what: str, before: str, how: str, left: str = "") -> Callable[[Checks], Checks]:
     """Add a finding with its checks."""
 
     def add(checks: Checks) -> Checks:
-        FINDINGS.append(Finding(number, what, before, how, checks))
+        FINDINGS.append(Finding(number, what, before, how, checks, left))
         return checks
 
     return add
@@ -158,6 +162,7 @@ def _(seen: Seen) -> Iterator[bool]:
     "an axis distance 10 cm wrong",
     "the cause between contradictions, an option that does not exist",
     "`scan --axis-distance 1.1`, then `identify`",
+    "the tag is named, but nothing says that the distance is wrong",
 )
 def _(seen: Seen) -> Iterator[bool]:
     text = seen.flat("axis-10cm")
@@ -216,7 +221,7 @@ def _(seen: Seen) -> Iterator[bool]:
     "M13",
     "how exactly to glue",
     '"errors above 3 mm are refused"; a pair is from 0.5 mm on',
-    "docs/first-tag.md; `identify` is in [positions](positions.md)",
+    "docs/first-tag.md",
 )
 def _(seen: Seen) -> Iterator[bool]:
     text = seen.flat("first-tag")
@@ -426,7 +431,11 @@ def _(seen: Seen) -> Iterator[bool]:
 
 
 @finding(
-    "L38", "a wrong port", "9 s, names a port that was not asked; `doctor` names itself", "`scan`, `doctor`"
+    "L38",
+    "a wrong port",
+    "9 s, names a port that was not asked; `doctor` names itself",
+    "`scan`, `doctor`",
+    "`doctor` without a configured radar warns and ends with 0",
 )
 def _(seen: Seen) -> Iterator[bool]:
     yield "21999" in seen["wrong-port"] and seen.steps["wrong-port"].seconds < 6

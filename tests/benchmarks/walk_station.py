@@ -396,4 +396,6 @@ def sheet(shots: Path, target: Path, title: str) -> None:
         for one in row:
             whole.paste(one, (left, top))
             left += one.width + GAP
-    whole.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(target, optimize=True)
+    whole.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE).save(
+        target, optimize=True
+    )
