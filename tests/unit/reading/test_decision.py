@@ -93,6 +93,7 @@ def test_a_foreign_pair_on_an_oval_shell_is_not_named() -> None:
     answer = decide(Contest(Spectra.of(scans), LAYOUTS, (BARE, POINTS, WALLS[0]), ()).run())
     assert answer.name is None
     assert "2 reflectors 132 degrees apart, 116 mm" in answer.reason
+    assert answer.reason.endswith("; this arrangement is not enrolled")
 
 
 @pytest.mark.parametrize(
