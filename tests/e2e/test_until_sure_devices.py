@@ -70,13 +70,13 @@ def test_a_live_scan_ends_when_it_is_sure_and_says_so_on_the_screen(
 def test_a_calibrated_robot_stands_at_once_when_it_is_sure(
     tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path
 ) -> None:
-    # Wheels far apart turn slowly: looks have time on a busy computer, too.
+    # Wheels far apart turn slowly, and more turns than one are asked for: looks have time on any computer.
     with robot(home, "--wheel-base", "470", "--slip", "0.01", "--seed", "3") as there:
         port = there["url"].partition("://")[2].partition("?")[0]
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("TAGID_DATA", home["TAGID_DATA"])
             remember(port, Calibration(470.0, 0.005, 2.3))
-        words = [word.replace("step=3", "step=1") for word in scan_words(there, tmp_path)]
+        words = [word.replace("step=3", "step=1&turns=4") for word in scan_words(there, tmp_path)]
         done = subprocess.run(
             [*words, "--yes", "--until-sure"], capture_output=True, text=True, env=home, timeout=240
         )
@@ -90,7 +90,7 @@ def test_a_calibrated_robot_stands_at_once_when_it_is_sure(
         clock_s = time.time() - time.monotonic()
     data = document["data"]
     assert sure(data["ended"])
-    assert 0.6 < abs(state["angle_rad"]) / (2 * np.pi) < 1
+    assert 0.6 < abs(state["angle_rad"]) / (2 * np.pi) < 3.9
     capture = read_any(Path(data["files"]["capture"]))
     last_scan_s = int(capture.host_time_ns[-1]) * 1e-9 - clock_s
     assert state["still_since_s"] - last_scan_s < 0.5
