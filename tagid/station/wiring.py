@@ -38,7 +38,7 @@ def wiring(url: str | None) -> Wiring:
     except UsageError as error:
         return Wiring("none", url, (f"{error.message}. {error.remedy}",))
     if parsed.scheme == "udp":
-        return Wiring("ethernet", url, _ethernet(parsed.target))
+        return Wiring("ethernet", url, _ethernet(parsed.target, parsed.port))
     if parsed.scheme == "serial":
         uart = parsed.options.get("framing") == "uart"
         return Wiring("uart" if uart else "usb", url, (_uart if uart else _usb)(parsed.target))
@@ -54,14 +54,14 @@ _UNKNOWN = (
 )
 
 
-def _ethernet(host: str) -> tuple[str, ...]:
+def _ethernet(host: str, port: int) -> tuple[str, ...]:
     return (
         f"{_POWER} It answers 7 seconds later.",
         "Plug the network cable into the radar and into this computer, or both into one switch. The lights "
         "at both ends are on.",
         f"The radar is expected at {host}. This computer needs an address in the same network, e.g. "
         "192.168.1.1 with the mask 255.255.255.0.",
-        "A firewall must accept UDP from port 21210.",
+        f"A firewall must accept UDP from port {port}.",
         f"Still nothing? {_FIND}",
     )
 

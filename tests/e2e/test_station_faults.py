@@ -78,6 +78,7 @@ def test_a_cable_that_is_replugged_during_the_scan_costs_only_a_gap(serve, tmp_p
     [
         (None, "none", "tagid radar find"),
         ("udp://192.168.1.100", "ethernet", "192.168.1.100"),
+        ("udp://192.168.1.100:21333", "ethernet", "UDP from port 21333"),
         ("serial:///dev/ttyACM0", "usb", "/dev/ttyACM0"),
         ("serial:///dev/ttyUSB0?framing=uart&baud=115200", "uart", "baud"),
         ("emulator://helmet-120", "none", "not a device"),

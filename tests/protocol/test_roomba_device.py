@@ -15,7 +15,7 @@ import serial
 from robots import turned
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, PortInUseError
-from tagid.motion.device import MotionStoppedError
+from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.emulation.body import BodySettings
 from tagid.motion.emulation.host import RoombaHost, happen, wait_until_still
 from tagid.motion.emulation.roomba import World
@@ -248,6 +248,24 @@ def test_a_drive_command_after_the_farewell_goes_nowhere(host: RoombaHost) -> No
         motion.stop()
     assert wait_until_still(host, 2) is not None
     assert host.core.mode is Mode.PASSIVE
+
+
+def test_a_program_that_is_paused_while_it_reads_does_not_blame_the_link(host: RoombaHost) -> None:
+    motion = robot_at(host, "?step=3")
+    motion.start()
+    turned(motion, 0.1)
+    assert motion._oi is not None
+
+    def late(timeout: float) -> list[tuple[int, dict[int, int]]]:
+        time.sleep(1.0)
+        return []
+
+    motion._oi.frames = late  # type: ignore[method-assign]
+    with pytest.raises(PausedError, match="this program was paused for"):
+        turned(motion, 3.0)
+    with contextlib.suppress(DeviceError):
+        motion.stop()
+    assert wait_until_still(host, 2) is not None
 
 
 def test_a_radar_that_fails_leaves_a_robot_that_stands(host: RoombaHost, tmp_path: Path) -> None:

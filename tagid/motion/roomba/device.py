@@ -215,7 +215,10 @@ class Roomba(DrivenMotion):
         now = time.monotonic()
         if readings:
             self._heard = now
-        elif now - self._heard > _SILENCE_S:
+        if now - self._looked > _STARVED_S:
+            # Paused while it read: the next poll says so, or that it was short.
+            return readings
+        if now - self._heard > _SILENCE_S:
             raise DeviceTimeoutError(
                 f"{self.name} has been silent for {_SILENCE_S} s: the link is lost",
                 "Then check the connector or the distance.",
