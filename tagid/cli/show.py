@@ -85,8 +85,8 @@ def show(
         "views": summary.views,
         "bins": summary.bins,
         "range_m": [summary.range_from_m, summary.range_to_m],
+        "strongest_over_noise_db": summary.strongest_over_noise_db,
         "snr_db": summary.snr_db,
-        "changing_snr_db": summary.changing_snr_db,
         "changing_range_m": summary.changing_range_m,
         "clipped_fraction": summary.clipped_fraction,
         "lost_scans": summary.lost_scans,
@@ -126,7 +126,7 @@ def _against_plan(
     layout_file: Path | None,
 ) -> Gap | None:
     """Measured against planned SNR; None if no reflector is stated or nothing rotates."""
-    measured_db = summary.changing_snr_db
+    measured_db = summary.snr_db
     if reflector is None or summary.noise is None or capture.axis_distance_m is None or measured_db is None:
         return None
     from tagid.cli.plan import Asked, setup_from
@@ -176,7 +176,7 @@ def _rows(summary: RecordingSummary) -> list[tuple[str, str]]:
         ("range", f"{summary.range_from_m:.2f} to {summary.range_to_m:.2f} m"),
     ]
     if summary.changes:
-        snr = f"{summary.changing_snr_db:.1f} dB at {or_dash(summary.changing_range_m, '.2f')} m"
+        snr = f"{summary.snr_db:.1f} dB at {or_dash(summary.changing_range_m, '.2f')} m"
         rows.append(("SNR", snr))
         period = summary.period_note
         if summary.period_s is not None:
@@ -190,6 +190,6 @@ def _rows(summary: RecordingSummary) -> list[tuple[str, str]]:
     ]
     if summary.strongest:
         s = summary.strongest
-        over = f"{or_dash(summary.snr_db, '.1f')} dB over noise at {s.range_m:.2f} m"
+        over = f"{or_dash(summary.strongest_over_noise_db, '.1f')} dB over noise at {s.range_m:.2f} m"
         rows.append(("strongest", f"{over} (bin {s.bin}, moves {s.spread_bins:.1f} bins)"))
     return rows

@@ -142,7 +142,7 @@ def _level_row(bench: Bench, distance: float, capture: Capture, period: Measured
     """The SNR of the recording against that predicted with the measured gain."""
     gain = bench.value("target", "system_gain_db") or Measured(0.0, 6.0)
     summary = inspect(capture)
-    if summary.changing_snr_db is None or summary.noise is None:
+    if summary.snr_db is None or summary.noise is None:
         return Row(
             "SNR against prediction", Level.FAIL, text="nothing changes beyond the noise", code="no-echo"
         )
@@ -155,7 +155,7 @@ def _level_row(bench: Bench, distance: float, capture: Capture, period: Measured
     setup = Setup(
         test_card(), ReflectorSpec("octahedron", CARD_REFLECTOR.size_m), BodySpec(), distance, rpm, budget
     )
-    level_gap = gap(capture, summary.noise, summary.changing_snr_db, setup)
+    level_gap = gap(capture, summary.noise, summary.snr_db, setup)
     off = level_gap.measured_db - level_gap.planned_db
     good = abs(off) <= _LEVEL_DB + 2 * gain.sigma
     return Row(

@@ -54,9 +54,9 @@ class RecordingSummary:
         views, bins: size of the recording.
         range_from_m, range_to_m: one-way range of the first and last bin, m.
         noise: standard deviation of the noise of one sample, counts; None for a single view.
-        snr_db: strongest return, static or not, over the noise, see `tagid.signal.over_noise_db`, dB.
-        changing_snr_db: SNR, see `tagid.signal.snr_db`, dB; None if nothing changes beyond the noise.
-        changing_range_m: one-way range with the largest change, m; None with `changing_snr_db`.
+        strongest_over_noise_db: strongest return, static or not, see `tagid.signal.over_noise_db`, dB.
+        snr_db: SNR, see `tagid.signal.snr_db`, dB; None if nothing changes beyond the noise.
+        changing_range_m: one-way range with the largest change, m; None with `snr_db`.
         clipped_fraction: saturated samples over all samples; None if the limit is not known.
         lost_scans: scans missing between the first and the last; None if scans are not numbered.
         scan_rate_hz: scans per second; None if there is no clock.
@@ -72,8 +72,8 @@ class RecordingSummary:
     range_from_m: float
     range_to_m: float
     noise: float | None
+    strongest_over_noise_db: float | None
     snr_db: float | None
-    changing_snr_db: float | None
     changing_range_m: float | None
     clipped_fraction: float | None
     lost_scans: int | None
@@ -88,7 +88,7 @@ class RecordingSummary:
     @property
     def changes(self) -> bool:
         """Whether an echo moves or rotates, as far as the noise permits detection."""
-        return self.changing_snr_db is not None
+        return self.snr_db is not None
 
 
 @dataclass(frozen=True)
@@ -126,8 +126,8 @@ def inspect(capture: Capture) -> RecordingSummary:
         range_from_m=float(ranges[0]),
         range_to_m=float(ranges[-1]),
         noise=None if noise_power is None else math.sqrt(noise_share * noise_power),
-        snr_db=over_noise_db(signal, noise_power)[0],
-        changing_snr_db=changing_snr,
+        strongest_over_noise_db=over_noise_db(signal, noise_power)[0],
+        snr_db=changing_snr,
         changing_range_m=None if changing_bin is None else float(ranges[changing_bin]),
         clipped_fraction=clipped_fraction(capture),
         lost_scans=lost_scans(capture),

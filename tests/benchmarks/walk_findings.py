@@ -386,7 +386,7 @@ def _(seen: Seen) -> Iterator[bool]:
 def _(seen: Seen) -> Iterator[bool]:
     made, shown = (
         seen.data("snr-made").get("truth", {}).get("snr_db"),
-        seen.data("snr-show").get("changing_snr_db"),
+        seen.data("snr-show").get("snr_db"),
     )
     yield made is not None and shown is not None and abs(made - shown) < 1.0
 

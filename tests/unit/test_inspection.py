@@ -38,13 +38,13 @@ def resting(views: int = 60, amplitude: float = 1000.0, sigma: float = 20.0, see
 def test_noise_and_snr_follow_their_definition(amplitude: float, sigma: float) -> None:
     summary = inspect(capture_of(resting(200, amplitude, sigma)))
     assert summary.noise == pytest.approx(sigma, rel=0.04)
-    assert summary.snr_db == pytest.approx(20 * np.log10(amplitude / sigma), abs=1.0)
+    assert summary.strongest_over_noise_db == pytest.approx(20 * np.log10(amplitude / sigma), abs=1.0)
 
 
 def test_analytic_samples_give_the_same_snr_as_their_real_part() -> None:
     samples = resting(100)
     real, analytic_ = inspect(capture_of(samples)), inspect(capture_of(analytic(samples)))
-    assert analytic_.snr_db == pytest.approx(real.snr_db, abs=1e-3)
+    assert analytic_.strongest_over_noise_db == pytest.approx(real.strongest_over_noise_db, abs=1e-3)
     assert analytic_.noise == pytest.approx(np.sqrt(2) * real.noise, rel=1e-3)
 
 
@@ -187,14 +187,14 @@ def test_less_than_a_turn_gives_a_reason_instead_of_a_period() -> None:
     summary = inspect(turning(0.8))
     assert summary.period_s is None
     assert summary.period_note
-    assert summary.changing_snr_db is not None
+    assert summary.snr_db is not None
 
 
 def test_a_scene_at_rest_changes_nothing() -> None:
     for seed in range(8):
         times = np.arange(300) * 50.0
         summary = inspect(capture_of(resting(300, seed=seed), radar_time_ms=times))
-        assert (summary.changing_snr_db, summary.period_s) == (None, None)
+        assert (summary.snr_db, summary.period_s) == (None, None)
         assert "nothing changes" in summary.period_note
 
 
@@ -209,7 +209,7 @@ def test_scans_without_times_give_no_period() -> None:
 def test_degenerate_recordings_have_a_summary(shape: tuple[int, int], dtype: type) -> None:
     zero, ones = (inspect(capture_of(np.full(shape, fill, dtype))) for fill in (0, 1))
     assert zero.strongest is None
-    assert zero.snr_db is None
+    assert zero.strongest_over_noise_db is None
     assert ones.strongest is not None
     assert ones.period_s is None
     assert ones.period_note
@@ -239,8 +239,8 @@ def test_the_real_corner_reflector_stands_still() -> None:
     assert summary.clipped_fraction == 0
     assert summary.noise is not None
     assert 90 <= summary.noise <= 160  # what this radar's noise was measured to be at index 11
-    assert summary.snr_db is not None
-    assert 25 < summary.snr_db < 40
+    assert summary.strongest_over_noise_db is not None
+    assert 25 < summary.strongest_over_noise_db < 40
     assert summary.scan_rate_hz == pytest.approx(1 / 0.021573, rel=2e-3)
     assert summary.period_s is None
     assert summary.period_note

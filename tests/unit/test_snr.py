@@ -45,8 +45,8 @@ def test_emulator_show_live_view_and_plan_agree_on_the_snr_of_a_helmet(tmp_path:
         capture = record(open_radar(url), motion, plan, tmp_path / "x.tagid.h5", Watch(began=began))
         wait_for(lambda: view.state.scans == capture.views)
     shown = inspect(capture)
-    assert shown.changing_snr_db == pytest.approx(emulated, abs=1.0)
-    assert view.state.snr_db == pytest.approx(shown.changing_snr_db, abs=0.2)
+    assert shown.snr_db == pytest.approx(emulated, abs=1.0)
+    assert view.state.snr_db == pytest.approx(shown.snr_db, abs=0.2)
     if "budget" in level:
         helmet = builtin_layouts()["helmet-120"]
         setup = Setup(helmet, ReflectorSpec("octahedron", 0.04), parse_body("none"), 1.0, 40.0, LinkBudget())
