@@ -57,7 +57,7 @@ def test_emulator_show_live_view_and_plan_agree_on_the_snr_of_a_helmet(tmp_path:
     for scan in streams[0].since():
         monitor.add(scan, Statistics())
     last = inspect(capture.select(slice(-32, None)))
-    assert monitor.snapshot().snr_db == pytest.approx(last.snr_db, abs=0.01)
+    assert monitor.snapshot().snr_db == pytest.approx(last.strongest_over_noise_db, abs=0.01)
     assert "SNR" not in monitor.snapshot().strongest
 
 
