@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tagid.angles.align import align
 from tagid.angles.clock import UniformClock
-from tagid.angles.period import PeriodEstimate, find_period
+from tagid.angles.period import NoPeriodError, PeriodEstimate, find_period
 from tagid.angles.views import Angles
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion, Track
@@ -55,7 +55,7 @@ def turn_in_own_angle(
     tolerance = float(np.clip(3.2 * scale_sigma, 0.03, _WIDEST))
     try:
         return find_period(seen[rising], angle[rising], TURN, tolerance=tolerance)
-    except DataError as error:
+    except NoPeriodError as error:
         turns = float(np.ptp(angle)) / TURN
         raise DataError(
             f"the scans do not repeat within {turns:.2f} turns of the device", "Record at least 1.1 turns."

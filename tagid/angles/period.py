@@ -97,7 +97,11 @@ NOMINAL_TOLERANCE = 0.15
 """Relative uncertainty of a nominal period."""
 
 
-class NotRepeatingError(DataError):
+class NoPeriodError(DataError):
+    """The scans show no rotation period; the message words their argument as seconds."""
+
+
+class NotRepeatingError(NoPeriodError):
     """The recording is long enough to show that the scans do not repeat after the nominal period."""
 
 
@@ -248,8 +252,8 @@ def find_period(
     nominal period.
 
     Raises:
-        DataError: less than 1.1 turns, nothing moves, or no repetition is found; NotRepeatingError where the
-            scans contradict the nominal period.
+        DataError: nothing moves; NoPeriodError for less than 1.1 turns or no repetition, NotRepeatingError
+            where the scans contradict the nominal period.
     """
     ac = autocorrelate(samples, times_s)
     rho = ac.values
@@ -257,7 +261,7 @@ def find_period(
     longest = int(ac.scans / (1 + OVERLAP))
     if nominal_s is not None:
         if duration < MIN_TURNS * nominal_s * (1 - tolerance):
-            raise DataError(
+            raise NoPeriodError(
                 f"the record of {duration:.1f} s is {duration / nominal_s:.2f} turns of {nominal_s:.1f} s",
                 f"Record at least {1.3 * nominal_s:.0f} s.",
             )
@@ -275,7 +279,7 @@ def find_period(
                 f"the scans do not repeat after {within[0]:.1f} to {within[1]:.1f} s", "Check the speed."
             )
     if peak == 0:
-        raise DataError(
+        raise NoPeriodError(
             f"the scans do not repeat within {duration:.1f} s: no rotation period found",
             "Record longer (1.3 turns or more), check that the table turns, or give its speed: free?rpm=2. "
             "Imported times (timestamps_s) are in seconds.",

@@ -145,24 +145,25 @@ def enroll(
     if kind is not None and kind not in KINDS:
         raise UsageError(f"--kind is {kind[:80]!r}", f"Use {', '.join(KINDS)}.")
     config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})
+    origin = "" if points else f", file {file.name}" if file else f", {len(captures)} captures"
+    source = f"tagid enroll{origin}"
     given = Given(str(name), label, enrolling.Wish(force, yes, dry_run))
     if body:
         if kind is not None or notes is not None:
             raise UsageError("--kind and --notes apply to layouts only", "Omit them with --body.")
         joint = _body_signature(terminal, given.name, captures, config)
-        return _enrol_signature(terminal, given, joint, f"tagid enroll, {len(captures)} captures", ())
+        return _enrol_signature(terminal, given, joint, source, ())
     measured = None
     if file is not None:
-        layout, source = _from_file(file), f"tagid enroll, file {file.name}"
+        layout = _from_file(file)
     elif captures:
         measured = _measure(terminal, given.name, captures, config)
-        source = f"tagid enroll, {len(captures)} captures"
         if measured.estimate is None:
             assert measured.joint is not None
             return _enrol_signature(terminal, given, measured.joint, source, measured.remarks)
         layout = measured.estimate.layout
     else:
-        layout, source = _from_points(given.name, points or [], sigma), "tagid enroll"
+        layout = _from_points(given.name, points or [], sigma)
     fields = {"name": name, "kind": kind, "label": label, "notes": notes}
     layout = replace(layout, **{key: value for key, value in fields.items() if value is not None})  # type: ignore[arg-type]
     return _enrol_layout(terminal, layout, measured, source, given.wish)

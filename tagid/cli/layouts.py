@@ -377,7 +377,7 @@ def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Res
     done = step(registry)
     contents = registry.contents()
     parts = [
-        f"{word} {', '.join(dict.fromkeys(names))}"  # an object and its layout have one name
+        f"{word} {', '.join(names)}"
         for word, names in (("removed", done.removed), ("added", done.added), ("restored", done.changed))
         if names
     ]

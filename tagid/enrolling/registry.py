@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from bisect import bisect_left
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -355,9 +355,9 @@ class Registry:
         return Restored(
             self._version(connection),
             undone,
-            removed=tuple(name for _, name in gone),
-            added=tuple(name for kind, name in put if (kind, name) not in now),
-            changed=tuple(name for kind, name in put if (kind, name) in now),
+            removed=_names(gone),
+            added=_names(key for key in put if key not in now),
+            changed=_names(key for key in put if key in now),
         )
 
     @staticmethod
@@ -542,6 +542,11 @@ def taken(key: Key, entries: Collection[Key]) -> RegistryError | None:
         f"Choose another name, remove it with `{_COMMANDS[holder][1].format(name)}`, "
         "or replace it with `force`.",
     )
+
+
+def _names(keys: Iterable[Key]) -> tuple[str, ...]:
+    """Names of entries; an object and its layout have one."""
+    return tuple(dict.fromkeys(name for _, name in keys))
 
 
 def _article(kind: str) -> str:

@@ -35,6 +35,7 @@ METHODS = ("sparse", "ats")
 FIRST_SEED = 7000
 RADARS = {"P440": P440, "17 mm": SONAR}
 OBJECTS = ("can30", "can30_c180", "free30_c90", "free30_one", "cup36", "box_c90", "handle34")
+SCENES = {"P440": FAMILIES, "full wave": OBJECTS, "17 mm": FAMILIES}
 
 
 class Task(NamedTuple):
@@ -81,11 +82,10 @@ def residuals(task: Task) -> dict[str, float | bool | str]:
 def tasks(first: int, seeds: int, few_seeds: int) -> list[Task]:
     """All scenes: those of the P440 first, few views and many in turn."""
     numbers = range(first, first + max(seeds, few_seeds))
-    families = {"P440": FAMILIES, "full wave": OBJECTS, "17 mm": FAMILIES}
     return [
         Task(family, radar, views, seed)
         for seed in numbers
-        for radar, names in families.items()
+        for radar, names in SCENES.items()
         for family in names
         for views in VIEWS
         if seed < first + (few_seeds if views in FEW else seeds)
@@ -220,11 +220,10 @@ def few_views(run: Run) -> Iterator[Table]:
     """A row for every number of views."""
     seeds, first = run.number(3, 1), run.options.first_seed
     run.seeds = f"{first} to {first + seeds - 1}"
-    families = {"P440": FAMILIES, "full wave": OBJECTS, "17 mm": FAMILIES}
     jobs = [
         Task(family, radar, views, seed)
         for seed in range(first, first + seeds)
-        for radar, names in families.items()
+        for radar, names in SCENES.items()
         for family in names
         for views in FEW_VIEWS
         if not run.quick or (family, views) == ("box", 36)

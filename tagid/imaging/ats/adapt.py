@@ -145,7 +145,8 @@ def fit_adapted(
     scans: BasebandScans, grid: ImageGrid, settings: AtsSettings, progress: StepProgress | None = None
 ) -> AtsResult:
     """Fit with the settings; where unseen views ask for it, with more views a step (`seeing_all`);
-    where they still ask for another prior and none was given, with that one.
+    where they still ask for another prior and none was given, with that one: the dense one of fewer views
+    than `FEW_VIEWS`, else the best of the trials.
 
     The image's settings say what was tried: "prior" is its name, "prior_trials" the residual of each on views
     that its fit did not see, "prior_against_default" its residual and that of the defaults on those of these
@@ -156,25 +157,23 @@ def fit_adapted(
     views = scans.aperture.views
     if not settings.adapts or views < LEAST_VIEWS or not np.any(scans.samples):
         return fit(scans, grid, settings, progress)
-    first: AtsResult | None = None
     images = FirstImages()
     quick = FitSettings.of(settings)
     thorough = quick.seeing_all(views)
-    if quick.held_out > 0:
-        # A dozen views are all needed for the image: then a fit without some of them is only asked.
-        enough = views >= LEAST_HELD_OUT
-        unseen = None if enough else left_out(views)
-        for tried in dict.fromkeys((quick, thorough)):
-            first = fit(scans, grid, tried, progress, unseen, images=images)
-            if not first.losses or _explains(scans, grid, first):
-                return first if enough else fit(scans, grid, tried, progress, images=images)
+    # A dozen views are all needed for the image: then a fit without some of them is only asked.
+    enough = views >= LEAST_HELD_OUT
+    unseen = None if enough else left_out(views)
+    for tried in dict.fromkeys((quick, thorough)):
+        first = fit(scans, grid, tried, progress, unseen, images=images)
+        if not first.losses or _explains(scans, grid, first):
+            return first if enough else fit(scans, grid, tried, progress, images=images)
     if views < FEW_VIEWS:
         dense = fit(scans, grid, thorough.with_prior(Prior.DENSE), progress, images=images)
         facts = {**dense.image.settings, "prior": Prior.DENSE.value}
         return replace(dense, image=replace(dense.image, settings=facts))
     trials = _Trials(scans, grid, thorough, progress, without_field=settings.calibrate == ())
     prior = trials.chosen()
-    if first is None or (prior.field is not None and prior is not Prior.DEFAULT):
+    if prior.field is not None and prior is not Prior.DEFAULT:
         first = fit(scans, grid, thorough.with_prior(prior), progress, images=images)
     facts = {**first.image.settings, "prior": prior.value, "prior_trials": trials.residuals()}
     facts["prior_against_default"] = trials.against_default(prior)

@@ -149,7 +149,7 @@ function showScan(scan) {
     if (!scan.file || scan.scans) words.push(`${scan.scans} scans in ${scan.seconds.toFixed(1)} s`);
     if (!scan.file || scan.scans) words.push(scan.turned_deg === null ? "angle not known yet" : `${Math.min(scan.turned_deg, 360).toFixed(0)} of 360 degrees`);
     if (!scan.file) words.push(scan.snr_db === null ? "SNR -" : `SNR ${scan.snr_db.toFixed(1)} dB`);
-    if (!scan.file && !scan.remark.includes("lost between")) words.push(`lost ${scan.lost}`);
+    if (running && !scan.file) words.push(`lost ${scan.lost}`); // a remark says it of a finished one
     if (scan.note && scan.answer) words.push(scan.note);
     if (scan.remark) words.push(scan.remark);
     setText("figures", words.join(" · "));
