@@ -537,12 +537,8 @@ class Contest:
 
     def _one_more(self) -> None:
         """Whether an odd scatterer beside a layout is an alike reflector more: then it is another tag."""
-        for hypothesis in [h for h in self.hypotheses if h.layout is not None and len(h.estimate.odd)]:
-            if (
-                hypothesis.estimate.model.tag is None
-                or hypothesis.log_z < max(h.log_z for h in self.hypotheses) - 60
-            ):
-                continue
+        some = [h for h in self._best(len(self.hypotheses), enrolled=True) if h.estimate.model.odd]
+        for hypothesis in some[:3]:
             for odd in hypothesis.estimate.odd:
                 best = refined(self.spectra, *hypothesis.estimate.and_alike(odd), (None,))
                 self.grow(self.add(None, best, hypothesis.middle), self.most_odd)
