@@ -369,7 +369,7 @@ def _held_out(
 
     def make(some: BasebandScans) -> Image:
         if prior.field is None:
-            return image_without_field(some, grid, prior)
+            return image_without_field(some, grid, prior, ats)
         return make_image(some, grid, method, settings.seed, "field", None, ats)
 
     def predicted(all_views: BasebandScans, unseen: NDArray[np.intp]) -> float:

@@ -2,7 +2,8 @@
 
 The defaults are for a few reflectors that scatter to all sides. Where they leave much more than noise of
 unseen views, the scene is something else: extended, smooth, or seen differently from different sides. Few
-views then get the dense prior. Of many views, other priors are tried on views that no fit has seen. Among
+views then get the mean of the dense field and the sparse pixels, as they do not tell which of the two is
+right. Of many views, other priors are tried on views that no fit has seen. Among
 them are two without a field: the linear solution, whose first iteration is backprojection, and the sparse
 solution of independent pixels. So the method contains both and returns them where no field predicts better.
 
@@ -116,12 +117,28 @@ def settings_of(facts: dict[str, Any], settings: AtsSettings) -> FitSettings:
     return replace(chosen, views_per_step=views, held_out=0.0)
 
 
-def image_without_field(scans: BasebandScans, grid: ImageGrid, prior: Prior) -> Image:
-    """The image of a prior that has no field.
+def image_without_field(
+    scans: BasebandScans,
+    grid: ImageGrid,
+    prior: Prior,
+    settings: AtsSettings | None = None,
+    progress: StepProgress | None = None,
+    images: FirstImages | None = None,
+) -> Image:
+    """The image of a prior that is no field.
+
+    Args:
+        settings: of the field whose mean with sparse pixels is the image; the others are as of `fit`.
 
     Raises:
-        ValueError: it has one.
+        ValueError: it is one.
     """
+    if prior is Prior.MEAN:
+        quick = FitSettings.of(settings or AtsSettings())
+        dense = quick.seeing_all(scans.aperture.views).with_prior(Prior.DENSE)
+        field = fit(scans, grid, dense, progress, images=images).image
+        pixels = _sparse_pixels(scans, grid, ForwardOperator(scans, grid)).reshape(field.values.shape)
+        return replace(field, values=(field.values + pixels) / 2)
     if prior is Prior.PIXELS:
         values = _sparse_pixels(scans, grid, ForwardOperator(scans, grid))
     elif prior.iterations is None:
@@ -145,8 +162,8 @@ def fit_adapted(
     scans: BasebandScans, grid: ImageGrid, settings: AtsSettings, progress: StepProgress | None = None
 ) -> AtsResult:
     """Fit with the settings; where unseen views ask for it, with more views a step (`seeing_all`);
-    where they still ask for another prior and none was given, with that one: the dense one of fewer views
-    than `FEW_VIEWS`, else the best of the trials.
+    where they still ask for another prior and none was given, with that one: `Prior.MEAN` of fewer views than
+    `FEW_VIEWS`, else the best of the trials.
 
     The image's settings say what was tried: "prior" is its name, "prior_trials" the residual of each on views
     that its fit did not see, "prior_against_default" its residual and that of the defaults on those of these
@@ -168,9 +185,9 @@ def fit_adapted(
         if not first.losses or _explains(scans, grid, first):
             return first if enough else fit(scans, grid, tried, progress, images=images)
     if views < FEW_VIEWS:
-        dense = fit(scans, grid, thorough.with_prior(Prior.DENSE), progress, images=images)
-        facts = {**dense.image.settings, "prior": Prior.DENSE.value}
-        return replace(dense, image=replace(dense.image, settings=facts))
+        image = image_without_field(scans, grid, Prior.MEAN, quick, progress, images)
+        facts = {**image.settings, "prior": Prior.MEAN.value}
+        return replace(first, image=replace(image, settings=facts), field=None)
     trials = _Trials(scans, grid, thorough, progress, without_field=settings.calibrate == ())
     prior = trials.chosen()
     if prior.field is not None and prior is not Prior.DEFAULT:

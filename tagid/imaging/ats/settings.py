@@ -72,13 +72,14 @@ class Prior(StrEnum):
     The defaults, a stronger and a weaker sparsity prior, reflectivity that depends on the aspect, the last
     two together, and the dense ones on a scene that hides what lies behind it; of attenuations of 0.1 to 3
     nepers 1 leaves least of unseen views in most outlines, boxes and smooth bodies (seeds from 5000). Then
-    two without a field: the sparse solution itself (`tagid.imaging.sparse`), which of few views of
+    those that are no field: the sparse solution itself (`tagid.imaging.sparse`), which of few views of
     extended objects predicts more than a field that starts from it, since the encoding ties neighbours
-    together of which a dozen views tell nothing; and iterations of conjugate gradients, of which the first is
+    together of which a dozen views tell nothing; the mean of this one and the dense field, where views are
+    too few to tell which is right; and iterations of conjugate gradients, of which the first is
     backprojection of scans that are correlated with the pulse, and 0 that of the scans as they are.
 
     Attributes:
-        field: what its field assumes; None: it has none.
+        field: what its field assumes; None: it is no field.
         iterations: of the linear solution; None: it is none.
     """
 
@@ -99,6 +100,7 @@ class Prior(StrEnum):
     DENSE_SHADOWS = "dense, shadows", replace(_DENSE, occlusion=1.0)
     DENSE_ASPECT_SHADOWS = "dense, aspect, shadows", replace(_DENSE, aspect_harmonics=2, occlusion=1.0)
     PIXELS = "pixels"
+    MEAN = "dense and pixels"
     LINEAR_0 = "linear 0", None, 0
     LINEAR_1 = "linear 1", None, 1
     LINEAR_2 = "linear 2", None, 2
