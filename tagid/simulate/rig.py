@@ -71,6 +71,7 @@ class Fault(StrEnum):
     MISSING_REFLECTOR = "missing-reflector"
     MIRRORED_CARD = "mirrored-card"
     PERSON = "person"
+    NEAR = "near"
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +138,7 @@ class EmulatedRig:
             Fault.POLARISATION: {"gain_db": rig.gain_db - 22},
             Fault.DIRECTION: {"direction": -1},
             Fault.AXIS: {"axis_distance_m": rig.axis_distance_m + 0.05},
+            Fault.NEAR: {"axis_distance_m": rig.axis_distance_m - 0.65},
         }
         return replace(rig, fault=fault, **changes.get(fault, {}))
 

@@ -37,6 +37,7 @@ FAULTS = {
     "missing-reflector": "missing-reflector",
     "mirrored-card": "mirrored",
     "direction": "mirrored",
+    "near": "near",
 }
 """Planted faults, and the code of the row that names each: a card that is mirrored and a table that turns the
 other way give the same scans."""
