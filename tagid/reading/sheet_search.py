@@ -37,8 +37,8 @@ _FLOOR = 3e-3
 """Share of the echo that a right sheet leaves."""
 _FAINT, GROUPED = 1e-4, 3
 """Share of an echo's energy in harmonics beyond the last one, whose number is a multiple of the second."""
-_KEPT = 5
-"""Square boxes whose sides, and oblong ones whose neighbours, are tried."""
+COARSE = 3
+"""Boxes of every so many-th half size are tried, and the neighbours of the best."""
 RING = 72
 """Places on a ring about a sheet."""
 
@@ -188,14 +188,14 @@ class Seeker:
         if kind.shell is not BoxShell:
             pairs = [(a, b) for i, a in enumerate(sizes) for b in sizes[i:] if b < LONGEST * a]
             return _unlike(self.fitted(kind, pairs), count)
-        # A square whose side is one of two of an oblong box explains the flashes of two of its walls.
-        starts = self.fitted(kind, [(a, a) for a in sizes])
-        sides = sorted(start.half_m[0] for start in _unlike(starts, _KEPT))
-        starts += self.fitted(kind, [(a, b) for i, a in enumerate(sides) for b in sides[i + 1 :]])
-        for start in _unlike(starts, 2):
+        some = sizes[::COARSE]
+        starts = self.fitted(kind, [(a, b) for i, a in enumerate(some) for b in some[i:]])
+        factors = (1 / STEP, 1.0, STEP)
+        for start in _unlike(starts, count):
             a, b = start.half_m
-            near = ((a * STEP, b), (a / STEP, b), (a, b * STEP), (a, b / STEP))
-            starts += self.fitted(kind, near)
+            starts += self.fitted(
+                kind, [(a * f, b * g) for f in factors for g in factors if (f, g) != (1, 1)]
+            )
         return _unlike(starts, count)
 
 

@@ -15,7 +15,8 @@ from tagid.reading.compiled import Compiled
 from tagid.reading.decision import decide
 from tagid.reading.descent import Estimate, _Numpy, refined
 from tagid.reading.hypothesis import Hypothesis
-from tagid.reading.sheet import KINDS, SHELL, Kind, SheetColumns, SheetModel
+from tagid.reading.sheet import HEAD, KINDS, METAL, SHELL, Kind, SheetColumns, SheetModel
+from tagid.reading.sheet_search import Seeker
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
 from tagid.tags.layouts.layout import Layout, builtin_layouts
@@ -117,3 +118,17 @@ def test_no_reflector_stands_inside_metal_where_none_is_seen() -> None:
         half = kind.size_m
         model = replace(SheetModel.of(kind, (half, half), 0), tag=Arrangement.rigid(np.array([0.02 + 0j])))
         assert (model.crowding(inside[: model.parameters]).max() > 10) == hidden
+
+
+@pytest.mark.parametrize("half_m", [(0.034, 0.069), (0.045, 0.11), (0.06, 0.06)])
+def test_a_box_of_metal_beside_a_reflector_is_looked_for_in_all_sizes(half_m: tuple[float, float]) -> None:
+    """Of few views a square box explains chance flashes: its side tells nothing of an oblong one."""
+    antenna = np.exp(2j * np.pi * np.arange(12) / 12)
+    kappa = spectra_of("shells", "shell74").kappa
+    nothing = np.zeros((len(kappa), 12), dtype=complex)
+    empty = Spectra(nothing, kappa, antenna, np.zeros(12), 1.0, np.ones(len(kappa)), True)
+    x = np.r_[5e-3, -2e-3, 0.4, np.log(np.array(half_m) / METAL.size_m), np.zeros(HEAD - 3)]
+    echo = SheetColumns(SheetModel.of(METAL, half_m, 0), empty, x).values[:, 0]
+    point, _ = empty.waves(np.array([0.03 + 0.08j]), np.zeros(1))
+    (start,) = Seeker(replace(empty, data=echo + 0.3 * point[:, 0])).best(METAL, 1)
+    np.testing.assert_allclose(sorted(start.half_m), half_m, rtol=0.08)
