@@ -361,7 +361,9 @@ def _held_out(
         echoes = find_outside(select_views(scans, seen), grid, progress)
         scans = scans if echoes is None else echoes.removed(scans)
         unfiltered = scans
-    ats, prior = settings_of(made.settings, settings.ats), Prior.of(made.settings)
+    # The image was made with this seed, whatever the settings of ATS say.
+    ats = replace(settings_of(made.settings, settings.ats), seed=settings.seed)
+    prior = Prior.of(made.settings)
     axis = made.settings.get("calibration", {}).get("axis")
     if axis:
         moved = scans.aperture.with_axis_distance(axis["distance_m"])
@@ -373,8 +375,7 @@ def _held_out(
         return make_image(some, grid, method, settings.seed, "field", None, ats)
 
     def predicted(all_views: BasebandScans, unseen: NDArray[np.intp]) -> float:
-        fitted = replace(ats, seed=settings.seed)
-        return fit(all_views, grid, fitted, lambda step, of, _: progress(step, of), unseen).held_out
+        return fit(all_views, grid, ats, lambda step, of, _: progress(step, of), unseen).held_out
 
     return check(scans, unfiltered, grid, make, predicted if method == "ats" and prior.field else None)
 

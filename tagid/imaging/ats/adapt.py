@@ -3,9 +3,9 @@
 The defaults are for a few reflectors that scatter to all sides. Where they leave much more than noise of
 unseen views, the scene is something else: extended, smooth, or seen differently from different sides. Few
 views then get the mean of the dense field and the sparse pixels, as they do not tell which of the two is
-right. Of many views, other priors are tried on views that no fit has seen. Among
-them are two without a field: the linear solution, whose first iteration is backprojection, and the sparse
-solution of independent pixels. So the method contains both and returns them where no field predicts better.
+right. Of many views, other priors are tried on views that no fit has seen. Among them are two without a
+field: the linear solution, whose first iteration is backprojection, and the sparse solution of independent
+pixels. So the method contains both and returns them where no field predicts better.
 
 The views on which the image is judged in the end (`heldout.left_out`) take no part in the choice.
 """
@@ -137,8 +137,8 @@ def image_without_field(
         quick = FitSettings.of(settings or AtsSettings())
         dense = quick.seeing_all(scans.aperture.views).with_prior(Prior.DENSE)
         field = fit(scans, grid, dense, progress, images=images).image
-        pixels = _sparse_pixels(scans, grid, ForwardOperator(scans, grid)).reshape(field.values.shape)
-        return replace(field, values=(field.values + pixels) / 2)
+        pixels = image_without_field(scans, grid, Prior.PIXELS)
+        return replace(field, values=(field.values + pixels.values) / 2)
     if prior is Prior.PIXELS:
         values = _sparse_pixels(scans, grid, ForwardOperator(scans, grid))
     elif prior.iterations is None:
