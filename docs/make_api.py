@@ -72,7 +72,7 @@ def render() -> str:
             parts += [entry(name, getattr(tagid, name)) for name in names]
     for module, types in types_by_module().items():
         parts.append(f"## {module}\n")
-        parts += [entry(one.__name__, one) for one in types]
+        parts += [entry(item.__name__, item) for item in types]
     return "\n".join(parts).rstrip("\n") + "\n"
 
 
@@ -80,17 +80,17 @@ def render() -> str:
 def types_by_module() -> dict[str, list[type]]:
     """Types that the public names take, give and hold, and those of these types in turn, by module; all errors too."""
     public = [getattr(tagid, name) for name in tagid.__all__ if name != "__version__"]
-    known = dict.fromkeys([*public, *(one for one in vars(tagid.errors).values() if inspect.isclass(one))])
+    known = dict.fromkeys([*public, *(var for var in vars(tagid.errors).values() if inspect.isclass(var))])
     queue = list(known)
     while queue:
         thing = queue.pop()
         if thing.__name__ not in OPAQUE:
-            new = {one for found in annotations_of(thing).values() for one in own_classes(found)} - known.keys()
+            new = {own_class for result in annotations_of(thing).values() for own_class in own_classes(result)} - known.keys()
             known |= dict.fromkeys(new)
             queue += new
     types: dict[str, list[type]] = {}
-    for one in sorted(known.keys() - set(public), key=lambda one: (one.__module__, one.__name__)):
-        types.setdefault(one.__module__, []).append(one)
+    for item in sorted(known.keys() - set(public), key=lambda item: (item.__module__, item.__name__)):
+        types.setdefault(item.__module__, []).append(item)
     return types
 
 
@@ -98,16 +98,16 @@ def annotations_of(thing: Any) -> dict[str, Any]:
     """Annotations that a user of a public function or class meets: arguments, results and fields."""
     if not inspect.isclass(thing):
         return resolved(thing)
-    found = {}
+    results = {}
     if "__init__" in vars(thing) or dataclasses.is_dataclass(thing):
-        found = {f"(): {name}": one for name, one in resolved(thing.__init__).items()}
-    found |= {f".{name}": one for name, one in resolved(thing).items() if not name.startswith("_")}
+        results = {f"(): {name}": item for name, item in resolved(thing.__init__).items()}
+    results |= {f".{name}": item for name, item in resolved(thing).items() if not name.startswith("_")}
     for name, value in vars(thing).items():
         if not name.startswith("_") or name == "__call__":
             call = getattr(value, "fget", None) or getattr(value, "func", None) or getattr(value, "__func__", value)
             if inspect.isfunction(call):
-                found |= {f".{name}: {argument}": one for argument, one in resolved(call).items()}
-    return found
+                results |= {f".{name}: {argument}": item for argument, item in resolved(call).items()}
+    return results
 
 
 def resolved(thing: Any) -> dict[str, Any]:
@@ -118,11 +118,11 @@ def resolved(thing: Any) -> dict[str, Any]:
 @cache
 def names_in(module: str) -> dict[str, Any]:
     """The names of a module, with those that it imports only for annotations."""
-    found = dict(vars(sys.modules[module]))
+    result = dict(vars(sys.modules[module]))
     for block in ast.parse(inspect.getsource(sys.modules[module])).body:
         if isinstance(block, ast.If) and "TYPE_CHECKING" in ast.unparse(block.test):
-            exec(compile(ast.Module(block.body, []), module, "exec"), found)
-    return found
+            exec(compile(ast.Module(block.body, []), module, "exec"), result)
+    return result
 
 
 def own_classes(annotation: Any) -> Iterator[type]:
@@ -177,16 +177,16 @@ def signature(name: str, thing: Any, bound: bool = False) -> str:
     Of an enumeration the members, of a protocol only that it is one.
     """
     if inspect.isclass(thing) and issubclass(thing, Enum):
-        return f"{name}({thing.__mro__[1].__name__})\n" + "\n".join(f"    {one.name} = {one.value!r}" for one in thing)
+        return f"{name}({thing.__mro__[1].__name__})\n" + "\n".join(f"    {item.name} = {item.value!r}" for item in thing)
     if inspect.isclass(thing) and getattr(thing, "_is_protocol", False):
         return f"{name}(Protocol)"
-    found = inspect.signature(thing)
+    result = inspect.signature(thing)
     words: list[str] = []
-    for one in list(found.parameters.values())[1 if bound else 0 :]:
-        if one.kind is one.KEYWORD_ONLY and "*" not in words:
+    for parameter in list(result.parameters.values())[1 if bound else 0 :]:
+        if parameter.kind is parameter.KEYWORD_ONLY and "*" not in words:
             words.append("*")
-        words.append(argument(one))
-    answer = found.return_annotation
+        words.append(argument(parameter))
+    answer = result.return_annotation
     tail = "" if inspect.isclass(thing) or answer is inspect.Signature.empty else f" -> {annotation(answer)}"
     line = f"{name}({', '.join(words)}){tail}"
     if len(line) <= 100:
@@ -195,22 +195,22 @@ def signature(name: str, thing: Any, bound: bool = False) -> str:
     return f"{name}(\n{inner}){tail}"
 
 
-def argument(one: inspect.Parameter) -> str:
+def argument(parameter: inspect.Parameter) -> str:
     """`name: type = default`; a default that is made at each call, or that names the version, is "..."."""
-    text = one.name if one.annotation is one.empty else f"{one.name}: {annotation(one.annotation)}"
-    if one.default is one.empty:
+    text = parameter.name if parameter.annotation is parameter.empty else f"{parameter.name}: {annotation(parameter.annotation)}"
+    if parameter.default is parameter.empty:
         return text
-    default = float(one.default) if isinstance(one.default, float) else one.default  # numpy's too
+    default = float(parameter.default) if isinstance(parameter.default, float) else parameter.default  # numpy's too
     plain = isinstance(default, str | int | float | bool | tuple | None) and default != tagid.__version__
     if isinstance(default, Enum):
         return f"{text} = {type(default).__name__}.{default.name}"
     return f"{text} = {repr(default) if plain else '...'}"
 
 
-def annotation(found: Any) -> str:
+def annotation(kind: Any) -> str:
     """A type as the source spells it; that of a named tuple's field is a reference."""
-    found = getattr(found, "__forward_arg__", found)
-    return (found if isinstance(found, str) else getattr(found, "__name__", str(found))).strip("'\"")
+    kind = getattr(kind, "__forward_arg__", kind)
+    return (kind if isinstance(kind, str) else getattr(kind, "__name__", str(kind))).strip("'\"")
 
 
 def prose(thing: Any) -> str:
@@ -227,9 +227,9 @@ def prose(thing: Any) -> str:
         elif section and line.startswith("        "):
             lines.append(f"  {escaped(line.strip())}")
         elif section and line.startswith("    "):
-            found = _ENTRY.match(line.strip())
-            names = ", ".join(f"`{one}`" for one in found["names"].split(", ")) if found else ""
-            lines.append(f"- {names}: {escaped(found['text'])}" if found else f"- {escaped(line.strip())}")
+            matched = _ENTRY.match(line.strip())
+            names = ", ".join(f"`{item}`" for item in matched["names"].split(", ")) if matched else ""
+            lines.append(f"- {names}: {escaped(matched['text'])}" if matched else f"- {escaped(line.strip())}")
         elif line.startswith("    "):
             lines.append(line)
         else:

@@ -141,7 +141,7 @@ def other_environments(folder: Path) -> Outcome:
     ]
     runtime = folder / "run"
     runtime.mkdir(mode=0o700)
-    stopped, told = 0, 0
+    stopped, reported = 0, 0
     for device in ("comxim", "roomba"):
         with emulated(device) as (url, truth):
             for environment in environments:
@@ -155,8 +155,10 @@ def other_environments(folder: Path) -> Outcome:
                 for number in (signal.SIGSTOP, signal.SIGKILL):
                     os.kill(spin.pid if number == signal.SIGSTOP else children_of(spin.pid)[0], number)
                 stop = subprocess.run([TAGID, "motion", "stop", url], capture_output=True)
-                told += b"still be turning" in stop.stderr and f"process {spin.pid} ".encode() in stop.stderr
-    return Outcome(f"{stopped} of 6 stopped; {told} of 2 name the holder", stopped == 6 and told == 2)
+                reported += (
+                    b"still be turning" in stop.stderr and f"process {spin.pid} ".encode() in stop.stderr
+                )
+    return Outcome(f"{stopped} of 6 stopped; {reported} of 2 name the holder", stopped == 6 and reported == 2)
 
 
 @attack(
@@ -193,7 +195,7 @@ def cgroup_killed(folder: Path) -> Outcome:
     with emulated("roomba") as (url, truth), spinning(url, truth, env=path) as spin:
         words = (folder / "words").read_text().split() if (folder / "words").exists() else ["0"]
         scoped = int(words[0])
-        for pid in (*(one for one in children_of(spin.pid) if one != scoped), spin.pid):
+        for pid in (*(child for child in children_of(spin.pid) if child != scoped), spin.pid):
             os.kill(pid, signal.SIGKILL)
         began = time.monotonic()
         still = wait_for(lambda: not truth.state()["moving"], 10)

@@ -43,10 +43,10 @@ def _journal(folder: Path) -> Outcome:
     message = errors[0]["message"] if errors else "no error"
     journals = [str(path) for path in folder.glob("scans/*.journal")]
     recovered = subprocess.run([*_TAGID, "recover", *journals, "-q"], cwd=folder, capture_output=True)
-    told = "that had arrived could not be written" in message and bool(journals)
+    reported = "that had arrived could not be written" in message and bool(journals)
     clean = not done.stderr and recovered.returncode == 0
     return Outcome(
-        f"exit {done.returncode}, {message.partition(': ')[2]}", bool(done.returncode) and told and clean
+        f"exit {done.returncode}, {message.partition(': ')[2]}", bool(done.returncode) and reported and clean
     )
 
 
@@ -73,7 +73,7 @@ def _part(folder: Path) -> Outcome:
     files = sorted(str(path) for path in folder.glob("?/*.h5"))
     said += answers("identify", *files) + answers("identify", *files, "--vote")
     capture = tagid.load_capture(Path(files[0]))
-    places = replace(
+    positions = replace(
         capture,
         angles_rad=None,
         angle_sigma_rad=None,
@@ -81,7 +81,7 @@ def _part(folder: Path) -> Outcome:
         antenna_positions_m=capture.aperture().antennas[0],
     )
     layouts = list(builtin_layouts().values())
-    said += [tagid.identify(one, layouts).status for one in (capture, places)]
+    said += [tagid.identify(item, layouts).status for item in (capture, positions)]
     named = said.count("identified")
     return Outcome(f"{named} of {len(said)} answers name an object", not named)
 
@@ -109,7 +109,7 @@ def _streams(folder: Path) -> Outcome:
         clean = "Traceback" not in process.communicate()[1]
         kept = len([*place.glob("*.h5"), *place.glob("scan*.png")])
         said.append(((place / "code").read_text().strip(), kept, clean))
-    good = sum(one == ("0", 2, True) for one in said)
+    good = sum(item == ("0", 2, True) for item in said)
     return Outcome(f"{good} of {len(said)} scans with exit 0, capture and image", good == len(said))
 
 
@@ -155,7 +155,7 @@ def _numbers(folder: Path) -> Outcome:
         ["scan", "--radar", f"emulator://helmet-120?{query}", "--motion", "free?rpm=6"] for query in queries
     ]
     said = []
-    for words, code in [*((one, 2) for one in commands), (["show", "faint.tagid.h5"], 0)]:
+    for words, code in [*((command, 2) for command in commands), (["show", "faint.tagid.h5"], 0)]:
         done = subprocess.run([*_TAGID, *words], cwd=folder, capture_output=True, text=True)
         said.append(done.returncode == code and "bug" not in done.stderr and "Warning" not in done.stderr)
     return Outcome(f"{sum(said)} of {len(said)} with the right exit code and no fault", all(said))

@@ -86,8 +86,8 @@ def _command(*words: str, **more: str) -> Iterator[subprocess.Popen[str]]:
 
 def _first_line(process: subprocess.Popen[str]) -> dict[str, Any]:
     assert process.stdout is not None
-    found: dict[str, Any] = json.loads(process.stdout.readline())["data"]
-    return found
+    result: dict[str, Any] = json.loads(process.stdout.readline())["data"]
+    return result
 
 
 @dataclass(frozen=True)
@@ -121,13 +121,13 @@ class Table:
 @contextmanager
 def _table(folder: Path, **more: str) -> Iterator[Table]:
     with _command("emulate", "comxim", "--output", "json") as emulator:
-        found = _first_line(emulator)
-        host, _, port = found["truth"].rpartition(":")
+        result = _first_line(emulator)
+        host, _, port = result["truth"].rpartition(":")
         words = (
             "--radar",
-            f"emulator://helmet-120?rate=1&turned_by={found['truth']}",
+            f"emulator://helmet-120?rate=1&turned_by={result['truth']}",
             "--motion",
-            found["url"],
+            result["url"],
         )
         place = ("--axis-distance", "1.0", "--save-dir", str(folder / "out"), "--bind", "127.0.0.1:0")
         with _command("station", *words, *place, "--output", "json", **more) as station:
@@ -544,9 +544,9 @@ def a_flood_is_closed(folder: Path) -> Outcome:
                     line.frame(kind, body)
             code = 1006
             with suppress(OSError):
-                while (found := line.read())[0] != 8:
+                while (recovered := line.read())[0] != 8:
                     pass
-                code = int.from_bytes(found[1][:2], "big")
+                code = int.from_bytes(recovered[1][:2], "big")
             codes.append(code)
             slowest = max(slowest, time.monotonic() - began)
     held = codes[:3] == [1008] * 3 and slowest < 5

@@ -174,10 +174,10 @@ def _(folder: Path) -> Outcome:
     seconds = time.monotonic() - began
     holder.join()
     locked.close()
-    told = any("not stored in the history" in text for text in first["messages"])
+    reported = any("not stored in the history" in text for text in first["messages"])
     tagid(*words, "--resume")
-    figure = f"told: {told}, {seconds:.0f} s; after --resume {stored()} of 4"
-    return Outcome(figure, told and stored() == 4 and seconds < 30)
+    figure = f"told: {reported}, {seconds:.0f} s; after --resume {stored()} of 4"
+    return Outcome(figure, reported and stored() == 4 and seconds < 30)
 
 
 class Cluster:

@@ -24,24 +24,28 @@ RESULTS = ROOT / "docs" / "results"
 def listing() -> str:
     """A line for every benchmark: name, minutes of one core, what it measures, what it needs."""
     lines = []
-    for one in BENCHMARKS.values():
-        needs = f" (needs {', '.join(one.needs)})" if one.needs else ""
-        lines.append(f"{one.name:20} {one.minutes:>4} min  {one.summary}{needs}")
+    for benchmark in BENCHMARKS.values():
+        needs = f" (needs {', '.join(benchmark.needs)})" if benchmark.needs else ""
+        lines.append(f"{benchmark.name:20} {benchmark.minutes:>4} min  {benchmark.summary}{needs}")
     return "\n".join(lines)
 
 
-def parser_of(one: Benchmark) -> argparse.ArgumentParser:
+def parser_of(benchmark: Benchmark) -> argparse.ArgumentParser:
     """The options of every benchmark, and those of this one."""
     parser = argparse.ArgumentParser(
-        prog=f"python -m tests.benchmarks {one.name}",
-        description=f"{one.summary}. About {one.minutes} minutes of one core.",
+        prog=f"python -m tests.benchmarks {benchmark.name}",
+        description=f"{benchmark.summary}. About {benchmark.minutes} minutes of one core.",
     )
     parser.add_argument("--quick", action="store_true", help="a look: fewer scenes, shorter times")
     parser.add_argument("--seeds", type=int, help="scenes of every row, instead of the usual number")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--keep", type=Path, help="file that keeps what is done; the run continues it")
     parser.add_argument(
-        "--write", type=Path, nargs="?", const=RESULTS, help=f"put the tables into {one.page} of docs/results"
+        "--write",
+        type=Path,
+        nargs="?",
+        const=RESULTS,
+        help=f"put the tables into {benchmark.page} of docs/results",
     )
     return parser
 
@@ -55,16 +59,16 @@ def main() -> int:
     if words[0] == "list":
         print(listing())
         return 0
-    one = BENCHMARKS.get(words[0])
-    if one is None:
+    s = BENCHMARKS.get(words[0])
+    if s is None:
         print(f"there is no benchmark {words[0]}: see `python -m tests.benchmarks list`", file=sys.stderr)
         return 2
     asks_help = "-h" in words or "--help" in words
-    lacking = [] if asks_help else missing(one.needs)
+    lacking = [] if asks_help else missing(s.needs)
     if lacking:
-        print("\n".join(f"{one.name}: {line}" for line in lacking), file=sys.stderr)
+        print("\n".join(f"{s.name}: {line}" for line in lacking), file=sys.stderr)
         return 2
-    if one.one_thread:
+    if s.one_thread:
         os.environ.setdefault("OMP_NUM_THREADS", "1")
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with tempfile.TemporaryDirectory(prefix="tagid-benchmark-", ignore_cleanup_errors=True) as name:
@@ -72,21 +76,21 @@ def main() -> int:
         os.environ["PYTHONPATH"] = os.pathsep.join(
             filter(None, (str(ROOT), str(ROOT / "firmware_tools"), os.environ.get("PYTHONPATH")))
         )
-        return run(one, words[1:], Path(name))
+        return run(s, words[1:], Path(name))
 
 
-def run(one: Benchmark, words: list[str], folder: Path) -> int:
+def run(benchmark: Benchmark, words: list[str], folder: Path) -> int:
     """One benchmark with its options."""
     from tests.benchmarks import tables
     from tests.benchmarks.run import Run
 
-    module, _, function = one.work.partition(":")
+    module, _, function = benchmark.work.partition(":")
     loaded = importlib.import_module(f"tests.benchmarks.{module}")
-    parser = parser_of(one)
+    parser = parser_of(benchmark)
     if hasattr(loaded, "add_options"):
         loaded.add_options(parser)
     given = parser.parse_args(words)
-    if one.script:
+    if benchmark.script:
         return int(getattr(loaded, function)(given) or 0)
     pictures = (RESULTS.parent / "pictures") if given.write else None
     asked = Run(given.quick, given, given.jobs, given.keep, folder, pictures, given.seeds)
@@ -107,8 +111,8 @@ def run(one: Benchmark, words: list[str], folder: Path) -> int:
     print(f"{(time.monotonic() - began) / 60:.1f} minutes", file=sys.stderr)
     if given.write:
         given.write.mkdir(parents=True, exist_ok=True)
-        page = given.write / one.page
-        tables.write(page, one.name, one.title, made, done)
+        page = given.write / benchmark.page
+        tables.write(page, benchmark.name, benchmark.title, made, done)
         print(f"{page} written", file=sys.stderr)
     return int(asked.failed)
 

@@ -277,8 +277,8 @@ def read_once(name: str, robot: bool, seed: int, snr_db: float) -> str | None:
     try:
         if robot:
             info = {"scale_sigma": NOMINAL_SCALE_SIGMA, "step_s": 0.015, "kind": "roomba"}
-            found = measured_angles(samples, fit_clock(stamps), arrivals, Track.of(readings, info))
-            capture = replace(capture, angles_rad=found.angles_rad, angle_sigma_rad=found.sigma_rad)
+            measured = measured_angles(samples, fit_clock(stamps), arrivals, Track.of(readings, info))
+            capture = replace(capture, angles_rad=measured.angles_rad, angle_sigma_rad=measured.sigma_rad)
         else:
             capture = resolve_turn(capture, "free")
         scans = preprocess(

@@ -76,10 +76,10 @@ def timed(group: str, capture: Capture) -> Timed:
     return Timed(group, answer.status == "identified", min(answers), min(wholes))
 
 
-def row(name: str, found: list[Timed]) -> tuple[object, ...]:
+def row(name: str, timed: list[Timed]) -> tuple[object, ...]:
     """Of the table."""
-    answer, whole = np.array([[one.answer_s, one.whole_s] for one in found]).T
-    cells: list[object] = [name, len(found), sum(one.named for one in found)]
+    answer, whole = np.array([[item.answer_s, item.whole_s] for item in timed]).T
+    cells: list[object] = [name, len(timed), sum(item.named for item in timed)]
     for seconds in (answer, whole):
         middle, late = np.median(seconds), np.quantile(seconds, 0.95)
         cells += [
@@ -102,18 +102,19 @@ def answers(run: Run) -> Iterator[Table]:
     others = run.options.others or (4 if run.quick else 120)
     run.seeds = f"development, number {NUMBER}; {FIRST:,} to {FIRST + others - 1:,}"
     timed("", next(captures(0))[1])
-    found = []
+    results = []
     for i, (group, capture) in enumerate(captures(others)):
         if group.startswith(("bare", "tag,")) and run.quick and i % 16:
             continue
-        found.append(timed(group, capture))
-        run.say(f"{group}: {found[-1].answer_s:.2f} s")
+        results.append(timed(group, capture))
+        run.say(f"{group}: {results[-1].answer_s:.2f} s")
     groups = {
-        name: [one for one in found if one.group == name] for name in dict.fromkeys(o.group for o in found)
+        name: [item for item in results if item.group == name]
+        for name in dict.fromkeys(o.group for o in results)
     }
     groups |= {
-        "named": [one for one in found if one.named],
-        "not named": [one for one in found if not one.named],
+        "named": [item for item in results if item.named],
+        "not named": [item for item in results if not item.named],
     }
     times = ("median (s)", "95 %", "most", "over 1 s")
     columns = (

@@ -49,7 +49,7 @@ def run(folder: Path, out: Path) -> None:
     """Every image and answer of a folder of captures."""
     if unusable():
         raise SystemExit(f"not built: {', '.join(unusable())}")
-    found: dict[str, np.ndarray] = {"machine": np.array(platform.machine())}
+    results: dict[str, np.ndarray] = {"machine": np.array(platform.machine())}
     layouts = list(builtin_layouts().values())
     captures = {name: load_capture(folder / f"{name}.tagid.h5") for name in OBJECTS}
     for name, capture in captures.items():
@@ -57,24 +57,24 @@ def run(folder: Path, out: Path) -> None:
         geometry = kernel.RangeGeometry.of(
             plain.aperture, GRID.points, (plain.range_start_m, plain.range_step_m), plain.samples.shape[1]
         )
-        found[f"gather {name}"] = geometry.gather(plain.samples)
-        found[f"scatter {name}"] = geometry.scatter(np.exp(1j * np.arange(geometry.points)))
+        results[f"gather {name}"] = geometry.gather(plain.samples)
+        results[f"scatter {name}"] = geometry.scatter(np.exp(1j * np.arange(geometry.points)))
     # The rest takes many times as long on an emulated processor: what there is can be compared already.
-    np.savez_compressed(out, **found)
+    np.savez_compressed(out, **results)
     print("sums", flush=True)
     for name, capture in captures.items():
         plain = preprocess(capture, settings=PreprocessSettings(matched_filter=False))
-        found[f"bp {name}"] = backproject(preprocess(capture), GRID).values
-        found[f"sparse {name}"] = sparse_recovery(plain, GRID).values
+        results[f"bp {name}"] = backproject(preprocess(capture), GRID).values
+        results[f"sparse {name}"] = sparse_recovery(plain, GRID).values
         print(f"{name}: images", flush=True)
         answer = identify(PreparedCapture(capture), layouts).to_dict()
         said = {key: answer[key] for key in ("status", "layout", "rotation_deg", "lead")}
-        found[f"answer {name}"] = np.array(json.dumps(said))
+        results[f"answer {name}"] = np.array(json.dumps(said))
         print(f"{name}: {answer['status']} {answer['layout'] or ''}", flush=True)
-        np.savez_compressed(out, **found)
+        np.savez_compressed(out, **results)
     first = preprocess(captures[OBJECTS[0]], settings=PreprocessSettings(matched_filter=False))
-    found[f"ats {OBJECTS[0]}"] = fit(first, GRID, AtsSettings(steps=_ATS_STEPS)).image.values
-    np.savez_compressed(out, **found)
+    results[f"ats {OBJECTS[0]}"] = fit(first, GRID, AtsSettings(steps=_ATS_STEPS)).image.values
+    np.savez_compressed(out, **results)
 
 
 def compare(first: Path, second: Path) -> None:

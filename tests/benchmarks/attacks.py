@@ -38,23 +38,23 @@ def load() -> list[Attack]:
     for module in pkgutil.iter_modules(attacks.__path__):
         importlib.import_module(f"tests.attacks.{module.name}")
 
-    names = [one.finding for one in ATTACKS]
+    names = [attack.finding for attack in ATTACKS]
     assert len(names) == len(set(names)), "two attacks of one name"
-    for one in ATTACKS:
-        file, _, name = one.test.partition("::")
+    for item in ATTACKS:
+        file, _, name = item.test.partition("::")
         assert f"def {name.partition('[')[0]}(" in (ROOT / file).read_text(), (
-            f"{one.finding}: no test {one.test}"
+            f"{item.finding}: no test {item.test}"
         )
 
-    def order(one: Attack) -> tuple[str, int, str]:
-        kind = one.finding.rstrip("0123456789abcdefghij ")
-        digits = "".join(letter for letter in one.finding if letter.isdigit())
-        return kind, int(digits or 0), one.finding
+    def order(item: Attack) -> tuple[str, int, str]:
+        kind = item.finding.rstrip("0123456789abcdefghij ")
+        digits = "".join(letter for letter in item.finding if letter.isdigit())
+        return kind, int(digits or 0), item.finding
 
     return sorted(ATTACKS, key=order)
 
 
-def alone(one: Attack) -> tuple[Outcome, float]:
+def alone(attack: Attack) -> tuple[Outcome, float]:
     """Run an attack in a process of its own; returns its outcome and how long it took, s."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="tagid-attack-", ignore_cleanup_errors=True) as folder:
@@ -65,7 +65,7 @@ def alone(one: Attack) -> tuple[Outcome, float]:
         }  # fmt: skip
         (home / "work").mkdir()
         process = subprocess.Popen(
-            [sys.executable, "-c", INSIDE, str(ROOT), one.finding, str(home / "work")],
+            [sys.executable, "-c", INSIDE, str(ROOT), attack.finding, str(home / "work")],
             env=environment, cwd=home / "work", stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             start_new_session=True,
         )  # fmt: skip
@@ -85,8 +85,8 @@ def alone(one: Attack) -> tuple[Outcome, float]:
 
 def inside(finding: str, folder: str) -> None:
     """One attack, in this process: prints its outcome as JSON."""
-    (one,) = [one for one in load() if one.finding == finding]
-    outcome = one.run(Path(folder))
+    (first,) = [item for item in load() if item.finding == finding]
+    outcome = first.run(Path(folder))
     print(json.dumps({"figure": outcome.figure, "held": outcome.held}), flush=True)
 
 
@@ -98,15 +98,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def attempts(run: Run) -> Iterator[Table]:
     """A row for every attack; it fails where one no longer holds."""
     given, known = run.options, load()
-    chosen = [one for one in known if not given.findings or one.finding in given.findings]
+    chosen = [item for item in known if not given.findings or item.finding in given.findings]
     rows, held = [], 0
-    for one in chosen[:3] if run.quick else chosen:
-        outcome, seconds = alone(one)
+    for entry in chosen[:3] if run.quick else chosen:
+        outcome, seconds = alone(entry)
         held += outcome.held
         state = "yes" if outcome.held else "**no**"
-        run.say(f"{one.finding}: {outcome.figure}, holds: {state}, {seconds:.0f} s")
+        run.say(f"{entry.finding}: {outcome.figure}, holds: {state}, {seconds:.0f} s")
         rows.append(
-            (one.finding, one.title, one.before, outcome.figure, state, f"{seconds:.0f}", f"`{one.test}`")
+            (
+                entry.finding,
+                entry.title,
+                entry.before,
+                outcome.figure,
+                state,
+                f"{seconds:.0f}",
+                f"`{entry.test}`",
+            )
         )
     run.failed = held < len(rows)
     columns = ("finding", "attack", "before", "now", "holds", "s", "test")

@@ -106,32 +106,32 @@ RECORDINGS = (
 
 def tagged() -> list[Scene]:
     """Bare tags, round bodies, and bodies that are not round, each with an enrolled layout."""
-    found = [
+    results = [
         Scene("bare tag", f"free{size}_{kind}", None, name)
         for size in (20, 40)
         for kind, name in NAMES.items()
     ]
-    found += [Scene("bare tag", "free30_c90", None, "container-90")]
+    results += [Scene("bare tag", "free30_c90", None, "container-90")]
     for group, body in (("metal can", "can35"), ("metal can", "can28"), ("metal can", "can40")):
-        found += [Scene(group, body, angles, name) for name, angles in ANGLES.items()]
-    found += [Scene("metal can", "can30_c180", None, "container-180")]
-    found += [Scene("ceramic cup", "cup36", angles, name) for name, angles in ANGLES.items()]
-    found += [Scene("helmet shell", f"shell_h120_{size}", None, "helmet-120") for size in (20, 40)]
-    found += [Scene("mug with a handle", "handle34_c90", None, "container-90")]
-    return [scene for scene in found if _solved(scene)]
+        results += [Scene(group, body, angles, name) for name, angles in ANGLES.items()]
+    results += [Scene("metal can", "can30_c180", None, "container-180")]
+    results += [Scene("ceramic cup", "cup36", angles, name) for name, angles in ANGLES.items()]
+    results += [Scene("helmet shell", f"shell_h120_{size}", None, "helmet-120") for size in (20, 40)]
+    results += [Scene("mug with a handle", "handle34_c90", None, "container-90")]
+    return [scene for scene in results if _solved(scene)]
 
 
 def unnamed() -> list[Scene]:
     """Untagged bodies and fixed foreign tags."""
-    found = [
+    results = [
         Scene(UNNAMED, can, tuple(map(float, angles)), None)
         for can in ("can35", "can28")
         for angles in FOREIGN_DEG
     ]
     names = ("shell", "can35_handle", "free20_one", "free40_one", "can30_foreign", "free20_foreign")
     names += ("cup36", "handle34", "box", "can30", "can40")
-    found += [Scene(UNNAMED, name, None, None) for name in names]
-    return [scene for scene in found if _solved(scene)]
+    results += [Scene(UNNAMED, name, None, None) for name in names]
+    return [scene for scene in results if _solved(scene)]
 
 
 def drawn(number: int) -> tuple[Scene, Recording]:
@@ -140,7 +140,7 @@ def drawn(number: int) -> tuple[Scene, Recording]:
     bodies = [body for body in DRAWN_BODIES if known(f"{body}_one")]
     body = bodies[int(rng.integers(len(bodies)))]
     free = body.startswith("free")
-    layouts = [np.deg2rad(one) for one in ANGLES.values()] + [np.deg2rad([0.0, 120.0, 240.0])]
+    layouts = [np.deg2rad(angle) for angle in ANGLES.values()] + [np.deg2rad([0.0, 120.0, 240.0])]
     while True:
         count = int(rng.choice([1, 2, 2, 3, 3, 4, 5] if free else [0, 1, 2, 2, 2, 3, 3, 4, 5]))
         angles = np.sort(rng.uniform(0, 2 * np.pi, count))
@@ -150,7 +150,11 @@ def drawn(number: int) -> tuple[Scene, Recording]:
         gaps = gaps_deg(angles) if count > 1 else np.full(1, 360.0)
         if count > 1 and 2 * RING_M * np.sin(np.deg2rad(min(gaps.min(), 180.0)) / 2) < LEAST_M:
             continue
-        if all(difference_deg(gaps, gaps_deg(own)) > APART_DEG for own in layouts if len(own) == len(angles)):
+        if all(
+            difference_deg(gaps, gaps_deg(layout)) > APART_DEG
+            for layout in layouts
+            if len(layout) == len(angles)
+        ):
             break
     recording = Recording(
         views=int(rng.choice([18, 36, 36, 72])),
@@ -198,17 +202,17 @@ def generator() -> ModuleType:
 def _reference(base: str, name: str) -> str:
     """Response whose echo is that of one reflector of the tag, at the frequencies of the object's."""
     made = generator()
-    own = made.response(name)[0]
-    if known(f"{base}_one") and len(made.response(f"{base}_one")[0]) == len(own):
+    reply = made.response(name)[0]
+    if known(f"{base}_one") and len(made.response(f"{base}_one")[0]) == len(reply):
         return f"{base}_one" if base.startswith("free") else f"{base}_one-{base}"
     size = "40" if name.endswith("40") or (base, name) == ("shell", "shell_h120") else "20"
     single = f"free{size}_one"
     frequency, values = made.response(single)
-    if len(own) == len(frequency):
+    if len(reply) == len(frequency):
         return single
-    step = (len(frequency) - 1) // (len(own) - 1)
-    made._cache[f"{single} at {len(own)}"] = (frequency[::step], values[::step])
-    return f"{single} at {len(own)}"
+    step = (len(frequency) - 1) // (len(reply) - 1)
+    made._cache[f"{single} at {len(reply)}"] = (frequency[::step], values[::step])
+    return f"{single} at {len(reply)}"
 
 
 def _ring_of(name: str, angles_deg: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -236,10 +240,10 @@ def captured(scene: Scene, recording: Recording, seed: int) -> Capture:
         if base.startswith("free"):
             made._cache[name] = _ring_of(f"{base}_one", scene.angles_deg)
         else:
-            frequency, own = made.response(f"{base}_one")
+            frequency, reply = made.response(f"{base}_one")
             body = made.response(base)[1]
-            order = np.fft.fftfreq(own.shape[2], 1 / own.shape[2])
-            turned = sum((own - body) * np.exp(-1j * order * np.deg2rad(a)) for a in scene.angles_deg)
+            order = np.fft.fftfreq(reply.shape[2], 1 / reply.shape[2])
+            turned = sum((reply - body) * np.exp(-1j * order * np.deg2rad(a)) for a in scene.angles_deg)
             made._cache[name] = (frequency, body + turned)
     rng = np.random.default_rng([seed, 17, zlib.crc32(name.encode())])
     turn = rng.uniform(0, 2 * np.pi)

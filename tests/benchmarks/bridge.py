@@ -143,8 +143,8 @@ def throughput(run: Run) -> Iterator[Table]:
     rows = []
     for interval in (0.0, 30.0):
         runs = [asyncio.run(measure(interval, seed, run.quick)) for seed in range(seeds)]
-        middle = {key: statistics.median(one[key] for one in runs) for key in runs[0]}
-        worst, lost = max(one["stopped"] for one in runs), sum(one["lost"] for one in runs)
+        middle = {key: statistics.median(run[key] for run in runs) for key in runs[0]}
+        worst, lost = max(run["stopped"] for run in runs), sum(run["lost"] for run in runs)
         times = [f"{middle[key]:.1f}" for key in ("echo_median", "stream_median", "stream_99")]
         rows.append(
             (

@@ -52,13 +52,13 @@ def starts(run: Run) -> Iterator[Table]:
         cost(("-m", "tagid", *words), run.folder, environment)
     for words in COMMANDS.values():
         cost(words, run.folder, environment)
-    found: dict[str, list[tuple[float, float]]] = {what: [] for what in COMMANDS}
+    results: dict[str, list[tuple[float, float]]] = {what: [] for what in COMMANDS}
     for _ in range(run.number(7, 2)):
         for what, words in COMMANDS.items():
-            found[what].append(cost(words, run.folder, environment))
-    base = min(seconds for seconds, _ in found["python -c pass"])
+            results[what].append(cost(words, run.folder, environment))
+    base = min(seconds for seconds, _ in results["python -c pass"])
     rows = []
-    for what, costs in found.items():
+    for what, costs in results.items():
         seconds, memory = min(costs)[0], max(megabytes for _, megabytes in costs)
         limit = f"{LIMITS[what]:g}" if what in LIMITS else ""
         rows.append((f"`{what}`", f"{1e3 * seconds:.0f}", f"{seconds / base:.1f}", limit, f"{memory:.0f}"))

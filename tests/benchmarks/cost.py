@@ -128,9 +128,9 @@ def rivals(run: Run) -> Iterator[Table]:
         rows = []
         for name, ours, other, theirs in pairs:
             rounds = [(best(ours, 1)[0], best(theirs, 1)[0]) for _ in range(repeats)]
-            one, two = (min(times) for times in zip(*rounds, strict=True))
-            ratio, word = max(two / one, one / two), "faster" if one < two else "slower"
-            rows.append([name, f"{one * 1e3:.1f}", other, f"{two * 1e3:.1f}", f"{ratio:.1f}", word])
+            first, two = (min(times) for times in zip(*rounds, strict=True))
+            ratio, word = max(two / first, first / two), "faster" if first < two else "slower"
+            rows.append([name, f"{first * 1e3:.1f}", other, f"{two * 1e3:.1f}", f"{ratio:.1f}", word])
             run.say(str(rows[-1]))
     columns = ("image", "wall (ms)", "beside", "wall (ms) ", "ratio", "tagid is")
     yield Table(columns, rows, f"One scene, best of {repeats}, wall clock, all cores.")
@@ -268,9 +268,9 @@ def growth(run: Run) -> Iterator[Table]:
         run.say(str(rows[-1]))
     figures = []
     if run.pictures:
-        for kind, found in plotted.items():
-            lines = {name: [np.log10(1e3 * s[name]) for _, s in found] for name in ("BP", "FISTA", "ATS")}
-            x = [float(np.log10(at)) for at, _ in found]
+        for kind, result in plotted.items():
+            lines = {name: [np.log10(1e3 * s[name]) for _, s in result] for name in ("BP", "FISTA", "ATS")}
+            x = [float(np.log10(at)) for at, _ in result]
             curves(
                 x,
                 lines,
@@ -307,7 +307,7 @@ def engines(run: Run) -> Iterator[Table]:
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for views in (36, 360):
-            found, scene = {}, str(Path(folder) / "scene")
+            result, scene = {}, str(Path(folder) / "scene")
             Path(scene).write_bytes(pickle.dumps(scans(views)))
             for engine in ("torch", "onnx"):
                 out = str(Path(folder) / f"{engine}.npy")
@@ -317,9 +317,9 @@ def engines(run: Run) -> Iterator[Table]:
                     [sys.executable, "-c", code], capture_output=True, text=True, check=True
                 )
                 seconds, megabytes = map(float, done.stdout.split())
-                found[engine] = (seconds, megabytes, np.load(out))
-            torch_s, torch_mb, torch_image = found["torch"]
-            onnx_s, onnx_mb, onnx_image = found["onnx"]
+                result[engine] = (seconds, megabytes, np.load(out))
+            torch_s, torch_mb, torch_image = result["torch"]
+            onnx_s, onnx_mb, onnx_image = result["onnx"]
             difference = float(np.linalg.norm(torch_image - onnx_image) / np.linalg.norm(torch_image))
             rows.append(
                 [
@@ -376,17 +376,17 @@ def priors(run: Run) -> Iterator[Table]:
                 partial(fit_adapted, raw, grid, AtsSettings()),
             )
             took = [once(work)[1] for work in works]
-            told = {
+            reported = {
                 m: reconstruct(capture, replace(settings, method=m)).image.settings for m in ("sparse", "ats")
             }
-            judged = [told[m]["held_out"]["residual"] for m in ("sparse", "ats")]
-            plain, noise = (told["ats"]["held_out"][key] for key in ("backprojection", "noise"))
+            judged = [reported[m]["held_out"]["residual"] for m in ("sparse", "ats")]
+            plain, noise = (reported["ats"]["held_out"][key] for key in ("backprojection", "noise"))
             rows.append(
                 [f"{family}, {radar}", str(views), *(f"{1e3 * t:.0f}" for t in took)]
                 + [
                     f"{took[1] / took[0]:.1f}",
                     f"{took[2] / took[0]:.1f}",
-                    told["ats"].get("prior", "no trial"),
+                    reported["ats"].get("prior", "no trial"),
                 ]
                 + [f"{100 * share:.1f}" for share in (noise, plain, *judged)]
             )

@@ -109,6 +109,6 @@ def runs(run: Run) -> Iterator[Table]:
         f"real time over UDP. {named} of {count} runs named the object, in {took[len(took) // 2]:.0f} s "
         f"(median)."
     )
-    counts = collections.Counter((one.status, one.layout or "", one.code) for one in outcomes)
+    counts = collections.Counter((outcome.status, outcome.layout or "", outcome.code) for outcome in outcomes)
     rows = [(*answer, count) for answer, count in counts.most_common()]
     yield Table(("answer", "layout", "exit code", "runs"), rows, note)

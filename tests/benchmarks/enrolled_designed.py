@@ -120,15 +120,15 @@ def designed_scenes(
     numbers: int, offsets_mm: tuple[int, ...], snrs_db: tuple[int, ...]
 ) -> list[DesignedScene]:
     """Every layout of every carrier in every size and SNR, at one offset each; and what has no name."""
-    found = []
+    results = []
     for number in range(numbers):
         for c, carrier in enumerate(CARRIERS):
             for size in carrier.sizes_mm:
                 for i, snr in enumerate(snrs_db):
                     for what in range(-1 - FOREIGN, len(carrier.family)):
                         offset = offsets_mm[(what + size // 20 + i + number) % len(offsets_mm)]
-                        found.append(DesignedScene(c, what, size, offset, snr, number))
-    return found
+                        results.append(DesignedScene(c, what, size, offset, snr, number))
+    return results
 
 
 def _foreign(scene: DesignedScene) -> Layout:
@@ -138,13 +138,13 @@ def _foreign(scene: DesignedScene) -> Layout:
     radius = max(float(np.hypot(*place)) for place in carrier.family[0].positions)
     while True:
         angles = rng.uniform(0, 2 * np.pi, int(rng.integers(2, 5)))
-        places = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        gaps = np.linalg.norm(places[:, None] - places[None], axis=2)
+        positions = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        gaps = np.linalg.norm(positions[:, None] - positions[None], axis=2)
         if (gaps + np.eye(len(angles))).min() < SPACING_M:
             continue
-        layout = Layout("foreign", places)
-        alike = [one for one in carrier.family if one.size == layout.size]
-        if all(rotational_distance(layout, one).rms_m > APART_M for one in alike):
+        layout = Layout("foreign", positions)
+        alike = [item for item in carrier.family if item.size == layout.size]
+        if all(rotational_distance(layout, item).rms_m > APART_M for item in alike):
             return layout
 
 
@@ -187,7 +187,7 @@ def _superposed(
     made: ModuleType, body: str, single: str, layout: Layout
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """Frequencies and response (F, ring, order) of a body and reflectors, as `scenes.response` returns."""
-    frequency, own = made.response(body)
+    frequency, reply = made.response(body)
     around = np.exp(2j * np.pi * np.arange(AZIMUTHS) / AZIMUTHS)
     rings = []
     for distance, polarisation in RINGS:
@@ -201,7 +201,7 @@ def _superposed(
             _, part = made.view(single, np.hypot(np.abs(toward), height), np.angle(toward), polarisation)
             total += part.T
         rings.append(total * carrier)
-    return frequency, own + np.fft.fft(np.stack(rings, axis=1), axis=2) / AZIMUTHS
+    return frequency, reply + np.fft.fft(np.stack(rings, axis=1), axis=2) / AZIMUTHS
 
 
 @cache

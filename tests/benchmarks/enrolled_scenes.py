@@ -62,8 +62,8 @@ def scene_maker() -> ModuleType:
         if "+" not in name:
             return plain(name)
         first, second = name.split("+")
-        frequencies, own = response(first)
-        return frequencies, own + response(second)[1]
+        frequencies, reply = response(first)
+        return frequencies, reply + response(second)[1]
 
     module.response = response
     return module
@@ -73,9 +73,9 @@ def capture_of(solved: str, key: str, snr_db: float, offset_mm: float, views: in
     """A capture of a solved object, the same for the same key; SNR against one reflector of its tag."""
     rng = np.random.default_rng(zlib.crc32(f"{solved}/{key}/{snr_db}/{offset_mm}/{views}".encode()))
     base = solved.split("_")[0]
-    one = f"free{'40' if solved.endswith('40') else '20'}_one" if base == "shell" else f"{base}_one-{base}"
+    single = f"free{'40' if solved.endswith('40') else '20'}_one" if base == "shell" else f"{base}_one-{base}"
     offset = offset_mm * 1e-3 * np.exp(2j * np.pi * rng.uniform())
-    return recorded(solved, rng, one, views, offset, snr_db)
+    return recorded(solved, rng, single, views, offset, snr_db)
 
 
 def recorded(
@@ -132,13 +132,13 @@ def enrolled(solved: str, kind: SignatureKind) -> Signature:
 
 def scenes(numbers: int) -> list[Scene]:
     """Every scene of solved objects."""
-    found = []
+    results = []
     for offset in OFFSETS_MM:
         for snr in SNRS_DB:
             for number in range(numbers):
                 place = (offset, snr, number)
-                found += [Scene("body", solved, name, *place) for solved, name in ON_BODIES.items()]
-                found += [Scene("body", solved, "", *place) for solved in FOREIGN_ON_BODIES]
-                found += [Scene("object", solved, slug(solved), *place) for solved in OBJECTS]
-                found += [Scene("object", solved, "", *place) for solved in FOREIGN_OBJECTS]
-    return found
+                results += [Scene("body", solved, name, *place) for solved, name in ON_BODIES.items()]
+                results += [Scene("body", solved, "", *place) for solved in FOREIGN_ON_BODIES]
+                results += [Scene("object", solved, slug(solved), *place) for solved in OBJECTS]
+                results += [Scene("object", solved, "", *place) for solved in FOREIGN_OBJECTS]
+    return results

@@ -98,9 +98,9 @@ def measure(clock: FastClock) -> list[Waited]:
         "select": lambda: select.select([], [], [], CHECKED_S),
         "socket": socket_waits,
     }
-    found = []
+    results = []
     for kind, wait in ways.items():
         began, truly = time.monotonic(), clock.true_s()
         wait()
-        found.append(Waited(kind, time.monotonic() - began, clock.true_s() - truly))
-    return found
+        results.append(Waited(kind, time.monotonic() - began, clock.true_s() - truly))
+    return results

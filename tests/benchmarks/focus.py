@@ -91,8 +91,8 @@ def _tried(task: Task) -> Outcome:
     assert focus is not None
     lam, given, guess = scene.wavelength_m, scene.capture.axis_distance_m, focus.best_m
     assert given is not None and guess is not None
-    error, left = (given - scene.true_m) / lam, (guess - scene.true_m) / lam
-    return Outcome(row, focus.reliable, error, left, focus.reason)
+    error, remaining = (given - scene.true_m) / lam, (guess - scene.true_m) / lam
+    return Outcome(row, focus.reliable, error, remaining, focus.reason)
 
 
 def _try_rail(task: Task) -> Outcome:
@@ -111,12 +111,12 @@ def _group(name: str) -> str:
     return "helmet shell" if name.startswith("shell") else "metal cans, bare and tagged"
 
 
-def rows_of(found: list[Outcome]) -> list[list[object]]:
+def rows_of(outcomes: list[Outcome]) -> list[list[object]]:
     """The scenes of every row: taken rightly, between, wrongly, and kept."""
-    rows = list(dict.fromkeys(o.row for o in found))
+    rows = list(dict.fromkeys(o.row for o in outcomes))
     lines = []
     for row in [*rows, ""]:
-        some = [o for o in found if row in ("", o.row)]
+        some = [o for o in outcomes if row in ("", o.row)]
         taken = [o for o in some if o.taken]
         good = sum(abs(o.guess) < 1 / 8 for o in taken)
         wrong = sum(not abs(o.guess) <= 1 / 4 for o in taken)
@@ -127,25 +127,25 @@ def rows_of(found: list[Outcome]) -> list[list[object]]:
     return lines
 
 
-def summary(found: list[Outcome]) -> str:
+def summary(outcomes: list[Outcome]) -> str:
     """The figures of all scenes in two sentences."""
-    taken = [o for o in found if o.taken]
+    taken = [o for o in outcomes if o.taken]
     good = sum(abs(o.guess) < 1 / 8 for o in taken)
     wrong = sum(not abs(o.guess) <= 1 / 4 for o in taken)
-    worse = sum(abs(o.left) > 1 / 8 and abs(o.given) < 1 / 8 for o in found)
-    share, off = good / max(len(taken), 1), 100 * wrong / len(found)
+    worse = sum(abs(o.left) > 1 / 8 and abs(o.given) < 1 / 8 for o in outcomes)
+    share, off = good / max(len(taken), 1), 100 * wrong / len(outcomes)
     sure = wilson(share, max(len(taken), 1))
     return (
-        f"Of {len(found)} scenes {len(taken)} estimates were taken: {good} ({100 * share:.1f} %, 95 % "
+        f"Of {len(outcomes)} scenes {len(taken)} estimates were taken: {good} ({100 * share:.1f} %, 95 % "
         f"interval {100 * sure.low:.0f} to {100 * sure.high:.0f} %) within an eighth of a wavelength, "
         f"{wrong} ({off:.2f} % of all scenes) off by over a quarter. In {worse} "
         "scenes a given value that was right within an eighth was replaced by one that is not."
     )
 
 
-def without_late(found: list[Outcome]) -> str:
+def without_late(outcomes: list[Outcome]) -> str:
     """The figures without the octahedra whose echo is late as a whole."""
-    taken = [o for o in found if o.taken and "40 mm octahedra" not in o.row]
+    taken = [o for o in outcomes if o.taken and "40 mm octahedra" not in o.row]
     good = sum(abs(o.guess) < 1 / 8 for o in taken)
     return (
         f"Without the rows of 40 mm octahedra {good} of {len(taken)} estimates are within an eighth "
@@ -163,10 +163,10 @@ def turns(seeds: int, first: int) -> list[Task]:
     return tasks
 
 
-def reasons(found: list[Outcome]) -> str:
+def reasons(outcomes: list[Outcome]) -> str:
     """How often each reason was given."""
     counted: Counter[str] = Counter()
-    for reason in (o.reason for o in found if o.reason):
+    for reason in (o.reason for o in outcomes if o.reason):
         reason = "its standard error is too large" if "standard error" in reason else reason
         counted["the image does not stand above the noise" if "dB over" in reason else reason] += 1
     return "Kept:\n\n" + "\n".join(f"- {count} x {reason}" for reason, count in counted.most_common())
@@ -178,18 +178,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _table(run: Run, tasks: list[Task], note: str) -> tuple[list[Outcome], Table]:
-    found = [Outcome(**members) for members in run.each(try_task, tasks).values()]
-    text = f"{note}\n\n{summary(found)}"
-    return found, Table(COLUMNS, rows_of(found), text, below=reasons(found), shown=lambda row: row[2] > 0)
+    results = [Outcome(**members) for members in run.each(try_task, tasks).values()]
+    text = f"{note}\n\n{summary(results)}"
+    return results, Table(
+        COLUMNS, rows_of(results), text, below=reasons(results), shown=lambda row: row[2] > 0
+    )
 
 
 def axis_distance(run: Run) -> Iterator[Table]:
     """Turntable scenes of every family and radar."""
     seeds = run.number(12)
     run.seeds = f"{seeds} scenes per row from {run.options.first} on (full wave: half as many per object)"
-    found, table = _table(run, turns(seeds, run.options.first), NOTE)
+    result, table = _table(run, turns(seeds, run.options.first), NOTE)
     yield table
-    yield Table((), (), without_late(found))
+    yield Table((), (), without_late(result))
 
 
 def path_delay(run: Run) -> Iterator[Table]:

@@ -130,11 +130,11 @@ def mesh() -> Iterator[str]:
         ],
     }
     for kind, meshes in kinds.items():
-        found = {
+        results = {
             label: np.stack([around(build(), 4.0, Ring(1.0, p), 24) for p in "VH"]) for label, build in meshes
         }
-        best = list(found.values())[-1]
-        for label, b in found.items():
+        best = list(results.values())[-1]
+        for label, b in results.items():
             error = np.sqrt((np.abs(b - best) ** 2).mean(1) / (np.abs(best) ** 2).mean(1))
             power = 10 * np.log10((np.abs(b) ** 2).mean(1) / (np.abs(best) ** 2).mean(1))
             yield (
@@ -148,9 +148,9 @@ def distance() -> Iterator[str]:
     can = Mesh.join(shapes.can(0.03, 0.09, 0.01), shapes.tag(0.03, np.array([[0.045, 0.0]]), 3))
     rings = tuple(Ring(d, p) for d in (0.55, 0.7, 0.9, 1.5, 3.0) for p in "VH")
     solved = solve_response("can", can, Sweep(3.9e9, 4.1e9, 2, 48, rings))
-    own = solve_response("can", can, Sweep(3.9e9, 4.1e9, 2, 48))
+    base = solve_response("can", can, Sweep(3.9e9, 4.1e9, 2, 48))
     for i, ring in enumerate(rings):
-        seen = own.seen_from(ring_antennas(ring, 48)[0], ring.polarisation)
+        seen = base.seen_from(ring_antennas(ring, 48)[0], ring.polarisation)
         there = solved.scattering_length_m[:, i].T
         error = np.sqrt((np.abs(seen - there) ** 2).mean() / (np.abs(there) ** 2).mean())
         yield f"distance {ring.distance_m} m {ring.polarisation}: rms error {100 * error:.2f} %"
@@ -164,13 +164,13 @@ def _shared_mesh(name: str, pieces: int, grading: float) -> Mesh:
         tip = 0.04
     angles = {"one": [0], "c90": [0, 90], "c180": [0, 180], "h120": [0, 120, 240]}
     layout = layout.removesuffix("_20").removesuffix("_40")
-    places = [
+    positions = [
         [radius * np.cos(np.deg2rad(a)), radius * np.sin(np.deg2rad(a))] for a in angles.get(layout, [])
     ]
     if name.endswith("_one") and body.startswith("free"):
-        places = [[0.0, 0.0]]
+        positions = [[0.0, 0.0]]
     if layout == "lin":
-        places = [[-0.09, 0.0], [0.0, 0.0], [0.09, 0.0]]
+        positions = [[-0.09, 0.0], [0.0, 0.0], [0.09, 0.0]]
     parts = []
     if body.startswith("can"):
         parts.append(shapes.can(float(body[3:]) / 1e3, 0.1, 0.008))
@@ -178,8 +178,8 @@ def _shared_mesh(name: str, pieces: int, grading: float) -> Mesh:
         parts.append(shapes.helmet((0.078, 0.101, 0.09), 0.02, 0.011, shapes.sheet(2.8, 0.003)))
     if layout == "handle":
         parts.append(shapes.handle(0.037).moved(turn_rad=np.deg2rad(250)))
-    if places:
-        parts.append(shapes.tag(tip, np.array(places), pieces, grading))
+    if positions:
+        parts.append(shapes.tag(tip, np.array(positions), pieces, grading))
     return Mesh.join(*parts)
 
 

@@ -64,19 +64,26 @@ def capture_of(task: Task) -> tuple[Capture, float]:
 def residuals(task: Task) -> dict[str, float | bool | str]:
     """Held-out residual of every method, and what the result of ats says of itself."""
     capture, extent = capture_of(task)
-    found: dict[str, float | bool | str] = {"views": capture.views}
+    results: dict[str, float | bool | str] = {"views": capture.views}
     began = time.process_time()
     for method in METHODS:
         settings = ImagingSettings(method=method, extent_m=extent, pixels=96, focus_m=0.0, free_pixels=True)
         image = reconstruct(capture, settings).image
-        told = image.settings.get("held_out")
-        if told is None:
-            return found
-        found |= {method: told["residual"], "bp": told["backprojection"], "noise": told["noise"] or 0.0}
+        reported = image.settings.get("held_out")
+        if reported is None:
+            return results
+        results |= {
+            method: reported["residual"],
+            "bp": reported["backprojection"],
+            "noise": reported["noise"] or 0.0,
+        }
         if method == "ats":
-            found |= {"said": told["worse_than_backprojection"], "prior": image.settings.get("prior", "-")}
-    found["seconds"] = time.process_time() - began
-    return found
+            results |= {
+                "said": reported["worse_than_backprojection"],
+                "prior": image.settings.get("prior", "-"),
+            }
+    results["seconds"] = time.process_time() - began
+    return results
 
 
 def tasks(first: int, seeds: int, few_seeds: int) -> list[Task]:
@@ -106,13 +113,13 @@ depend on these views. How it is chosen was developed on other seeds, from 5000 
 Found = dict[Task, dict[str, Any]]
 
 
-def scene_rows(found: Found) -> list[tuple[object, ...]]:
+def scene_rows(fits: Found) -> list[tuple[object, ...]]:
     """A row for every family and number of views."""
     lines = []
     for radar in (*RADARS, "full wave"):
         for name in OBJECTS if radar == "full wave" else FAMILIES:
             for views in VIEWS:
-                some = _judged(found, lambda t, key=(radar, name, views): (t.radar, t.family, t.views) == key)
+                some = _judged(fits, lambda t, key=(radar, name, views): (t.radar, t.family, t.views) == key)
                 if some:
                     mean = [f"{100 * np.mean([v[key] for v in some]):.1f}" for key in COLUMNS]
                     lines.append((f"{name}, {radar}", views, len(some), *mean, _worse(some)))
@@ -122,20 +129,20 @@ def scene_rows(found: Found) -> list[tuple[object, ...]]:
 COLUMNS = ("noise", "bp", *METHODS)
 
 
-def _judged(found: Found, of: Callable[[Task], bool]) -> list[dict[str, Any]]:
+def _judged(fits: Found, of: Callable[[Task], bool]) -> list[dict[str, Any]]:
     """Outcomes of the tasks that `of` selects, without those that have no held-out residual."""
-    return [v for t, v in found.items() if of(t) and "bp" in v]
+    return [v for t, v in fits.items() if of(t) and "bp" in v]
 
 
 def _worse(some: list[dict[str, Any]]) -> int:
     return sum(v["ats"] > v["bp"] + 1e-3 for v in some)
 
 
-def view_rows(found: Found) -> list[tuple[object, ...]]:
+def view_rows(fits: Found) -> list[tuple[object, ...]]:
     """Means over all scenes of a number of views, and of the differences between methods in a scene."""
     lines = []
     for views in VIEWS:
-        some = _judged(found, lambda t, n=views: t.views == n)
+        some = _judged(fits, lambda t, n=views: t.views == n)
         if some:
             column = {key: 100 * np.array([v[key] for v in some]) for key in COLUMNS}
             cells = [interval(column[key], 1) for key in COLUMNS]
@@ -144,9 +151,9 @@ def view_rows(found: Found) -> list[tuple[object, ...]]:
     return lines
 
 
-def summary(found: Found) -> str:
+def summary(fits: Found) -> str:
     """How often ATS is worse, and that it says so."""
-    some = _judged(found, lambda _: True)
+    some = _judged(fits, lambda _: True)
     worse = [v for v in some if v["ats"] > v["bp"] + 1e-3]
     said = sum(bool(v["said"]) for v in worse)
     best = sum(v["ats"] <= min(v["bp"], v["sparse"]) for v in some)
@@ -171,16 +178,16 @@ def residual(run: Run) -> Iterator[Table]:
     jobs = [task for task in tasks(given.first_seed, seeds, few) if given.only in (None, task.family)]
     if run.quick:
         jobs = [task for task in jobs if task.views == 36 and task.radar != "17 mm"]
-    found = run.each(residuals, jobs)
+    results = run.each(residuals, jobs)
     columns = ("noise", "backprojection", "FISTA", "ATS")
     differences = ("ATS - backprojection", "ATS - FISTA", "ATS worse")
     yield Table(
         ("views", "n", *columns, *differences),
-        view_rows(found),
-        NOTE.format(summary=summary(found)),
+        view_rows(results),
+        NOTE.format(summary=summary(results)),
         below=BELOW,
     )
-    yield Table(("scenes", "views", "n", *columns, "ATS worse"), scene_rows(found), name="scenes")
+    yield Table(("scenes", "views", "n", *columns, "ATS worse"), scene_rows(results), name="scenes")
 
 
 FEW_VIEWS = (12, 18, 36, 72)
@@ -212,8 +219,8 @@ def left_between(task: Task) -> dict[str, float | str]:
         "sparse": image_without_field(scans, grid, Prior.PIXELS),
         "ats": ats,
     }
-    left = {name: heldout.residual(between, image) for name, image in images.items()}
-    return {**left, "prior": ats.settings.get("prior", "-")}
+    remaining = {name: heldout.residual(between, image) for name, image in images.items()}
+    return {**remaining, "prior": ats.settings.get("prior", "-")}
 
 
 def few_views(run: Run) -> Iterator[Table]:
@@ -228,12 +235,12 @@ def few_views(run: Run) -> Iterator[Table]:
         for views in FEW_VIEWS
         if not run.quick or (family, views) == ("box", 36)
     ]
-    found = run.each(left_between, jobs)
+    results = run.each(left_between, jobs)
     rows = []
     for views in FEW_VIEWS:
-        some = [left for task, left in found.items() if task.views == views]
+        some = [remaining for task, remaining in results.items() if task.views == views]
         if some:
-            ats, sparse, bp = (np.array([left[name] for left in some]) for name in ("ats", "sparse", "bp"))
+            ats, sparse, bp = (np.array([item[name] for item in some]) for name in ("ats", "sparse", "bp"))
             cells = (f"{100 * column.mean():.1f}" for column in (bp, sparse, ats))
             counts = int((ats > sparse + ALIKE).sum()), int((ats < sparse - ALIKE).sum())
             rows.append((views, len(some), *cells, *counts))

@@ -137,9 +137,9 @@ class HiddenPoints(Points):
     half_rad: float
 
     def single(self, index: int) -> Points:
-        one = super().single(index)
-        object.__setattr__(one, "hidden_rad", self.hidden_rad[index : index + 1])
-        return one
+        item = super().single(index)
+        object.__setattr__(item, "hidden_rad", self.hidden_rad[index : index + 1])
+        return item
 
     def returns(self, antennas: np.ndarray) -> Returns:
         seen = super().returns(antennas)

@@ -116,11 +116,11 @@ def score_tag(cell: Cell) -> dict[str, float]:
     """The members of `TAG_COLUMNS`, for a tag on its object, clutter removed."""
     problem = field_problem(cell.case.name, cell.seed)
     image, seconds = problem.image(cell.row)
-    found = localise(pick_peaks(image, MOST_PEAKS), problem.points)
+    located = localise(pick_peaks(image, MOST_PEAKS), problem.points)
     return {
-        "where_mm": found.rmse_m * 1e3,
-        "detected": 100 * found.detected / len(problem.points),
-        "false": float(found.false),
+        "where_mm": located.rmse_m * 1e3,
+        "detected": 100 * located.detected / len(problem.points),
+        "false": float(located.false),
         "held_out": held_out_percent(problem, cell.row),
         "lpips": perceptual(image, problem.truth),
         "psnr_db": psnr(image.values, problem.truth),

@@ -102,17 +102,17 @@ def score_points(cell: PointCell) -> dict[str, float]:
     sharp = f"{cell.row}, bare" in ROWS
     start = time.process_time()
     if cell.row == "oracle":
-        own, seconds = oracle(problem, wavenumber), float("nan")
+        base, seconds = oracle(problem, wavenumber), float("nan")
     elif cell.row == "blank":
-        own, seconds = blank(problem.grid), float("nan")
+        base, seconds = blank(problem.grid), float("nan")
     else:
-        own, _ = problem.image(f"{cell.row}, bare" if sharp else cell.row)
+        base, _ = problem.image(f"{cell.row}, bare" if sharp else cell.row)
         seconds = time.process_time() - start
-    shown = restore(own, wavenumber) if sharp else own
+    shown = restore(base, wavenumber) if sharp else base
     where, missed, false, amplitude = float("nan"), float(len(problem.points)), 0.0, float("nan")
-    if np.any(own.values):
-        found = localise(pick_peaks(own, MOST_PEAKS), problem.points)
-        where, missed, false = found.rmse_m * 1e3, float(found.missed), float(found.false)
+    if np.any(base.values):
+        located = localise(pick_peaks(base, MOST_PEAKS), problem.points)
+        where, missed, false = located.rmse_m * 1e3, float(located.missed), float(located.false)
         amplitude = amplitude_error_db(shown, problem)
     truth = truth_image(problem.points, problem.grid, problem.amplitudes, beam_sigma_m(wavenumber))
     held_out = held_out_percent(problem, cell.row) if cell.row in ROWS else float("nan")
@@ -150,7 +150,7 @@ def points(run: Run) -> Iterator[Table]:
         for seed in range(seeds)
     ]
     scores = run.each(score_points, cells)
-    own, equal = [], []
+    base, equal = [], []
     for views, noise in dict.fromkeys((c.views, c.noise) for c in cells):
         for row in (row for row in every if row in rows):
             some = [score for c, score in scores.items() if (c.views, c.noise, c.row) == (views, noise, row)]
@@ -158,12 +158,12 @@ def points(run: Run) -> Iterator[Table]:
             first = [f"{views}", f"{noise:g}", row, str(len(some))]
             if row not in ("blank", "oracle"):
                 where = f"{interval(column['where_mm'], 2)} ({column['bound_mm'].mean():.2f})"
-                own.append([*first, where, *(interval(column[n], d) for n, d in OWN[1:])])
+                base.append([*first, where, *(interval(column[n], d) for n, d in OWN[1:])])
             equal.append([*first, *(interval(column[n], d) for n, d in EQUAL)])
     heading = ("views", "noise", "method", "seeds")
     yield Table(
         (*heading, *OWN_TITLES),
-        own,
+        base,
         "At each method's own resolution: single pixels for FISTA, OMP and ATS. In brackets the Cramér-Rao "
         "bound. Seconds of processor time.",
         shown=lambda line: line[0] == "36",
@@ -229,7 +229,7 @@ def paper(run: Run) -> Iterator[Table]:
             line = [str(count), row]
             for skip in SKIPS_DEG:
                 some = [s for c, s in scores.items() if (c.count, c.skip_deg, c.row) == (count, skip, row)]
-                means = [float(np.mean([one[name] for one in some])) for name in ("psnr", "lpips")]
+                means = [float(np.mean([item[name] for item in some])) for name in ("psnr", "lpips")]
                 line.append(f"{means[0]:.1f} / {means[1]:.3f}")
             lines.append(line)
     columns = ("reflectors", "method", *(f"every {skip} deg" for skip in SKIPS_DEG))
@@ -250,9 +250,9 @@ def score_close(cell: CloseCell) -> dict[str, float]:
     problem = close_points(36, 0.1, cell.seed, cell.apart_mm / 1000, FINE)
     row = f"{cell.row}, bare" if f"{cell.row}, bare" in ROWS else cell.row
     image, _ = problem.image(row)
-    found = localise(local_maxima(image), problem.points, 0.008)
-    resolved = float(found.missed == 0 and found.false == 0)
-    return {"resolved": resolved, "where_mm": found.rmse_m * 1e3 if resolved else float("nan")}
+    located = localise(local_maxima(image), problem.points, 0.008)
+    resolved = float(located.missed == 0 and located.false == 0)
+    return {"resolved": resolved, "where_mm": located.rmse_m * 1e3 if resolved else float("nan")}
 
 
 def local_maxima(image: Image, threshold: float = 0.5) -> np.ndarray:

@@ -203,8 +203,8 @@ def held_out_percent(problem: Problem, row: str) -> float:
         return float("nan")
     scans, raw = problem.scans(METHODS[method].matched_filter), problem.scans(False)
     if method in ("bp", "bp-raw"):
-        found = check(scans, raw, problem.grid, None)
-        return 100 * found.residual if found is not None else float("nan")
+        checked = check(scans, raw, problem.grid, None)
+        return 100 * checked.residual if checked is not None else float("nan")
     # With the prior and the views a step of the image of all views.
     facts = problem.image(f"{row}, bare")[0].settings if method == "ats" else {}
     prior = Prior.of(facts)
@@ -220,8 +220,8 @@ def held_out_percent(problem: Problem, row: str) -> float:
         return fit(every, problem.grid, replace(ats, seed=problem.seed), unseen=unseen).held_out
 
     field = method == "ats" and prior.field
-    found = check(scans, raw, problem.grid, make, predicted if field else None)
-    return 100 * found.residual if found is not None else float("nan")
+    checked = check(scans, raw, problem.grid, make, predicted if field else None)
+    return 100 * checked.residual if checked is not None else float("nan")
 
 
 def random_points(count: int, views: int, noise: float, seed: int) -> Problem:
@@ -267,8 +267,8 @@ def cramer_rao_mm(
         columns += [at[i], 1j * at[i]]
     jacobian = np.stack([c.ravel() for c in columns], axis=1) / peak
     bound = np.linalg.inv(2 / noise**2 * (jacobian.conj().T @ jacobian).real)
-    each = [bound[4 * i, 4 * i] + bound[4 * i + 1, 4 * i + 1] for i in range(len(points))]
-    return float(1e3 * np.sqrt(np.mean(each)))
+    item = [bound[4 * i, 4 * i] + bound[4 * i + 1, 4 * i + 1] for i in range(len(points))]
+    return float(1e3 * np.sqrt(np.mean(item)))
 
 
 CAN = {"radius_m": 0.033, "height_m": 0.122}

@@ -73,8 +73,8 @@ class Recovered(NamedTuple):
 
 def recover(cell: Cell) -> Recovered:
     """One scene through autofocus and joint calibration."""
-    told = float(np.random.default_rng([FIRST_SEED + cell.seed, 8]).uniform(-0.03, 0.03))
-    problem, truth = wobbling_problem(cell.views, told, cell.wobble, cell.seed)
+    reported = float(np.random.default_rng([FIRST_SEED + cell.seed, 8]).uniform(-0.03, 0.03))
+    problem, truth = wobbling_problem(cell.views, reported, cell.wobble, cell.seed)
     raw, matched = problem.scans(False), problem.scans(True)
     sharp, focus = focus_axis_distance(raw, problem.grid, 0.04)
     focused = matched.with_aperture(sharp.aperture)
@@ -90,7 +90,7 @@ def recover(cell: Cell) -> Recovered:
     images = [backproject(matched, problem.grid).values, backproject(focused, problem.grid).values]
     images += [restore(r.image, raw.wavenumber).values for r in (plain, ahead, joint)]
     return Recovered(
-        told * 1e3,
+        reported * 1e3,
         (focus.axis_distance_m - AXIS_DISTANCE_M) * 1e3,
         (known.axis_distance_m - AXIS_DISTANCE_M) * 1e3,
         known.axis_sigma_m * 1e3,
@@ -108,11 +108,11 @@ def calibration(run: Run) -> Iterator[Table]:
     lines, spots = [], []
     for wobble in (0.0, 0.02):
         for views in (36,) if run.quick else (36, 360):
-            found = [*run.each(recover, [Cell(views, wobble, s) for s in range(seeds)]).values()]
+            results = [*run.each(recover, [Cell(views, wobble, s) for s in range(seeds)]).values()]
             # The same errors in every case: a little apart, so that their bars are seen.
             apart = 0.7 * len(lines)
-            spots += [(r.told + apart, r.focused, r.fitted, r.sigma) for r in found]
-            lines.append(_line(views, wobble, found))
+            spots += [(r.told + apart, r.focused, r.fitted, r.sigma) for r in results]
+            lines.append(_line(views, wobble, results))
     figure = ""
     if run.pictures:
         _recovered_picture(spots, run.pictures / "imaging-calibration.png")
@@ -126,29 +126,29 @@ def calibration(run: Run) -> Iterator[Table]:
     yield Table(columns, lines, below=figure)
 
 
-def _line(views: int, wobble: float, found: list[Recovered]) -> list[str]:
+def _line(views: int, wobble: float, recovered: list[Recovered]) -> list[str]:
     def rms(values: list[float] | np.ndarray) -> float:
         return float(np.sqrt(np.mean(np.square(values))))
 
     def held(z: np.ndarray) -> str:
         return f"{int((np.abs(z) < 1.96).sum())} of {z.size}"
 
-    axis = np.array([r.fitted / r.sigma for r in found])
-    parts = np.concatenate([r.z for r in found])
-    middle = [f"{rms([r.wobble for r in found]):.1f}", f"{rms([r.wobble_left for r in found]):.1f}"]
+    axis = np.array([r.fitted / r.sigma for r in recovered])
+    parts = np.concatenate([r.z for r in recovered])
+    middle = [f"{rms([r.wobble for r in recovered]):.1f}", f"{rms([r.wobble_left for r in recovered]):.1f}"]
     middle += [held(parts), f"{rms(parts):.2f}"]
     return [
         f"{100 * wobble:g}",
         str(views),
-        str(len(found)),
-        f"{rms([r.told for r in found]):.1f}",
-        f"{rms([r.focused for r in found]):.2f}",
-        f"{rms([r.fitted for r in found]):.2f}",
-        f"{rms([r.sigma for r in found]):.2f}",
+        str(len(recovered)),
+        f"{rms([r.told for r in recovered]):.1f}",
+        f"{rms([r.focused for r in recovered]):.2f}",
+        f"{rms([r.fitted for r in recovered]):.2f}",
+        f"{rms([r.sigma for r in recovered]):.2f}",
         held(axis),
         f"{rms(axis):.2f}",
         *(middle if wobble else ["0", "-", "-", "-"]),
-        *(interval(np.array([r.psnr[i] for r in found]), 1) for i in range(5)),
+        *(interval(np.array([r.psnr[i] for r in recovered]), 1) for i in range(5)),
     ]
 
 
@@ -159,10 +159,10 @@ def _recovered_picture(spots: list[tuple[float, ...]], path: Path) -> None:
     axes = Axes(canvas, (100, 50, 590, 400), (-32.0, 32.0), (-most, most))
     axes.grid()
     axes.curve(np.array([-32.0, 32.0]), np.zeros(2), INK, 1.5)
-    for told, focused, fitted, sigma in spots:
-        canvas.circle(axes.place(told, focused), 4, BLUE)
-        axes.curve(np.full(2, told), fitted + 1.96 * sigma * np.array([-1, 1]), ORANGE, 2)
-        canvas.circle(axes.place(told, fitted), 4, ORANGE)
+    for reported, focused, fitted, sigma in spots:
+        canvas.circle(axes.place(reported, focused), 4, BLUE)
+        axes.curve(np.full(2, reported), fitted + 1.96 * sigma * np.array([-1, 1]), ORANGE, 2)
+        canvas.circle(axes.place(reported, fitted), 4, ORANGE)
     for i, (name, colour) in enumerate((("autofocus", BLUE), ("ATS, 95 % bars", ORANGE))):
         canvas.circle((625, 70 + 28 * i), 4, colour)
         canvas.text((648, 70 + 28 * i), name, 17, anchor="lm")
@@ -261,15 +261,15 @@ def pulses(run: Run) -> Iterator[Table]:
     lines = []
     for kind, views, snr_db in cases[:: len(cases) // len(kinds)] if run.quick else cases:
         cells = [PulseCell(kind, views, snr_db, seed) for seed in range(seeds)]
-        found = [*run.each(try_pulses, cells).values()]
-        taken = sum(r.taken for r in found)
-        like = [interval(np.array([r.likeness[i] for r in found]), 3) for i in (0, 1)]
-        change = np.array([r.psnr[:, 2] - r.psnr[:, 0] for r in found])
+        results = [*run.each(try_pulses, cells).values()]
+        taken = sum(r.taken for r in results)
+        like = [interval(np.array([r.likeness[i] for r in results]), 3) for i in (0, 1)]
+        change = np.array([r.psnr[:, 2] - r.psnr[:, 0] for r in results])
         for i, method in enumerate(PULSE_ROWS):
-            quality = [interval(np.array([r.psnr[i, j] for r in found]), 1) for j in range(3)]
-            where = [interval(np.array([r.where[i, j] for r in found]), 1) for j in range(3)]
+            quality = [interval(np.array([r.psnr[i, j] for r in results]), 1) for j in range(3)]
+            where = [interval(np.array([r.where[i, j] for r in results]), 1) for j in range(3)]
             worst = f"{change[:, i].min():+.1f}"
-            first = [kind, str(views), f"{snr_db:g}", f"{taken} of {len(found)}", *like]
+            first = [kind, str(views), f"{snr_db:g}", f"{taken} of {len(results)}", *like]
             lines.append([*first, METHODS[method].title, *quality, worst, *where])
     columns = (
         "pulse", "views", "SNR (dB)", "taken", "likeness of nominal", "of estimate", "method",
@@ -336,11 +336,11 @@ def score_rail(cell: RailCell) -> dict[str, float]:
     focus = result.region.focus
     error = 1e3 * (focus.delay_m - delay) if focus is not None else float("nan")
     image = result.image
-    found = localise(pick_peaks(image, 2, separation_m=0.3) + image.centre_m, RAIL_POINTS, 0.15)
+    located = localise(pick_peaks(image, 2, separation_m=0.3) + image.centre_m, RAIL_POINTS, 0.15)
     return {
         "delay_mm": error,
-        "detected": found.detected,
-        "where_mm": found.rmse_m * 1e3,
+        "detected": located.detected,
+        "where_mm": located.rmse_m * 1e3,
         "seconds": seconds,
         "refused": 0.0,
     }
@@ -352,11 +352,11 @@ def rails(run: Run) -> Iterator[Table]:
     run.seeds = f"0 to {seeds - 1}"
     paths = RAILS[:1] if run.quick else RAILS
     cells = [RailCell(p, seed, m) for p in paths for m in RAIL_ROWS for seed in range(seeds)]
-    found = run.each(score_rail, cells)
+    results = run.each(score_rail, cells)
     lines = []
     for path in paths:
         for method in RAIL_ROWS:
-            some = [found[c] for c in cells if (c.path, c.method) == (path, method)]
+            some = [results[c] for c in cells if (c.path, c.method) == (path, method)]
             column = {name: np.array([s[name] for s in some], dtype=float) for name in some[0]}
             delay = np.sqrt(np.mean(column["delay_mm"] ** 2))
             refused = f"{column['refused'].sum():.0f}"

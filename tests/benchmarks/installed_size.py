@@ -32,13 +32,13 @@ def megabytes(folder: Path) -> float:
 
 def packages(site: Path) -> Counter[str]:
     """MB of each package in a site-packages folder; those of the environment itself as one."""
-    found: Counter[str] = Counter()
+    counter: Counter[str] = Counter()
     for entry in site.iterdir():
         name = WITH.get(entry.name, entry.name.split("-")[0])
         if name in ("pip", "setuptools", "pkg_resources", "_distutils_hack"):
             name = "pip and setuptools"
-        found[name] += megabytes(entry) if entry.is_dir() else entry.stat().st_size / 1e6
-    return found
+        counter[name] += megabytes(entry) if entry.is_dir() else entry.stat().st_size / 1e6
+    return counter
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +59,7 @@ def sizes(run: Run) -> Iterator[Table]:
     largest = [package for package, _ in plain.most_common(SHOWN)]
     rows = [(package, f"{plain[package]:.0f}", f"{compiled[package]:.0f}") for package in largest]
     rest, more = (
-        sum(size for name, size in each.items() if name not in largest) for each in (plain, compiled)
+        sum(size for name, size in item.items() if name not in largest) for item in (plain, compiled)
     )
     rows.append(("the rest", f"{rest:.0f}", f"{more:.0f}"))
     note = f"Environment: {bare:.0f} MB, with byte code {megabytes(folder):.0f} MB."

@@ -81,8 +81,8 @@ class Result:
 def load() -> list[Module]:
     """The modules of `FILE`."""
     return [
-        Module(one["file"], tuple(one["tests"]), tuple(Mutant(*each) for each in one["mutants"]))
-        for one in tomllib.loads(FILE.read_text(encoding="utf-8"))["module"]
+        Module(item["file"], tuple(item["tests"]), tuple(Mutant(*mutant) for mutant in item["mutants"]))
+        for item in tomllib.loads(FILE.read_text(encoding="utf-8"))["module"]
     ]
 
 
@@ -110,7 +110,7 @@ def faults(run: Run) -> Iterator[Table]:
 
     with ThreadPoolExecutor(PROCESSES) as pool:
         try:
-            results = [result for each in pool.map(tried, modules) for result in each]
+            results = [result for item in pool.map(tried, modules) for result in item]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             _stopped.set()
@@ -173,8 +173,8 @@ def try_all(copy: Path, module: Module) -> list[Result]:
     source = path.read_text(encoding="utf-8")
     for mutant in module.mutants:
         if source.count(mutant.was) != 1 or mutant.was == mutant.now:
-            found = f"text found {source.count(mutant.was)} times: change {FILE.name}"
-            results.append(Result(module, mutant, False, found))
+            result = f"text found {source.count(mutant.was)} times: change {FILE.name}"
+            results.append(Result(module, mutant, False, result))
         else:
             write(path, source.replace(mutant.was, mutant.now))
             survived, output = run_tests(copy, module.tests, limit_s)
@@ -222,9 +222,9 @@ def report(results: list[Result]) -> Iterator[Table]:
     """The tables, of the last run of each module."""
     rows = []
     for package, group in itertools.groupby(results, key=lambda result: result.module.file.split("/")[1]):
-        found = list(group)
-        trees = ", ".join(sorted({result.tree for result in found}))
-        rows.append((package, len(found), sum(result.killed for result in found), trees))
+        outcome = list(group)
+        trees = ", ".join(sorted({result.tree for result in outcome}))
+        rows.append((package, len(outcome), sum(result.killed for result in outcome), trees))
     note = f"{sum(result.killed for result in results)} of {len(results)} killed."
     yield Table(("package", "faults", "killed", "commit"), rows, note)
     columns = ("file", "was", "fault")

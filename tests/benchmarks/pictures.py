@@ -23,15 +23,15 @@ def picture_grid(
     path: Path,
 ) -> None:
     """Magnitudes in dB below each one's maximum: rows of scenes, columns of methods."""
-    side, gap, left, top = 150, 22, 118, 56
-    width = left + len(columns) * (side + gap) + 90
+    side, gap, remaining, top = 150, 22, 118, 56
+    width = remaining + len(columns) * (side + gap) + 90
     canvas = Canvas(width, top + len(rows) * (side + 46) + 10)
     for j, name in enumerate(columns):
-        canvas.text((left + j * (side + gap) + side / 2, 30), name, 17, anchor="mm")
+        canvas.text((remaining + j * (side + gap) + side / 2, 30), name, 17, anchor="mm")
     for i, (line, extent) in enumerate(zip(pictures, extents_m, strict=True)):
         y = top + i * (side + 46)
         for j, values in enumerate(line):
-            x = left + j * (side + gap)
+            x = remaining + j * (side + gap)
             axes = Axes(
                 canvas, (x, y, x + side, y + side), (-extent / 2, extent / 2), (-extent / 2, extent / 2)
             )
@@ -39,8 +39,8 @@ def picture_grid(
             canvas.line([(x, y), (x + side, y), (x + side, y + side), (x, y + side), (x, y)], INK, 1)
         for k, word in enumerate(_wrap(rows[i], 12)):
             canvas.text((8, y + 14 + 20 * k), word, 16)
-        canvas.text((left, y + side + 6), f"{extent:g} m", 15)
-    x = left + len(columns) * (side + gap)
+        canvas.text((remaining, y + side + 6), f"{extent:g} m", 15)
+    x = remaining + len(columns) * (side + gap)
     colour_bar(canvas, (x, top, x + 16, top + side), DYNAMIC_RANGE_DB)
     canvas.save(path)
 

@@ -115,10 +115,12 @@ def differences(run: Run) -> Iterator[Table]:
             differences[row].append(measured - planned)
         run.say(f"{case}: planned {planned:.1f}, measured {measured:.1f} dB")
     rows = []
-    for row, found in sorted(differences.items()):
-        within = sum(abs(value) <= 1 for value in found)
-        worst = max(found, key=abs)
-        rows.append((row, len(found), f"{np.mean(found):+.2f}", f"{worst:+.2f}", f"{within} of {len(found)}"))
+    for row, result in sorted(differences.items()):
+        within = sum(abs(value) <= 1 for value in result)
+        worst = max(result, key=abs)
+        rows.append(
+            (row, len(result), f"{np.mean(result):+.2f}", f"{worst:+.2f}", f"{within} of {len(result)}")
+        )
     below = (
         f"Nothing beyond the noise in {len(unseen)} cases, planned {sorted(round(x, 1) for x in unseen)} dB."
     )

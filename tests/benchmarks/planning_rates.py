@@ -102,7 +102,7 @@ def _named(task: Task) -> str:
         capture, name, layouts = drawn.capture, drawn.name, drawn.layouts
         if task.mode == "enrolled":
             shown = body_scenes.enrolment_captures(cell, "development", FIRST_BODY + turn, tagged=False)
-            captures = [Named(f"capture {i}", aspect_spectra(own)) for i, own in enumerate(shown)]
+            captures = [Named(f"capture {i}", aspect_spectra(base)) for i, base in enumerate(shown)]
             signatures = [enroll_signature(captures, "body", "body").signature]
     answer = identify(capture, layouts, signatures=signatures)
     if answer.status != "identified" or answer.reading is None:
@@ -114,9 +114,9 @@ def rows(outcomes: dict[Task, str]) -> list[Measured]:
     """The rows of the tables."""
     made = []
     for key in dict.fromkeys((t.mode, t.body, t.views, t.snr_db) for t in outcomes):
-        own = [o for t, o in outcomes.items() if (t.mode, t.body, t.views, t.snr_db) == key]
+        matching = [o for t, o in outcomes.items() if (t.mode, t.body, t.views, t.snr_db) == key]
         mode, body, views, snr_db = key
-        counts = len(own), own.count("named"), own.count("wrong")
+        counts = len(matching), matching.count("named"), matching.count("wrong")
         made.append(Measured(body, views, float(snr_db), *counts, enrolled=mode == "enrolled"))
     return made
 
@@ -124,7 +124,7 @@ def rows(outcomes: dict[Task, str]) -> list[Measured]:
 def table(mode: str, outcomes: dict[Task, str]) -> list[str]:
     """The section of a mode."""
     lines = [f"## {TITLES[mode]}", "", "| body | views | SNR dB | scenes | named | wrong |", "|---" * 6 + "|"]
-    for row in rows({task: own for task, own in outcomes.items() if task.mode == mode}):
+    for row in rows({task: base for task, base in outcomes.items() if task.mode == mode}):
         cells = [row.body, str(row.views), f"{row.snr_db:g}", str(row.scenes)]
         for count in (row.named, row.wrong):
             interval = wilson(count / row.scenes, row.scenes)
@@ -150,12 +150,12 @@ def rates(given: argparse.Namespace) -> None:
     work.parent.mkdir(parents=True, exist_ok=True)
     lines = work.read_text().splitlines() if work.is_file() else []
     known = dict(json.loads(line) for line in lines)
-    wanted = [one for one in tasks(given.bare, given.rounds) if one.mode in given.modes][: given.most]
+    wanted = [task for task in tasks(given.bare, given.rounds) if task.mode in given.modes][: given.most]
     missing = [task for task in wanted if task.key not in known]
     with multiprocessing.get_context("fork").Pool(given.jobs) as pool, work.open("a") as file:
-        for task, own in zip(missing, pool.imap(outcome, missing), strict=True):
-            known[task.key] = own
-            file.write(json.dumps([task.key, own]) + "\n")
+        for task, base in zip(missing, pool.imap(outcome, missing), strict=True):
+            known[task.key] = base
+            file.write(json.dumps([task.key, base]) + "\n")
             file.flush()
     outcomes = {task: known[task.key] for task in wanted}
     seeds = f"numbers from {FIRST_BARE} (bare tags) and from {FIRST_BODY} (bodies, development) on"

@@ -73,25 +73,27 @@ class Errors:
     told: np.ndarray
 
 
-def errors(one: Recording) -> Errors:
+def errors(recording: Recording) -> Errors:
     """The errors of the reflectors' places in one recording."""
-    condition = Condition("tagged", one.enrolled, one.views, one.snr_db)
-    scene, name = draw_scene(condition, one.number)
-    if one.own_echoes:
-        scene = with_own_echoes(scene, np.random.default_rng([FIRST_SEED + one.number, 2]))
-    recorded: Recorded = record_scene(scene, name, condition, one.number + 1000 * one.again)
+    condition = Condition("tagged", recording.enrolled, recording.views, recording.snr_db)
+    scene, name = draw_scene(condition, recording.number)
+    if recording.own_echoes:
+        scene = with_own_echoes(scene, np.random.default_rng([FIRST_SEED + recording.number, 2]))
+    recorded: Recorded = record_scene(scene, name, condition, recording.number + 1000 * recording.again)
     scans, _ = focus_axis_distance(recorded.scans, ImageGrid(0.5, 128), 0.03)
     field = MatchedField(fold_views(scans, RADIUS_M), RADIUS_M)
     truth = recorded.positions[:, :2]
-    found, _ = refine_positions(field, truth)
+    refined_spots, _ = refine_positions(field, truth)
     assert scene.points is not None
     object_frame = scene.points.positions[:, :2]
-    pair = best_pairing(found, object_frame)
+    pair = best_pairing(refined_spots, object_frame)
     c, s = np.cos(pair.rotation_rad), np.sin(pair.rotation_rad)
-    left = np.empty_like(found)
-    left[pair.partner] = found @ np.array([[c, s], [-s, c]]) + pair.shift_m - object_frame[pair.partner]
-    told = position_covariances(field, found)
-    return Errors(left, np.sqrt(np.diagonal(told, axis1=1, axis2=2)))
+    remaining = np.empty_like(refined_spots)
+    remaining[pair.partner] = (
+        refined_spots @ np.array([[c, s], [-s, c]]) + pair.shift_m - object_frame[pair.partner]
+    )
+    covariances = position_covariances(field, refined_spots)
+    return Errors(remaining, np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)))
 
 
 def accuracy(run: Run) -> Iterator[Table]:
@@ -104,15 +106,15 @@ def accuracy(run: Run) -> Iterator[Table]:
         for echoes in (False, True):
             for views, snr in conditions:
                 tasks = [Recording(enrolled, echoes, views, snr, i) for i in range(scenes)]
-                found = [*run.each(errors, tasks).values()]
-                made = np.array([one.made for one in found])
-                told = np.array([one.told for one in found])
+                results = [*run.each(errors, tasks).values()]
+                made = np.array([item.made for item in results])
+                reported = np.array([item.told for item in results])
                 # 2 K coordinates less turn and shift leave 2 K - 3.
                 lost = made.size / (made.size - 3 * len(made))
                 rms = 1e3 * np.sqrt(np.mean(made**2) * lost)
                 most = 1e3 * np.quantile(np.abs(made), 0.95) * np.sqrt(lost)
                 what = "shell off the axis, handle, rim" if echoes else "none"
-                told_mm = 1e3 * np.sqrt(np.mean(told**2))
+                told_mm = 1e3 * np.sqrt(np.mean(reported**2))
                 rows.append((enrolled, what, views, snr, f"{rms:.2f}", f"{most:.2f}", f"{told_mm:.2f}"))
     columns = (
         "object",
@@ -134,7 +136,7 @@ def repeated(run: Run, scenes: int, repeats: int = 4) -> Table:
         tasks = [
             Recording(enrolled, True, 36, 20, i, again) for i in range(scenes) for again in range(repeats)
         ]
-        made = np.array([one.made for one in run.each(errors, tasks).values()])
+        made = np.array([item.made for item in run.each(errors, tasks).values()])
         made = made.reshape(scenes, repeats, *made.shape[1:])
         mean = made.mean(axis=1, keepdims=True)
         scatter = np.mean((made - mean) ** 2) * repeats / (repeats - 1)

@@ -168,33 +168,33 @@ def share(count: int, total: int) -> str:
     return f"{count} ({100 * interval.low:.0f} to {100 * interval.high:.0f})"
 
 
-def table(found: Sequence[Answer], before: dict[str, Answer]) -> list[str]:
+def table(answers: Sequence[Answer], before: dict[str, Answer]) -> list[str]:
     """Groups against readers: of tagged scenes right and wrong, of others how many were named."""
     lines = [
         "| scenes | tagged | right | wrong | others | named | rules (before): tagged | right | wrong "
         "| others | named |",
         "|---" * 11 + "|",
     ]
-    for group in (*sorted({a.group for a in found}), "all"):
+    for group in (*sorted({a.group for a in answers}), "all"):
         cells = [group]
-        own = [a for a in found if group in (a.group, "all")]
-        for some in (own, [before[a.key] for a in own if a.key in before]):
+        matching = [a for a in answers if group in (a.group, "all")]
+        for some in (matching, [before[a.key] for a in matching if a.key in before]):
             tagged = [a.outcome for a in some if a.truth is not None]
             others = [a.outcome for a in some if a.truth is None]
             cells += [str(len(tagged)), share(tagged.count("right"), len(tagged)), str(tagged.count("wrong"))]
             cells += [str(len(others)), share(others.count("wrong"), len(others))]
         lines.append("| " + " | ".join(cells) + " |")
-    seconds = [a.seconds for a in found] or [0.0]
+    seconds = [a.seconds for a in answers] or [0.0]
     middle, late = np.quantile(seconds, [0.5, 0.95])
     words = f"Seconds of a reading: median {middle:.2f}, 95 % under {late:.2f}, most {max(seconds):.2f}."
     return [*lines, "", words]
 
 
-def failures(found: Sequence[Answer]) -> list[str]:
+def failures(answers: Sequence[Answer]) -> list[str]:
     """Each tagged scene that was not right, and each name of another."""
     return [
         f"- {a.key}: {a.truth or 'nothing'}, answered {a.outcome} {a.name or ''}".rstrip()
-        for a in found
+        for a in answers
         if a.outcome != "right" and (a.truth or a.outcome == "wrong")
     ]
 
@@ -204,17 +204,17 @@ def section(yardstick: str, given: argparse.Namespace, kept: Answers, before: An
     todo = list(tasks(yardstick, given, kept))
     missing = 0
     with multiprocessing.get_context("fork").Pool(given.jobs) as pool:
-        for there, one in pool.imap(done, [t for t in todo if t.path or t.wanted]):
+        for there, item in pool.imap(done, [t for t in todo if t.path or t.wanted]):
             missing += not there
-            if one is not None:
-                kept.add(one)
-    found = [kept.by_key[t.key] for t in todo if t.key in kept.by_key]
+            if item is not None:
+                kept.add(item)
+    results = [kept.by_key[t.key] for t in todo if t.key in kept.by_key]
     words = " ".join(str(YARDSTICKS[yardstick].__doc__).split())
-    lines = [f"## {yardstick}", "", words, "", *table(found, before.by_key)]
+    lines = [f"## {yardstick}", "", words, "", *table(results, before.by_key)]
     if missing:
         lines.append(f"\n{missing} scenes left out: not solved, or drawn as foreign and an enrolled pair.")
     if given.list:
-        lines += ["", *failures(found)]
+        lines += ["", *failures(results)]
     return [*lines, ""]
 
 

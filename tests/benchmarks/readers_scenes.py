@@ -164,11 +164,11 @@ def _unseen(key: str, name: str, how: unseen_scenes.Recording, circumstances: st
 
 def y4(turn: int) -> Draws:
     """Full-wave objects in two of eight places, each with bodies or objects enrolled; designed layouts."""
-    places = [(o, s) for o in enrolled_scenes.OFFSETS_MM for s in enrolled_scenes.SNRS_DB]
+    positions = [(o, s) for o in enrolled_scenes.OFFSETS_MM for s in enrolled_scenes.SNRS_DB]
     every = [s for s in enrolled_scenes.scenes(turn // 4 + 1) if s.number == turn // 4]
     kinds = list(dict.fromkeys((s.part, s.solved) for s in every))
     for s in every:
-        at = places.index((s.offset_mm, s.snr_db)) - kinds.index((s.part, s.solved)) - turn
+        at = positions.index((s.offset_mm, s.snr_db)) - kinds.index((s.part, s.solved)) - turn
         # A tag of a layout on an object that is not enrolled is right and wrong at once.
         if at % 4 == 0 and (s.part == "body" or s.name or s.solved not in enrolled_scenes.ON_BODIES):
             key = "/".join(map(str, ("y4", *asdict(s).values())))

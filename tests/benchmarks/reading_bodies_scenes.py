@@ -243,10 +243,10 @@ def _standing(cell: Cell, rng: np.random.Generator) -> tuple[_Object, Scene]:
 
 
 def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
-    own = _own_recording(cell, rng)
-    capture, _ = simulate_capture(own.scene, own.acquisition, own.seed)
-    what = f"{own.made.name or cell.group} {own.made.size_mm:g}mm on {own.made.body}"
-    return Drawn(capture, SETS[cell.enrolled], own.made.name, what)
+    base = _own_recording(cell, rng)
+    capture, _ = simulate_capture(base.scene, base.acquisition, base.seed)
+    what = f"{base.made.name or cell.group} {base.made.size_mm:g}mm on {base.made.body}"
+    return Drawn(capture, SETS[cell.enrolled], base.made.name, what)
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +300,7 @@ def enrolment_captures(
     read = _acquisition(cell, rng)
     positions = _enrolled_positions(cell, made, number) if tagged else np.zeros((0, 3))
     shown = _scene(made, "tagged" if tagged else "untagged", positions, rng)
-    found = []
+    results = []
     for i in range(3):
         place, turn = rng.uniform(0, 2 * np.pi, 2)
         off = (2 + 2 * i) * 1e-3
@@ -310,8 +310,8 @@ def enrolment_captures(
             placement=Placement((off * np.cos(place), off * np.sin(place)), turn, read.placement.height_m),
             wobble=read.wobble if tagged else Wobble(),
         )
-        found.append(simulate_capture(shown, acquisition, int(rng.integers(2**32)))[0])
-    return tuple(found)
+        results.append(simulate_capture(shown, acquisition, int(rng.integers(2**32)))[0])
+    return tuple(results)
 
 
 def _enrolled_positions(cell: Cell, made: _Object, number: int) -> np.ndarray:

@@ -84,8 +84,8 @@ class Run:
                     print(json.dumps(entry), file=file, flush=True)
                 now = time.monotonic()
                 if now - shown > SHOWN_S:
-                    left = (now - began) / (number + 1) * (len(rest) - number - 1) / 60
-                    self.say(f"{work.__name__}: {number + 1} of {len(rest)}, {left:.1f} minutes more")
+                    remaining = (now - began) / (number + 1) * (len(rest) - number - 1) / 60
+                    self.say(f"{work.__name__}: {number + 1} of {len(rest)}, {remaining:.1f} minutes more")
                     shown = now
         return {job: done[job] for job in jobs}
 

@@ -45,11 +45,11 @@ def dask(*words: str, ready: str) -> Iterator[str]:
     command = [sys.executable, "-m", f"distributed.cli.{words[0]}", *words[1:]]
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
         assert process.stderr is not None
-        found = next(match for line in process.stderr if (match := re.search(ready, line)))
+        result = next(match for line in process.stderr if (match := re.search(ready, line)))
         reader = threading.Thread(target=process.stderr.read)
         reader.start()
         try:
-            yield found[1]
+            yield result[1]
         finally:
             process.kill()
             reader.join()

@@ -104,16 +104,16 @@ def clean(name: str, seed: int) -> Clean:
 def imagined(turn: Clean, snr_db: float, scans: int, rng: np.random.Generator) -> bool:
     """Whether a stop is found in an object that turns."""
     turns = rng.uniform(1.25, 1.4) if rng.uniform() < 2 / 3 else rng.uniform(0.4, 1.2)
-    told = np.linspace(0, turns, round(scans * turns / TURNS), endpoint=False)
-    true = rng.uniform() + told * rng.uniform(0.87, 1.13)
-    return find_standstill(turn.recorded(true, snr_db, rng), told, NOMINAL_TOLERANCE) is not None
+    reported = np.linspace(0, turns, round(scans * turns / TURNS), endpoint=False)
+    true = rng.uniform() + reported * rng.uniform(0.87, 1.13)
+    return find_standstill(turn.recorded(true, snr_db, rng), reported, NOMINAL_TOLERANCE) is not None
 
 
 def found(turn: Clean, stop: float, pause: float, snr_db: float, scans: int, rng: np.random.Generator) -> str:
     """ "right", "elsewhere" or "none"."""
-    told = np.linspace(0, TURNS, scans, endpoint=False)
-    true = np.where(told < stop, told, np.maximum(stop, told - pause))
-    still = find_standstill(turn.recorded(rng.uniform() + true, snr_db, rng), told, NOMINAL_TOLERANCE)
+    reported = np.linspace(0, TURNS, scans, endpoint=False)
+    true = np.where(reported < stop, reported, np.maximum(stop, reported - pause))
+    still = find_standstill(turn.recorded(rng.uniform() + true, snr_db, rng), reported, NOMINAL_TOLERANCE)
     if still is None:
         return "none"
     ends = [still.first / scans * TURNS - stop, still.stop / scans * TURNS - min(TURNS, stop + pause)]

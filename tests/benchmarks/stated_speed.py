@@ -25,8 +25,8 @@ from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 
 MUGS = {
-    one.name: one
-    for one in design(object_named("mug").with_rows(1), DesignRules(3, 12, 0.04), 4, "mug").layouts
+    layout.name: layout
+    for layout in design(object_named("mug").with_rows(1), DesignRules(3, 12, 0.04), 4, "mug").layouts
 }
 LAYOUTS = {**MUGS, **builtin_layouts()}
 OBJECTS = (
@@ -112,7 +112,7 @@ def contradicted(run: Run) -> Iterator[Table]:
         if case.turns >= 1.3:
             right[outcome(case.resolved(1.0))] += 1
     rows = [
-        (told, f"{wrong[told]} of {wrong.total()}", f"{right[told]} of {right.total()}")
-        for told in sorted(wrong | right)
+        (reported, f"{wrong[reported]} of {wrong.total()}", f"{right[reported]} of {right.total()}")
+        for reported in sorted(wrong | right)
     ]
     yield Table(("told to the user", "wrong speed stated", "right speed stated"), rows)

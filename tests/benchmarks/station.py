@@ -171,7 +171,9 @@ class Page(threading.Thread):
 
 def slope_mb(loads: list[Load]) -> float:
     """Growth of the memory, MB per 1000 scans, by least squares."""
-    return float(np.polyfit([one.scans for one in loads], [one.resident_mb for one in loads], 1)[0] * 1000)
+    return float(
+        np.polyfit([load.scans for load in loads], [load.resident_mb for load in loads], 1)[0] * 1000
+    )
 
 
 def operate(home: Path, plan: Plan) -> Seen:
@@ -207,14 +209,14 @@ def operate(home: Path, plan: Plan) -> Seen:
         work.connections = 0
         before, began = replace(work), time.monotonic()
         idle, true_s = wait_idle(plan, loads[-1].scans)
-        found, seconds = work.since(before), time.monotonic() - began
+        result, seconds = work.since(before), time.monotonic() - began
         for _ in range(plan.after):
             scan_once(station, place)
         page.end()
         after = Load.now(loads[-1].scans + plan.after)
     if plan.with_page:
         page.join(30)
-    return Seen(loads, idle, found, seconds, true_s, after)
+    return Seen(loads, idle, result, seconds, true_s, after)
 
 
 def scan_once(station: Station, place: Path) -> None:
@@ -253,14 +255,15 @@ def wait_idle(plan: Plan, scans: int) -> tuple[list[Load], float]:
         clock = fast_clock.FastClock()
         truly = clock.true_s
         clock.run_at(plan.speed)
-        for one in fast_clock.measure(clock):
+        for item in fast_clock.measure(clock):
             print(
-                f"{one.kind}: {one.seconds:.2f} s on the clock in {one.true_seconds:.3f} s", file=sys.stderr
+                f"{item.kind}: {item.seconds:.2f} s on the clock in {item.true_seconds:.3f} s",
+                file=sys.stderr,
             )
-            assert one.true_seconds < fast_clock.CHECKED_S / plan.speed * TOLERANCE + 0.1, one
+            assert item.true_seconds < fast_clock.CHECKED_S / plan.speed * TOLERANCE + 0.1, item
     began, until = truly(), time.monotonic() + plan.idle_s
-    while (left := until - time.monotonic()) > 0:
-        time.sleep(min(SHOWN_S, left))
+    while (remaining := until - time.monotonic()) > 0:
+        time.sleep(min(SHOWN_S, remaining))
         idle.append(Load.now(scans))
         show(idle[-1])
     true_s = truly() - began

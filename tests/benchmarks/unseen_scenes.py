@@ -71,8 +71,8 @@ class Beside:
     def returns(self, antennas: Floats) -> Returns:
         """As of the body there; waves that go from one body to the other are left out."""
         shift = np.array([*self.place_m, 0.0])
-        own = self.body.returns(antennas - shift)
-        return Returns(own.points + shift, own.amplitudes)
+        base = self.body.returns(antennas - shift)
+        return Returns(base.points + shift, base.amplitudes)
 
 
 def base_of(name: str) -> str:

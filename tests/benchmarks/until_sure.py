@@ -79,15 +79,16 @@ def looks_at(turn: Turn, needed: Callable[[Look], bool]) -> list[Look]:
     return [first, middle, last]
 
 
-def _stored(one: Look) -> Row:
+def _stored(look: Look) -> Row:
     """A look as JSON values."""
-    return {**asdict(one), "score": one.score if math.isfinite(one.score) else None}
+    return {**asdict(look), "score": look.score if math.isfinite(look.score) else None}
 
 
 def _looks(row: Row) -> list[Look]:
     """The looks of a row."""
     return [
-        Look(**{**one, "score": -math.inf if one["score"] is None else one["score"]}) for one in row["looks"]
+        Look(**{**look, "score": -math.inf if look["score"] is None else look["score"]})
+        for look in row["looks"]
     ]
 
 
@@ -96,7 +97,7 @@ def read_null(task: Null) -> Row:
     turn = null_turn(task.purpose, task.number)
     looks = looks_at(turn, lambda middle: middle.layout is not None)
     score = largest(looks) if len(looks) == len(LOOKS) else -math.inf
-    kept = [_stored(one) for one in looks]
+    kept = [_stored(look) for look in looks]
     return {"kind": turn.kind, "looks": kept, "largest": score if math.isfinite(score) else None}
 
 
@@ -116,8 +117,8 @@ def read_tagged(task: Tagged) -> Row:
     looks = looks_at(turn, lambda middle: True)
     every = whole_turn(turn, 0.0)
     rest = whole_turn(turn, SPENT) if every.status == "identified" else every
-    answers = {key: [one.status, one.layout] for key, one in (("rest", rest), ("whole", every))}
-    return {"name": turn.name, "looks": [_stored(one) for one in looks], **answers}
+    answers = {key: [item.status, item.layout] for key, item in (("rest", rest), ("whole", every))}
+    return {"name": turn.name, "looks": [_stored(look) for look in looks], **answers}
 
 
 @dataclass(frozen=True)
@@ -188,12 +189,14 @@ def tag_table(rows: dict[Tagged, Row], calibration: EndingCalibration) -> Table:
     for group in dict.fromkeys(task.group for task in rows):
         some = [row for task, row in rows.items() if task.group == group]
         ends = [ended(row, calibration) for row in some]
-        shares = np.array([one.share for one in ends])
+        shares = np.array([end.share for end in ends])
         cells = [share(int((shares < 1).sum()), len(some))]
         cells += [f"{np.quantile(shares, q, method='higher'):.2f}" for q in (0.5, 0.9)]
-        mine = [outcome(one.status, one.layout, row["name"]) for one, row in zip(ends, some, strict=True)]
-        for each in (mine, [outcome(*row["whole"], row["name"]) for row in some]):
-            wrong, right = each.count("wrong"), each.count("correct")
+        mine = [
+            outcome(first.status, first.layout, row["name"]) for first, row in zip(ends, some, strict=True)
+        ]
+        for item in (mine, [outcome(*row["whole"], row["name"]) for row in some]):
+            wrong, right = item.count("wrong"), item.count("correct")
             cells += [share(right, len(some)), str(wrong), str(len(some) - right - wrong)]
         lines.append((group, len(some), *cells))
     columns = (

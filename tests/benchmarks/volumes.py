@@ -77,13 +77,13 @@ def residuals(cell: Cell) -> dict[str, float]:
         record(points, amplitudes, turn(VIEWS, 1.0, h), start_m=0.5, noise=noise, seed=100 * seed + k)
         for k, h in enumerate(heights)
     ]
-    one, found = join(parts), {}
+    first, result = join(parts), {}
     for method in METHODS:
-        made = reconstruct_volume(one, VolumeSettings(method, 0.24, 32, (-0.12, 0.12), 16))
+        made = reconstruct_volume(first, VolumeSettings(method, 0.24, 32, (-0.12, 0.12), 16))
         held_out = made.volume.settings["held_out"]
-        found[method] = 100 * held_out["residual"]
-        found["noise"] = 100 * (held_out["noise"] or float("nan"))
-    return found
+        result[method] = 100 * held_out["residual"]
+        result["noise"] = 100 * (held_out["noise"] or float("nan"))
+    return result
 
 
 def predicted(run: Run) -> Iterator[Table]:
@@ -91,20 +91,20 @@ def predicted(run: Run) -> Iterator[Table]:
     seeds = run.number(3)
     run.seeds = f"0 to {seeds - 1}"
     kinds = KINDS[:1] if run.quick else KINDS
-    found = run.each(
+    results = run.each(
         residuals, [Cell(name, kind, seed) for name in SETS for kind in kinds for seed in range(seeds)]
     )
     rows = []
     for name in SETS:
         for kind in kinds:
-            some = [values for cell, values in found.items() if (cell.heights, cell.kind) == (name, kind)]
-            columns = [np.array([one[key] for one in some]) for key in (*METHODS, "noise")]
-            rows.append((name, kind, *(interval(each, 1) for each in columns)))
-    better = sum(one["ats"] < one["bp"] for one in found.values())
-    sparser = sum(one["ats"] < one["sparse"] for one in found.values())
+            some = [values for cell, values in results.items() if (cell.heights, cell.kind) == (name, kind)]
+            columns = [np.array([item[key] for item in some]) for key in (*METHODS, "noise")]
+            rows.append((name, kind, *(interval(column, 1) for column in columns)))
+    better = sum(item["ats"] < item["bp"] for item in results.values())
+    sparser = sum(item["ats"] < item["sparse"] for item in results.values())
     below = (
-        f"ATS is below backprojection in {better} of {len(found)} scenes, and below sparse recovery in "
-        f"{sparser} of {len(found)}."
+        f"ATS is below backprojection in {better} of {len(results)} scenes, and below sparse recovery in "
+        f"{sparser} of {len(results)}."
     )
     note = NOTE.format(views=VIEWS, level=LEVEL_DB, seeds=seeds)
     yield Table(("antennas", "scene", "bp", "sparse", "ATS", "noise"), rows, note, below=below)
@@ -134,11 +134,11 @@ def _settings(matched: bool) -> PreprocessSettings:
 def _worst_place_mm(values: np.ndarray, grid: VolumeGrid) -> float:
     """Largest distance of a point from the brightest voxel within 3 cm, or two levels, mm."""
     reach = max(0.03, 2 * float(grid.heights[1] - grid.heights[0]))
-    places, magnitude = grid.points(), np.abs(values).ravel()
+    positions, magnitude = grid.points(), np.abs(values).ravel()
     errors = []
     for point in POINTS:
-        near = np.flatnonzero(np.linalg.norm(places - point, axis=1) < reach)
-        errors.append(1e3 * float(np.linalg.norm(places[near[np.argmax(magnitude[near])]] - point)))
+        near = np.flatnonzero(np.linalg.norm(positions - point, axis=1) < reach)
+        errors.append(1e3 * float(np.linalg.norm(positions[near[np.argmax(magnitude[near])]] - point)))
     return max(errors)
 
 

@@ -31,10 +31,10 @@ def test_a_tag_on_a_can_is_written_with_its_truth(tagid, tmp_path: Path) -> None
     assert truth["snr_reflector_db"] == pytest.approx(10)
     assert truth["snr_summed_db"] > 10
     capture = read_any(tmp_path / "can.tagid.h5")
-    told = capture.object
-    assert (told.body, told.reflector) == ("can:35mm,handle", "octahedron:20mm")
-    assert told.truth.elevation_m == pytest.approx(0.05)
-    assert told.truth.rotation_deg == pytest.approx(30)
+    reported = capture.object
+    assert (reported.body, reported.reflector) == ("can:35mm,handle", "octahedron:20mm")
+    assert reported.truth.elevation_m == pytest.approx(0.05)
+    assert reported.truth.rotation_deg == pytest.approx(30)
     assert capture.pulse is None
     assert capture.antenna_height_m == 0
     # The echo on the wire is that of the can and its handle: far above the tag's.
@@ -53,8 +53,8 @@ def test_both_snrs_are_printed_and_the_option_says_which_it_sets(tagid) -> None:
 
 
 def test_the_help_names_the_values_that_are_accepted(tagid) -> None:
-    told = " ".join(tagid("simulate", "--help").out.split())
-    (line,) = re.findall(r"--snr-of (.*?) --noise-colour ", told)
+    text = " ".join(tagid("simulate", "--help").out.split())
+    (line,) = re.findall(r"--snr-of (.*?) --noise-colour ", text)
     assert all(value in line for value in REFERENCES) and "or sum." not in line
 
 

@@ -22,12 +22,12 @@ def every_command() -> list[str]:
 
     from tagid.cli.app import app
 
-    found: list[str] = []
+    results: list[str] = []
     for name in (root := typer.main.get_group(app)).list_commands(None):
         command = root.get_command(None, name)
         inner = command.list_commands(None) if hasattr(command, "list_commands") else []
-        found += [f"{name} {one}" for one in inner] or [name]
-    return found
+        results += [f"{name} {item}" for item in inner] or [name]
+    return results
 
 
 @pytest.mark.parametrize("command", every_command())
@@ -76,10 +76,12 @@ def test_a_command_has_one_thread_of_linear_algebra_unless_told_otherwise() -> N
         "a = numpy.ones((600, 600), numpy.float32) @ numpy.ones((600, 600), numpy.float32)\n"
         "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('Threads')][0])\n"
     )
-    own = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
 
     def threads(**more: str) -> int:
-        done = subprocess.run([sys.executable, "-c", code], env=own | more, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=environment | more, capture_output=True, text=True
+        )
         assert done.returncode == 0, done.stderr
         return int(done.stdout.split()[-1])
 

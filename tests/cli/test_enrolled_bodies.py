@@ -15,21 +15,21 @@ from bodies_synthetic import MUG, TAG, Thing, capture
 
 
 def write(path: Path, thing: Thing, seed: int, centre: complex, rotation: float, views: int = 48) -> None:
-    one = capture(thing, seed, centre=centre, rotation=rotation, views=views)
+    shown = capture(thing, seed, centre=centre, rotation=rotation, views=views)
     np.savez(
         path,
-        samples=one.samples,
-        range_start_m=one.range_start_m,
-        range_step_m=one.range_step_m,
-        angles_rad=one.angles_rad,
-        axis_distance_m=one.axis_distance_m,
+        samples=shown.samples,
+        range_start_m=shown.range_start_m,
+        range_step_m=shown.range_step_m,
+        angles_rad=shown.angles_rad,
+        axis_distance_m=shown.axis_distance_m,
     )
 
 
 @pytest.fixture
 def files(tmp_path: Path) -> Path:
-    places = ((0.002 - 0.003j, 0.3), (-0.004 + 0.001j, 2.2), (0.001 + 0.005j, 4.4))
-    for i, (centre, turn) in enumerate(places):
+    positions = ((0.002 - 0.003j, 0.3), (-0.004 + 0.001j, 2.2), (0.001 + 0.005j, 4.4))
+    for i, (centre, turn) in enumerate(positions):
         write(tmp_path / f"mug{i}.npz", MUG, i, centre, turn)
         write(tmp_path / f"tagged{i}.npz", MUG.plus(TAG), 10 + i, centre, turn)
     write(tmp_path / "seen.npz", MUG.plus(TAG), 30, 0.004 - 0.004j, 1.0, views=36)
@@ -43,7 +43,7 @@ def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid: Callable[..., Any]
     stored = tagid("enroll", "--body", "mug", *mugs, "--output", "json").json["data"]
     assert stored["stored"] and stored["registry_version"] == 5
     assert stored["signature"]["kind"] == "body"
-    assert all(one["residual_over_noise"] < 1.4 for one in stored["signature"]["captures"])
+    assert all(capture["residual_over_noise"] < 1.4 for capture in stored["signature"]["captures"])
     again = tagid("enroll", "--body", "mug", *mugs)
     assert again.code == 1 and "already enrolled" in again.err
     changed = tagid("enroll", "--body", "other", "mug0.npz", "tagged1.npz", "mug2.npz")
@@ -51,7 +51,7 @@ def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid: Callable[..., Any]
     few = tagid("enroll", "--body", "other", *mugs[:2])
     assert few.code == 1 and "needs 3" in few.err
     listed = tagid("bodies", "--output", "json").json["data"]["signatures"]
-    assert [(one["kind"], one["name"]) for one in listed] == [("body", "mug")]
+    assert [(item["kind"], item["name"]) for item in listed] == [("body", "mug")]
     shown = tagid("bodies", "show", "mug", "--png", "mug.png")
     assert shown.code == 0 and (files / "mug.png").read_bytes().startswith(b"\x89PNG")
     assert tagid("bodies", "show", "nobody").code == 1
@@ -82,7 +82,7 @@ def test_three_simulated_captures_of_one_object_are_enrolled(tagid: Callable[...
 
     same = enrolled("--object-seed", 7)
     assert same.code == 0, same.out
-    assert all(one["residual_over_noise"] < 1.4 for one in same.json["data"]["signature"]["captures"])
+    assert all(capture["residual_over_noise"] < 1.4 for capture in same.json["data"]["signature"]["captures"])
     other = enrolled()
     assert other.code == 1 and "enrollment by signature: " in other.json["errors"][0]["message"]
 

@@ -61,8 +61,8 @@ def test_a_set_that_cannot_be_enrolled_comes_with_options_that_work(
         again = here(*words, *option.split(), "--out", out, TAGID_DATA=data).json["data"]
         assert again["can_be_enrolled"] and here("layouts", "import", out, TAGID_DATA=data).code == 0
         # Sets that differ bear other names, so one can be imported beside the other.
-        names = {one["name"] for one in again["layouts"]}
-        assert not names & {one["name"] for one in five["layouts"]}
+        names = {layout["name"] for layout in again["layouts"]}
+        assert not names & {layout["name"] for layout in five["layouts"]}
     mug = ("layouts", "design", "--object", "mug", "--output", "json")
     narrow = here(*mug, "--count", 2, "--spacing", 0.07)
     assert narrow.code == 2 and narrow.json["errors"][0]["remedy"].startswith("These work: --")
@@ -286,7 +286,7 @@ def test_serial_ports_are_listed_without_bluetooth(here: Callable[..., Ran]) -> 
     from serial.tools import list_ports
 
     ran = here("motion", "find", "--seconds", 0.1, "--output", "json")
-    listed = {one["where"] for one in ran.json["data"]["devices"]}
+    listed = {device["where"] for device in ran.json["data"]["devices"]}
     assert {port.device for port in list_ports.comports()} <= listed
     if listed:
         assert ran.code == 0
@@ -301,8 +301,8 @@ def test_devices_found_without_bluetooth_are_a_success_with_a_note(
     port = MotionDevice(url="roomba+serial:///dev/ttyUSB9", what="USB serial", where="/dev/ttyUSB9")
     monkeypatch.setattr("tagid.motion.discovery.bluetooth_devices", no_bluetooth)
     monkeypatch.setattr("tagid.motion.discovery.serial_devices", lambda: [port])
-    found = here("motion", "find")
-    assert found.code == 0 and "error:" not in found.err and "no Bluetooth controller" in found.err
+    result = here("motion", "find")
+    assert result.code == 0 and "error:" not in result.err and "no Bluetooth controller" in result.err
     document = here("motion", "find", "--output", "json").json
     assert document["status"] == "success" and not document["errors"] and document["messages"]
     monkeypatch.setattr("tagid.motion.discovery.serial_devices", lambda: [])
@@ -349,8 +349,8 @@ def test_a_capture_is_not_joined_with_itself(here: Callable[..., Ran], tmp_path:
 
 def test_a_plan_does_not_promise_a_rate_that_the_table_does_not(here: Callable[..., Ran]) -> None:
     words = ("plan", "--reflector", "octahedron:40mm")
-    told = here(*words, "--want", 0.99)
-    text = " ".join(told.out.split())
+    reported = here(*words, "--want", 0.99)
+    text = " ".join(reported.out.split())
     data = here(*words, "--want", 0.99, "--output", "json").json["data"]
     named, scenes = data["wanted"]["reflector"]["rates"]["named"], data["wanted"]["reflector"]["rates_scenes"]
     assert named[0] >= 0.99 > named[1] and scenes == data["rates_scenes"] < 381

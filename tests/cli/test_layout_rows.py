@@ -11,8 +11,8 @@ SEVERAL = "0,0.3,0.6"
 
 
 def _write(path: Path, name: str, heights: str) -> None:
-    places = "[[0.1, 0.0], [-0.02, 0.08], [-0.05, -0.09]]"
-    path.write_text(f'name = "{name}"\nkind = "other"\npositions_m = {places}\nheights_m = {heights}\n')
+    positions = "[[0.1, 0.0], [-0.02, 0.08], [-0.05, -0.09]]"
+    path.write_text(f'name = "{name}"\nkind = "other"\npositions_m = {positions}\nheights_m = {heights}\n')
 
 
 def test_several_antenna_heights_make_room_for_more_layouts(tagid: Callable[..., Any]) -> None:

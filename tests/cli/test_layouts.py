@@ -69,7 +69,9 @@ def test_neighbours_and_confusion_are_told_before_anything_is_stored(
     assert again.code == 1 and "already enrolled" in again.err
     design = ("layouts", "design", "--rows", 2, "--count", 3, "--enroll", "--output", "json")
     enrolled = tagid(*design).json["data"]
-    assert [one["layout"] for one in enrolled["confusion"]] == [one["name"] for one in enrolled["layouts"]]
+    assert [item["layout"] for item in enrolled["confusion"]] == [
+        layout["name"] for layout in enrolled["layouts"]
+    ]
     assert enrolled["confusion"][0]["nearest"] and enrolled["registry_version"] == 8
     refused = tagid(*design, "--alone").json
     assert refused["exit_code"] == 1 and "could be confused with" in refused["errors"][0]["message"]
@@ -131,9 +133,9 @@ def test_a_capture_of_another_object_is_named_and_nothing_stored(
 def test_capacity_counts_by_views_and_noise(tagid: Callable[..., Any]) -> None:
     words = ("layouts", "capacity", "--object", "mug", "--slots", 8, "--output", "json")
     rows = tagid(*words).json["data"]["rows"]
-    found = {(r["views"], r["snr_db"], r["reflectors"]): r["identities"] for r in rows}
-    assert len(found) == 12
-    assert found[36, 20, 3] >= found[36, 10, 3] > found[36, 0, 3] >= 1
+    results = {(r["views"], r["snr_db"], r["reflectors"]): r["identities"] for r in rows}
+    assert len(results) == 12
+    assert results[36, 20, 3] >= results[36, 10, 3] > results[36, 0, 3] >= 1
     assert all(r["error_rate"] <= 0.001 for r in rows)
     assert tagid("layouts", "capacity", "--error-rate", 2).code == 2
 
@@ -145,7 +147,9 @@ def test_registries_are_merged(tagid: Callable[..., Any], tmp_path: Path) -> Non
     merged = tagid("layouts", "import", "there/registry.sqlite", "--output", "json").json["data"]
     assert merged["changes"] == 1 and merged["stored"]
     assert (tmp_path / "there" / "registry.sqlite").read_bytes() == before
-    layouts = {one["name"]: one for one in tagid("layouts", "--output", "json").json["data"]["layouts"]}
+    layouts = {
+        layout["name"]: layout for layout in tagid("layouts", "--output", "json").json["data"]["layouts"]
+    }
     assert layouts["mine"]["covariance_m2"][0] == pytest.approx([4e-6, 0, 4e-6])
     (tmp_path / "noise.sqlite").write_bytes(b"no registry" * 200)
     refused = tagid("layouts", "import", "noise.sqlite")

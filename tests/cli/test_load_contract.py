@@ -30,43 +30,43 @@ def bare_npz(path: Path) -> Path:
 
 def answers(tagid: Any, folder: Path, file: Path, words: tuple[object, ...]) -> dict[str, Any]:
     """The answer of each command for a file, and what the image was made with."""
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     identified = tagid("identify", file, *words, "--output", "json")
-    found["identify"] = identified.json["data"]["items"][0]
+    results["identify"] = identified.json["data"]["items"][0]
     out = folder / f"report-{abs(hash(words))}"
     tagid("report", file, "--out", out, "--jobs", 1, "--no-pictures", *words, "--output", "json")
-    found["report"] = json.loads((out / "items.jsonl").read_text().splitlines()[0])
+    results["report"] = json.loads((out / "items.jsonl").read_text().splitlines()[0])
     image = tagid("reconstruct", file, *words, "--method", "bp", "--no-focus", "--pixels", 48,
                   "--out", "i.npz", "--output", "json")  # fmt: skip
-    found["reconstruct"] = image.json["data"].get("settings")
+    results["reconstruct"] = image.json["data"].get("settings")
     if image.code == 0:
         with np.load(folder / "i.npz") as arrays:
-            found["image"] = arrays["image"]
-    return found
+            results["image"] = arrays["image"]
+    return results
 
 
 SAME = ("status", "layout", "score", "rotation_deg", "centre_m", "reflectors", "scores")
 
 
-def assert_alike(found: dict[str, Any]) -> None:
+def assert_alike(document: dict[str, Any]) -> None:
     for key in SAME:
-        assert found["identify"][key] == found["report"][key], key
+        assert document["identify"][key] == document["report"][key], key
 
 
 @pytest.mark.parametrize("motion", ["free?rpm=2&direction=cw", None])
 def test_motion_and_geometry(tagid: Any, tmp_path: Path, motion: str | None) -> None:
     file = bare_npz(tmp_path / "bare.npz")
     words = ("--axis-distance", 1.0, "--antenna-height", 0.0, *(("--motion", motion) if motion else ()))
-    found = answers(tagid, tmp_path, file, words)
-    assert_alike(found)
-    assert found["reconstruct"]["axis_distance_m"] == pytest.approx(1.0)
+    result = answers(tagid, tmp_path, file, words)
+    assert_alike(result)
+    assert result["reconstruct"]["axis_distance_m"] == pytest.approx(1.0)
 
 
 def test_a_missing_axis_distance_is_the_same_error_everywhere(tagid: Any, tmp_path: Path) -> None:
     file = bare_npz(tmp_path / "bare.npz")
-    found = answers(tagid, tmp_path, file, ("--motion", "free?rpm=2"))
-    assert found["identify"]["status"] == found["report"]["status"] == "failed"
-    assert found["identify"]["error"]["code"] == found["report"]["error"]["code"]
+    result = answers(tagid, tmp_path, file, ("--motion", "free?rpm=2"))
+    assert result["identify"]["status"] == result["report"]["status"] == "failed"
+    assert result["identify"]["error"]["code"] == result["report"]["error"]["code"]
 
 
 def test_the_reference_background_is_subtracted_by_every_command(tagid: Any, tmp_path: Path) -> None:
@@ -94,10 +94,10 @@ def test_scan_answers_as_identify_does_on_its_own_file(tagid: Any, tmp_path: Pat
                  "--motion", "free?rpm=20", "--method", "bp", "--save-dir", "s",
                  "--output", "json")  # fmt: skip
     file = Path(scan.json["data"]["files"]["capture"])
-    found = answers(tagid, tmp_path, file, ())
-    assert_alike(found)
+    result = answers(tagid, tmp_path, file, ())
+    assert_alike(result)
     for key in SAME:
-        assert scan.json["data"]["items"][0][key] == found["identify"][key], key
+        assert scan.json["data"]["items"][0][key] == result["identify"][key], key
 
 
 def test_show_reads_the_file_as_the_others_do(tagid: Any, tmp_path: Path) -> None:

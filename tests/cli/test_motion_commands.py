@@ -159,9 +159,11 @@ def a_turn(folder: Path, true_way: int, was_reversed: bool) -> Path:
     capture, _ = simulate_capture(scene_from_layout(SCALENE, seed=1), Acquisition(snr_db=20, views=36), 1)
     assert capture.angles_rad is not None
     resolved = ResolvedMotion(kind="comxim", table="/dev/table", direction=1, reversed=was_reversed)
-    told = replace(capture, angles_rad=true_way * capture.angles_rad, motion=MotionInfo(resolved=resolved))
+    reported = replace(
+        capture, angles_rad=true_way * capture.angles_rad, motion=MotionInfo(resolved=resolved)
+    )
     path = folder / "turn.tagid.h5"
-    write_capture(path, told)
+    write_capture(path, reported)
     return path
 
 

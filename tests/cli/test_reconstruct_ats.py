@@ -20,14 +20,14 @@ def test_calibration_is_reported_with_standard_errors(tagid, wobbly) -> None:
     done = tagid("reconstruct", wobbly, *words, "--output", "json")
     assert done.code == 0, done.err
     settings = done.json["data"]["settings"]
-    found = settings["calibration"]
-    assert set(found) == {"axis", "wobble", "gain", "static"}
-    assert found["axis"]["distance_m"] == pytest.approx(1.0, abs=4 * found["axis"]["sigma_m"])
-    assert found["axis"]["sigma_m"] < 0.003
-    assert settings["axis_distance_m"] == found["axis"]["distance_m"]
-    assert [w["harmonic"] for w in found["wobble"]] == [1, 2, 3, 4]
-    assert all(0 < w["sigma_deg"] < 0.6 for w in found["wobble"])
-    assert len(found["gain"]["scans"]) == len(found["gain"]["sigma"])
+    result = settings["calibration"]
+    assert set(result) == {"axis", "wobble", "gain", "static"}
+    assert result["axis"]["distance_m"] == pytest.approx(1.0, abs=4 * result["axis"]["sigma_m"])
+    assert result["axis"]["sigma_m"] < 0.003
+    assert settings["axis_distance_m"] == result["axis"]["distance_m"]
+    assert [w["harmonic"] for w in result["wobble"]] == [1, 2, 3, 4]
+    assert all(0 < w["sigma_deg"] < 0.6 for w in result["wobble"])
+    assert len(result["gain"]["scans"]) == len(result["gain"]["sigma"])
     text = tagid("reconstruct", wobbly, *words, "--ats", "steps=30")
     assert "axis distance 1.00" in text.out
     assert "wobble, harmonic 1" in text.out
@@ -43,7 +43,7 @@ def test_settings_come_from_the_command_line_and_the_configuration(tagid, wobbly
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "stated"),
     [
         (("--ats", "robut=3"), "robust"),
         (("--ats", "steps=many"), "whole number"),
@@ -53,18 +53,18 @@ def test_settings_come_from_the_command_line_and_the_configuration(tagid, wobbly
         (("--engine", "jax"), "onnx"),
     ],
 )
-def test_what_cannot_be_set_is_said(tagid, wobbly, words, told) -> None:
+def test_what_cannot_be_set_is_said(tagid, wobbly, words, stated) -> None:
     done = tagid("reconstruct", wobbly, *words)
     assert done.code == 2
-    assert told in done.err
+    assert stated in done.err
 
 
 def test_the_pulse_is_estimated_where_asked_and_told(tagid, wobbly, tmp_path) -> None:
     done = tagid("reconstruct", wobbly, "--method", "bp", "--pulse", "estimate", "--output", "json")
     assert done.code == 0, done.err
-    told = done.json["data"]["settings"]["pulse"]
-    assert told["kind"] in ("assumed", "estimated")
-    assert 0 < told["residual"] < 1
+    reported = done.json["data"]["settings"]["pulse"]
+    assert reported["kind"] in ("assumed", "estimated")
+    assert 0 < reported["residual"] < 1
     assert "pulse" in done.json["data"]["seconds"]
     text = tagid("reconstruct", wobbly, "--method", "bp", "--pulse", "estimate")
     assert "of held-out views unexplained" in text.out

@@ -73,14 +73,16 @@ def recorded(name: str, place: Path) -> Recording:
     """Record a case in `place`, which is empty."""
     folder = place / "folder"
     folder.mkdir()
-    own = {key: value for key, value in os.environ.items() if not key.startswith("TAGID_")}
-    own |= {
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("TAGID_")}
+    environment |= {
         "TAGID_CONFIG": str(folder / "home" / "tagid" / "config.toml"),
         "TAGID_DATA": str(folder / "home" / "data"),
         "PYTHONPATH": os.pathsep.join([str(REPOSITORY), str(Path(__file__).parent)]),
         "OMP_NUM_THREADS": "1",
     }
-    return record([sys.executable, str(Path(__file__).resolve()), name], folder, own, place / "strace")
+    return record(
+        [sys.executable, str(Path(__file__).resolve()), name], folder, environment, place / "strace"
+    )
 
 
 def _tell(text: str) -> None:
@@ -149,23 +151,25 @@ def _journal_promise(sync_every: int, sync_s: float) -> Callable[[Recording], Pr
         (inode,) = recording.named(".tagid.journal")
         name = recording.paths[inode]
         content = recording.contents[inode]
-        own = [one for one in recording.operations if getattr(one, "inode", None) == inode]
-        steps = [one for one in own if isinstance(one, Write | Close)]
-        writes = [one for one in steps if isinstance(one, Write)]
+        matching = [
+            operation for operation in recording.operations if getattr(operation, "inode", None) == inode
+        ]
+        steps = [operation for operation in matching if isinstance(operation, Write | Close)]
+        writes = [step for step in steps if isinstance(step, Write)]
         kept: list[_Kept] = []
         written: list[tuple[Write, int]] = []
         truth = []
         end = PREAMBLE.size
         for records, (kind, payload) in enumerate(intact_records(io.BytesIO(content), len(content)), 1):
             end += record_bytes(payload)
-            by = next(one for one in writes if one.offset + len(one.data) >= end)
+            by = next(write for write in writes if write.offset + len(write.data) >= end)
             written.append((by, records))
             if kind == _SCAN_KIND:
                 kept.append(_Kept(len(kept), by, records))
                 truth.append(np.frombuffer(payload, "<i4", offset=32))
         assert end == len(content) and len(kept) > 30, (end, len(content), len(kept))
-        closed = next(one for one in steps if isinstance(one, Close))
-        following: dict[int, Operation] = dict(zip((one.end for one in steps), steps[1:], strict=False))
+        closed = next(step for step in steps if isinstance(step, Close))
+        following: dict[int, Operation] = dict(zip((step.end for step in steps), steps[1:], strict=False))
         captures = [path for path in recording.final if path.endswith(".tagid.h5")]
 
         def acknowledged(cut: int) -> int:
@@ -177,24 +181,24 @@ def _journal_promise(sync_every: int, sync_s: float) -> Callable[[Recording], Pr
             if not back:
                 return 0
             last, count = back[-1]
-            old = [one for one in kept if last.time_s - one.written.time_s > sync_s]
-            return sum(one.records <= count - sync_every for one in old)
+            old = [item for item in kept if last.time_s - item.written.time_s > sync_s]
+            return sum(item.records <= count - sync_every for item in old)
 
         def check(place: Path, cut: int) -> str:
             wanted = acknowledged(cut)
-            found = place / captures[0] if captures else None
-            if found is None or not found.exists():
+            result = place / captures[0] if captures else None
+            if result is None or not result.exists():
                 if recording.marked(cut):
                     return "the capture is gone"
-                found = place / "recovered.tagid.h5"
-                if _command("recover", str(place / name), "--out", str(found)) != 0:
+                result = place / "recovered.tagid.h5"
+                if _command("recover", str(place / name), "--out", str(result)) != 0:
                     return f"{wanted} acknowledged scans are gone" if wanted else ""
             try:
-                samples = read_capture(found).samples
+                samples = read_capture(result).samples
             except TagidError as error:
                 return f"the capture is damaged: {error.message}"
             rows = list(samples)
-            if len(rows) < wanted or (found.name != "recovered.tagid.h5" and len(rows) != len(truth)):
+            if len(rows) < wanted or (result.name != "recovered.tagid.h5" and len(rows) != len(truth)):
                 return f"{len(rows)} of {wanted} acknowledged scans are there"
             # What is there beyond the acknowledged ones is true as well, but may have gaps.
             if any(not np.array_equal(row, true) for row, true in zip(rows[:wanted], truth, strict=False)):
@@ -246,11 +250,15 @@ def _one_of(values: list[Any], read: Callable[[Path], Any]) -> Callable[[Recordi
         def check(place: Path, cut: int) -> str:
             done = recording.marked(cut).count(_DONE)
             try:
-                found = read(place)
+                recovered = read(place)
             except TagidError as error:
                 return f"{type(error).__name__}: {error.message}"
             allowed = values[done : done + 2]
-            return "" if found in allowed else f"after {done} of {len(values) - 1} steps: {str(found)[:100]}"
+            return (
+                ""
+                if recovered in allowed
+                else f"after {done} of {len(values) - 1} steps: {str(recovered)[:100]}"
+            )
 
         assert len(recording.marked(1 << 60)) == len(values) - 1
         return Promise(lambda cut: len(recording.marked(cut)), check)
@@ -264,10 +272,10 @@ def _capture_uuid(place: Path) -> str | None:
 
 
 def _configs() -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = [{}]
+    results: list[dict[str, Any]] = [{}]
     for change in _changes():
-        found.append({name: value for name, value in (found[-1] | change).items() if value is not None})
-    return found
+        results.append({name: value for name, value in (results[-1] | change).items() if value is not None})
+    return results
 
 
 # Databases: after each report the change is there, and the file can always be opened and changed.
@@ -289,10 +297,10 @@ def _registry() -> None:
 
 
 def _registries() -> list[list[str]]:
-    found = [sorted(builtin_layouts())]
+    results = [sorted(builtin_layouts())]
     for name in _enrolled():
-        found.append(sorted([*found[-1], name]))
-    return [*found, [name for name in found[-1] if name != "new-0"]]
+        results.append(sorted([*results[-1], name]))
+    return [*results, [name for name in results[-1] if name != "new-0"]]
 
 
 def _read_registry(place: Path) -> list[str]:
@@ -301,7 +309,7 @@ def _read_registry(place: Path) -> list[str]:
     contents = registry.contents()
     registry.add(Layout("after", np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])), "a test")
     assert registry.version == contents.version + 1
-    assert [one.name for one in registry.history()][-1] == "after"
+    assert [item.name for item in registry.history()][-1] == "after"
     return [layout.name for layout in contents.layouts]
 
 
@@ -328,10 +336,10 @@ def _histories() -> list[list[str]]:
 
 def _read_history(place: Path) -> list[str]:
     history = History(place / "data" / "history.sqlite")
-    found = [str(entry.capture_uuid) for entry in history.find(Filter(), oldest_first=True)]
+    results = [str(entry.capture_uuid) for entry in history.find(Filter(), oldest_first=True)]
     history.add(history.begin("a test", {}), [_record(999)])
-    assert history.count() == len(found) + 1
-    return found
+    assert history.count() == len(results) + 1
+    return results
 
 
 # A report, which goes on where it was.
@@ -425,7 +433,9 @@ CASES: Mapping[str, Case] = {
     "radar record": Case(_record_radar, _journal_promise(1, _RECORDING_SYNC_S)),
     "scan": Case(_scan, _journal_promise(1, _RECORDING_SYNC_S)),
     "journal": Case(_journal, _journal_promise(4, 0.0)),
-    "capture": Case(_replace_capture, _one_of([None, *(one.uuid for one in _captures())], _capture_uuid)),
+    "capture": Case(
+        _replace_capture, _one_of([None, *(capture.uuid for capture in _captures())], _capture_uuid)
+    ),
     "configuration": Case(
         _config, _one_of(_configs(), lambda place: read_file(place / "home" / "tagid" / "config.toml"))
     ),
@@ -440,10 +450,14 @@ SYNC_S = session.SYNC_S
 
 def unsynced(recording: Recording, kind: str) -> Recording:
     """The recording as if one kind of sync were missing from the code: "files", "folders" or "all"."""
-    folders = {one.inode for one in recording.operations if isinstance(one, Sync)} - set(recording.contents)
+    folders = {operation.inode for operation in recording.operations if isinstance(operation, Sync)} - set(
+        recording.contents
+    )
     chosen = {"folders": folders, "files": set(recording.contents), "all": folders | set(recording.contents)}
     kept = tuple(
-        one for one in recording.operations if not (isinstance(one, Sync) and one.inode in chosen[kind])
+        operation
+        for operation in recording.operations
+        if not (isinstance(operation, Sync) and operation.inode in chosen[kind])
     )
     return replace(recording, operations=kept)
 

@@ -82,7 +82,7 @@ def states(
     """
     disk = _Disk(recording)
     seen: set[tuple[bytes, object]] = set()
-    cuts = [one.end + 1 for one in recording.operations]
+    cuts = [operation.end + 1 for operation in recording.operations]
     for cut in sorted({*cuts[:: density.every], cuts[-1]}):
         disk.advance(cut)
         for choice in _choices(disk.pending, disk.extending, density.each, rng):
@@ -113,14 +113,16 @@ class _Disk:
         self.pending: list[_Effect] = []
         self.extending = _extending(recording.operations)
         self._waiting = [
-            (one, _durable_at(one, recording.operations))
-            for one in recording.operations
-            if isinstance(one, _Effect)
+            (operation, _durable_at(operation, recording.operations))
+            for operation in recording.operations
+            if isinstance(operation, _Effect)
         ]
         self._contents: dict[int, bytearray] = {}
         self._names: dict[int, dict[str, int]] = {ROOT: {}}
         self._folders = {ROOT} | {
-            one.inode for one in recording.operations if isinstance(one, Link) and one.is_folder
+            operation.inode
+            for operation in recording.operations
+            if isinstance(operation, Link) and operation.is_folder
         }
         self._random = random.Random(1)
 
@@ -128,13 +130,13 @@ class _Disk:
         """Make durable what is synced before `cut`; the rest of what started before it is pending."""
         waiting = []
         self.pending = []
-        for one, durable_at in self._waiting:
+        for first, durable_at in self._waiting:
             if durable_at < cut:
-                _apply(one, self._contents, self._names, "whole", self._random)
+                _apply(first, self._contents, self._names, "whole", self._random)
                 continue
-            waiting.append((one, durable_at))
-            if one.start < cut:
-                self.pending.append(one)
+            waiting.append((first, durable_at))
+            if first.start < cut:
+                self.pending.append(first)
         self._waiting = waiting
 
     def state(self, cut: int, choice: _Choice) -> State:
@@ -143,11 +145,11 @@ class _Disk:
         names = {folder: dict(entries) for folder, entries in self._names.items()}
         copied: set[int] = set()
         for position, how in sorted(choice.kept.items()):
-            one = self.pending[position]
-            if isinstance(one, Write | Truncate) and one.inode not in copied:
-                contents[one.inode] = bytearray(contents.get(one.inode, b""))
-                copied.add(one.inode)
-            _apply(one, contents, names, how, self._random)
+            single = self.pending[position]
+            if isinstance(single, Write | Truncate) and single.inode not in copied:
+                contents[single.inode] = bytearray(contents.get(single.inode, b""))
+                copied.add(single.inode)
+            _apply(single, contents, names, how, self._random)
         files: dict[str, bytes] = {}
         folders: list[str] = []
 
@@ -169,36 +171,36 @@ def _durable_at(operation: _Effect, operations: Sequence[Operation]) -> float:
     """Line at which the first sync that started after the operation ended; infinite if there is none."""
     wanted = _objects(operation)
     ends = [
-        one.end
-        for one in operations
-        if isinstance(one, Sync) and one.inode == wanted and one.start > operation.end
+        item.end
+        for item in operations
+        if isinstance(item, Sync) and item.inode == wanted and item.start > operation.end
     ]
     return min(ends, default=float("inf"))
 
 
 def _apply(
-    one: _Effect,
+    effect: _Effect,
     contents: dict[int, bytearray],
     names: dict[int, dict[str, int]],
     how: str,
     rng: random.Random,
 ) -> None:
-    if isinstance(one, Write):
-        for offset, data in _parts(one, how, rng):
-            write_into(contents.setdefault(one.inode, bytearray()), offset, data)
-    elif isinstance(one, Truncate):
-        cut_to(contents.setdefault(one.inode, bytearray()), one.size)
-    elif isinstance(one, Link):
-        names.setdefault(one.folder, {})[one.name] = one.inode
-    elif isinstance(one, Rename):
-        entries = names.setdefault(one.folder, {})
-        if entries.get(one.old) == one.inode:
-            del entries[one.old]
-        entries[one.new] = one.inode
+    if isinstance(effect, Write):
+        for offset, data in _parts(effect, how, rng):
+            write_into(contents.setdefault(effect.inode, bytearray()), offset, data)
+    elif isinstance(effect, Truncate):
+        cut_to(contents.setdefault(effect.inode, bytearray()), effect.size)
+    elif isinstance(effect, Link):
+        names.setdefault(effect.folder, {})[effect.name] = effect.inode
+    elif isinstance(effect, Rename):
+        entries = names.setdefault(effect.folder, {})
+        if entries.get(effect.old) == effect.inode:
+            del entries[effect.old]
+        entries[effect.new] = effect.inode
     else:
-        entries = names.setdefault(one.folder, {})
-        if entries.get(one.name) == one.inode:
-            del entries[one.name]
+        entries = names.setdefault(effect.folder, {})
+        if entries.get(effect.name) == effect.inode:
+            del entries[effect.name]
 
 
 def _parts(write: Write, how: str, rng: random.Random) -> Iterator[tuple[int, bytes]]:
@@ -252,15 +254,17 @@ def _choices(
 def _extending(operations: Sequence[Operation]) -> set[int]:
     """Ends of the writes that lie behind all that their file held."""
     sizes: dict[int, int] = {}
-    found = set()
-    for one in operations:
-        if isinstance(one, Truncate):
-            sizes[one.inode] = one.size
-        elif isinstance(one, Write):
-            if one.offset >= sizes.get(one.inode, 0):
-                found.add(one.end)
-            sizes[one.inode] = max(sizes.get(one.inode, 0), one.offset + len(one.data))
-    return found
+    result = set()
+    for operation in operations:
+        if isinstance(operation, Truncate):
+            sizes[operation.inode] = operation.size
+        elif isinstance(operation, Write):
+            if operation.offset >= sizes.get(operation.inode, 0):
+                result.add(operation.end)
+            sizes[operation.inode] = max(
+                sizes.get(operation.inode, 0), operation.offset + len(operation.data)
+            )
+    return result
 
 
 def _whole(why: str, positions: Sequence[int]) -> _Choice:

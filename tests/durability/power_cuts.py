@@ -50,18 +50,18 @@ def try_all(
     With `first` it ends at the first fault.
     """
     promise = CASES[name].promise(recording)
-    found: collections.Counter[str] = collections.Counter()
+    counter: collections.Counter[str] = collections.Counter()
     folder = place / "state"
     with no_waiting():
         for state in states(recording, promise.stage, density, random.Random(seed)):
             folder.mkdir()
             state.put(folder)
             fault = promise.broken(folder, state.cut)
-            found[fault] += 1
+            counter[fault] += 1
             shutil.rmtree(folder)
             if fault and first:
                 break
-    return found
+    return counter
 
 
 def main() -> int:
@@ -86,11 +86,11 @@ def main() -> int:
         with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as text:
             place = Path(text)
             recording = recorded(name, place)
-            found = try_all(name, recording, place, Density(given.each, given.every), given.seed)
-            total = sum(found.values())
-            lost = total - found.pop("", 0)
+            outcomes = try_all(name, recording, place, Density(given.each, given.every), given.seed)
+            total = sum(outcomes.values())
+            lost = total - outcomes.pop("", 0)
             bad += lost
-            for fault, count in found.most_common(5):
+            for fault, count in outcomes.most_common(5):
                 print(f"  {name}: {count} x {fault}")
             shown = []
             for kind in ("files", "folders"):

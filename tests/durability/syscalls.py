@@ -129,7 +129,11 @@ class Recording:
 
     def marked(self, cut: int) -> list[str]:
         """Lines that the process had written to its output before `cut`."""
-        return [one.text for one in self.operations if isinstance(one, Mark) and one.end < cut]
+        return [
+            operation.text
+            for operation in self.operations
+            if isinstance(operation, Mark) and operation.end < cut
+        ]
 
 
 def unavailable() -> str:
@@ -190,11 +194,11 @@ def _of_one_process(lines: Sequence[str]) -> Iterator[tuple[int, str]]:
         thread = line.split(" ", 1)[0]
         if line.endswith("<unfinished ...>"):
             begun[thread] = line
-        found = _STARTED.search(line)
-        if found is not None:
-            arguments = begun.get(thread, "") + found[1] if "resumed>" in line else found[1]
+        match = _STARTED.search(line)
+        if match is not None:
+            arguments = begun.get(thread, "") + match[1] if "resumed>" in line else match[1]
             if "CLONE_THREAD" not in arguments:
-                others.add(found[2])
+                others.add(match[2])
     for number, line in enumerate(lines):
         if line.split(" ", 1)[0] not in others:
             yield number, line
@@ -204,10 +208,10 @@ def _calls(lines: Iterator[tuple[int, str]]) -> Iterator[_Call]:
     """Calls that ended and did not fail, with those that another thread interrupted put together."""
     begun: dict[str, tuple[int, float, str]] = {}
     for number, line in lines:
-        found = _LINE.match(line)
-        if found is None:
+        matched = _LINE.match(line)
+        if matched is None:
             continue
-        thread, time_s, rest = found[1], float(found[2]), found[3]
+        thread, time_s, rest = matched[1], float(matched[2]), matched[3]
         start = number
         if rest.endswith("<unfinished ...>"):
             begun[thread] = (number, time_s, rest.removesuffix("<unfinished ...>").rstrip())
@@ -264,7 +268,7 @@ class _Recorder:
                     final[prefix + name] = bytes(self.contents[inode])
 
         walk(ROOT, "")
-        operations = sorted(self.operations, key=lambda one: one.end)
+        operations = sorted(self.operations, key=lambda item: item.end)
         contents = {inode: bytes(content) for inode, content in self.contents.items()}
         return Recording(tuple(operations), self.paths, contents, final)
 
@@ -375,12 +379,12 @@ class _Recorder:
             self._new(call, place, True)
 
     def _rename(self, call: _Call) -> None:
-        places = [self._place(text) for text in _texts(call.arguments)]
-        if places == [None, None]:
+        positions = [self._place(text) for text in _texts(call.arguments)]
+        if positions == [None, None]:
             return
-        if None in places or places[0][0] != places[1][0]:  # type: ignore[index]
+        if None in positions or positions[0][0] != positions[1][0]:  # type: ignore[index]
             raise ValueError("a name was moved to another folder")
-        (folder, old), (_, new) = places  # type: ignore[misc]
+        (folder, old), (_, new) = positions  # type: ignore[misc]
         inode = self.names[folder].pop(old)
         self.names[folder][new] = inode
         self.paths[inode] = f"{self.paths[folder]}/{new}".lstrip("/")
@@ -413,9 +417,9 @@ def cut_to(content: bytearray, size: int) -> None:
 
 
 def _texts(arguments: str) -> list[bytes]:
-    found = []
+    results = []
     for text, more in _TEXT.findall(arguments):
         if more:
             raise ValueError("a write is longer than what strace was told to keep")
-        found.append(bytes.fromhex(text.replace("\\x", "")))
-    return found
+        results.append(bytes.fromhex(text.replace("\\x", "")))
+    return results

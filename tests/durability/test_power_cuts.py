@@ -35,13 +35,13 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 def test_nothing_acknowledged_is_lost_in_any_state(case: Traced, tmp_path: Path) -> None:
-    found = try_all(case.name, case.recording, tmp_path, DENSITY[case.name])
-    total = found.pop("")
-    assert not found, found.most_common(5)
+    outcomes = try_all(case.name, case.recording, tmp_path, DENSITY[case.name])
+    total = outcomes.pop("")
+    assert not outcomes, outcomes.most_common(5)
     assert total > 10, "states without a fault"
 
 
 @pytest.mark.parametrize("kind", ["files", "folders"])
 def test_the_states_show_what_a_missing_sync_loses(case: Traced, kind: str, tmp_path: Path) -> None:
-    found = try_all(case.name, unsynced(case.recording, kind), tmp_path, Density(0, 20), first=True)
-    assert sum(found.values()) > found[""], f"no state shows that {kind} are not synced"
+    outcomes = try_all(case.name, unsynced(case.recording, kind), tmp_path, Density(0, 20), first=True)
+    assert sum(outcomes.values()) > outcomes[""], f"no state shows that {kind} are not synced"

@@ -74,8 +74,8 @@ def wait(condition: Callable[[], Any], seconds: float = WAIT_S) -> Any:
     """The first true value; generous, for a machine that is busy."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        if found := condition():
-            return found
+        if result := condition():
+            return result
         time.sleep(0.1)
     raise AssertionError("it did not happen")
 
@@ -112,8 +112,8 @@ class Asks:
         connection = HTTPConnection(self._host, timeout=WAIT_S)
         try:
             connection.request(method, path, body, {**headers, **self._headers})
-            found = connection.getresponse()
-            return Answer(found.status, {k.lower(): v for k, v in found.getheaders()}, found.read())
+            reply = connection.getresponse()
+            return Answer(reply.status, {k.lower(): v for k, v in reply.getheaders()}, reply.read())
         finally:
             connection.close()
 
@@ -125,9 +125,9 @@ def alone(place: Path) -> Iterator[Server]:
         patch.setenv("TAGID_DATA", str(place / "data"))
         patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
         patch.setattr(server, "PING_S", 120.0)
-        with Server(Station(source(place), healthy), "127.0.0.1", 0) as one:
-            wait(lambda: Asks(one.url, {}).get("/").status == 200)
-            yield one
+        with Server(Station(source(place), healthy), "127.0.0.1", 0) as station:
+            wait(lambda: Asks(station.url, {}).get("/").status == 200)
+            yield station
 
 
 PLACES = np.array([(0.11, 0.0), (-0.02, 0.09), (-0.05, -0.07)])
@@ -174,22 +174,24 @@ def stations(place: Path, patch: pytest.MonkeyPatch) -> Iterator[Callable[..., S
         check: Callable[..., list[Finding]] = healthy,
         **more: float,
     ) -> Server:
-        one = Server(Station(source(place / "out", radar, **more), check), "127.0.0.1", port, announce)
-        one.__enter__()
-        open_ones.append(one)
-        wait(lambda: Asks(one.url, {}).get("/").status == 200)
-        return one
+        handle = Server(Station(source(place / "out", radar, **more), check), "127.0.0.1", port, announce)
+        handle.__enter__()
+        open_ones.append(handle)
+        wait(lambda: Asks(handle.url, {}).get("/").status == 200)
+        return handle
 
     yield start
-    for one in open_ones:
-        one.close()
-    left = [t.name for t in set(threading.enumerate()) - before if t.name.startswith(("station-", "live-"))]
-    assert left == []
+    for handle in open_ones:
+        handle.close()
+    remaining = [
+        t.name for t in set(threading.enumerate()) - before if t.name.startswith(("station-", "live-"))
+    ]
+    assert remaining == []
 
 
-def ended(one: Server) -> dict[str, Any]:
+def ended(station: Server) -> dict[str, Any]:
     """The newest scan when it has ended."""
-    client = Asks(one.url, {})
+    client = Asks(station.url, {})
     return wait(lambda: (s := client.get("/api/v1/scan").json()) and not s.get("running", True) and s)
 
 
@@ -273,8 +275,8 @@ class Raw:
             if not part:
                 return None
             self.buffer += part
-        found, self.buffer = self.buffer[:count], self.buffer[count:]
-        return found
+        result, self.buffer = self.buffer[:count], self.buffer[count:]
+        return result
 
     def until(self, kind: str, test: Callable[[dict[str, Any]], Any] = bool) -> dict[str, Any]:
         """The next message of a type that passes a test; pings are answered."""

@@ -181,4 +181,4 @@ def test_turns_and_heights_answer_as_their_files_do(tagid: Callable[..., Any]) -
     assert (voted[0]["layout"], voted[0]["causes"]) == ("helmet-120", [])
     levels = tagid("scan", *options, "--heights", "0,0.1", "--output", "json").json["data"]
     (item,) = tagid("identify", levels["files"]["capture"], *given).json["data"]["items"]
-    assert [plain(found) for found in levels["items"]] == [plain(item)]
+    assert [plain(item) for item in levels["items"]] == [plain(item)]

@@ -85,8 +85,8 @@ def test_heights_are_asked_for_recorded_and_joined(
     # The emulated table turned on between the recordings, so their angles begin elsewhere.
     assert max(abs(row["rotation_deg"]) for row in data["heights"]) > 5
     joined = read_any(Path(data["files"]["capture"]))
-    found = [float(joined.aperture().positions[views, 2].mean()) for views in heights_of(joined)]
-    assert found == pytest.approx(HEIGHTS)
+    results = [float(joined.aperture().positions[views, 2].mean()) for views in heights_of(joined)]
+    assert results == pytest.approx(HEIGHTS)
     assert Path(data["files"]["png"]).read_bytes().startswith(b"\x89PNG")
     assert not list((tmp_path / "out").glob("*.journal"))
     # Every reflector is at its own height: an antenna that had not moved would put them into one plane.
@@ -171,6 +171,6 @@ def test_an_emulated_antenna_follows_its_file(tmp_path: Path) -> None:
     file.write_text("0.3")
     # 0.3 m up at 1 m everything is 44 mm, within 5 mm, farther away.
     high = scene.scan(0, 0.0, config)
-    power = [np.convolve(each.astype(float) ** 2, np.ones(8), "same") for each in (low, high)]
+    power = [np.convolve(item.astype(float) ** 2, np.ones(8), "same") for item in (low, high)]
     shift = int(np.argmax(np.correlate(power[1], power[0], "full"))) - len(low) + 1
     assert shift * RANGE_STEP_M == pytest.approx(np.hypot(1, 0.3) - 1, abs=0.01)

@@ -41,16 +41,16 @@ from tagid.storage.importers import read_any
 pytestmark = pytest.mark.usefixtures("closed_clients")
 
 
-def asks(one: Server, **headers: str) -> Asks:
-    return Asks(one.url, headers)
+def asks(station: Server, **headers: str) -> Asks:
+    return Asks(station.url, headers)
 
 
 def test_a_script_starts_follows_and_reads_a_scan(serve, tmp_path: Path) -> None:
-    one = serve()
-    client = asks(one, **OWN)
+    station = serve()
+    client = asks(station, **OWN)
     assert client.get("/api/v1/scan").status == 404
     assert client.post("/api/v1/scan", note="gate 4").json() == {"number": 1}
-    scan = ended(one)
+    scan = ended(station)
     assert scan["phase"] == "done" and scan["final"] and scan["remark"] == ""
     assert (scan["answer"]["status"], scan["answer"]["layout"]) == ("identified", "helmet-120")
     (entry,) = client.get("/api/v1/history?layout=helmet-120").json()["items"]
@@ -104,12 +104,12 @@ def test_a_script_starts_follows_and_reads_a_scan(serve, tmp_path: Path) -> None
 def test_what_another_page_or_a_stranger_sends_is_refused(
     station_alone: Server, method: str, path: str, headers: dict[str, str], body: bytes | None, status: int
 ) -> None:
-    one = station_alone
-    lines = {"host": f"127.0.0.1:{one.port}", **headers}
+    station = station_alone
+    lines = {"host": f"127.0.0.1:{station.port}", **headers}
     if body is not None:
         lines["content-length"] = str(len(body))
     text = f"{method} {path} HTTP/1.1\r\n" + "".join(f"{k}: {v}\r\n" for k, v in lines.items()) + "\r\n"
-    with socket.create_connection(("127.0.0.1", one.port), timeout=60) as wire:
+    with socket.create_connection(("127.0.0.1", station.port), timeout=60) as wire:
         wire.sendall(text.encode() + (body or b""))
         answer = b""
         while b"\r\n\r\n" not in answer:
@@ -122,16 +122,16 @@ def test_what_another_page_or_a_stranger_sends_is_refused(
         assert "content-security-policy: default-src 'none'" in head
         assert "access-control-allow-origin" not in head
         assert "x-content-type-options: nosniff" in head
-    assert asks(one).get("/api/v1/status").json()["scan"] is None, "nothing was started"
+    assert asks(station).get("/api/v1/status").json()["scan"] is None, "nothing was started"
 
 
 def documented() -> list[tuple[str, str]]:
     """(method, path) of everything in the OpenAPI document."""
-    found = []
+    results = []
     for path, methods in document()["paths"].items():
         path = path.replace("{number}", "1").replace("{name}", "helmet-120")
-        found += [(method, path) for method in methods]
-    return found
+        results += [(method, path) for method in methods]
+    return results
 
 
 def test_no_action_is_taken_for_another_page(station_alone: Server) -> None:
@@ -155,8 +155,8 @@ def test_no_action_is_taken_for_another_page(station_alone: Server) -> None:
 @pytest.fixture(scope="module")
 def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """One station for the requests that must change nothing."""
-    with alone(tmp_path_factory.mktemp("alone")) as one:
-        yield one
+    with alone(tmp_path_factory.mktemp("alone")) as station:
+        yield station
 
 
 def test_a_chunked_upload_is_refused_before_it_arrives(station_alone: Server) -> None:
@@ -225,14 +225,14 @@ def test_a_flood_ends_with_1008_and_is_not_read_on(station_alone: Server, kind: 
 
 def test_a_device_needs_a_token_on_every_request_and_gets_it_with_the_code(serve) -> None:
     codes: list[str] = []
-    one = serve(announce=codes.append)
-    client = asks(one, **OWN)
+    station = serve(announce=codes.append)
+    client = asks(station, **OWN)
     assert client.get("/api/v1/nothing").status == 401
     for method, path in documented():
         if path != "/api/v1/pair":
             assert getattr(client, method)(path).status == 401, path
-    assert Raw(one.port).status == 403
-    assert Raw(one.port, {"Cookie": f"{COOKIE}=guess"}).status == 403
+    assert Raw(station.port).status == 403
+    assert Raw(station.port, {"Cookie": f"{COOKIE}=guess"}).status == 403
     # Wrong codes of a stranger do not make the code worthless that somebody types meanwhile.
     for _ in range(20):
         assert client.post("/api/v1/pair", code="AAAA-AAAA").status == 403
@@ -243,18 +243,18 @@ def test_a_device_needs_a_token_on_every_request_and_gets_it_with_the_code(serve
     token = paired.json()["token"]
     assert len(codes) == 2 and codes[0] != codes[1]
     assert client.post("/api/v1/pair", code=codes[0]).status == 403, "a code makes one token"
-    fresh = asks(one, **OWN, authorization=f"Bearer {token}")
+    fresh = asks(station, **OWN, authorization=f"Bearer {token}")
     assert fresh.get("/api/v1/status").status == 200
-    assert asks(one, authorization=f"Bearer {token[:-1]}").get("/api/v1/status").status == 401
-    raw, _ = joined(one.port, Cookie=f"{COOKIE}={token}")
+    assert asks(station, authorization=f"Bearer {token[:-1]}").get("/api/v1/status").status == 401
+    raw, _ = joined(station.port, Cookie=f"{COOKIE}={token}")
     raw.close()
 
 
 def test_all_guesses_have_one_limit_and_a_right_code_its_turn(serve, monkeypatch: pytest.MonkeyPatch) -> None:
     codes: list[str] = []
-    one = serve(announce=codes.append)
+    station = serve(announce=codes.append)
     monkeypatch.setattr(web, "GUESS_S", 0.1)
-    client, stop, wrong = asks(one, **OWN), threading.Event(), [0] * 10
+    client, stop, wrong = asks(station, **OWN), threading.Event(), [0] * 10
     began = time.monotonic()
 
     def guess(number: int) -> None:
@@ -299,11 +299,11 @@ def test_guessers_of_many_addresses_do_not_end_the_code_of_one_that_has_a_single
     """Nine addresses with three guessers each, and as many places as addresses."""
     monkeypatch.setattr(server, "MAX_SOCKETS", 10)
     codes: list[str] = []
-    one, stop = serve(announce=codes.append), threading.Event()
+    first, stop = serve(announce=codes.append), threading.Event()
     monkeypatch.setattr(web, "GUESS_S", 0.1)
 
     def pair(address: str, code: str) -> int:
-        client = HTTPConnection("127.0.0.1", one.port, timeout=WAIT_S, source_address=(address, 0))
+        client = HTTPConnection("127.0.0.1", first.port, timeout=WAIT_S, source_address=(address, 0))
         with closing(client), suppress(OSError, HTTPException):
             headers = OWN | {"content-type": "application/json"}
             client.request("POST", "/api/v1/pair", json.dumps({"code": code}), headers)
@@ -336,9 +336,9 @@ def dates() -> list[str]:
 def test_no_request_is_answered_with_500(
     serve, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = serve(announce=lambda code: None)
-    token = one._pairing._grant()
-    client = asks(one, **OWN, authorization=f"Bearer {token}")
+    station = serve(announce=lambda code: None)
+    token = station._pairing._grant()
+    client = asks(station, **OWN, authorization=f"Bearer {token}")
     assert [client.get(f"/api/v1/{path}").status for path in dates()] == [400] * 16
     long = "9" * 5000
     for path in (f"history/{long}/picture", f"reports/{long}", f"reports/{'0' * 5000}1/items.csv"):
@@ -349,16 +349,16 @@ def test_no_request_is_answered_with_500(
     (tmp_path / "c.toml").write_text("[radar\n")
     for answer in (client.post("/api/v1/enrolment", name="x"), client.get("/api/v1/history/1/capture")):
         assert answer.status in (200, 404, 503)
-    monkeypatch.setattr(one._station, "source", Source(lambda: Workplace()))
+    monkeypatch.setattr(station._station, "source", Source(lambda: Workplace()))
     broken = client.post("/api/v1/scan")
     assert (broken.status, broken.json()["error"]["code"]) == (503, "config")
-    with socket.create_connection(("127.0.0.1", one.port)) as gone:
-        head = f"POST /api/v1/scan/stop HTTP/1.1\r\nhost: 127.0.0.1:{one.port}\r\n"
+    with socket.create_connection(("127.0.0.1", station.port)) as gone:
+        head = f"POST /api/v1/scan/stop HTTP/1.1\r\nhost: 127.0.0.1:{station.port}\r\n"
         more = f"authorization: Bearer {token}\r\ntagid-station: 1\r\ncontent-length: 100\r\n"
         head += more + "content-type: application/json\r\n\r\n{"
         gone.sendall(head.encode())
-        wait(lambda: len(one._server.server_state.tasks) == 1)
-    wait(lambda: not one._server.server_state.tasks)
+        wait(lambda: len(station._server.server_state.tasks) == 1)
+    wait(lambda: not station._server.server_state.tasks)
     assert not caplog.records
 
 
@@ -399,22 +399,22 @@ class Table(FreeTurntable):
 
 @pytest.fixture
 def table(monkeypatch: pytest.MonkeyPatch) -> Table:
-    one = Table()
-    monkeypatch.setattr(scans, "open_motion", lambda url: one)
-    return one
+    single = Table()
+    monkeypatch.setattr(scans, "open_motion", lambda url: single)
+    return single
 
 
 def test_only_the_operator_moves_the_table_and_losing_the_operator_stops_it(
     serve, table: Table, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(operators, "GRACE_S", 0.5)
-    one = serve(ENDLESS)
-    refused = asks(one, **OWN).post("/api/v1/scan")
+    station = serve(ENDLESS)
+    refused = asks(station, **OWN).post("/api/v1/scan")
     assert (refused.status, refused.json()["error"]["code"]) == (403, "not_operator")
-    assert asks(one, **OWN).post("/api/v1/scan", key="made-up").status == 403
+    assert asks(station, **OWN).post("/api/v1/scan", key="made-up").status == 403
     assert not table.turning.is_set()
-    first, key = joined(one.port)
-    second, _ = joined(one.port)
+    first, key = joined(station.port)
+    second, _ = joined(station.port)
     first.say(type="scan", note="")
     first.until("operator", lambda m: m["you"])
     first.until("frame", lambda m: m["scan"]["scans"] > 5)
@@ -425,7 +425,7 @@ def test_only_the_operator_moves_the_table_and_losing_the_operator_stops_it(
     assert second.until("error")["error"]["code"] == "busy"
     # A reload: the same browser is back within the grace period, and the scan goes on.
     first.close()
-    first, again = joined(one.port, key)
+    first, again = joined(station.port, key)
     assert again == key
     seen = first.until("frame")["scan"]["scans"]
     first.until("frame", lambda m: m["scan"]["scans"] > seen + 20)
@@ -434,7 +434,7 @@ def test_only_the_operator_moves_the_table_and_losing_the_operator_stops_it(
     first.close()
     second.until("frame", lambda m: not m["scan"]["running"])
     assert table.stopped.is_set() and not table.turning.is_set()
-    scan = asks(one).get("/api/v1/scan").json()
+    scan = asks(station).get("/api/v1/scan").json()
     assert scan["phase"] == "failed" and "stopped after" in scan["note"]
     (capture,) = (tmp_path / "out").glob("*.tagid.h5")
     assert not read_any(capture).complete, "what was recorded is kept"
@@ -447,12 +447,12 @@ def test_the_interlock_needs_neither_the_loop_nor_the_page(
     serve, table: Table, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(operators, "GRACE_S", 0.3)
-    one = serve(ENDLESS)
-    operator, _ = joined(one.port)
+    station = serve(ENDLESS)
+    operator, _ = joined(station.port)
     operator.say(type="scan")
     assert table.turning.wait(WAIT_S)
     busy, free = threading.Event(), threading.Event()
-    monkeypatch.setattr(one._station, "tick", lambda: (busy.set(), free.wait(2 * WAIT_S)))
+    monkeypatch.setattr(station._station, "tick", lambda: (busy.set(), free.wait(2 * WAIT_S)))
     assert busy.wait(WAIT_S)
     try:
         operator.close()  # nobody reads it: the loop is busy
@@ -462,44 +462,44 @@ def test_the_interlock_needs_neither_the_loop_nor_the_page(
 
 
 def test_a_client_that_vanishes_is_detected_by_the_system(serve) -> None:
-    one = serve()
-    joined(one.port)
-    (line,) = [s for s in one._server.server_state.connections if isinstance(s, server.StationSocket)]
-    found = line.transport.get_extra_info("socket")
-    assert found.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
-    assert found.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == server.PING_S
-    assert found.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 2000 * server.PING_S
+    station = serve()
+    joined(station.port)
+    (line,) = [s for s in station._server.server_state.connections if isinstance(s, server.StationSocket)]
+    wire = line.transport.get_extra_info("socket")
+    assert wire.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+    assert wire.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == server.PING_S
+    assert wire.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 2000 * server.PING_S
 
 
 def test_a_dead_page_stops_the_motion_and_ends_the_station(
     serve, table: Table, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = serve(ENDLESS)
-    operator, key = joined(one.port)
+    station = serve(ENDLESS)
+    operator, key = joined(station.port)
     operator.say(type="scan")
     assert table.turning.wait(WAIT_S)
-    assert one.running
+    assert station.running
 
     def broken(run: object) -> None:
         raise KeyError("a fault")
 
     monkeypatch.setattr(wire, "frame", broken)
     assert table.stopped.wait(WAIT_S)
-    wait(lambda: not one._station.scan.running)
-    assert not one.running and "KeyError" in str(one.failure)
-    refused = asks(one, **OWN).post("/api/v1/scan", key=key)
+    wait(lambda: not station._station.scan.running)
+    assert not station.running and "KeyError" in str(station.failure)
+    refused = asks(station, **OWN).post("/api/v1/scan", key=key)
     assert (refused.status, refused.json()["error"]["code"]) == (503, "interlock")
 
 
 def test_a_dead_interlock_stops_the_motion_and_ends_the_station(serve, table: Table) -> None:
-    one = serve(ENDLESS)
-    operator, _ = joined(one.port)
+    station = serve(ENDLESS)
+    operator, _ = joined(station.port)
     operator.say(type="scan")
     assert table.turning.wait(WAIT_S)
-    one._station.operators.expire = None
+    station._station.operators.expire = None
     assert table.stopped.wait(WAIT_S)
-    wait(lambda: not one._station.scan.running)
-    assert not one.running and "interlock" in str(one.failure)
+    wait(lambda: not station._station.scan.running)
+    assert not station.running and "interlock" in str(station.failure)
 
 
 def test_without_the_interlock_nothing_moves(table: Table, tmp_path: Path) -> None:
@@ -511,10 +511,10 @@ def test_without_the_interlock_nothing_moves(table: Table, tmp_path: Path) -> No
 
 
 def test_of_two_that_press_at_once_one_scans(serve) -> None:
-    one = serve(ENDLESS)
+    station = serve(ENDLESS)
     answers: list[int] = []
     threads = [
-        threading.Thread(target=lambda: answers.append(asks(one, **OWN).post("/api/v1/scan").status))
+        threading.Thread(target=lambda: answers.append(asks(station, **OWN).post("/api/v1/scan").status))
         for _ in range(4)
     ]
     for thread in threads:
@@ -522,16 +522,16 @@ def test_of_two_that_press_at_once_one_scans(serve) -> None:
     for thread in threads:
         thread.join()
     assert sorted(answers) == [202, 409, 409, 409]
-    asks(one, **OWN).post("/api/v1/scan/stop")
-    assert ended(one)["number"] == 1
+    asks(station, **OWN).post("/api/v1/scan/stop")
+    assert ended(station)["number"] == 1
 
 
 def test_a_table_does_not_start_when_its_scan_was_stopped_before(serve, table: Table) -> None:
-    one = serve(ENDLESS)
-    first, _ = joined(one.port)
-    with one._station._radar:  # a health check is talking to the radar
+    station = serve(ENDLESS)
+    first, _ = joined(station.port)
+    with station._station._radar:  # a health check is talking to the radar
         first.say(type="scan")
-        wait(lambda: asks(one).get("/api/v1/scan").status == 200)
+        wait(lambda: asks(station).get("/api/v1/scan").status == 200)
         first.say(type="stop")
         first.until("status")
     scan = first.until("frame", lambda m: not m["scan"]["running"])["scan"]
@@ -543,12 +543,12 @@ def test_a_table_does_not_start_when_its_scan_was_stopped_before(serve, table: T
 def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(
     serve, table: Table, tmp_path: Path
 ) -> None:
-    one = serve(ENDLESS)
-    first, _ = joined(one.port)
+    station = serve(ENDLESS)
+    first, _ = joined(station.port)
     first.say(type="scan")
     first.until("frame", lambda m: m["scan"]["scans"] > 5)
-    assert asks(one, **OWN).post("/api/v1/scan/stop").status == 202
-    assert "stopped after" in ended(one)["note"]
+    assert asks(station, **OWN).post("/api/v1/scan/stop").status == 202
+    assert "stopped after" in ended(station)["note"]
     table.breaks_after = table.checks + 10
     first.say(type="scan")
     scan = first.until("frame", lambda m: m["scan"]["number"] == 2 and not m["scan"]["running"])["scan"]
@@ -566,16 +566,16 @@ def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(
 
 
 def test_a_free_table_that_stops_half_way_is_told_with_the_part_that_it_turned(serve) -> None:
-    one = serve("emulator://helmet-120?rpm=10&seed=2&stop=0.5", rpm=10)
-    client, _ = joined(one.port)
+    station = serve("emulator://helmet-120?rpm=10&seed=2&stop=0.5", rpm=10)
+    client, _ = joined(station.port)
     client.say(type="scan")
     client.until("frame", lambda m: not m["scan"]["running"])
-    scan = asks(one).get("/api/v1/scan").json()
+    scan = asks(station).get("/api/v1/scan").json()
     assert scan["phase"] == "done" and "the turn stopped at about" in scan["remark"]
     assert scan["answer"]["status"] == "unknown" and scan["answer"]["reason_code"] == "turn_stopped"
     (cause,) = scan["answer"]["causes"]
     assert cause["code"] == "turn_stopped" and "what holds the table" in cause["remedy"]
-    (row,) = asks(one).get("/api/v1/history").json()["items"]
+    (row,) = asks(station).get("/api/v1/history").json()["items"]
     assert row["status"] == "unknown"
     client.close()
 
@@ -584,10 +584,10 @@ def test_a_client_that_never_reads_is_cut_off_and_holds_up_nobody(
     serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "PING_S", 3.0)
-    one = serve(ENDLESS)
-    deaf = Raw(one.port, receive_bytes=4096)
+    station = serve(ENDLESS)
+    deaf = Raw(station.port, receive_bytes=4096)
     deaf.say(type="hello")
-    good, _ = joined(one.port)
+    good, _ = joined(station.port)
     good.say(type="scan")
     good.until("frame", lambda m: m["scan"]["scans"] > 20)
     assert good.until("status", lambda m: m["connections"] == 1)["connections"] == 1, "the deaf one is gone"
@@ -598,14 +598,14 @@ def test_a_client_that_never_reads_is_cut_off_and_holds_up_nobody(
 
 def test_a_connection_without_a_request_is_closed(serve, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "HEADER_S", 0.2)
-    one = serve()
-    for before in (b"", f"GET / HTTP/1.1\r\nhost: 127.0.0.1:{one.port}\r\n\r\n".encode()):
-        assert closes_a_slow_request(one, before)
+    station = serve()
+    for before in (b"", f"GET / HTTP/1.1\r\nhost: 127.0.0.1:{station.port}\r\n\r\n".encode()):
+        assert closes_a_slow_request(station, before)
 
 
-def closes_a_slow_request(one: Server, before: bytes) -> bool:
+def closes_a_slow_request(station: Server, before: bytes) -> bool:
     """Whether the server ends a request that never does, perhaps after one that did."""
-    with socket.create_connection(("127.0.0.1", one.port), timeout=60) as wire:
+    with socket.create_connection(("127.0.0.1", station.port), timeout=60) as wire:
         if before:
             wire.sendall(before)
             assert wire.recv(65536).startswith(b"HTTP/1.1 200")
@@ -621,13 +621,13 @@ def closes_a_slow_request(one: Server, before: bytes) -> bool:
 
 
 def test_a_full_disk_is_told_and_the_next_scan_works(serve, tmp_path: Path) -> None:
-    one = serve()
-    client = asks(one, **OWN)
+    station = serve()
+    client = asks(station, **OWN)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, hard))
     try:
         assert client.post("/api/v1/scan").status == 202
-        scan = ended(one)
+        scan = ended(station)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert scan["phase"] == "failed" and "tagid recover" in scan["note"], scan
@@ -635,7 +635,7 @@ def test_a_full_disk_is_told_and_the_next_scan_works(serve, tmp_path: Path) -> N
     assert journal.stat().st_size > 10_000
     assert client.post("/api/v1/scan").status == 202
     assert client.post("/api/v1/scan/stop").status == 202
-    assert "tagid recover" not in ended(one)["note"]
+    assert "tagid recover" not in ended(station)["note"]
 
 
 def test_the_command_serves_until_it_is_stopped(home: dict[str, str], tmp_path: Path) -> None:
@@ -672,9 +672,9 @@ def test_a_web_server_that_ends_is_not_running(tmp_path: Path, monkeypatch: pyte
         raise SystemExit(3)  # as uvicorn does
 
     monkeypatch.setattr(Server, "_serve", ends)
-    with Server(Station(source(tmp_path), lambda config: []), "127.0.0.1", 0) as one:
-        wait(lambda: one.failure)
-        assert not one.running and "the web server died: SystemExit" in str(one.failure)
+    with Server(Station(source(tmp_path), lambda config: []), "127.0.0.1", 0) as station:
+        wait(lambda: station.failure)
+        assert not station.running and "the web server died: SystemExit" in str(station.failure)
 
 
 DIES = """
@@ -698,22 +698,24 @@ def test_the_command_fails_if_a_part_of_the_station_dies(home: dict[str, str]) -
 
 def test_nothing_is_left_of_a_scan_when_the_next_ones_are_over(serve) -> None:
     """Like `python -m tests.benchmarks station`, shorter: objects, threads and files instead of megabytes."""
-    one = serve("emulator://helmet-120?rpm=60&seed=2", rpm=60.0)
-    page, _ = joined(one.port)
+    station = serve("emulator://helmet-120?rpm=60&seed=2", rpm=60.0)
+    page, _ = joined(station.port)
     reader = threading.Thread(target=page.closed, daemon=True)
     reader.start()
-    client = asks(one, **OWN)
+    client = asks(station, **OWN)
     seen: list[tuple[dict[str, int], set[str], int]] = []
     kinds = (ScanRun, LiveView, Capture, Identification, Image)
     # What earlier tests of this process left is held, so that it cannot go meanwhile.
-    earlier = [found for found in gc.get_objects() if type(found) in kinds]
+    earlier = [get_object for get_object in gc.get_objects() if type(get_object) in kinds]
     for _ in range(4):
         assert client.post("/api/v1/scan").status == 202
-        assert ended(one)["phase"] == "done"
+        assert ended(station)["phase"] == "done"
         gc.collect()
-        alive = {kind.__name__: sum(type(found) is kind for found in gc.get_objects()) for kind in kinds}
-        for found in earlier:
-            alive[type(found).__name__] -= 1
+        alive = {
+            kind.__name__: sum(type(get_object) is kind for get_object in gc.get_objects()) for kind in kinds
+        }
+        for result in earlier:
+            alive[type(result).__name__] -= 1
         work = {
             thread.name for thread in threading.enumerate() if thread.name.startswith(("station", "live"))
         }

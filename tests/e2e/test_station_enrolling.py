@@ -15,37 +15,37 @@ from tagid.tags.layouts.codebook import best_pairing
 from tagid.tags.layouts.layout import Layout
 
 
-def state(one: Server) -> dict[str, Any]:
-    return Asks(one.url, OWN).get("/api/v1/enrolment").json()
+def state(station: Server) -> dict[str, Any]:
+    return Asks(station.url, OWN).get("/api/v1/enrolment").json()
 
 
-def record(one: Server) -> dict[str, Any]:
+def record(station: Server) -> dict[str, Any]:
     """One more capture; the state after it was measured."""
-    answer = Asks(one.url, OWN).post("/api/v1/enrolment/capture")
+    answer = Asks(station.url, OWN).post("/api/v1/enrolment/capture")
     assert answer.status == 202, answer.text
-    scan = ended(one)
+    scan = ended(station)
     assert scan["phase"] == "done", scan["note"]
-    return state(one)
+    return state(station)
 
 
 def test_an_object_is_measured_stored_named_and_undone(serve, tmp_path: Path) -> None:
     radars = poses("mine", own_object(tmp_path))
-    one = serve(lambda: next(radars))
-    client = Asks(one.url, OWN)
+    station = serve(lambda: next(radars))
+    client = Asks(station.url, OWN)
     assert client.post("/api/v1/enrolment/capture").json()["error"]["code"] == "enrolment"
     assert client.post("/api/v1/enrolment", name="Mine!").status == 400
     assert client.post("/api/v1/enrolment", name="helmet-120").json()["error"]["code"] == "registry"
     assert client.post("/api/v1/enrolment", name="x", label="=1+1").status == 400
     assert client.post("/api/v1/enrolment", name="gate-4", kind="helmet").status == 200
     for number in (1, 2):
-        found = record(one)
-        assert [taken["reflectors"] for taken in found["captures"]] == [3] * number
-        assert found["trouble"] is None and found["proposal"] is None
+        recorded = record(station)
+        assert [taken["reflectors"] for taken in recorded["captures"]] == [3] * number
+        assert recorded["trouble"] is None and recorded["proposal"] is None
     assert client.post("/api/v1/enrolment/store").status == 409, "two captures are too few"
-    found = record(one)
-    assert (found["measuring"], found["trouble"]) == (False, None)
-    assert not any("same place" in remark for remark in found["remarks"])
-    proposal = found["proposal"]
+    recorded = record(station)
+    assert (recorded["measuring"], recorded["trouble"]) == (False, None)
+    assert not any("same place" in remark for remark in recorded["remarks"])
+    proposal = recorded["proposal"]
     assert proposal["ready"] and not proposal["nearest"][0]["confusable"]
     measured = np.array([(p["x_m"], p["y_m"]) for p in proposal["reflectors"]])
     assert best_pairing(measured, PLACES).worst_m < 2e-3
@@ -71,7 +71,7 @@ def test_an_object_is_measured_stored_named_and_undone(serve, tmp_path: Path) ->
     assert client.get("/api/v1/layouts/..%2fgate-5/template.pdf").status == 404
     # The next scan of the object shows its name.
     client.post("/api/v1/scan")
-    assert ended(one)["answer"]["layout"] == "gate-5"
+    assert ended(station)["answer"]["layout"] == "gate-5"
     assert client.post("/api/v1/enrolment/undo").json()["undone"] == "gate-5"
     assert "gate-5" not in [layout.name for layout in registry.layouts()]
     assert client.post("/api/v1/enrolment/undo").json()["error"]["code"] == "enrolment"
@@ -81,23 +81,23 @@ def test_an_object_is_measured_stored_named_and_undone(serve, tmp_path: Path) ->
 
 def test_a_reload_and_a_second_tab_in_the_middle_of_an_enrolment_lose_nothing(serve, tmp_path: Path) -> None:
     radars = poses("mine", own_object(tmp_path) + "&rate=1")
-    one = serve(lambda: next(radars))
-    client = Asks(one.url, OWN)
-    first, key = joined(one.port)
+    station = serve(lambda: next(radars))
+    client = Asks(station.url, OWN)
+    first, key = joined(station.port)
     assert client.post("/api/v1/enrolment", name="gate-4", key=key).status == 200
     assert client.post("/api/v1/enrolment/capture", key=key).status == 202
     first.until("frame", lambda m: m["scan"]["scans"] > 5)
     # The page is reloaded while the object turns, and while another tab looks on.
-    second, other = joined(one.port)
+    second, other = joined(station.port)
     first.close()
     refused = client.post("/api/v1/enrolment/cancel", key=other)
     assert (refused.status, refused.json()["error"]["code"]) == (403, "not_operator")
-    first, again = joined(one.port, key)
+    first, again = joined(station.port, key)
     assert again == key
     for tab in (first, second):
         seen = tab.until("status", lambda m: len(m["enrolment"]["captures"]) == 1)["enrolment"]
         assert seen["subject"]["name"] == "gate-4"
-    assert ended(one)["phase"] == "done"
+    assert ended(station)["phase"] == "done"
     assert client.post("/api/v1/enrolment", name="gate-5", key=key).status == 200, "it still operates"
     # The first tab is closed; the second one takes over with what was recorded.
     first.close()
@@ -111,10 +111,10 @@ def test_a_reload_and_a_second_tab_in_the_middle_of_an_enrolment_lose_nothing(se
 
 
 def test_only_the_operator_enrols(serve) -> None:
-    one = serve()
-    operator, key = joined(one.port)
-    watcher, other = joined(one.port)
-    client = Asks(one.url, OWN)
+    station = serve()
+    operator, key = joined(station.port)
+    watcher, other = joined(station.port)
+    client = Asks(station.url, OWN)
     assert client.post("/api/v1/enrolment", name="gate-4", key=key).status == 200
     operator.until("operator", lambda m: m["you"])
     for path in ("", "/capture", "/drop", "/store", "/undo", "/cancel"):
@@ -128,6 +128,6 @@ def test_only_the_operator_enrols(serve) -> None:
         "label": "",
     }
     assert client.post("/api/v1/enrolment/cancel", key=key).status == 200
-    wait(lambda: state(one)["subject"] is None)
+    wait(lambda: state(station)["subject"] is None)
     operator.close()
     watcher.close()

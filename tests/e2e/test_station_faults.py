@@ -34,8 +34,8 @@ def core(rpm: float) -> EmulatorCore:
 
 def test_a_radar_that_is_gone_is_told_with_its_wiring_and_the_next_scan_works(serve, tmp_path: Path) -> None:
     with UdpEmulator(core(8), ServeOptions(port=0)) as radar:
-        one = serve(radar.url, check=examine, rpm=8, resume_s=0.0)
-        page, _ = joined(one.port)
+        station = serve(radar.url, check=examine, rpm=8, resume_s=0.0)
+        page, _ = joined(station.port)
         first = page.until("status", lambda m: m["health"]["checked"])["health"]
         assert first["wiring"] is None
         page.say(type="scan")
@@ -47,19 +47,19 @@ def test_a_radar_that_is_gone_is_told_with_its_wiring_and_the_next_scan_works(se
     assert read_any(capture).views > 10 and not read_any(capture).complete
     help_ = page.until("status", lambda m: m["health"]["wiring"])["health"]
     assert help_["wiring"]["cable"] == "ethernet" and "127.0.0.1" in " ".join(help_["wiring"]["steps"])
-    assert any(one["topic"] == "radar" and one["level"] == "problem" for one in help_["findings"])
+    assert any(finding["topic"] == "radar" and finding["level"] == "problem" for finding in help_["findings"])
     with UdpEmulator(core(8), ServeOptions(port=int(radar.url.rpartition(":")[2]), rate=0)):
         page.until("status", lambda m: m["health"]["wiring"] is None)
         page.say(type="scan")
         page.until("frame", lambda m: m["scan"]["number"] == 2 and not m["scan"]["running"])
-        assert Asks(one.url, {}).get("/api/v1/scan").json()["phase"] == "done"
+        assert Asks(station.url, {}).get("/api/v1/scan").json()["phase"] == "done"
     page.close()
 
 
 def test_a_cable_that_is_replugged_during_the_scan_costs_only_a_gap(serve, tmp_path: Path) -> None:
     with SerialEmulator(core(6), ServeOptions(), link=tmp_path / "port") as radar:
-        one = serve(radar.url, rpm=6)
-        page, _ = joined(one.port)
+        station = serve(radar.url, rpm=6)
+        page, _ = joined(station.port)
         page.say(type="scan")
         page.until("frame", lambda m: m["scan"]["scans"] > 20)
         radar.unplug()
@@ -68,7 +68,7 @@ def test_a_cable_that_is_replugged_during_the_scan_costs_only_a_gap(serve, tmp_p
         assert page.until("frame", lambda m: m["scan"]["note"])["scan"]["note"].startswith(
             "the radar was disco"
         )
-        scan = ended(one)
+        scan = ended(station)
         assert (scan["phase"], scan["answer"]["layout"]) == ("done", "helmet-120")
         page.close()
 
@@ -86,8 +86,8 @@ def test_a_cable_that_is_replugged_during_the_scan_costs_only_a_gap(serve, tmp_p
     ],
 )
 def test_the_wiring_help_fits_the_cable(url: str | None, cable: str, words: str) -> None:
-    found = wiring(url)
-    assert found.cable == cable and words in " ".join(found.steps)
+    result = wiring(url)
+    assert result.cable == cable and words in " ".join(result.steps)
 
 
 CLOCK = """
@@ -135,19 +135,19 @@ main(Path(sys.argv[1]))
 
 def test_a_clock_that_jumps_loses_nothing(tmp_path: Path, remembered: Path) -> None:
     (tmp_path / "out").mkdir()
-    own = {"TAGID_DATA": str(tmp_path / "data"), "TAGID_CONFIG": str(tmp_path / "c.toml")}
+    environment = {"TAGID_DATA": str(tmp_path / "data"), "TAGID_CONFIG": str(tmp_path / "c.toml")}
     done = subprocess.run(
         [sys.executable, "-c", CLOCK, str(tmp_path / "out"), str(remembered)],
         capture_output=True, text=True, cwd=ROOT,
-        env={**os.environ, **own, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        env={**os.environ, **environment, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
 
 
 def test_of_two_hundred_connections_a_bounded_number_is_served(serve) -> None:
-    one = serve()
+    station = serve()
     threads = threading.active_count()
-    many = [Raw(one.port) for _ in range(200)]
+    many = [Raw(station.port) for _ in range(200)]
     served = [client for client in many if client.status == 101]
     refused = [client for client in many if client.status != 101]
     assert len(served) == MAX_CONNECTIONS and {client.status for client in refused} == {503}
@@ -156,7 +156,7 @@ def test_of_two_hundred_connections_a_bounded_number_is_served(serve) -> None:
     for client in served:
         client.say(type="hello")
         client.until("hello")
-    ask = Asks(one.url, OWN)
+    ask = Asks(station.url, OWN)
     status = ask.get("/api/v1/status").json()
     assert status["connections"] == MAX_CONNECTIONS and status["full"], "the page says that it is full"
     assert ask.post("/api/v1/scan").status == 202, "a gate goes on working"
@@ -165,7 +165,7 @@ def test_of_two_hundred_connections_a_bounded_number_is_served(serve) -> None:
         client.close()
     wait(lambda: not ask.get("/api/v1/status").json()["connections"])
     assert threading.active_count() <= threads + 2, "workers of the web server, not one per connection"
-    last, _ = joined(one.port)
+    last, _ = joined(station.port)
     assert not last.until("status")["full"]
     last.close()
 
@@ -173,9 +173,9 @@ def test_of_two_hundred_connections_a_bounded_number_is_served(serve) -> None:
 def test_a_station_that_is_closed_checks_nothing_more(serve) -> None:
     """The web server still ticks for a moment, and nobody would wait for the thread."""
     checks: list[object] = []
-    one = serve(check=lambda config: checks.append(config) or [])
-    station = one._station
-    page, _ = joined(one.port)
+    single = serve(check=lambda config: checks.append(config) or [])
+    station = single._station
+    page, _ = joined(single.port)
     wait(lambda: station.health.checked_at)
     station.close()
     before = len(checks)
@@ -188,8 +188,8 @@ def test_a_station_that_is_closed_checks_nothing_more(serve) -> None:
 def test_a_health_check_that_cannot_start_is_shown_and_tried_again(
     serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = serve()
-    page, _ = joined(one.port)
+    station = serve()
+    page, _ = joined(station.port)
     page.until("status", lambda m: m["health"]["checked"])
 
     def no_thread(self: threading.Thread) -> None:
@@ -197,11 +197,11 @@ def test_a_health_check_that_cannot_start_is_shown_and_tried_again(
 
     with monkeypatch.context() as patch:
         patch.setattr(threading.Thread, "start", no_thread)
-        one._station._health_due = 0.0
-        found = page.until("status", lambda m: m["health"]["findings"][0]["topic"] == "health check")
-    assert "no memory or thread left" in found["health"]["findings"][0]["text"]
-    assert one.running and one._station._interlock.alive
-    one._station._health_due = 0.0
+        station._station._health_due = 0.0
+        message = page.until("status", lambda m: m["health"]["findings"][0]["topic"] == "health check")
+    assert "no memory or thread left" in message["health"]["findings"][0]["text"]
+    assert station.running and station._station._interlock.alive
+    station._station._health_due = 0.0
     page.until("status", lambda m: m["health"]["findings"][0]["topic"] == "radar")
     page.close()
 
@@ -244,21 +244,21 @@ def test_connections_that_ask_for_nothing_keep_nobody_out(
 ) -> None:
     """Three hundred of them; each request that follows is answered at once, not after they have expired."""
     monkeypatch.setattr(server, "KEPT_S", 600.0)  # longer than three hundred connections may take to open
-    one = serve()
-    sent = sent.replace(b"PORT", str(one.port).encode())
-    page, _ = joined(one.port)
-    kept = HTTPConnection("127.0.0.1", one.port, timeout=WAIT_S)
+    station = serve()
+    sent = sent.replace(b"PORT", str(station.port).encode())
+    page, _ = joined(station.port)
+    kept = HTTPConnection("127.0.0.1", station.port, timeout=WAIT_S)
     kept.request("GET", "/api/v1/status", headers=OWN)
     assert kept.getresponse().read()
     silent = [socket.socket() for _ in range(300)]
     for client in silent:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-        client.connect(("127.0.0.1", one.port))
+        client.connect(("127.0.0.1", station.port))
         with suppress(OSError):
             client.sendall(sent)
-    ask = Asks(one.url, OWN)
+    ask = Asks(station.url, OWN)
     assert [ask.get(path).status for path in ("/", "/api/v1/status", "/api/v1/history")] == [200] * 3
-    late, _ = joined(one.port)
+    late, _ = joined(station.port)
     assert late.until("status", lambda m: m["connections"] == 2)["connections"] == 2
     assert page.until("status", lambda m: m["connections"] == 2), "a page that is connected stays so"
     kept.request("GET", "/api/v1/status", headers=OWN)
@@ -270,9 +270,9 @@ def test_connections_that_ask_for_nothing_keep_nobody_out(
 def test_pages_count_among_the_connections(serve, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "HEADER_S", 600.0)  # none is closed for its age
     monkeypatch.setattr(server, "MAX_SOCKETS", 4)
-    one = serve()
-    pages = [joined(one.port)[0] for _ in range(3)]
-    silent = [socket.create_connection(("127.0.0.1", one.port), WAIT_S) for _ in range(3)]
+    station = serve()
+    pages = [joined(station.port)[0] for _ in range(3)]
+    silent = [socket.create_connection(("127.0.0.1", station.port), WAIT_S) for _ in range(3)]
     for client in silent[:2]:
         with suppress(ConnectionResetError):
             assert client.recv(1) == b"", "its place was needed"
@@ -283,13 +283,13 @@ def test_pages_count_among_the_connections(serve, monkeypatch: pytest.MonkeyPatc
 def test_connections_of_paired_clients_are_the_last_to_go(serve, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "KEPT_S", 0.0)
     monkeypatch.setattr(server, "MAX_SOCKETS", 4)
-    one = serve(announce=lambda code: None)
-    kept = HTTPConnection("127.0.0.1", one.port, timeout=WAIT_S)
-    own = OWN | {"authorization": f"Bearer {one._pairing._grant()}"}
+    station = serve(announce=lambda code: None)
+    kept = HTTPConnection("127.0.0.1", station.port, timeout=WAIT_S)
+    headers = OWN | {"authorization": f"Bearer {station._pairing._grant()}"}
     for _ in range(3):
-        kept.request("GET", "/api/v1/status", headers=own)
+        kept.request("GET", "/api/v1/status", headers=headers)
         answer = kept.getresponse()
         assert answer.read() and answer.status == 200, "the same connection"
         for _ in range(8):
-            socket.create_connection(("127.0.0.1", one.port), WAIT_S).close()
+            socket.create_connection(("127.0.0.1", station.port), WAIT_S).close()
     kept.close()

@@ -19,11 +19,11 @@ from tagid.station.server import Server
 from tagid.storage.history import FILE_NAME, History
 
 
-def scanned(one: Server) -> int:
+def scanned(station: Server) -> int:
     """Scan once; the entry in the history."""
-    client = Asks(one.url, OWN)
+    client = Asks(station.url, OWN)
     assert client.post("/api/v1/scan").status == 202
-    assert ended(one)["phase"] == "done"
+    assert ended(station)["phase"] == "done"
     return int(client.get("/api/v1/history?limit=1").json()["items"][0]["id"])
 
 
@@ -39,17 +39,17 @@ def entry(file: Path, command: str = "station", **values: Any) -> int:
 
 
 def test_a_report_over_a_selection(serve, tmp_path: Path) -> None:
-    one = serve()
-    client = Asks(one.url, OWN)
-    first, second = scanned(one), scanned(one)
+    station = serve()
+    client = Asks(station.url, OWN)
+    first, second = scanned(station), scanned(station)
     gone = entry(tmp_path / "out" / "gone.tagid.h5")
     (tmp_path / "other").mkdir()
     for suffix in (".tagid.h5", ".png"):
         (tmp_path / "other" / f"scan{suffix}").touch()
     other = entry(tmp_path / "other" / "scan.tagid.h5")
     files = {
-        one["id"]: (one["has_capture"], one["has_picture"])
-        for one in client.get("/api/v1/history").json()["items"]
+        item["id"]: (item["has_capture"], item["has_picture"])
+        for item in client.get("/api/v1/history").json()["items"]
     }
     assert files == {first: (True, True), second: (True, True), gone: (False, False), other: (False, False)}
     for wrong in (None, [], ["1"], [True], [0], [-1], [10**19], list(range(1, 300)), {"a": 1}):
@@ -61,9 +61,9 @@ def test_a_report_over_a_selection(serve, tmp_path: Path) -> None:
     assert begun.json() == {"number": 1, "left_out": left_out}
     assert client.post("/api/v1/reports", entries=[first]).json()["error"]["code"] == "busy"
     assert client.get("/api/v1/reports/1/report.html").status == 404, "it is not complete"
-    found = wait(lambda: (r := client.get("/api/v1/reports/1").json())["running"] is False and r)
-    assert (found["complete"], found["done"], found["total"], found["error"]) == (True, 2, 2, None)
-    assert found["left_out"] == left_out
+    answer = wait(lambda: (r := client.get("/api/v1/reports/1").json())["running"] is False and r)
+    assert (answer["complete"], answer["done"], answer["total"], answer["error"]) == (True, 2, 2, None)
+    assert answer["left_out"] == left_out
     page = client.get("/api/v1/reports/1/report.html")
     policy = page.headers["content-security-policy"]
     assert policy.startswith("sandbox allow-scripts;") and "allow-same-origin" not in policy
@@ -78,25 +78,25 @@ def test_a_report_over_a_selection(serve, tmp_path: Path) -> None:
 
 
 def test_only_the_operator_begins_a_report_and_it_can_be_stopped(serve) -> None:
-    one = serve()
-    number = scanned(one)
-    operator, key = joined(one.port)
-    client = Asks(one.url, OWN)
+    station = serve()
+    number = scanned(station)
+    operator, key = joined(station.port)
+    client = Asks(station.url, OWN)
     operator.say(type="take")
     operator.until("operator", lambda m: m["you"])
     for path in ("reports", "reports/stop"):
         assert client.post(f"/api/v1/{path}", entries=[number]).status == 403
     assert client.post("/api/v1/reports", entries=[number], key=key).status == 202
     assert client.post("/api/v1/reports/stop", key=key).status == 202
-    found = operator.until("status", lambda m: m["report"] and not m["report"]["running"])["report"]
-    assert found["number"] == 1 and found["error"] is None
+    message = operator.until("status", lambda m: m["report"] and not m["report"]["running"])["report"]
+    assert message["number"] == 1 and message["error"] is None
     operator.close()
 
 
 def test_export_is_safe_to_open_and_holds_the_captures(serve, tmp_path: Path) -> None:
-    one = serve()
-    client = Asks(one.url, OWN)
-    real = scanned(one)
+    station = serve()
+    client = Asks(station.url, OWN)
+    real = scanned(station)
     wild = entry(tmp_path / "out" / "=cmd.tagid.h5", label="=1+1", reason="@SUM(A1)\x1b[31m")
     query = f"?entries={real},{wild}"
     text = client.get(f"/api/v1/history.csv{query}").text
@@ -117,8 +117,8 @@ def test_export_is_safe_to_open_and_holds_the_captures(serve, tmp_path: Path) ->
 
 
 def test_no_file_outside_the_folder_is_given_out(serve, tmp_path: Path) -> None:
-    one = serve()
-    client = Asks(one.url, OWN)
+    station = serve()
+    client = Asks(station.url, OWN)
     secret = tmp_path / "secret.tagid.h5"
     secret.write_bytes(b"secret")
     link = tmp_path / "out" / "link.tagid.h5"
@@ -144,7 +144,7 @@ def test_a_client_that_does_not_read_its_download_is_disconnected(
     serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "STALL_S", 0.5)
-    one = serve()
+    station = serve()
     large = tmp_path / "out" / "large.tagid.h5"
     with large.open("wb") as file:
         file.truncate(64 << 20)
@@ -152,20 +152,20 @@ def test_a_client_that_does_not_read_its_download_is_disconnected(
     for path in (f"/api/v1/history/{number}/capture", f"/api/v1/history/captures.zip?entries={number}"):
         wire = socket.socket()
         wire.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        wire.connect(("127.0.0.1", one.port))
-        wire.sendall(f"GET {path} HTTP/1.1\r\nhost: 127.0.0.1:{one.port}\r\n\r\n".encode())
+        wire.connect(("127.0.0.1", station.port))
+        wire.sendall(f"GET {path} HTTP/1.1\r\nhost: 127.0.0.1:{station.port}\r\n\r\n".encode())
         wait(lambda: str(large) in open_files())
         wait(lambda: str(large) not in open_files())
         wire.close()
-    assert Asks(one.url, {}).get("/api/v1/status").status == 200
+    assert Asks(station.url, {}).get("/api/v1/status").status == 200
 
 
 def open_files() -> list[str]:
     """Names of the files that this process holds open."""
-    found = []
+    results = []
     for link in Path("/proc/self/fd").iterdir():
         try:
-            found.append(str(link.readlink()))
+            results.append(str(link.readlink()))
         except OSError:
             continue  # it was closed meanwhile
-    return found
+    return results

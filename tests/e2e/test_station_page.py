@@ -43,16 +43,16 @@ return Array.from(data).filter((v, i) => i % 4 === 1);
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    one = start(tmp_path_factory.mktemp("profile"))
-    yield one
-    one.quit()
+    started = start(tmp_path_factory.mktemp("profile"))
+    yield started
+    started.quit()
 
 
 @pytest.fixture(scope="module")
 def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A station for the tests that need one scan."""
-    with alone(tmp_path_factory.mktemp("shown")) as one:
-        yield one
+    with alone(tmp_path_factory.mktemp("shown")) as station:
+        yield station
 
 
 @pytest.fixture
@@ -267,11 +267,11 @@ def test_accessibility_and_fit(
 def test_a_station_is_set_up_on_its_page(
     browser: Any, serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    one = serve(check=lambda config: [])
-    one._station.source = station.Source(lambda: Workplace({"storage.folder": str(tmp_path / "out")}))
+    single = serve(check=lambda config: [])
+    single._station.source = station.Source(lambda: Workplace({"storage.folder": str(tmp_path / "out")}))
     size(browser, 820, 1180)
     theme(browser, "light")
-    browser.get(f"{one.url}/#view-settings")
+    browser.get(f"{single.url}/#view-settings")
 
     def typed(identity: str, words: str) -> None:
         field = browser.find_element(By.ID, identity)
@@ -324,24 +324,24 @@ def test_a_station_is_set_up_on_its_page(
     browser.execute_script("localStorage.clear(); applyTheme()")
     assert browser.execute_script(background) == light
     # Loading the page again closes its socket, which some browsers log.
-    (refused,) = [message for message in logged(browser, one.url) if "WebSocket" not in message]
+    (refused,) = [message for message in logged(browser, single.url) if "WebSocket" not in message]
     assert "400 (Bad Request)" in refused
 
 
 def test_a_rig_is_commissioned_on_its_page(
     browser: Any, serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    one = serve(check=lambda config: [])
+    single = serve(check=lambda config: [])
     shown = ["empty"]
 
     def place() -> Workplace:
         url = f"emulator://{shown[0]}?rig=realistic%3Fseed%3D3&seed=1"
         return Workplace({"radar.url": url, "radar.integration": 15, "storage.folder": str(tmp_path / "out")})
 
-    one._station.source = station.Source(place)
+    single._station.source = station.Source(place)
     size(browser, 820, 1180)
     theme(browser, "light")
-    browser.get(f"{one.url}/#view-commission")
+    browser.get(f"{single.url}/#view-commission")
 
     def row(step: str) -> list[Any]:
         """(state, text, whether it can be started) of a step; its row is drawn anew when it ends."""
@@ -378,10 +378,10 @@ def test_a_rig_is_commissioned_on_its_page(
     assert "path delay" in done("target", "passed") and "±" in row("target")[1]
     focused = browser.execute_script("return document.activeElement.dataset.step")
     assert focused == "target", "the keyboard stays where it was"
-    written = Asks(one.url, {}).get("/api/v1/commissioning/page.pdf")
+    written = Asks(single.url, {}).get("/api/v1/commissioning/page.pdf")
     assert written.status == 200 and written.content.startswith(b"%PDF") and b"path delay" in written.content
     # A script may not begin a step while a browser operates.
-    refused = Asks(one.url, {"tagid-station": "1"}).post("/api/v1/commissioning", step="room")
+    refused = Asks(single.url, {"tagid-station": "1"}).post("/api/v1/commissioning", step="room")
     assert refused.status == 403
     browser.refresh()
     wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#c-steps li.passed"))
@@ -398,15 +398,15 @@ def test_a_rig_is_commissioned_on_its_page(
 def test_two_browsers_a_reload_and_a_restart_of_the_station(
     browser: Any, serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = serve(ENDLESS)
-    browser.get(one.url)
+    station = serve(ENDLESS)
+    browser.get(station.url)
     wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
     browser.find_element(By.ID, "scan").click()
     wait(browser, lambda: text(browser, "scan") == "Stop" and "operates" in text(browser, "operator"))
     first = browser.current_window_handle
     browser.switch_to.new_window("window")
     second = browser.current_window_handle
-    browser.get(one.url)
+    browser.get(station.url)
     wait(browser, lambda: text(browser, "operator").startswith("Another browser"))
     assert text(browser, "scan") == "Stop", "anybody may stop"
     frames = "return Number(document.body.dataset.frames || 0)"
@@ -415,7 +415,7 @@ def test_two_browsers_a_reload_and_a_restart_of_the_station(
     browser.switch_to.window(first)
     browser.refresh()
     wait(browser, lambda: text(browser, "operator") == "This browser operates the station.")
-    assert Asks(one.url, {}).get("/api/v1/scan").json()["running"]
+    assert Asks(station.url, {}).get("/api/v1/scan").json()["running"]
     browser.switch_to.window(second)
     browser.find_element(By.ID, "scan").click()
     wait(browser, lambda: text(browser, "answer") == "Failed")
@@ -423,10 +423,10 @@ def test_two_browsers_a_reload_and_a_restart_of_the_station(
     assert not browser.find_element(By.ID, "scan").is_enabled()
     browser.find_element(By.ID, "take").click()
     wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
-    one.close()
+    station.close()
     wait(browser, lambda: text(browser, "link") in ("the station does not respond", "not connected"))
     assert not browser.find_element(By.ID, "scan").is_enabled()
-    serve(port=one.port)
+    serve(port=station.port)
     wait(browser, lambda: text(browser, "link") == "connected")
     browser.close()
     browser.switch_to.window(first)
@@ -435,15 +435,15 @@ def test_two_browsers_a_reload_and_a_restart_of_the_station(
 
 def test_a_device_pairs_on_the_page(browser: Any, serve: Callable[..., Server]) -> None:
     codes: list[str] = []
-    told = threading.Event()
+    announced = threading.Event()
 
     def announce(code: str) -> None:
         codes.append(code)
-        told.set()
+        announced.set()
 
-    one = serve(announce=announce)
+    station = serve(announce=announce)
     browser.delete_all_cookies()
-    browser.get(one.url)
+    browser.get(station.url)
     wait(browser, lambda: browser.find_element(By.ID, "pairing").is_displayed())
     field = browser.find_element(By.ID, "code")
     field.send_keys("WRONG-ONE", Keys.ENTER)
@@ -459,10 +459,10 @@ def test_an_object_is_enrolled_by_keyboard_and_the_enrolment_undone(
     browser: Any, serve: Callable[..., Server], tmp_path: Path
 ) -> None:
     radars = poses("mine", own_object(tmp_path))
-    one = serve(lambda: next(radars))
+    station = serve(lambda: next(radars))
     size(browser, 820, 1180)
     theme(browser, "light")
-    browser.get(f"{one.url}/#view-enrol")
+    browser.get(f"{station.url}/#view-enrol")
     wait(browser, lambda: browser.find_element(By.ID, "e-begin").is_enabled())
     by_keyboard(browser, "e-name")
     browser.switch_to.active_element.send_keys("Gate 4", Keys.ENTER)
@@ -528,7 +528,7 @@ def test_an_object_is_enrolled_by_keyboard_and_the_enrolment_undone(
     stolen = "try { return String(document.cookie) } catch (error) { return error.name }"
     assert browser.execute_script(stolen) == "SecurityError", "the sandbox gives it no access to the station"
     # The refused name is in the log, and nothing else.
-    (refused,) = logged(browser, one.url)
+    (refused,) = logged(browser, station.url)
     assert "400 (Bad Request)" in refused
 
 
@@ -541,8 +541,8 @@ def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
     size(browser, 390, 844, True)
     with UdpEmulator(core(), ServeOptions(port=0)) as radar:
         port = int(radar.url.rpartition(":")[2])
-    one = serve(radar.url, check=examine, rpm=8, resume_s=4.0)
-    browser.get(one.url)
+    station = serve(radar.url, check=examine, rpm=8, resume_s=4.0)
+    browser.get(station.url)
     # Before anybody scans.
     wait(browser, lambda: text(browser, "answer") == "No radar")
     assert text(browser, "radar") == "no radar" and text(browser, "link") == "connected"
@@ -571,7 +571,7 @@ def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
         assert text(browser, "reason").startswith("The last scan failed: "), "where its scans are"
         browser.find_element(By.ID, "scan").click()
         finished(browser, 2)
-        assert Asks(one.url, {}).get("/api/v1/scan").json()["phase"] == "done"
+        assert Asks(station.url, {}).get("/api/v1/scan").json()["phase"] == "done"
 
 
 def test_a_full_disk_and_a_station_that_is_full_show_on_the_page(
@@ -579,9 +579,9 @@ def test_a_full_disk_and_a_station_that_is_full_show_on_the_page(
 ) -> None:
     monkeypatch.setattr(live_socket, "MAX_CONNECTIONS", 1)
     monkeypatch.setattr(station, "MAX_CONNECTIONS", 1)
-    one = serve()
+    single = serve()
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    browser.get(one.url)
+    browser.get(single.url)
     wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
     resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, hard))
     try:
@@ -592,7 +592,7 @@ def test_a_full_disk_and_a_station_that_is_full_show_on_the_page(
     assert "tagid recover" in text(browser, "reason")
     first = browser.current_window_handle
     browser.switch_to.new_window("window")
-    browser.get(one.url)
+    browser.get(single.url)
     wait(browser, lambda: "too many pages" in text(browser, "link"))
     assert not browser.find_element(By.ID, "scan").is_enabled()
     browser.close()

@@ -32,14 +32,14 @@ pytestmark = pytest.mark.usefixtures("closed_clients")
 @pytest.fixture
 def configured(serve: Any, monkeypatch: pytest.MonkeyPatch) -> Server:
     """A station whose settings are those of its configuration file."""
-    one = serve(check=lambda config: [])
-    one._station.source = Source(Workplace)
+    station = serve(check=lambda config: [])
+    station._station.source = Source(Workplace)
     monkeypatch.setattr(station_settings, "bluetooth_devices", lambda seconds: [])
-    return one
+    return station
 
 
 def shown(answer: Any) -> dict[str, Any]:
-    return {one["name"]: one["value"] for one in answer.json()["items"]}
+    return {item["name"]: item["value"] for item in answer.json()["items"]}
 
 
 def test_settings_are_written_to_the_file_of_config_set(configured: Server) -> None:
@@ -105,8 +105,8 @@ def test_a_radar_that_the_search_found_can_be_chosen(
     core = EmulatorCore(turning_scene(SceneSpec("helmet-120")), RadarConfig())
     with UdpEmulator(core, ServeOptions(port=0)) as radar:
         monkeypatch.setenv("TAGID_RADAR_ADDRESSES", radar.url.removeprefix("udp://"))
-        found = client.post("/api/v1/settings/find", kind="radar").json()["found"]["radar"]
-    (device,) = found["devices"]
+        result = client.post("/api/v1/settings/find", kind="radar").json()["found"]["radar"]
+    (device,) = result["devices"]
     assert device["url"] == radar.url and device["problem"] == "" and "serial" in device["text"]
     assert client.post("/api/v1/settings", changes={"radar.url": radar.url}).status == 200
     motion = [station_settings.Device("roomba+serial:///dev/ttyUSB7", "adapter")]
@@ -121,11 +121,11 @@ def test_a_radar_that_the_search_found_can_be_chosen(
 
 
 def test_only_the_operator_sets_up_and_not_what_the_command_line_gave(serve: Any) -> None:
-    one = serve(ENDLESS)
-    client = Asks(one.url, OWN)
+    station = serve(ENDLESS)
+    client = Asks(station.url, OWN)
     fixed = client.post("/api/v1/settings", changes={"radar.url": "udp://192.168.1.101"})
     assert fixed.status == 400 and "when the station was started" in fixed.json()["error"]["message"]
-    operator, key = joined(one.port)
+    operator, key = joined(station.port)
     operator.say(type="take")
     operator.until("operator", lambda message: message["you"])
     asked: dict[str, dict[str, Any]] = {
@@ -135,7 +135,7 @@ def test_only_the_operator_sets_up_and_not_what_the_command_line_gave(serve: Any
     }
     for path, values in asked.items():
         assert client.post(f"/api/v1/{path}", **values).status == 403, path
-    assert upload(one, b"x").status == 403
+    assert upload(station, b"x").status == 403
     # While a scan runs nothing is changed, and the range profile gives the radar to it.
     assert client.post("/api/v1/profile", key=key).status == 202
     profile = operator.until("profile", lambda message: message["scans"] > 3)
@@ -147,7 +147,7 @@ def test_only_the_operator_sets_up_and_not_what_the_command_line_gave(serve: Any
     operator.until("frame", lambda message: message["scan"]["scans"] > 3)
     for path, values in asked.items():
         assert client.post(f"/api/v1/{path}", **values, key=key).json()["error"]["code"] == "busy", path
-    assert upload(one, b"x", key=key).json()["error"]["code"] == "busy"
+    assert upload(station, b"x", key=key).json()["error"]["code"] == "busy"
     operator.close()
 
 
@@ -161,23 +161,23 @@ class Sent:
         return json.loads(self._content)
 
 
-def upload(one: Server, content: bytes, name: str = "a.tagid.h5", key: str = "", **more: str) -> Sent:
-    connection = HTTPConnection("127.0.0.1", one.port, timeout=60)
+def upload(station: Server, content: bytes, name: str = "a.tagid.h5", key: str = "", **more: str) -> Sent:
+    connection = HTTPConnection("127.0.0.1", station.port, timeout=60)
     headers = {**OWN, "content-type": "application/octet-stream", "tagid-file-name": name, **more}
     if key:
         headers["tagid-key"] = key
     connection.request("POST", "/api/v1/captures", content, headers)
     answer = connection.getresponse()
-    found = Sent(answer.status, answer.read())
+    sent = Sent(answer.status, answer.read())
     connection.close()
-    return found
+    return sent
 
 
 def test_a_file_is_identified_and_a_capture_replayed(serve: Any, tmp_path: Path) -> None:
-    one = serve()
-    client = Asks(one.url, OWN)
+    station = serve()
+    client = Asks(station.url, OWN)
     client.post("/api/v1/scan", note="first")
-    assert ended(one)["has_residuals"]
+    assert ended(station)["has_residuals"]
     assert client.get("/api/v1/scan/residuals").content.startswith(b"\x89PNG")
     (entry,) = client.get("/api/v1/history").json()["items"]
     assert entry["has_residuals"]
@@ -188,24 +188,27 @@ def test_a_file_is_identified_and_a_capture_replayed(serve: Any, tmp_path: Path)
     before = sorted((tmp_path / "out").iterdir())
     # Nothing of a replay is stored; its answer is that of the file.
     assert client.post(f"/api/v1/history/{entry['id']}/replay").json() == {"number": 2}
-    replayed = ended(one)
+    replayed = ended(station)
     assert (replayed["file"], replayed["answer"]["layout"]) == (Path(entry["file"]).name, "helmet-120")
     assert replayed["scans"] > 30 and replayed["has_residuals"]
     assert sorted((tmp_path / "out").iterdir()) == before
     assert len(client.get("/api/v1/history").json()["items"]) == 1
     assert client.post("/api/v1/history/99/replay").status == 404
     # The name of a file that is sent is no path.
-    answer = upload(one, content, "..%2F..%2Fmy scan%00.tagid.h5".replace(" ", "%20"))
+    answer = upload(station, content, "..%2F..%2Fmy scan%00.tagid.h5".replace(" ", "%20"))
     assert answer.status == 202 and answer.json() == {"number": 3, "file": "received-my-scan-.tagid.h5"}
-    read = ended(one)
+    read = ended(station)
     assert read["phase"] == "done" and read["answer"]["layout"] == "helmet-120"
     new, _ = client.get("/api/v1/history").json()["items"]
     assert new["has_capture"] and new["has_picture"] and new["recording_note"] == "first"
     assert Path(new["file"]) == tmp_path / "out" / "received-my-scan-.tagid.h5"
     assert client.get(f"/api/v1/history/{new['id']}/capture").content == content
     # Again by the same name; what cannot be read is not kept.
-    assert upload(one, b"no capture at all", "my scan.tagid.h5").json()["file"] == "received-my-scan.tagid.h5"
-    failed = ended(one)
+    assert (
+        upload(station, b"no capture at all", "my scan.tagid.h5").json()["file"]
+        == "received-my-scan.tagid.h5"
+    )
+    failed = ended(station)
     assert failed["phase"] == "failed" and "unknown file format" in failed["note"]
     assert not (tmp_path / "out" / "received-my-scan.tagid.h5").exists()
 
@@ -213,15 +216,15 @@ def test_a_file_is_identified_and_a_capture_replayed(serve: Any, tmp_path: Path)
 def test_a_file_is_bounded_and_refused_to_strangers(
     serve: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    one = serve()
-    assert upload(one, b"", "a.h5").status == 400
-    assert upload(one, b"x", **{"content-type": "application/json"}).status == 415
-    assert upload(one, b"x", **{"origin": "http://evil.example"}).status == 403
-    assert upload(one, b"x", **{"content-length": str(MOST_UPLOAD_BYTES + 1)}).status == 413
+    station = serve()
+    assert upload(station, b"", "a.h5").status == 400
+    assert upload(station, b"x", **{"content-type": "application/json"}).status == 415
+    assert upload(station, b"x", **{"origin": "http://evil.example"}).status == 403
+    assert upload(station, b"x", **{"content-length": str(MOST_UPLOAD_BYTES + 1)}).status == 413
     monkeypatch.setattr(stored, "MOST_UPLOAD_BYTES", 10)
-    assert upload(one, b"x" * 11).status == 400
+    assert upload(station, b"x" * 11).status == 400
     monkeypatch.setattr(stored, "LEAST_FREE_BYTES", 1 << 60)
-    assert upload(one, b"x").status == 507
+    assert upload(station, b"x").status == 507
     assert list((tmp_path / "out").iterdir()) == []
     paired: list[str] = []
     other = serve(announce=paired.append)
@@ -234,20 +237,20 @@ def test_a_scan_may_end_early_if_the_settings_say_so_but_not_an_enrolment(
     serve: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TAGID_STATION_UNTIL_SURE", "yes")
-    one = serve(ENDLESS)
-    client = Asks(one.url, OWN)
+    station = serve(ENDLESS)
+    client = Asks(station.url, OWN)
     spent = []
     for path in ("scan", "enrolment/capture"):
         client.post("/api/v1/enrolment", name="gate-4")
         assert client.post(f"/api/v1/{path}").status == 202
-        spent.append(one._station.scan._plan.spent)
+        spent.append(station._station.scan._plan.spent)
         client.post("/api/v1/scan/stop")
-        ended(one)
+        ended(station)
     assert spent[0] > 0 and spent[1] == 0, "what the looks of an early ending may be wrong"
     # Without a known angle the refusal names the page's own control.
-    place = one._station.source.place().config
+    place = station._station.source.place().config
     free = {name: entry.value for name, entry in place.values.items() if name != "motion.url"}
-    one._station.source = Source(lambda: Workplace(free))
+    station._station.source = Source(lambda: Workplace(free))
     refused = client.post("/api/v1/scan")
     assert refused.status == 503 and "“End a scan as soon as" in refused.json()["error"]["message"]
 

@@ -37,15 +37,15 @@ def run(*command: str | Path, cwd: Path | None = None, **more: str) -> subproces
 
 def required(texts: Iterable[str], extra: str = "") -> set[str]:
     """Names of the installed distributions that requirements name, and those that they require."""
-    found: set[str] = set()
+    result: set[str] = set()
     for text in texts:
-        one = Requirement(text)
-        if one.marker is None or one.marker.evaluate({"extra": extra}):
-            name = canonicalize_name(one.name)
-            if name not in found:
+        requirement = Requirement(text)
+        if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
+            name = canonicalize_name(requirement.name)
+            if name not in result:
                 more = distribution(name).requires or ()
-                found |= {name}.union(*(required(more, each) for each in (*one.extras, "")))
-    return found
+                result |= {name}.union(*(required(more, item) for item in (*requirement.extras, "")))
+    return result
 
 
 @pytest.fixture(scope="module")
@@ -122,8 +122,8 @@ def test_what_needs_scipy_says_how_to_get_it(empty_environment: Path, tmp_path: 
     capture, _ = simulate_capture(scene_from_name("empty", 1), Acquisition(views=12), seed=1)
     path = tmp_path / "empty.tagid.h5"
     write_capture(path, capture)
-    own = {"TAGID_CONFIG": str(tmp_path / "config.toml"), "TAGID_DATA": str(tmp_path / "data")}
-    done = run(empty_environment, "-m", "tagid", "export", path, "--out", tmp_path / "a.mat", **own)
+    environment = {"TAGID_CONFIG": str(tmp_path / "config.toml"), "TAGID_DATA": str(tmp_path / "data")}
+    done = run(empty_environment, "-m", "tagid", "export", path, "--out", tmp_path / "a.mat", **environment)
     assert done.returncode == 2, done.stderr
     assert "scipy, which is not installed" in " ".join(done.stderr.split())
     assert "pip install 'tagid[science]'" in " ".join(done.stderr.split())
@@ -132,5 +132,5 @@ def test_what_needs_scipy_says_how_to_get_it(empty_environment: Path, tmp_path: 
         ("simulate", "container-90", "--body", "cup:40mm", "--views", "12", "--out", tmp_path / "cup.h5"),
         ("layouts", "reflector", "--size", "40", "--rcs", tmp_path / "r.csv"),
     ):
-        done = run(empty_environment, "-m", "tagid", *words, **own)
+        done = run(empty_environment, "-m", "tagid", *words, **environment)
         assert done.returncode == 0, done.stderr

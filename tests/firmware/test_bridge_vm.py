@@ -123,7 +123,7 @@ def test_what_waits_for_a_slow_line_gives_way_to_the_stops(board: Path) -> None:
     valid = (board / "bridge.json").read_text()
     try:
         (board / "bridge.json").write_text(json.dumps({**CONFIG, "baud": 300}))
-        results = run_in_vm(board, *[{"end_ms": 900, "actions": each} for each in (gone, queued, silent)])
+        results = run_in_vm(board, *[{"end_ms": 900, "actions": item} for item in (gone, queued, silent)])
     finally:
         (board / "bridge.json").write_text(valid)
     for result, bytes_sent in zip(results, (6, 1, 12), strict=True):
@@ -138,7 +138,7 @@ def test_what_waits_for_a_slow_line_gives_way_to_the_stops(board: Path) -> None:
 def test_after_each_opcode_that_moves_the_robot_disarming_stops_it(board: Path) -> None:
     drives = (134, 135, 136, 137, 143, 144, 145, 146)
     actions = [[*HELLO, [30, "rx", f"80{drive:02x}0000"], command(50, Op.DISARM)] for drive in drives]
-    for result in run_in_vm(board, *[{"end_ms": 300, "actions": each} for each in actions]):
+    for result in run_in_vm(board, *[{"end_ms": 300, "actions": action} for action in actions]):
         assert [text for _, text in of(result, "uart")][1:] == [STOP] * 3
 
 
@@ -283,8 +283,8 @@ def test_an_index_pulse_is_stamped_when_it_happens_not_when_it_is_told(board: Pa
     events = [(ms, decode_event(bytes.fromhex(text))) for ms, text in of(result, "event")]
     clock = int.from_bytes(next(e.payload for _, e in events if isinstance(e, Reply)), "little")
     asked = next(ms for ms, e in events if isinstance(e, Reply))
-    ((told, pulse),) = [(ms, e) for ms, e in events if isinstance(e, IndexPulse)]  # the bounce is none
-    assert told >= 160 and pulse.number == 1
+    ((reported, pulse),) = [(ms, e) for ms, e in events if isinstance(e, IndexPulse)]  # the bounce is none
+    assert reported >= 160 and pulse.number == 1
     assert abs((pulse.stamp_us - clock) / 1000 - (100 - asked)) < 1.5
 
 

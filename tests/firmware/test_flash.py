@@ -150,12 +150,12 @@ def test_no_board_and_several(firmware: Command, monkeypatch: pytest.MonkeyPatch
     from serial.tools.list_ports_common import ListPortInfo
 
     def plugged(*devices: tuple[str, int, int]) -> None:
-        found = []
+        results = []
         for path, vid, pid in devices:
             item = ListPortInfo(path)
             item.vid, item.pid = vid, pid
-            found.append(item)
-        monkeypatch.setattr(list_ports, "comports", lambda: found)
+            results.append(item)
+        monkeypatch.setattr(list_ports, "comports", lambda: results)
 
     (tmp_path / "image.bin").write_bytes(image())
     words = ("flash", str(tmp_path / "image.bin"), "--sha256", hashlib.sha256(image()).hexdigest())

@@ -53,27 +53,27 @@ def values_again(bundle: Path, folder: Path) -> dict[str, tuple[float, float, fl
         for step in ("room", "target", "turning")
         if (path := folder / f"{step}.json").exists()
     }
-    found = {}
+    results = {}
     room = read_any(folder / "room.tagid.h5")
     noise = reports["room"].values["noise_counts"]
-    found["noise_counts"] = (inspect(room).noise or math.nan, noise.value, 0.05 * noise.value)
+    results["noise_counts"] = (inspect(room).noise or math.nan, noise.value, 0.05 * noise.value)
     if "target" in reports and reports["target"].values:
         target = read_any(folder / "target.tagid.h5")
         estimate = estimate_delay(target, tape.target_distance_m, tape.error_m, reference_on(room, target))
         delay = reports["target"].values["path_delay_ps"]
-        own = parse_target(tape.target).delay_ps()
-        found["path_delay_ps"] = (estimate.delay_ps - own, delay.value, 20.0)
+        base = parse_target(tape.target).delay_ps()
+        results["path_delay_ps"] = (estimate.delay_ps - base, delay.value, 20.0)
     if "turning" in reports and "period_s" in reports["turning"].values:
         period = reports["turning"].values["period_s"]
         again = turning_period(read_any(folder / "turning.tagid.h5")).period_s
-        found["period_s"] = (again or math.nan, period.value, max(3 * period.sigma, 1e-3 * period.value))
-    return found
+        results["period_s"] = (again or math.nan, period.value, max(3 * period.sigma, 1e-3 * period.value))
+    return results
 
 
 def test_an_archive_of_the_emulator_gives_its_values_again(made: Path, tmp_path: Path) -> None:
-    found = values_again(made, tmp_path)
-    assert set(found) == {"noise_counts", "path_delay_ps"}
-    for name, (now, then, tolerance) in found.items():
+    result = values_again(made, tmp_path)
+    assert set(result) == {"noise_counts", "path_delay_ps"}
+    for name, (now, then, tolerance) in result.items():
         assert abs(now - then) <= tolerance, name
 
 

@@ -74,7 +74,7 @@ def words_of(command: str, number: int, rng: random.Random) -> list[str]:
         return [
             "enroll",
             f"tag-{number}",
-            *(word for one in points for word in ("--point", one)),
+            *(word for point in points for word in ("--point", point)),
             "--yes",
             "--force",
         ]
@@ -114,10 +114,10 @@ def ran(command: str, number: int, seed: int, folder: Path) -> Ran:
 
 def _answer(text: str) -> dict[str, Any]:
     try:
-        found = json.loads(text)
+        result = json.loads(text)
     except ValueError:
         return {}
-    return found if isinstance(found, dict) else {}
+    return result if isinstance(result, dict) else {}
 
 
 def _error(text: str) -> str:
@@ -132,36 +132,38 @@ def _file(text: str) -> str:
 
 def missing(folder: Path, done: list[Ran]) -> list[str]:
     """What the processes acknowledged and is not there, and what they should not have left."""
-    found = []
-    scans = [one.made for one in done if one.command == "scan" and one.made]
+    results = []
+    scans = [task.made for task in done if task.command == "scan" and task.made]
     if len(set(scans)) < len(scans):
-        found.append(f"{len(scans) - len(set(scans))} captures share a name")
+        results.append(f"{len(scans) - len(set(scans))} captures share a name")
     for name in scans:
         try:
             if not read_capture(folder / name).samples.any(axis=1).all():
-                found.append(f"{name} has empty rows")
+                results.append(f"{name} has empty rows")
         except TagidError as error:
-            found.append(f"{name}: {error.message}")
+            results.append(f"{name}: {error.message}")
     listed = _told(folder, "layouts")
-    enrolled = {one["name"] for one in (listed.get("data") or {}).get("layouts", [])}
-    found += [
-        f"{one.made} is not enrolled" for one in done if one.command == "enroll" and one.made not in enrolled
+    enrolled = {item["name"] for item in (listed.get("data") or {}).get("layouts", [])}
+    results += [
+        f"{task.made} is not enrolled"
+        for task in done
+        if task.command == "enroll" and task.made not in enrolled
     ]
     answers = collections.Counter(
-        str(one["command"]) for one in (_told(folder, "history").get("data") or {}).get("items", [])
+        str(item["command"]) for item in (_told(folder, "history").get("data") or {}).get("items", [])
     )
     for command in ("scan", "identify"):
-        asked = sum(one.command == command and not one.faults for one in done)
+        asked = sum(task.command == command and not task.faults for task in done)
         if answers[command] != asked:
-            found.append(f"{asked} answers of {command}, {answers[command]} in the history")
+            results.append(f"{asked} answers of {command}, {answers[command]} in the history")
     _told(folder, "report", "c", "--out", "last", "-j", "1", "--no-pictures")
     for out in ("first", "second", "last"):
         lines = [json.loads(line) for line in (folder / out / "items.jsonl").read_text().splitlines()]
         if out == "last" and len(lines) != len(scans):
-            found.append(f"{len(scans)} captures, {len(lines)} in the last report")
-        found += [f"{out}: {one['file']} failed" for one in lines if one["status"] == "failed"]
-    left = [path for path in folder.rglob("*") if path.name.endswith((".tmp", ".tagid.journal"))]
-    return [*found, *(f"{path.relative_to(folder)} is left" for path in left)]
+            results.append(f"{len(scans)} captures, {len(lines)} in the last report")
+        results += [f"{out}: {line['file']} failed" for line in lines if line["status"] == "failed"]
+    remaining = [path for path in folder.rglob("*") if path.name.endswith((".tmp", ".tagid.journal"))]
+    return [*results, *(f"{path.relative_to(folder)} is left" for path in remaining)]
 
 
 def _run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
@@ -204,18 +206,20 @@ def main() -> int:
                 (command,) = order.choices(list(WEIGHTS), list(WEIGHTS.values()))
                 waiting.add(threads.submit(ran, command, number, given.seed, folder))
                 number += 1
-            over = {one for one in waiting if one.done()}
-            done += [one.result() for one in over]
+            over = {item for item in waiting if item.done()}
+            done += [item.result() for item in over]
             waiting -= over
             time.sleep(0.02)
         faults = missing(folder, done)
     rows = []
     for command in WEIGHTS:
-        own = [one for one in done if one.command == command]
-        codes = collections.Counter(one.code for one in own)
-        named = collections.Counter(fault for one in own for fault in one.faults)
+        matching = [task for task in done if task.command == command]
+        codes = collections.Counter(operation.code for operation in matching)
+        named = collections.Counter(fault for operation in matching for fault in operation.faults)
         ended = ", ".join(f"{code}: {count}" for code, count in sorted(codes.items()))
-        rows.append((command, len(own), ended, ", ".join(f"{k}: {n}" for k, n in named.items()) or "none"))
+        rows.append(
+            (command, len(matching), ended, ", ".join(f"{k}: {n}" for k, n in named.items()) or "none")
+        )
     rows.append(("afterwards", "", "", "; ".join(faults) or "none"))
     for row in rows:
         print(*row, sep=" | ")
@@ -229,7 +233,7 @@ def main() -> int:
         )
         columns = ("command", "processes", "exit code: processes", "faults")
         write_section(Section("Commands at the same time", text, str(given.seed), columns, rows))
-    return 1 if faults or any(one.faults for one in done) else 0
+    return 1 if faults or any(task.faults for task in done) else 0
 
 
 if __name__ == "__main__":

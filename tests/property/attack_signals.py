@@ -63,8 +63,8 @@ class Outcome:
 
 def environment(folder: Path) -> dict[str, str]:
     """Of a process that keeps everything in `folder` and runs this checkout."""
-    own = {name: value for name, value in os.environ.items() if not name.startswith("TAGID_")}
-    return own | {
+    base = {name: value for name, value in os.environ.items() if not name.startswith("TAGID_")}
+    return base | {
         "TAGID_CONFIG": str(folder / "home" / "config.toml"),
         "TAGID_DATA": str(folder / "home"),
         "OMP_NUM_THREADS": "1",
@@ -206,8 +206,8 @@ def report_faults(out: Path, code: int) -> list[str]:
         whole = (out / "report.html").read_text().rstrip().endswith("</html>")
     except (OSError, ValueError) as error:
         return [f"report damaged ({type(error).__name__})"]
-    found = [] if whole and len(lines) == summary["items"] else ["report and summary disagree"]
-    return found + (["interrupted, but not exit code 130"] if summary["interrupted"] and code != 130 else [])
+    result = [] if whole and len(lines) == summary["items"] else ["report and summary disagree"]
+    return result + (["interrupted, but not exit code 130"] if summary["interrupted"] and code != 130 else [])
 
 
 def main() -> int:
@@ -228,7 +228,7 @@ def main() -> int:
     kinds = tuple(signal.Signals[f"SIG{name}"] for name in given.signals.split(","))
     log = given.log or Path(os.devnull)
     before = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
-    outcomes = [(str(one.pop("command")), Outcome(**one)) for one in before]
+    outcomes = [(str(item.pop("command")), Outcome(**item)) for item in before]
     with tempfile.TemporaryDirectory() as place, log.open("a") as lines:
         with started("simulate", Path(place) / "truth") as undisturbed:
             undisturbed.communicate()
@@ -250,15 +250,15 @@ def _told(outcomes: list[tuple[str, Outcome]], seed: int, page: bool) -> int:
     """Print the counts, and write them to the page where asked; 1 if there was a fault."""
     rows = []
     for command in sorted({command for command, _ in outcomes}):
-        own = [outcome for name, outcome in outcomes if name == command]
-        codes = collections.Counter(outcome.returncode for outcome in own)
-        faults = collections.Counter(fault for outcome in own for fault in set(outcome.faults))
+        matching = [outcome for name, outcome in outcomes if name == command]
+        codes = collections.Counter(outcome.returncode for outcome in matching)
+        faults = collections.Counter(fault for outcome in matching for fault in set(outcome.faults))
         ended = ", ".join(f"{code}: {count}" for code, count in sorted(codes.items()))
         named = ", ".join(f"{fault}: {count}" for fault, count in sorted(faults.items())) or "none"
-        rows.append((command, len(own), sum(outcome.aimed for outcome in own), ended, named))
+        rows.append((command, len(matching), sum(outcome.aimed for outcome in matching), ended, named))
         print(*rows[-1], sep=" | ")
     bad = sum(bool(outcome.faults) for _, outcome in outcomes)
-    print(f"{len(outcomes)} tries, {sum(one.aimed for _, one in outcomes)} hit a write, {bad} with a fault")
+    print(f"{len(outcomes)} tries, {sum(item.aimed for _, item in outcomes)} hit a write, {bad} with a fault")
     if page:
         text = (
             "One to three of SIGINT, SIGTERM and SIGHUP within a few milliseconds while the output "

@@ -62,14 +62,14 @@ def main() -> int:
         words = [sys.executable, __file__, "--here", "--parser", target.name, "--executions", str(runs),
                  "--corpus", str(options.corpus / target.name)]  # fmt: skip
         done = subprocess.run(words, capture_output=True, text=True, errors="replace")
-        found = re.search(r"Done (\d+) runs in (\d+) second", done.stderr)
-        if done.returncode or not found:
+        match = re.search(r"Done (\d+) runs in (\d+) second", done.stderr)
+        if done.returncode or not match:
             sys.stdout.write(f"{target.name}: FAULT (exit {done.returncode})\n{done.stderr[-4000:]}\n")
             return 1
-        total += int(found[1])
+        total += int(match[1])
         covered = re.findall(r"ft: (\d+)", done.stderr)
         sys.stdout.write(
-            f"{target.name:<14}{int(found[1]):>12} executions, {found[2]:>6} s, "
+            f"{target.name:<14}{int(match[1]):>12} executions, {match[2]:>6} s, "
             f"{covered[-1]:>6} features, no fault\n"
         )
         sys.stdout.flush()

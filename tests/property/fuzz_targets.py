@@ -219,11 +219,11 @@ def _response_seeds() -> list[bytes]:
     path = _folder() / "response.npz"
     write_response(path, Response("seed", np.array([3e9, 4e9]), rings, values, provenance={"made": "here"}))
     with np.load(path) as loaded:
-        own = dict(loaded)
-    plain = {"S": values, "freqs": own["frequency_hz"], "azimuth": own["aspect_rad"]}
-    plain |= {"ring_distance": own["ring_distance_m"], "ring_pol": own["ring_polarisation"]}
+        base = dict(loaded)
+    plain = {"S": values, "freqs": base["frequency_hz"], "azimuth": base["aspect_rad"]}
+    plain |= {"ring_distance": base["ring_distance_m"], "ring_pol": base["ring_polarisation"]}
     seeds = [path.read_bytes()]
-    for arrays in (own, plain):
+    for arrays in (base, plain):
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **arrays)
         seeds.append(buffer.getvalue())
@@ -233,8 +233,10 @@ def _response_seeds() -> list[bytes]:
 def _stored_npz() -> bytes:
     """Not compressed, so that mutations reach the arrays and not only the deflate stream."""
     buffer = io.BytesIO()
-    one = example()
-    np.savez(buffer, samples=one.samples, range_start_m=1.5, range_step_m=0.01, timestamps_s=np.arange(4.0))
+    single = example()
+    np.savez(
+        buffer, samples=single.samples, range_start_m=1.5, range_step_m=0.01, timestamps_s=np.arange(4.0)
+    )
     return buffer.getvalue()
 
 
@@ -275,11 +277,11 @@ def _layouts(suffix: str) -> Callable[[bytes], None]:
         path = _folder() / f"layouts{suffix}"
         path.write_bytes(data)
         try:
-            found = read_layouts(path)
+            result = read_layouts(path)
         except TagidError as error:
             assert path.name in error.message
             return
-        for layout in found:
+        for layout in result:
             assert layout_from_dict(layout.to_dict()).to_dict() == layout.to_dict()
 
     return run

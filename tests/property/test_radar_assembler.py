@@ -29,9 +29,9 @@ def packets_of(count: int, first_id: int, first_ms: int = 1000) -> list[list[byt
 
 
 def fragment(packet: bytes) -> Fragment:
-    found = read_fragment(packet)
-    assert found is not None
-    return found
+    result = read_fragment(packet)
+    assert result is not None
+    return result
 
 
 def feed(assembler: ScanAssembler, packets: list[bytes]) -> list[Scan]:
@@ -112,8 +112,8 @@ FRAGMENT = {
 def test_fragments_that_lie_cannot_crash_or_grow_it(lies: list[tuple[int, dict[str, int]]]) -> None:
     assembler = ScanAssembler(0)
     for message_id, fields in lies:
-        found = read_fragment(encode(MessageType.SCAN_INFO, message_id, **fields))
-        for scan in assembler.add(found) if found else ():
+        result = read_fragment(encode(MessageType.SCAN_INFO, message_id, **fields))
+        for scan in assembler.add(result) if result else ():
             assert len(scan.samples) <= MAX_SAMPLES_PER_SCAN
     assert len(assembler._pending) <= MAX_PENDING
     assert len(assembler._ready) <= MAX_READY

@@ -26,8 +26,8 @@ def recordings(draw: st.DrawFn) -> list[tuple[Any, ...]]:
     bins = draw(st.integers(1, 40))
     values = None if dtype != "float32" else st.floats(width=32, allow_nan=False)
     samples = npst.arrays(dtype, bins, elements=values)
-    one = st.tuples(INT64, INT64, FINITE, samples, st.integers(0, 255))
-    return draw(st.lists(one, max_size=6))
+    single = st.tuples(INT64, INT64, FINITE, samples, st.integers(0, 255))
+    return draw(st.lists(single, max_size=6))
 
 
 def write(folder: str, scans: list[tuple[Any, ...]], summary: dict[str, Any] | None) -> Path:

@@ -90,17 +90,17 @@ def test_exact_pairing_finds_the_turn_and_the_shift(seed: int) -> None:
     rng = np.random.default_rng(seed)
     a = random_layout(seed, 4).positions
     turn, shift, order = rng.uniform(-3, 3), rng.uniform(-0.005, 0.005, 2), rng.permutation(4)
-    found = best_pairing(a, (a @ rotation_matrix(turn).T + shift)[order], 0.01)
-    assert found.worst_m < 1e-7 and np.allclose(found.shift_m, shift, atol=1e-7)
-    assert np.angle(np.exp(1j * (found.rotation_rad - turn))) == pytest.approx(0, abs=1e-7)
-    assert (order[found.partner] == np.arange(4)).all()
+    result = best_pairing(a, (a @ rotation_matrix(turn).T + shift)[order], 0.01)
+    assert result.worst_m < 1e-7 and np.allclose(result.shift_m, shift, atol=1e-7)
+    assert np.angle(np.exp(1j * (result.rotation_rad - turn))) == pytest.approx(0, abs=1e-7)
+    assert (order[result.partner] == np.arange(4)).all()
 
 
 def test_more_points_than_can_be_tried_are_paired_too() -> None:
     a = random_layout(3, 8).positions
     turned = a @ rotation_matrix(2.0).T + np.array([0.003, -0.002])
-    found = best_pairing(a, turned[::-1], 0.01)
-    assert found.worst_m < 1e-6
+    result = best_pairing(a, turned[::-1], 0.01)
+    assert result.worst_m < 1e-6
 
 
 def test_a_family_keeps_its_rules_and_says_its_distance() -> None:
@@ -138,8 +138,8 @@ def test_the_farthest_set_against_all_sets(seed: int, count: int) -> None:
     half = np.triu(rng.integers(1, 12, (11, 11)) / 1000, 1)
     distance = half + half.T
     best = max(least_of(distance, list(chosen)) for chosen in combinations(range(11), count))
-    found = farthest_set(distance, count, np.random.default_rng(0))
-    assert found.proven and least_of(distance, found.chosen) == best
+    result = farthest_set(distance, count, np.random.default_rng(0))
+    assert result.proven and least_of(distance, result.chosen) == best
     level = distance >= best + 1e-9
     assert exact_clique(level, count) is None
     assert len(set(exact_clique(distance >= best - 1e-9, count) or ())) == count
@@ -180,17 +180,17 @@ def test_a_limited_shift_leaves_the_least_distance_of_all_turns(seed: int, toler
 
 
 def test_mirror_images_are_left_out_where_the_direction_is_unknown() -> None:
-    one = design(HELMET.with_rows(1), DesignRules(3, 12, mirror_counts=False), 12)
-    assert one.candidates == 12 and one.necklaces == 12
+    single = design(HELMET.with_rows(1), DesignRules(3, 12, mirror_counts=False), 12)
+    assert single.candidates == 12 and single.necklaces == 12
     flip = np.array([1.0, -1.0])
     apart = [
         rotational_distance(Layout("m", a.positions * sides), b).rms_m
-        for a, b in combinations(one.layouts, 2)
+        for a, b in combinations(single.layouts, 2)
         for sides in (flip, 1.0)
     ]
-    assert one.distance_m == pytest.approx(min(apart), abs=1e-8)
+    assert single.distance_m == pytest.approx(min(apart), abs=1e-8)
     half = design(HELMET.with_rows(1), DesignRules(3, 12, mirror_counts=False), 6)
-    assert half.distance_m > one.distance_m
+    assert half.distance_m > single.distance_m
     mirrored = replace(half.layouts[3], positions=half.layouts[3].positions * flip)
     again = design(HELMET.with_rows(1), DesignRules(3, 12, mirror_counts=False), 11, None, [mirrored])
     assert again.candidates == 11

@@ -199,8 +199,8 @@ class Device(ServiceInterface):
         return bytes([protocol.PROTOCOL, 1, 0, 0, flags]) + b"robot-1;esp32;1.27"
 
     def _export(self):
-        one, two = DEVICE + "/service0001", DEVICE + "/service0010"
-        tx = Characteristic(protocol.NUS_TX, ["notify"], 4, one)
+        first, two = DEVICE + "/service0001", DEVICE + "/service0010"
+        tx = Characteristic(protocol.NUS_TX, ["notify"], 4, first)
         event = Characteristic(protocol.EVENT, ["notify"], 14, two)
         self.info = Characteristic(protocol.INFO, ["read"], 16, two, value=self._information())
 
@@ -214,12 +214,12 @@ class Device(ServiceInterface):
                 raise DBusError("org.bluez.Error.NotAuthorized", "not paired")
             os.write(self.uart, data)
 
-        rx = Characteristic(protocol.NUS_RX, ["write", "write-without-response"], 2, one, to_robot)
+        rx = Characteristic(protocol.NUS_RX, ["write", "write-without-response"], 2, first, to_robot)
         orders = Characteristic(protocol.COMMAND, ["write"], 12, two, command)
-        self.bus.export(one, Service(protocol.NUS, 1))
+        self.bus.export(first, Service(protocol.NUS, 1))
         self.bus.export(two, Service(protocol.CONTROL, 10))
         for characteristic in (rx, tx):
-            self.bus.export(f"{one}/char{characteristic.handle:04x}", characteristic)
+            self.bus.export(f"{first}/char{characteristic.handle:04x}", characteristic)
         for characteristic in (orders, event, self.info):
             self.bus.export(f"{two}/char{characteristic.handle:04x}", characteristic)
 

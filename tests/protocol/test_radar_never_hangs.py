@@ -204,10 +204,10 @@ def test_an_emulator_that_stalls_keeps_scene_and_timestamps_on_one_clock(stall_s
     while now < 1.0 + stall_s + 2.0:
         now += period / 2
         fragments += radar.advance_by_one(now)
-    found = [read_fragment(packet) for packet in fragments]
-    scene_ms = np.array([f.samples[0] / 10 for f in found])
-    stamps = np.array([f.timestamp_ms for f in found])
-    ids = np.array([f.id for f in found])
+    results = [read_fragment(packet) for packet in fragments]
+    scene_ms = np.array([f.samples[0] / 10 for f in results])
+    stamps = np.array([f.timestamp_ms for f in results])
+    ids = np.array([f.id for f in results])
     np.testing.assert_allclose(stamps - scene_ms, period * 1e3, atol=1.1)
     np.testing.assert_allclose(stamps - stamps[0], (ids - ids[0]) * period * 1e3, atol=1.01)
     assert stamps[-1] * 1e-3 > now - 0.6  # it has caught up with the clock

@@ -52,12 +52,12 @@ def test_a_detection_list_comes_with_each_scan_and_names_what_moved() -> None:
     for message in lists[1:]:
         count = message["count"]
         assert count >= 1
-        found = message.fields["detections"][:count]
-        best = found[np.argmax(found["magnitude"])]
+        result = message.fields["detections"][:count]
+        best = result[np.argmax(result["magnitude"])]
         assert abs(int(best["index"]) - AT) <= 2
         assert int(best["magnitude"]) == pytest.approx(2000, rel=0.1)
-        assert not (np.abs(found["index"].astype(int) - 100) < 10).any()
-        assert (np.diff(found["index"].astype(int)) > 0).all()
+        assert not (np.abs(result["index"].astype(int) - 100) < 10).any()
+        assert (np.diff(result["index"].astype(int)) > 0).all()
 
 
 def test_a_higher_threshold_detects_less() -> None:

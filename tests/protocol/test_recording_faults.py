@@ -245,10 +245,10 @@ def test_a_recording_whose_journal_dies_ends_with_an_error_and_keeps_the_journal
     monkeypatch.setattr("tagid.recording.session.JournalWriter", _FailingJournal)
     path = tmp_path / "x.tagid.h5"
     plan = RecordingPlan(FAST, 1.0, scans=60_000)
-    with udp() as device, pytest.raises(StorageError, match="could not be written") as told:
+    with udp() as device, pytest.raises(StorageError, match="could not be written") as reported:
         record(open_radar(device.url), open_motion("free?rpm=6"), plan, path)
     journal = tmp_path / "x.tagid.journal"
-    assert f"tagid recover {journal}" in told.value.remedy
+    assert f"tagid recover {journal}" in reported.value.remedy
     assert not path.exists()
     assert len(read_journal(journal).scans) >= 1
 
@@ -275,9 +275,9 @@ def test_a_fault_of_the_program_during_a_recording_costs_no_scan(tmp_path: Path)
 
     path = tmp_path / "x.tagid.h5"
     plan = RecordingPlan(FAST, 1.0, scans=60_000)
-    with udp() as device, pytest.raises(TagidError, match="ZeroDivisionError") as told:
+    with udp() as device, pytest.raises(TagidError, match="ZeroDivisionError") as reported:
         record(open_radar(device.url), open_motion("free?rpm=6"), plan, path, Watch(progress))
-    assert str(path) in told.value.remedy
+    assert str(path) in reported.value.remedy
     assert read_any(path).views > 0
 
 

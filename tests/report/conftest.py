@@ -44,7 +44,7 @@ def make_report(tmp_path: Path, job: Job) -> Callable[..., Finished]:
         runner, hooks = plan.pop("runner", in_this_process), plan.pop("hooks", None)
         out = plan.pop("out", tmp_path / "report")
         asked = plan.pop("job", job)
-        found = collect([str(word) for word in words], out)
-        return run_batch(BatchPlan(found, out, **plan), asked, runner, hooks)
+        result = collect([str(word) for word in words], out)
+        return run_batch(BatchPlan(result, out, **plan), asked, runner, hooks)
 
     return make

@@ -86,10 +86,10 @@ def records_of(out: Path) -> dict[str, dict[str, Any]]:
 
 def check_hostile(out: Path) -> None:
     """Hostile files cost themselves, and the good ones beside them have their answers."""
-    found = records_of(out)
-    assert found["helmet-120.tagid.h5"]["layout"] == "helmet-120"
-    assert found["empty.tagid.h5"]["status"] == "no_tag"
+    result = records_of(out)
+    assert result["helmet-120.tagid.h5"]["layout"] == "helmet-120"
+    assert result["empty.tagid.h5"]["status"] == "no_tag"
     for name in REFUSED:
-        assert (found[name]["status"], found[name]["error"]["code"]) == ("failed", "bad_file"), found[name]
-        assert name in found[name]["error"]["message"]
-    assert found[HOSTILE[-1]]["status"] != "identified"
+        assert (result[name]["status"], result[name]["error"]["code"]) == ("failed", "bad_file"), result[name]
+        assert name in result[name]["error"]["message"]
+    assert result[HOSTILE[-1]]["status"] != "identified"

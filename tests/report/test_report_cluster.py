@@ -40,8 +40,8 @@ class Process:
         seen = []
         for line in self.process.stderr:
             seen.append(line)
-            if found := re.search(ready, line):
-                self.said = found
+            if match := re.search(ready, line):
+                self.said = match
                 break
         else:
             pytest.fail("".join(seen))
@@ -112,7 +112,7 @@ def test_a_cluster_gives_the_local_answers_though_workers_die_and_files_are_host
     address, (scheduler, *workers) = cluster
     finished = []
 
-    def kill_one(done: int, of: int, rate: float, left: float | None) -> None:
+    def kill_one(done: int, of: int, rate: float, remaining: float | None) -> None:
         finished.append(done)
         if done == 3:
             workers[0].process.kill()
@@ -123,8 +123,8 @@ def test_a_cluster_gives_the_local_answers_though_workers_die_and_files_are_host
     assert finished == list(range(1, 6 + len(HOSTILE)))
     check_hostile(tmp_path / "dask")
     # The capture that kills workers fails alone.
-    dead = [one for one in timed(tmp_path / "dask") if one["error"] and "died" in one["error"]["message"]]
-    assert [Path(one["file"]).name for one in dead] == ["bad.tagid.h5"]
+    dead = [item for item in timed(tmp_path / "dask") if item["error"] and "died" in item["error"]["message"]]
+    assert [Path(item["file"]).name for item in dead] == ["bad.tagid.h5"]
     assert "1 worker died with this file alone" in dead[0]["error"]["message"]
     make_report(captures, out=tmp_path / "local", runner=partial(run_local, workers=2))
     assert timeless(tmp_path / "dask") == timeless(tmp_path / "local")
@@ -132,7 +132,7 @@ def test_a_cluster_gives_the_local_answers_though_workers_die_and_files_are_host
 
     (captures / "bad.tagid.h5").unlink()
     caplog.clear()
-    hooks = Hooks(lambda done, of, rate, left: scheduler.process.kill())
+    hooks = Hooks(lambda done, of, rate, remaining: scheduler.process.kill())
     with pytest.raises(ClusterError, match="the connection to the Dask scheduler"):
         make_report(captures, runner=runner, hooks=hooks)
     assert not caplog.records

@@ -162,7 +162,7 @@ def test_fail_fast_stops_at_the_first_failure(make_report, captures: Path, tmp_p
 
 def test_results_can_be_followed_while_the_run_goes_on(make_report, captures: Path, tmp_path: Path) -> None:
     seen = []
-    hooks = Hooks(progress=lambda done, of, rate, left: seen.append(len(lines(tmp_path / "report"))))
+    hooks = Hooks(progress=lambda done, of, rate, remaining: seen.append(len(lines(tmp_path / "report"))))
     make_report(captures, hooks=hooks)
     assert seen[:-1] == [1, 2, 3, 4]
 
@@ -340,8 +340,8 @@ def test_pictures_share_a_budget(make_report, captures: Path, tmp_path: Path) ->
 
     def pictures(megabytes: float) -> dict[str, int]:
         make_report(captures, page=PageSettings(megabytes=megabytes), resume=True)
-        found = re.findall(r'type="text/plain" id="(\w+)">([^<]*)<', page.read_text())
-        return {name: len(text) for name, text in found}
+        result = re.findall(r'type="text/plain" id="(\w+)">([^<]*)<', page.read_text())
+        return {name: len(text) for name, text in result}
 
     everything = pictures(1.0)
     assert len(everything) == 8, "image and sinogram of the four that could be read"
@@ -362,9 +362,9 @@ def test_the_same_file_by_url_is_the_same_answer(make_report, captures: Path, tm
     finished = make_report(f"file://{captures}", out=tmp_path / "by-url")
     assert finished.exit_code == 5
     by_url = [timeless(r) for r in lines(tmp_path / "by-url")]
-    for one, other in zip(plain, by_url, strict=True):
-        assert other["file"] == f"file://{one['file']}"
-        for record in (one, other):
+    for first, other in zip(plain, by_url, strict=True):
+        assert other["file"] == f"file://{first['file']}"
+        for record in (first, other):
             record.pop("file")
             record["reason"] = record["reason"].replace("file://", "")
             if record["error"]:
@@ -377,12 +377,12 @@ def test_a_watched_folder_gives_each_file_once_it_is_complete(captures: Path, tm
     arrivals = watch.arrivals([Source.of(str(captures / "bad.tagid.h5"))])
 
     def arrive(count: int) -> list[str]:
-        found: list[str] = []
-        while len(found) < count:
+        results: list[str] = []
+        while len(results) < count:
             source = next(arrivals)
             if source is not None:
-                found.append(Path(source.location).name)
-        return found
+                results.append(Path(source.location).name)
+        return results
 
     assert arrive(4) == [
         "container-180.tagid.h5",

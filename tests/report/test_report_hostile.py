@@ -39,12 +39,12 @@ def test_any_exception_is_its_items_failure_with_type_and_place(
         shutil.copy(recorded / "helmet-120.tagid.h5", folder / name)
     with caplog.at_level(logging.WARNING, "tagid"):
         make_report(folder)
-    found = records_of(tmp_path / "report")
-    assert found["good.tagid.h5"]["layout"] == "helmet-120"
+    result = records_of(tmp_path / "report")
+    assert result["good.tagid.h5"]["layout"] == "helmet-120"
     for name, error in faults.items():
-        assert found[name]["status"] == "failed"
-        assert type(error).__name__ in found[name]["error"]["message"]
-        (line,) = [one.getMessage() for one in caplog.records if name in one.getMessage()]
+        assert result[name]["status"] == "failed"
+        assert type(error).__name__ in result[name]["error"]["message"]
+        (line,) = [record.getMessage() for record in caplog.records if name in record.getMessage()]
         assert type(error).__name__ in line and f"{Path(__file__).name}:" in line
 
 
@@ -57,7 +57,7 @@ def test_a_watched_file_that_failed_and_came_again_has_one_entry(
     arrived.write_bytes(b"\x89HDF\r\n\x1a\n, and the rest is still being copied")
     finished = 0
 
-    def progress(done: int, of: int, rate: float, left: float | None) -> None:
+    def progress(done: int, of: int, rate: float, remaining: float | None) -> None:
         nonlocal finished
         finished += 1
         if finished == 1:

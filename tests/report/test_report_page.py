@@ -31,9 +31,9 @@ HOSTILE = "<script>document.title='taken'<\u2215script><img src=x onerror=alert(
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    one = start(tmp_path_factory.mktemp("profile"))
-    yield one
-    one.quit()
+    started = start(tmp_path_factory.mktemp("profile"))
+    yield started
+    started.quit()
 
 
 @pytest.fixture

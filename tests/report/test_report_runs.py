@@ -139,8 +139,8 @@ def test_ctrl_c_leaves_a_report_and_resume_goes_on(home, tagid, captures: Path, 
 
     def begun() -> bool:
         """Three answers are there, and that of the capture of which there are copies."""
-        found = [Path(line["file"]).name for line in lines(tmp_path / "r")]
-        return len(found) >= 3 and any(name.startswith(("container-90", "more-")) for name in found)
+        results = [Path(line["file"]).name for line in lines(tmp_path / "r")]
+        return len(results) >= 3 and any(name.startswith(("container-90", "more-")) for name in results)
 
     until(begun, process)
     os.killpg(process.pid, signal.SIGINT)

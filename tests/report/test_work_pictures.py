@@ -31,8 +31,8 @@ def test_the_axis_that_the_reading_found_is_the_one_that_a_search_finds(error_m:
     right = capture.axis_distance_m - error_m if capture.axis_distance_m else 0.0
     assert placed.given.axis_distance_m == pytest.approx(right, abs=0.002)
     searched = reconstruct(prepared).image.values
-    found = reconstruct(placed).image.values
-    alike = abs(np.vdot(searched, found)) / np.linalg.norm(searched) / np.linalg.norm(found)
+    result = reconstruct(placed).image.values
+    alike = abs(np.vdot(searched, result)) / np.linalg.norm(searched) / np.linalg.norm(result)
     assert alike > 0.98
 
 

@@ -54,12 +54,12 @@ def test_cells_become_metres() -> None:
     cells[:, row, column] = 3.0, -3.0, 0.25, -0.5, np.log(0.2)
     cells[0, row, column + 1] = 2.0  # a neighbour on the same reflector
     seen = seen_points(np.array([[0.08, 0.0]]))
-    (found, *rest) = decode(cells, seen, CONTRACT)
-    assert found.x_m == pytest.approx((column + 0.25 + 0.5) * CELL_M - GRID.extent / 2)
-    assert found.y_m == pytest.approx((row - 0.5 + 0.5) * CELL_M - GRID.extent / 2)
-    assert found.sigma_m == pytest.approx(0.2 * CELL_M)
-    assert found.probability == pytest.approx(1 / (1 + np.exp(-3)))
-    assert all(np.hypot(d.x_m - found.x_m, d.y_m - found.y_m) >= 0.02 for d in rest)
+    (result, *rest) = decode(cells, seen, CONTRACT)
+    assert result.x_m == pytest.approx((column + 0.25 + 0.5) * CELL_M - GRID.extent / 2)
+    assert result.y_m == pytest.approx((row - 0.5 + 0.5) * CELL_M - GRID.extent / 2)
+    assert result.sigma_m == pytest.approx(0.2 * CELL_M)
+    assert result.probability == pytest.approx(1 / (1 + np.exp(-3)))
+    assert all(np.hypot(d.x_m - result.x_m, d.y_m - result.y_m) >= 0.02 for d in rest)
 
 
 def test_the_shipped_network_finds_reflectors_where_they_are() -> None:

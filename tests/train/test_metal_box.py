@@ -23,12 +23,12 @@ def test_a_sheet_of_metal_returns_what_a_solved_box_does(half_m: tuple[float, fl
     solved = echo(metal(box(*half_m)), k * SPEED_OF_LIGHT / (2 * np.pi), antenna)
     solved = solved * np.exp(-2j * k)[:, None]
     columns = ShellField.of(k, BoxShell(*half_m, METAL_M), 48).seen_from(antenna).echoes(OBLIQUITIES)
-    left = [
-        own - rows.T @ np.linalg.lstsq(rows.T, own, rcond=None)[0]
-        for own, rows in zip(solved, columns, strict=True)
+    remaining = [
+        base - rows.T @ np.linalg.lstsq(rows.T, base, rcond=None)[0]
+        for base, rows in zip(solved, columns, strict=True)
     ]
     moving = solved - solved.mean(axis=1, keepdims=True)
-    assert (np.abs(left) ** 2).sum() < 1e-3 * (np.abs(moving) ** 2).sum()
+    assert (np.abs(remaining) ** 2).sum() < 1e-3 * (np.abs(moving) ** 2).sum()
 
 
 def test_a_box_with_another_object_beside_it_is_no_tag() -> None:

@@ -52,8 +52,8 @@ def test_blank_scores_the_mean_square_of_the_truth():
 
 def test_localisation_counts_and_measures():
     true = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])
-    found = np.array([[0.003, 0.0], [0.1, 0.004], [-0.1, -0.1]])
-    result = metrics.localise(found, true)
+    outcome = np.array([[0.003, 0.0], [0.1, 0.004], [-0.1, -0.1]])
+    result = metrics.localise(outcome, true)
     assert (result.detected, result.missed, result.false) == (2, 1, 1)
     assert result.rmse_m == pytest.approx(np.sqrt((0.003**2 + 0.004**2) / 2))
     none = metrics.localise(np.zeros((0, 2)), true)
@@ -63,8 +63,8 @@ def test_localisation_counts_and_measures():
 
 def test_matching_prefers_more_pairs_over_nearer_ones():
     true = np.array([[0.0, 0.0], [0.018, 0.0]])
-    found = np.array([[0.017, 0.0], [0.035, 0.0]])
-    assert metrics.localise(found, true).detected == 2
+    result = np.array([[0.017, 0.0], [0.035, 0.0]])
+    assert metrics.localise(result, true).detected == 2
 
 
 def test_peaks_are_picked_strongest_first_and_apart():

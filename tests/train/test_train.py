@@ -150,8 +150,8 @@ def test_each_reflector_is_hit_once() -> None:
 
     truth = np.full((MOST_REFLECTORS, 2), np.nan)
     truth[0], truth[1] = (0.05, 0.0), (-0.05, 0.0)
-    found = [Detection(0.052, 0.0, 2e-3, p, 0.0, 1.0) for p in (0.9, 0.8)]
-    outcome = score(found, truth)
+    results = [Detection(0.052, 0.0, 2e-3, p, 0.0, 1.0) for p in (0.9, 0.8)]
+    outcome = score(results, truth)
     assert outcome.hits == [True, False]
     assert outcome.missed == 1
     figures = Figures.of([outcome], 0.5)

@@ -25,7 +25,7 @@ def scan(layout: Layout, heights: tuple[float, ...], raised: float = 0.0, views:
     points = np.column_stack([plane, np.asarray(layout.heights) + raised])
     parts = []
     for number, height in enumerate(heights):
-        one = record(points, [1, 1, 1], turn(views, 1.0, height), start_m=0.5, noise=0.1, seed=number)
-        room = 2 * np.sin(np.arange(one.bins) * (0.5 + 0.1 * number))
-        parts.append(replace(one, samples=(one.samples + room).astype(np.float32)))
+        recorded = record(points, [1, 1, 1], turn(views, 1.0, height), start_m=0.5, noise=0.1, seed=number)
+        room = 2 * np.sin(np.arange(recorded.bins) * (0.5 + 0.1 * number))
+        parts.append(replace(recorded, samples=(recorded.samples + room).astype(np.float32)))
     return join(parts) if len(parts) > 1 else parts[0]

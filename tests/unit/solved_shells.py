@@ -41,7 +41,7 @@ def recorded_at(
         wobble=Wobble(speed=0.005),
         axis_distance_error_m=0.008,
     )
-    one = response("responses", "free30_one")
-    scene = response_scene(response(folder, name), acquisition, polarisation, one, room_clutter(rng))
+    reply = response("responses", "free30_one")
+    scene = response_scene(response(folder, name), acquisition, polarisation, reply, room_clutter(rng))
     capture, _ = simulate_capture(scene, acquisition, 1)
     return preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))

@@ -44,15 +44,15 @@ def capture(**changes: Any) -> Capture:
 
 def assert_equal(a: Capture, b: Capture) -> None:
     for field in fields(Capture):
-        one, two = getattr(a, field.name), getattr(b, field.name)
-        if isinstance(one, np.ndarray):
-            assert one.dtype == two.dtype, field.name
-            np.testing.assert_array_equal(one, two, err_msg=field.name)
-        elif isinstance(one, Pulse):
-            np.testing.assert_array_equal(one.samples, two.samples)
-            assert one.step == two.step
+        first, two = getattr(a, field.name), getattr(b, field.name)
+        if isinstance(first, np.ndarray):
+            assert first.dtype == two.dtype, field.name
+            np.testing.assert_array_equal(first, two, err_msg=field.name)
+        elif isinstance(first, Pulse):
+            np.testing.assert_array_equal(first.samples, two.samples)
+            assert first.step == two.step
         else:
-            assert one == two, field.name
+            assert first == two, field.name
 
 
 FREE = {"angles_rad": None, "angle_sigma_rad": None, "antenna_positions_m": np.arange(27.0).reshape(9, 3)}

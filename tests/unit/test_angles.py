@@ -44,8 +44,8 @@ def test_a_free_table_is_continued_at_the_speed_that_it_had_at_each_end() -> Non
     arrivals = 10**18 + (times_s * 1e9).astype(np.int64)
     moments = 10**18 + (read_s * 1e9).astype(np.int64)
     track = Track(moments, angle(read_s), np.full(len(read_s), 1e-3), {"runs_on": True})
-    found = align(fit_clock(1e3 * times_s), arrivals, track)
-    np.testing.assert_allclose(found.angles_rad, angle(times_s), atol=np.radians(1.0))
+    result = align(fit_clock(1e3 * times_s), arrivals, track)
+    np.testing.assert_allclose(result.angles_rad, angle(times_s), atol=np.radians(1.0))
 
 
 def test_a_view_is_seen_from_the_mean_angle_of_its_scans() -> None:

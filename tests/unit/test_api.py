@@ -67,16 +67,18 @@ def test_every_type_that_a_public_name_takes_or_gives_has_a_documented_module(pa
         section = text.partition(f"\n## {module}\n")[2].partition("\n## ")[0]
         home = importlib.import_module(module)
         assert not re.search(r"\b_", module)
-        for one in members:
-            assert getattr(home, one.__qualname__, None) is one and not one.__name__.startswith("_")
-            assert f"\n### {one.__name__}\n" in section
-    names = {one.__name__ for members in types.values() for one in members}
+        for item in members:
+            assert getattr(home, item.__qualname__, None) is item and not item.__name__.startswith("_")
+            assert f"\n### {item.__name__}\n" in section
+    names = {member.__name__ for members in types.values() for member in members}
     assert {"Aperture", "Code", "Comparison", "DiskFullError", "Image", "RadarInfo", "Reflector"} <= names
 
 
 def test_types_inside_of_containers_and_behind_properties_are_found(page: ModuleType) -> None:
-    found = set(page.own_classes(dict[str, tuple[tagid.Capture, ...] | None] | Callable[[tagid.Layout], int]))
-    assert found == {tagid.Capture, tagid.Layout}
+    result = set(
+        page.own_classes(dict[str, tuple[tagid.Capture, ...] | None] | Callable[[tagid.Layout], int])
+    )
+    assert result == {tagid.Capture, tagid.Layout}
     assert list(page.own_classes(np.ndarray | int)) == []
     annotations = page.annotations_of(tagid.Workplace)
     assert annotations[".registry: return"] is tagid.Registry

@@ -42,8 +42,8 @@ def faced(points: np.ndarray, normals: np.ndarray, phases: np.ndarray, views: in
         sight = aperture.positions[view, :2] - points
         facing = (sight * normals).sum(axis=1) / np.linalg.norm(sight, axis=1)
         seen = phases * np.maximum(facing, 0)
-        one = aperture.select(np.array([view]))
-        rows.append(record(points, seen, one, start_m=0.4, analytic=True).samples)
+        single = aperture.select(np.array([view]))
+        rows.append(record(points, seen, single, start_m=0.4, analytic=True).samples)
     whole = record(points, phases, aperture, start_m=0.4, analytic=True)
     return preprocess(
         replace(whole, samples=np.vstack(rows)),
@@ -70,8 +70,8 @@ def flat_sides(views: int) -> BasebandScans:
     along = np.linspace(-0.12, 0.12, 25)
     side = np.column_stack([np.full(25, 0.12), along])
     turns = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
-    points = np.vstack([side @ each.T for each in turns])
-    normals = np.vstack([np.tile(each @ [1.0, 0.0], (25, 1)) for each in turns])
+    points = np.vstack([side @ turn.T for turn in turns])
+    normals = np.vstack([np.tile(turn @ [1.0, 0.0], (25, 1)) for turn in turns])
     return faced(points, normals, np.ones(100, dtype=complex), views)
 
 
@@ -93,8 +93,8 @@ def test_sparse_pixels_make_the_image_where_they_predict_more_than_a_field() -> 
     np.testing.assert_array_equal(image.values, image_without_field(scans, GRID, Prior.PIXELS).values)
     unseen = left_out(18)
     seen = select_views(scans, np.setdiff1d(np.arange(18), unseen))
-    left = residual(select_views(scans, unseen), image_without_field(seen, GRID, Prior.PIXELS))
-    assert left < fit(scans, GRID, AtsSettings(), unseen=unseen).held_out
+    remaining = residual(select_views(scans, unseen), image_without_field(seen, GRID, Prior.PIXELS))
+    assert remaining < fit(scans, GRID, AtsSettings(), unseen=unseen).held_out
     # Its amplitudes are not those that the sparsity prior shrank.
     shrunk = sparse_recovery(scans, GRID).values
     ratio = image.values[shrunk != 0] / shrunk[shrunk != 0]
@@ -180,18 +180,18 @@ def test_few_views_of_an_outline_show_it_at_least_as_well_as_sparse_pixels_do(vi
     image = fit_adapted(scans, GRID, AtsSettings()).image
     assert image.settings["prior"] == Prior.MEAN and "prior_trials" not in image.settings
     assert prior_words(image.settings) == []
-    left = residual(between, image)
-    assert left < residual(between, image_without_field(scans, GRID, Prior.PIXELS)) - 0.02
-    assert left < residual(between, image_without_field(scans, GRID, Prior.LINEAR_0)) - 0.03
+    remaining = residual(between, image)
+    assert remaining < residual(between, image_without_field(scans, GRID, Prior.PIXELS)) - 0.02
+    assert remaining < residual(between, image_without_field(scans, GRID, Prior.LINEAR_0)) - 0.03
 
 
 @pytest.mark.parametrize("views", [12, 18])
 def test_few_views_are_shown_hardly_worse_than_by_the_better_of_dense_field_and_pixels(views: int) -> None:
     scans, between = two_cans(views), two_cans(180)
-    left = residual(between, fit_adapted(scans, GRID, AtsSettings()).image)
+    remaining = residual(between, fit_adapted(scans, GRID, AtsSettings()).image)
     dense = fit(scans, GRID, FitSettings().with_prior(Prior.DENSE)).image
     pixels = residual(between, image_without_field(scans, GRID, Prior.PIXELS))
-    assert left < min(pixels, residual(between, dense)) + 0.02
+    assert remaining < min(pixels, residual(between, dense)) + 0.02
 
 
 def test_points_keep_the_default_prior_without_a_trial() -> None:
@@ -239,8 +239,8 @@ def test_unrelated_predictions_of_several_groups_explain_nothing() -> None:
     data, seen = noise[0] + 1j * noise[1]
     together, apart = Prediction.none(), 0.0
     for measured, predicted in zip(data, seen, strict=True):
-        one = Prediction.of(measured, predicted)
-        together, apart = together.and_of(one), apart + float(one.misfits.sum())
+        prediction = Prediction.of(measured, predicted)
+        together, apart = together.and_of(prediction), apart + float(prediction.misfits.sum())
     assert together.residual > 0.99
     assert apart / float(together.measured.sum()) < 0.95
 

@@ -179,10 +179,10 @@ def test_nothing_hides_in_front_and_half_hides_behind() -> None:
     """A wall across the middle: seen from +x, what lies at -x is dimmed, what lies at +x is not."""
     wall = np.zeros((48, 48))
     wall[:, 24] = 1.0
-    left = transmission(wall, GRID, np.array([[1.0, 0.0, 0.0]]), 0.7, GRID.step)[0].reshape(48, 48)
-    assert left[20:28, :20].max() < 0.6
-    assert left[20:28, 30:].min() > 0.95
-    assert left[20:28, 10] == pytest.approx(np.exp(-0.7), abs=0.08)
+    remaining = transmission(wall, GRID, np.array([[1.0, 0.0, 0.0]]), 0.7, GRID.step)[0].reshape(48, 48)
+    assert remaining[20:28, :20].max() < 0.6
+    assert remaining[20:28, 30:].min() > 0.95
+    assert remaining[20:28, 10] == pytest.approx(np.exp(-0.7), abs=0.08)
     finer = ImageGrid(GRID.extent, 96)
     wall = np.kron(wall, np.ones((2, 2)))
     same = transmission(wall, finer, np.array([[1.0, 0.0, 0.0]]), 0.7, GRID.step)[0].reshape(96, 96)

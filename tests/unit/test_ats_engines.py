@@ -66,9 +66,9 @@ def test_the_step_sees_what_the_operator_sees(scans, settings) -> None:
 
 def test_shadows_and_aspect_are_in_every_engine(scans, settings) -> None:
     rich = {"aspect_harmonics": 1, "occlusion": 0.3, "robust": 3.0, "steps": 30}
-    left = fit(scans, GRID, replace(settings, **rich)).held_out
+    remaining = fit(scans, GRID, replace(settings, **rich)).held_out
     reference = fit(scans, GRID, AtsSettings(engine="onnx", seed=3, **rich)).held_out
-    assert left == pytest.approx(reference, rel=0.2)
+    assert remaining == pytest.approx(reference, rel=0.2)
 
 
 def test_auto_is_the_fastest_engine_that_is_there(scans, monkeypatch) -> None:

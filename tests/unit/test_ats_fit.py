@@ -52,20 +52,20 @@ def psnr(values: np.ndarray, points: np.ndarray, grid: ImageGrid = GRID) -> floa
 
 def peaks(values: np.ndarray, count: int) -> np.ndarray:
     """The `count` brightest places more than 4 cm apart, (count, 2) m."""
-    magnitude, found = np.abs(values).ravel().copy(), []
+    magnitude, result = np.abs(values).ravel().copy(), []
     for _ in range(count):
         at = GRID.points[int(np.argmax(magnitude))]
-        found.append(at)
+        result.append(at)
         magnitude[np.hypot(*(GRID.points - at).T) < 0.04] = 0
-    return np.array(found)
+    return np.array(result)
 
 
 def test_two_points_at_36_views_beat_backprojection() -> None:
     scans = simulate(POINTS, 36, 0.3)
     image = fit(scans, GRID).image
     assert psnr(image.values, POINTS) > psnr(backproject(scans, GRID).values, POINTS) + 6
-    found = peaks(image.values, 2)
-    errors = np.linalg.norm(found[:, None] - POINTS[None], axis=2).min(axis=0)
+    result = peaks(image.values, 2)
+    errors = np.linalg.norm(result[:, None] - POINTS[None], axis=2).min(axis=0)
     assert errors.max() < GRID.step
     assert image.values.dtype == np.complex64
     assert image.settings["method"] == "ats"
@@ -121,8 +121,8 @@ def test_scaling_the_data_scales_the_image() -> None:
     scans = simulate(POINTS, 18, 0.1)
     louder = BasebandScans(**{**scans.__dict__, "samples": scans.samples * np.float32(1024)})
     short = AtsSettings(steps=20)
-    one, thousand = fit(scans, GRID, short).image.values, fit(louder, GRID, short).image.values
-    np.testing.assert_allclose(thousand / 1024, one, atol=1e-3 * np.abs(one).max())
+    first, thousand = fit(scans, GRID, short).image.values, fit(louder, GRID, short).image.values
+    np.testing.assert_allclose(thousand / 1024, first, atol=1e-3 * np.abs(first).max())
 
 
 def test_zero_data_gives_a_zero_image() -> None:
@@ -147,10 +147,10 @@ def test_a_silent_subset_of_views_does_no_harm() -> None:
 
 
 def test_progress_is_told_every_step() -> None:
-    told: list[tuple[int, int, float]] = []
-    fit(simulate(POINTS, 12, 0.1), GRID, AtsSettings(steps=7), lambda *step: told.append(step))
-    assert [step[:2] for step in told] == [(i, 7) for i in range(1, 8)]
-    assert told[-1][2] < told[0][2]
+    reported: list[tuple[int, int, float]] = []
+    fit(simulate(POINTS, 12, 0.1), GRID, AtsSettings(steps=7), lambda *step: reported.append(step))
+    assert [step[:2] for step in reported] == [(i, 7) for i in range(1, 8)]
+    assert reported[-1][2] < reported[0][2]
 
 
 def test_few_views_get_more_steps_unless_the_number_is_given() -> None:
@@ -199,7 +199,7 @@ def test_no_trials_are_asked_for_as_before() -> None:
 
 def test_a_dozen_views_of_reflectors_are_predicted_better_than_by_fista() -> None:
     # From backprojection the fits kept sidelobes, and left twice as much as FISTA.
-    left = []
+    remaining = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
         points = rng.uniform(-0.22, 0.22, (4, 2))
@@ -212,6 +212,6 @@ def test_a_dozen_views_of_reflectors_are_predicted_better_than_by_fista() -> Non
         sparse = check(scans, scans, grid, lambda some, grid=grid: sparse_recovery(some, grid))
         ats = check(scans, scans, grid, lambda some, grid=grid: fit(some, grid).image)
         assert sparse is not None and ats is not None
-        left.append((ats.residual, sparse.residual))
-    ours, theirs = np.sum(left, axis=0)
+        remaining.append((ats.residual, sparse.residual))
+    ours, theirs = np.sum(remaining, axis=0)
     assert ours < theirs

@@ -144,8 +144,8 @@ class NearestBins:
         return out
 
     def gather(self, rows: np.ndarray, light: np.ndarray | None = None) -> np.ndarray:
-        found = np.take_along_axis(rows, self.index.astype(np.intp), axis=1)
-        return found.sum(axis=0) if light is None else light.T @ found
+        result = np.take_along_axis(rows, self.index.astype(np.intp), axis=1)
+        return result.sum(axis=0) if light is None else light.T @ result
 
 
 @pytest.mark.parametrize(("harmonics", "hidden"), [(0, 1), (1, 1), (0, 2)])
@@ -164,15 +164,15 @@ def test_one_native_step_is_that_of_torch(scans, harmonics, hidden) -> None:
     losses = [engine.step(arrays, views, fine, numbers) for engine in (torch_engine, native)]
     assert losses[0] == pytest.approx(losses[1], rel=1e-4)
     count = len(native._state)
-    for one, other in zip(torch_engine._state[count : 2 * count], native._first, strict=True):
-        assert np.linalg.norm(one.numpy() - other) < 1e-3 * np.linalg.norm(other)  # of Adam: the gradient
+    for first, other in zip(torch_engine._state[count : 2 * count], native._first, strict=True):
+        assert np.linalg.norm(first.numpy() - other) < 1e-3 * np.linalg.norm(other)  # of Adam: the gradient
     moving = np.array([0.06, 10, 20, 0.3, 1, 1e-3, 0.1], np.float32)
     for engine in (torch_engine, native):
         engine.step(arrays, views, fine, moving)
     after = [engine.weights() for engine in (torch_engine, native)]
     for name in ("tables", "weights", "biases"):
-        for start, one, other in zip(*(getattr(w, name) for w in (weights, *after)), strict=True):
-            assert np.linalg.norm(one - other) < 2e-3 * np.linalg.norm(one - start)
+        for start, first, other in zip(*(getattr(w, name) for w in (weights, *after)), strict=True):
+            assert np.linalg.norm(first - other) < 2e-3 * np.linalg.norm(first - start)
 
 
 def test_the_manifest_has_the_shapes_of_the_step() -> None:

@@ -28,16 +28,16 @@ def test_interpolation_is_that_of_the_field_and_has_its_transpose(features, nati
     grid, cells = ImageGrid(0.4, 9), (3, 7)
     field = draw_weights(FieldShape(cells, features, width=4, hidden=0), grid, 1.0, seed=1)
     some = np.array([0, 4, 17, 80])
-    found = Taps.of(9, list(cells), some)
+    taps = Taps.of(9, list(cells), some)
     table = np.concatenate([t.reshape(features, -1) for t in field.tables], axis=1).T.copy()
     rows = np.empty((4, 2 * features), np.float32)
-    found.interpolate(table, rows)
+    taps.interpolate(table, rows)
     sigma = rows @ field.weights[0].T + field.biases[0].ravel()
     expected = field.evaluate(grid.points[some])[0]
     np.testing.assert_allclose(sigma[:, 0] + 1j * sigma[:, 1], expected, atol=1e-6)
     slope = RNG.standard_normal(rows.shape).astype(np.float32)
     back = np.full_like(table, 7)
-    found.accumulate(slope, back)
+    taps.accumulate(slope, back)
     assert float((rows * slope).sum()) == pytest.approx(float((table * back).sum()), rel=1e-4)
 
 
@@ -54,18 +54,18 @@ def test_the_compiled_update_is_that_of_numpy(monkeypatch) -> None:
         for gradient in gradients:
             adam.update(parameters, gradient.copy(), rates, 3.0, 0.1)
         states.append((parameters, adam.first.copy(), adam.second.copy()))
-    for one, other in zip(*states, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-7)
+    for first, other in zip(*states, strict=True):
+        np.testing.assert_allclose(first, other, rtol=1e-5, atol=1e-7)
 
 
 @compiled
 def test_buffers_that_do_not_fit_are_refused() -> None:
-    found = Taps.of(4, [3])
+    taps = Taps.of(4, [3])
     rows = np.zeros((16, 2), np.float32)
     with pytest.raises(ValueError, match="fit together"):
-        found.interpolate(np.zeros((15, 2), np.float32), rows)  # 16 vertices
+        taps.interpolate(np.zeros((15, 2), np.float32), rows)  # 16 vertices
     with pytest.raises(ValueError, match="fit together"):
-        found.interpolate(np.zeros((16, 2), np.float32), rows[:3])
+        taps.interpolate(np.zeros((16, 2), np.float32), rows[:3])
     with pytest.raises(ValueError, match="fit together"):
         Adam.of([4]).update(*(np.zeros(3, np.float32) for _ in range(2)), np.ones(1, np.float32), 1.0, 0.1)
 
@@ -77,10 +77,10 @@ def test_a_fit_without_the_compiled_loops_gives_the_same_image(monkeypatch) -> N
         settings=PreprocessSettings("none", False, extent_m=0.3),
     )
     settings = AtsSettings(steps=20, engine="native")
-    one = fit(scans, grid, settings).image.values
+    single = fit(scans, grid, settings).image.values
     monkeypatch.setattr(module, "_compiled", None)
     other = fit(scans, grid, settings).image.values
-    assert np.linalg.norm(one - other) < 1e-3 * np.linalg.norm(other)
+    assert np.linalg.norm(single - other) < 1e-3 * np.linalg.norm(other)
 
 
 def test_dark_pixels_are_left_out_and_zero_and_a_late_reflector_joins() -> None:

@@ -57,8 +57,8 @@ def test_every_setting_of_imaging_changes_it() -> None:
         else:
             continue
         changed = ImagingSettings.__new__(ImagingSettings)
-        for each in fields(settings):
-            object.__setattr__(changed, each.name, getattr(settings, each.name))
+        for item in fields(settings):
+            object.__setattr__(changed, item.name, getattr(settings, item.name))
         object.__setattr__(changed, field.name, other)
         assert job(settings=changed).fingerprint() != job().fingerprint(), field.name
 

@@ -60,21 +60,21 @@ def target(distance: float = DISTANCE, amplitude: float = 5000.0, **more) -> Cap
 
 @pytest.mark.parametrize("distance", [0.8, 2.0, 2.37])
 def test_the_delay_is_what_the_air_does_not_explain(distance: float) -> None:
-    found = estimate_delay(target(distance), distance, tape_error_m=0.0)
-    assert found.delay_ps == pytest.approx(DELAY_PS, abs=4 * found.sigma_ps)
-    assert found.sigma_ps < 8
+    result = estimate_delay(target(distance), distance, tape_error_m=0.0)
+    assert result.delay_ps == pytest.approx(DELAY_PS, abs=4 * result.sigma_ps)
+    assert result.sigma_ps < 8
     # Taping a centimetre too far takes 67 ps off the delay: the sum is what the radar saw.
     wrong = estimate_delay(target(distance), distance + 0.01, tape_error_m=0.01)
-    assert wrong.delay_ps - found.delay_ps == pytest.approx(-66.7, abs=1)
+    assert wrong.delay_ps - result.delay_ps == pytest.approx(-66.7, abs=1)
     assert wrong.sigma_ps == pytest.approx(66.7, rel=0.02)
 
 
 def test_the_uncertainty_from_noise_is_the_scatter() -> None:
-    found = [estimate_delay(target(amplitude=160, seed=s), DISTANCE, 0.0) for s in range(24)]
-    scatter = np.std([f.delay_ps for f in found])
-    told = np.sqrt(np.mean([f.noise_ps**2 for f in found]))
-    assert 0.5 < scatter / told < 2
-    assert abs(np.mean([f.delay_ps for f in found]) - DELAY_PS) < 4 * scatter / np.sqrt(24)
+    results = [estimate_delay(target(amplitude=160, seed=s), DISTANCE, 0.0) for s in range(24)]
+    scatter = np.std([f.delay_ps for f in results])
+    reported = np.sqrt(np.mean([f.noise_ps**2 for f in results]))
+    assert 0.5 < scatter / reported < 2
+    assert abs(np.mean([f.delay_ps for f in results]) - DELAY_PS) < 4 * scatter / np.sqrt(24)
 
 
 def test_the_empty_scene_is_taken_off() -> None:
@@ -85,8 +85,8 @@ def test_the_empty_scene_is_taken_off() -> None:
     both = capture(leakage + 5000 * echo(2e12 * DISTANCE / SPEED_OF_LIGHT + DELAY_PS))
     alone = estimate_delay(both, DISTANCE)
     assert abs(alone.delay_ps - DELAY_PS) > 5000  # the leakage was mistaken for the target
-    found = estimate_delay(both, DISTANCE, empty=reference_on(empty, both))
-    assert found.delay_ps == pytest.approx(DELAY_PS, abs=5)
+    result = estimate_delay(both, DISTANCE, empty=reference_on(empty, both))
+    assert result.delay_ps == pytest.approx(DELAY_PS, abs=5)
 
 
 def test_what_cannot_be_told_is_an_error() -> None:
@@ -119,9 +119,9 @@ def test_the_reference_fits_a_window_that_starts_elsewhere() -> None:
         range_start_m=other.range_start_m(DELAY_PS),
         radar=replace(there.radar, cable_delay_ps=DELAY_PS),
     )
-    left = without_background(there, reference)
-    assert np.abs(left.samples).max() < 0.005 * np.abs(scene).max()
-    assert left.radar.background_reference.uuid == reference.uuid
+    remaining = without_background(there, reference)
+    assert np.abs(remaining.samples).max() < 0.005 * np.abs(scene).max()
+    assert remaining.radar.background_reference.uuid == reference.uuid
     with pytest.raises(DataError, match="transmit_gain"):
         without_background(capture(wide, transmit_gain=9), reference)
     late = capture(wide, **asdict(replace(other, scan_start_ps=60_000, scan_stop_ps=90_000)))
@@ -135,8 +135,8 @@ def test_through_the_radar_with_cables() -> None:
         scans = take_scans(radar, 64)
     assert scans.samples.shape == (64, CONFIG.samples)
     assert scans.radar.config.scan_start_ps == CONFIG.scan_start_ps
-    found = estimate_delay(scans, DISTANCE)
-    assert found.delay_ps == pytest.approx(DELAY_PS, abs=60)  # the room's echoes run into its own
+    result = estimate_delay(scans, DISTANCE)
+    assert result.delay_ps == pytest.approx(DELAY_PS, abs=60)  # the room's echoes run into its own
 
 
 @pytest.mark.skipif(not (PULSES / "data/p440/pulse.npz").is_file(), reason="no measured pulses")
@@ -146,17 +146,17 @@ def test_real_pulses_give_one_delay_at_all_distances_and_own_up_to_their_shape()
         pulses = [Pulse(file[name], step) for name in file.files if file[name].size > 1]
     assert len(pulses) == 7
     for pulse in pulses:
-        found = []
+        results = []
         for distance in (DISTANCE, 1.4):
             seen = (
                 3000
                 / np.abs(pulse.samples).max()
                 * echo(2e12 * distance / SPEED_OF_LIGHT + DELAY_PS, pulse=pulse)
             )
-            found.append(estimate_delay(capture(seen), distance, tape_error_m=0.0))
+            results.append(estimate_delay(capture(seen), distance, tape_error_m=0.0))
         # Calibrated at one distance, a target at another is where it is.
-        assert found[0].delay_ps == pytest.approx(found[1].delay_ps, abs=8)
+        assert results[0].delay_ps == pytest.approx(results[1].delay_ps, abs=8)
         # The pulse's envelope peaks elsewhere than the filter matched to the nominal one says.
         fine = np.arange(-4000, 4000)
         middle_ps = fine[np.abs(pulse_at(pulse, fine * 1e-12)).argmax()]
-        assert abs(found[0].delay_ps - middle_ps - DELAY_PS) < 3 * found[0].sigma_ps
+        assert abs(results[0].delay_ps - middle_ps - DELAY_PS) < 3 * results[0].sigma_ps

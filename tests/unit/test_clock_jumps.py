@@ -118,10 +118,10 @@ def test_the_period_in_the_scans_replaces_angles_that_cannot_be_assigned(late_s:
         with pytest.raises(NotAlignedError):
             resolve_turn(capture)
         return
-    motion = (found := resolve_turn(capture)).motion
+    motion = (result := resolve_turn(capture)).motion
     assert motion.resolved is not None and motion.track is None and motion.url == capture.motion.url
     assert motion.resolved.period_s == pytest.approx(10.0, rel=0.01) and motion.resolved.direction == -1
-    (remark,) = recording_remarks(found)
+    (remark,) = recording_remarks(result)
     assert "cannot be assigned to the scans; their period is used instead" in remark
 
 

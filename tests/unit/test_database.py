@@ -101,10 +101,10 @@ def test_without_locks_it_is_read_and_not_written(history: History, tmp_path: Pa
     library = tmp_path / "nolock.so"
     subprocess.run(["cc", "-shared", "-fPIC", "-o", library, NO_LOCKS, "-ldl"], check=True)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
-    found = read(tmp_path, env={**os.environ, "LD_PRELOAD": str(library), "LOCKERR": str(code)})
-    assert found[:2] == ["['uuid-1', 'uuid-0']", "4 4"]
-    assert len(found) == 5
-    for line, remedy in zip(found[2:], ("TAGID_DATA", "TAGID_DATA", "`out`"), strict=True):
+    recovered = read(tmp_path, env={**os.environ, "LD_PRELOAD": str(library), "LOCKERR": str(code)})
+    assert recovered[:2] == ["['uuid-1', 'uuid-0']", "4 4"]
+    assert len(recovered) == 5
+    for line, remedy in zip(recovered[2:], ("TAGID_DATA", "TAGID_DATA", "`out`"), strict=True):
         assert "has no locks" in line and remedy in line
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
@@ -124,9 +124,9 @@ def test_without_room_for_the_log_it_is_read(history: History, tmp_path: Path) -
     def no_room() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
 
-    found = read(tmp_path, preexec_fn=no_room)
-    assert found[:2] == ["['uuid-1', 'uuid-0']", "4 4"]
-    for line in found[2:]:
+    recovered = read(tmp_path, preexec_fn=no_room)
+    assert recovered[:2] == ["['uuid-1', 'uuid-0']", "4 4"]
+    for line in recovered[2:]:
         assert line.startswith("no space left") and "Free some space" in line
 
 

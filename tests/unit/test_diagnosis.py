@@ -151,9 +151,9 @@ def test_a_name_needs_most_of_a_turn_however_the_recording_ended(
 
 def as_positions(capture: Capture) -> Capture:
     """The same scans with the places of the antenna instead of angles."""
-    places = capture.aperture().antennas[0]
+    positions = capture.aperture().antennas[0]
     return replace(capture, angles_rad=None, angle_sigma_rad=None, axis_distance_m=None, antenna_height_m=0.0,
-                   antenna_positions_m=places)  # fmt: skip
+                   antenna_positions_m=positions)  # fmt: skip
 
 
 def turn_share(capture: Capture) -> float:
@@ -202,7 +202,7 @@ def test_a_joint_name_needs_one_recording_that_shows_every_side() -> None:
     stopped = replace(stopped, motion=MotionInfo(resolved=ResolvedMotion(turns=0.45, standstill=still)))
     assert of_the_part(named, [short, stopped]).code == "turn_stopped"
     joint, alone = identify_together([short, longer], LAYOUTS)
-    assert [one.status for one in (joint, *alone)] == ["identified", "unknown", "identified"]
+    assert [item.status for item in (joint, *alone)] == ["identified", "unknown", "identified"]
     assert joint.reading is not None and joint.reading.bound is None and joint.coverage == pytest.approx(0.7)
 
 
@@ -228,14 +228,14 @@ def can_off_the_axis(off_m: float, body: str, layout: str = "container-90") -> P
 
 
 @pytest.mark.parametrize(
-    ("off_mm", "told"), [(16, "10 to 20 mm"), (35, "about 3[2-7] mm"), (60, "about (59|60|61) mm")]
+    ("off_mm", "stated"), [(16, "10 to 20 mm"), (35, "about 3[2-7] mm"), (60, "about (59|60|61) mm")]
 )
-def test_a_can_beside_the_axis_is_told_by_the_circle_of_its_echo(off_mm: float, told: str) -> None:
+def test_a_can_beside_the_axis_is_told_by_the_circle_of_its_echo(off_mm: float, stated: str) -> None:
     circle = diagnosis._off_the_axis(circling(can_off_the_axis(1e-3 * off_mm, "can:35mm").given))
     assert circle is not None
     cause = diagnosis._of_a_round_body(circle)
     assert cause is not None and cause.code == "off_centre" and "Place" in cause.remedy
-    assert re.search(f"a round body {told} off it$", cause.text)
+    assert re.search(f"a round body {stated} off it$", cause.text)
 
 
 def test_a_can_far_beside_the_axis_is_the_cause_of_a_refusal() -> None:
@@ -246,9 +246,9 @@ def test_a_can_far_beside_the_axis_is_the_cause_of_a_refusal() -> None:
 
 
 def test_the_circle_is_about_the_bodys_middle() -> None:
-    found = circling(can_off_the_axis(0.05, "can:35mm").given)
-    assert found is not None and found.share == 1.0 and found.spread_m < 0.006
-    assert np.hypot(found.centre_m[0] - 0.04, found.centre_m[1] - 0.03) < 0.005
+    result = circling(can_off_the_axis(0.05, "can:35mm").given)
+    assert result is not None and result.share == 1.0 and result.spread_m < 0.006
+    assert np.hypot(result.centre_m[0] - 0.04, result.centre_m[1] - 0.03) < 0.005
 
 
 def test_a_handle_circles_but_is_no_body_off_the_axis(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -284,10 +284,10 @@ def test_a_search_that_returns_to_the_given_axis_distance_states_no_cause(
     )
     true_m = capture.axis_distance_m or 0.0
     prepared = PreparedCapture(load_capture(replace(capture, axis_distance_m=true_m + error_m)))
-    found = diagnosis._of_the_axis(prepared, LAYOUTS)
-    assert [cause.code for cause in found] == ["axis_distance"] * causes
+    result = diagnosis._of_the_axis(prepared, LAYOUTS)
+    assert [cause.code for cause in result] == ["axis_distance"] * causes
     assert all(
-        cause.settings == {"motion.axis_distance_m": pytest.approx(true_m, abs=0.006)} for cause in found
+        cause.settings == {"motion.axis_distance_m": pytest.approx(true_m, abs=0.006)} for cause in result
     )
 
 

@@ -40,7 +40,7 @@ def api_script() -> ModuleType:
 def test_the_api_page_has_every_public_name_with_a_signature_and_words() -> None:
     page = api_script().render()
     sections = dict(re.findall(r"^### (\w+)\n(.*?)(?=^##|\Z)", page, re.M | re.S))
-    types = [one.__name__ for types in api_script().types_by_module().values() for one in types]
+    types = [item.__name__ for types in api_script().types_by_module().values() for item in types]
     assert sorted(sections) == sorted([*tagid.__all__, *types])
     for name, text in sections.items():
         if name != "__version__":
@@ -101,12 +101,12 @@ def test_every_command_that_a_message_names_exists() -> None:
 
     def exists(words: str) -> bool:
         first, *more = words.split()
-        found = root.get_command(None, first)
-        if not isinstance(found, TyperGroup) or not more or more[0].startswith("-"):
-            return found is not None
-        return found.get_command(None, more[0]) is not None
+        result = root.get_command(None, first)
+        if not isinstance(result, TyperGroup) or not more or more[0].startswith("-"):
+            return result is not None
+        return result.get_command(None, more[0]) is not None
 
-    assert sorted(one for one in named if not exists(one[0])) == []
+    assert sorted(item for item in named if not exists(item[0])) == []
 
 
 @pytest.mark.parametrize("page", sorted((DOCS / "results").glob("*.md")), ids=lambda p: p.name)
@@ -135,11 +135,13 @@ def test_every_table_of_results_belongs_to_a_benchmark_that_can_run() -> None:
         for file in re.findall(r"\(([a-z-]+\.csv)\)", page.read_text())
     }
     assert linked == {path.name for path in (DOCS / "results").glob("*.csv")}
-    for one in BENCHMARKS.values():
-        module, _, function = one.work.partition(":")
+    for benchmark in BENCHMARKS.values():
+        module, _, function = benchmark.work.partition(":")
         tree = ast.parse((ROOT / "tests" / "benchmarks" / f"{module}.py").read_text())
-        assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, one.name
-        assert set(one.needs) <= set(NEEDS), one.name
+        assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, (
+            benchmark.name
+        )
+        assert set(benchmark.needs) <= set(NEEDS), benchmark.name
 
 
 def test_benchmarks_named_on_the_pages_exist() -> None:
@@ -215,15 +217,15 @@ def test_the_site_builds_strictly_and_loads_nothing_from_elsewhere(tmp_path: Pat
 @cache
 def definitions() -> set[str]:
     """Names of every module, class, function and value of the package."""
-    found: set[str] = set()
+    result: set[str] = set()
     for path in [*(ROOT / "tagid").rglob("*.py"), *(ROOT / "train").rglob("*.py")]:
-        found.add(path.stem)
+        result.add(path.stem)
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ClassDef | ast.FunctionDef):
-                found.add(node.name)
+                result.add(node.name)
             elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-                found.add(node.id)
-    return found
+                result.add(node.id)
+    return result
 
 
 def exists(path: str) -> bool:

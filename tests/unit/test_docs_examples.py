@@ -20,9 +20,9 @@ TAGS = PAGE.with_name("tags.md")
 
 def program(heading: str, page: Path = PAGE) -> str:
     """The Python block under a heading of a page."""
-    found = re.search(rf"^## {re.escape(heading)}\n.*?^```python\n(.*?)^```$", page.read_text(), re.M | re.S)
-    assert found, f"no program under {heading!r}"
-    return found[1]
+    match = re.search(rf"^## {re.escape(heading)}\n.*?^```python\n(.*?)^```$", page.read_text(), re.M | re.S)
+    assert match, f"no program under {heading!r}"
+    return match[1]
 
 
 def run(heading: str, folder: Path, monkeypatch: pytest.MonkeyPatch, page: Path = PAGE) -> dict[str, Any]:
@@ -119,7 +119,7 @@ def test_methods_are_scored_on_views_that_they_have_not_seen(
     assert set(scores) == {"own", "sparse", "omp", "ats"}
     assert all(0 < score < 0.4 for score in scores.values())
     # The score notices a wrong sign and a view that is in the wrong place.
-    own = names["brightest_pixels"](names["A"].select(names["seen"]), names["y"][names["seen"]])
-    assert unexplained(-own) > 1.5
-    assert unexplained(own.reshape(64, 64).T.ravel()) > 0.9
+    base = names["brightest_pixels"](names["A"].select(names["seen"]), names["y"][names["seen"]])
+    assert unexplained(-base) > 1.5
+    assert unexplained(base.reshape(64, 64).T.ravel()) > 0.9
     assert not set(names["seen"]) & set(names["unseen"])

@@ -40,11 +40,11 @@ def scans(samples: NDArray[np.float64]) -> Capture:
 def test_the_room_and_a_round_body_about_the_new_axis_are_left_out() -> None:
     room = echo(np.full(VIEWS, 1.03))
     body = echo(np.abs(antennas() - complex(*CENTRE)) - 0.035)
-    left = recentred(scans(5 * room + body), CENTRE).samples
-    assert (left**2).sum() < 1e-3 * (body**2).sum()
+    remaining = recentred(scans(5 * room + body), CENTRE).samples
+    assert (remaining**2).sum() < 1e-3 * (body**2).sum()
     whole = np.rint(1e4 * (5 * room + body)).astype(np.int32)
     counts = recentred(Capture(whole, START_M, STEP_M, ANGLES, axis_distance_m=DISTANCE_M), CENTRE).samples
-    assert counts.dtype == np.float32 and np.allclose(1e-4 * counts, left, atol=2e-4)
+    assert counts.dtype == np.float32 and np.allclose(1e-4 * counts, remaining, atol=2e-4)
     # About another point the body moves, and stays.
     other = recentred(scans(5 * room + body), (-0.03, 0.02)).samples
     assert (other**2).sum() > 0.5 * (body**2).sum()
@@ -69,8 +69,8 @@ def test_an_object_is_named_elsewhere_with_the_settings_of_the_answer() -> None:
     assert right.axis_distance_m is not None
     wrong, away = (replace(right, axis_distance_m=right.axis_distance_m + error_m) for error_m in (0.07, 9.0))
     prepared = PreparedCapture(wrong)
-    found = named_in(prepared, right, LAYOUTS)
-    assert found is not None and found.layout == "helmet-120" and abs(found.offset_m) < 3e-3
+    result = named_in(prepared, right, LAYOUTS)
+    assert result is not None and result.layout == "helmet-120" and abs(result.offset_m) < 3e-3
     # Where the scans do not hold the object's range, it is not there.
     assert named_in(prepared, away, LAYOUTS) is None
     strict = PreparedCapture(wrong, ImagingSettings(false_accept=1e-6))

@@ -23,9 +23,9 @@ def test_a_round_shell_is_the_exact_one(radius_m: float) -> None:
     exact = exact / np.exp(2j * K[:, None] * radius_m * np.cos(ANGLES))
     field = ShellField.of(K, EllipticShell(0.08, 0.08, (permittivity - 1) * thick))
     # The exact one is that of a plane wave.
-    found = field.seen_from(200 * np.exp(1j * ANGLES)).relative(np.array([radius_m + 0j]))[:, 0]
+    result = field.seen_from(200 * np.exp(1j * ANGLES)).relative(np.array([radius_m + 0j]))[:, 0]
     assert np.abs(exact - 1).max() > 0.6
-    assert np.abs(found - exact).max() < 0.02
+    assert np.abs(result - exact).max() < 0.02
 
 
 def test_the_echo_of_a_round_shell_does_not_depend_on_aspect() -> None:
@@ -37,22 +37,22 @@ def test_the_echo_of_a_round_shell_does_not_depend_on_aspect() -> None:
 
 def test_turning_the_shell_is_turning_the_antenna_the_other_way() -> None:
     """A quarter of a turn exchanges the half axes."""
-    places = 0.11 * np.exp(1j * np.array([0.3, 1.9]))
+    positions = 0.11 * np.exp(1j * np.array([0.3, 1.9]))
     antenna = np.exp(1j * np.linspace(0.1, 6.0, 11))
-    one = ShellField.of(K, EllipticShell(0.076, 0.097, 2.7e-3))
+    field = ShellField.of(K, EllipticShell(0.076, 0.097, 2.7e-3))
     other = ShellField.of(K, EllipticShell(0.097, 0.076, 2.7e-3))
-    np.testing.assert_allclose(one.echo(antenna), other.echo(1j * antenna), rtol=1e-9)
+    np.testing.assert_allclose(field.echo(antenna), other.echo(1j * antenna), rtol=1e-9)
     np.testing.assert_allclose(
-        one.seen_from(antenna).relative(places),
-        other.seen_from(1j * antenna).relative(1j * places),
+        field.seen_from(antenna).relative(positions),
+        other.seen_from(1j * antenna).relative(1j * positions),
         rtol=1e-9,
     )
 
 
 def test_more_points_of_the_contour_change_little() -> None:
     shell = EllipticShell(0.076, 0.097, 2.7e-3)
-    antenna, places = np.exp(1j * np.linspace(0.1, 6.0, 11)), 0.105 * np.exp(1j * ANGLES)
-    coarse, fine = (ShellField.of(K, shell, n).seen_from(antenna).relative(places) for n in (84, 300))
+    antenna, positions = np.exp(1j * np.linspace(0.1, 6.0, 11)), 0.105 * np.exp(1j * ANGLES)
+    coarse, fine = (ShellField.of(K, shell, n).seen_from(antenna).relative(positions) for n in (84, 300))
     assert np.abs(coarse - fine).max() < 0.02
 
 
@@ -102,13 +102,13 @@ def test_a_wall_passes_what_an_endless_sheet_passes() -> None:
     shell = BoxShell(0.35, 0.35, sheet_m)
     field = ShellField.of(k, shell, 400)
     behind = np.array([0.35 - d + 0j for d in np.linspace(0.02, 0.20, 60)])
-    found = field.seen_from(np.array([200 + 0j])).relative(behind)[0, :, 0]
+    result = field.seen_from(np.array([200 + 0j])).relative(behind)[0, :, 0]
     # The far walls' echoes change their phase along the line and average out.
-    assert abs(np.sqrt(found).mean() - 1 / (1 + 0.5j * k[0] * sheet_m)) < 0.03
+    assert abs(np.sqrt(result).mean() - 1 / (1 + 0.5j * k[0] * sheet_m)) < 0.03
 
 
 def test_more_points_of_a_box_change_little() -> None:
     shell = BoxShell(0.055, 0.07, 2.8e-3)
-    antenna, places = np.exp(1j * np.linspace(0.1, 6.0, 11)), 0.045 * np.exp(1j * ANGLES)
-    coarse, fine = (ShellField.of(K, shell, n).seen_from(antenna).relative(places) for n in (84, 300))
+    antenna, positions = np.exp(1j * np.linspace(0.1, 6.0, 11)), 0.045 * np.exp(1j * ANGLES)
+    coarse, fine = (ShellField.of(K, shell, n).seen_from(antenna).relative(positions) for n in (84, 300))
     assert np.abs(coarse - fine).max() < 0.03

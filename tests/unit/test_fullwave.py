@@ -233,8 +233,8 @@ def test_the_field_of_a_dipole_obeys_maxwell_near_it_too() -> None:
 def test_the_shared_responses_are_reproduced(name: str) -> None:
     """Another solver with a mesh of the same fineness: amplitude and phase at 1 m, both polarisations."""
     theirs = read_response(FULLWAVE / f"{name}.npz")
-    places = np.array([[0.045, 0.0], [0.0, 0.045]]) if name.endswith("c90") else np.zeros((1, 2))
-    equation = Efie(shapes.tag(0.02, places, 3, 1.0))
+    positions = np.array([[0.045, 0.0], [0.0, 0.045]]) if name.endswith("c90") else np.zeros((1, 2))
+    equation = Efie(shapes.tag(0.02, positions, 3, 1.0))
     k = float(theirs.wavenumber[20])
     for i in (1, 3):
         ring = theirs.rings[i]

@@ -50,13 +50,15 @@ def test_a_dataset_that_is_not_known_is_not_read(tmp_path: Path) -> None:
     unknown_dataset(tmp_path / "a.tagid.h5")
     tracemalloc.start()
     try:
-        found = read_any(tmp_path / "a.tagid.h5")
+        result = read_any(tmp_path / "a.tagid.h5")
         assert tracemalloc.get_traced_memory()[1] < ZEROS_BYTES / 10
     finally:
         tracemalloc.stop()
-    expected = capture(radar=found.radar, pulse=found.pulse, uuid=found.uuid, created_utc=found.created_utc)
-    np.testing.assert_array_equal(found.samples, expected.samples)
-    assert_equal(found, found)
+    expected = capture(
+        radar=result.radar, pulse=result.pulse, uuid=result.uuid, created_utc=result.created_utc
+    )
+    np.testing.assert_array_equal(result.samples, expected.samples)
+    assert_equal(result, result)
 
 
 @pytest.mark.parametrize("start", ["=", "+", "-", "@", " =", "\t=", "\t", "\r"])
@@ -209,14 +211,20 @@ time.sleep(0.3)  # a background thread writes, too
 
 
 def test_onnxruntime_writes_nothing_into_the_users_folders(tmp_path: Path) -> None:
-    own: dict[str, Any] = {name: value for name, value in os.environ.items() if "TELEMETRY" not in name}
+    environment: dict[str, Any] = {
+        name: value for name, value in os.environ.items() if "TELEMETRY" not in name
+    }
     folders = ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "TMPDIR")
     for name in folders:
         (tmp_path / name).mkdir()
-        own[name] = str(tmp_path / name)
-    own |= {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
+        environment[name] = str(tmp_path / name)
+    environment |= {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", RUN_A_MODEL], env=own, cwd=tmp_path / "HOME", capture_output=True, text=True
+        [sys.executable, "-c", RUN_A_MODEL],
+        env=environment,
+        cwd=tmp_path / "HOME",
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
     assert [path for path in tmp_path.rglob("*") if path.name not in folders] == []

@@ -49,9 +49,9 @@ def read(thing: Thing, names: str) -> Reading:
 
 def nearest_m(reading: Reading, points: tuple[complex, ...]) -> float:
     """How far the farthest of some points is from the reflectors that were found, m."""
-    places = np.array([CENTRE + point * np.exp(1j * TURN) for point in points])
-    found = np.array([complex(one.x_m, one.y_m) for one in reading.reflectors])
-    return float(np.abs(found[:, None] - places).min(axis=0).max())
+    positions = np.array([CENTRE + point * np.exp(1j * TURN) for point in points])
+    result = np.array([complex(reflector.x_m, reflector.y_m) for reflector in reading.reflectors])
+    return float(np.abs(result[:, None] - positions).min(axis=0).max())
 
 
 def test_a_tag_is_named_on_an_enrolled_body_alone() -> None:
@@ -59,7 +59,7 @@ def test_a_tag_is_named_on_an_enrolled_body_alone() -> None:
     assert (reading.status, reading.layout, reading.kind) == ("identified", "container-90", Kind.BODY)
     assert (reading.hypotheses[0].name, reading.hypotheses[0].layout) == ("mug", "container-90")
     assert reading.hypotheses[0].unexplained < 0.01
-    assert len(reading.reflectors) == 2 and all(one.matched for one in reading.reflectors)
+    assert len(reading.reflectors) == 2 and all(reflector.matched for reflector in reading.reflectors)
     assert nearest_m(reading, TAG.points) < 3e-3
     assert hypothesis_words(reading) == (
         "container-90 on the enrolled body mug, centre (4, -4) mm, 0.0 % unexplained"
@@ -87,10 +87,10 @@ def test_another_tag_on_the_enrolled_body_is_told(other: Thing, code: Code, coun
 
 
 def test_an_enrolled_object_is_named_as_a_whole_and_not_with_a_reflector_more() -> None:
-    found = answer(MUG.plus(TAG), "mug-7")
-    assert found.reading is not None
-    assert (found.status, found.reading.layout, found.reading.kind) == ("identified", "mug-7", Kind.OBJECT)
-    assert found.label == known("mug-7")[0].label and found.reading.reflectors == ()
+    result = answer(MUG.plus(TAG), "mug-7")
+    assert result.reading is not None
+    assert (result.status, result.reading.layout, result.reading.kind) == ("identified", "mug-7", Kind.OBJECT)
+    assert result.label == known("mug-7")[0].label and result.reading.reflectors == ()
     other = read(MUG.plus(ring(100, 190, 320)), "mug-7")
     assert (other.status, other.layout, other.nearest) == ("unknown", None, "mug-7")
     assert len(other.reflectors) == 1 and nearest_m(other, ring(320).points) < 3e-3
@@ -105,25 +105,25 @@ def energy(samples: NDArray[np.floating]) -> float:
 
 
 @pytest.mark.parametrize(
-    ("body", "names", "left"),
+    ("body", "names", "remaining"),
     [(CAN, "", 0.15), (MUG, "mug", 0.15), (MUG, "mug-7", None)],
     ids=["can", "enrolled body", "enrolled object"],
 )
 def test_the_picture_goes_without_the_body_and_keeps_its_tag(
-    body: Thing, names: str, left: float | None
+    body: Thing, names: str, remaining: float | None
 ) -> None:
     """What is left is the tag's echo, bin by bin: a wrong sign or range would leave twice the body's."""
     both, tag, alone = (recorded(thing, noise=1e-3) for thing in (body.plus(TAG), TAG, body))
     reading = read(body.plus(TAG), names)
     assert reading.layout in ("container-90", "mug-7")
     shown = without_body(PreparedCapture(both, ImagingSettings()), answer(body.plus(TAG), names)).given
-    own, bodys = moving(tag.samples), energy(moving(alone.samples))
-    assert energy(moving(both.samples) - own) > 0.9 * bodys > 4 * energy(own)
-    if left is None:
+    base, bodys = moving(tag.samples), energy(moving(alone.samples))
+    assert energy(moving(both.samples) - base) > 0.9 * bodys > 4 * energy(base)
+    if remaining is None:
         # Of an object as a whole the tag is a part.
         assert energy(moving(shown.samples)) < 0.05 * bodys
         return
-    assert energy(moving(shown.samples) - own) < left * energy(own)
+    assert energy(moving(shown.samples) - base) < remaining * energy(base)
     # Of what is the same in every view the body's part goes, and the room stays.
     static = recorded(body, noise=1e-3, room=0.0).samples.mean(axis=0)
     gone = (both.samples - shown.samples).mean(axis=0)

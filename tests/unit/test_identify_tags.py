@@ -37,16 +37,16 @@ CAN = Thing((), (), wall=20.0)
 @cache
 def answer(thing: Thing, views: int = VIEWS, settings: ImagingSettings | None = None) -> Reading:
     """The reading of a thing off the axis and turned, in a room."""
-    found = identify(capture(thing, 50, centre=CENTRE, rotation=TURN, views=views), ALL, settings).reading
-    assert found is not None
-    return found
+    result = identify(capture(thing, 50, centre=CENTRE, rotation=TURN, views=views), ALL, settings).reading
+    assert result is not None
+    return result
 
 
 def nearest_m(reading: Reading, thing: Thing) -> float:
     """How far the farthest of a thing's points is from the reflectors that were found, m."""
-    places = np.array([CENTRE + point * np.exp(1j * TURN) for point in thing.points])
-    found = np.array([complex(one.x_m, one.y_m) for one in reading.reflectors])
-    return float(np.abs(found[:, None] - places).min(axis=0).max())
+    positions = np.array([CENTRE + point * np.exp(1j * TURN) for point in thing.points])
+    result = np.array([complex(reflector.x_m, reflector.y_m) for reflector in reading.reflectors])
+    return float(np.abs(result[:, None] - positions).min(axis=0).max())
 
 
 SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
@@ -85,7 +85,7 @@ def test_a_tag_on_nothing_is_named_where_it_stands() -> None:
     reading = answer(HELMET)
     assert (reading.status, reading.layout, reading.kind) == ("identified", "helmet-120", Kind.BARE)
     assert nearest_m(reading, HELMET) < 1e-3
-    assert all(one.matched for one in reading.reflectors) and len(reading.reflectors) == 3
+    assert all(reflector.matched for reflector in reading.reflectors) and len(reading.reflectors) == 3
     assert (reading.missing, reading.extra, reading.advice) == (0, 0, "")
 
 
@@ -111,7 +111,7 @@ def test_another_tag_is_refused_and_told_how_it_differs(
     assert counts in (None, (reading.missing, reading.extra))
     assert f"{len(thing.points)} reflectors" in reading.reason and reading.advice == ADVICE[code] != ""
     assert nearest_m(reading, thing) < 4e-3
-    assert not any(one.matched for one in reading.reflectors) and reading.bound is None
+    assert not any(reflector.matched for reflector in reading.reflectors) and reading.bound is None
 
 
 def test_a_tag_on_a_can_is_named_where_it_stands() -> None:
@@ -143,11 +143,11 @@ def solved(name: str) -> Reading:
         placement=Placement((CENTRE.real, CENTRE.imag), TURN),
         axis_distance_error_m=0.01,
     )
-    response, one = (read_response(RESPONSES / f"{each}.npz") for each in (name, "free30_one"))
-    scene = response_scene(response, acquisition, "V", one, room_clutter(np.random.default_rng(3)))
-    found = identify(simulate_capture(scene, acquisition, 1)[0], ALL).reading
-    assert found is not None
-    return found
+    response, single = (read_response(RESPONSES / f"{item}.npz") for item in (name, "free30_one"))
+    scene = response_scene(response, acquisition, "V", single, room_clutter(np.random.default_rng(3)))
+    result = identify(simulate_capture(scene, acquisition, 1)[0], ALL).reading
+    assert result is not None
+    return result
 
 
 def test_a_tag_on_a_solved_can_is_named() -> None:
@@ -191,8 +191,8 @@ def test_what_no_calibration_bears_out_is_not_named(views: int, settings: Imagin
 
 
 def test_an_answer_says_where_its_bound_does_not_hold() -> None:
-    told = answer(TAG, settings=ImagingSettings(priors=TagPriors(centre_sigma_m=0.02)))
-    assert told.layout == "container-90" and "calibrated with the default priors" in told.note
+    reported = answer(TAG, settings=ImagingSettings(priors=TagPriors(centre_sigma_m=0.02)))
+    assert reported.layout == "container-90" and "calibrated with the default priors" in reported.note
 
 
 def test_free_positions_are_read_like_a_turntable() -> None:
@@ -200,8 +200,8 @@ def test_free_positions_are_read_like_a_turntable() -> None:
     prepared = PreparedCapture(capture(CAN.plus(TAG), 50, centre=CENTRE, rotation=TURN, views=VIEWS))
     scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
     free = scans.with_aperture(Aperture(scans.aperture.positions))
-    one, other = (Spectra.of(each, 0.13) for each in (free, scans))
-    assert np.allclose(one.data, other.data) and np.allclose(one.antenna, other.antenna)
+    first, other = (Spectra.of(item, 0.13) for item in (free, scans))
+    assert np.allclose(first.data, other.data) and np.allclose(first.antenna, other.antenna)
 
 
 def test_bad_input_is_told() -> None:

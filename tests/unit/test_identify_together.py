@@ -41,8 +41,8 @@ def test_recordings_together_say_more_than_each_alone() -> None:
     assert (joint.status, joint.label) == ("identified", LAYOUTS["helmet-120"].label)
     assert joint.reading is not None and joint.reading.layout == "helmet-120"
     # Of one of them a tag elsewhere is as likely.
-    assert "unknown" in [one.status for one in alone]
-    leads = [one.reading.lead for one in alone if one.reading is not None]
+    assert "unknown" in [design.status for design in alone]
+    leads = [design.reading.lead for design in alone if design.reading is not None]
     assert joint.reading.lead > 1.5 * max(leads) and joint.reading.bound is not None
     assert (joint.capture_uuid, joint.registry_version) == (None, 3)
 
@@ -51,12 +51,12 @@ def test_another_tag_stays_unknown_however_often_it_is_recorded() -> None:
     joint, alone = together((ring(0, 125),) * 2, 0.3)
     assert joint.reading is not None and joint.reading.layout is None
     assert joint.status == "unknown" and "2 reflectors" in joint.reading.reason
-    assert all(one.status != "identified" for one in alone)
+    assert all(design.status != "identified" for design in alone)
 
 
 def test_recordings_of_two_objects_are_not_named_together() -> None:
     joint, alone = together((HELMET, ring(0, 90)), 0.3)
-    names = [one.reading.layout for one in alone if one.reading is not None]
+    names = [design.reading.layout for design in alone if design.reading is not None]
     assert names == ["helmet-120", "container-90"]
     assert joint.reading is not None
     assert (joint.status, joint.reading.code) == ("unknown", Code.DISAGREE)

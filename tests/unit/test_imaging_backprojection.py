@@ -64,8 +64,8 @@ def test_exact_sum_of_the_definition():
     scans = preprocess(record([point], [1.0], aperture), settings=settings)
     grid = ImageGrid(0.4, 40)
     d = np.linalg.norm(aperture.positions[None, :, :2] - grid.points[:, None], axis=2)
-    own = np.linalg.norm(aperture.positions[:, :2] - point, axis=1)
-    truth = (scans.response(d - own) * np.exp(2j * scans.wavenumber * (d - own))).mean(axis=1)
+    base = np.linalg.norm(aperture.positions[:, :2] - point, axis=1)
+    truth = (scans.response(d - base) * np.exp(2j * scans.wavenumber * (d - base))).mean(axis=1)
     assert np.abs(backproject(scans, grid).values.ravel() - truth).max() < 0.01
 
 

@@ -67,8 +67,8 @@ def test_a_point_is_where_it_is(method: str) -> None:
     capture = record([[0.11, 0.04]], [1.0], turn(72, 4.0), noise=0.02)
     magnitude = np.abs(image_of(scans_of(capture, method), method))
     row, column = np.unravel_index(magnitude.argmax(), magnitude.shape)
-    found = np.array([GRID.axis[column], GRID.axis[row]])
-    assert np.hypot(*(found - [0.11, 0.04])) < (0.025 if method == "range-doppler" else 0.009)
+    result = np.array([GRID.axis[column], GRID.axis[row]])
+    assert np.hypot(*(result - [0.11, 0.04])) < (0.025 if method == "range-doppler" else 0.009)
 
 
 @pytest.mark.parametrize("method", ["bp", "bp-raw", "sparse", "ats"])

@@ -129,16 +129,16 @@ def test_every_method_images_about_the_same_axis() -> None:
     """Each on its own filter, the methods found axes up to millimetres apart in one capture."""
     capture = record(POINTS, [1.0, 0.7], turn(36), noise=0.3, seed=3)
     given = replace(capture, angles_rad=np.arange(36) * 2 * np.pi / 36, axis_distance_m=1.02)
-    found = []
+    results = []
     for method in ("bp", "bp-raw", "polar", "sparse"):
         settings = ImagingSettings(method=method, extent_m=0.4, pixels=48, background="none", held_out=False)
         result = reconstruct(given, settings, tell_outside=False)
         assert result.focus is not None
         assert result.focus.reliable
         assert result.image.settings["axis_distance_m"] == result.focus.axis_distance_m
-        found.append(result.focus.axis_distance_m)
-    assert len(set(found)) == 1
-    assert found[0] == pytest.approx(1.0, abs=0.005)
+        results.append(result.focus.axis_distance_m)
+    assert len(set(results)) == 1
+    assert results[0] == pytest.approx(1.0, abs=0.005)
 
 
 def test_the_search_is_made_once_for_a_prepared_capture() -> None:

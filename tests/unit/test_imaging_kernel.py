@@ -101,12 +101,12 @@ def test_compiled_and_numpy_agree(monkeypatch):
 def test_threads_do_not_change_the_sums(monkeypatch):
     rows, values = complex_noise(len(ANTENNA), 500), complex_noise(len(POINTS))
     monkeypatch.setattr(kernel, "_PAIRS_PER_THREAD", 10**9)
-    one = geometry().gather(rows), geometry().scatter(values)
+    single = geometry().gather(rows), geometry().scatter(values)
     monkeypatch.setattr(kernel, "_PAIRS_PER_THREAD", 1)
     monkeypatch.setattr(kernel, "cores", lambda: 5)
     many = geometry().gather(rows), geometry().scatter(values)
-    np.testing.assert_array_equal(one[0], many[0])
-    np.testing.assert_array_equal(one[1], many[1])
+    np.testing.assert_array_equal(single[0], many[0])
+    np.testing.assert_array_equal(single[1], many[1])
 
 
 def test_buffers_that_do_not_fit_are_refused():

@@ -47,11 +47,11 @@ def test_the_energy_left_of_every_view_adds_up_to_the_residual() -> None:
     data = scans()
     operator = ForwardOperator(data, GRID)
     values = operator.adjoint(data.samples)
-    left = Prediction.of(data.samples, operator.forward(values)).misfits
+    remaining = Prediction.of(data.samples, operator.forward(values)).misfits
     energy = float(np.vdot(data.samples, data.samples).real)
     image = Image(values.reshape(6, 6), GRID)
-    assert left.shape == (20,)
-    np.testing.assert_allclose(left.sum() / energy, residual(data, image), rtol=1e-5)
+    assert remaining.shape == (20,)
+    np.testing.assert_allclose(remaining.sum() / energy, residual(data, image), rtol=1e-5)
     np.testing.assert_allclose(
         Prediction.of(data.samples, np.zeros_like(data.samples)).misfits.sum(), energy, rtol=1e-6
     )

@@ -206,5 +206,5 @@ def test_the_blocks_of_a_long_window_are_the_whole_operator(monkeypatch):
     assert len(banded._spread.blocks) > 3 and len(whole._spread.blocks) == 1
     x = complex_noise(np.random.default_rng(4), 40)
     for method, values in (("forward", x), ("slope", x), ("adjoint", scans.samples)):
-        one, other = getattr(banded, method)(values), getattr(whole, method)(values)
-        assert np.abs(one - other).max() < 1e-5 * np.abs(other).max()
+        first, other = getattr(banded, method)(values), getattr(whole, method)(values)
+        assert np.abs(first - other).max() < 1e-5 * np.abs(other).max()

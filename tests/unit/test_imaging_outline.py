@@ -110,11 +110,11 @@ def test_a_dense_outline_is_drawn_and_its_axis_stays() -> None:
 
 
 def test_sound_gives_the_same_outline() -> None:
-    one, other = image_of(17.4e9, VACUUM).image, image_of(20e3, AIR).image
-    assert one.settings.get("prior") == other.settings.get("prior")
-    assert one.grid.pixels == other.grid.pixels
-    difference = np.linalg.norm(np.abs(one.values) - np.abs(other.values))
-    assert difference < 0.05 * np.linalg.norm(one.values)
-    assert one.settings["held_out"]["residual"] == pytest.approx(
+    first, other = image_of(17.4e9, VACUUM).image, image_of(20e3, AIR).image
+    assert first.settings.get("prior") == other.settings.get("prior")
+    assert first.grid.pixels == other.grid.pixels
+    difference = np.linalg.norm(np.abs(first.values) - np.abs(other.values))
+    assert difference < 0.05 * np.linalg.norm(first.values)
+    assert first.settings["held_out"]["residual"] == pytest.approx(
         other.settings["held_out"]["residual"], abs=0.01
     )

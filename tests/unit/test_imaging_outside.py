@@ -45,10 +45,10 @@ def test_a_strong_reflector_outside_leaves_the_edge_dark(method: str, place: lis
 
 def test_the_place_and_strength_outside_are_found() -> None:
     capture = record([*INSIDE, [0.33, 0.05]], [1, 0.8, 3], turn(48), noise=0.05, bins=180)
-    found = find_outside(preprocess(capture, settings=PreprocessSettings("none", False, extent_m=0.4)), GRID)
-    assert found is not None
-    assert np.hypot(*(found.points - [0.33, 0.05]).T).max() < 0.015
-    assert abs(found.amplitudes.sum()) == pytest.approx(3, rel=0.15)
+    result = find_outside(preprocess(capture, settings=PreprocessSettings("none", False, extent_m=0.4)), GRID)
+    assert result is not None
+    assert np.hypot(*(result.points - [0.33, 0.05]).T).max() < 0.015
+    assert abs(result.amplitudes.sum()) == pytest.approx(3, rel=0.15)
 
 
 @pytest.mark.parametrize("views", [12, 36, 120])
@@ -65,9 +65,9 @@ def test_sidelobes_of_the_inside_are_no_reflector_outside(views: int) -> None:
 def test_methods_without_a_fit_say_that_echoes_lie_outside(method: str) -> None:
     capture = record([*INSIDE, [0.33, 0.05]], [1, 0.8, 3], turn(48), noise=0.05, bins=180)
     settings = ImagingSettings(method=method, extent_m=0.4, pixels=64, focus_m=0.0)
-    found = reconstruct(capture, settings).image.settings
-    assert found["outside"]["share"] > 0.5 and not found["outside"]["subtracted"]
-    (words,) = outside_words(found)
+    result = reconstruct(capture, settings).image.settings
+    assert result["outside"]["share"] > 0.5 and not result["outside"]["subtracted"]
+    (words,) = outside_words(result)
     assert "outside the image; use a larger `imaging.extent_m`" in words
     capture = record(INSIDE, [1, 0.8], turn(48), noise=0.05, bins=180)
     assert "outside" not in reconstruct(capture, settings).image.settings
@@ -98,12 +98,12 @@ def test_the_search_is_bounded_at_short_wavelengths(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(RangeGeometry, "gather", counted)
     reports: list[tuple[int, int]] = []
-    found = find_outside(
+    result = find_outside(
         short_wave_scans(60), ImageGrid(0.4, 128), lambda done, of: reports.append((done, of))
     )
-    assert found is not None
-    assert np.hypot(*(found.points - [0.33, 0.05]).T).max() < 0.01
-    assert found.share > 0.5
+    assert result is not None
+    assert np.hypot(*(result.points - [0.33, 0.05]).T).max() < 0.01
+    assert result.share > 0.5
     # A single look at every pixel of the square of 1.2 m that the wavelength asks for takes more.
     assert pairs < 60 * (1.2 / 0.00047) ** 2 / 2
     assert reports and all(0 < done <= of for done, of in reports)

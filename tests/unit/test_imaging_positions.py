@@ -44,8 +44,8 @@ def test_the_path_delay_is_found_within_a_metre(delay_m: float) -> None:
     assert focus.reliable
     assert abs(focus.delay_m - delay_m) < 0.01
     assert corrected.range_start_m == pytest.approx(scans.range_start_m - focus.delay_m)
-    found = localise(np.array([[p.x_m, p.y_m] for p in focus.points]), POINTS, 0.05)
-    assert found.detected == 2
+    located = localise(np.array([[p.x_m, p.y_m] for p in focus.points]), POINTS, 0.05)
+    assert located.detected == 2
 
 
 def bent(sagitta_m: float, delay_m: float, noise: float = 0.2) -> Capture:
@@ -72,8 +72,8 @@ def test_a_bent_path_off_the_middle_knows_its_delay_and_its_side(sagitta_m: floa
     assert region.mirrored == (sagitta_m == 0)
     assert region.grid.extent < 3
     where = np.array([[p.x_m, p.y_m] for p in region.focus.points])
-    found = localise(where, np.array([[0.4, 1.6], [1.6, 2.4]]), 0.02)
-    assert (found.detected, found.false) == (2, 0)
+    located = localise(where, np.array([[0.4, 1.6], [1.6, 2.4]]), 0.02)
+    assert (located.detected, located.false) == (2, 0)
 
 
 def bowed(sagitta_m: float, delay_m: float) -> Capture:
@@ -252,8 +252,8 @@ def test_one_side_of_a_straight_path_is_chosen(side: float) -> None:
     result = reconstruct(prepare(rail(0.42, views=150)), settings)
     assert result.region is not None
     assert result.region.mirrored
-    found = np.array([[p.x_m, p.y_m] for p in result.region.points])
-    assert localise(found, POINTS * [1, side], 0.03).detected == 2
+    outcome = np.array([[p.x_m, p.y_m] for p in result.region.points])
+    assert localise(outcome, POINTS * [1, side], 0.03).detected == 2
     assert result.image.centre_m[1] * side > 1
 
 
@@ -284,6 +284,6 @@ def test_copies_beside_a_coarsely_sampled_path_are_no_echoes_and_warned_of() -> 
         (x, y), extent = made.region.centre_m, made.region.grid.extent
         assert np.hypot(x - 0.1, y - 0.8) < 0.6 and extent < 3.7
         assert np.hypot(made.region.points[0].x_m - 0.3, made.region.points[0].y_m - 0.8) < 0.05
-    told = [words for words in coarse.image.settings["warnings"] if "shows again" in words]
-    assert len(told) == 1 and "shows again 0.8" in told[0], told
+    reported = [words for words in coarse.image.settings["warnings"] if "shows again" in words]
+    assert len(reported) == 1 and "shows again 0.8" in reported[0], reported
     assert not any("shows again" in words for words in dense.image.settings.get("warnings", ()))

@@ -85,14 +85,14 @@ def test_a_single_bright_view_moves_the_median_less_than_the_mean():
     capture = record([(0.1, 0.0)], [1.0], turn(36))
     samples = capture.samples.copy()
     samples[7] += 100
-    left = {}
+    remaining = {}
     for background in ("mean", "median"):
         scans = preprocess(
             replace(capture, samples=samples), settings=PreprocessSettings(background=background)
         )
         clean = preprocess(capture, settings=PreprocessSettings(background=background))
-        left[background] = np.abs(np.delete(scans.samples - clean.samples, 7, axis=0)).max()
-    assert left["median"] <= left["mean"]
+        remaining[background] = np.abs(np.delete(scans.samples - clean.samples, 7, axis=0)).max()
+    assert remaining["median"] <= remaining["mean"]
 
 
 @pytest.mark.parametrize("matched", [True, False])
@@ -110,8 +110,8 @@ def test_the_noise_is_that_of_the_radar_and_not_what_the_background_left(backgro
     """Subtracting the mean of n views leaves 1 - 1/n of the noise's power; the estimate makes up for it."""
     capture = record([(0.1, 0)], [5.0], turn(views), noise=0.3, bins=4608, start_m=-18.0)
     known = preprocess(capture, settings=RAW).noise_std
-    found = preprocess(capture, settings=PreprocessSettings(background)).noise_std
-    assert found == pytest.approx(known, rel=0.05 if background == "mean" or views == 2 else 0.2)
+    result = preprocess(capture, settings=PreprocessSettings(background)).noise_std
+    assert result == pytest.approx(known, rel=0.05 if background == "mean" or views == 2 else 0.2)
 
 
 def test_the_gate_keeps_what_the_object_can_reach_and_not_more():

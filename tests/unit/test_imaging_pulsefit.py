@@ -49,43 +49,43 @@ def match(a: Pulse, b: Pulse) -> tuple[float, float, float]:
 
 def test_a_ringing_pulse_is_found_under_the_stated_convention() -> None:
     pulse = ringing()
-    found = estimate_pulse(recorded(pulse), GRID, "none")
-    assert found.taken
-    assert found.residual < 0.6 * found.assumed_residual
+    result = estimate_pulse(recorded(pulse), GRID, "none")
+    assert result.taken
+    assert result.residual < 0.6 * result.assumed_residual
     assert match(pulse, nominal_pulse())[0] < 0.9
-    assert match(pulse, found.pulse)[0] > 0.98
+    assert match(pulse, result.pulse)[0] > 0.98
     # Of all delays and phases: the best and positive match with the assumed pulse; peak of the envelope 1.
-    _, lag, phase = match(found.pulse, nominal_pulse())
+    _, lag, phase = match(result.pulse, nominal_pulse())
     assert abs(lag) < 6e-12
     assert abs(phase) < 0.25
-    envelope = np.abs(pulse_at(found.pulse, np.arange(-800, 801) * 2e-12))
+    envelope = np.abs(pulse_at(result.pulse, np.arange(-800, 801) * 2e-12))
     assert envelope.max() == pytest.approx(1, abs=0.01)
 
 
 def test_the_mean_over_the_views_may_be_taken_off() -> None:
-    found = estimate_pulse(recorded(ringing()), GRID, "mean")
-    assert found.taken
-    assert match(ringing(), found.pulse)[0] > 0.97
+    result = estimate_pulse(recorded(ringing()), GRID, "mean")
+    assert result.taken
+    assert match(ringing(), result.pulse)[0] > 0.97
 
 
 def test_progress_counts_the_scenes_up_to_the_end() -> None:
-    told: list[tuple[int, int]] = []
-    estimate_pulse(recorded(None), GRID, "none", progress=lambda *step: told.append(step))
-    assert len(told) > 5
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
-    assert told[-1][0] == told[-1][1]
-    assert len({total for _, total in told}) == 1
+    reported: list[tuple[int, int]] = []
+    estimate_pulse(recorded(None), GRID, "none", progress=lambda *step: reported.append(step))
+    assert len(reported) > 5
+    assert [done for done, _ in reported] == sorted(done for done, _ in reported)
+    assert reported[-1][0] == reported[-1][1]
+    assert len({total for _, total in reported}) == 1
 
 
-@pytest.mark.parametrize("told", [False, True])
-def test_a_pulse_that_is_right_is_kept(told: bool) -> None:
-    pulse = ringing() if told else None
+@pytest.mark.parametrize("stated", [False, True])
+def test_a_pulse_that_is_right_is_kept(stated: bool) -> None:
+    pulse = ringing() if stated else None
     capture = replace(recorded(pulse), pulse=pulse)
-    found = estimate_pulse(capture, GRID, "none")
-    if found.taken:  # then it must be the same pulse again
-        assert match(found.pulse, pulse or nominal_pulse())[0] > 0.985
+    result = estimate_pulse(capture, GRID, "none")
+    if result.taken:  # then it must be the same pulse again
+        assert match(result.pulse, pulse or nominal_pulse())[0] > 0.985
     else:
-        assert found.pulse is pulse or np.array_equal(found.pulse.samples, nominal_pulse().samples)
+        assert result.pulse is pulse or np.array_equal(result.pulse.samples, nominal_pulse().samples)
 
 
 @pytest.mark.skipif(not RECORDED.is_dir(), reason="the recordings are not in the shared data folder")
@@ -94,12 +94,12 @@ def test_the_pulse_of_a_real_recording_is_the_one_measured_there() -> None:
     capture = read_any(RECORDED / "corner-reflector-scan08.out").select(np.arange(0, 200, 8))
     antenna = np.tile([11.616, 0.0, 0.0], (capture.views, 1))
     still = replace(capture, antenna_positions_m=antenna, angles_rad=None, axis_distance_m=None)
-    found = estimate_pulse(still, ImageGrid(0.3, 41), "none", 0.0)
+    result = estimate_pulse(still, ImageGrid(0.3, 41), "none", 0.0)
     with np.load(RECORDED / "pulse.npz", allow_pickle=False) as file:
         measured = Pulse(file["cr08"], float(file["dt_ns"]) * 1e-9)
-    assert found.taken
+    assert result.taken
     assert match(measured, nominal_pulse())[0] < 0.9
-    assert match(measured, found.pulse)[0] > 0.97
+    assert match(measured, result.pulse)[0] > 0.97
 
 
 def test_noise_and_too_few_views_change_nothing() -> None:

@@ -138,42 +138,42 @@ def test_focus_finds_the_axis_distance_within_2_mm(error_m):
     for seed in range(3):
         capture = record(point, [1.0, 1.0], true, noise=np.sqrt(0.05), seed=seed)
         scans = preprocess(capture, true.with_axis_distance(1.0 + error_m))
-        focused, found = focus_axis_distance(scans, ImageGrid(0.4, 64))
-        assert found.reliable
-        assert found.axis_distance_m == pytest.approx(1.0, abs=0.002)
-        assert found.offset_m == pytest.approx(-error_m, abs=0.002)
-        assert focused.aperture.axis_distance == found.axis_distance_m
-        assert found.contrast > 1
+        focused, focus = focus_axis_distance(scans, ImageGrid(0.4, 64))
+        assert focus.reliable
+        assert focus.axis_distance_m == pytest.approx(1.0, abs=0.002)
+        assert focus.offset_m == pytest.approx(-error_m, abs=0.002)
+        assert focused.aperture.axis_distance == focus.axis_distance_m
+        assert focus.contrast > 1
 
 
 def test_focus_leaves_noise_alone():
     scans = preprocess(record([], [], turn(36), noise=1.0))
-    same, found = focus_axis_distance(scans, ImageGrid(0.4, 64))
+    same, focus = focus_axis_distance(scans, ImageGrid(0.4, 64))
     assert same is scans
-    assert not found.reliable
-    assert found.offset_m == 0
+    assert not focus.reliable
+    assert focus.offset_m == 0
 
 
 def test_focus_does_not_trust_the_edge_of_its_search():
     true = turn(36)
     scans = preprocess(record([(0.05, 0.03)], [1.0], true), true.with_axis_distance(1.06))
-    same, found = focus_axis_distance(scans, ImageGrid(0.4, 64))
+    same, focus = focus_axis_distance(scans, ImageGrid(0.4, 64))
     assert same is scans
-    assert not found.reliable
+    assert not focus.reliable
 
 
 def test_free_positions_are_not_focused():
     scans = preprocess(record([(0.1, 0.0)], [1.0], helix(24)))
-    same, found = focus_axis_distance(scans, GRID)
+    same, focus = focus_axis_distance(scans, GRID)
     assert same is scans
-    assert found.axis_distance_m is None
+    assert focus.axis_distance_m is None
 
 
 def test_sharpness_counts_pixels():
-    one = np.zeros((4, 4), complex)
-    one[1, 2] = 3j
-    assert sharpness(one) == pytest.approx(1)
+    single = np.zeros((4, 4), complex)
+    single[1, 2] = 3j
+    assert sharpness(single) == pytest.approx(1)
     assert sharpness(np.ones((4, 4), complex)) == pytest.approx(1 / 16)
-    assert sharpness(0 * one) == 0
+    assert sharpness(0 * single) == 0
     with pytest.raises(UsageError):
         focus_axis_distance(scans_of(), GRID, 0.5)

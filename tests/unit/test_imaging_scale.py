@@ -58,9 +58,9 @@ def test_sound_in_air_and_radar_in_vacuum_give_the_identical_image(method: str) 
         assert result.focus.reliable
         assert result.focus.axis_distance_m == pytest.approx(13 * speed / center_hz, rel=3e-3)
         images.append(result.image)
-    one, other = (np.abs(i.values) for i in images)
+    first, other = (np.abs(i.values) for i in images)
     # Single-precision rounding differs between the scales; Adam lets it grow a little.
-    np.testing.assert_allclose(one, other, atol=(2e-2 if method == "ats" else 2e-3) * one.max())
+    np.testing.assert_allclose(first, other, atol=(2e-2 if method == "ats" else 2e-3) * first.max())
     assert images[0].settings["held_out"]["residual"] == pytest.approx(
         images[1].settings["held_out"]["residual"], abs=0.02
     )
@@ -118,8 +118,11 @@ def test_pixels_that_miss_points_are_warned_of() -> None:
     lam = VACUUM / 77e9
     assert pixel_warning(0.4, 512, lam) is None
     assert "pixels=" not in str(pixel_warning(1.0, 512, lam))
-    told = pixel_warning(0.8, 512, lam)
-    assert told is not None and "give `imaging.pixels=867` or an `imaging.extent_m` of up to 0.47 m" in told
+    reported = pixel_warning(0.8, 512, lam)
+    assert (
+        reported is not None
+        and "give `imaging.pixels=867` or an `imaging.extent_m` of up to 0.47 m" in reported
+    )
     capture = capture_of(4e9, VACUUM)
     settings = ImagingSettings(method="bp", extent_m=1.0, pixels=32, background="none", held_out=False)
     assert "coarser" in reconstruct(capture, settings).image.settings["warnings"][0]
@@ -146,10 +149,10 @@ def test_baseband_and_conjugate_samples_are_told_with_the_conversion() -> None:
     assert band_warning(replace(capture, samples=analytic)) is None
     phase = 4 * np.pi * capture.center_frequency_hz * capture.ranges_m / capture.wave_speed_m_s
     baseband = (analytic * np.exp(-1j * phase)).astype(np.complex64)
-    told = band_warning(replace(capture, samples=baseband))
-    assert told is not None and "exp(4j pi center_frequency_hz R / wave_speed_m_s)" in told
-    told = band_warning(replace(capture, samples=analytic.conj()))
-    assert told is not None and "conjugate" in told
+    reported = band_warning(replace(capture, samples=baseband))
+    assert reported is not None and "exp(4j pi center_frequency_hz R / wave_speed_m_s)" in reported
+    reported = band_warning(replace(capture, samples=analytic.conj()))
+    assert reported is not None and "conjugate" in reported
 
 
 def test_the_extent_may_be_anything_up_to_the_range_window() -> None:

@@ -60,9 +60,11 @@ def slope_map() -> Map:
 
 
 def kernel_map(compiled: bool, pair: bool = False, high: bool = False) -> Map:
-    one = helix(11)
+    single = helix(11)
     aperture = (
-        Aperture.two_antennas(one.positions, one.positions + np.array([0.1, -0.1, 0.05])) if pair else one
+        Aperture.two_antennas(single.positions, single.positions + np.array([0.1, -0.1, 0.05]))
+        if pair
+        else single
     )
     heights = np.random.default_rng(1).uniform(-0.2, 0.2, PIXELS)
     points = np.column_stack([GRID.points, heights]) if high else GRID.points

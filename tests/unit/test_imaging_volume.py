@@ -33,22 +33,24 @@ GRID = VolumeGrid(ImageGrid(0.24, 24), -0.12, 0.12, 12)
 
 def captures(noise: float = 0.02, apart: float = 0.0) -> list[Capture]:
     """A turn of 24 views from each height, each with a room of its own that does not turn."""
-    found = []
+    results = []
     for number, height in enumerate(HEIGHTS):
-        one = record(POINTS, [1, 0.8, 1], turn(24, 1.0, height, apart), start_m=0.6, noise=noise, seed=number)
-        room = 3 * np.sin(np.arange(one.bins) * (0.3 + 0.05 * number))
-        found.append(replace(one, samples=(one.samples + room).astype(np.float32)))
-    return found
+        recorded = record(
+            POINTS, [1, 0.8, 1], turn(24, 1.0, height, apart), start_m=0.6, noise=noise, seed=number
+        )
+        room = 3 * np.sin(np.arange(recorded.bins) * (0.3 + 0.05 * number))
+        results.append(replace(recorded, samples=(recorded.samples + room).astype(np.float32)))
+    return results
 
 
 def brightest(values: np.ndarray, grid: VolumeGrid, count: int, apart_m: float) -> np.ndarray:
     """(count, 3) places of the brightest voxels that are so far apart."""
-    left, found = np.abs(values).ravel().copy(), []
-    places = grid.points()
+    remaining, result = np.abs(values).ravel().copy(), []
+    positions = grid.points()
     for _ in range(count):
-        found.append(places[int(np.argmax(left))])
-        left[np.linalg.norm(places - found[-1], axis=1) < apart_m] = 0
-    return np.array(found)
+        result.append(positions[int(np.argmax(remaining))])
+        remaining[np.linalg.norm(positions - result[-1], axis=1) < apart_m] = 0
+    return np.array(result)
 
 
 @pytest.mark.parametrize("apart", [0.0, 0.2])
@@ -57,8 +59,8 @@ def test_two_reflectors_of_one_radius_are_told_apart_by_height(method: str, apar
     settings = VolumeSettings(method, 0.24, 24, (-0.12, 0.12), 12)
     made = reconstruct_volume(join(captures(apart=apart)), settings)
     # Backprojection resolves 95 mm in height with these antennas.
-    found = brightest(made.volume.values, made.volume.grid, 3, 0.09 if method == "bp" else 0.04)
-    errors = np.linalg.norm(found[:, None] - POINTS[None], axis=2).min(axis=0)
+    result = brightest(made.volume.values, made.volume.grid, 3, 0.09 if method == "bp" else 0.04)
+    errors = np.linalg.norm(result[:, None] - POINTS[None], axis=2).min(axis=0)
     assert errors.max() < (0.03 if method == "bp" else 0.02)
     assert (made.views, made.heights) == (120, 5)
     held_out = made.volume.settings["held_out"]
@@ -79,9 +81,9 @@ def test_a_volume_beyond_the_ranges_is_refused_and_one_of_coarse_voxels_warned_o
 def test_a_volume_is_the_matched_filter_of_every_voxel(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same in one block and in many, compiled or not, and for a point 1 at its voxel."""
     place = GRID.points()[1000]
-    one = join([record([place], [1.0], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
+    joined = join([record([place], [1.0], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
     settings = PreprocessSettings("none", True, extent_m=0.24, heights_m=(-0.12, 0.12))
-    scans = preprocess(one, settings=settings)
+    scans = preprocess(joined, settings=settings)
     whole = backproject_volume(scans, GRID)
     assert np.argmax(np.abs(whole.values)) == 1000
     assert abs(whole.values.ravel()[1000]) == pytest.approx(1, abs=0.02)
@@ -99,25 +101,25 @@ def test_a_volume_is_the_matched_filter_of_every_voxel(monkeypatch: pytest.Monke
 def test_sparse_voxels_are_points_of_their_amplitude() -> None:
     settings = PreprocessSettings("none", False, extent_m=0.24, heights_m=(-0.12, 0.12))
     place = GRID.points()[1000]
-    one = join([record([place], [2.0], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
-    scans = preprocess(one, settings=settings)
+    joined = join([record([place], [2.0], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
+    scans = preprocess(joined, settings=settings)
     made = sparse_volume(scans, GRID)
     assert np.argmax(np.abs(made.values)) == 1000
-    left = scans.samples - ForwardOperator(scans, GRID.points()).forward(made.values.ravel())
-    assert np.vdot(left, left).real < 0.05 * np.vdot(scans.samples, scans.samples).real
+    remaining = scans.samples - ForwardOperator(scans, GRID.points()).forward(made.values.ravel())
+    assert np.vdot(remaining, remaining).real < 0.05 * np.vdot(scans.samples, scans.samples).real
 
 
 def test_a_fit_begins_as_the_backprojection_and_ends_below_it(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = PreprocessSettings("none", False, extent_m=0.24, heights_m=(-0.12, 0.12))
-    one = join([record(POINTS, [1, 0.8, 1], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
-    scans = preprocess(one, settings=settings)
-    matched = preprocess(one, settings=replace(settings, matched_filter=True))
+    joined = join([record(POINTS, [1, 0.8, 1], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
+    scans = preprocess(joined, settings=settings)
+    matched = preprocess(joined, settings=replace(settings, matched_filter=True))
     calls: list[float] = []
-    left = []
+    remaining = []
     for steps in (1, 60):
         made = fit_volume(matched, scans, GRID, lambda d, t, _: calls.append(d / t), steps)
         seen = ForwardOperator(scans, GRID.points()).forward(made.values.ravel())
-        left.append(np.linalg.norm(seen - scans.samples) ** 2 / np.linalg.norm(scans.samples) ** 2)
+        remaining.append(np.linalg.norm(seen - scans.samples) ** 2 / np.linalg.norm(scans.samples) ** 2)
         assert calls == sorted(calls)
         assert calls[-1] == pytest.approx(1)
         calls.clear()
@@ -125,8 +127,8 @@ def test_a_fit_begins_as_the_backprojection_and_ends_below_it(monkeypatch: pytes
     fitted = np.abs(first.values) >= 0.1 * np.abs(first.values).max()
     assert (made.values[~fitted] == 0).all()
     assert made.settings["active_voxels"] == fitted.sum()
-    assert left[1] < 0.06
-    assert left[1] < 0.2 * left[0]
+    assert remaining[1] < 0.06
+    assert remaining[1] < 0.2 * remaining[0]
     monkeypatch.setattr(volume_fit, "MOST_ACTIVE", 50)
     few = fit_volume(matched, scans, GRID, steps=1)
     assert np.count_nonzero(few.values) == 50
@@ -139,7 +141,7 @@ def test_the_gradient_of_the_field_is_that_of_its_loss() -> None:
     """A small step against the gradient of sum |sigma - t|^2 lowers it by rate times |gradient|^2."""
     rng = np.random.default_rng(0)
     axes = [tuple(np.linspace(0, 1, n) for _ in range(3)) for n in (2, 3)]
-    at = [Interpolation.of(rng.random((40, 3)), each) for each in axes]
+    at = [Interpolation.of(rng.random((40, 3)), ax) for ax in axes]
     table, values = rng.random((2, 27)).astype(np.float32), rng.random((2, 40)).astype(np.float32)
     assert np.vdot(at[1].read(table), values) == pytest.approx(np.vdot(table, at[1].spread(values)), rel=1e-5)
     first = rng.standard_normal(27) + 1j * rng.standard_normal(27)
@@ -152,20 +154,20 @@ def test_the_gradient_of_the_field_is_that_of_its_loss() -> None:
     )
     target = (rng.standard_normal(40) + 1j * rng.standard_normal(40)).astype(np.complex64)
 
-    def loss(one: Field) -> float:
-        return float((np.abs(one.evaluate(one.layers()[-1]) - target) ** 2).sum())
+    def loss(single: Field) -> float:
+        return float((np.abs(single.evaluate(single.layers()[-1]) - target) ** 2).sum())
 
-    before, start = loss(field), [each.copy() for each in field.parameters]
+    before, start = loss(field), [parameter.copy() for parameter in field.parameters]
     layers = field.layers()
     field.descend(layers, 2 * (values - target), 1e-5, 1)
     moved = [a - b for a, b in zip(field.parameters, start, strict=True)]
     # Numerically along every tensor's own step.
     predicted = 0.0
     for number, step in enumerate(moved):
-        one = field.copy()
-        one.parameters[:] = [each.copy() for each in start]
-        one.parameters[number] = start[number] + 30 * step
-        predicted += (loss(one) - before) / 30
+        single = field.copy()
+        single.parameters[:] = [item.copy() for item in start]
+        single.parameters[number] = start[number] + 30 * step
+        predicted += (loss(single) - before) / 30
     assert loss(field) < before
     assert loss(field) - before == pytest.approx(predicted, rel=0.05)
     assert all((np.abs(step) > 0).any() for step in moved)
@@ -182,17 +184,17 @@ def test_interpolation_is_linear_along_every_axis() -> None:
 
 def test_joined_captures_keep_their_positions_and_heights() -> None:
     parts = captures(apart=0.2)
-    one = join(parts)
-    for number, views in enumerate(heights_of(one)):
-        assert (one.aperture().positions[views, 2] == HEIGHTS[number]).all()
+    joined = join(parts)
+    for number, views in enumerate(heights_of(joined)):
+        assert (joined.aperture().positions[views, 2] == HEIGHTS[number]).all()
     expected = np.concatenate([part.aperture().distances(POINTS) for part in parts])
-    np.testing.assert_allclose(one.aperture().distances(POINTS), expected)
+    np.testing.assert_allclose(joined.aperture().distances(POINTS), expected)
     with pytest.raises(UsageError, match="one capture"):
         join(parts[:1])
     with pytest.raises(DataError, match="the step between bins, the band"):
         join([parts[0], replace(parts[1], range_step_m=0.01, center_frequency_hz=4e9)])
     with pytest.raises(DataError, match="same height"):
-        reconstruct_volume(one.select(heights_of(one)[0]))
+        reconstruct_volume(joined.select(heights_of(joined)[0]))
     with pytest.raises(DataError, match="at the same antenna height"):
         join([parts[0], replace(parts[0], uuid="another of the same height")])
     with pytest.raises(UsageError, match="captures 1 and 2 are the same recording"):
@@ -273,16 +275,16 @@ def test_a_surface_is_closed_and_faces_outwards() -> None:
     z, y, x = np.linspace(-1, 1, 15), np.linspace(-1, 1, 17), np.linspace(-1, 1, 19)
     grid = np.meshgrid(z, y, x, indexing="ij")
     values = np.exp(-((grid[2] / 0.7) ** 2 + (grid[1] / 0.6) ** 2 + (grid[0] / 0.5) ** 2))
-    found = isosurface(values, float(np.exp(-1)), (z, y, x))
-    corners = found.points[found.triangles]
+    result = isosurface(values, float(np.exp(-1)), (z, y, x))
+    corners = result.points[result.triangles]
     inside = np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
     assert inside == pytest.approx(4 / 3 * np.pi * 0.7 * 0.6 * 0.5, rel=0.03)
-    ways = found.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    ways = result.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     edges, uses = np.unique(np.sort(ways, axis=1), axis=0, return_counts=True)
     assert (uses == 2).all()
     assert len(np.unique(ways, axis=0)) == len(ways)
-    assert len(found.points) - len(edges) + len(found.triangles) == 2
-    radii = np.linalg.norm(found.points / [0.7, 0.6, 0.5], axis=1)
+    assert len(result.points) - len(edges) + len(result.triangles) == 2
+    radii = np.linalg.norm(result.points / [0.7, 0.6, 0.5], axis=1)
     assert radii.min() > 0.93
     assert radii.max() < 1.03
     assert len(isosurface(values, 2.0, (z, y, x)).triangles) == 0
@@ -364,8 +366,8 @@ def test_a_strong_reflector_outside_a_volume_leaves_its_faces_dark(method: str, 
     assert power[1:-1, 2:-2, 2:-2].sum() > 0.9 * power.sum()
     assert made.settings["outside"]["share"] > 0.3 and made.settings["outside"]["subtracted"]
     assert made.settings["held_out"]["residual"] < 0.3
-    found = brightest(made.values, made.grid, 3, 0.04)
-    assert np.linalg.norm(found[:, None] - POINTS[None], axis=2).min(axis=0).max() < 0.03
+    result = brightest(made.values, made.grid, 3, 0.04)
+    assert np.linalg.norm(result[:, None] - POINTS[None], axis=2).min(axis=0).max() < 0.03
 
 
 def test_a_volume_about_another_centre_shows_the_same_places(tmp_path: Path) -> None:

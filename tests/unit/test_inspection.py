@@ -102,10 +102,10 @@ def test_the_strongest_return_is_tracked_to_a_fraction_of_a_bin() -> None:
     rng = np.random.default_rng(2)
     shift = rng.uniform(-1.0, 1.0, 50)
     samples = np.stack([1000 * burst(300 + s) for s in shift]) + rng.normal(0, 20, (50, BINS))
-    found = inspect(capture_of(samples.astype(np.float32))).strongest
-    assert found is not None
-    assert abs(found.bin - 300) <= 1
-    error = found.bins - found.bins.mean() - (shift - shift.mean())
+    result = inspect(capture_of(samples.astype(np.float32))).strongest
+    assert result is not None
+    assert abs(result.bin - 300) <= 1
+    error = result.bins - result.bins.mean() - (shift - shift.mean())
     assert np.abs(error).max() < 0.35
 
 
@@ -114,10 +114,10 @@ def test_two_equal_returns_at_rest_do_not_make_the_bin_jump() -> None:
     samples = 500 * (burst(150) + burst(420)) + rng.normal(0, 40, (80, BINS))
     maxima = np.abs(analytic(samples)).argmax(axis=1)
     assert np.ptp(maxima) > 200  # what a plain maximum does
-    found = inspect(capture_of(samples.astype(np.float32))).strongest
-    assert found is not None
-    assert found.spread_bins < 2
-    assert found.coherence > 0.8
+    result = inspect(capture_of(samples.astype(np.float32))).strongest
+    assert result is not None
+    assert result.spread_bins < 2
+    assert result.coherence > 0.8
 
 
 def turning(turns: float, period_s: float = 6.0, sigma: float = 20.0) -> Capture:
@@ -168,13 +168,13 @@ def test_a_period_found_in_the_same_scans_is_no_second_witness() -> None:
     capture = turning(2.5)
     assert capture.radar_time_ms is not None
     angles = 2 * np.pi * capture.radar_time_ms / 6e3
-    found = ResolvedMotion(source="data", period_s=6.0)
-    motion = MotionInfo(resolved=found)
+    result = ResolvedMotion(source="data", period_s=6.0)
+    motion = MotionInfo(resolved=result)
     summary = inspect(replace(capture, motion=motion, angles_rad=angles, axis_distance_m=5.0))
     assert "n-fold" in summary.period_note
-    told = inspect(replace(capture, motion=MotionInfo(resolved=replace(found, nominal_rpm=10.0))))
-    assert told.period_s == pytest.approx(6.0, rel=5e-3)
-    assert "n-fold" not in told.period_note
+    inspection = inspect(replace(capture, motion=MotionInfo(resolved=replace(result, nominal_rpm=10.0))))
+    assert inspection.period_s == pytest.approx(6.0, rel=5e-3)
+    assert "n-fold" not in inspection.period_note
 
 
 @pytest.mark.parametrize("broken", [-3.0, 0.0, 1e9])

@@ -136,11 +136,11 @@ def test_listening_within_an_outer_deferral_does_not_let_signals_through() -> No
 
 
 def test_the_first_signal_asks_and_the_second_forces() -> None:
-    told: list[bool] = []
-    with interrupts.handled(), interrupts.asked_to_stop(lambda: told.append(True)) as asked:
+    reported: list[bool] = []
+    with interrupts.handled(), interrupts.asked_to_stop(lambda: reported.append(True)) as asked:
         assert not asked()
         signal.raise_signal(signal.SIGHUP)
-        assert asked() and told == [True]
+        assert asked() and reported == [True]
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)
 

@@ -67,8 +67,8 @@ def test_a_strip_wider_than_paper_is_tiled_without_loss() -> None:
     assert sheet.width == pytest.approx(2 * np.pi * 110 + 20)
     tiles, size = page_tiles(sheet, "a4")
     assert size == (297.0, 210.0) and len(tiles) == 3 and tiles[0][2] == tiles[1][0]
-    places = [m for m in sheet.marks if isinstance(m, Circle)]
-    x = np.sort([circle.centre[0] for circle in places])
+    positions = [m for m in sheet.marks if isinstance(m, Circle)]
+    x = np.sort([circle.centre[0] for circle in positions])
     assert np.allclose(np.diff(x), 2 * np.pi * 110 / 3, atol=0.01)
     wrapped = strip(LAYOUTS["helmet-120"], 0.09)
     assert wrapped.width == pytest.approx(2 * np.pi * 90 + 20)

@@ -110,7 +110,7 @@ def test_growing_evidence_is_that_of_the_readers_coarse_search(layouts: list[Lay
     for at in range(0, 40, 4):
         growing.add(preprocess(capture.select(slice(at, at + 4)), settings=UNMATCHED))
     search = SearchSettings()
-    radius = max(one.radius_m for one in layouts) + search.centre_range_m * np.sqrt(2)
+    radius = max(layout.radius_m for layout in layouts) + search.centre_range_m * np.sqrt(2)
     scans = preprocess(capture, settings=replace(UNMATCHED, background="mean"))
     matched = MatchedField(scans, radius + 0.02)
     images = [CoarseImage.of(matched, radius, aspect, search.offsets_m) for aspect in search.aspects]
@@ -129,11 +129,11 @@ def test_growing_evidence_is_that_of_the_readers_coarse_search(layouts: list[Lay
 
     judged = growing.judged(scans)
     wanted = [energy(layout) / matched.noise_variance for layout in layouts]
-    assert [one.nats for one in judged] == pytest.approx(wanted, rel=1e-4)
-    found = {one.layout: one for one in judged}
-    best = max(found.values(), key=lambda one: one.share)
+    assert [verdict.nats for verdict in judged] == pytest.approx(wanted, rel=1e-4)
+    results = {verdict.layout: verdict for verdict in judged}
+    best = max(results.values(), key=lambda item: item.share)
     assert best.layout == "helmet-120" and best.enough and best.share > 0.7
-    assert all(one.share < 0.35 for name, one in found.items() if name != "helmet-120")
+    assert all(item.share < 0.35 for name, item in results.items() if name != "helmet-120")
 
 
 def test_noise_alone_reaches_no_threshold(layouts: list[Layout]) -> None:
@@ -143,7 +143,7 @@ def test_noise_alone_reaches_no_threshold(layouts: list[Layout]) -> None:
     growing.add(preprocess(capture, settings=UNMATCHED))
     judged = growing.judged(preprocess(capture, settings=replace(UNMATCHED, background="mean")))
     assert len(judged) == len(layouts)
-    assert not any(one.nats > one.needed_nats for one in judged)
+    assert not any(verdict.nats > verdict.needed_nats for verdict in judged)
     few = GrowingEvidence(layouts)
     few.add(preprocess(capture.select(slice(0, 3)), settings=UNMATCHED))
     assert few.judged(preprocess(capture.select(slice(0, 3)), settings=UNMATCHED)) == ()
@@ -219,9 +219,9 @@ def test_the_angle_comes_from_the_speed_and_its_sign_from_the_direction() -> Non
     unknown = LiveAngles(open_motion("free"))
     assert unknown.of(scans) is None
     unknown.learn(20.0)
-    found = unknown.of(scans)
-    assert found is not None
-    np.testing.assert_allclose(found, ccw / 2, atol=1e-6)
+    result = unknown.of(scans)
+    assert result is not None
+    np.testing.assert_allclose(result, ccw / 2, atol=1e-6)
 
 
 def test_a_symmetric_tag_without_a_stated_speed_is_shown_once_imaging_tells_the_turn() -> None:
@@ -232,8 +232,8 @@ def test_a_symmetric_tag_without_a_stated_speed_is_shown_once_imaging_tells_the_
     assert capture.radar_time_ms is not None
     seen = replace(capture, angles_rad=None, angle_sigma_rad=None)
     view = LiveView(LiveSettings(open_motion("free")))
-    found = view.resolving(resolve_turn)(seen, "free").motion.resolved
-    assert found is not None and found.repetitions_a_turn == 3
+    result = view.resolving(resolve_turn)(seen, "free").motion.resolved
+    assert result is not None and result.repetitions_a_turn == 3
     scans = [scan_of(i, round(float(t))) for i, t in enumerate(capture.radar_time_ms)]
     plan, intake = RecordingPlan(None, None), SimpleNamespace(scans_lost=0)
     stream = ScanStream(cast(Session, SimpleNamespace(plan=plan, config=RadarConfig(), intake=intake)))
@@ -266,7 +266,7 @@ def test_a_recording_is_shown_to_its_last_frame(tmp_path: Path, layouts: list[La
         answer = identify(prepared, layouts)
         view.settle(prepared.given, answer)
     last = view.state
-    assert [one.frame for one in states] == sorted(one.frame for one in states)
+    assert [state.frame for state in states] == sorted(state.frame for state in states)
     assert last.phase is Phase.DONE and last.final
     assert last.answer is not None and last.answer.reading is not None
     assert last.answer.reading.layout == "helmet-120"
@@ -294,7 +294,7 @@ def test_a_view_that_is_late_ends_with_angle_and_sinogram_of_what_was_recorded(
         view.settle(prepared.given, identify(prepared, layouts))
         settled.set()
     assert view.state.final
-    best = max(view.state.evidence, key=lambda one: one.share)
+    best = max(view.state.evidence, key=lambda item: item.share)
     assert best.layout == "helmet-120" and best.enough
     assert view.state.turned_rad is not None
     assert view.state.turned_rad > 2 * np.pi
@@ -335,17 +335,17 @@ def test_an_unknown_speed_is_found_as_soon_as_the_scans_repeat(
     """A wrong multiple or a chance repetition would show an image of nothing, and read a wrong turn."""
     turning = Turning.of(scene, tmp_path, 1.3)
     speed = GrowingSpeed()
-    found: list[tuple[float, float]] = []
+    results: list[tuple[float, float]] = []
     for count in range(1, len(turning.scans) + 1, 2):
         period = speed.period_s(turning.session, turning.scans[:count])
         if period is not None:
-            found.append((count / len(turning.scans) * 1.3, period))
+            results.append((count / len(turning.scans) * 1.3, period))
     if scene == "empty":
-        assert found == []
+        assert results == []
         return
-    assert earliest < found[0][0] < latest
-    assert [period for _, period in found] == pytest.approx([10.0] * len(found), rel=5e-3)
-    assert len(found) < 10, "a new estimate forms all views again"
+    assert earliest < results[0][0] < latest
+    assert [period for _, period in results] == pytest.approx([10.0] * len(results), rel=5e-3)
+    assert len(results) < 10, "a new estimate forms all views again"
 
 
 def test_image_and_answer_precede_the_end_of_a_turn_of_unknown_speed(
@@ -362,7 +362,7 @@ def test_image_and_answer_precede_the_end_of_a_turn_of_unknown_speed(
                 wait_for(lambda seen=number: view.state.scans > seen)
         wait_for(lambda: view.state.scans == len(half) and view.state.image is not None)
         assert view.state.turned_rad == pytest.approx(0.55 * 2 * np.pi, rel=0.02)
-        assert max(view.state.evidence, key=lambda one: one.share).layout == "helmet-120"
+        assert max(view.state.evidence, key=lambda item: item.share).layout == "helmet-120"
         for scan in turning.scans[len(half) :]:
             stream.append(scan)
         wait_for(lambda: view.state.answer is not None)
@@ -379,7 +379,7 @@ def test_closed_watchers_hold_no_scans_and_are_freed_without_the_garbage_collect
     kinds = (Scan, ScanStream, Session, GrowingEvidence, EarlyEnding, LiveView)
 
     def alive() -> list[int]:
-        return [sum(type(found) is kind for found in gc.get_objects()) for kind in kinds]
+        return [sum(type(get_object) is kind for get_object in gc.get_objects()) for kind in kinds]
 
     def watched() -> None:
         settings = LiveSettings(open_motion("free?rpm=20"), layouts)

@@ -55,8 +55,8 @@ def test_a_correction_by_a_degree_forms_the_views_again() -> None:
     plain, angles = a_turn()
     views, exact = (GrowingViews(GRID, (), IMAGING) for _ in range(2))
     views.update(plain.select(slice(0, 30)), angles[:30] * (1 + np.radians(1) / angles[29]))
-    for each in (views, exact):
-        each.update(plain, angles)
+    for item in (views, exact):
+        item.update(plain, angles)
     corrected, right = views.image(), exact.image()
     assert corrected is not None and right is not None
     np.testing.assert_allclose(corrected.values, right.values, atol=1e-6 * np.abs(right.values).max())
@@ -94,8 +94,8 @@ def test_a_layout_that_repeats_within_a_turn_has_fewer_places_to_fit_by_chance()
     half = Layout("half", ((0.1, 0.0), (-0.1, 0.0)))
     whole = Layout("whole", ((0.1, 0.0), (-0.0995, 0.01)))
     assert (half.symmetry, whole.symmetry) == (2, 1)
-    one, both = GrowingEvidence([half]), GrowingEvidence([whole])
-    assert 2 * one._places == pytest.approx(both._places, rel=0.01)
+    first, both = GrowingEvidence([half]), GrowingEvidence([whole])
+    assert 2 * first._places == pytest.approx(both._places, rel=0.01)
 
 
 def test_noise_does_not_lower_the_share_of_the_echo_that_a_layout_explains() -> None:

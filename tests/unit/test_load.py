@@ -19,14 +19,14 @@ def capture(views: int = 36, **changes: object) -> Capture:
 
 
 @pytest.mark.parametrize(
-    ("own", "configured", "given", "used"),
+    ("explicit", "configured", "given", "used"),
     [(1.0, 1.5, False, 1.0), (1.0, 1.5, True, 1.5), (1.0, None, False, 1.0), (None, 1.5, False, 1.5)],
 )
 def test_the_axis_distance_of_the_recording_yields_only_to_the_command_line(
-    own: float | None, configured: float | None, given: bool, used: float
+    explicit: float | None, configured: float | None, given: bool, used: float
 ) -> None:
     settings = LoadSettings(axis_distance_m=LoadDefault(configured, given))
-    assert load_capture(capture(axis_distance_m=own), settings, turn=False).axis_distance_m == used
+    assert load_capture(capture(axis_distance_m=explicit), settings, turn=False).axis_distance_m == used
 
 
 @pytest.mark.parametrize(("given", "used"), [(False, 0.2), (True, 0.7)])
@@ -56,7 +56,7 @@ def test_free_positions_are_thinned_to_the_most_views_over_the_whole_path(most: 
     free = replace(turned, angles_rad=None, antenna_positions_m=turned.aperture().positions)
     some = one_turn(free, most)
     assert most / 2 < some.views <= most
-    whole, kept = (np.ptp(each.aperture().positions, axis=0)[:2] for each in (free, some))
+    whole, kept = (np.ptp(item.aperture().positions, axis=0)[:2] for item in (free, some))
     np.testing.assert_allclose(kept, whole, atol=0.5)
 
 

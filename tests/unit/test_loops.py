@@ -17,7 +17,7 @@ SHEET = "tagid.reading._sheet"
 
 def test_every_extension_of_the_package_is_listed() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    assert {one["name"] for one in project["tool"]["setuptools"]["ext-modules"]} == set(loops.LOOPS)
+    assert {item["name"] for item in project["tool"]["setuptools"]["ext-modules"]} == set(loops.LOOPS)
 
 
 def test_the_installed_loops_are_those_of_the_sources() -> None:
@@ -38,8 +38,8 @@ def test_a_loop_of_other_arguments_is_not_used(number: int | None, monkeypatch: 
 
 def test_the_doctor_names_loops_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loops, "unusable", lambda: (SHEET,))
-    found = doctor._engines()
-    assert found.level == "warning" and "compiled loops missing or outdated: sheet," in found.text
+    result = doctor._engines()
+    assert result.level == "warning" and "compiled loops missing or outdated: sheet," in result.text
     monkeypatch.setattr(loops, "unusable", lambda: tuple(loops.LOOPS))
     assert "no compiled loops," in doctor._engines().text
     monkeypatch.setattr(loops, "unusable", tuple)

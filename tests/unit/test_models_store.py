@@ -24,9 +24,9 @@ def folder(tmp_path: Path) -> Path:
 
 def change(folder: Path, name: str, **facts: object) -> None:
     path = folder / "manifest.json"
-    found = json.loads(path.read_text())
-    found["models"][name].update(facts)
-    path.write_text(json.dumps(found))
+    result = json.loads(path.read_text())
+    result["models"][name].update(facts)
+    path.write_text(json.dumps(result))
     manifest.cache_clear()
 
 

@@ -39,8 +39,8 @@ def test_late_readings_move_back_to_their_place() -> None:
     rng = np.random.default_rng(2)
     taken = np.arange(0, 10, 0.015)
     arrivals = np.maximum.accumulate(taken + rng.exponential(0.02, len(taken)))
-    found = even_times(arrivals, 0.015)
-    assert np.std(found - taken) < 1e-3
+    result = even_times(arrivals, 0.015)
+    assert np.std(result - taken) < 1e-3
     assert np.std(arrivals - taken) > 5e-3
 
 
@@ -57,13 +57,13 @@ def test_angles_are_those_of_the_scans_moments(direction: int) -> None:
     )
     drifting = 1 + 80e-6
     clock = fit_clock(np.floor(scans * drifting * 1e3))
-    found = align(clock, late(scans, rng, 0.004), track)
-    error = np.degrees(found.angles_rad - angle(scans))
+    result = align(clock, late(scans, rng, 0.004), track)
+    error = np.degrees(result.angles_rad - angle(scans))
     assert np.abs(error - np.median(error)).max() < 0.15
     assert np.abs(np.median(error)) < 0.1
-    assert found.drift == pytest.approx(-80e-6, abs=60e-6)
-    assert 1 < found.radar_residual_ms < 12 and 5 < found.motion_residual_ms < 30
-    assert np.all(found.sigma_rad < np.radians(2)) and found.outside == 0
+    assert result.drift == pytest.approx(-80e-6, abs=60e-6)
+    assert 1 < result.radar_residual_ms < 12 and 5 < result.motion_residual_ms < 30
+    assert np.all(result.sigma_rad < np.radians(2)) and result.outside == 0
 
 
 def test_angles_beyond_the_last_reading_say_that_they_are_guesses() -> None:
@@ -76,9 +76,9 @@ def test_angles_beyond_the_last_reading_say_that_they_are_guesses() -> None:
     )
     clock = fit_clock(np.floor(scans * 1e3))
     arrivals = EPOCH_NS + (scans * 1e9).astype(np.int64)
-    found = align(clock, arrivals, track)
-    assert found.sigma_rad[-1] == pytest.approx(SPEED * 5, rel=0.02)
-    assert found.outside == pytest.approx(245, abs=2)
+    result = align(clock, arrivals, track)
+    assert result.sigma_rad[-1] == pytest.approx(SPEED * 5, rel=0.02)
+    assert result.outside == pytest.approx(245, abs=2)
     # A table that turns by itself did not stop there.
     runs_on = Track(track.host_time_ns, track.angles_rad, track.sigma_rad, {"runs_on": True})
     assert align(clock, arrivals, runs_on).angles_rad[-1] == pytest.approx(SPEED * scans[-1], rel=1e-3)
@@ -105,8 +105,8 @@ def test_the_radar_sees_how_far_a_turn_is_whatever_the_speed_does() -> None:
     """The device overstates its angle by 7 % and swings its speed by 30 %; its direction is clockwise."""
     turns = np.linspace(0, 2 * np.pi * 1.4, 500)
     true = -(turns + 0.3 * np.sin(turns))
-    found = turn_in_own_angle(scans_over(true), 1.07 * true, 0.06)
-    assert found.period_s == pytest.approx(1.07 * 2 * np.pi, rel=2e-3)
+    result = turn_in_own_angle(scans_over(true), 1.07 * true, 0.06)
+    assert result.period_s == pytest.approx(1.07 * 2 * np.pi, rel=2e-3)
 
 
 def test_a_scan_scales_its_own_angles() -> None:
@@ -120,16 +120,16 @@ def test_a_scan_scales_its_own_angles() -> None:
     angles = measured_angles(scans_over(true), fit_clock(np.floor(times * 1e3)), arrivals, track)
     assert np.abs(angles.angles_rad - true).max() < np.radians(1.5)
     assert angles.info.checked_by_radar and angles.info.quality > 0.8
-    robot, found = wheel_base_from(angles.info)
+    robot, result = wheel_base_from(angles.info)
     # The robot thinks that it turned less than it did: its wheels are nearer together than it thinks.
-    assert (robot, found.wheel_base_mm) == ("r", pytest.approx(0.92 * 235, rel=2e-3))
+    assert (robot, result.wheel_base_mm) == ("r", pytest.approx(0.92 * 235, rel=2e-3))
 
 
 def test_a_marker_breaks_a_symmetry() -> None:
     """Two equal reflectors repeat after half a turn; a third one off the axis, 9 dB weaker, does not."""
-    places = np.array([[0.1, 0.0], [-0.1, 0.0], [0.0, 0.15]])
+    positions = np.array([[0.1, 0.0], [-0.1, 0.0], [0.0, 0.15]])
     times = np.arange(0, 2.5, 1 / 200) * 20
-    scene = Scene.of_points(places, np.array([1.0, 1.0, 0.35]))
+    scene = Scene.of_points(positions, np.array([1.0, 1.0, 0.35]))
     config = RadarConfig(scan_start_ps=3_336, scan_stop_ps=10_006)
     turning = TurningScene(scene, 3.0, 1, Acquisition(snr_db=20))
     samples = np.stack([turning.scan(i, float(moment), config) for i, moment in enumerate(times)])

@@ -95,9 +95,9 @@ def test_a_full_robot_on_its_base_is_on_the_charger(contacts: int, charging: int
 
 def test_wheels_that_disagree_widen_the_angle_by_half_of_their_difference() -> None:
     odometry, difference = SpinOdometry(1), SpinOdometry(1)
-    for each, left, right in ((odometry, -900, 1000), (difference, 0, 100)):
-        each.add(0, 0)
-        each.add(left, right)
+    for item, left, right in ((odometry, -900, 1000), (difference, 0, 100)):
+        item.add(0, 0)
+        item.add(left, right)
     assert odometry.sigma_rad == pytest.approx(difference.angle_rad / 2, rel=0.01)
 
 
@@ -112,15 +112,15 @@ def test_a_tables_angle_goes_on_beyond_a_turn(
     assert isinstance(table, PolledTable)
     table._link = link = MemoryLink(core)
     table._begin()
-    told, true = list[float](), list[float]()
+    reported, true = list[float](), list[float]()
     while link.now_s < 40:
         link.now_s += 0.5  # 9 degrees
         for _, angle, _ in table._poll():
-            told.append(angle)
+            reported.append(angle)
             true.append(math.radians(core.table.angle_deg))
     assert abs(true[-1] - true[0]) > 2 * math.pi
-    assert math.copysign(1, told[-1]) == table.direction
-    np.testing.assert_allclose(np.subtract(told, told[0]), np.subtract(true, true[0]), atol=0.01)
+    assert math.copysign(1, reported[-1]) == table.direction
+    np.testing.assert_allclose(np.subtract(reported, reported[0]), np.subtract(true, true[0]), atol=0.01)
 
 
 def test_a_turn_is_recorded_even_if_the_device_overestimates_its_angle_by_three_sigma() -> None:
@@ -146,10 +146,10 @@ def test_an_angle_whose_scale_the_radar_did_not_measure_grows_uncertain_with_it(
     arrivals = 10**18 + (times_s * 1e9).astype(np.int64)
     track = Track(arrivals, 0.7 * times_s, np.full(500, 1e-3), {"scale_sigma": 0.06})
     noise = np.random.default_rng(1).standard_normal((500, 32))
-    found = measured_angles(noise, fit_clock(1e3 * times_s), arrivals, track)
-    assert not found.info.checked_by_radar and found.info.scale == 1.0
-    assert found.sigma_rad[0] < 0.01
-    assert found.sigma_rad[-1] == pytest.approx(0.06 * 0.7 * times_s[-1], rel=0.01)
+    measured = measured_angles(noise, fit_clock(1e3 * times_s), arrivals, track)
+    assert not measured.info.checked_by_radar and measured.info.scale == 1.0
+    assert measured.sigma_rad[0] < 0.01
+    assert measured.sigma_rad[-1] == pytest.approx(0.06 * 0.7 * times_s[-1], rel=0.01)
 
 
 def test_a_device_that_is_started_again_begins_a_new_track() -> None:

@@ -43,10 +43,10 @@ def test_error_of_the_period(snr_db: float, turns: float, percent: float) -> Non
     ratios = []
     for seed in range(5):
         samples, times, truth = recording(scene_from_name("points-4", seed), snr_db, turns, seed)
-        found = find_period(samples, times)
-        assert abs(found.period_s / truth - 1) * 100 < percent
-        assert found.turns == pytest.approx(turns, rel=0.02)
-        ratios.append((found.period_s - truth) / found.sigma_s)
+        period = find_period(samples, times)
+        assert abs(period.period_s / truth - 1) * 100 < percent
+        assert period.turns == pytest.approx(turns, rel=0.02)
+        ratios.append((period.period_s - truth) / period.sigma_s)
     if snr_db == 0:
         # Measured over two turns, which halves the error and its sigma.
         assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 2.0
@@ -56,8 +56,8 @@ def test_sigma_covers_the_error() -> None:
     ratios = []
     for seed in range(10):
         samples, times, truth = recording(scene_from_name("points-4", seed), 10, 1.6, seed)
-        found = find_period(samples, times)
-        ratios.append((found.period_s - truth) / found.sigma_s)
+        period = find_period(samples, times)
+        ratios.append((period.period_s - truth) / period.sigma_s)
     assert 0.15 < np.sqrt(np.mean(np.square(ratios))) < 2.0
 
 
@@ -66,11 +66,11 @@ def test_low_signal_is_not_silently_wrong() -> None:
         name, snr_db = ("points-4", -8) if seed % 2 else ("container-90", 0)
         samples, times, truth = recording(scene_from_name(name, seed), snr_db, 2.3, seed)
         try:
-            found = find_period(samples, times)
+            period = find_period(samples, times)
         except DataError as error:
             assert error.remedy
             continue
-        assert found.harmonic_ambiguous or abs(found.period_s / truth - 1) < 0.02
+        assert period.harmonic_ambiguous or abs(period.period_s / truth - 1) < 0.02
 
 
 def test_clutter_leakage_shell_wobble_and_counts() -> None:
@@ -95,8 +95,8 @@ def test_lost_scans_do_not_matter() -> None:
 def test_nearly_symmetric_target_is_decided_by_the_nominal_period() -> None:
     for seed in range(3):
         samples, times, truth = recording(SYMMETRIC, 15, 1.4, seed)
-        found = find_period(samples, times, nominal_s=1.05 * truth)
-        assert found.period_s == pytest.approx(truth, rel=2e-3)
+        period = find_period(samples, times, nominal_s=1.05 * truth)
+        assert period.period_s == pytest.approx(truth, rel=2e-3)
 
 
 def exactly_symmetric(turns: float) -> tuple[np.ndarray, np.ndarray]:
@@ -107,29 +107,29 @@ def exactly_symmetric(turns: float) -> tuple[np.ndarray, np.ndarray]:
 
 def test_exact_symmetry_is_ambiguous() -> None:
     samples, times = exactly_symmetric(1.4)
-    found = find_period(samples, times, nominal_s=26.0)
-    assert found.period_s == pytest.approx(25.0, rel=2e-3)
-    assert found.harmonic_ambiguous
-    assert found.rivals_s[0] == pytest.approx(12.5, rel=0.02)
+    period = find_period(samples, times, nominal_s=26.0)
+    assert period.period_s == pytest.approx(25.0, rel=2e-3)
+    assert period.harmonic_ambiguous
+    assert period.rivals_s[0] == pytest.approx(12.5, rel=0.02)
 
 
 def test_exact_symmetry_without_a_nominal_period_is_never_silent() -> None:
     """Half a turn is found, but the echoes are too slow for it."""
     for turns in (0.8, 1.4):
         samples, times = exactly_symmetric(turns)
-        found = find_period(samples, times)
-        assert found.period_s == pytest.approx(12.5, rel=5e-3)
-        assert found.harmonic_ambiguous
-        assert found.rivals_s[-1] == pytest.approx(25.0, rel=5e-3)
+        period = find_period(samples, times)
+        assert period.period_s == pytest.approx(12.5, rel=5e-3)
+        assert period.harmonic_ambiguous
+        assert period.rivals_s[-1] == pytest.approx(25.0, rel=5e-3)
 
 
 def test_unlike_target_is_not_ambiguous() -> None:
     for nominal in (None, 25.0):
         acq = Acquisition(views=500, turns=1.4, period_s=25.0, snr_db=15)
         capture, truth = simulate_capture(scene_from_name("points-4", 2), acq, 1)
-        found = find_period(capture.samples, truth.times_s, nominal)
-        assert not found.harmonic_ambiguous
-        assert found.quality > 0.9
+        period = find_period(capture.samples, truth.times_s, nominal)
+        assert not period.harmonic_ambiguous
+        assert period.quality > 0.9
 
 
 @pytest.mark.parametrize("nominal", [None, 25.0])

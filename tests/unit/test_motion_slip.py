@@ -32,8 +32,8 @@ def spun(slip: float, turns: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]
         body.advance(time_s)
         rows.append((body.heading_rad, odometry.add(*body.encoders()), odometry.sigma_rad))
         time_s += STEP_S
-    true, told, sigma = np.array(rows).T
-    return true, told, sigma
+    true, reported, sigma = np.array(rows).T
+    return true, reported, sigma
 
 
 def robot_at(port: str) -> Roomba:
@@ -52,9 +52,9 @@ def test_the_stated_sigma_holds_with_five_per_cent_of_slip(
     if calibrated:
         remember("/dev/robot", Calibration(235.0, 0.002, 2.3))
     robot = robot_at("/dev/robot")
-    true, told, sigma = spun(0.05, turns)
-    stated = np.hypot(sigma, robot.scale_sigma * told)
-    error = np.abs(told - true)[1:]
+    true, reported, sigma = spun(0.05, turns)
+    stated = np.hypot(sigma, robot.scale_sigma * reported)
+    error = np.abs(reported - true)[1:]
     assert error[-1] > np.radians(2.5), "there is something to state"
     assert (error < 3 * stated[1:] + 1e-3).all()
     assert error[-1] > 0.3 * stated[-1], "and it is not stated so widely that it says nothing"
@@ -66,11 +66,11 @@ def test_a_full_turn_is_closed_by_the_radar_also_for_a_calibrated_robot(
     monkeypatch.setenv("TAGID_DATA", str(tmp_path))
     remember("/dev/robot", Calibration(235.0, 0.002, 2.3))
     robot = robot_at("/dev/robot")
-    true, told, sigma = spun(0.05, robot.turns)
+    true, reported, sigma = spun(0.05, robot.turns)
     times = STEP_S * np.arange(len(true))
     arrivals = EPOCH_NS + (times * 1e9).astype(np.int64)
     info = {"scale_sigma": robot.scale_sigma, "step_s": STEP_S}
-    track = Track(arrivals, told, sigma, info)
+    track = Track(arrivals, reported, sigma, info)
     angles = measured_angles(scans_over(true), fit_clock(np.floor(times * 1e3)), arrivals, track)
     assert angles.info.checked_by_radar
     assert angles.info.scale == pytest.approx(0.95, rel=3e-3)

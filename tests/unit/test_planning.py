@@ -98,11 +98,11 @@ def test_show_compares_what_the_plan_predicts_of_every_layout_and_body(
 
 def test_the_radar_equation() -> None:
     budget = LinkBudget()
-    one = budget.snr_db(0.01, 1.0)
-    assert budget.snr_db(0.01, 2.0) == pytest.approx(one - 40 * np.log10(2))
-    assert budget.snr_db(0.02, 1.0) == pytest.approx(one + 20 * np.log10(2))
-    assert replace(budget, integration=12).snr_db(0.01, 1.0) == pytest.approx(one + 10 * np.log10(2))
-    assert replace(budget, transmit_gain=53).snr_db(0.01, 1.0) == pytest.approx(one - 3)
+    single = budget.snr_db(0.01, 1.0)
+    assert budget.snr_db(0.01, 2.0) == pytest.approx(single - 40 * np.log10(2))
+    assert budget.snr_db(0.02, 1.0) == pytest.approx(single + 20 * np.log10(2))
+    assert replace(budget, integration=12).snr_db(0.01, 1.0) == pytest.approx(single + 10 * np.log10(2))
+    assert replace(budget, transmit_gain=53).snr_db(0.01, 1.0) == pytest.approx(single - 3)
     # What the losses were fitted on: a trihedral of 0.3 m (4 pi a^4 / 3 lambda^2) at 10 m, with 33 dB.
     wavelength = 299_792_458 / 3.95e9
     corner = np.sqrt(0.3**4 / (3 * wavelength**2))
@@ -165,8 +165,8 @@ def test_a_handle_is_no_round_body_and_small_reflectors_are_told() -> None:
 def test_what_is_wanted_is_reached_by_the_least_effort() -> None:
     far = setup(0.02, distance_m=3.0, index=6)
     wanted = invert(far, 0.99)
-    for found in (wanted.plan, wanted.distance, wanted.integration):
-        assert found is not None and found.rates.named.value >= 0.99 and found.margin_db > 0
+    for result in (wanted.plan, wanted.distance, wanted.integration):
+        assert result is not None and result.rates.named.value >= 0.99 and result.margin_db > 0
     assert wanted.distance.setup.reflector == far.reflector
     with pytest.raises(UsageError, match="`want`"):
         invert(far, 1.0)
@@ -188,18 +188,18 @@ def test_a_wish_that_nothing_reaches_ends_with_what_to_do(tagid: Callable[..., o
 
 
 def test_a_gap_between_plan_and_recording_has_a_cause() -> None:
-    one = setup()
-    scene = scene_on_body("container-180", BodySpec(), one.reflector, 1)
+    single = setup()
+    scene = scene_on_body("container-180", BodySpec(), single.reflector, 1)
     capture, _ = simulate_capture(scene, Acquisition(views=12, snr_db=30), 1)
-    planned = planned_snr_db(one)
+    planned = planned_snr_db(single)
     noise = 120.0
-    assert gap(capture, noise, planned + 0.9 * GAP_DB, one).cause == ""
-    assert "weaker" in gap(capture, noise, planned - 20, one).cause
-    assert "noise is 12 dB above" in gap(capture, 4 * noise, planned - 32, one).cause
+    assert gap(capture, noise, planned + 0.9 * GAP_DB, single).cause == ""
+    assert "weaker" in gap(capture, noise, planned - 20, single).cause
+    assert "noise is 12 dB above" in gap(capture, 4 * noise, planned - 32, single).cause
     turned_down = replace(capture, radar=RadarInfo(config=RadarSettings(transmit_gain=40)))
-    assert "gain was 40 of 63" in gap(turned_down, noise, planned - 20, one).cause
-    assert "more rotates" in gap(capture, noise, planned + 20, one).cause
-    assert gap(capture, noise, planned, one).planned_db == planned
+    assert "gain was 40 of 63" in gap(turned_down, noise, planned - 20, single).cause
+    assert "more rotates" in gap(capture, noise, planned + 20, single).cause
+    assert gap(capture, noise, planned, single).planned_db == planned
 
 
 def test_the_command(tagid: Callable[..., object], tmp_path: Path) -> None:
@@ -217,9 +217,9 @@ def test_views_are_as_many_as_the_image_needs_and_share_the_energy_of_the_turn()
     fast = plan(replace(setup(), rpm=60.0, extent_m=1.0))
     assert slow.views == pytest.approx(needed, rel=0.05) and slow.views < slow.scans_per_turn
     assert fast.views == fast.scans_per_turn
-    for each in (slow, fast):
-        gain_db = 10 * np.log10(each.scans_per_turn / each.views)
-        assert each.snr_view_db == pytest.approx(each.snr_sample_db + gain_db)
+    for item in (slow, fast):
+        gain_db = 10 * np.log10(item.scans_per_turn / item.views)
+        assert item.snr_view_db == pytest.approx(item.snr_sample_db + gain_db)
 
 
 def test_a_setup_that_clips_is_not_offered() -> None:
@@ -228,16 +228,16 @@ def test_a_setup_that_clips_is_not_offered() -> None:
     wanted = invert(near, 0.7)
     assert wanted.plan is None, "the can's echo saturates the radar whatever the reflectors"
     farther = [plan(replace(near, distance_m=distance)) for distance in DISTANCES_M]
-    good = [each for each in farther if each.rates.named.value >= 0.7 and not each.rates.note]
+    good = [item for item in farther if item.rates.named.value >= 0.7 and not item.rates.note]
     assert wanted.distance is not None
-    assert wanted.distance.setup.distance_m == max(each.setup.distance_m for each in good)
+    assert wanted.distance.setup.distance_m == max(item.setup.distance_m for item in good)
 
 
 def test_an_integration_that_leaves_too_few_views_for_a_helmet_is_not_offered() -> None:
     """The alias-free step of a helmet is 9 degrees; 72 views are half of it."""
     far = replace(setup(0.02, distance_m=8.0), rpm=30.0)
     plans = [plan(replace(far, budget=replace(far.budget, integration=index))) for index in (13, 14)]
-    enough, few = (each.rates.named.value for each in plans)
+    enough, few = (plan.rates.named.value for plan in plans)
     assert plans[0].views > 72 > plans[1].views and few > enough
     assert invert(far, (enough + few) / 2).integration is None
 

@@ -25,7 +25,7 @@ def signature(name: str, changed: float, kind: SignatureKind = "object") -> Sign
 def test_the_most_similar_object_is_shown_first_and_a_confusable_one_refused() -> None:
     enrolled = [signature("unlike-it", 1.0), signature("twin", 0.005), signature("cousin", 0.3)]
     proposal = propose_signature(RegistryContents(4, [], enrolled), signature("new", 0.0))
-    assert [each.second for each in proposal.likenesses] == ["twin", "cousin", "unlike-it"]
+    assert [likeness.second for likeness in proposal.likenesses] == ["twin", "cousin", "unlike-it"]
     assert proposal.alike == ("twin",)
     assert proposal.conflict is not None and "confused with twin" in proposal.conflict.message
     apart = propose_signature(RegistryContents(4, [], enrolled[::2]), signature("new", 0.0))

@@ -50,7 +50,7 @@ def test_the_lead_that_is_needed_is_that_from_which_the_promise_holds() -> None:
         smallest = some.leads[-1] + 10**-DIGITS
         assert some.p_value(needed - 2 * 10**-DIGITS) > false_accept or needed == pytest.approx(smallest)
     asked = [some.needed(false_accept) for false_accept in (0.003, 0.01, 0.05, 0.2)]
-    assert all(one > other for one, other in pairwise(asked[:3])) and asked[3] <= asked[2] < inf
+    assert all(first > other for first, other in pairwise(asked[:3])) and asked[3] <= asked[2] < inf
 
 
 def test_the_p_value_is_never_below_that_of_all_objects() -> None:
@@ -113,7 +113,7 @@ def test_the_package_has_a_calibration_for_every_number_of_views_from_12_on() ->
     for views in (12, 17, 18, 23, 24, 72, 360):
         assert shipped.needed(views, 5e-3).lead < inf
     assert shipped.needed(11, 5e-3).lead == inf
-    limits = [(one.views_from, one.views_to) for one in shipped.strata]
+    limits = [(item.views_from, item.views_to) for item in shipped.strata]
     assert all(before[1] <= after[0] for before, after in pairwise(sorted(limits)))
 
 
@@ -128,13 +128,13 @@ def rows(*given: tuple[int, int, float]) -> list[Row]:
 
 def test_objects_are_counted_by_their_views() -> None:
     made = strata(rows((1, 12, 3.0), (2, 17, 5.0), (3, 18, -2.0), (4, 360, 1.0), (5, 11, 9.0)))
-    assert [(one.name, one.objects, one.leads) for one in made] == [
+    assert [(item.name, item.objects, item.leads) for item in made] == [
         ("12 to 17 views", 2, (5.0, 3.0)),
         ("18 to 23 views", 1, (-2.0,)),
         ("24 to 360 views", 1, (1.0,)),
     ]
     many = strata(rows(*((n, 36, float(n)) for n in range(80))), (24, 361))
-    assert [(one.objects, len(one.leads), one.leads[0]) for one in many] == [(80, KEPT, 79.0)]
+    assert [(item.objects, len(item.leads), item.leads[0]) for item in many] == [(80, KEPT, 79.0)]
 
 
 def test_runs_of_seeds_are_told_apart() -> None:

@@ -49,8 +49,8 @@ def explained(spectra: Spectra, odd: int) -> Explained:
     x = np.array([CENTRE.real, CENTRE.imag, TURN, 0.0])
     if odd:
         model, x = model.and_odd(), np.append(x, [STRAY.real, STRAY.imag])
-    found = refined(spectra, model, x, (1e-2, None))
-    return Explained.of(spectra, Hypothesis(PAIR, found, found.log_z))
+    result = refined(spectra, model, x, (1e-2, None))
+    return Explained.of(spectra, Hypothesis(PAIR, result, result.log_z))
 
 
 @pytest.mark.parametrize("error_m", [0.01, -0.01])
@@ -63,13 +63,13 @@ def test_the_range_offset_is_that_of_a_wrong_axis_distance(error_m: float) -> No
 def test_reflectors_have_their_places_levels_and_phases() -> None:
     spectra = spectra_of(0.01)
     *tag, stray = explained(spectra, 1).reflectors(spectra)
-    places = PAIR.placed(TURN, np.array([CENTRE.real, CENTRE.imag]))
-    assert np.array([(one.x_m, one.y_m) for one in tag]) == pytest.approx(places, abs=1e-3)
+    positions = PAIR.placed(TURN, np.array([CENTRE.real, CENTRE.imag]))
+    assert np.array([(item.x_m, item.y_m) for item in tag]) == pytest.approx(positions, abs=1e-3)
     assert complex(stray.x_m, stray.y_m) == pytest.approx(STRAY, abs=1e-3)
-    assert [one.matched for one in (*tag, stray)] == [True, True, False]
-    assert [one.amplitude_db for one in (*tag, stray)] == pytest.approx([0, 0, -6], abs=0.5)
-    assert np.diff([one.snr_db for one in (tag[0], stray)]) == pytest.approx(-6, abs=0.5)
-    assert [one.z_m for one in (*tag, stray)] == [None] * 3
+    assert [item.matched for item in (*tag, stray)] == [True, True, False]
+    assert [item.amplitude_db for item in (*tag, stray)] == pytest.approx([0, 0, -6], abs=0.5)
+    assert np.diff([item.snr_db for item in (tag[0], stray)]) == pytest.approx(-6, abs=0.5)
+    assert [item.z_m for item in (*tag, stray)] == [None] * 3
     assert tag[1].amplitude / tag[0].amplitude == pytest.approx(1.0, abs=0.1)
     assert stray.amplitude / tag[0].amplitude == pytest.approx(0.5j, abs=0.1)
 
@@ -81,19 +81,19 @@ def test_what_a_hypothesis_leaves_is_the_share_of_what_it_lacks() -> None:
 
 
 def hypothesis(
-    places: NDArray[np.complex128],
+    positions: NDArray[np.complex128],
     log_z: float = 0.0,
     layout: Layout | None = None,
     transfer: Transfer = BARE,
 ) -> Hypothesis:
     """Reflectors at places, x + jy, m, about the axis, or those of a layout; none: a body or nothing."""
-    tag, middle = None if not len(places) else Arrangement.rigid(np.asarray(places)), False
+    tag, middle = None if not len(positions) else Arrangement.rigid(np.asarray(positions)), False
     if layout is not None:
         arranged = Arranged.of(layout, transfer.body and not transfer.clear)
         tag, middle = arranged.tag, arranged.middle
     model = Model(transfer, tag, transfer.body, 0)
-    found = Estimate(model, np.zeros(model.parameters), Powers(0.0), log_z, log_z, 1e-3)
-    return Hypothesis(layout, found, log_z, middle)
+    estimate = Estimate(model, np.zeros(model.parameters), Powers(0.0), log_z, log_z, 1e-3)
+    return Hypothesis(layout, estimate, log_z, middle)
 
 
 def flat(layout: Layout) -> NDArray[np.complex128]:
@@ -119,8 +119,8 @@ DIFFERENCES = {
 
 @pytest.mark.parametrize("name", DIFFERENCES)
 def test_a_refused_arrangement_is_told_from_the_nearest_layout(name: str) -> None:
-    layout, places, code = DIFFERENCES[name]
-    assert _difference(hypothesis(places), hypothesis(NOTHING, layout=layout)) is code
+    layout, positions, code = DIFFERENCES[name]
+    assert _difference(hypothesis(positions), hypothesis(NOTHING, layout=layout)) is code
 
 
 def test_a_middle_reflector_counts_where_no_body_covers_it() -> None:
@@ -136,8 +136,8 @@ def test_the_decision_is_by_leads() -> None:
     bare, round_body = hypothesis(NOTHING), hypothesis(NOTHING, 5.0, transfer=POINTS)
     named, other = hypothesis(NOTHING, 60.0, PAIR), hypothesis(ring(0, 150), 40.0)
     every = [bare, round_body, named, other]
-    found = decide(every, Needed(15.0, 15.0))
-    assert (found.status, found.name, found.lead, found.bare) == ("identified", PAIR.name, 20.0, 20.0)
+    result = decide(every, Needed(15.0, 15.0))
+    assert (result.status, result.name, result.lead, result.bare) == ("identified", PAIR.name, 20.0, 20.0)
     weak = decide(every, Needed(25.0, 25.0))
     assert (weak.status, weak.name, weak.code, weak.winner) == ("unknown", None, Code.WEAK, named)
     assert decide(every, Needed(np.inf, np.inf)).code is Code.UNCALIBRATED
@@ -180,14 +180,14 @@ def test_the_winner_and_the_best_of_every_kind_are_reported() -> None:
         hypothesis(ring(0, 140), real.log_z - 40),
         hypothesis(NOTHING, real.log_z - 50, HELMET, POINTS),
     ]
-    rows = explanations([Explained.of(spectra, one) for one in ranked([real, *others], real)])
-    assert [(one.kind, one.layout) for one in rows] == [
+    rows = explanations([Explained.of(spectra, item) for item in ranked([real, *others], real)])
+    assert [(row.kind, row.layout) for row in rows] == [
         (Kind.BARE, PAIR.name),
         (Kind.BARE, None),
         (Kind.ROUND, HELMET.name),
         (Kind.NO_TAG, None),
     ]
-    assert [one.log_evidence for one in rows] == pytest.approx([0, -30, -50, -400])
+    assert [row.log_evidence for row in rows] == pytest.approx([0, -30, -50, -400])
     assert rows[0].radius_m == pytest.approx(0.045, abs=2e-3) and rows[3].radius_m is None
     assert rows[0].unexplained < 0.01 < rows[1].unexplained <= 1 and len(rows) <= MOST
     assert kind_of(others[0]) is Kind.NO_TAG and ranked(others, others[0])[0] is others[0]
@@ -197,10 +197,12 @@ def test_what_is_left_of_a_recording_is_noise_where_the_hypothesis_is_right() ->
     spectra = spectra_of(0.0)
     real = explained(spectra, 1)
     wrong = Explained.of(spectra, hypothesis(ring(0, 140), real.hypothesis.log_z - 40))
-    left = residuals(spectra, [real, wrong])
-    assert left.by_hypothesis.shape == (2, len(left.range_m), spectra.views)
-    assert (np.diff(left.angle_rad) > 0).all()
-    energies = [float((own.astype(float) ** 2).sum()) for own in (left.recorded, *left.by_hypothesis)]
+    remaining = residuals(spectra, [real, wrong])
+    assert remaining.by_hypothesis.shape == (2, len(remaining.range_m), spectra.views)
+    assert (np.diff(remaining.angle_rad) > 0).all()
+    energies = [
+        float((base.astype(float) ** 2).sum()) for base in (remaining.recorded, *remaining.by_hypothesis)
+    ]
     assert energies[1] < 0.02 * energies[0] < energies[2]
     residual = real.residual(spectra)
     assert np.abs(residual @ spectra.rooms.T).max() < 1e-9 * np.abs(spectra.data).max()

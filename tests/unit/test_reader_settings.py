@@ -48,7 +48,7 @@ def test_early_looks_leave_a_name_the_rest_of_the_setting() -> None:
     assert reader_settings(settings).false_accept == 4e-3
 
 
-@pytest.mark.parametrize("name", [each.name for each in fields(TagPriors)])
+@pytest.mark.parametrize("name", [field.name for field in fields(TagPriors)])
 @pytest.mark.parametrize("value", [-0.01, 0.06, np.nan])
 def test_priors_have_bounds(name: str, value: float) -> None:
     with pytest.raises(UsageError, match=name):

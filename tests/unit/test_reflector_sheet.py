@@ -33,7 +33,7 @@ def folded(points: np.ndarray, triangles: tuple[tuple[int, int, int], ...]) -> n
     placed = [(triangles[0], lambda p: p)]
     out = [flat[list(triangles[0])]]
     for triangle in triangles[1:]:
-        parent, move = next(one for one in placed if len(set(one[0]) & set(triangle)) == 2)
+        parent, move = next(item for item in placed if len(set(item[0]) & set(triangle)) == 2)
         shared = [index for index in parent if index in triangle]
         a, b = (flat[index] for index in shared)
         other = next(flat[index] for index in triangle if index not in shared)
@@ -52,14 +52,14 @@ def folded(points: np.ndarray, triangles: tuple[tuple[int, int, int], ...]) -> n
 
 @pytest.mark.parametrize("size_m", [0.02, 0.04])
 def test_the_net_folds_to_an_octahedron_of_the_size(size_m: float) -> None:
-    one = net(size_m)
+    single = net(size_m)
     edge = size_m * 1e3 / np.sqrt(2)
-    lengths = [np.linalg.norm(one.points[a] - one.points[b]) for a, b in one.edges]
-    assert np.allclose(lengths, edge) and sorted(one.edges.values()).count(2) == 7
+    lengths = [np.linalg.norm(single.points[a] - single.points[b]) for a, b in single.edges]
+    assert np.allclose(lengths, edge) and sorted(single.edges.values()).count(2) == 7
     # Of the ten free edges, five pairs are glued: one tab each.
-    free = {pair for pair, count in one.edges.items() if count == 1}
-    assert len(free) == 10 and len(one.tabs) == 5 and {tuple(sorted(t)) for t in one.tabs} < free
-    faces = folded(one.points, one.triangles)
+    free = {pair for pair, count in single.edges.items() if count == 1}
+    assert len(free) == 10 and len(single.tabs) == 5 and {tuple(sorted(t)) for t in single.tabs} < free
+    faces = folded(single.points, single.triangles)
     corners = faces.reshape(-1, 3)
     tips = corners[[0]]
     for corner in corners:
@@ -71,8 +71,8 @@ def test_the_net_folds_to_an_octahedron_of_the_size(size_m: float) -> None:
     middles = faces.mean(axis=1)
     assert len({tuple(np.round(m, 3)) for m in middles}) == 8  # no face lies on another
     # A seam's two edges come together: a tab's edge coincides with another free edge.
-    tips_of = {i: faces[n][list(t).index(i)] for n, t in enumerate(one.triangles) for i in t}
-    for start, end in one.tabs:
+    tips_of = {i: faces[n][list(t).index(i)] for n, t in enumerate(single.triangles) for i in t}
+    for start, end in single.tabs:
         pair = {tuple(np.round(tips_of[start], 6)), tuple(np.round(tips_of[end], 6))}
         twins = [f for f in free if {tuple(np.round(tips_of[i], 6)) for i in f} == pair]
         assert len(twins) == 2

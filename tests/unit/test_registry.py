@@ -281,7 +281,9 @@ def test_undo_goes_back_command_by_command_and_redo_forward(tmp_path: Path) -> N
         registry.add(Layout(name, SCALENE * (0.6 + 0.1 * number)), f"file {name}")
 
     def names() -> list[str]:
-        return [one.name for one in registry.layouts() if one.name in ("one", "two", "three", "four")]
+        return [
+            layout.name for layout in registry.layouts() if layout.name in ("one", "two", "three", "four")
+        ]
 
     with pytest.raises(RegistryError, match="nothing to redo"):
         registry.redo()

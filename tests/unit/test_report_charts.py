@@ -49,8 +49,8 @@ def test_spectrum_peaks_at_the_true_frequency(frequency_hz: float, complex_sampl
     samples = np.tile(burst(960, 400, frequency_hz, 30), (3, 1))
     data = analytic(samples) if complex_samples else samples.astype(np.float32)
     curves = RecordingCurves.of(capture_of(data))
-    found = curves.frequency_hz[curves.spectrum.argmax()]
-    assert found == pytest.approx(frequency_hz, abs=1.1 / (960 * SAMPLE_STEP_S))
+    result = curves.frequency_hz[curves.spectrum.argmax()]
+    assert result == pytest.approx(frequency_hz, abs=1.1 / (960 * SAMPLE_STEP_S))
 
 
 def test_envelopes_give_height_and_range() -> None:

@@ -83,8 +83,8 @@ def test_markers_show_at_their_place_only_inside(tmp_path: Path) -> None:
     assert legend.any() and columns[legend].max() > LEFT + 300
     draw_image(values, 0.5, marked, reflectors=[Marker(0.1, -0.1, "1")])
     with Image.open(plain) as a, Image.open(marked) as b:
-        one = np.nonzero((np.asarray(a) != np.asarray(b))[TOP - 32 : TOP - 4].any(axis=2))[1]
-    assert one.min() >= LEFT and one.max() < LEFT + 300
+        single = np.nonzero((np.asarray(a) != np.asarray(b))[TOP - 32 : TOP - 4].any(axis=2))[1]
+    assert single.min() >= LEFT and single.max() < LEFT + 300
     outside = tmp_path / "outside.png"
     draw_image(values, 0.5, outside, reflectors=[Marker(0.4, 0.0, "far")])
     assert outside.read_bytes() == plain.read_bytes()

@@ -138,28 +138,28 @@ def test_the_snr_refers_to_the_reference() -> None:
 
 def test_the_printed_snr_says_what_it_is_against() -> None:
     """Of one reflector as reference both are known; of two together not that of each, of a body neither."""
-    one, acq = point_response(), Acquisition(views=36, snr_db=20)
+    first, acq = point_response(), Acquisition(views=36, snr_db=20)
     turned = np.array([-PLACE[1], PLACE[0], 0.0])
     other = point_response(turned)
-    both = one.scattering_length_m + other.scattering_length_m
-    two = replace(one, name="two", scattering_length_m=both, reflectors_m=np.array([PLACE[:2], turned[:2]]))
+    both = first.scattering_length_m + other.scattering_length_m
+    two = replace(first, name="two", scattering_length_m=both, reflectors_m=np.array([PLACE[:2], turned[:2]]))
     body = replace(point_response(np.zeros(3)), name="body", reflectors_m=np.zeros((0, 2)))
 
     def snr(shown: Response, reference: Response | None, acquisition: Acquisition = acq) -> Snr:
         return simulate_capture(response_scene(shown, acquisition, reference=reference), acquisition)[1].snr
 
-    found = snr(two, one)
-    peaks = [peak_echo(ResponseBody(each), acq) for each in (one, two)]
-    assert found.reflector_db == pytest.approx(20)
-    assert found.summed_db == pytest.approx(20 + 20 * np.log10(peaks[1] / peaks[0]), abs=0.05)
-    assert found.summed_db > 21 and "2 like that of point, taken to have no body" in str(found)
-    assert snr(two, one, replace(acq, snr_reference="summed")).summed_db == pytest.approx(20)
-    assert "noise 20.0 dB summed, of the 2 of two without body; per" in str(snr(one, two.without(body)))
+    result = snr(two, first)
+    peaks = [peak_echo(ResponseBody(item), acq) for item in (first, two)]
+    assert result.reflector_db == pytest.approx(20)
+    assert result.summed_db == pytest.approx(20 + 20 * np.log10(peaks[1] / peaks[0]), abs=0.05)
+    assert result.summed_db > 21 and "2 like that of point, taken to have no body" in str(result)
+    assert snr(two, first, replace(acq, snr_reference="summed")).summed_db == pytest.approx(20)
+    assert "noise 20.0 dB summed, of the 2 of two without body; per" in str(snr(first, two.without(body)))
     assert "peak over noise 20.0 dB, of the whole object, body included" in str(snr(two, None))
     assert str(snr(two, body)).endswith("20.0 dB, of body; how many reflectors it has is not stated")
-    assert "own reflectors are not stated" in str(snr(body, one)) and "summed" not in str(snr(body, one))
+    assert "own reflectors are not stated" in str(snr(body, first)) and "summed" not in str(snr(body, first))
     far = replace(two, reflectors_m=np.array([[0.9, 0.0], [0.0, 0.05]]))
-    assert "of the object's 2 it is not known" in str(snr(far, one))
+    assert "of the object's 2 it is not known" in str(snr(far, first))
 
 
 def test_the_emulated_turntable_shows_what_the_capture_holds() -> None:

@@ -112,9 +112,9 @@ def test_a_scene_is_recorded_as_on_the_rig(folder: Path) -> None:
 
 
 def test_realistic_rigs_differ_by_their_seed_and_faults_change_nothing_else() -> None:
-    one, same = parse_rig("realistic?seed=3"), parse_rig("realistic?seed=3")
-    assert one.cable_delay_ps == same.cable_delay_ps != EmulatedRig.random(4).cable_delay_ps
+    first, same = parse_rig("realistic?seed=3"), parse_rig("realistic?seed=3")
+    assert first.cable_delay_ps == same.cable_delay_ps != EmulatedRig.random(4).cable_delay_ps
     loose = parse_rig("realistic?seed=3&fault=loose-antenna")
-    assert loose.gain_db == pytest.approx(one.gain_db - 10) and loose.cable_delay_ps == one.cable_delay_ps
+    assert loose.gain_db == pytest.approx(first.gain_db - 10) and loose.cable_delay_ps == first.cable_delay_ps
     assert all(parse_rig(f"realistic?fault={fault}").fault is fault for fault in Fault)
     assert math.isclose(float(np.abs(measured_pulses()[0].samples).max()), 1.0)

@@ -57,14 +57,14 @@ def test_frames_are_found_among_any_bytes(
         wire += noise[index] + frame + frame
     wire += bytes(32)
     decoder = StreamDecoder(WATCHED)
-    found = []
+    results = []
     for at in range(0, len(wire), cut):
-        found += decoder.feed(wire[at : at + cut])
-    places = [(frame[43], frame[44]) for frame in found]
+        results += decoder.feed(wire[at : at + cut])
+    positions = [(frame[43], frame[44]) for frame in results]
     position = -1
     for pair in values:
-        assert pair in places[position + 1 :] or pair in places[: position + 1]
-        position = places.index(pair)
+        assert pair in positions[position + 1 :] or pair in positions[: position + 1]
+        position = positions.index(pair)
     assert decoder.frames * 13 + decoder.dropped <= len(wire)
 
 
@@ -113,13 +113,13 @@ def test_the_emulated_robot_tells_distance_and_angle_since_they_were_last_asked_
     right, left = 200, 114
     core.handle(bytes([Op.DRIVE_DIRECT]) + struct.pack(">hh", right, left), 0.0)
     ask = bytes([Op.QUERY_LIST, 2, Packet.DISTANCE, Packet.ANGLE])
-    told = np.array([struct.unpack(">hh", core.handle(ask, 0.1 * k)) for k in range(1, 101)])
+    reported = np.array([struct.unpack(">hh", core.handle(ask, 0.1 * k)) for k in range(1, 101)])
     ways = np.array(core.body.ways_mm())
-    assert abs(told[:, 0].sum() - ways.mean()) < 1  # what rounding left of one answer comes with the next
+    assert abs(reported[:, 0].sum() - ways.mean()) < 1  # what rounding left of one answer comes with the next
     turned = np.degrees((ways[1] - ways[0]) / core.body.settings.wheel_base_mm)
-    assert abs(told[:, 1].sum() - turned) < 1.01
+    assert abs(reported[:, 1].sum() - turned) < 1.01
     assert turned == pytest.approx(np.degrees(core.body.heading_rad), rel=1e-6)
-    assert told[:, 1].sum() > 150  # counter-clockwise is positive
+    assert reported[:, 1].sum() > 150  # counter-clockwise is positive
     assert struct.unpack(">hh", core.handle(ask, 10.0)) == (0, 0)
     # One alone does not reset the other.
     core.handle(bytes([Op.SENSORS, Packet.DISTANCE]), 12.0)

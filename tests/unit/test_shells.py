@@ -37,9 +37,9 @@ def test_upright_polarisation_is_that_of_the_solution_layer_by_layer(
 
 def test_horizontal_polarisation_of_metal_is_the_exact_series() -> None:
     metal = Shell(0.030, 0.0, 1.0, True, "H")
-    found = reflection(K, [metal], 24)[0]
+    result = reflection(K, [metal], 24)[0]
     n = np.arange(25)
-    echo = found @ (np.where(n == 0, 1, 2) * (-1.0) ** n)
+    echo = result @ (np.where(n == 0, 1, 2) * (-1.0) ** n)
     assert np.abs(echo - cylinder_series(K * 0.030, "TE")).max() < 1e-9
 
 

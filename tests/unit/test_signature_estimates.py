@@ -53,14 +53,14 @@ def test_an_object_is_found_where_it_stands(mug: Joint) -> None:
     base = mug.placed[0].pose
     for centre, rotation in ((0.003 + 0.006j, 1.0), (-0.007 - 0.002j, 5.5)):
         spectra = named(MUG, 9, centre, rotation, views=36).spectra
-        found = match(spectra, mug.signature)
+        matched = match(spectra, mug.signature)
         turn = rotation - PLACES[0][1]
         # The frame's centre is a point fixed to the object.
         expected = centre + (base.centre - PLACES[0][0]) * np.exp(1j * turn)
-        off = np.angle(np.exp(1j * (found.pose.turn_rad - base.turn_rad - turn)))
+        off = np.angle(np.exp(1j * (matched.pose.turn_rad - base.turn_rad - turn)))
         assert abs(np.rad2deg(off)) < 0.5
-        assert abs(found.pose.centre - expected) < 4e-4
-        assert found.residual < 1.4 * spectra.noise_energy
+        assert abs(matched.pose.centre - expected) < 4e-4
+        assert matched.residual < 1.4 * spectra.noise_energy
         assert round_centre(spectra)[1] > 30 * spectra.noise_energy
 
 
@@ -69,29 +69,31 @@ def test_the_near_field_carries_a_signature_to_another_distance(
 ) -> None:
     spectra = named(MUG, 9, 0.002j, 1.0, views=36, distance=0.7).spectra
     turning = round_centre(spectra)[1]
-    found = match(spectra, mug.signature)
-    assert found.residual < 0.02 * turning
+    matched = match(spectra, mug.signature)
+    assert matched.residual < 0.02 * turning
     monkeypatch.setattr(posing, "turned", _turned_wrong)
-    assert match(spectra, mug.signature).residual > 3 * found.residual
+    assert match(spectra, mug.signature).residual > 3 * matched.residual
 
 
-def _turned_wrong(spectra: Spectra, one: Signature, turn: float) -> np.ndarray:
-    m = np.arange(-one.order, one.order + 1)
-    wrong = signature.near_field(spectra.wavenumbers, one.order, -spectra.distance_m)
-    return one.harmonics * wrong * np.exp(-1j * m * turn)
+def _turned_wrong(spectra: Spectra, single: Signature, turn: float) -> np.ndarray:
+    m = np.arange(-single.order, single.order + 1)
+    wrong = signature.near_field(spectra.wavenumbers, single.order, -spectra.distance_m)
+    return single.harmonics * wrong * np.exp(-1j * m * turn)
 
 
 def test_the_search_by_transforms_equals_direct_projection(mug: Joint) -> None:
     spectra = named(MUG, 9, 0.003 + 0.003j, 1.0, views=36).spectra
-    one = mug.signature
-    best = PoseSearch(spectra, one.order + 4).candidates(one, 1)[0]
+    single = mug.signature
+    best = PoseSearch(spectra, single.order + 4).candidates(single, 1)[0]
     thin = spectra.thinned(2)
-    weights = replace(one, wavenumbers=one.wavenumbers[::2], harmonics=one.turning[::2], noise=one.noise[::2])
+    weights = replace(
+        single, wavenumbers=single.wavenumbers[::2], harmonics=single.turning[::2], noise=single.noise[::2]
+    )
 
     def left(pose: Pose) -> float:
         at = signature.Standpoint(thin, pose.centre)
         echo = at.carrier * (
-            signature.turned(thin, weights, pose.turn_rad) @ angular(at.azimuth, one.order).T
+            signature.turned(thin, weights, pose.turn_rad) @ angular(at.azimuth, single.order).T
         )
         q = np.linalg.qr(np.stack([np.ones_like(echo), at.carrier, echo], axis=-1))[0]
         y = thin.data[..., None]
@@ -152,20 +154,20 @@ def test_an_uneven_turn_is_read_off_the_object(tagged: Signature) -> None:
     true = aspect_spectra(capture(MUG.plus(TAG), 5, centre=0.004 - 0.004j, rotation=1.0, views=36))
     stated = stated_wrongly(true, 0.008, 0.004, 0.4)
     rigid = match(stated, tagged)
-    found, even = steadied(stated, tagged, rigid.pose), steadied(true, tagged, rigid.pose)
-    for one in (found, even):
-        assert np.abs(np.angle(one.spectra.antenna / true.antenna)).max() < 2e-3
-    assert abs(found.pose.centre - even.pose.centre) < 1e-5
-    assert rigid.residual > 2.5 * found.residual
-    assert abs(found.residual - even.residual) < 0.1 * even.residual
+    result, even = steadied(stated, tagged, rigid.pose), steadied(true, tagged, rigid.pose)
+    for item in (result, even):
+        assert np.abs(np.angle(item.spectra.antenna / true.antenna)).max() < 2e-3
+    assert abs(result.pose.centre - even.pose.centre) < 1e-5
+    assert rigid.residual > 2.5 * result.residual
+    assert abs(result.residual - even.residual) < 0.1 * even.residual
     noisy = steadied(replace(stated, noise=1e6 * true.noise), tagged, rigid.pose)
     assert np.abs(np.angle(noisy.spectra.antenna / stated.antenna)).max() < 1e-4
 
 
 def test_captures_of_uneven_turns_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     captures = [
-        replace(one, spectra=stated_wrongly(one.spectra, 0.01, 0.004, 2.0 * i))
-        for i, one in enumerate(three(MUG.plus(TAG)))
+        replace(item, spectra=stated_wrongly(item.spectra, 0.01, 0.004, 2.0 * i))
+        for i, item in enumerate(three(MUG.plus(TAG)))
     ]
     agreed = estimate(captures, "mug-7", "object", 0.085)
     assert agreed.signature.model_error < 3e-4
@@ -184,9 +186,9 @@ def test_an_oval_is_enrolled_in_poses_in_which_its_round_part_agrees() -> None:
         scene = object_scene("oval", nowhere, body, size, rng=rng, room=room, variation=Variation(2.6))
         acquisition = Acquisition(views=72, snr_db=20.0, placement=Placement(pose.centre_m, pose.turn_rad))
         captures.append(Named(f"{seed}", aspect_spectra(simulate_capture(scene, acquisition, seed)[0])))
-    found = enroll_signature(captures, "oval", "body")
-    assert all(residual.is_noise for residual in found.residuals)
-    turns = [one.pose.turn_rad - found.placed[0].pose.turn_rad for one in found.placed]
+    result = enroll_signature(captures, "oval", "body")
+    assert all(residual.is_noise for residual in result.residuals)
+    turns = [item.pose.turn_rad - result.placed[0].pose.turn_rad for item in result.placed]
     # An oval looks the same after half a turn.
     off = np.angle(np.exp(2j * (np.array(turns) - [pose.turn_rad for pose in poses]))) / 2
     assert np.abs(np.rad2deg(off)).max() < 12
@@ -196,13 +198,13 @@ def test_gains_and_harmonics_are_improved_together(mug: Joint) -> None:
     """From gains far off, at the right poses, back to what the joint estimate leaves."""
     rng = np.random.default_rng(3)
     basis = Basis(mug.signature.wavenumbers, mug.signature.radius_m)
-    work = _Estimate([one.spectra for one in mug.placed], mug.signature, basis)
+    work = _Estimate([item.spectra for item in mug.placed], mug.signature, basis)
     work.placed = dict(enumerate(mug.placed))
     best = _residual_energy(work.placed.values(), basis)
     off = 0.3 * rng.standard_normal((3, 2, len(basis.mask)))
     off[work.order[0]] = 0
     work.placed = {
-        i: replace(one, gain=one.gain * (1 + off[i, 0] + 1j * off[i, 1])) for i, one in work.placed.items()
+        i: replace(item, gain=item.gain * (1 + off[i, 0] + 1j * off[i, 1])) for i, item in work.placed.items()
     }
     assert _residual_energy(work.placed.values(), basis) > 10 * best
     work.balance(8)
@@ -244,7 +246,7 @@ def test_likeness_and_what_a_tag_must_return(mug: Joint) -> None:
 
 
 @pytest.mark.parametrize(
-    ("left", "turning", "moving", "noise"),
+    ("remaining", "turning", "moving", "noise"),
     [
         (1.39, 0.0, 0.0, True),
         (1.41, 0.0, 0.0, False),
@@ -254,9 +256,9 @@ def test_likeness_and_what_a_tag_must_return(mug: Joint) -> None:
     ],
 )
 def test_a_capture_may_keep_a_little_of_what_turns_and_less_of_what_moves(
-    left: float, turning: float, moving: float, noise: bool
+    remaining: float, turning: float, moving: float, noise: bool
 ) -> None:
     """A cup 35 dB over the noise was refused for 0.04 % of its echo."""
-    residual = Residual("capture 1", left, 1.0, turning, moving)
+    residual = Residual("capture 1", remaining, 1.0, turning, moving)
     assert residual.is_noise == noise
     assert (residual.over <= 0) == noise

@@ -86,7 +86,7 @@ def test_a_registry_of_schema_1_is_migrated(tmp_path: Path, mug: Signature) -> N
     assert all(change.layout is not None for change in registry.history())
     assert registry.add_all([], "3 captures", signatures=[mug]) == 10
     assert registry.undo(6).version == 12
-    assert registry.signatures() == [] and "container-180" in [one.name for one in registry.layouts()]
+    assert registry.signatures() == [] and "container-180" in [layout.name for layout in registry.layouts()]
     with sqlite3.connect(path) as connection:
         assert connection.execute("PRAGMA user_version").fetchone()[0] == 2
     connection.close()
@@ -102,7 +102,7 @@ def test_bodies_and_objects_are_kept_undone_and_removed(
     assert registry.add_all([], "again", signatures=[mug]) == 7
     with pytest.raises(RegistryError, match="a body named mug is already enrolled"):
         registry.add_all([], "x", signatures=[mug], replace=False)
-    assert [(one.kind, one.name) for one in registry.contents().signatures] == [
+    assert [(signature.kind, signature.name) for signature in registry.contents().signatures] == [
         ("body", "mug"),
         ("object", "mug-7"),
     ]
@@ -111,12 +111,12 @@ def test_bodies_and_objects_are_kept_undone_and_removed(
     with pytest.raises(RegistryError, match="no body is named 'mug'"):
         registry.remove_signature("body", "mug")
     assert registry.undo().version == 9
-    assert [one.name for one in registry.signatures("body")] == ["mug"]
+    assert [signature.name for signature in registry.signatures("body")] == ["mug"]
     # An identity goes as a whole and comes back as a whole.
     assert registry.remove("mug-7") == 11
     assert registry.signatures("object") == []
     registry.undo()
-    assert [one.name for one in registry.signatures("object")] == ["mug-7"]
+    assert [signature.name for signature in registry.signatures("object")] == ["mug-7"]
     assert registry.get("mug-7").size == 2
     last = registry.history("mug")[-1]
     assert last.kind == "body" and isinstance(last.entry, Signature)
@@ -125,8 +125,8 @@ def test_bodies_and_objects_are_kept_undone_and_removed(
 def test_alike_objects_enrolled_at_once_are_seen(tmp_path: Path, tagged: Signature) -> None:
     registry = Registry(tmp_path / "r.db")
     before = registry.contents()
-    one, two = (replace(tagged, name=name) for name in ("one", "two"))
-    first, second = propose_signature(before, one), propose_signature(before, two)
+    single, two = (replace(tagged, name=name) for name in ("one", "two"))
+    first, second = propose_signature(before, single), propose_signature(before, two)
     assert first.conflict is None and second.conflict is None
     late = propose_layout(before, Layout("one", np.array([[0.08, 0], [0, 0.05]])), None, True)
     first.store(registry, "process 1")
@@ -135,7 +135,7 @@ def test_alike_objects_enrolled_at_once_are_seen(tmp_path: Path, tagged: Signatu
     with pytest.raises(RegistryError, match="an object named one is already enrolled"):
         late.store(registry, "process 3")
     with pytest.raises(RegistryError, match="an object named one is already enrolled"):
-        propose_signature(before, one).store(registry, "process 4")
+        propose_signature(before, single).store(registry, "process 4")
     assert second.store(registry, "process 2", force=True) == registry.version == 6
     with pytest.raises(RegistryError, match="a layout named helmet-120 is already enrolled"):
         propose_signature(before, replace(tagged, name="helmet-120")).store(registry, "process 5")
@@ -158,15 +158,15 @@ def test_a_damaged_signature_is_seen_and_can_be_removed(tmp_path: Path, mug: Sig
     registry.remove_signature("body", "mug")
     assert registry.history("mug")[-1].entry is None
     registry.undo(good)
-    assert [one.name for one in registry.signatures()] == ["mug"]
+    assert [signature.name for signature in registry.signatures()] == ["mug"]
 
 
 def test_files_carry_signatures(tmp_path: Path, mug: Signature, tagged: Signature) -> None:
     path = tmp_path / "all.toml"
     write_layouts(LAYOUTS, path, [mug, tagged])
     entries = read_entries(path)
-    assert [to_bytes(one) for one in entries.signatures] == [to_bytes(mug), to_bytes(tagged)]
-    assert [one.to_dict() for one in entries.layouts] == [one.to_dict() for one in LAYOUTS]
+    assert [to_bytes(signature) for signature in entries.signatures] == [to_bytes(mug), to_bytes(tagged)]
+    assert [layout.to_dict() for layout in entries.layouts] == [layout.to_dict() for layout in LAYOUTS]
     write_layouts([], path, [mug])
     assert read_entries(path).layouts == ()
     text = path.read_text("utf-8")

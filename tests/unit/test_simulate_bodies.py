@@ -150,9 +150,9 @@ def test_cans_and_shells_have_the_solved_cross_section() -> None:
 def test_a_can_stands_20_db_over_a_tag_on_it() -> None:
     scene = scene_on_body("container-90", parse_body("can:35mm"), ReflectorSpec(), 0)
     tag, can = (clean(Scene("part", (body,)), 36) for body in scene.object)
-    one = clean(Scene("one", (scene.tag.single(0),)), 36)  # type: ignore[union-attr]
-    assert np.abs(tag).max() >= np.abs(one).max() * 0.99
-    assert 20 * np.log10(np.abs(can).max() / np.abs(one).max()) == pytest.approx(20, abs=2)
+    single = clean(Scene("one", (scene.tag.single(0),)), 36)  # type: ignore[union-attr]
+    assert np.abs(tag).max() >= np.abs(single).max() * 0.99
+    assert 20 * np.log10(np.abs(can).max() / np.abs(single).max()) == pytest.approx(20, abs=2)
 
 
 @pytest.mark.parametrize("body", [RoundBody((Layer(0.035, METAL),), 0.1), Shell()])
@@ -175,14 +175,14 @@ def test_a_carton_echoes_as_a_solved_one() -> None:
     frequency = solved.frequency_hz
     carton = Carton(0.145, 0.110, 0.120, 0.005, 1.5)
     ring = solved.rings[0]
-    expected, found = [], []
+    expected, result = [], []
     for i in range(0, solved.aspects, 6):
         towards = ring.distance_m * np.exp(2j * np.pi * i / solved.aspects)
         echo = field(carton, (towards.real, towards.imag, ring.height_m), frequency)
         turn = np.exp(4j * np.pi * frequency / SPEED_OF_LIGHT * ring.distance_m)
-        found.append(echo * turn)
+        result.append(echo * turn)
         expected.append(solved.scattering_length_m[:, 0, i])
-    error = np.linalg.norm(np.subtract(found, expected)) / np.linalg.norm(expected)
+    error = np.linalg.norm(np.subtract(result, expected)) / np.linalg.norm(expected)
     # Nothing is fitted: 0.3 dB of level, and half a percent of pattern.
     assert error**2 < 0.02
 
@@ -193,9 +193,9 @@ def test_a_reflector_in_a_carton_is_seen_through_its_walls() -> None:
     turned = replace(carton, rotation_rad=0.5, centre_m=(0.0, 0.01))
     place = np.array([0.030, 0.020])
     along = np.exp(0.5j) * complex(*(place - carton.centre_m))
-    one, other = carton.around(place), turned.around(np.array([along.real, along.imag + 0.01]))
-    assert one == other
-    effect = np.abs(one.effect(BAND_HZ, AROUND))
+    first, other = carton.around(place), turned.around(np.array([along.real, along.imag + 0.01]))
+    assert first == other
+    effect = np.abs(first.effect(BAND_HZ, AROUND))
     assert 0.05 < np.abs(effect - 1).max() < 0.5
     with pytest.raises(DataError, match="in a wall"):
         carton.around(np.array([0.0, 0.0535]))
@@ -326,7 +326,7 @@ def test_a_tag_on_a_helmet_is_what_the_solved_one_is() -> None:
             np.random.default_rng(1),
         )[0]
         echo = np.array([field(made, (float(x), float(y), 0.0), frequency) for x, y, _ in antenna]).T
-        echo, seen = (one - one.mean(axis=1, keepdims=True) for one in (echo, truth))
+        echo, seen = (item - item.mean(axis=1, keepdims=True) for item in (echo, truth))
         along = np.abs((echo.conj() * seen).sum(axis=1)) ** 2 / (np.abs(echo) ** 2).sum(axis=1)
         return float(1 - along.sum() / (np.abs(seen) ** 2).sum())
 
@@ -375,8 +375,8 @@ def test_snr_is_measured_on_the_samples(reference: str, index: int) -> None:
     measured = [20 * np.log10(level / noise) for level in (single, both)]
     assert measured[index] == pytest.approx(12.0, abs=0.1)
     assert (truth.snr.reflector_db, truth.snr.summed_db) == pytest.approx(measured, abs=0.1)
-    told = capture.object.truth
-    assert (told.snr_reflector_db, told.snr_summed_db) == pytest.approx(measured, abs=0.1)
+    reported = capture.object.truth
+    assert (reported.snr_reflector_db, reported.snr_summed_db) == pytest.approx(measured, abs=0.1)
     with pytest.raises(UsageError):
         Acquisition(snr_reference="loudest")
 
@@ -388,9 +388,9 @@ def test_snr_is_measured_on_the_samples(reference: str, index: int) -> None:
 def test_without_a_tag_one_snr_is_told_and_what_it_is_against(text: str, against: str) -> None:
     capture, truth = simulate_capture(scene_of(text, tagged=False), Acquisition(views=12, snr_db=12.0))
     assert f"peak over noise 12.0 dB, of {against}" in str(truth.snr)
-    told = capture.object.truth
-    assert (told.snr_reflector_db, told.snr_summed_db) == (None, None)
-    assert told.snr_reference_db == pytest.approx(12.0)
+    reported = capture.object.truth
+    assert (reported.snr_reflector_db, reported.snr_summed_db) == (None, None)
+    assert reported.snr_reference_db == pytest.approx(12.0)
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.5, 1.0])
@@ -428,15 +428,15 @@ def test_random_pulses_differ_and_are_not_stated() -> None:
 def test_the_truth_is_in_the_capture() -> None:
     scene = scene_on_body("container-90", parse_body("can:35mm,handle"), ReflectorSpec(), 7)
     how = Acquisition(views=4, placement=Placement((0.003, -0.002), np.deg2rad(40)), wobble=Wobble(0.01))
-    told = simulate_capture(scene, how)[0].object
-    assert (told.layout, told.body, told.reflector) == (
+    reported = simulate_capture(scene, how)[0].object
+    assert (reported.layout, reported.body, reported.reflector) == (
         "container-90",
         "can:35mm,handle",
         "octahedron:20mm",
     )
-    assert told.truth.rotation_deg == pytest.approx(40)
-    assert told.truth.centre_m == (0.003, -0.002)
-    assert told.truth.wobble_speed == 0.01
+    assert reported.truth.rotation_deg == pytest.approx(40)
+    assert reported.truth.centre_m == (0.003, -0.002)
+    assert reported.truth.wobble_speed == 0.01
 
 
 def test_the_emulator_sees_a_body_off_the_axis_as_the_simulator_does() -> None:
@@ -464,8 +464,8 @@ def test_the_true_pose_of_an_emulated_scene_is_that_at_time_zero() -> None:
         return TurningScene(scene, rpm=7.0, seed=6, acquisition=Acquisition(placement=placed, noise_std=0.1))
 
     source, start_s = turning(30.0), 10.0
-    told = source.about().truth
-    assert told is not None and told.rotation_deg == pytest.approx(30)
+    reported = source.about().truth
+    assert reported is not None and reported.rotation_deg == pytest.approx(30)
     then = turning(30.0 + 6 * source.rpm * start_s).clean(0.0, config)
     np.testing.assert_allclose(source.clean(start_s, config), then, atol=1e-6 * np.abs(then).max())
     assert not np.allclose(source.clean(0.0, config), then, atol=1e-2 * np.abs(then).max())

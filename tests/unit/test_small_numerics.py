@@ -24,15 +24,15 @@ from tagid.tags.layouts.assignment import least_assignment
 )
 def test_bessel_functions_of_all_orders_are_those_of_scipy(z: np.ndarray) -> None:
     most = 24
-    found = bessel(most, z)
+    result = bessel(most, z)
     orders = np.arange(most + 1)
-    for own, theirs in (
-        (found.j, jv), (found.dj, jvp), (found.y, yv), (found.dy, yvp),
-        (found.h2, hankel2), (found.dh2, h2vp),
+    for base, theirs in (
+        (result.j, jv), (result.dj, jvp), (result.y, yv), (result.dy, yvp),
+        (result.h2, hankel2), (result.dh2, h2vp),
     ):  # fmt: skip
         expected = theirs(orders, z[:, None])
         representable = np.isfinite(expected) & (np.abs(expected) > 1e-250)
-        error = np.abs(own - expected)[representable] / np.abs(expected)[representable]
+        error = np.abs(base - expected)[representable] / np.abs(expected)[representable]
         assert error.max() < 1e-8, theirs.__name__
 
 
@@ -46,10 +46,10 @@ def test_the_assignment_of_least_cost(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(shape[1])
     for _ in range(40):
         cost = rng.choice([rng.random(shape), rng.integers(0, 3, shape).astype(float)])
-        found = least_assignment(cost)
-        assert len(set(found.tolist())) == shape[0]
+        result = least_assignment(cost)
+        assert len(set(result.tolist())) == shape[0]
         rows, columns = linear_sum_assignment(cost)
-        assert cost[np.arange(shape[0]), found].sum() == pytest.approx(cost[rows, columns].sum(), abs=1e-12)
+        assert cost[np.arange(shape[0]), result].sum() == pytest.approx(cost[rows, columns].sum(), abs=1e-12)
 
 
 @pytest.mark.parametrize(("held", "mode"), [(False, "constant"), (True, "nearest")])

@@ -30,8 +30,8 @@ TOLERANCE = 0.15
 
 def path(stop: float, pause: float = math.inf, turns: float = TURNS) -> np.ndarray:
     """(scans,) true turns of a table that stops after a part of a turn, and goes on after another."""
-    told = np.arange(round(VIEWS * turns)) / VIEWS
-    return np.where(told < stop, told, np.maximum(stop, told - pause))
+    reported = np.arange(round(VIEWS * turns)) / VIEWS
+    return np.where(reported < stop, reported, np.maximum(stop, reported - pause))
 
 
 def recording(
@@ -59,22 +59,22 @@ def recording(
 @pytest.mark.parametrize("snr_db", [20, 10])
 @pytest.mark.parametrize("stop", [0.25, 0.5, 0.75, 0.9])
 def test_a_stop_is_found_at_a_told_speed(stop: float, snr_db: float) -> None:
-    found = resolve_turn(recording("helmet-120", path(stop), snr_db, 5), "free?rpm=2")
-    still = found.motion.resolved.standstill
+    result = resolve_turn(recording("helmet-120", path(stop), snr_db, 5), "free?rpm=2")
+    still = result.motion.resolved.standstill
     assert still is not None and not still.goes_on
     assert still.turned_deg == pytest.approx(360 * stop, abs=9)
-    assert still.first_scan + still.scans == still.of_scans == found.views
-    error = np.abs(np.abs(found.angles_rad) / (2 * np.pi) - path(stop))
+    assert still.first_scan + still.scans == still.of_scans == result.views
+    error = np.abs(np.abs(result.angles_rad) / (2 * np.pi) - path(stop))
     assert error.max() < 0.025
 
 
 def test_at_five_decibels_a_stop_is_found_where_it_was_or_not_at_all() -> None:
-    found = {
+    results = {
         (seed, stop): resolve_turn(recording("points-3", path(stop), 5, seed), "free?rpm=2")
         for seed in (5, 6)
         for stop in (0.25, 0.5, 0.75)
     }
-    stills = {key: one.motion.resolved.standstill for key, one in found.items()}
+    stills = {key: item.motion.resolved.standstill for key, item in results.items()}
     assert sum(still is not None for still in stills.values()) >= 2
     for (_, stop), still in stills.items():
         assert still is None or (still.turned_deg == pytest.approx(360 * stop, abs=15) and not still.goes_on)
@@ -83,10 +83,10 @@ def test_at_five_decibels_a_stop_is_found_where_it_was_or_not_at_all() -> None:
 @pytest.mark.parametrize("stop", [0.25, 0.5, 0.75])
 def test_a_table_that_goes_on_keeps_its_true_angles(stop: float) -> None:
     true = path(stop, 0.3)
-    found = resolve_turn(recording("helmet-120", true, 15, 7), "free?rpm=2")
-    still = found.motion.resolved.standstill
+    result = resolve_turn(recording("helmet-120", true, 15, 7), "free?rpm=2")
+    still = result.motion.resolved.standstill
     assert still is not None and still.goes_on and still.seconds == pytest.approx(9.0, abs=0.7)
-    assert np.abs(np.abs(found.angles_rad) / (2 * np.pi) - true).max() < 0.025
+    assert np.abs(np.abs(result.angles_rad) / (2 * np.pi) - true).max() < 0.025
 
 
 @pytest.mark.parametrize("name", ["can", "box", "untagged", "container-180", "corner", "empty"])
@@ -169,11 +169,11 @@ def test_a_device_that_turns_without_the_object_is_found_out(pause: float) -> No
         host_time_ns=arrivals,
         motion=replace(capture.motion, url="roomba+serial:///dev/robot", track=track),
     )
-    found = resolve_turn(driven, "roomba+serial:///dev/robot")
-    standstill = found.motion.resolved.standstill
+    result = resolve_turn(driven, "roomba+serial:///dev/robot")
+    standstill = result.motion.resolved.standstill
     assert standstill is not None and standstill.goes_on == (pause < math.inf)
     assert standstill.turned_deg == pytest.approx(180, abs=9)
-    assert np.abs(found.angles_rad / (2 * np.pi) - true).max() < 0.03
+    assert np.abs(result.angles_rad / (2 * np.pi) - true).max() < 0.03
 
 
 @pytest.mark.parametrize(("direction", "pause"), [("ccw", math.inf), ("cw", 0.3)])

@@ -61,8 +61,8 @@ def enrolling(registry: Registry) -> Enrolling:
 
 
 def add(enrolling: Enrolling, *captures) -> EnrolmentState:
-    for one in captures:
-        enrolling.expect().add(Path("a.tagid.h5"), one, Identification("unknown", None, one.uuid, None))
+    for item in captures:
+        enrolling.expect().add(Path("a.tagid.h5"), item, Identification("unknown", None, item.uuid, None))
     return enrolling.state
 
 
@@ -85,7 +85,7 @@ def test_a_capture_of_another_object_is_named_and_replaced(
     enrolling.drop(2)
     assert enrolling.state.trouble is None
     state = add(enrolling, third)
-    assert [one.number for one in state.captures] == [1, 3, 4] and not state.measuring
+    assert [capture.number for capture in state.captures] == [1, 3, 4] and not state.measuring
     assert isinstance(state.proposal, LayoutProposal)
     assert (state.proposal.layout.kind, state.proposal.layout.label) == ("helmet", "The blue one")
     # Renaming keeps the captures; ending stores nothing.
@@ -104,7 +104,7 @@ def test_a_capture_belongs_to_the_enrolment_that_it_was_recorded_for(enrolling: 
     late = enrolling.expect()
     enrolling.describe(Subject("gate-5"))  # only a new name
     late.add(Path("a.tagid.h5"), captures[0], unread)
-    assert [one.number for one in enrolling.state.captures] == [1]
+    assert [capture.number for capture in enrolling.state.captures] == [1]
     late = enrolling.expect()
     enrolling.cancel()
     late.add(Path("b.tagid.h5"), captures[1], unread)
@@ -112,7 +112,7 @@ def test_a_capture_belongs_to_the_enrolment_that_it_was_recorded_for(enrolling: 
     enrolling.describe(Subject("gate-6"))
     late.add(Path("b.tagid.h5"), captures[1], unread)
     assert enrolling.state.captures == () and not enrolling.state.measuring
-    assert [one.number for one in add(enrolling, captures[1]).captures] == [1]
+    assert [capture.number for capture in add(enrolling, captures[1]).captures] == [1]
 
 
 def test_an_object_that_is_enrolled_already_is_refused(

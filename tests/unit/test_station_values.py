@@ -60,8 +60,8 @@ def test_a_scan_is_described_in_degrees_with_the_likeliest_layout_first(
     run._view._publish(phase=Phase.TURNING, turned_rad=2.5 * np.pi, evidence=evidence)
     described = wire.scan(run)
     assert (described["turned_deg"], described["turn_share"]) == (450.0, 1.0)
-    assert [one["layout"] for one in described["evidence"]] == ["b", "c", "a"]
-    assert [one["enough"] for one in described["evidence"]] == [True, False, False]
+    assert [item["layout"] for item in described["evidence"]] == ["b", "c", "a"]
+    assert [item["enough"] for item in described["evidence"]] == [True, False, False]
 
 
 def test_only_a_radar_that_the_recording_waits_for_is_silent(

@@ -56,7 +56,9 @@ def array_of(scans: list[dict[str, Any]]) -> np.ndarray:
 
 
 ALL = [scan(view) for view in range(VIEWS)]
-COLUMNS = {name: np.array([one[name] for one in ALL]) for name in ALL[0] if name != "scn"} | {"scn": SAMPLES}
+COLUMNS = {name: np.array([item[name] for item in ALL]) for name in ALL[0] if name != "scn"} | {
+    "scn": SAMPLES
+}
 VARIABLES: dict[str, dict[str, Any]] = {
     "structs": {"cfg": CONFIG, "req": [], "scn": array_of(ALL), "det": []},
     "columns": {"cfg": CONFIG, "scn": COLUMNS},

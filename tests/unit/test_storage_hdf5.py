@@ -21,9 +21,9 @@ from tagid.storage.migrations import FORMAT_VERSION, RawCapture, migrate
 
 @pytest.mark.parametrize("changes", [{}, FREE, PAIRS, BARE, COMPLEX, FLOAT, TINY, LONG, {"complete": True}])
 def test_round_trip(tmp_path: Path, changes: dict[str, Any]) -> None:
-    one = capture(**changes)
-    write_capture(tmp_path / "a.tagid.h5", one)
-    assert_equal(one, read_capture(tmp_path / "a.tagid.h5"))
+    shown = capture(**changes)
+    write_capture(tmp_path / "a.tagid.h5", shown)
+    assert_equal(shown, read_capture(tmp_path / "a.tagid.h5"))
     assert [p.name for p in tmp_path.iterdir()] == ["a.tagid.h5"]
 
 
@@ -170,8 +170,8 @@ def test_bad_files_are_refused(tmp_path: Path, name: str) -> None:
 
 
 def test_damage_never_gives_other_samples(tmp_path: Path) -> None:
-    one = capture()
-    write_capture(tmp_path / "a", one)
+    shown = capture()
+    write_capture(tmp_path / "a", shown)
     data = (tmp_path / "a").read_bytes()
     rng = np.random.default_rng(3)
     refused = 0
@@ -183,7 +183,7 @@ def test_damage_never_gives_other_samples(tmp_path: Path) -> None:
             bad = bad[: rng.integers(len(bad))]
         (tmp_path / "b").write_bytes(bad)
         try:
-            assert_equal(one, read_capture(tmp_path / "b"))
+            assert_equal(shown, read_capture(tmp_path / "b"))
         except TagidError:
             refused += 1
     assert refused > 200

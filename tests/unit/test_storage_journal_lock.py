@@ -37,9 +37,9 @@ def test_a_recording_is_left_out_until_its_capture_is_verified(
     def progress(state: object) -> None:
         if refused or not journal.exists():
             return
-        found = collect([str(tmp_path)])
-        assert [Path(one.location).name for one in found.sources] == ["other.tagid.journal"]
-        assert found.being_recorded == (str(journal),) and not found.passed_over
+        result = collect([str(tmp_path)])
+        assert [Path(source.location).name for source in result.sources] == ["other.tagid.journal"]
+        assert result.being_recorded == (str(journal),) and not result.passed_over
         ran = tagid("recover", journal)
         refused.append((ran.code, ran.err))
 

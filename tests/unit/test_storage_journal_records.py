@@ -56,7 +56,7 @@ def test_records_are_found_over_the_edges_of_the_window(
     monkeypatch.setattr(journal, "_BUFFER", buffer)
     noise = (b"REC\x1dREC" * 9)[:between]
     records = [(n, bytes([n]) * (5 * n)) for n in range(6)]
-    data = HEAD + b"".join(pack_record(*one) + noise for one in records)
+    data = HEAD + b"".join(pack_record(*record) + noise for record in records)
     assert found(data) == records
     assert found(HEAD + noise * 20 + data[len(HEAD) :]) == records
 

@@ -54,7 +54,7 @@ def syncs(monkeypatch: pytest.MonkeyPatch) -> Syncs:
 def append(journal: JournalWriter, count: int, at_once: bool = False) -> None:
     first = journal.scans
     scans = [JournalScan(first + i, 0, 0.0, 0, SAMPLES) for i in range(count)]
-    for batch in [scans] if at_once else [[one] for one in scans]:
+    for batch in [scans] if at_once else [[scan] for scan in scans]:
         journal.append_all(batch)
 
 

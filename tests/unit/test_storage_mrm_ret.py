@@ -86,8 +86,8 @@ def test_several_radars_in_one_recording(tmp_path: Path, samples) -> None:
     parts = []
     for node in (3, 4):
         radar = RadarInfo(node_id=node, config=RadarSettings(node_id=node))
-        one = Capture(samples + node, 1.5, RANGE_STEP_M, radar_time_ms=np.arange(6.0), radar=radar)
-        parts.append(encode_recording(one))
+        capture = Capture(samples + node, 1.5, RANGE_STEP_M, radar_time_ms=np.arange(6.0), radar=radar)
+        parts.append(encode_recording(capture))
     packets = [[data[i : i + 1452] for i in range(32, len(data), 1452)] for data in parts]
     mixed = b"".join(a + b for a, b in zip(*packets, strict=True))
     (tmp_path / "a.prd").write_bytes(parts[0][:32] + mixed)

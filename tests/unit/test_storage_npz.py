@@ -112,9 +112,9 @@ def test_many_turns_in_radians_and_long_ranges_of_a_narrow_band_are_no_wrong_uni
     assert read_any(npz(tmp_path / "a.npz", **turn(600, angles_rad=turns))).views == 600
     coarse = turn(range_step_m=9.15, bandwidth_hz=5e6, center_frequency_hz=1e8, axis_distance_m=1000.0)
     assert read_any(npz(tmp_path / "b.npz", **coarse)).range_step_m == 9.15
-    own = tmp_path / "own.npz"
-    export(capture(angles_rad=np.arange(capture().views) * 360.0 / capture().views), own)
-    assert read_any(own).angles_rad is not None
+    base = tmp_path / "own.npz"
+    export(capture(angles_rad=np.arange(capture().views) * 360.0 / capture().views), base)
+    assert read_any(base).angles_rad is not None
 
 
 @pytest.mark.parametrize(
@@ -150,15 +150,15 @@ def test_times_or_positions_instead_of_angles(tmp_path: Path) -> None:
 
 
 def test_small_is_not_bad(tmp_path: Path) -> None:
-    one = {"samples": np.ones((1, 1)), "angles_rad": np.zeros(1)}
-    assert read_any(npz(tmp_path / "a.npz", **one)).samples.shape == (1, 1)
+    single = {"samples": np.ones((1, 1)), "angles_rad": np.zeros(1)}
+    assert read_any(npz(tmp_path / "a.npz", **single)).samples.shape == (1, 1)
 
 
 @pytest.mark.parametrize("changes", [{}, FREE, PAIRS, COMPLEX, FLOAT, TINY])
 def test_export_is_taken_back_without_loss(tmp_path: Path, changes: dict[str, Any]) -> None:
-    one = capture(**changes)
-    export(one, tmp_path / "a.npz")
-    assert_equal(one, read_any(tmp_path / "a.npz"))
+    shown = capture(**changes)
+    export(shown, tmp_path / "a.npz")
+    assert_equal(shown, read_any(tmp_path / "a.npz"))
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
 
 
@@ -273,8 +273,8 @@ def test_zip_bomb(tmp_path: Path) -> None:
 
 
 def test_damage_gives_the_samples_or_an_error(tmp_path: Path) -> None:
-    one = capture()
-    export(one, tmp_path / "a.npz")
+    shown = capture()
+    export(shown, tmp_path / "a.npz")
     data = (tmp_path / "a.npz").read_bytes()
     rng = np.random.default_rng(3)
     for turn in range(300):
@@ -285,20 +285,20 @@ def test_damage_gives_the_samples_or_an_error(tmp_path: Path) -> None:
             bad = bad[: rng.integers(len(bad))]
         (tmp_path / "b").write_bytes(bad)
         try:
-            np.testing.assert_array_equal(read_any(tmp_path / "b").samples, one.samples)
+            np.testing.assert_array_equal(read_any(tmp_path / "b").samples, shown.samples)
         except FileFormatError:
             continue
 
 
 def test_matlab_file(tmp_path: Path) -> None:
-    one = capture()
-    export(one, tmp_path / "a.mat")
+    shown = capture()
+    export(shown, tmp_path / "a.mat")
     mat = loadmat(tmp_path / "a.mat")
-    np.testing.assert_array_equal(mat["samples"], one.samples)
-    np.testing.assert_array_equal(mat["host_time_ns"][:, 0], one.host_time_ns)
-    np.testing.assert_allclose(mat["range_m"][:, 0], one.ranges_m)
-    np.testing.assert_array_equal(mat["angles_rad"][:, 0], one.angles_rad)
-    assert mat["axis_distance_m"].item() == 1.25 and mat["uuid"].item() == one.uuid
+    np.testing.assert_array_equal(mat["samples"], shown.samples)
+    np.testing.assert_array_equal(mat["host_time_ns"][:, 0], shown.host_time_ns)
+    np.testing.assert_allclose(mat["range_m"][:, 0], shown.ranges_m)
+    np.testing.assert_array_equal(mat["angles_rad"][:, 0], shown.angles_rad)
+    assert mat["axis_distance_m"].item() == 1.25 and mat["uuid"].item() == shown.uuid
     assert mat["object"].item() == '{"label": "helmet 7"}' and mat["complete"].item() == 0
     export(capture(**{**COMPLEX, **PAIRS}), tmp_path / "b.mat")
     mat = loadmat(tmp_path / "b.mat")
@@ -314,10 +314,10 @@ def test_unknown_suffix_lists_those_known(tmp_path: Path) -> None:
 
 
 def test_content_decides_not_the_name(tmp_path: Path) -> None:
-    one = capture()
-    export(one, tmp_path / "a.h5")
+    shown = capture()
+    export(shown, tmp_path / "a.h5")
     (tmp_path / "a.h5").rename(tmp_path / "a.npz")
-    assert_equal(one, read_any(tmp_path / "a.npz"))
+    assert_equal(shown, read_any(tmp_path / "a.npz"))
     with JournalWriter(tmp_path / "b.csv", {"range_start_m": 0.0, "range_step_m": 0.01}) as journal:
         journal.append(0, 0, 0.0, np.arange(5, dtype=np.float32))
     assert read_any(tmp_path / "b.csv").samples.tolist() == [[0, 1, 2, 3, 4]]
@@ -349,14 +349,14 @@ def test_no_file_to_read(tmp_path: Path) -> None:
 
 
 def test_every_format_names_the_angles_alike_and_takes_the_old_name(tmp_path: Path) -> None:
-    one = capture()
+    shown = capture()
     for name in ("a.npz", "a.mat", "a.tagid.h5"):
-        export(one, tmp_path / name)
+        export(shown, tmp_path / name)
     with np.load(tmp_path / "a.npz") as arrays, h5py.File(tmp_path / "a.tagid.h5") as file:
         held = (dict(arrays), loadmat(tmp_path / "a.mat"), file["scans"])
         for arrays_of in held:
-            assert np.ravel(arrays_of["angles_rad"]) == pytest.approx(one.angles_rad)
-            assert arrays_of["samples"].shape == (one.views, one.bins)  # a view is a row
+            assert np.ravel(arrays_of["angles_rad"]) == pytest.approx(shown.angles_rad)
+            assert arrays_of["samples"].shape == (shown.views, shown.bins)  # a view is a row
         old = {("angle_rad" if key == "angles_rad" else key): value for key, value in held[0].items()}
         in_matlab = {("angle_rad" if key == "angles_rad" else key): value for key, value in held[1].items()}
     np.savez(tmp_path / "old.npz", **old)
@@ -365,4 +365,4 @@ def test_every_format_names_the_angles_alike_and_takes_the_old_name(tmp_path: Pa
     with h5py.File(tmp_path / "old.tagid.h5", "r+") as file:
         file.move("scans/angles_rad", "scans/angle_rad")
     for name in ("old.npz", "old.mat", "old.tagid.h5"):
-        np.testing.assert_array_equal(read_any(tmp_path / name).angles_rad, one.angles_rad)
+        np.testing.assert_array_equal(read_any(tmp_path / name).angles_rad, shown.angles_rad)

@@ -99,7 +99,7 @@ def test_an_exception_in_any_operation_leaves_what_was_there(
             with pytest.raises(expected):
                 write_parts(path, parts())
         assert path.read_bytes() == before, (position, operations[position])
-        assert [each.name for each in tmp_path.iterdir()] == ["a"]
+        assert [item.name for item in tmp_path.iterdir()] == ["a"]
 
 
 def test_signals_in_any_operation_leave_the_whole_file(
@@ -118,7 +118,7 @@ def test_signals_in_any_operation_leave_the_whole_file(
                 write_parts(path, parts())
         samples = np.concatenate([piece.samples for piece in parts()])
         np.testing.assert_array_equal(read_capture(path).samples, samples, err_msg=operations[position])
-        assert [each.name for each in tmp_path.iterdir()] == ["a"]
+        assert [item.name for item in tmp_path.iterdir()] == ["a"]
         path.unlink()
 
 
@@ -206,8 +206,8 @@ def test_a_file_that_reads_back_differently_is_not_accepted(
 def test_any_flipped_bit_is_noticed_or_changes_nothing(
     unsynced: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = capture()
-    write_capture(tmp_path / "whole", one)
+    shown = capture()
+    write_capture(tmp_path / "whole", shown)
     size = (tmp_path / "whole").stat().st_size
     rng = np.random.default_rng(1)
     refused = 0
@@ -215,11 +215,11 @@ def test_any_flipped_bit_is_noticed_or_changes_nothing(
         with monkeypatch.context() as patch:
             damaged_after_sync(patch, lambda path, at=int(where): flipped(path, at))
             try:
-                write_capture(tmp_path / "a", one)
+                write_capture(tmp_path / "a", shown)
             except StorageError:
                 refused += 1
                 continue
-        assert_equal(one, read_capture(tmp_path / "a"))
+        assert_equal(shown, read_capture(tmp_path / "a"))
     assert refused > 40
 
 
@@ -277,13 +277,13 @@ def test_the_next_writer_clears_what_killed_ones_left_and_nothing_else(tmp_path:
         with writer(tmp_path / "a", "die") as dead:
             dead.communicate()
         assert dead.returncode == -signal.SIGKILL
-    (left,) = [path.name for path in tmp_path.iterdir() if path.name not in foreign]
-    assert left.endswith(".tmp")
+    (remaining,) = [path.name for path in tmp_path.iterdir() if path.name not in foreign]
+    assert remaining.endswith(".tmp")
     with writer(tmp_path / "b", "wait") as alive:
         assert alive.stdout is not None and alive.stdout.readline() == "writing\n"
         files.write_bytes(tmp_path / "c", b"whole")
         names = {path.name for path in tmp_path.iterdir()}
-        assert left not in names
+        assert remaining not in names
         assert len(names - {*foreign, "c"}) == 1, "the file of the living writer"
         alive.communicate("go on\n")
     assert (tmp_path / "b").read_bytes() == b"half and half"

@@ -58,13 +58,13 @@ def test_settings_and_facts_of_the_first_version_do_not_replace_those_in_their_p
         "radar": {"config": {"base_integration_index": 11}, "base_integration_index": 7},
         "motion": {"nominal_rpm": 2.0, "rpm": 3.0, "resolved": {"period_s": 30.0}, "period_s": 20.0},
     }
-    found = read_metadata(old, "a file", 1)
-    assert found["radar"].config.base_integration_index == 11
-    assert (found["motion"].nominal_rpm, found["motion"].resolved.period_s) == (2.0, 30.0)
+    result = read_metadata(old, "a file", 1)
+    assert result["radar"].config.base_integration_index == 11
+    assert (result["motion"].nominal_rpm, result["motion"].resolved.period_s) == (2.0, 30.0)
     loose = {"radar": {"base_integration_index": 7}, "motion": {"rpm": 3.0, "period_s": 20.0}}
-    found = read_metadata(loose, "a file", 1)
-    assert found["radar"].config.base_integration_index == 7
-    assert (found["motion"].nominal_rpm, found["motion"].resolved.period_s) == (3.0, 20.0)
+    result = read_metadata(loose, "a file", 1)
+    assert result["radar"].config.base_integration_index == 7
+    assert (result["motion"].nominal_rpm, result["motion"].resolved.period_s) == (3.0, 20.0)
 
 
 @pytest.mark.parametrize("names", [(OLD_ANGLES, ANGLES), (ANGLES, OLD_ANGLES)])
@@ -91,8 +91,8 @@ def test_the_parts_of_a_long_recording_hold_every_scan_once(
     np.testing.assert_array_equal(np.concatenate([capture.samples for capture in captures]), samples)
     assert len({capture.uuid for capture in captures}) == len(parts), "each is a recording of its own"
     assert all(capture.complete and capture.radar.scans_lost == 5 for capture in captures)
-    places = [capture.radar.recording for capture in captures]
+    positions = [capture.radar.recording for capture in captures]
     if len(parts) > 1:
-        assert [(each.uuid, each.part, each.parts) for each in places] == [
+        assert [(place.uuid, place.part, place.parts) for place in positions] == [
             (captures[0].uuid, number + 1, len(parts)) for number in range(len(parts))
         ]

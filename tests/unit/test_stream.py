@@ -99,7 +99,7 @@ def test_view_and_early_ending_of_a_recording_read_the_same_stream(tmp_path: Pat
     alive: list[ScanStream] = []
 
     def all_streams() -> list[ScanStream]:
-        return [found for found in gc.get_objects() if type(found) is ScanStream]
+        return [get_object for get_object in gc.get_objects() if type(get_object) is ScanStream]
 
     # What earlier tests of this process left is held, so that it cannot go meanwhile.
     earlier = all_streams()
@@ -120,7 +120,7 @@ def test_view_and_early_ending_of_a_recording_read_the_same_stream(tmp_path: Pat
         views = recorded(tmp_path / "x.tagid.h5", watch)
         wait_for(lambda: view.state.scans == ending.considered == views)
         (stream,) = streams
-        assert [found for found in alive if found not in earlier] == streams, "there is no second one"
+        assert [result for result in alive if result not in earlier] == streams, "there is no second one"
         assert len(stream) == views and stream.ended and not view.silent_s
 
 

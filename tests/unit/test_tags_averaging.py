@@ -36,16 +36,16 @@ def sighting(
 
 def test_the_covariance_told_is_that_of_the_errors_made() -> None:
     points = Layout("x", SCALENE).placed(0.3, np.array([0.004, -0.003]))
-    noise, off, told = 0.5, [], []
+    noise, off, reported = 0.5, [], []
     for seed in range(60):
         field = MatchedField(synthetic_scans(points, noise=noise, seed=seed, views=24), 0.16)
-        found, _ = refine_positions(field, points)
-        off.append(found - points)
-        told.append(position_covariances(field, found))
+        refined_spots, _ = refine_positions(field, points)
+        off.append(refined_spots - points)
+        reported.append(position_covariances(field, refined_spots))
     made = np.einsum("nki,nkj->kij", off, off) / len(off)
-    for own, stated in zip(made, np.mean(told, axis=0), strict=True):
+    for base, stated in zip(made, np.mean(reported, axis=0), strict=True):
         # 60 draws: a variance is known to 18 %.
-        assert np.sqrt(np.diag(own) / np.diag(stated)) == pytest.approx(1.0, abs=0.35)
+        assert np.sqrt(np.diag(base) / np.diag(stated)) == pytest.approx(1.0, abs=0.35)
 
 
 def test_errors_of_the_mean_are_as_large_as_its_covariance_says() -> None:
@@ -56,10 +56,12 @@ def test_errors_of_the_mean_are_as_large_as_its_covariance_says() -> None:
         estimate = average(captures, "mean")
         layout = estimate.layout
         pair = best_pairing(layout.positions, SCALENE)
-        left = layout.positions @ rotation_matrix(pair.rotation_rad).T + pair.shift_m - SCALENE[pair.partner]
+        remaining = (
+            layout.positions @ rotation_matrix(pair.rotation_rad).T + pair.shift_m - SCALENE[pair.partner]
+        )
         turn = rotation_matrix(pair.rotation_rad)
         weight = np.linalg.inv(turn @ layout.covariance @ turn.T)
-        square.append(np.einsum("ki,kij,kj->", left, weight, left))
+        square.append(np.einsum("ki,kij,kj->", remaining, weight, remaining))
         alike = average([replace(c, covariances=captures[0].covariances) for c in captures], "mean")
         unweighted.append(rotational_distance(alike.layout, Layout("t", SCALENE)).rms_m)
         unweighted[-1] -= rotational_distance(layout, Layout("t", SCALENE)).rms_m
@@ -70,8 +72,8 @@ def test_errors_of_the_mean_are_as_large_as_its_covariance_says() -> None:
 
 def test_scatter_beyond_the_noise_told_is_found() -> None:
     rng = np.random.default_rng(1)
-    found = [average([sighting(rng, 1e-3, told_m=1e-4) for _ in range(6)], "x").scatter_m for _ in range(8)]
-    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(1e-3, rel=0.2)
+    results = [average([sighting(rng, 1e-3, told_m=1e-4) for _ in range(6)], "x").scatter_m for _ in range(8)]
+    assert np.sqrt(np.mean(np.square(results))) == pytest.approx(1e-3, rel=0.2)
     exact = [average([sighting(rng, 1e-3) for _ in range(6)], "x").scatter_m for _ in range(8)]
     assert np.median(exact) < 4e-4
 

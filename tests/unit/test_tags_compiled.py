@@ -27,16 +27,16 @@ PLACES = LAYOUTS["helmet-120"].placed(0.3, np.array([0.004, -0.003]))
 
 def two_heights(scans: BasebandScans) -> BasebandScans:
     """The same samples, half of them seen from 0.1 m above."""
-    places = scans.aperture.positions.copy()
-    places[::2, 2] = 0.1
-    return replace(scans, aperture=Aperture(places))
+    positions = scans.aperture.positions.copy()
+    positions[::2, 2] = 0.1
+    return replace(scans, aperture=Aperture(positions))
 
 
 def two_antennas(scans: BasebandScans) -> BasebandScans:
     """The same samples, transmitter and receiver 0.1 m apart."""
-    places = scans.aperture.positions
+    positions = scans.aperture.positions
     return replace(
-        scans, aperture=Aperture(places, half_baseline=np.tile([0.0, 0.0, 0.05], (len(places), 1)))
+        scans, aperture=Aperture(positions, half_baseline=np.tile([0.0, 0.0, 0.05], (len(positions), 1)))
     )
 
 
@@ -57,9 +57,9 @@ def fields(kind: str, monkeypatch: pytest.MonkeyPatch) -> tuple[MatchedField, Ma
     return fast, plain
 
 
-def assert_alike(found: np.ndarray, wanted: np.ndarray, share: float) -> None:
-    assert found.shape == wanted.shape
-    assert np.abs(found - wanted).max() <= share * np.abs(wanted).max()
+def assert_alike(result: np.ndarray, wanted: np.ndarray, share: float) -> None:
+    assert result.shape == wanted.shape
+    assert np.abs(result - wanted).max() <= share * np.abs(wanted).max()
 
 
 def explained(field: MatchedField, points: np.ndarray) -> float:
@@ -73,11 +73,11 @@ def explained(field: MatchedField, points: np.ndarray) -> float:
 def test_free_points_come_to_the_same_places(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     fast, plain = fields(kind, monkeypatch)
     start = LAYOUTS["helmet-120"].placed(0.33, np.array([0.006, -0.001]))
-    one, other = (refine_positions(f, start) for f in (fast, plain))
-    np.testing.assert_allclose(one[0], other[0], atol=2e-5)
-    assert_alike(one[1], other[1], 2e-3)
+    first, other = (refine_positions(f, start) for f in (fast, plain))
+    np.testing.assert_allclose(first[0], other[0], atol=2e-5)
+    assert_alike(first[1], other[1], 2e-3)
     # They have moved, and explain more than where they began.
-    assert explained(plain, one[0]) > 1.05 * explained(plain, start)
+    assert explained(plain, first[0]) > 1.05 * explained(plain, start)
 
 
 @pytest.mark.parametrize("kind", sorted(SCENES))
@@ -86,21 +86,21 @@ def test_the_disc_holds_what_points_leave(kind: str) -> None:
     field = MatchedField(scans_of(kind), 0.08)
     disc = SearchDisc(field, 0.06)
     amplitudes = np.array([0.3 + 0.2j, -0.5j])
-    places = np.array([[0.04, -0.03], [-0.05, 0.02]])
+    positions = np.array([[0.04, -0.03], [-0.05, 0.02]])
     for count in (0, 2):
-        data = field.data - amplitudes[:count] @ field.templates(places[:count])
+        data = field.data - amplitudes[:count] @ field.templates(positions[:count])
         wanted = np.abs(field.templates(disc.points).conj() @ data) ** 2
-        assert_alike(disc.residual(places[:count], amplitudes[:count]), wanted, 1e-4)
+        assert_alike(disc.residual(positions[:count], amplitudes[:count]), wanted, 1e-4)
 
 
 @pytest.mark.parametrize("kind", ["turntable", "two antennas"])
 def test_reflectors_are_found_without_a_compiler(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scans = scans_of(kind, views=36)
-    found = find_reflectors(scans)
+    result = find_reflectors(scans)
     monkeypatch.setattr(compiled, "_matched", None)
     other = find_reflectors(scans)
-    assert len(found) == len(other) == 3
-    for a, b in zip(found, other, strict=True):
+    assert len(result) == len(other) == 3
+    for a, b in zip(result, other, strict=True):
         assert (a.x_m, a.y_m) == pytest.approx((b.x_m, b.y_m), abs=2e-5)
         assert (a.amplitude_db, a.snr_db) == pytest.approx((b.amplitude_db, b.snr_db), abs=0.05)
         assert min(np.hypot(*(PLACES - (a.x_m, a.y_m)).T)) < 3e-3
@@ -112,7 +112,7 @@ NINE_OFFSETS = tuple(i * 4e-3 for i in range(-4, 5))
 
 @pytest.mark.parametrize("kind", ["turntable", "two antennas"])
 @pytest.mark.parametrize(
-    "layout", [LAYOUTS["container-90"], LAYOUTS["helmet-120"], FOUR], ids=lambda one: one.name
+    "layout", [LAYOUTS["container-90"], LAYOUTS["helmet-120"], FOUR], ids=lambda item: item.name
 )
 @pytest.mark.parametrize("offsets", [SearchSettings.offsets_m, NINE_OFFSETS], ids=len)
 def test_the_coarse_search_explains_the_same(
@@ -123,13 +123,13 @@ def test_the_coarse_search_explains_the_same(
     for aspect in settings.aspects:
         image = CoarseImage.of(field, 0.13, aspect, settings.offsets_m)
         gram = field.full_gram(grid.placed, aspect.weight(field.antenna, grid.placed, grid.facing))
-        found = grid.energies(image, gram, field.template_energy, settings.balance).best
+        result = grid.energies(image, gram, field.template_energy, settings.balance).best
         with monkeypatch.context() as patch:
             patch.setattr(compiled, "_coarse", None)
             again = replace(image)
             wanted = grid.energies(again, gram, field.template_energy, settings.balance).best
         assert image.tables is not None and again.tables is None
-        assert_alike(found, wanted, 1e-4)
+        assert_alike(result, wanted, 1e-4)
 
 
 def test_the_image_holds_b_and_what_is_constant() -> None:
@@ -140,8 +140,8 @@ def test_the_image_holds_b_and_what_is_constant() -> None:
     wanted = field.correlate(field.templates(some))
     assert_alike(image.values.images[0, ::97], wanted, 1e-4)
     assert_alike(image.read(some)[0], wanted, 1e-3)
-    whole, left = field.full_gram(some, None), field.gram(field.templates(some))
-    assert_alike(whole - image.static_overlap(some), left, 1e-4)
+    whole, remaining = field.full_gram(some, None), field.gram(field.templates(some))
+    assert_alike(whole - image.static_overlap(some), remaining, 1e-4)
 
 
 def test_what_does_not_fit_is_refused() -> None:

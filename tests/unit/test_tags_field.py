@@ -24,9 +24,9 @@ def test_the_fit_of_known_points_gives_their_amplitudes() -> None:
     sigma = np.array([1.0, 0.5j])
     field = MatchedField(synthetic_scans(points, amplitudes=sigma), 0.15)
     d = field.templates(points)
-    found = np.linalg.solve(field.gram(d), field.correlate(d))
-    assert np.allclose(found, sigma, atol=0.01)
-    explained = np.vdot(field.correlate(d), found).real
+    result = np.linalg.solve(field.gram(d), field.correlate(d))
+    assert np.allclose(result, sigma, atol=0.01)
+    explained = np.vdot(field.correlate(d), result).real
     assert explained == pytest.approx(field.energy, rel=0.01)
 
 
@@ -78,13 +78,13 @@ def test_the_finder_reports_reflectors_and_no_sidelobes() -> None:
     rng = np.random.default_rng(0)
     for name, layout in LAYOUTS.items():
         points = layout.placed(rng.uniform(0, 6), np.array([0.008, 0.004]))
-        found = find_reflectors(synthetic_scans(points, noise=0.2, seed=1))
-        assert len(found) == layout.size, name
-        places = np.array([(r.x_m, r.y_m) for r in found])
-        gap = np.linalg.norm(places[:, None] - points[None], axis=2)
+        result = find_reflectors(synthetic_scans(points, noise=0.2, seed=1))
+        assert len(result) == layout.size, name
+        positions = np.array([(r.x_m, r.y_m) for r in result])
+        gap = np.linalg.norm(positions[:, None] - points[None], axis=2)
         assert gap.min(axis=1).max() < 2e-3
         assert np.unique(gap.argmin(axis=1)).size == layout.size
-        assert all(abs(abs(r.amplitude) - 1) < 0.15 for r in found)
+        assert all(abs(abs(r.amplitude) - 1) < 0.15 for r in result)
     assert find_reflectors(synthetic_scans(np.zeros((0, 2)), noise=1.0)) == ()
 
 
@@ -98,7 +98,7 @@ def test_chance_is_the_tail_of_the_energy_of_noise() -> None:
 
 
 def test_the_nats_that_noise_reaches_by_chance() -> None:
-    for size, places, wanted in ((3, 36600.0, 1e-3), (5, 1e6, 1e-2)):
-        needed = nats_needed(size, places, wanted)
-        assert chance(needed, size, places) == pytest.approx(wanted, rel=1e-6)
-        assert chance(needed - 1e-6, size, places) > wanted
+    for size, positions, wanted in ((3, 36600.0, 1e-3), (5, 1e6, 1e-2)):
+        needed = nats_needed(size, positions, wanted)
+        assert chance(needed, size, positions) == pytest.approx(wanted, rel=1e-6)
+        assert chance(needed - 1e-6, size, positions) > wanted

@@ -43,7 +43,7 @@ def test_a_higher_point_is_nearer_to_a_higher_antenna() -> None:
 def test_layouts_that_differ_in_height_alone_are_told_apart(layout: Layout, raised: float) -> None:
     reading = identify(prepare(scan(layout, (0.0, 0.2), raised, views=24)), ALL).reading
     assert reading is not None and (reading.status, reading.layout) == ("identified", layout.name)
-    measured = [each.z_m for each in reading.reflectors]
+    measured = [reflector.z_m for reflector in reading.reflectors]
     assert measured == pytest.approx(np.asarray(layout.heights) + raised, abs=0.01)
 
 
@@ -107,9 +107,9 @@ def test_recordings_of_several_heights_tell_rows_apart() -> None:
 
 
 def test_rows_carry_more_layouts_where_several_heights_are_recorded() -> None:
-    one = DesignRules(3, 8)
-    several = replace(one, antenna_heights_m=(0.0, 0.3, 0.6))
-    flat, tall = design(OBJECT, one, 4), design(OBJECT, several, 4)
+    rules = DesignRules(3, 8)
+    several = replace(rules, antenna_heights_m=(0.0, 0.3, 0.6))
+    flat, tall = design(OBJECT, rules, 4), design(OBJECT, several, 4)
     assert tall.candidates > 2 * flat.candidates
     weight = several.height_weight
     apart = [rotational_distance(a, b, height_weight=weight).rms_m for a, b in combinations(tall.layouts, 2)]

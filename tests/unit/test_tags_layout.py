@@ -137,8 +137,8 @@ def test_a_part_of_a_layout_is_flagged_as_nested() -> None:
 def test_confusable_names_only_the_near_ones() -> None:
     moved = SCALENE.copy()
     moved[0, 0] += 0.006
-    found = confusable(Layout("new", moved), [Layout("near", SCALENE), *builtin_layouts().values()])
-    assert list(found) == ["near"]
+    result = confusable(Layout("new", moved), [Layout("near", SCALENE), *builtin_layouts().values()])
+    assert list(result) == ["near"]
 
 
 def test_the_built_in_layouts_are_not_confusable() -> None:

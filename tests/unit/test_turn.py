@@ -40,18 +40,18 @@ def recording(name: str, turns: float, seed: int, axis_error: float = 0.0):
 )
 @pytest.mark.parametrize("axis_error", [0.0, 0.015])
 def test_the_turn_is_found_without_a_speed(name: str, repetitions: int, axis_error: float) -> None:
-    found = resolve_turn(recording(name, 1.3, 5, axis_error))
-    resolved = found.motion.resolved
+    result = resolve_turn(recording(name, 1.3, 5, axis_error))
+    resolved = result.motion.resolved
     assert resolved.repetitions_a_turn == repetitions
     assert resolved.period_s == pytest.approx(30.0, rel=0.01)
-    assert found.angles_rad is not None
-    assert np.ptp(found.angles_rad) == pytest.approx(1.3 * 2 * np.pi, rel=0.02)
+    assert result.angles_rad is not None
+    assert np.ptp(result.angles_rad) == pytest.approx(1.3 * 2 * np.pi, rel=0.02)
 
 
 def test_a_speed_that_is_given_is_not_doubted() -> None:
-    found = resolve_turn(recording("helmet-120", 1.3, 5), "free?rpm=2")
-    assert found.motion.resolved.repetitions_a_turn is None
-    assert found.motion.resolved.period_s == pytest.approx(30.0, rel=0.01)
+    result = resolve_turn(recording("helmet-120", 1.3, 5), "free?rpm=2")
+    assert result.motion.resolved.repetitions_a_turn is None
+    assert result.motion.resolved.period_s == pytest.approx(30.0, rel=0.01)
 
 
 def test_angles_that_are_there_stay() -> None:
@@ -63,46 +63,46 @@ def test_angles_that_are_there_stay() -> None:
     ("name", "axis_error"), [("container-90", 0.1), ("helmet-120", -0.1), ("helmet-linear", 0.1)]
 )
 def test_a_wrong_axis_distance_does_not_contradict_the_right_speed(name: str, axis_error: float) -> None:
-    found = resolve_turn(recording(name, 1.34, 5, axis_error), "free?rpm=2")
-    assert found.motion.resolved.measured_rpm is None
+    result = resolve_turn(recording(name, 1.34, 5, axis_error), "free?rpm=2")
+    assert result.motion.resolved.measured_rpm is None
 
 
 @pytest.mark.parametrize("axis_error", [0.0, 0.015])
 def test_a_wrong_speed_is_contradicted(axis_error: float) -> None:
-    found = resolve_turn(recording("container-90", 1.34, 5, axis_error), "free?rpm=3")
-    assert found.motion.resolved.measured_rpm == pytest.approx(2.0, rel=0.01)
+    result = resolve_turn(recording("container-90", 1.34, 5, axis_error), "free?rpm=3")
+    assert result.motion.resolved.measured_rpm == pytest.approx(2.0, rel=0.01)
 
 
 def _mug(turns: float, layout: str, seed: int):
     target = object_named("mug").with_rows(1)
-    layouts = {one.name: one for one in design(target, DesignRules(3, 12, 0.04), 4, "mug").layouts}
+    layouts = {layout.name: layout for layout in design(target, DesignRules(3, 12, 0.04), 4, "mug").layouts}
     scene = scene_on_body(layout, BodySpec(), ReflectorSpec("octahedron", 0.04), seed, layouts=layouts)
     capture, _ = simulate_capture(scene, Acquisition(views=200, turns=turns, snr_db=15), seed)
     return replace(capture, angles_rad=None, angle_sigma_rad=None)
 
 
 @pytest.mark.parametrize(
-    ("turns", "told", "said"), [(0.65, 4.0, True), (0.13, 20.0, True), (0.6, 4.0, False)]
+    ("turns", "stated", "said"), [(0.65, 4.0, True), (0.13, 20.0, True), (0.6, 4.0, False)]
 )
 def test_scans_that_do_not_repeat_as_stated_contradict_the_speed(
-    turns: float, told: float, said: bool
+    turns: float, stated: float, said: bool
 ) -> None:
     # Of 1.2 stated turns, a table 15 % slower than stated shows no repetition either.
-    found = resolve_turn(_mug(turns, "mug-01", 5), f"free?rpm={told}")
-    causes = [cause for cause in _of_the_turn(found) if cause.code == "speed"]
+    result = resolve_turn(_mug(turns, "mug-01", 5), f"free?rpm={stated}")
+    causes = [cause for cause in _of_the_turn(result) if cause.code == "speed"]
     assert [cause.settings for cause in causes] == [{}] * said
     if said:
-        assert causes[0].text == f"the scans do not repeat after the stated {60 / told:.1f} s"
+        assert causes[0].text == f"the scans do not repeat after the stated {60 / stated:.1f} s"
         assert "`motion.url=free`" in causes[0].remedy
 
 
 @pytest.mark.parametrize("snr_db", [-5.0, 20.0])
-@pytest.mark.parametrize("told", [1.8, 2.0, 2.2])
-def test_the_speed_of_a_table_that_turns_unevenly_is_not_contradicted(told: float, snr_db: float) -> None:
+@pytest.mark.parametrize("stated", [1.8, 2.0, 2.2])
+def test_the_speed_of_a_table_that_turns_unevenly_is_not_contradicted(stated: float, snr_db: float) -> None:
     acquisition = Acquisition(views=200, turns=1.45, snr_db=snr_db, wobble=Wobble(0.03))
     capture, _ = simulate_capture(scene_from_name("container-90", 5), acquisition, 5)
-    found = resolve_turn(replace(capture, angles_rad=None, angle_sigma_rad=None), f"free?rpm={told}")
-    assert speed_contradiction(found.motion.resolved) == ""
+    result = resolve_turn(replace(capture, angles_rad=None, angle_sigma_rad=None), f"free?rpm={stated}")
+    assert speed_contradiction(result.motion.resolved) == ""
 
 
 def test_a_recording_that_holds_a_turn_is_read_again_with_its_own_speed() -> None:
@@ -123,26 +123,26 @@ def test_a_part_of_a_tag_that_repeats_is_not_a_turn() -> None:
 
 
 @pytest.mark.parametrize(
-    ("layout", "body", "seed", "told"),
+    ("layout", "body", "seed", "stated"),
     [("mug-04", "none", 725875, 3.3), ("container-180", "can:35mm", 516068, 4.0)],
 )
 def test_a_wrong_speed_of_a_symmetric_tag_is_contradicted_by_every_speed_that_fits(
-    layout: str, body: str, seed: int, told: float
+    layout: str, body: str, seed: int, stated: float
 ) -> None:
     # On a smaller ring, a faster turn explains it with fewer points: that alone would be a false number.
     target = object_named("mug").with_rows(1)
-    mugs = {one.name: one for one in design(target, DesignRules(3, 12, 0.04), 4, "mug").layouts}
+    mugs = {layout.name: layout for layout in design(target, DesignRules(3, 12, 0.04), 4, "mug").layouts}
     scene = scene_on_body(
         layout, parse_body(body), ReflectorSpec("octahedron", 0.04), seed, layouts=builtin_layouts() | mugs
     )
     acquisition = Acquisition(views=200, turns=1.35, snr_db=10, period_s=6.0)
     capture, _ = simulate_capture(scene, acquisition, seed)
     bare = replace(capture, angles_rad=None, angle_sigma_rad=None)
-    resolved = resolve_turn(bare, f"free?rpm={told}").motion.resolved
+    resolved = resolve_turn(bare, f"free?rpm={stated}").motion.resolved
     assert resolved.measured_rpm is None and len(resolved.likely_rpms) > 1
     assert any(rpm == pytest.approx(10, rel=0.01) for rpm in resolved.shown_rpms)
     said = speed_contradiction(resolved)
-    assert f"stated speed of {told:g} rpm" in said and "they show" in said
+    assert f"stated speed of {stated:g} rpm" in said and "they show" in said
     assert all(f"{rpm:.3g}" in said for rpm in resolved.likely_rpms)
     assert re.search(r"as stated; the scans show .* or .* s$", turn_line(resolved))
     cause = _of_the_turn(replace(bare, motion=replace(bare.motion, resolved=resolved)))[0]
@@ -151,5 +151,5 @@ def test_a_wrong_speed_of_a_symmetric_tag_is_contradicted_by_every_speed_that_fi
 
 def test_the_right_speed_of_a_symmetric_tag_is_not_contradicted() -> None:
     # Of a small ring, a third of a turn at three times the speed is explained as well by fewer points.
-    found = resolve_turn(_mug(1.3, "mug-04", 3), "free?rpm=2").motion.resolved
-    assert found.measured_rpm is None and "stated" not in turn_line(found)
+    result = resolve_turn(_mug(1.3, "mug-04", 3), "free?rpm=2").motion.resolved
+    assert result.measured_rpm is None and "stated" not in turn_line(result)

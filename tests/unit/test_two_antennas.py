@@ -53,8 +53,8 @@ def test_ranges_are_half_the_way_over_the_point() -> None:
     assert (far >= expected.max(axis=1)).all()
     moved = aperture.with_axis_distance(1.1)
     assert moved.separation == pytest.approx(APART_M)
-    one, other = moved.antennas
-    np.testing.assert_allclose(np.linalg.norm(one - other, axis=1), APART_M)
+    first, other = moved.antennas
+    np.testing.assert_allclose(np.linalg.norm(first - other, axis=1), APART_M)
     free = Aperture.two_antennas(*aperture.antennas)
     np.testing.assert_allclose(free.distances(POINTS), expected, rtol=1e-12)
     assert len(aperture.select(slice(1, 3)).antennas[1]) == 2
@@ -73,8 +73,8 @@ def test_the_kernel_reads_at_the_exact_range(compiled: bool, monkeypatch: pytest
     for there in (POINTS, points):
         place = RangeGeometry.of(aperture, there, (0.7, 0.002), 400)
         ramp = np.tile(np.arange(400.0), (9, 1)).astype(np.complex64)  # its value is the range in bins
-        found = place.gather(ramp).real * 0.002 + 9 * 0.7
-        np.testing.assert_allclose(found, aperture.distances(there).sum(axis=0), atol=2e-5)
+        result = place.gather(ramp).real * 0.002 + 9 * 0.7
+        np.testing.assert_allclose(result, aperture.distances(there).sum(axis=0), atol=2e-5)
 
 
 def test_scans_of_the_operator_are_those_of_the_exact_paths() -> None:
@@ -126,10 +126,10 @@ def errors_mm(views: Aperture, assumed: Aperture) -> np.ndarray:
 def test_ignoring_the_second_antenna_costs_millimetres() -> None:
     """0.2 m apart and 1 m away every range is 5 mm longer: a quarter turn moves points by 3 mm."""
     angles = np.deg2rad(np.arange(-45, 45, 1.5))
-    pair, one = Aperture.turntable(angles, 1.0, 0.0, APART_M), Aperture.turntable(angles, 1.0)
+    pair, single = Aperture.turntable(angles, 1.0, 0.0, APART_M), Aperture.turntable(angles, 1.0)
     assert pair.distances(np.zeros((1, 2))) == pytest.approx(np.hypot(1, 0.1))
     assert errors_mm(pair, pair).max() < 1.2
-    assert errors_mm(pair, one).min() > 2
+    assert errors_mm(pair, single).min() > 2
     whole = turn(120, apart=APART_M)
     assert errors_mm(whole, whole).max() < 0.3
     assert errors_mm(whole, turn(120)).max() > 0.4
@@ -137,12 +137,12 @@ def test_ignoring_the_second_antenna_costs_millimetres() -> None:
 
 def test_a_path_of_pairs_is_imaged_where_the_echoes_are() -> None:
     x = np.linspace(-1.2, 1.2, 160)
-    one = np.stack([x, np.zeros(160), np.zeros(160)], axis=1)
-    other = one + np.array([0.3, 0.0, 0.1])
+    single = np.stack([x, np.zeros(160), np.zeros(160)], axis=1)
+    other = single + np.array([0.3, 0.0, 0.1])
     point = np.array([0.3, 1.8, 0.0])
-    distance = (np.linalg.norm(one - point, axis=1) + np.linalg.norm(other - point, axis=1)) / 2
+    distance = (np.linalg.norm(single - point, axis=1) + np.linalg.norm(other - point, axis=1)) / 2
     samples = analytic_echo(STEP_M * np.arange(500) - distance[:, None]).real.astype(np.float32)
-    capture = Capture(samples, 0.0, STEP_M, antenna_positions_m=one, receive_positions_m=other)
+    capture = Capture(samples, 0.0, STEP_M, antenna_positions_m=single, receive_positions_m=other)
     region = choose_region(capture, ImageGrid(0.5, 64), None, 0.0, "none", free_extent=True, free_pixels=True)
     assert np.hypot(region.points[0].x_m - 0.3, region.points[0].y_m - 1.8) < 0.02
     scans = preprocess(region.capture, settings=PreprocessSettings("none", True, extent_m=region.grid.extent))
@@ -160,15 +160,15 @@ def test_reader_and_simulator_know_both_antennas() -> None:
     np.testing.assert_allclose(
         MatchedField(scans, 0.15).distances(POINTS), aperture.distances(POINTS).T, rtol=1e-12
     )
-    places = truth.positions_m
-    around = places[:, None] + 0.01 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    positions = truth.positions_m
+    around = positions[:, None] + 0.01 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
     strength = np.abs(field.correlate(field.templates(around)))
     assert (strength[:, 0] > strength[:, 1:].max(axis=1)).all()
     # Three unit points explain what the simulator made, to the carrier's phase.
-    model = ForwardOperator(scans, places).forward(truth.amplitudes)
+    model = ForwardOperator(scans, positions).forward(truth.amplitudes)
     data = scans.samples - scans.samples.mean(axis=0)
-    left = data - (model - model.mean(axis=0))
-    assert np.vdot(left, left).real < 0.1 * np.vdot(data, data).real
+    remaining = data - (model - model.mean(axis=0))
+    assert np.vdot(remaining, remaining).real < 0.1 * np.vdot(data, data).real
 
 
 def test_files_keep_both_antennas_and_one_of_the_present_format_is_kept() -> None:

@@ -71,7 +71,7 @@ def settings(motion: FreeTurntable | None = None, **imaging: float) -> LiveSetti
 def test_a_scan_ends_at_the_first_look_that_is_sure_and_the_capture_says_why(tmp_path: Path) -> None:
     with EarlyEnding(settings(), CALIBRATION) as ending:
         capture = recorded(tmp_path / "x.tagid.h5", ending)
-    assert [one.share for one in ending.looks] == [0.45, 0.6]
+    assert [look.share for look in ending.looks] == [0.45, 0.6]
     expected = Ending("sure", 0.6, "helmet-120", 1 / 4000, 3999)
     stored = read_capture(tmp_path / "x.tagid.h5")
     assert capture.complete and stored.complete
@@ -114,18 +114,18 @@ def test_without_a_bound_the_whole_turn_is_recorded(tmp_path: Path, why: str) ->
     elif why == "no tag":
         scene = "can"
     elif why == "only pairs":
-        known = replace(known, layouts=[one for one in known.layouts if one.size == 2])
+        known = replace(known, layouts=[layout for layout in known.layouts if layout.size == 2])
     else:
         known = settings(direction_known=False)
     with EarlyEnding(known, calibration) as ending:
         capture = recorded(tmp_path / "x.tagid.h5", ending, scene)
-    told = {
+    reported = {
         "too few turns": "holds 1000 revolutions, too few for tags.false_accept = 0.001",
         "a smaller setting": "holds 3999 revolutions, too few for tags.false_accept = 0.0005",
         "mirrored": "the direction of rotation is unknown",
         "only pairs": "no enrolled layout has 3 reflectors or more",
     }
-    assert ending.remark.endswith(told[why]) if why in told else not ending.remark
+    assert ending.remark.endswith(reported[why]) if why in reported else not ending.remark
     assert capture.radar.ended == Ending("turn")
     assert capture.motion.resolved is not None and capture.motion.resolved.turns > 1.2
 
@@ -181,7 +181,7 @@ def test_a_scan_that_fails_leaves_no_thread_and_no_ending(tmp_path: Path, error:
     kept = read_capture(tmp_path / "x.tagid.h5")
     assert kept.views == 26 and not kept.complete and kept.radar.ended is None
     assert str(tmp_path / "x.tagid.h5") in failed.value.remedy
-    assert [one.name for one in threading.enumerate() if one.name.startswith(("live-", "motion-"))] == []
+    assert [item.name for item in threading.enumerate() if item.name.startswith(("live-", "motion-"))] == []
 
 
 class _Uncalibrated(FreeTurntable):
@@ -205,7 +205,7 @@ def test_an_angle_of_uncertain_scale_ends_no_scan(tmp_path: Path) -> None:
 
 def test_a_pair_of_reflectors_ends_no_scan(monkeypatch: pytest.MonkeyPatch) -> None:
     capture, _ = simulate_capture(scene_from_name("container-90", 2), Acquisition(views=36, snr_db=20), 2)
-    part, pairs = part_of_turn(capture, 0.75), [one for one in settings().layouts if one.size == 2]
+    part, pairs = part_of_turn(capture, 0.75), [layout for layout in settings().layouts if layout.size == 2]
     assert look(part, pairs, 0.75).layout is None
     monkeypatch.setattr(looks, "LEAST_REFLECTORS", 2)
     assert look(part, pairs, 0.75).layout == "container-90"

@@ -87,13 +87,13 @@ def test_tags_are_those_that_the_truth_names_or_foreign_ones() -> None:
 
 def test_a_response_has_the_phase_of_the_way_to_the_reflector() -> None:
     place, antenna = 0.08 + 0.05j, 1.004 * np.exp(2.2j)
-    one = volume_objects.solved("one", Cells.of(np.array([place]), 5e-5, METAL), 1.0, np.array([place]))
-    assert one.reflectors_m.tolist() == [[place.real, place.imag]]
+    single = volume_objects.solved("one", Cells.of(np.array([place]), 5e-5, METAL), 1.0, np.array([place]))
+    assert single.reflectors_m.tolist() == [[place.real, place.imag]]
     centred = volume_objects.solved("centred", Cells.of(np.zeros(1, complex), 5e-5, METAL), 1.0)
     at = np.array([[antenna.real, antenna.imag, 0.0]])
-    ratio = (one.seen_from(at) / centred.seen_from(at))[0]
+    ratio = (single.seen_from(at) / centred.seen_from(at))[0]
     path = abs(antenna - place) - abs(antenna)
-    assert np.abs(np.angle(ratio * np.exp(2j * one.wavenumber * path))).max() < 0.01
+    assert np.abs(np.angle(ratio * np.exp(2j * single.wavenumber * path))).max() < 0.01
     assert np.abs(np.abs(ratio) - abs(antenna) / abs(antenna - place)).max() < 0.01
 
 

@@ -37,8 +37,8 @@ def test_the_expected_lead_is_that_of_noisy_recordings(radius_m: float) -> None:
     spectra = alike._recorded(PAIR, body, Conditions())
 
     def lead(there: alike.Spectra) -> float:
-        own = alike._best(there, PAIR, PAIR, body)
-        return own - alike._best(there, other, PAIR, body)
+        base = alike._best(there, PAIR, PAIR, body)
+        return base - alike._best(there, other, PAIR, body)
 
     expected, rng, leads = lead(spectra), np.random.default_rng(0), []
     for _ in range(12):
@@ -62,7 +62,7 @@ def test_capacity_falls_with_noise_and_rises_with_room() -> None:
     rules = DesignRules(2, 8)
     small, large = (TaggedObject("own", "other", (Row(radius),)) for radius in (0.045, 0.09))
     loud, low = Conditions(36, 20.0), Conditions(36, 0.0)
-    found = [capacity(small, rules, 1e-3, one) for one in (loud, low)]
-    assert found[0].identities > found[1].identities >= 1
+    results = [capacity(small, rules, 1e-3, item) for item in (loud, low)]
+    assert results[0].identities > results[1].identities >= 1
     wide = capacity(large, rules, 1e-3, loud)
-    assert wide.identities >= found[0].identities and wide.error_rate <= 1e-3
+    assert wide.identities >= results[0].identities and wide.error_rate <= 1e-3

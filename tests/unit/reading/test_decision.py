@@ -30,7 +30,7 @@ def bare(scans: BasebandScans) -> Decision:
     return decide(Contest(Spectra.of(scans), LAYOUTS, (BARE, POINTS), ()).run())
 
 
-@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda one: one.name)
+@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
 def test_a_tag_is_named(layout: Layout) -> None:
     answer = bare(scans_of(layout.name))
     assert (answer.status, answer.name) == ("identified", layout.name)
@@ -53,8 +53,8 @@ STRANGERS = {
 
 @pytest.mark.parametrize("kind", STRANGERS)
 def test_a_stranger_is_described_and_not_named(kind: str) -> None:
-    places, words = STRANGERS[kind]
-    answer = bare(scans_at(places))
+    positions, words = STRANGERS[kind]
+    answer = bare(scans_at(positions))
     assert answer.status == "unknown" and answer.name is None
     assert answer.lead < SURE
     assert words in answer.reason
@@ -64,8 +64,8 @@ def test_two_of_three_reflectors_are_found_where_they_stand() -> None:
     """Their angle depends on the centre, which little but the prior tells; their distance does not."""
     answer = bare(scans_at(STRANGERS["one less"][0]))
     assert answer.rival is not None
-    one, other = answer.rival.estimate.positions
-    assert abs(one - other) == pytest.approx(2 * 0.11 * np.sin(np.pi / 3), abs=2e-3)
+    first, other = answer.rival.estimate.positions
+    assert abs(first - other) == pytest.approx(2 * 0.11 * np.sin(np.pi / 3), abs=2e-3)
 
 
 def test_a_tag_without_its_middle_on_a_body_that_waves_pass_is_not_named() -> None:
@@ -75,7 +75,7 @@ def test_a_tag_without_its_middle_on_a_body_that_waves_pass_is_not_named() -> No
 
 
 def test_a_tag_that_an_opaque_body_hides_beyond_an_edge_is_named() -> None:
-    (layout,) = (one for one in LAYOUTS if one.name == "helmet-120")
+    (layout,) = (layout for layout in LAYOUTS if layout.name == "helmet-120")
     scans = scans_at(layout.positions, shaded=True, offset_m=0.004)
     answer = decide(Contest(Spectra.of(scans), LAYOUTS, (POINTS, SHADES[0], WALLS[0]), ()).run())
     assert answer.name == "helmet-120"

@@ -69,9 +69,9 @@ def compiled(spectra: Spectra, model: Model) -> Compiled:
 def test_the_compiled_likelihood_is_that_of_numpy(turn: str, kind: str) -> None:
     spectra, model = SPECTRA[turn], MODELS[kind]
     x, some = somewhere(model), list(product(BODY, TAG, OVAL[1:2]))
-    one, other = compiled(spectra, model), _Numpy(spectra, model)
-    np.testing.assert_allclose(one.values(x, some, CLUTTER), other.values(x, some, CLUTTER), rtol=1e-9)
-    for a, b in zip(one.expanded(x, POWERS, 1e-3), other.expanded(x, POWERS, 1e-3), strict=True):
+    first, other = compiled(spectra, model), _Numpy(spectra, model)
+    np.testing.assert_allclose(first.values(x, some, CLUTTER), other.values(x, some, CLUTTER), rtol=1e-9)
+    for a, b in zip(first.expanded(x, POWERS, 1e-3), other.expanded(x, POWERS, 1e-3), strict=True):
         # What crowds has slopes by finite differences there.
         np.testing.assert_allclose(a, b, atol=1e-6 * np.abs(b).max())
 
@@ -126,8 +126,8 @@ def test_an_odd_scatterer_stays_within_reach(kind: str) -> None:
     spectra, model = SPECTRA["even"], MODELS[kind]
     x = somewhere(model)
     x[len(x) - model.spot :][:2] = 0.8 * (REACH_M + 1e-3), 0.6 * (REACH_M + 1e-3)
-    one, other = (way(spectra, model).expanded(x, POWERS, 1e-3) for way in (compiled, _Numpy))
-    for a, b in zip(one, other, strict=True):
+    first, other = (way(spectra, model).expanded(x, POWERS, 1e-3) for way in (compiled, _Numpy))
+    for a, b in zip(first, other, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-6 * np.abs(b).max())
     assert model.crowding(x).max() == pytest.approx(1e-3 / CLOSE_SD_M)
     end, _ = descend(spectra, model, x, Powers(1e-2), 20)
@@ -160,16 +160,16 @@ def test_models_of_other_columns_are_left_to_numpy() -> None:
 
 def test_a_wave_between_reflectors_is_as_late_as_its_path_is_long() -> None:
     """By single scattering at each of two points: antenna, one, the other, antenna (Foldy 1945)."""
-    spectra, places = SPECTRA["even"], np.array([0.05 + 0.01j, -0.02 + 0.04j])
+    spectra, positions = SPECTRA["even"], np.array([0.05 + 0.01j, -0.02 + 0.04j])
     expected = np.zeros(spectra.data.shape, dtype=complex)
-    ranges = np.hypot(np.abs(spectra.antenna - places[:, None]), spectra.height_m)
-    apart = abs(places[0] - places[1])
+    ranges = np.hypot(np.abs(spectra.antenna - positions[:, None]), spectra.height_m)
+    apart = abs(positions[0] - positions[1])
     for f, kappa in enumerate(spectra.kappa):
         wavenumber = kappa / 2
         path = ranges[0] + apart + ranges[1] - 2 * spectra.distance_m
         loss = spectra.distance_m**2 / (ranges[0] * ranges[1]) * BOUNCE_M / apart
         expected[f] = loss * np.exp(-1j * wavenumber * path)
-    tag = Arrangement.points(places)
+    tag = Arrangement.points(positions)
     model = Model(BARE, tag, False, 0)
     column = Columns.of(model, spectra, np.zeros(model.parameters)).values[:, len(BARE.power)]
     np.testing.assert_allclose(column, expected, rtol=2e-3)
@@ -213,8 +213,8 @@ def test_a_flat_wall_is_found_as_a_face() -> None:
     nothing = refined(spectra, Model(BARE, None, False, 0), np.zeros(2), (None,))
     spot, face = OddMap(spectra).likeliest(nothing)[0]
     assert face is not None and face[0] == pytest.approx(0.8, abs=0.2)
-    found = refined(spectra, nothing.model.and_odd(face), np.append(nothing.x, spot), (None,))
+    result = refined(spectra, nothing.model.and_odd(face), np.append(nothing.x, spot), (None,))
     # How far out it lies shows in the phases alone, and hardly: amplitudes are free at every frequency.
-    assert np.angle(found.odd[0]) == pytest.approx(0.8, abs=0.1)
+    assert np.angle(result.odd[0]) == pytest.approx(0.8, abs=0.1)
     point = refined(spectra, nothing.model.and_odd(), np.append(nothing.x, spot), (None,))
-    assert found.log_z > point.log_z + 50
+    assert result.log_z > point.log_z + 50

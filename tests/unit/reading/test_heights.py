@@ -19,11 +19,11 @@ STRANGER = Layout("stranger", PLAN, heights=np.array([0.06, 0.06, 0.0]))
 
 def read(layout: Layout, heights: tuple[float, ...], raised: float) -> Decision:
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
-    own = contest(
+    base = contest(
         preprocess(scan(layout, heights, raised, VIEWS), settings=settings), [UP, DOWN, OTHER, FLAT]
     )
-    own.transfers, own.sheets = (BARE,), ()
-    return decide(own.run())
+    base.transfers, base.sheets = (BARE,), ()
+    return decide(base.run())
 
 
 @pytest.mark.parametrize(("layout", "raised"), [(UP, 0.0), (DOWN, 0.02), (FLAT, 0.05), (OTHER, -0.04)])

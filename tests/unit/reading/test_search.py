@@ -40,7 +40,7 @@ def exact(spectra: Spectra, transfer: Transfer, angles: np.ndarray) -> float:
     return float(log_evidence(columns, spectra.white[0], lam[None], power[None])[0])
 
 
-@pytest.mark.parametrize("transfer", [BARE, SHADES[1]], ids=lambda one: one.name)
+@pytest.mark.parametrize("transfer", [BARE, SHADES[1]], ids=lambda transfer: transfer.name)
 @pytest.mark.parametrize("views", [36, 72])
 def test_tables_of_an_even_turn_give_the_evidence_of_the_columns(transfer: Transfer, views: int) -> None:
     spectra = eight(spectra_of("container-90", views=views, offset_m=0.002))
@@ -53,7 +53,7 @@ def test_tables_of_an_even_turn_give_the_evidence_of_the_columns(transfer: Trans
     )
 
 
-@pytest.mark.parametrize("transfer", [BARE, SHADES[1]], ids=lambda one: one.name)
+@pytest.mark.parametrize("transfer", [BARE, SHADES[1]], ids=lambda transfer: transfer.name)
 def test_tables_of_part_of_a_turn_are_exact_but_for_the_nearest_pattern(transfer: Transfer) -> None:
     spectra = eight(spectra_of("container-90", views=36, turns=0.75, offset_m=0.002))
     assert not spectra.full_turn
@@ -86,12 +86,12 @@ def both_ways(monkeypatch: pytest.MonkeyPatch, turns: float) -> tuple[search.Tab
 
 def test_the_compiled_tables_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled, numpy = both_ways(monkeypatch, 1.0)
-    for one, other in (
+    for first, other in (
         (compiled.right, numpy.right),
         (compiled.held, numpy.held),
         (compiled.blocks.pair, numpy.blocks.pair),
     ):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-5 * np.abs(other).max())
+        np.testing.assert_allclose(first, other, rtol=0, atol=1e-5 * np.abs(other).max())
 
 
 @pytest.mark.parametrize("turns", [1.0, 0.75])
@@ -113,16 +113,16 @@ def test_the_compiled_loop_grows_the_sets_of_numpy(monkeypatch: pytest.MonkeyPat
         choice = search.Choice(ids, gap >= 2, gap >= 1)
         expected = numpy.grown(choice, 4, 2)
     for _ in range(2):  # with pairs that are not known yet, and with known ones
-        found = compiled.grown(choice, 4, 2)
-        assert [one.tolist() for _, one in found] == [one.tolist() for _, one in expected]
-        assert [log for log, _ in found] == pytest.approx([log for log, _ in expected], rel=1e-5)
+        result = compiled.grown(choice, 4, 2)
+        assert [item.tolist() for _, item in result] == [item.tolist() for _, item in expected]
+        assert [log for log, _ in result] == pytest.approx([log for log, _ in expected], rel=1e-5)
 
 
 def test_the_frequencies_that_are_left_out_tell_as_much_as_the_others() -> None:
     spectra = spectra_of("container-90", views=36)
     model = Model(BARE, None, False, 0)
     (table,), (without,) = (
-        search.tables(one, model, [CENTRE], [PAIR], POWERS) for one in (spectra, eight(spectra))
+        search.tables(item, model, [CENTRE], [PAIR], POWERS) for item in (spectra, eight(spectra))
     )
     assert table.share == 8 / 9 and without.share == 1
     ((best,),), ((other,),) = search.turned(table, 1), search.turned(without, 1)
@@ -143,13 +143,13 @@ def test_free_reflectors_are_found_where_they_stand() -> None:
     spectra = spectra_of("container-90", views=72)
     (table,) = search.tables(spectra, Model(BARE, None, False, 0), [0j], [PAIR[:1]], POWERS)
     pair = max(
-        (one for one in search.free(table, np.deg2rad(24.0), 3, 1) if len(one.angles) == 2),
-        key=lambda one: one.log,
+        (item for item in search.free(table, np.deg2rad(24.0), 3, 1) if len(item.angles) == 2),
+        key=lambda item: item.log,
     )
     apart = np.rad2deg(abs(np.angle(np.exp(1j * (pair.angles[1] - pair.angles[0])))))
     assert apart == pytest.approx(90, abs=6)
 
 
 def test_the_middle_of_places_is_that_of_their_circle() -> None:
-    places = 0.02 - 0.01j + 0.045 * np.exp(1j * np.array([0.3, 1.9, 4.0]))
-    assert middle_of(places) == pytest.approx(0.02 - 0.01j)
+    positions = 0.02 - 0.01j + 0.045 * np.exp(1j * np.array([0.3, 1.9, 4.0]))
+    assert middle_of(positions) == pytest.approx(0.02 - 0.01j)

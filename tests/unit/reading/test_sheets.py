@@ -34,16 +34,16 @@ def spectra_of(folder: str, name: str) -> Spectra:
 def explained(folder: str, name: str) -> tuple[Hypothesis, ...]:
     """Nothing, a round body, and what is made of sheets."""
     spectra = spectra_of(folder, name)
-    models = [Model(one, None, one.body, 1) for one in (BARE, POINTS)]
-    nothing = [refined(spectra, one, np.zeros(one.parameters)) for one in models]
-    found = [Hypothesis(None, one, one.log_z) for one in nothing]
+    models = [Model(item, None, item.body, 1) for item in (BARE, POINTS)]
+    nothing = [refined(spectra, model, np.zeros(model.parameters)) for model in models]
+    results = [Hypothesis(None, item, item.log_z) for item in nothing]
 
     def enter(layout: Layout | None, estimate: Estimate, odd: int) -> Estimate:
-        found.append(Hypothesis(layout, estimate, estimate.log_z))
+        results.append(Hypothesis(layout, estimate, estimate.log_z))
         return estimate
 
-    sheet_tags.explain(spectra, list(LAYOUTS.values()), KINDS, tuple(found), enter)
-    return tuple(found)
+    sheet_tags.explain(spectra, list(LAYOUTS.values()), KINDS, tuple(results), enter)
+    return tuple(results)
 
 
 TAGGED = replace(
@@ -74,19 +74,19 @@ def test_slopes_are_those_of_the_evidence(compiled: bool, monkeypatch: pytest.Mo
     assert slopes == pytest.approx(measured, rel=3e-3, abs=1.0)
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda one: one.transfer.name)
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.transfer.name)
 def test_the_compiled_columns_are_those_of_numpy(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for the curvature of waves from antennas that are not equally far from the sheet."""
     if sheet._sheet is None:
         pytest.skip("no compiler was present at installation")
     model = replace(TAGGED, kind=kind, transfer=kind.transfer)
-    found = SheetColumns(model, spectra_of("shells", "shell74_h120"), X)
-    values, rates = found.expanded
-    np.testing.assert_array_equal(found.values, values)
+    columns = SheetColumns(model, spectra_of("shells", "shell74_h120"), X)
+    values, rates = columns.expanded
+    np.testing.assert_array_equal(columns.values, values)
     monkeypatch.setattr(sheet, "_sheet", None)
-    numpy_values, numpy_rates = SheetColumns(model, found.spectra, X).expanded
-    for one, other in zip((values, *rates), (numpy_values, *numpy_rates), strict=True):
-        assert np.linalg.norm(one - other) < 1e-2 * np.linalg.norm(other)
+    numpy_values, numpy_rates = SheetColumns(model, columns.spectra, X).expanded
+    for first, other in zip((values, *rates), (numpy_values, *numpy_rates), strict=True):
+        assert np.linalg.norm(first - other) < 1e-2 * np.linalg.norm(other)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_the_compiled_columns_are_those_of_numpy(kind: Kind, monkeypatch: pytest
 )
 def test_a_sheet_explains_a_shell_better_than_a_round_body(folder: str, name: str, kind: str) -> None:
     nothing, round_body, *sheets = explained(folder, name)
-    best = max((one for one in sheets if not one.tagged), key=lambda one: one.log_z)
+    best = max((sheet for sheet in sheets if not sheet.tagged), key=lambda item: item.log_z)
     assert best.estimate.model.transfer.name == kind
     assert best.log_z > max(nothing.log_z, round_body.log_z) + 50
     assert decide(explained(folder, name)).status != "identified"

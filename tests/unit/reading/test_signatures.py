@@ -64,8 +64,8 @@ def beside_a_tag() -> tuple[SignatureModel, np.ndarray]:
 def test_compiled_values_are_those_of_numpy() -> None:
     (model, x), spectra = beside_a_tag(), spectra_of(scans_of(MUG))
     some = list(product(BODY, POWERS, OVAL[1:2]))
-    one, other = (way(spectra, model).values(x, some, CLUTTER) for way in (_likelihood, _Numpy))
-    np.testing.assert_allclose(one, other, rtol=1e-9)
+    first, other = (way(spectra, model).values(x, some, CLUTTER) for way in (_likelihood, _Numpy))
+    np.testing.assert_allclose(first, other, rtol=1e-9)
 
 
 def test_slopes_are_those_of_the_evidence() -> None:
@@ -85,8 +85,8 @@ def test_a_body_is_found_where_it_stands_alone_and_beside_a_tag() -> None:
     body = EnrolledBody.of(mug())
     (alone,) = Poses(spectra_of(scans_of(MUG)), body, 0).best(1)
     spectra = spectra_of(scans_of(MUG.plus(ring(100, 190, amplitude=3.0))))
-    places = 0.004 - 0.004j + 0.045 * np.exp(1j * (1.0 + np.deg2rad([100, 190])))
-    tag = spectra.waves(places, np.zeros(2))[0].sum(axis=1, keepdims=True)
+    positions = 0.004 - 0.004j + 0.045 * np.exp(1j * (1.0 + np.deg2rad([100, 190])))
+    tag = spectra.waves(positions, np.zeros(2))[0].sum(axis=1, keepdims=True)
     (beside,) = Poses(spectra, body, 0).best(1, tag)
     for pose in (alone, beside):
         # The enrolment's first capture had the centre at 2, -3 mm, and was turned by 0.3.
@@ -134,6 +134,6 @@ def test_two_objects_that_look_alike_are_ambiguous() -> None:
 
 
 def test_signatures_of_another_band_take_no_part() -> None:
-    own = mug()
-    other = replace(own, name="other", wavenumbers=own.wavenumbers * 1.1)
-    assert [one.signature.name for one in enrolled_in(scans_of(MUG), [other, own])] == ["mug"]
+    base = mug()
+    other = replace(base, name="other", wavenumbers=base.wavenumbers * 1.1)
+    assert [item.signature.name for item in enrolled_in(scans_of(MUG), [other, base])] == ["mug"]

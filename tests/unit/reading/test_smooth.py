@@ -42,8 +42,8 @@ def dense(free: float, delay_m: float) -> float:
 
 @pytest.mark.parametrize("free", [0.1, 0.3])
 def test_the_evidence_is_that_of_all_frequencies_together(free: float) -> None:
-    found = log_evidence(COLUMNS, DATA, LAM, POWER, OWN, roots(KAPPA), free)
-    np.testing.assert_allclose(found, [dense(free, delay) for delay in DELAYS_M], atol=1e-3)
+    result = log_evidence(COLUMNS, DATA, LAM, POWER, OWN, roots(KAPPA), free)
+    np.testing.assert_allclose(result, [dense(free, delay) for delay in DELAYS_M], atol=1e-3)
 
 
 def test_free_amplitudes_have_the_evidence_of_every_frequency_by_itself() -> None:
@@ -58,11 +58,11 @@ def test_free_amplitudes_have_the_evidence_of_every_frequency_by_itself() -> Non
 def test_a_tag_of_one_amplitude_gains_and_one_of_any_does_not() -> None:
     spectra = spectra_of("container-90", views=18, snr_db=5.0)
     model = Model(BARE, Arrangement.of_layout(LAYOUTS[0].positions, LAYOUTS[0].heights), False, 0)
-    found = refined(spectra, model, np.zeros(model.parameters), (1e-2, None))
-    assert gains(spectra, found, roots(spectra.kappa)).max() > 5
+    result = refined(spectra, model, np.zeros(model.parameters), (1e-2, None))
+    assert gains(spectra, result, roots(spectra.kappa)).max() > 5
     phases = np.exp(1j * RNG.uniform(0, 2 * np.pi, (len(spectra.kappa), 1)))
     mixed = replace(spectra, data=spectra.data * phases)
-    assert gains(mixed, found, roots(spectra.kappa)).max() < 0
+    assert gains(mixed, result, roots(spectra.kappa)).max() < 0
 
 
 def test_the_best_of_a_kind_are_scored_at_the_delay_of_the_likeliest() -> None:

@@ -25,7 +25,7 @@ def table(transfer: Transfer) -> NDArray[np.complex128]:
     return transfer.table(KAPPA, RADIUS_M)
 
 
-@pytest.mark.parametrize("transfer", [*WALLS, *RODS], ids=lambda one: one.name)
+@pytest.mark.parametrize("transfer", [*WALLS, *RODS], ids=lambda transfer: transfer.name)
 def test_a_pattern_is_alike_to_either_side_and_of_falling_power(transfer: Transfer) -> None:
     patterns = table(transfer)
     assert patterns.shape == (len(transfer.power), len(KAPPA), ANGLES)
@@ -40,7 +40,7 @@ def test_a_wall_of_air_is_free_space() -> None:
     assert np.abs(patterns[1:]).max() < 1e-6
 
 
-@pytest.mark.parametrize("transfer", WALLS, ids=lambda one: one.name)
+@pytest.mark.parametrize("transfer", WALLS, ids=lambda transfer: transfer.name)
 def test_rings_of_nearly_one_radius_have_patterns_of_one_phase(transfer: Transfer) -> None:
     near, far = (transfer.table(KAPPA, radius)[0] for radius in (0.087, 0.09))
     assert np.abs(np.angle((far * near.conj()).sum(axis=1))).max() < 0.1
@@ -82,9 +82,9 @@ def test_a_class_of_walls_holds_a_solved_reflector(
     echo = added.seen_from(antennas, "V").T[4:17]
     local = np.abs(np.exp(1j * angle) - radius_m)
     free = np.exp(-1j * kappa[:, None] * (local - 1)) / local**2
-    transfer = next(one for one in WALLS if one.name == name)
+    transfer = next(wall for wall in WALLS if wall.name == name)
     columns = transfer.table(kappa, radius_m)[..., :: ANGLES // 64] * free
-    left = 0.0
+    remaining = 0.0
     for f in range(len(kappa)):
         # The prior keeps weak patterns small, as in a reading: an amplitude counts like a residual of 1 %.
         x, y = columns[:, f].T, echo[f]
@@ -92,5 +92,5 @@ def test_a_class_of_walls_holds_a_solved_reflector(
         held = np.linalg.solve(
             x.conj().T @ x + 64 * (0.1 / scale) ** 2 * np.var(y) * np.eye(x.shape[1]), x.conj().T @ y
         )
-        left += float((np.abs(y - x @ held) ** 2).sum())
-    assert left < most * (np.abs(echo) ** 2).sum()
+        remaining += float((np.abs(y - x @ held) ** 2).sum())
+    assert remaining < most * (np.abs(echo) ** 2).sum()

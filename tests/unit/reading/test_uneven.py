@@ -20,7 +20,7 @@ from tagid.reading.transfers.shade import SHADES
 from tagid.reading.uneven import SCALE, errors, fitted, spin, straightened
 
 SPECTRA = spectra_of("helmet-120", views=40, turns=0.85, snr_db=20.0)
-HELMET = next(one for one in LAYOUTS if one.name == "helmet-120")
+HELMET = next(layout for layout in LAYOUTS if layout.name == "helmet-120")
 TAG = Arrangement.of_layout(HELMET.positions, HELMET.heights)
 MODELS = {
     "layout": Model(SHADES[1], TAG, True, 1, odd=2),
@@ -57,19 +57,19 @@ def test_errors_of_the_angles_are_found() -> None:
     spoiled = replace(SPECTRA, antenna=SPECTRA.antenna * np.exp(-1j * (truth @ rows)))
     model = Model(BARE, TAG, False, 1)
     starts = [np.array([0.003, 0.0015, turn, 0.0]) for turn in np.linspace(0, 2 * np.pi / 3, 12)]
-    found = max((refined(spoiled, model, x) for x in starts), key=lambda one: one.log_z)
-    turned = fitted(spoiled, found)
+    result = max((refined(spoiled, model, x) for x in starts), key=lambda item: item.log_z)
+    turned = fitted(spoiled, result)
     assert turned is not None and turned.spectra.stated is spoiled
     # A turn of all of them is one of the object.
     off = error_of(turned.spectra) - truth @ errors(spoiled)
     assert np.std(off) < 0.1 * np.std(truth @ rows)
-    assert turned.log_z > found.log_z + 50
-    again = refined(turned.spectra, model, found.x)
+    assert turned.log_z > result.log_z + 50
+    again = refined(turned.spectra, model, result.x)
     assert again.log_z - turned.cost > turned.log_z - 1, "with powers of its own it may be more"
     t = np.linalg.lstsq(errors(spoiled).T, error_of(turned.spectra))[0]
     assert turned.cost > 0.5 * float(t @ t)
-    assert straightened(spoiled, [found], found.log_z) is not None
-    right = refined(SPECTRA, model, found.x)
+    assert straightened(spoiled, [result], result.log_z) is not None
+    right = refined(SPECTRA, model, result.x)
     assert straightened(SPECTRA, [right], right.log_z) is None
 
 
@@ -82,14 +82,14 @@ def scaled(scans: BasebandScans, scale: float) -> BasebandScans:
 def test_part_of_a_turn_of_another_scale_is_named() -> None:
     scale = 1.02  # the other way than that of the test before
     scans = scaled(scans_of("helmet-120", views=45, turns=0.9, snr_db=20.0), scale)
-    own = contest(scans, LAYOUTS)
-    own.sheets = ()
-    best, *others = sorted(own.run(), key=lambda hypothesis: -hypothesis.log_z)
-    assert best.name == "helmet-120" and own.spectra.stated is not None
+    base = contest(scans, LAYOUTS)
+    base.sheets = ()
+    best, *others = sorted(base.run(), key=lambda hypothesis: -hypothesis.log_z)
+    assert best.name == "helmet-120" and base.spectra.stated is not None
     assert best.log_z - max(other.log_z for other in others if other.name != best.name) > 10
-    rows = errors(own.spectra.stated)
+    rows = errors(base.spectra.stated)
     truth = (1 / scale - 1) / SCALE * rows[-1]
-    assert np.std(error_of(own.spectra) - truth) < 0.25 * np.std(truth)
+    assert np.std(error_of(base.spectra) - truth) < 0.25 * np.std(truth)
 
 
 def test_a_whole_turn_is_none_where_the_scale_of_its_angles_is_not_known() -> None:
@@ -97,10 +97,10 @@ def test_a_whole_turn_is_none_where_the_scale_of_its_angles_is_not_known() -> No
     scans = scaled(scans_of("helmet-120", views=200, turns=1 / scale, snr_db=20.0), scale)
     assert contest(scans, LAYOUTS).spectra.full_turn
     stated = replace(scans, angle_scale_sigma=0.06)
-    own = contest(stated, LAYOUTS)
-    assert not own.spectra.full_turn and own.spectra.views > 100, "no filter crosses the seam"
-    own.transfers, own.sheets = (BARE,), ()
-    best = max(own.run(), key=lambda hypothesis: hypothesis.log_z)
-    assert best.name == "helmet-120" and own.spectra.stated is not None
-    truth = (1 / scale - 1) / 0.06 * errors(own.spectra.stated)[-1]
-    assert np.std(error_of(own.spectra) - truth) < 0.25 * np.std(truth)
+    base = contest(stated, LAYOUTS)
+    assert not base.spectra.full_turn and base.spectra.views > 100, "no filter crosses the seam"
+    base.transfers, base.sheets = (BARE,), ()
+    best = max(base.run(), key=lambda hypothesis: hypothesis.log_z)
+    assert best.name == "helmet-120" and base.spectra.stated is not None
+    truth = (1 / scale - 1) / 0.06 * errors(base.spectra.stated)[-1]
+    assert np.std(error_of(base.spectra) - truth) < 0.25 * np.std(truth)
