@@ -87,3 +87,15 @@ def run_step(step: Step, bench: Bench) -> StepReport:
     report = step.run(bench)
     bench.keep(report)
     return report
+
+
+def goes_on(step: Step, bench: Bench) -> Step | None:
+    """The step after one that has passed, if it is the next to be done and nobody has to prepare it.
+
+    Raises StorageError, ConfigError.
+    """
+    following = STEPS[STEPS.index(step) + 1 :][:1]
+    report = bench.report(step.name)
+    if report is None or not report.passed or following != (next_step(bench),):
+        return None
+    return None if following[0].prepare else following[0]

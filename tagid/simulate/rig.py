@@ -167,8 +167,8 @@ class EmulatedRig:
         """What the radar reports of itself."""
         return Identity(serial=0x440 + self.seed % 1000, clock_ppm=self.clock_ppm)
 
-    def scene(self, name: str, layouts: Mapping[str, Layout]) -> Scene:
-        """A scene on this rig: empty, target, or a layout. Raises UsageError for another name."""
+    def scene(self, name: str, layouts: Mapping[str, Layout], body: BodySpec = BodySpec()) -> Scene:
+        """A scene on this rig: empty, target, or a layout on a body. Raises UsageError for another name."""
         room = room_clutter(np.random.default_rng([self.seed, 1]))
         if self.fault is Fault.GAIN:
             room = StaticReturns(room.ranges_m, room.amplitudes * 40)
@@ -188,7 +188,7 @@ class EmulatedRig:
             positions = positions * np.array([1.0, -1.0])
         rng = np.random.default_rng([self.seed, 2])
         change = Variation(strength_db=self.strength_db)
-        return object_scene(name, positions, BodySpec(), _REFLECTOR, rng=rng, room=room, variation=change,
+        return object_scene(name, positions, body, _REFLECTOR, rng=rng, room=room, variation=change,
                             layout=name, seed=self.seed)  # fmt: skip
 
     def acquisition(self, placement: Placement) -> Acquisition:

@@ -36,9 +36,8 @@ _NOT_WITH_A_RESPONSE: Final = (
     "file", "body", "reflector", "unlike", "range_law", "budget", "antenna_height_file",
 )  # fmt: skip
 _NOT_WITH_A_RIG: Final = (
-    "response", "body", "reflector", "unlike", "wobble", "axis_distance", "antenna_height",
-    "antenna_separation", "snr", "noise", "range_law", "budget", "turned_by", "stop",
-    "antenna_height_file", "cable_delay",
+    "response", "reflector", "unlike", "wobble", "axis_distance", "antenna_height", "antenna_separation",
+    "snr", "noise", "range_law", "budget", "turned_by", "stop", "antenna_height_file", "cable_delay",
 )  # fmt: skip
 _NEAREST_M: Final = 1e-3
 _MOST: Final = 1e6
@@ -170,8 +169,9 @@ class SceneSpec:
             rig = parse_rig(self.rig)
             given = Placement(self.centre, math.radians(self.rotation), parse_elevation(self.elevation))
             known = named_layouts(self.file, data_folder() / "registry.sqlite")
-            own = {"period_s": rig.period_s, **{k: v for k, v in recording.items() if v is not None}}
-            return rig.scene(str(self.scene), known), replace(rig.acquisition(given), **own)
+            scene = rig.scene(str(self.scene), known, parse_body(self.body or "none"))
+            given_values = {key: value for key, value in recording.items() if value is not None}
+            return scene, replace(rig.acquisition(given), **{"period_s": rig.period_s, **given_values})
         on_reflector = self.reflector or ("octahedron:40mm" if self.budget else None)
         noise, snr = self.noise, None if self.noise is not None else self.snr
         if self.budget:

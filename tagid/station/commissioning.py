@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 from tagid.commissioning.bench import Bench, Tape, TapeChanges
 from tagid.commissioning.rows import StepReport
-from tagid.commissioning.steps import STEPS, Step, next_step, reports_by_title, run_step
+from tagid.commissioning.steps import STEPS, Step, goes_on, next_step, reports_by_title, run_step
 from tagid.config import Config, data_folder
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
 from tagid.motion.urls import open_motion
@@ -74,11 +74,11 @@ def results_page(config: Config) -> bytes:
 
 
 class CommissioningRun(BackgroundRun):
-    """One step.
+    """One step, and those after it for which nobody has to do anything.
 
     Args:
         place: settings of radar and motion.
-        step: the step.
+        step: the first step.
         tape: what the person measured by tape now.
         radar: held while the radar is used.
 
@@ -110,7 +110,11 @@ class CommissioningRun(BackgroundRun):
 
     def _run(self) -> None:
         with radar_alone(self._radar, self._stop):
-            run_step(self._step, self._bench)
+            step: Step | None = self._step
+            while step is not None:
+                self._step, self._progress = step, StepProgress(step.name)
+                run_step(step, self._bench)
+                step = goes_on(step, self._bench)
 
     def _fail(self, error: BaseException) -> None:
         self._progress = StepProgress(self._step.name, error=reported(error))

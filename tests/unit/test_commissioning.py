@@ -12,11 +12,11 @@ import pytest
 
 from tagid.capture import Capture
 from tagid.commissioning import card as card_step
-from tagid.commissioning.bench import Bench
+from tagid.commissioning.bench import Bench, reported
 from tagid.commissioning.page import write_page
 from tagid.commissioning.pulse import echo_pulse
 from tagid.commissioning.rows import Level, Row, StepReport
-from tagid.commissioning.steps import next_step, run_step, step_named
+from tagid.commissioning.steps import STEPS, goes_on, next_step, run_step, step_named
 from tagid.commissioning.targets import parse_target
 from tagid.commissioning.turning import evaluated
 from tagid.config import load_config
@@ -27,7 +27,9 @@ from tagid.metadata import MotionInfo
 from tagid.motion.urls import open_motion
 from tagid.rig import Measured
 from tagid.simulate.acquisition import Placement
+from tagid.simulate.capture import simulate_capture
 from tagid.simulate.rig import EmulatedRig, RigScene, parse_rig
+from tagid.simulate.spec import SceneSpec
 from tagid.tags.layouts.test_card import test_card
 from tagid.waveform import nominal_pulse, pulse_at
 
@@ -66,6 +68,33 @@ def test_link_room_and_target_measure_the_rig(tmp_path: Path) -> None:
     content = page.with_suffix(".pdf").read_bytes()
     assert content.startswith(b"%PDF") and b"/Subtype /Image" not in content, "vectors alone"
     assert b"path delay" in content and b"not commissioned yet" in content
+
+
+def test_steps_that_need_nobody_follow_the_one_before(tmp_path: Path) -> None:
+    rig, following = bench(tmp_path, "empty"), {}
+    for step in STEPS:
+        rig.keep(reported(step.name, [Row("a row", Level.PASS)]))
+        following[step.name] = getattr(goes_on(step, rig), "name", None)
+    # Something is put on the table before room, target and turning.
+    assert following == dict.fromkeys(("link", "room", "target", "result")) | {
+        "turning": "card",
+        "card": "result",
+    }
+    # A step that is repeated alone leaves the others as they are, but for the profile.
+    assert goes_on(step_named("turning"), rig) is None
+    assert goes_on(step_named("card"), rig) == step_named("result")
+    rig.keep(reported("card", [Row("a row", Level.FAIL)]))
+    assert goes_on(step_named("card"), rig) is None
+
+
+def test_a_rig_shows_a_tag_on_a_body(tmp_path: Path) -> None:
+    alone, held = (
+        SceneSpec("container-90", rig="realistic?seed=3", body=body).build(views=12)
+        for body in (None, "can:35mm")
+    )
+    assert held[1].pulse is alone[1].pulse and held[1].noise_std == alone[1].noise_std
+    echoes = [float((simulate_capture(*shown, 1)[0].samples ** 2).sum()) for shown in (alone, held)]
+    assert echoes[1] > 2 * echoes[0], "the can is louder than its tag"
 
 
 @pytest.mark.parametrize(

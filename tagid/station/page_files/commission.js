@@ -82,7 +82,7 @@ function showStepState() {
 }
 
 function showStepProgress(message) {
-  const ended = stepping && stepping.running && !message.running;
+  const ended = stepping && stepping.running && (!message.running || stepping.step !== message.step);
   stepping = message;
   if (document.body.dataset.view !== "commission") return;
   if (ended || !commissioning) loadCommissioning();
