@@ -175,8 +175,11 @@ class Calibration:
 
 
 def worth(lead: float, bare: float) -> float:
-    """What a lead, and that without a body, count together, nats."""
-    return max(lead, BARE_WORTH * bare)
+    """What a lead, and that without a body, count together, nats.
+
+    One without a body that names nothing, as it is below theory, counts no more than any.
+    """
+    return max(lead, BARE_WORTH * bare) if bare >= SURE else lead
 
 
 def largest(leads: Sequence[float]) -> tuple[float, ...]:

@@ -33,8 +33,8 @@ CLOSE = 20.0
 """Nats by which the map tells a point from a face."""
 _OUT_M, _ALONG_M = 0.007, 0.008
 """Steps of the map outward and along its rings."""
-WIDTHS_RAD = (0.12, 0.3)
-"""Widths of faces that are tried."""
+WIDTHS_RAD = (0.12, 0.3, 1.0)
+"""Widths of faces that are tried: a flat wall, a handle, and what the body hides from behind."""
 _FACES_FROM_M = 0.015
 """Nearer to the axis no face is looked for."""
 

@@ -78,6 +78,7 @@ def test_a_lead_without_a_body_counts_more_and_neither_less_than_theory_asks() -
     needed = Calibration("a test", (), (stratum,)).needed(36, 1e-3)
     assert needed.lead == pytest.approx(30.01) and needed.bare == pytest.approx(30.01 / BARE_WORTH, abs=1.0)
     assert worth(40.0, 3.0) == 40.0 and worth(-5.0, -1.0) == -5.0
+    assert worth(3.0, 3.0) == 3.0 and worth(8.0, 7.0) == 35.0
     # A name that one of the two carries keeps the promise.
     assert (
         stratum.p_value(worth(8.0, needed.bare)) <= 1e-3 and stratum.p_value(worth(needed.lead, -9)) <= 1e-3
