@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tagid.capture import Capture, ViewFlag
 from tagid.errors import DataError
 from tagid.imaging.preprocess import remove_background
-from tagid.metadata import ResolvedMotion
+from tagid.metadata import RadarInfo, ResolvedMotion
 from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.identify import WHOLE_TURN, ended_early, identify, widest_gap
@@ -174,6 +174,7 @@ _CENTRE_FIRST = {
 }
 """Advice in the place of the reader's, which lets the body be enrolled, where it may stand off the axis."""
 _IN_RANGE = f"Check that the object lies in the recorded range and turns. {ADVICE[Code.NO_TAG]}"
+_NO_DELAY = "Measure the path delay of radar and cables, which is 0 ps here, with `tagid commission`."
 _NEW_TAG = "Enroll the tag if it is new. If it is enrolled, check that every reflector is on its mark."
 _EXPLAINED = 0.05
 """Share of the echo that reflectors alone may leave where there is no body to be enrolled."""
@@ -249,15 +250,20 @@ def with_causes(
         causes += _of_the_axis(prepared, layouts) if beside is None else [beside]
     if not causes:
         causes += _of_the_place(prepared, layouts, answer.reading.reflectors, circle)
-    return replace(answer, causes=tuple(causes), advice=_advice(answer.reading, round_echo))
+    return replace(
+        answer, causes=tuple(causes), advice=_advice(answer.reading, round_echo, prepared.given.radar)
+    )
 
 
-def _advice(reading: Reading, round_echo: Circling | None) -> str:
+def _advice(reading: Reading, round_echo: Circling | None, radar: RadarInfo) -> str:
     """What to do in the place of the reader's advice; empty where that is right."""
     if _another_tag(reading):
         return _NEW_TAG
-    if reading.code is Code.NO_TAG and not _followed(round_echo):
-        return _IN_RANGE
+    if reading.code in (Code.NO_TAG, Code.NO_ECHO) and not _followed(round_echo):
+        in_range = _IN_RANGE if reading.code is Code.NO_TAG else reading.advice
+        # Every cable delays: no radar but a simulated one records at the stated ranges without a correction.
+        unknown = radar.kind != "simulated" and radar.cable_delay_ps == 0
+        return f"{_NO_DELAY} {in_range}" if unknown else in_range
     return "" if _centred(round_echo) else _CENTRE_FIRST.get(reading.code, "")
 
 

@@ -266,11 +266,17 @@ def test_a_handle_circles_but_is_no_body_off_the_axis(monkeypatch: pytest.Monkey
     assert other.reading is not None
     winner = replace(other.reading.hypotheses[0], unexplained=0.01)
     alone = replace(other.reading, kind=Kind.BARE, hypotheses=(winner,))
-    assert diagnosis._advice(alone, None).startswith("Enroll the tag if it is new. If it is enrolled")
-    assert diagnosis._advice(replace(alone, hypotheses=(replace(winner, unexplained=0.3),)), None).startswith(
-        "Place"
-    )
-    assert "recorded range" in diagnosis._advice(replace(alone, code=Code.NO_TAG), None)
+    radar = RadarInfo(kind="simulated")
+    assert diagnosis._advice(alone, None, radar).startswith("Enroll the tag if it is new. If it is enrolled")
+    body = replace(alone, hypotheses=(replace(winner, unexplained=0.3),))
+    assert diagnosis._advice(body, None, radar).startswith("Place")
+    for code in (Code.NO_TAG, Code.NO_ECHO):
+        simulated, unmeasured, measured = (
+            diagnosis._advice(replace(alone, code=code), None, RadarInfo(kind=kind, cable_delay_ps=delay_ps))
+            for kind, delay_ps in (("simulated", 0.0), ("p440", 0.0), ("p440", 800.0))
+        )
+        assert simulated == measured != unmeasured and "tagid commission" in unmeasured
+        assert "recorded range" in simulated or code is Code.NO_ECHO
 
 
 @pytest.mark.parametrize(("error_m", "causes"), [(0.020, 1), (0.003, 0)])
