@@ -25,8 +25,6 @@ OVAL = (1e-5, 1e-3, 1e-1)
 """Powers of a body's oval part that are tried, over the body's."""
 ENOUGH = 0.02
 """Nats that a step of the descent gains at least, or it is the last."""
-_AGAIN = 3
-"""Descents more at most, while other powers explain more than those of the last one."""
 _PROMISED = 2.0
 """A descent hardly gains more than so many times what its steps promise."""
 FAR_M = 0.03
@@ -251,23 +249,15 @@ def refined(
     """The most probable parameters near a start.
 
     Args:
-        stages: powers of the clutter, one after the other: much clutter widens the maximum; None: the best,
-            in the end with parameters and powers that are the best of each other.
+        stages: powers of the clutter, one after the other: much clutter widens the maximum; None: the best.
         rounds: of every stage.
     """
     x = np.asarray(x, dtype=float)
     _likelihood(spectra, model).foresee(x)
     for clutter in stages:
-        used, _ = best_powers(spectra, model, x, clutter)
-        x, here = descend(spectra, model, x, used, rounds)
+        powers, _ = best_powers(spectra, model, x, clutter)
+        x, here = descend(spectra, model, x, powers, rounds)
     powers, log = best_powers(spectra, model, x)
-    for _ in range(_AGAIN if stages[-1] is None else 0):
-        if powers == used:
-            break
-        # The curvature, which the evidence takes, is of the powers of a descent.
-        used = powers
-        x, here = descend(spectra, model, x, used, rounds)
-        powers, log = best_powers(spectra, model, x)
     curved, volume = spread(here.hessian, model.precision)
     log_z = log + 0.5 * len(x) * np.log(2 * np.pi) - 0.5 * volume
     centre_sd = float(1 / np.sqrt(max(np.linalg.eigvalsh(curved[:2, :2])[0], 1e-30)))
