@@ -80,12 +80,13 @@ def render() -> str:
 def types_by_module() -> dict[str, list[type]]:
     """Types that the public names take, give and hold, and those of these types in turn, by module; all errors too."""
     public = [getattr(tagid, name) for name in tagid.__all__ if name != "__version__"]
-    known = dict.fromkeys([*public, *(var for var in vars(tagid.errors).values() if inspect.isclass(var))])
+    known = dict.fromkeys([*public, *(error for error in vars(tagid.errors).values() if inspect.isclass(error))])
     queue = list(known)
     while queue:
         thing = queue.pop()
         if thing.__name__ not in OPAQUE:
-            new = {own_class for result in annotations_of(thing).values() for own_class in own_classes(result)} - known.keys()
+            annotations = annotations_of(thing).values()
+            new = {kind for annotation in annotations for kind in own_classes(annotation)} - known.keys()
             known |= dict.fromkeys(new)
             queue += new
     types: dict[str, list[type]] = {}
@@ -197,10 +198,11 @@ def signature(name: str, thing: Any, bound: bool = False) -> str:
 
 def argument(parameter: inspect.Parameter) -> str:
     """`name: type = default`; a default that is made at each call, or that names the version, is "..."."""
-    text = parameter.name if parameter.annotation is parameter.empty else f"{parameter.name}: {annotation(parameter.annotation)}"
-    if parameter.default is parameter.empty:
+    kind, default = parameter.annotation, parameter.default
+    text = parameter.name if kind is parameter.empty else f"{parameter.name}: {annotation(kind)}"
+    if default is parameter.empty:
         return text
-    default = float(parameter.default) if isinstance(parameter.default, float) else parameter.default  # numpy's too
+    default = float(default) if isinstance(default, float) else default  # numpy's too
     plain = isinstance(default, str | int | float | bool | tuple | None) and default != tagid.__version__
     if isinstance(default, Enum):
         return f"{text} = {type(default).__name__}.{default.name}"

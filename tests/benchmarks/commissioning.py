@@ -147,7 +147,7 @@ def read_on_rig(seed: int) -> dict[str, Any]:
             pulse=received_from(pulse, CARD_REFLECTOR)[0],
         ),
     }
-    results: dict[str, Any] = {"layout": layout}
+    results = {}
     for state, capture in states.items():
         began = time.process_time()
         reading = identify(PreparedCapture(capture), list(builtin_layouts().values())).reading

@@ -9,11 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import json
 import os
 import socket
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -22,6 +19,7 @@ from typing import Any
 
 from PIL import Image
 
+from tests.benchmarks.background import started
 from tests.benchmarks.provenance import ROOT
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
@@ -57,18 +55,6 @@ def _pictures() -> Any:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-@contextlib.contextmanager
-def _tagid(words: list[str], environment: dict[str, str]) -> Iterator[dict[str, Any]]:
-    """A command in the background, and the data of the result that says it is ready."""
-    command = [sys.executable, "-m", "tagid", *words, "--output", "json"]
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            yield json.loads(process.stdout.readline())["data"]
-        finally:
-            process.terminate()
 
 
 def _free_port() -> int:
@@ -118,7 +104,7 @@ def walk(run: Run) -> Iterator[Table]:
             f'[motion]\nurl = "free?rpm={60 / rig.period_s:.2g}"\naxis_distance_m = 1.0\n'
         )
         environment = {**os.environ, "TAGID_DATA": folder, "TAGID_CONFIG": str(config)}
-        with _tagid(["station", "--bind", "127.0.0.1:0"], environment) as station:
+        with started(["station", "--bind", "127.0.0.1:0"], environment) as station:
             page = script.browser(f"{folder}/profile")
             try:
                 script.size(page, "tablet", "light")
@@ -126,17 +112,8 @@ def walk(run: Run) -> Iterator[Table]:
                 for number, (step, scene, acts) in enumerate(STEPS):
                     if acts:
                         table.close()
-                        words = [
-                            "emulate",
-                            "p440",
-                            "--bind",
-                            f"127.0.0.1:{port}",
-                            "--rig",
-                            RIG,
-                            "--scene",
-                            scene,
-                        ]
-                        table.enter_context(_tagid(words, environment))
+                        words = f"emulate p440 --bind 127.0.0.1:{port} --rig {RIG} --scene {scene}"
+                        table.enter_context(started(words.split(), environment))
                         _until(page, step, ())
                         began = time.monotonic()
                         for field, value in typed.items() if step == "link" else ():

@@ -7,10 +7,7 @@ pinned to one core.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,6 +23,7 @@ from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import RecordingPlan, capture_path, plan_window
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
+from tests.benchmarks.background import started
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 
@@ -55,19 +53,12 @@ def frames(run: Run) -> Iterator[Table]:
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     rows = []
     for scene, stated, integration in CASES[:1] if run.quick else CASES:
-        command = [sys.executable, "-m", "tagid", "emulate", "p440", "--bind", "127.0.0.1:0"]
-        command += ["--scene", scene, "--rpm", str(rpm), "--output", "json"]
-        emulator = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        try:
-            assert emulator.stdout is not None
-            url = json.loads(emulator.stdout.readline())["data"]["url"]
+        words = ["emulate", "p440", "--bind", "127.0.0.1:0", "--scene", scene, "--rpm", str(rpm)]
+        with started(words) as emulator:
             motion = f"free?rpm={rpm:g}" if stated else "free"
             for _ in range(repeats):
                 label = f"{scene}, {'stated' if stated else 'from the scans'}"
-                rows.append((label, *scan(url, motion, integration, run.folder)))
-        finally:
-            emulator.terminate()
-            emulator.wait()
+                rows.append((label, *scan(emulator["url"], motion, integration, run.folder)))
     yield Table(COLUMNS, rows)
 
 

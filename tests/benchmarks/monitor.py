@@ -16,6 +16,7 @@ import termios
 import threading
 from collections.abc import Iterator
 
+from tests.benchmarks.background import started
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 
@@ -58,11 +59,8 @@ def frames(run: Run) -> Iterator[Table]:
     """A row for each setting and terminal."""
     run.seeds = "one run"
     rows = []
-    words = [*TAGID, "emulate", "p440", "--bind", "127.0.0.1:0", "--output", "json"]
-    emulator = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    try:
-        assert emulator.stdout is not None
-        url = json.loads(emulator.stdout.readline())["data"]["url"]
+    with started(["emulate", "p440", "--bind", "127.0.0.1:0"]) as emulator:
+        url = emulator["url"]
         for name, integration, stop in SETTINGS:
             words = ["--radar", url, "--start", "0", "--stop", stop, "--pii", integration, "-q"]
             subprocess.run([*TAGID, "radar", "config", *words], check=True, stdout=subprocess.DEVNULL)
@@ -72,7 +70,4 @@ def frames(run: Run) -> Iterator[Table]:
                 size = f"{terminal[0]} x {terminal[1]}"
                 kind = "colour" if terminal[2] else "characters"
                 rows.append((name, size, kind, *rates, f"{data['scan_rate_hz']:.1f}", data["lost"]))
-    finally:
-        emulator.terminate()
-        emulator.wait()
     yield Table(("setting", "terminal", "drawn in", "frames/s", "kB/s", "scans/s", "lost"), rows)
