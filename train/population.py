@@ -122,7 +122,12 @@ def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: floa
         np.asarray((distance * np.exp(-1j * (angles + wobble)) - centre) * spin),
         4 * np.pi * _BAND / SPEED_OF_LIGHT,
     )
-    echo = _tag(rng, antenna, positions, body) + _body(rng, antenna, body, radius)
+    # Drawn before a box, too, whose field is solved: seeds of untagged ones keep their objects.
+    tag = _tag(rng, antenna, positions, body)
+    if body == "box":
+        echo = _metal_box(rng, antenna, positions, radius)
+    else:
+        echo = tag + _body(rng, antenna, body, radius)
     echo = echo + _clutter(rng, antenna, clutter)
     samples = _recorded(rng, echo, distance, snr)
     error = rng.uniform(-0.01, 0.01)
@@ -207,6 +212,27 @@ def _tag(
     return np.asarray(total * level[:, None])
 
 
+def _metal_box(
+    rng: np.random.Generator, antenna: _Antenna, positions: NDArray[np.complex128], radius: float
+) -> NDArray[np.complex128]:
+    """(F, V) echo of a box of metal and of reflectors before its walls, in its field."""
+    level = float(np.exp(rng.uniform(np.log(0.5), np.log(12.0))))
+    half = radius * np.array([1.0, rng.uniform(0.5, 1.0)])
+    if len(positions):
+        gap = np.abs(positions).max() - radius
+        # The largest box of these proportions that no reflector is nearer to.
+        inside = np.abs([positions.real, positions.imag]) - gap
+        half = np.maximum(half * (inside / half[:, None]).max(axis=0).min(), 0.018)
+    cells, frequency = volume.metal(volume.box(*half)), antenna.kappa * SPEED_OF_LIGHT / (4 * np.pi)
+    solved = volume.echo(cells, frequency, antenna.place)
+    total = antenna.wave(np.abs(antenna.place), level) * (solved / np.abs(solved).max())
+    for place in positions:
+        # Once on the way to the reflector, once on the way back.
+        field = volume.lit(cells, frequency, antenna.place, place)
+        total = total + rng.uniform(0.9, 1.1) * antenna.point(place) * field**2
+    return np.asarray(total)
+
+
 def _body(rng: np.random.Generator, antenna: _Antenna, body: str, radius: float) -> NDArray[np.complex128]:
     """(F, V) echo of the body: specular wall, creeping wave, and what is not round."""
     none = np.zeros((len(antenna.kappa), len(antenna.place)), dtype=np.complex128)
@@ -216,13 +242,6 @@ def _body(rng: np.random.Generator, antenna: _Antenna, body: str, radius: float)
     level = float(np.exp(rng.uniform(np.log(0.5), np.log(12.0))))
     if body == "shell":
         level = float(np.exp(rng.uniform(np.log(0.3), np.log(3.0))))
-    if body == "box":
-        half = np.array([radius, radius * rng.uniform(0.5, 1.0)])
-        solved = volume.echo(
-            volume.metal(volume.box(*half)), antenna.kappa * SPEED_OF_LIGHT / (4 * np.pi), antenna.place
-        )
-        total = antenna.wave(rho, level) * (solved / np.abs(solved).max())
-        return np.asarray(total)
     oval = rng.uniform(0.02, 0.25) if body in ("oval", "shell") else rng.uniform(0.0, 0.002)
     turn = rng.uniform(0, 2 * np.pi)
     support = radius * np.sqrt(1 + oval * np.cos(2 * (side - turn)))

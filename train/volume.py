@@ -10,6 +10,7 @@ antenna positions. Source: J. H. Richmond, IEEE Trans. Antennas Propag. 13, 1965
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,14 +122,31 @@ def echo(cells: Cells, frequency_hz: Floats, antennas_m: Complex) -> Complex:
     scattering length of a height h is j h S / pi. A point at another distance d has H0(kd)^2 / H0(kR)^2: the
     phase of a real antenna, and R / d of its amplitude instead of (R / d)^2.
     """
+    out = np.zeros((len(frequency_hz), len(antennas_m)), dtype=np.complex128)
+    for i, (k, field, radiated) in enumerate(_excited(cells, frequency_hz, antennas_m)):
+        incident = j0(k * np.abs(antennas_m)) - 1j * y0(k * np.abs(antennas_m))
+        out[i] = (field * radiated).sum(axis=0) / incident**2
+    return out
+
+
+def lit(cells: Cells, frequency_hz: Floats, antennas_m: Complex, place_m: complex) -> Complex:
+    """(F, P) field of line antennas at x + jy (P,), m, at a place, over that without the cells."""
+    out = np.zeros((len(frequency_hz), len(antennas_m)), dtype=np.complex128)
+    for i, (k, _, radiated) in enumerate(_excited(cells, frequency_hz, antennas_m)):
+        arriving = _hankel(k * np.abs(cells.centre_m - place_m)) @ radiated
+        out[i] = 1 + arriving / _hankel(k * np.abs(antennas_m - place_m))
+    return out
+
+
+def _excited(
+    cells: Cells, frequency_hz: Floats, antennas_m: Complex
+) -> Iterator[tuple[float, NDArray[np.complex64], NDArray[np.complex64]]]:
+    """Wavenumber, field of the antennas at the cells, and amplitudes that the cells radiate, (N, P)."""
     apart = np.abs(cells.centre_m[:, None] - cells.centre_m)
     np.fill_diagonal(apart, 1.0)
     away = np.abs(cells.centre_m[:, None] - antennas_m)
-    out = np.zeros((len(frequency_hz), len(antennas_m)), dtype=np.complex128)
-    for i, k in enumerate(2 * np.pi * frequency_hz / SPEED_OF_LIGHT):
+    for k in 2 * np.pi * frequency_hz / SPEED_OF_LIGHT:
         matrix = -_hankel(k * apart)
         np.fill_diagonal(matrix, _self_term(k, cells))
         field = _hankel(k * away)
-        incident = j0(k * np.abs(antennas_m)) - 1j * y0(k * np.abs(antennas_m))
-        out[i] = (field * np.linalg.solve(matrix, field)).sum(axis=0) / incident**2
-    return out
+        yield float(k), field, np.linalg.solve(matrix, field)

@@ -27,6 +27,8 @@ ENOUGH = 0.02
 """Nats that a step of the descent gains at least, or it is the last."""
 _PROMISED = 2.0
 """A descent hardly gains more than so many times what its steps promise."""
+_AGAIN = 3
+"""Descents more at most, while other powers explain more than those of the last one."""
 FAR_M = 0.03
 """No centre lies farther from the axis."""
 
@@ -249,15 +251,23 @@ def refined(
     """The most probable parameters near a start.
 
     Args:
-        stages: powers of the clutter, one after the other: much clutter widens the maximum; None: the best.
+        stages: powers of the clutter, one after the other: much clutter widens the maximum; None: the best,
+            in the end with parameters and powers that are the best of each other.
         rounds: of every stage.
     """
     x = np.asarray(x, dtype=float)
     _likelihood(spectra, model).foresee(x)
     for clutter in stages:
-        powers, _ = best_powers(spectra, model, x, clutter)
-        x, here = descend(spectra, model, x, powers, rounds)
+        used, _ = best_powers(spectra, model, x, clutter)
+        x, here = descend(spectra, model, x, used, rounds)
     powers, log = best_powers(spectra, model, x)
+    for _ in range(_AGAIN if stages[-1] is None else 0):
+        if powers == used:
+            break
+        # The curvature, which the evidence takes, is of the powers of a descent.
+        used = powers
+        x, here = descend(spectra, model, x, used, rounds)
+        powers, log = best_powers(spectra, model, x)
     curved, volume = spread(here.hessian, model.precision)
     log_z = log + 0.5 * len(x) * np.log(2 * np.pi) - 0.5 * volume
     centre_sd = float(1 / np.sqrt(max(np.linalg.eigvalsh(curved[:2, :2])[0], 1e-30)))

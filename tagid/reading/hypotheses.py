@@ -181,6 +181,7 @@ class Contest:
         self._one_less()
         self._beside_odd()
         self._anywhere()
+        self._facing()
         if self.sheets:
             self._sheets()
         self._about_own_middle()
@@ -319,6 +320,16 @@ class Contest:
                 self.spectra, freed, np.r_[head, np.zeros(freed.parameters - model.head)], (None,), 8
             )
             self.grow(self.add(None, best), self.most_odd)
+
+    def _facing(self) -> None:
+        """The best bare tags, of reflectors that return less from behind."""
+        for enrolled in (True, False):
+            every = self._best(len(self.hypotheses), enrolled=enrolled)
+            bare = [hypothesis for hypothesis in every if hypothesis.estimate.model.transfer is BARE]
+            for hypothesis in bare[:3]:
+                model = replace(hypothesis.estimate.model, transfer=FACING)
+                best = refined(self.spectra, model, hypothesis.estimate.x, (1e-3, None))
+                self.add(hypothesis.layout, best, hypothesis.middle, hypothesis.prior)
 
     def _hidden(self) -> None:
         """The best bare tags, not seen from a sector of directions: behind a post or a hand."""

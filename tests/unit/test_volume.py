@@ -54,6 +54,16 @@ def test_a_cylinder_is_that_of_the_exact_series(
     assert np.abs(np.angle(ratio, deg=True)).max() < most_deg
 
 
+def test_a_speck_is_lit_and_seen_through_the_same_field() -> None:
+    body, place = metal(volume.box(0.05, 0.03)), 0.045 + 0.041j
+    antennas = 0.9 * np.exp(1j * np.linspace(0.1, 6.0, 12))
+    speck = Cells.of(np.array([place]), 1e-3, 2.5)
+    added = volume.echo(body + speck, F, antennas) - volume.echo(body, F, antennas)
+    field = volume.lit(body, F, antennas, place)
+    ratio = added / (volume.echo(speck, F, antennas) * field**2)
+    assert np.abs(ratio - 1)[np.abs(field) > 0.3].max() < 0.01
+
+
 def test_only_the_place_of_the_antenna_in_the_object_s_frame_matters() -> None:
     target = volume_objects.target(7)
     cells, antenna, by, turn = target.body + target.tag, 0.5 * np.exp(0.4j), 0.02 - 0.01j, 2.0
