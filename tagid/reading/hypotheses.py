@@ -269,7 +269,7 @@ class Contest:
             estimate, model = hypothesis.estimate, hypothesis.estimate.model
             assert model.tag is not None
             starts = []
-            for transfer in (*self.transfers, FACING):
+            for transfer in self.transfers:
                 walled, tag, middle = replace(model, transfer=transfer, oval=transfer.body), model.tag, False
                 if hypothesis.layout is not None:
                     arranged = Arranged.of(hypothesis.layout, walled.covers_middle)
