@@ -181,7 +181,7 @@ def _axis(config: Config) -> Finding:
     if distance is None:
         remedy = "Measure it: `tagid config set motion.axis_distance_m METRES`"
         return Finding("axis distance", "warning", "not set", remedy)
-    return Finding("axis distance", "ok", f"{distance} m")
+    return Finding("axis distance", "ok", f"{distance:.4g} m")
 
 
 def _rig(config: Config) -> Finding:

@@ -190,7 +190,10 @@ class RigProfile:
             )
         serial = capture.radar.serial
         if serial is not None and self.radar.serial and str(serial) != str(self.radar.serial):
-            remarks.append(f"this recording is of another radar (serial {serial}) than {name}")
+            remarks.append(
+                f"this recording is of another radar (serial {serial}) than {name}, whose path delay may not "
+                "be its own: commission this one"
+            )
         return tuple(remarks)
 
     def recorded_by(self, capture: Capture) -> bool:

@@ -25,7 +25,7 @@ from tagid.result import NO_NAMES
 MAX_BYTES = 64 << 20
 NO_LAYOUT = tuple(answer for answer in NO_NAMES if answer != "failed")
 """Answers that can be expected instead of a layout."""
-_WANTED = "Write lines of file,expected_layout."
+_WANTED = "Write lines of file,expected_layout; of an object without a tag file,no_tag."
 _FILE_HEADS = ("file", "path", "filename", "name")
 _LAYOUT_HEADS = ("expected_layout", "expected layout", "expected", "layout")
 
@@ -102,11 +102,9 @@ def _rows(path: Path) -> list[tuple[int, str, str]]:
             (i, row) for i, row in enumerate(csv.reader(io.StringIO(text), delimiter=separator), 1) if row
         ]
     except csv.Error as error:
-        raise UsageError(
-            f"{path} is not a CSV table: {error}", "Write lines of file,expected_layout."
-        ) from None
+        raise UsageError(f"{path} is not a CSV table: {error}", _WANTED) from None
     if not table:
-        raise UsageError(f"{path} is empty", "Write lines of file,expected_layout.")
+        raise UsageError(f"{path} is empty", _WANTED)
     heads = [cell.strip().lower() for cell in table[0][1]]
     file_at = next((heads.index(name) for name in _FILE_HEADS if name in heads), None)
     layout_at = next((heads.index(name) for name in _LAYOUT_HEADS if name in heads), None)

@@ -109,8 +109,7 @@ def _list(terminal: Terminal, store: History, wanted: Filter) -> Result:
         shown.add_row(
             entry.time_utc[:19].replace("T", " "),
             Text(answer, style=colours.get(entry.status, "yellow")),
-            f"{entry.score:.2f}",
-            f"{entry.margin:.2f}",
+            *("-" if entry.status == "failed" else f"{share:.2f}" for share in (entry.score, entry.margin)),
             entry.command,
             Text(entry.file, no_wrap=True),
         )

@@ -105,7 +105,8 @@ def _competing(reading: Reading) -> Iterator[RenderableType]:
     mark = "" if needed is None else f" (a name needs {reading.needed:.1f}: the |)"
     yield Text(f"  behind the likeliest, nats of log evidence{mark}:")
     table = Table.grid(padding=(0, 1))
-    for row in reading.hypotheses:
+    # Nothing wins over what is hardly likelier.
+    for row in sorted(reading.hypotheses, key=lambda row: abs(row.log_evidence)):
         behind = abs(row.log_evidence)
         bar = list("#" * round(behind) if behind <= _BAR else "#" * _BAR + "+")
         if needed is not None and needed < len(bar):

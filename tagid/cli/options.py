@@ -229,7 +229,13 @@ def demo_settings(scene: str) -> dict[str, Any]:
     # Objects are never exactly on the axis: object and body are 6 mm off.
     url = f"emulator://{quote(scene)}?rpm=6&centre=0.005,-0.003&rate=1"
     emulated_object(url)
-    return {"radar.url": url, "motion.url": "free?rpm=6", "motion.axis_distance_m": 1.0}
+    # A commissioned rig is another one: what it measured is not of this radar.
+    measured = {
+        "radar.cable_delay_ps": 0.0,
+        "motion.antenna_height_m": 0.0,
+        "motion.antenna_separation_m": 0.0,
+    }
+    return {"radar.url": url, "motion.url": "free?rpm=6", "motion.axis_distance_m": 1.0, **measured}
 
 
 @dataclass(frozen=True)

@@ -253,7 +253,7 @@ def _rows(planned: Plan, snr: float) -> list[tuple[str, str]]:
             "reflector",
             f"{setup.reflector} (tip to tip), {planned.rcs_dbsm:.1f} dBsm; layout {setup.layout.name}",
         ),
-        ("SNR", f"{snr:.1f} dB at {setup.distance_m:g} m, as `tagid show` measures it"),
+        ("SNR", f"{snr:.1f} dB at {setup.distance_m:.4g} m, as `tagid show` measures it"),
         ("per reflector", f"peak {planned.snr_sample_db:.1f} dB over the noise of one sample"),
         (
             "averaging",
@@ -287,7 +287,7 @@ def _rates_rows(name: str, rates: Expected) -> list[tuple[str, str]]:
         (name, f"named {rates.named}, refused {rates.refused}, wrong {rates.wrong}"),
         (
             "",
-            f"measured: {rates.source}; {rates.scenes} scenes" + (f"; {rates.note}" if rates.note else ""),
+            f"simulated: {rates.source}; {rates.scenes} scenes" + (f"; {rates.note}" if rates.note else ""),
         ),
     ]
 

@@ -220,8 +220,10 @@ def _settings(
     """The settings of an image from those of the configuration. Raises UsageError."""
     from tagid.imaging.ats.settings import parse_calibrate, parse_settings
 
-    if (how.calibrate or how.ats) and plain.method not in ("ats", "auto"):
-        raise UsageError(f"--calibrate and --ats have no effect with {plain.method}", "Use --method ats.")
+    if (how.calibrate or how.ats or how.device != "cpu") and plain.method not in ("ats", "auto"):
+        raise UsageError(
+            f"--calibrate, --ats and --device have no effect with {plain.method}", "Use --method ats."
+        )
     calibrate = [f"calibrate={'+'.join(parse_calibrate(how.calibrate))}"] if how.calibrate else []
     learned = parse_settings([*(how.ats or ()), *calibrate])
     return replace(

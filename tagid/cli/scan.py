@@ -64,7 +64,10 @@ def scan(
     live: Annotated[bool, typer.Option("--live", help="Show image and evidence during the scan.")] = False,
     until_sure: Annotated[
         bool,
-        typer.Option("--until-sure", help="End the scan, and the motion, once the answer is certain."),
+        typer.Option(
+            "--until-sure",
+            help="End scan and motion once a bare tag of three reflectors or more is certain.",
+        ),
     ] = False,
     note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a name.")] = "",
     subtract_body: Annotated[
@@ -129,7 +132,13 @@ def scan(
             "Omit one of the two.",
         )
     shown = View(preview, subtract_body, live, until_sure)
-    config = load_config(overrides | (demo_settings(demo_scene) if demo else {}))
+    shows = demo_settings(demo_scene) if demo else {}
+    if any(overrides[name] is not None for name in shows):
+        raise UsageError(
+            "--demo brings its own radar, turntable and distances",
+            "Omit --demo, or --radar, --cable-delay, --motion and the distances.",
+        )
+    config = load_config(overrides | shows)
     agree_to(config["motion.url"], yes)
     about = with_truth(about, truth_of(config["radar.url"] or "", truth))
     place = Workplace(config)

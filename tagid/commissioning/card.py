@@ -82,7 +82,7 @@ def _read(prepared: PreparedCapture) -> Reading:
 
 def _named_row(share: str, views: int, reading: Reading) -> Row:
     row = partial(Row, f"read at {share} of the views", value=reading.lead, unit="nats")
-    lead = f"{views} views, lead {reading.lead:.0f} of {reading.needed:.0f} nats"
+    lead = f"{views} views; a name needs {reading.needed:.0f} nats"
     if reading.status == "identified" and reading.layout == NAME:
         return row(Level.PASS, text=lead)
     if reading.status == "identified":

@@ -23,8 +23,7 @@ class Comparison:
         rotation_error_deg: error of the rotation, at most 180 degrees divided by the layout's symmetry; None
             if the layout was not named or the rotation is unknown, as on an emulated table, which turns
             before the first scan, and of a layout measured from captures, whose directions are its own.
-        centre_error_m: distance between estimated and true centre, m; None if not named or unknown, and of a
-            layout measured from captures.
+        centre_error_m: distance between estimated and true centre, m; None where the rotation's error is.
     """
 
     layout: str | None
@@ -52,9 +51,10 @@ def compare(capture: Capture, answer: Identification, layouts: Sequence[Layout])
     order = (layout.symmetry if layout is not None else 0) or 1
     turn = 360.0 / order
     rotation = centre = None
-    # An emulated table turns before the first scan: its rotation then is not that of the truth.
-    if truth.rotation_deg is not None and capture.radar.kind == "simulated":
+    # An emulated table turns before the first scan: rotation and centre then are not those of the truth.
+    simulated = capture.radar.kind == "simulated"
+    if truth.rotation_deg is not None and simulated:
         rotation = float((reading.rotation_deg - truth.rotation_deg + turn / 2) % turn - turn / 2)
-    if truth.centre_m is not None:
+    if truth.centre_m is not None and simulated:
         centre = float(np.hypot(*np.subtract(reading.centre_m, truth.centre_m[:2])))
     return Comparison(carried, True, rotation, centre)

@@ -277,8 +277,8 @@ def held_out_words(settings: ImageFacts) -> list[str]:
         )
     if held_out["worse_than_backprojection"]:
         lines.append(
-            "backprojection predicts held-out views better: `imaging.method=bp` is more reliable than this "
-            "image"
+            "backprojection predicts held-out views better: `imaging.method=bp` or `imaging.method=bp-raw`, "
+            "whichever has that residual, is more reliable than this image"
         )
     return lines
 

@@ -70,15 +70,12 @@ def decide(hypotheses: Sequence[Hypothesis], needed: Needed = Needed()) -> Decis
     best = max(named, key=lambda hypothesis: hypothesis.log_z, default=None)
     others = [hypothesis for hypothesis in hypotheses if best is None or not is_same(hypothesis, best)]
     rival = max(others, key=lambda hypothesis: hypothesis.log_z)
-    untagged = max(
-        (hypothesis for hypothesis in hypotheses if not hypothesis.tagged),
-        key=lambda hypothesis: hypothesis.log_z,
-    )
+    untagged = _untagged(hypotheses)
     if best is None:
-        return settled(None, Joint(rival.log_z, rival), Joint(untagged.log_z, untagged), needed)
+        return settled(None, Joint(rival.log_z, rival), untagged, needed)
     bare = best_bare(hypotheses, best.name or "")
     named_best = Joint(best.log_z, best, bare=-np.inf if bare is None else bare.log_z)
-    return settled(named_best, Joint(rival.log_z, rival), Joint(untagged.log_z, untagged), needed)
+    return settled(named_best, Joint(rival.log_z, rival), untagged, needed)
 
 
 def settled(named: Joint | None, other: Joint, untagged: Joint, needed: Needed = Needed()) -> Decision:
@@ -114,14 +111,24 @@ def _stranger(winner: Hypothesis) -> str:
     return words(winner) + ("; this arrangement is not enrolled" if arranged else "")
 
 
+def _untagged(hypotheses: Sequence[Hypothesis]) -> Joint:
+    """The best hypothesis without a tag; it is shown as nothing where it is no more certain than that."""
+    some = [hypothesis for hypothesis in hypotheses if not hypothesis.tagged]
+    best = max(some, key=lambda hypothesis: hypothesis.log_z)
+    nothing = [hypothesis for hypothesis in some if _silent(hypothesis)]
+    near = [hypothesis for hypothesis in nothing if best.log_z - hypothesis.log_z < SURE]
+    return Joint(best.log_z, max(near, key=lambda hypothesis: hypothesis.log_z, default=best))
+
+
+def _silent(hypothesis: Hypothesis) -> bool:
+    """Whether nothing turns but noise."""
+    model = hypothesis.estimate.model
+    return not (model.transfer.body or model.odd or hypothesis.estimate.powers.clutter)
+
+
 def _without_tag(winner: Hypothesis) -> Code:
     """Whether an untagged hypothesis is that nothing turns there but noise."""
-    silent = (
-        not winner.estimate.model.transfer.body
-        and not winner.estimate.model.odd
-        and not winner.estimate.powers.clutter
-    )
-    return Code.NO_ECHO if silent else Code.NO_TAG
+    return Code.NO_ECHO if _silent(winner) else Code.NO_TAG
 
 
 def _difference(winner: Hypothesis, best: Hypothesis) -> Code:
@@ -226,6 +233,7 @@ def words(hypothesis: Hypothesis) -> str:
         return f"one reflector{where}{odd}"
     gaps = gaps_deg(np.angle(positions))
     gaps = np.sort(gaps)[:-1] if count == 2 else gaps
-    apart = " and ".join(f"{g:.0f}" for g in gaps)
+    *others, last = (f"{gap:.0f}" for gap in gaps)
+    apart = " and ".join(filter(None, (", ".join(others), last)))
     out = np.abs(positions).mean() * 1e3
     return f"{count} reflectors {apart} degrees apart, {out:.0f} mm from the centre{where}{odd}"

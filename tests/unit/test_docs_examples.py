@@ -87,7 +87,7 @@ def test_a_refusal_names_a_reason_of_the_page_on_refusals(
     answer = names["answer"]
     assert (answer.status, answer.reading.layout) == ("unknown", None)
     assert answer.reading.code == "another_arrangement"
-    words = "3 reflectors 120 and 120 and 120 degrees apart, 110 mm from the centre"
+    words = "3 reflectors 120, 120 and 120 degrees apart, 110 mm from the centre"
     assert answer.reading.reason.startswith(words)
     assert f"`{answer.reading.code}`" in (PAGE.parent / "refusals.md").read_text()
     everyone = names["answer_with_all"]

@@ -222,7 +222,7 @@
     ["score", item.score.toFixed(3)], ["margin", item.margin.toFixed(3)],
     ["rotation", item.rotation_deg === null ? "" : item.rotation_deg.toFixed(1) + " degrees"],
     ["centre", item.centre_m ? `(${(1000 * item.centre_m[0]).toFixed(1)}, ${(1000 * item.centre_m[1]).toFixed(1)}) mm` : ""],
-    ["reflectors", `${item.reflectors.length} found, ${item.missing} missing, ${item.extra} extra`],
+    ["reflectors", `${item.reflectors.filter((r) => r.matched).length} of the layout, ${item.missing} missing, ${item.extra} extra`],
     ["others", item.scores.slice(0, 5).map((s) => `${s.layout} ${s.share.toFixed(2)}`).join(", ")],
     ["timings, s", seconds(item)], ["capture uuid", item.capture_uuid], ["content, sha256", item.content_sha256],
     ["size", item.size_bytes === null ? "" : item.size_bytes + " bytes"], ["tool version", item.tool_version],
