@@ -55,6 +55,8 @@ STRAIGHTENED = 3
 """Times at most that the angles of a part of a turn are found: first by hypotheses that wrong ones bent."""
 LIMIT_ODD, LIMIT_ODD_UNTAGGED = 4, 7
 """Odd scatterers beside a tag, and where there is none, at most."""
+EVENED = 8
+"""Kinds of rivals that get as many odd scatterers as what they compete with."""
 MOST_REFLECTORS = 5
 """Reflectors of an arrangement that is not enrolled."""
 FIRST, THEN = 16, 8
@@ -191,6 +193,7 @@ class Contest:
         self._one_more()
         self._by_hand()
         self._unbound()
+        self._evened()
 
     @property
     def _searched(self) -> Sequence[Transfer]:
@@ -593,3 +596,19 @@ class Contest:
             freed, start = hypothesis.estimate.unbound()
             best = self.add(None, refined(self.spectra, freed, start, (None,)))
             self.grow(best, self.most_odd - freed.odd)
+
+    def _evened(self) -> None:
+        """The best of every kind without a name, beside as many odd scatterers as the best with one has."""
+        ranked = sorted(self.hypotheses, key=lambda hypothesis: -hypothesis.log_z)
+        named = next((hypothesis for hypothesis in ranked if hypothesis.name is not None), None)
+        if named is None:
+            return
+        kinds: dict[tuple[str, int], Hypothesis] = {}
+        for hypothesis in ranked:
+            if hypothesis.name is None:
+                model = hypothesis.estimate.model
+                kinds.setdefault(
+                    (model.transfer.name, 0 if model.tag is None else model.tag.count), hypothesis
+                )
+        for hypothesis in list(kinds.values())[:EVENED]:
+            self.grow(hypothesis, named.estimate.model.odd - hypothesis.estimate.model.odd)
