@@ -26,6 +26,7 @@ from tagid.reading.hypothesis import (
     disc_of,
     distinct,
     middle_of,
+    rivals,
     same_place,
 )
 from tagid.reading.odd import OddMap
@@ -328,8 +329,7 @@ class Contest:
         """The best bare tags, of reflectors that return less from behind."""
         for enrolled in (True, False):
             every = self._best(len(self.hypotheses), enrolled=enrolled)
-            bare = [hypothesis for hypothesis in every if hypothesis.estimate.model.transfer is BARE]
-            for hypothesis in bare[:3]:
+            for hypothesis in [h for h in every if h.estimate.model.transfer is BARE][:3]:
                 model = replace(hypothesis.estimate.model, transfer=FACING)
                 best = refined(self.spectra, model, hypothesis.estimate.x, (1e-3, None))
                 self.add(hypothesis.layout, best, hypothesis.middle, hypothesis.prior)
@@ -474,11 +474,7 @@ class Contest:
 
     def _best(self, count: int, *, enrolled: bool) -> list[Hypothesis]:
         """The best hypotheses with reflectors, of layouts or of arrangements that are not enrolled."""
-        some = [
-            hypothesis
-            for hypothesis in self.hypotheses
-            if hypothesis.estimate.model.tag and not hypothesis.estimate.model.whole
-        ]
+        some = [h for h in self.hypotheses if h.estimate.model.tag and not h.estimate.model.whole]
         some = [hypothesis for hypothesis in some if (hypothesis.layout is not None) == enrolled]
         return sorted(some, key=lambda hypothesis: -hypothesis.log_z)[:count]
 
@@ -583,11 +579,8 @@ class Contest:
     def _by_hand(self) -> None:
         """The best layouts with every reflector a little off its place, as they were glued."""
         for hypothesis in self._best(3, enrolled=True):
-            best = self.add(
-                hypothesis.layout,
-                refined(self.spectra, *hypothesis.estimate.by_hand(), (None,)),
-                hypothesis.middle,
-            )
+            glued = refined(self.spectra, *hypothesis.estimate.by_hand(), (None,))
+            best = self.add(hypothesis.layout, glued, hypothesis.middle)
             self.grow(best, self.most_odd - hypothesis.estimate.model.odd)
 
     def _unbound(self) -> None:
@@ -599,16 +592,7 @@ class Contest:
 
     def _evened(self) -> None:
         """The best of every kind without a name, beside as many odd scatterers as the best with one has."""
-        ranked = sorted(self.hypotheses, key=lambda hypothesis: -hypothesis.log_z)
-        named = next((hypothesis for hypothesis in ranked if hypothesis.name is not None), None)
-        if named is None:
-            return
-        kinds: dict[tuple[str, int], Hypothesis] = {}
-        for hypothesis in ranked:
-            if hypothesis.name is None:
-                model = hypothesis.estimate.model
-                kinds.setdefault(
-                    (model.transfer.name, 0 if model.tag is None else model.tag.count), hypothesis
-                )
-        for hypothesis in list(kinds.values())[:EVENED]:
-            self.grow(hypothesis, named.estimate.model.odd - hypothesis.estimate.model.odd)
+        named = [hypothesis for hypothesis in self.hypotheses if hypothesis.name is not None]
+        odd = max(named, key=lambda hypothesis: hypothesis.log_z).estimate.model.odd if named else 0
+        for hypothesis in rivals(self.hypotheses)[:EVENED]:
+            self.grow(hypothesis, odd - hypothesis.estimate.model.odd)

@@ -244,6 +244,16 @@ def unlike(starts: list[Candidate], count: int) -> list[Candidate]:
     return out
 
 
+def rivals(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The best hypothesis without a name of every transfer and number of reflectors, best first."""
+    kinds: dict[tuple[str, int], Hypothesis] = {}
+    for hypothesis in sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_z):
+        if hypothesis.name is None:
+            estimate = hypothesis.estimate
+            kinds.setdefault((estimate.model.transfer.name, len(estimate.positions)), hypothesis)
+    return list(kinds.values())
+
+
 def same_place(estimate: Estimate, other: Estimate) -> bool:
     """Both are of one model and stand at one place."""
     if estimate.model.transfer is not other.model.transfer or len(estimate.positions) != len(other.positions):
