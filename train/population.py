@@ -226,10 +226,10 @@ def _metal_box(
     cells, frequency = volume.metal(volume.box(*half)), antenna.kappa * SPEED_OF_LIGHT / (4 * np.pi)
     solved = volume.echo(cells, frequency, antenna.place)
     total = antenna.wave(np.abs(antenna.place), level) * (solved / np.abs(solved).max())
-    for place in positions:
-        # Once on the way to the reflector, once on the way back.
-        field = volume.lit(cells, frequency, antenna.place, place)
-        total = total + rng.uniform(0.9, 1.1) * antenna.point(place) * field**2
+    # Once on the way to a reflector, once on the way back.
+    seen = volume.lit(cells, frequency, antenna.place, positions) ** 2
+    for i, place in enumerate(positions):
+        total = total + rng.uniform(0.9, 1.1) * antenna.point(place) * seen[:, i]
     return np.asarray(total)
 
 

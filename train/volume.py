@@ -129,12 +129,12 @@ def echo(cells: Cells, frequency_hz: Floats, antennas_m: Complex) -> Complex:
     return out
 
 
-def lit(cells: Cells, frequency_hz: Floats, antennas_m: Complex, place_m: complex) -> Complex:
-    """(F, P) field of line antennas at x + jy (P,), m, at a place, over that without the cells."""
-    out = np.zeros((len(frequency_hz), len(antennas_m)), dtype=np.complex128)
+def lit(cells: Cells, frequency_hz: Floats, antennas_m: Complex, places_m: Complex) -> Complex:
+    """(F, K, P) field of line antennas at x + jy (P,), m, at places (K,), over that without the cells."""
+    out = np.zeros((len(frequency_hz), len(places_m), len(antennas_m)), dtype=np.complex128)
     for i, (k, _, radiated) in enumerate(_excited(cells, frequency_hz, antennas_m)):
-        arriving = _hankel(k * np.abs(cells.centre_m - place_m)) @ radiated
-        out[i] = 1 + arriving / _hankel(k * np.abs(antennas_m - place_m))
+        arriving = _hankel(k * np.abs(places_m[:, None] - cells.centre_m)) @ radiated
+        out[i] = 1 + arriving / _hankel(k * np.abs(places_m[:, None] - antennas_m))
     return out
 
 

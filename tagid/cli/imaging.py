@@ -98,7 +98,6 @@ def _competing(reading: Reading) -> Iterator[RenderableType]:
     from rich.padding import Padding
     from rich.text import Text
 
-    from tagid.operate.words import left_words
     from tagid.report.table import Table
 
     needed = round(reading.needed) if isfinite(reading.needed) else None
@@ -111,7 +110,7 @@ def _competing(reading: Reading) -> Iterator[RenderableType]:
         bar = list("#" * round(behind) if behind <= _BAR else "#" * _BAR + "+")
         if needed is not None and needed < len(bar):
             bar[needed] = "|"
-        table.add_row(f"{behind:7.1f}", "".join(bar), f"{row.words}, {left_words(row.unexplained)}")
+        table.add_row(f"{behind:7.1f}", "".join(bar), f"{row.words}, {row.residual_words}")
     yield Padding(table, (0, 0, 0, 2))
 
 

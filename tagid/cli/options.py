@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +13,7 @@ import typer
 from tagid import secret
 from tagid.cli import options
 from tagid.cli.units import METRES, PICOSECONDS
+from tagid.errors import UsageError
 from tagid.query import parse_point
 
 if TYPE_CHECKING:
@@ -219,10 +221,14 @@ class Limits:
     max_seconds: float
 
 
-def demo_settings(scene: str) -> dict[str, Any]:
+def demo_settings(scene: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of a demo, by their configuration names: a P440 that is emulated in this process in real time.
 
-    Raises UsageError for an unknown scene.
+    Args:
+        scene: of the object.
+        given: settings of the command line, None for none: a demo has no others.
+
+    Raises UsageError for an unknown scene, and for settings that the demo would overrule.
     """
     from tagid.recording.radars import emulated_object
 
@@ -235,7 +241,13 @@ def demo_settings(scene: str) -> dict[str, Any]:
         "motion.antenna_height_m": 0.0,
         "motion.antenna_separation_m": 0.0,
     }
-    return {"radar.url": url, "motion.url": "free?rpm=6", "motion.axis_distance_m": 1.0, **measured}
+    settings = {"radar.url": url, "motion.url": "free?rpm=6", "motion.axis_distance_m": 1.0, **measured}
+    if any(given.get(name) is not None for name in settings):
+        raise UsageError(
+            "--demo brings its own radar, turntable and distances",
+            "Omit --demo, or --radar, --cable-delay, --motion and the distances.",
+        )
+    return settings
 
 
 @dataclass(frozen=True)

@@ -132,13 +132,7 @@ def scan(
             "Omit one of the two.",
         )
     shown = View(preview, subtract_body, live, until_sure)
-    shows = demo_settings(demo_scene) if demo else {}
-    if any(overrides[name] is not None for name in shows):
-        raise UsageError(
-            "--demo brings its own radar, turntable and distances",
-            "Omit --demo, or --radar, --cable-delay, --motion and the distances.",
-        )
-    config = load_config(overrides | shows)
+    config = load_config(overrides | (demo_settings(demo_scene, overrides) if demo else {}))
     agree_to(config["motion.url"], yes)
     about = with_truth(about, truth_of(config["radar.url"] or "", truth))
     place = Workplace(config)

@@ -63,7 +63,7 @@ def station(
     with ExitStack() as stack:
         objects: tuple[DemoObject, ...] = ()
         if demo:
-            settings = demo_settings(demo_scene)
+            settings = demo_settings(demo_scene, overrides)
             overrides |= settings
             objects = demo_objects(demo_scene, settings)
         source = Source(lambda: Workplace(overrides), max_seconds, objects)

@@ -82,26 +82,26 @@ def _read(prepared: PreparedCapture) -> Reading:
 
 def _named_row(share: str, views: int, reading: Reading) -> Row:
     row = partial(Row, f"read at {share} of the views", value=reading.lead, unit="nats")
-    lead = f"{views} views; a name needs {reading.needed:.0f} nats"
+    basis = f"{views} views; a name needs {reading.needed:.0f} nats"
     if reading.status == "identified" and reading.layout == NAME:
-        return row(Level.PASS, text=lead)
+        return row(Level.PASS, text=basis)
     if reading.status == "identified":
         return row(
             Level.FAIL,
-            text=f"{lead}: {MIRRORED[0]}",
+            text=f"{basis}: {MIRRORED[0]}",
             advice=MIRRORED[1],
             code="mirrored",
         )
     if reading.missing:
         return row(
             Level.FAIL,
-            text=f"{lead}: {reading.missing} of the card's {test_card().size} reflectors missing",
+            text=f"{basis}: {reading.missing} of the card's {test_card().size} reflectors missing",
             advice=MISSING_ADVICE,
             code="missing-reflector",
         )
     return row(
         Level.FAIL,
-        text=f"{lead}: {reading.reason}",
+        text=f"{basis}: {reading.reason}",
         advice=reading.advice or "Check the card, then repeat the step turning.",
         code="not-named",
     )

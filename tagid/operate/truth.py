@@ -46,15 +46,15 @@ def compare(capture: Capture, answer: Identification, layouts: Sequence[Layout])
     if named is None or named != carried or reading is None:
         return Comparison(carried, named == carried)
     layout = next((layout for layout in layouts if layout.name == named), None)
-    if layout is not None and layout.covariance is not None:
+    measured = layout is not None and layout.covariance is not None
+    # An emulated table turns before the first scan: rotation and centre then are not those of the truth.
+    if measured or capture.radar.kind != "simulated":
         return Comparison(carried, True)
     order = (layout.symmetry if layout is not None else 0) or 1
     turn = 360.0 / order
     rotation = centre = None
-    # An emulated table turns before the first scan: rotation and centre then are not those of the truth.
-    simulated = capture.radar.kind == "simulated"
-    if truth.rotation_deg is not None and simulated:
+    if truth.rotation_deg is not None:
         rotation = float((reading.rotation_deg - truth.rotation_deg + turn / 2) % turn - turn / 2)
-    if truth.centre_m is not None and simulated:
+    if truth.centre_m is not None:
         centre = float(np.hypot(*np.subtract(reading.centre_m, truth.centre_m[:2])))
     return Comparison(carried, True, rotation, centre)

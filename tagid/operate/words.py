@@ -113,17 +113,7 @@ def hypothesis_words(reading: Reading) -> str:
     if won is None or reading.code == "no_echo":
         return ""
     x, y = (round(value * 1e3) for value in won.centre_m)
-    return f"{won.words}, centre ({x}, {y}) mm, {left_words(won.unexplained)}"
-
-
-def left_words(share: float) -> str:
-    """The share of the moving echo that a hypothesis leaves.
-
-    >>> left_words(0.0123), left_words(0.321)
-    ('1.2 % unexplained', '32 % unexplained')
-    """
-    percent = 100 * share
-    return f"{percent:.{0 if percent >= 9.95 else 1}f} % unexplained"
+    return f"{won.words}, centre ({x}, {y}) mm, {won.residual_words}"
 
 
 def nearest_words(answer: Identification) -> str:

@@ -74,6 +74,12 @@ class Explanation:
     radius_m: float | None = None
     outline_m: tuple[tuple[float, float], ...] = ()
 
+    @property
+    def residual_words(self) -> str:
+        """The residual share in words."""
+        percent = 100 * self.unexplained
+        return f"{percent:.{0 if percent >= 9.95 else 1}f} % unexplained"
+
 
 @dataclass(frozen=True, eq=False)
 class Residuals:

@@ -32,7 +32,7 @@ def draw_residuals(residuals: Residuals, hypotheses: Sequence[Explanation], path
     """
     titles = ["recorded, without what stands still"]
     titles += [
-        f"{100 * hypothesis.unexplained:.1f} % unexplained by {hypothesis.words}"
+        f"{hypothesis.residual_words} by {hypothesis.words}"
         for hypothesis in hypotheses[: len(residuals.by_hypothesis)]
     ]
     rows = [residuals.recorded, *residuals.by_hypothesis]

@@ -79,13 +79,9 @@ class Snr:
         """The values that are known and what they refer to, as every command and table prints them."""
         peaks = ((self.reflector_db, " per reflector"), (self.summed_db, " summed"), (self.reference_db, ""))
         known = ", ".join(f"{value:.1f} dB{what}" for value, what in peaks if value is not None)
-        if not known:
-            return "no noise"
-        if self.changing_db is None:
-            of = f" the peak of {self.reference}" if self.reference else " a peak"
-            return f"nothing changes; noise {known} below{of}"
+        snr = "nothing changes" if self.changing_db is None else f"SNR {self.changing_db:.1f} dB"
         what = f", of {self.reference}" * bool(self.reference)
-        return f"SNR {self.changing_db:.1f} dB; peak over noise {known}{what}"
+        return f"{snr}; peak over noise {known}{what}" if known else "no noise"
 
 
 def ratio_db(peak: float, noise_std: float) -> float | None:

@@ -154,7 +154,7 @@ def test_numbers_that_cannot_be_emulated_are_refused(
     ("scene", "said"),
     [
         ("helmet-120", r"SNR 13\.\d dB; .* 15\.0 dB per reflector, 1[89]\.\d dB summed at integration .*"),
-        ("empty", r"nothing changes; noise 15\.0 dB below the peak of a single reflector .*"),
+        ("empty", r"nothing changes; peak over noise 15\.0 dB, of a single reflector .*"),
     ],
 )
 def test_an_emulated_radar_says_the_snr_that_it_applies(

@@ -261,7 +261,7 @@ def test_the_second_object_of_the_demonstration_moves_and_is_not_enrolled(
     monkeypatch.setenv("TAGID_DATA", str(tmp_path / "data"))
     monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "c.toml"))
     quick = {"imaging.method": "bp", "radar.integration": 15, "storage.folder": str(tmp_path)}
-    settings = {**demo_settings("helmet-120"), **quick}
+    settings = {**demo_settings("helmet-120", {}), **quick}
     demo = Source(lambda: Workplace(settings), demo=demo_objects("helmet-120", settings))
     urls = [demo.of_object("demo-object", number).radar_url() for number in range(8)]
     assert len({url.rpartition("&seed")[0] for url in urls}) == 8 and all(

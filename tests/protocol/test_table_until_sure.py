@@ -52,6 +52,8 @@ def test_a_table_stands_once_the_answer_is_certain(tmp_path: Path, monkeypatch: 
     assert (ended.reason, ended.layout) == ("sure", "helmet-120") and ended.share in LOOKS[1:]
     assert capture.angles_rad is not None and capture.motion.track is None
     assert ended.share < np.ptp(capture.angles_rad) / (2 * np.pi)
+    turned = np.diff(capture.angles_rad)
+    assert turned[turned < 0.1].sum() / (2 * np.pi) < 1, "without what it turned on during the looks"
     # The table turned on, unseen, while the scans waited for the looks: less may be seen than is needed.
     answer = identify(load_capture(capture), layouts)
     assert answer.reading is not None and answer.reading.nearest == "helmet-120"

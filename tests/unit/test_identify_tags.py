@@ -187,7 +187,9 @@ def test_what_no_calibration_bears_out_is_not_named(views: int, settings: Imagin
     reading = answer(TAG, views, settings)
     assert (reading.status, reading.layout, reading.code) == ("unknown", None, Code.UNCALIBRATED)
     assert reading.nearest == "container-90" and reading.lead > 20 and reading.needed == np.inf
-    assert sum(r.matched for r in reading.reflectors) == 2 and nearest_m(reading, TAG) < 2e-3
+    odd = [r.amplitude_db for r in reading.reflectors if not r.matched]
+    assert len(reading.reflectors) - len(odd) == 2 and nearest_m(reading, TAG) < 2e-3
+    assert max(odd, default=-np.inf) < -30, "a scatterer that the noise hides may stand beside them"
 
 
 def test_an_answer_says_where_its_bound_does_not_hold() -> None:
