@@ -122,7 +122,7 @@ _MOVED = {
     "tagid.radar.status": "RadarStatus",
     "tagid.recording.session": "Session",
     "tagid.reading.calibration": "Bound",
-    "tagid.reading.reading": "Explanation Kind LayoutScore Reading",
+    "tagid.reading.reading": "Explanation Kind LayoutScore Reading Reflector",
     "tagid.reading.verdict": "Code",
     "tagid.result": "Problem",
     "tagid.simulate.acquisition": "Placement RangeWindow Recording Wobble",
@@ -133,7 +133,6 @@ _MOVED = {
     "tagid.simulate.snr": "EchoLevels Snr",
     "tagid.tags.bodies.signature": "Signature",
     "tagid.enrolling.registry": "RegistryChange RegistryContents Restored",
-    "tagid.tags.reading.reflectors": "Reflector",
 }
 """Module -> its names that this version still gives here, with a warning."""
 

@@ -15,8 +15,6 @@ LOOPS = {
     "tagid.reading._evidence": 4,
     "tagid.reading._sets": 4,
     "tagid.reading._sheet": 2,
-    "tagid.tags.reading._coarse": 4,
-    "tagid.tags.reading._matched": 4,
 }
 """Modules, and the number of their arguments' version (`ARGUMENTS` in their source)."""
 

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.counting import counted
+from tagid.enrolling.field import MatchedField
+from tagid.enrolling.reflectors import find_reflectors
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
+from tagid.reading.views import fold_views
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, Pairing, best_pairing
 from tagid.tags.layouts.layout import Layout, rotation_matrix
-from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.reflectors import find_reflectors
-from tagid.tags.reading.views import fold_views
 
 _STEP_M = 2e-4
 _LOAD = 1e-9

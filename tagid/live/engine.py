@@ -24,7 +24,7 @@ from tagid.imaging.types import Image
 from tagid.live.angles import GrowingSpeed, LiveAngles
 from tagid.live.ats import GrowingAts
 from tagid.live.state import LiveState, Phase, Sinogram
-from tagid.live.views import TOLERANCE_RAD, GrowingViews, capture_so_far, whole_evidence, whole_image
+from tagid.live.views import TOLERANCE_RAD, GrowingViews, capture_so_far, evidence_of, whole_image
 from tagid.motion.device import Motion
 from tagid.pipeline.settings import ImagingSettings
 from tagid.signal import analytic, noise_power_of, snr_db
@@ -339,7 +339,7 @@ class LiveView:
                 return
             image = self._ats.go_on(capture, last=True)
         self._publish(image=image, views=capture.views)
-        self._publish(evidence=whole_evidence(capture, self._settings.layouts, self._settings.imaging))
+        self._publish(evidence=evidence_of(capture, self._settings.layouts, self._settings.imaging))
 
 
 def _recorded(session: Session, scans: list[Scan]) -> dict[str, Any]:

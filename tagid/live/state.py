@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.imaging.types import Image
-from tagid.live.evidence import LayoutEvidence
+from tagid.reading.preview import LayoutEvidence
 
 if TYPE_CHECKING:
     from tagid.pipeline.answer import Identification
@@ -53,7 +53,7 @@ class LiveState:
         snr_db: of the scans so far, see `tagid.signal.snr_db`; None if nothing changes beyond the noise.
         sinogram: of the scans so far; None before three of them.
         image: backprojection of the views so far; None before there is one.
-        evidence: for each layout; empty with too few views.
+        evidence: for each layout, the likeliest first; empty with too few views.
         answer: the newest answer; None before there is one.
         final: whether the answer is that of the stored capture; until then it is read from the scans so far.
         answer_after_s: host time from the last scan until this answer was first available, s; negative if

@@ -16,10 +16,10 @@ from tagid.constants import RANGE_STEP_M
 from tagid.geometry import ImageGrid
 from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
 from tagid.imaging.types import Image
-from tagid.live.evidence import GrowingEvidence, LayoutEvidence
 from tagid.live.image import GrowingImage
 from tagid.metadata import RadarInfo
 from tagid.pipeline.settings import ImagingSettings
+from tagid.reading.preview import LayoutEvidence, layout_evidence
 from tagid.tags.layouts.layout import Layout
 
 if TYPE_CHECKING:
@@ -29,16 +29,20 @@ if TYPE_CHECKING:
 MAX_VIEWS = 180
 """Views per turn during the recording, 2 degrees each: a reflector at 0.15 m is smeared over 5 mm, which
 reduces it by 0.1 dB. The last frame has all views of the stored capture."""
+EVIDENCE_VIEWS = MAX_VIEWS // 2
+"""Views per turn from which the evidence is computed, whose time rises with them: pairs of the image's."""
 TOLERANCE_RAD = float(np.deg2rad(0.3))
 """Smallest change of an angle for which the views are recomputed: 0.3 degrees move a reflector at 0.25 m by
 1.3 mm."""
 _EVIDENCE_SHARE = 0.3
 """Largest share of time for computing evidence: with many enrolled layouts the bars update less often."""
+FEWEST_VIEWS = 6
+"""With fewer views, every layout explains the scans."""
 _CHUNK = 8
 
 
 class GrowingViews:
-    """The views so far; each is added to the image and to the evidence once.
+    """The views so far; each is added to the image once.
 
     Args:
         grid: of the image.
@@ -55,8 +59,6 @@ class GrowingViews:
 
     def _clear(self) -> None:
         self._image = GrowingImage(self._grid)
-        rate = self._imaging.false_accept
-        self._evidence = GrowingEvidence(self._layouts, false_accept=rate) if self._layouts else None
         self._taken = 0
         self._scan_angles = np.zeros(0)
         self._open: list[int] = []
@@ -126,8 +128,6 @@ class GrowingViews:
         )
         newest = self._capture.select(slice(-len(groups), None))
         self._image.add(preprocess(newest, settings=self._settings("none", matched=True)))
-        if self._evidence is not None:
-            self._evidence.add(preprocess(newest, settings=self._settings("none", matched=False)))
 
     def _settings(self, background: Background, matched: bool) -> PreprocessSettings:
         return replace(self._imaging.preprocessing(matched), background=background)
@@ -139,14 +139,11 @@ class GrowingViews:
     def evidence(self) -> tuple[LayoutEvidence, ...]:
         """The evidence for each layout, recomputed within its share of the time."""
         now = time.monotonic()
-        if self._evidence is None or self._capture is None or now < self._judge_at:
-            return self._judged
-        if self._capture.views == self._judged_views:
+        if self._capture is None or self._capture.views == self._judged_views or now < self._judge_at:
             return self._judged
         self._judged_views = self._capture.views
-        if self._capture.views > 2:
-            every = preprocess(self._capture, settings=self._settings("mean", matched=False))
-            self._judged = self._evidence.judged(every)
+        part = average_into_views(self._capture, EVIDENCE_VIEWS)
+        self._judged = evidence_of(part, self._layouts, self._imaging)
         done = time.monotonic()
         self._judge_at = done + (done - now) * (1 / _EVIDENCE_SHARE - 1)
         return self._judged
@@ -177,17 +174,14 @@ def whole_image(capture: Capture, grid: ImageGrid, imaging: ImagingSettings) -> 
     return image.image()
 
 
-def whole_evidence(
+def evidence_of(
     capture: Capture, layouts: Sequence[Layout], imaging: ImagingSettings
 ) -> tuple[LayoutEvidence, ...]:
-    """The evidence for each layout in a prepared capture, as `GrowingViews` computes it of MAX_VIEWS at most.
+    """The evidence for each layout in a capture with angles, of one turn or a part of it; empty with too few.
 
     Raises DataError if the scans miss the object's range.
     """
-    if not layouts:
+    if not layouts or capture.views < FEWEST_VIEWS:
         return ()
-    part = average_into_views(capture, MAX_VIEWS) if capture.views > MAX_VIEWS else capture
-    growing_evidence = GrowingEvidence(layouts, false_accept=imaging.false_accept)
-    plain = imaging.preprocessing(matched_filter=False)
-    growing_evidence.add(preprocess(part, settings=replace(plain, background="none")))
-    return growing_evidence.judged(preprocess(part, settings=replace(plain, background="mean")))
+    plain = replace(imaging.preprocessing(matched_filter=False), background="mean")
+    return layout_evidence(preprocess(capture, settings=plain), layouts)

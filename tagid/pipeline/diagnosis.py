@@ -23,11 +23,10 @@ from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.identify import WHOLE_TURN, ended_early, identify, widest_gap
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.resolve import REMEDY, one_of, speed_contradiction, stopped_words
-from tagid.reading.reading import Kind, Reading
+from tagid.reading.reading import Kind, Reading, Reflector
 from tagid.reading.verdict import ADVICE, Code
 from tagid.signal import analytic, median, peak_place
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.reading.reflectors import Reflector
 
 _FEWEST = 8
 """Views that a circle, three numbers, needs."""

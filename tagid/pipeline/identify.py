@@ -316,9 +316,9 @@ def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) ->
     Raises DataError as `identify` does, and for free antenna positions.
     """
     from tagid.imaging.whitening import whitened
+    from tagid.reading.views import fold_views
     from tagid.tags.bodies.signature import MAX_RADIUS_M, signature_wavenumbers
     from tagid.tags.bodies.spectra import Spectra
-    from tagid.tags.reading.views import fold_views
 
     settings = settings or ImagingSettings()
     if capture.angles_rad is None:

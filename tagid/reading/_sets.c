@@ -3,7 +3,7 @@
  * `tagid.reading.search` holds the formula, and does the same with numpy where no compiler was present.
  * Only the stable ABI and the buffer protocol are used.
  */
-#include "../tags/_buffers.h"
+#include "_buffers.h"
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

@@ -1,7 +1,7 @@
 /* Waves without a call to the library of C, so that loops over them become vectors. */
 #ifndef TAGID_WAVE_H
 #define TAGID_WAVE_H
-#include "../tags/_buffers.h"
+#include "_buffers.h"
 #include <math.h>
 
 /* exp(-j x) by polynomials over half a turn: to 3e-16. */

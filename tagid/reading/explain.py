@@ -13,11 +13,10 @@ from tagid.reading.decision import is_same, words
 from tagid.reading.descent import Estimate, variance
 from tagid.reading.evidence import fit
 from tagid.reading.hypothesis import Hypothesis
-from tagid.reading.reading import Explanation, Kind, Residuals
+from tagid.reading.reading import Explanation, Kind, Reflector, Residuals
 from tagid.reading.sheet import BOX, METAL, SHELL, SheetModel
 from tagid.reading.signature import SignatureModel
 from tagid.reading.spectra import MODEL_ERROR, Spectra
-from tagid.tags.reading.reflectors import Reflector
 from tagid.types import Complex
 
 MOST = 8

@@ -44,6 +44,7 @@ from tagid.reading.transfers.shade import SHADES
 from tagid.reading.transfers.transfer import Transfer
 from tagid.reading.transfers.wall import WALLS
 from tagid.reading.uneven import straightened
+from tagid.reading.untagged import GRID_M, RoundBody, likeliest, nothing, round_bodies, with_clutter
 from tagid.tags.layouts.layout import Layout
 from tagid.types import Floats
 
@@ -62,12 +63,6 @@ MOST_REFLECTORS = 5
 """Reflectors of an arrangement that is not enrolled."""
 FIRST, THEN = 16, 8
 """Starts that are refined under much clutter, and those of them that are refined wholly."""
-GRID_M = tuple(complex(x, y) for x in 4e-3 * np.arange(-2, 3) for y in 4e-3 * np.arange(-2, 3))
-"""Centres that are tried, x + jy."""
-SHAPES_M = tuple(r * np.exp(1j * np.pi / 3 * np.arange(6)) for r in (4e-3, 8e-3, 12e-3))
-"""Two-fold parts of a body's support function that are tried, m."""
-BODIES_M = (*((c, 0j) for c in GRID_M), *((0j, complex(s)) for ring in SHAPES_M for s in ring))
-"""Centres and shapes of a body that are tried."""
 STRAYS_M = (-9e-3, -4.5e-3, 0.0, 4.5e-3, 9e-3)
 """A wall moves the apparent radius of a ring by about so much, m."""
 ELSEWHERE_M = 3e-3
@@ -117,7 +112,8 @@ class Contest:
         self._planes = self.spectra.rises(2 * PLANE_SD_M).tolist()
 
     @property
-    def _wanted(self) -> Wanted:
+    def wanted(self) -> Wanted:
+        """What is looked for."""
         return Wanted(self.spectra, self.layouts, self._planes, self.most_reflectors)
 
     @cached_property
@@ -162,21 +158,17 @@ class Contest:
 
     def _explore(self) -> None:
         bodies = self._untagged()
-        body = max(bodies, key=lambda hypothesis: hypothesis.log_z).estimate
+        body = likeliest(bodies)
         centres = [body.centre, *GRID_M]
         # A loud tag moves the centre that a body alone seems to have.
         near = distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
-        powers = [
-            replace(body.estimate.powers, clutter=max(body.estimate.powers.clutter, 1e-3)) for body in bodies
-        ]
-        shapes = [body.estimate.x[2:4] for body in bodies]
+        powers, shapes = [of_disc.powers for of_disc in bodies], [of_disc.shape for of_disc in bodies]
         known = body.centre_sd_m < _KNOWN_M
         self._look(centres, near if known else centres, powers, shapes, GRID_M[::2])
         self._beside_others(shapes)
         best = max(self.hypotheses, key=lambda hypothesis: hypothesis.log_z).estimate
         if known and min(abs(best.centre - centre) for centre in near) > ELSEWHERE_M:
-            clear = replace(best.powers, clutter=max(best.powers.clutter, 1e-3))
-            self._look([best.centre], [best.centre], [clear] * 2, [np.zeros(2)] * 2)
+            self._look([best.centre], [best.centre], [with_clutter(best.powers)] * 2, [np.zeros(2)] * 2)
         self._resized()
         self._beside_enrolled()
         self._as_enrolled()
@@ -197,7 +189,8 @@ class Contest:
         self._evened()
 
     @property
-    def _searched(self) -> Sequence[Transfer]:
+    def searched(self) -> Sequence[Transfer]:
+        """Behind which arrangements are looked for."""
         return [transfer for transfer in self.transfers if transfer in SEARCHED] or self.transfers
 
     def _look(
@@ -210,10 +203,10 @@ class Contest:
     ) -> None:
         """Reflectors in the open and beside bodies about centres, and beside round ones about others."""
         starts: list[Candidate] = []
-        for transfer in self._searched:
+        for transfer in self.searched:
             model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels, priors=self.priors)
             some = centres if transfer.body else open_centres
-            starts += starts_about(self._wanted, model, some, powers, shapes, others, wide=2)
+            starts += starts_about(self.wanted, model, some, powers, shapes, others, wide=2)
             if transfer.body and len(self._planes) > 2:
                 # Waves that pass tell the height of the plane well enough for what a body does to them.
                 best = max((start for start in starts if start.model.lifts), key=lambda start: start.log)
@@ -226,7 +219,7 @@ class Contest:
         for hypothesis in self._best(9, enrolled=True):
             layouts.setdefault(hypothesis.layout, hypothesis)
         for layout in list(layouts.values())[:RESIZED]:
-            starts = resized(self.spectra, self._searched, FREE_RINGS_M, layout)
+            starts = resized(self.spectra, self.searched, FREE_RINGS_M, layout)
             for start in sorted(starts, key=lambda start: -start.log)[:RESIZED]:
                 self.grow(self._placed(None, start.model, start.x), self.most_odd)
 
@@ -385,22 +378,14 @@ class Contest:
                 best = refined(self.spectra, raised, starts[i], (1e-2, None))
                 self.grow(self.add(None, best, hypothesis.middle, float(np.log(RAISED))), self.most_odd)
 
-    def _untagged(self) -> list[Hypothesis]:
+    def _untagged(self) -> list[RoundBody]:
         """Nothing, and a round body, with clutter of either disc."""
-        levels = self.spectra.levels
-        model = Model(POINTS, None, True, 0, levels=levels, priors=self.priors)
-        starts = [np.array([c.real, c.imag, s.real, s.imag]) for c, s in BODIES_M]
-        values = [best_powers(self.spectra, model, x, 1e-2)[1] for x in starts]
-        order = np.argsort(values)[::-1][:2]
-        bodies = []
-        for disc in (0, 1):
-            of_disc = replace(model, disc=disc)
-            estimates = [refined(self.spectra, of_disc, starts[i], (1e-2, None), 12) for i in order]
-            self._centres += [estimate.centre for estimate in estimates]
-            bodies.append(self.add(None, max(estimates, key=lambda estimate: estimate.log_z)))
-        for disc in (0, 1):
-            model = Model(BARE, None, False, disc, levels=levels, priors=self.priors)
-            self.add(None, refined(self.spectra, model, np.zeros(2), (None,), 1))
+        bodies = round_bodies(self.spectra, self.priors)
+        for body in bodies:
+            self._centres += [estimate.centre for estimate in body.estimates]
+            self.add(None, body.best)
+        for estimate in nothing(self.spectra, self.priors):
+            self.add(None, estimate)
         return bodies
 
     def _beside_enrolled(self) -> None:
@@ -457,7 +442,7 @@ class Contest:
                         [*stand.centres, *(stand.centres[-1] + 2 * step for step in near)], 1e-3
                     )
                     starts += starts_about(
-                        self._wanted, model, centres, [stand.powers] * 2, stand=stand, wide=1 if near else 0
+                        self.wanted, model, centres, [stand.powers] * 2, stand=stand, wide=1 if near else 0
                     )
         return by_stand
 

@@ -18,14 +18,11 @@ from tagid.angles.views import average_into_views
 from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.imaging.types import BasebandScans
 from tagid.reading.decision import SURE, decide
+from tagid.reading.preview import layout_evidence
 from tagid.reading.reader import contest
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.reading.coarse import CoarseImage
-from tagid.tags.reading.coarse_grid import CoarseGrid, SearchSettings
-from tagid.tags.reading.field import MatchedField
 
 LOOKS = (0.45, 0.6, 0.75)
 """Shares of a turn at which the scans are read. A scan may end at all but the first of them.
@@ -43,11 +40,7 @@ of a look does not grow with the scan rate."""
 SPENT = 0.3
 """Share of the false-accept probability that the early looks may use. A name that the whole turn gives
 has the rest."""
-OUTLINED_SHARE, OUTLINED_NATS = 0.65, 30.0
-"""Energy that the coarse search has to explain, as a share of the echo and over noise, before a look reads
-further. Tags reach 0.72 and 66 at 5 to 20 dB (24 turns), four of five objects without a tag less."""
 _EXTENT_M = 0.5
-_MARGIN_M = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +99,8 @@ def look(
     nothing = Look(share, part.views)
     try:
         scans = preprocess(part, settings=PreprocessSettings(matched_filter=False, extent_m=_EXTENT_M))
-        if not _outlined(scans, layouts):
+        if layout_evidence(scans, layouts)[0].log_evidence < SURE:
+            # A closer look would hardly name what its first step does not show.
             return nothing
         contest_of_look = contest(scans, layouts, signatures)
         contest_of_look.run()
@@ -117,26 +111,6 @@ def look(
     if best is None or best.layout is None or best.layout.size < LEAST_REFLECTORS or decision.lead < SURE:
         return nothing
     return replace(nothing, layout=best.name, score=decision.lead)
-
-
-def _outlined(scans: BasebandScans, layouts: Sequence[Layout]) -> bool:
-    """Whether the coarse search alone explains so much of the echo that a closer look can pay."""
-    search = SearchSettings()
-    reach = max(layout.radius_m for layout in layouts) + search.centre_range_m * np.sqrt(2)
-    matched = MatchedField(scans, reach + _MARGIN_M)
-    noise = matched.noise_variance
-    signal = matched.energy - noise * matched.independent_samples
-    least = max(OUTLINED_SHARE * signal, OUTLINED_NATS * noise)
-    for aspect in search.aspects:
-        image = CoarseImage.of(matched, reach, aspect, search.offsets_m)
-        for layout in layouts:
-            grid = CoarseGrid.of(layout, search)
-            weight = aspect.weight(matched.antenna, grid.placed, grid.facing)
-            gram = matched.full_gram(grid.placed, weight)
-            energies = grid.energies(image, gram, matched.template_energy, search.balance)
-            if float(energies.best.max()) >= least:
-                return True
-    return False
 
 
 def agreed(looks: Sequence[Look]) -> tuple[str | None, float]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from tagid.reading.calibration import Bound
 from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.verdict import ADVICE, Code
-from tagid.tags.reading.reflectors import Reflector
 
 
 class Kind(StrEnum):
@@ -31,6 +30,28 @@ class Kind(StrEnum):
     """Reflectors on an enrolled body."""
     OBJECT = "object"
     """An enrolled tagged object as a whole."""
+
+
+@dataclass(frozen=True)
+class Reflector:
+    """A point found in the scans.
+
+    Attributes:
+        x_m, y_m: position in the object's plane, m.
+        amplitude: complex, in units of the scans.
+        amplitude_db: relative to the strongest reflector found, dB.
+        snr_db: energy over the level of noise and clutter, dB.
+        matched: whether it belongs to the layout that was read.
+        z_m: height above the object's plane, m; None where one antenna height does not show it.
+    """
+
+    x_m: float
+    y_m: float
+    amplitude: complex
+    amplitude_db: float
+    snr_db: float
+    matched: bool = False
+    z_m: float | None = None
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
+from tagid.reading.views import fold_views
 from tagid.tags.bodies.spectra import BAND_SHARE, FREQUENCIES, range_window
-from tagid.tags.reading.views import fold_views
 from tagid.types import Complex, Floats
 
 AnyComplex = TypeVar("AnyComplex", np.complex64, np.complex128)

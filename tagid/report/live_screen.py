@@ -14,8 +14,8 @@ from rich.table import Table
 from rich.text import Text
 
 from tagid.errors import visible
-from tagid.live.evidence import LayoutEvidence
 from tagid.live.state import LiveState, Phase
+from tagid.reading.preview import LayoutEvidence
 from tagid.report.blocks import LEVELS, raster
 from tagid.report.colours import to_decibels
 from tagid.report.preview import resample
@@ -97,19 +97,17 @@ def _answer(s: LiveState) -> Text:
 
 
 def _bars(evidence: tuple[LayoutEvidence, ...], columns: int, colour: bool) -> list[Text]:
-    """One line per layout, the best first: share of the echo it explains, and the required minimum."""
+    """One line per layout, the best first: its log evidence as a part of the best one's, and its lead."""
     full, empty = ("█", "░") if colour else ("#", ".")
-    best = sorted(evidence, key=lambda share: -share.share)[:_MOST_BARS]
-    width = min(max((len(share.layout) for share in best), default=0), 24)
+    best = evidence[:_MOST_BARS]
+    width = min(max((len(item.layout) for item in best), default=0), 24)
     lines = []
-    for share in best:
-        filled, needed = round(share.share * _BAR), round(share.needed_share * _BAR)
-        bar = [full if i < filled else empty for i in range(_BAR)]
-        bar[min(needed, _BAR - 1)] = "|"
+    for item in best:
+        filled = round(_BAR * max(item.log_evidence, 0) / max(best[0].log_evidence, 1))
         line = Text(no_wrap=True, overflow="crop")
-        line.append(f"{visible(share.layout)[:width]:<{width}} ")
-        line.append("".join(bar), style="green" if share.enough else "yellow")
-        line.append(f" {share.share:4.0%} of the echo, {share.needed_share:.0%} needed")
+        line.append(f"{visible(item.layout)[:width]:<{width}} ")
+        line.append(full * filled + empty * (_BAR - filled), style="yellow")
+        line.append(f" ahead by {item.lead:.0f}" if item.lead > 0 else f" {-item.lead:.0f} behind")
         lines.append(line)
     if len(evidence) > len(best):
         lines.append(Text(f"and {len(evidence) - len(best)} more layouts", style="dim"))

@@ -311,9 +311,7 @@ def _schemas() -> dict[str, Any]:
         hypotheses={"type": "array", "items": hypothesis},
         capture_uuid=maybe_text,
     )
-    evidence = _object(
-        layout=text, share=number, needed_share=number, nats=number, needed_nats=number, enough=yes_no
-    )
+    evidence = _object(layout=text, log_evidence=number, lead=number)
     phases = ["connecting", "turning", "reading", "done", "failed"]
     return {
         "Empty": {"type": "object"},

@@ -90,14 +90,11 @@ def scan(run: Run) -> Json:
         "has_residuals": run.residuals is not None,
         "evidence": [
             {
-                "layout": share.layout,
-                "share": round(share.share, 4),
-                "needed_share": share.needed_share,
-                "nats": round(float(share.nats), 1),
-                "needed_nats": round(share.needed_nats, 1),
-                "enough": share.enough,
+                "layout": item.layout,
+                "log_evidence": round(item.log_evidence, 1),
+                "lead": round(item.lead, 1),
             }
-            for share in sorted(state.evidence, key=lambda share: -share.share)
+            for item in state.evidence
         ],
         "answer": None if state.answer is None else answer(state.answer),
         "final": state.final,

@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from tagid.enrolling.averaging import position_covariances
+from tagid.enrolling.field import MatchedField
+from tagid.enrolling.reflectors import refine_positions
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
+from tagid.reading.views import fold_views
 from tagid.simulate.scattering import Cylinder, Points
 from tagid.simulate.scene import Scene
 from tagid.tags.layouts.codebook import best_pairing
-from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.reflectors import refine_positions
-from tagid.tags.reading.views import fold_views
 from tests.benchmarks.identification_scenes import FIRST_SEED, Condition, Recorded, draw_scene, record_scene
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table

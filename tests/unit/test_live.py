@@ -24,11 +24,10 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.live.angles import GrowingSpeed, LiveAngles
 from tagid.live.ats import PIECE_VIEWS, GrowingAts
 from tagid.live.engine import LiveSettings, LiveView
-from tagid.live.evidence import GrowingEvidence
 from tagid.live.image import GrowingImage
 from tagid.live.state import LiveState, Phase
 from tagid.live.sure import EarlyEnding
-from tagid.live.views import GrowingViews, capture_so_far
+from tagid.live.views import GrowingViews, capture_so_far, evidence_of
 from tagid.motion.urls import open_motion
 from tagid.pipeline import identify as identify_module
 from tagid.pipeline.answer import Identification
@@ -38,6 +37,7 @@ from tagid.pipeline.settings import ImagingSettings
 from tagid.pipeline.turn import resolve_turn
 from tagid.radar.assembler import Scan
 from tagid.radar.settings import RadarConfig
+from tagid.reading.decision import SURE
 from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
@@ -48,9 +48,6 @@ from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.tags.layouts.layout import Layout, builtin_layouts
-from tagid.tags.reading.coarse import CoarseImage
-from tagid.tags.reading.coarse_grid import CoarseGrid, SearchSettings
-from tagid.tags.reading.field import MatchedField
 from tests.unit.paced import wait_for
 
 GRID = ImageGrid(0.4, 48)
@@ -104,49 +101,22 @@ def test_an_image_in_the_middle_of_the_turn_is_that_of_the_views_so_far() -> Non
         growing.add(preprocess(moved.select(slice(13, 14)), settings=RAW))
 
 
-def test_growing_evidence_is_that_of_the_readers_coarse_search(layouts: list[Layout]) -> None:
-    capture = a_capture()
-    growing = GrowingEvidence(layouts)
-    for at in range(0, 40, 4):
-        growing.add(preprocess(capture.select(slice(at, at + 4)), settings=UNMATCHED))
-    search = SearchSettings()
-    radius = max(layout.radius_m for layout in layouts) + search.centre_range_m * np.sqrt(2)
-    scans = preprocess(capture, settings=replace(UNMATCHED, background="mean"))
-    matched = MatchedField(scans, radius + 0.02)
-    images = [CoarseImage.of(matched, radius, aspect, search.offsets_m) for aspect in search.aspects]
-
-    def energy(layout: Layout) -> float:
-        grid = CoarseGrid.of(layout, search)
-        grams = [
-            matched.full_gram(grid.placed, image.aspect.weight(matched.antenna, grid.placed, grid.facing))
-            for image in images
-        ]
-        scored = [
-            grid.energies(image, gram, matched.template_energy, search.balance).best.max()
-            for image, gram in zip(images, grams, strict=True)
-        ]
-        return float(max(scored))
-
-    judged = growing.judged(scans)
-    wanted = [energy(layout) / matched.noise_variance for layout in layouts]
-    assert [verdict.nats for verdict in judged] == pytest.approx(wanted, rel=1e-4)
-    results = {verdict.layout: verdict for verdict in judged}
-    best = max(results.values(), key=lambda item: item.share)
-    assert best.layout == "helmet-120" and best.enough and best.share > 0.7
-    assert all(item.share < 0.35 for name, item in results.items() if name != "helmet-120")
+@pytest.mark.parametrize("layout", ["helmet-120", "container-180", "helmet-linear"])
+def test_a_third_of_a_turn_shows_which_layout_is_ahead(layout: str, layouts: list[Layout]) -> None:
+    capture = a_capture(90, layout, snr_db=10.0)
+    part = capture.select(slice(0, 30))
+    evidence = evidence_of(part, layouts, ImagingSettings())
+    assert len(evidence) == len(layouts) and evidence[0].layout == layout
+    assert evidence[0].lead > 20 and all(item.lead < 0 for item in evidence[1:])
+    assert evidence[1].lead == pytest.approx(evidence[1].log_evidence - evidence[0].log_evidence)
+    assert evidence_of(capture.select(slice(0, 5)), layouts, ImagingSettings()) == (), "too few views"
 
 
-def test_noise_alone_reaches_no_threshold(layouts: list[Layout]) -> None:
+def test_no_layout_is_ahead_of_noise(layouts: list[Layout]) -> None:
     noise = np.random.default_rng(5).normal(0, 100, (40, a_capture().bins)).astype(np.float32)
-    capture = replace(a_capture(), samples=noise)
-    growing = GrowingEvidence(layouts)
-    growing.add(preprocess(capture, settings=UNMATCHED))
-    judged = growing.judged(preprocess(capture, settings=replace(UNMATCHED, background="mean")))
-    assert len(judged) == len(layouts)
-    assert not any(verdict.nats > verdict.needed_nats for verdict in judged)
-    few = GrowingEvidence(layouts)
-    few.add(preprocess(capture.select(slice(0, 3)), settings=UNMATCHED))
-    assert few.judged(preprocess(capture.select(slice(0, 3)), settings=UNMATCHED)) == ()
+    evidence = evidence_of(replace(a_capture(), samples=noise), layouts, ImagingSettings())
+    assert len(evidence) == len(layouts)
+    assert all(item.log_evidence < SURE for item in evidence)
 
 
 def test_views_are_formed_again_when_the_angles_turn_out_otherwise() -> None:
@@ -294,8 +264,8 @@ def test_a_view_that_is_late_ends_with_angle_and_sinogram_of_what_was_recorded(
         view.settle(prepared.given, identify(prepared, layouts))
         settled.set()
     assert view.state.final
-    best = max(view.state.evidence, key=lambda item: item.share)
-    assert best.layout == "helmet-120" and best.enough
+    best = view.state.evidence[0]
+    assert best.layout == "helmet-120" and best.lead > SURE
     assert view.state.turned_rad is not None
     assert view.state.turned_rad > 2 * np.pi
     assert view.state.scans == capture.views and view.state.seconds > 2.9
@@ -362,7 +332,7 @@ def test_image_and_answer_precede_the_end_of_a_turn_of_unknown_speed(
                 wait_for(lambda seen=number: view.state.scans > seen)
         wait_for(lambda: view.state.scans == len(half) and view.state.image is not None)
         assert view.state.turned_rad == pytest.approx(0.55 * 2 * np.pi, rel=0.02)
-        assert max(view.state.evidence, key=lambda item: item.share).layout == "helmet-120"
+        assert view.state.evidence[0].layout == "helmet-120"
         for scan in turning.scans[len(half) :]:
             stream.append(scan)
         wait_for(lambda: view.state.answer is not None)
@@ -376,7 +346,7 @@ def test_closed_watchers_hold_no_scans_and_are_freed_without_the_garbage_collect
     tmp_path: Path, layouts: list[Layout]
 ) -> None:
     """The recording refers to its view by the callback for gaps, and the view to the recording."""
-    kinds = (Scan, ScanStream, Session, GrowingEvidence, EarlyEnding, LiveView)
+    kinds = (Scan, ScanStream, Session, EarlyEnding, LiveView)
 
     def alive() -> list[int]:
         return [sum(type(get_object) is kind for get_object in gc.get_objects()) for kind in kinds]
@@ -388,8 +358,8 @@ def test_closed_watchers_hold_no_scans_and_are_freed_without_the_garbage_collect
             recorded(tmp_path, view, began=began, gap=lambda gap: view.note("a gap"))
             wait_for(lambda: (view.state.views or 0) > 5)
         after = alive()
-        assert after[:4] == before[:4], "scans and sums go with the end of the watchers"
-        assert after[4:] == [count + 1 for count in before[4:]]
+        assert after[:3] == before[:3] and not view._views.count, "scans and sums go with the watchers"
+        assert after[3:] == [count + 1 for count in before[3:]]
 
     gc.collect()
     before = alive()
@@ -510,12 +480,10 @@ def test_the_screen_fits_any_terminal_and_hides_no_control_character(
     size: tuple[int, int], colour: bool, layouts: list[Layout]
 ) -> None:
     capture = a_capture(20)
-    growing = GrowingEvidence(layouts)
-    growing.add(preprocess(capture, settings=UNMATCHED))
-    evidence = growing.judged(preprocess(capture, settings=replace(UNMATCHED, background="mean")))
+    evidence = evidence_of(capture, layouts, ImagingSettings())
     views = GrowingViews(GRID, (), ImagingSettings(extent_m=0.4))
     views.update(replace(capture, angles_rad=None), capture.angles_rad - capture.angles_rad[0])
-    hostile = (replace(evidence[0], layout="a\x1b[31m"), *evidence[1:])
+    hostile = (*evidence[:-1], replace(evidence[-1], layout="a\x1b[31m"))
     state = LiveState(Phase.TURNING, scans=20, turned_rad=3.0, image=views.image(), evidence=hostile)
     out = io.StringIO()
     console = Console(

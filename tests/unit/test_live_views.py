@@ -11,9 +11,7 @@ import pytest
 
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
-from tagid.imaging.preprocess import preprocess
 from tagid.live.angles import GrowingSpeed, _measured
-from tagid.live.evidence import GrowingEvidence
 from tagid.live.views import GrowingViews
 from tagid.metadata import Track
 from tagid.pipeline.settings import ImagingSettings
@@ -21,11 +19,7 @@ from tagid.radar.assembler import Scan
 from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.session import Session
-from tagid.simulate.acquisition import Acquisition
-from tagid.simulate.capture import simulate_capture
-from tagid.simulate.presets import scene_from_name
 from tagid.simulate.spec import SceneSpec, turning_scene
-from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tests.unit.imaging_scenes import record, turn
 
 GRID = ImageGrid(0.4, 32)
@@ -87,26 +81,3 @@ def test_a_period_is_believed_when_a_second_search_finds_it_again() -> None:
     assert speed.period_s(session, scans[:160]) is None, "the first search"
     assert speed.period_s(session, scans[:161]) is None, "none is due"
     assert speed.period_s(session, scans) == pytest.approx(6.0, rel=0.01)
-
-
-def test_a_layout_that_repeats_within_a_turn_has_fewer_places_to_fit_by_chance() -> None:
-    """Two reflectors opposite each other repeat after half a turn; moved aside a little they do not."""
-    half = Layout("half", ((0.1, 0.0), (-0.1, 0.0)))
-    whole = Layout("whole", ((0.1, 0.0), (-0.0995, 0.01)))
-    assert (half.symmetry, whole.symmetry) == (2, 1)
-    first, both = GrowingEvidence([half]), GrowingEvidence([whole])
-    assert 2 * first._places == pytest.approx(both._places, rel=0.01)
-
-
-def test_noise_does_not_lower_the_share_of_the_echo_that_a_layout_explains() -> None:
-    shares = []
-    for snr_db in (20.0, 0.0):
-        capture, _ = simulate_capture(
-            scene_from_name("helmet-120", 3), Acquisition(views=40, snr_db=snr_db), seed=3
-        )
-        evidence = GrowingEvidence([builtin_layouts()["helmet-120"]])
-        plain = IMAGING.preprocessing(matched_filter=False)
-        evidence.add(preprocess(capture, settings=replace(plain, background="none")))
-        (judged,) = evidence.judged(preprocess(capture, settings=plain))
-        shares.append(judged.share)
-    assert shares[0] > 0.8 and shares[1] == pytest.approx(shares[0], abs=0.1)

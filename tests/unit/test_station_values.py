@@ -17,10 +17,10 @@ from starlette.requests import Request
 from tagid.errors import DataError, DeviceError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.types import Image
-from tagid.live.evidence import LayoutEvidence
 from tagid.live.state import LiveState, Phase, Sinogram
 from tagid.operate.workplace import Workplace
 from tagid.radar.assembler import Scan
+from tagid.reading.preview import LayoutEvidence
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.session import Session
 from tagid.recording.stream import ScanStream
@@ -49,19 +49,20 @@ def test_a_picture_has_y_upwards_its_peak_white_and_its_floor_black() -> None:
     assert levels(sinogram, "columns").max() == 255 and sinogram["range_m"] == [0.5, 1.5]
 
 
-def test_a_scan_is_described_in_degrees_with_the_likeliest_layout_first(
+def test_a_scan_is_described_in_degrees_with_rounded_evidence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TAGID_DATA", str(tmp_path))
     place = Workplace({"radar.url": "emulator://empty", "motion.url": "free?rpm=2", "imaging.method": "bp"})
     run = ScanRun(3, place, RecordingPlan(None, 1.0), threading.Lock())
-    shares = {"a": 0.2, "b": 0.7, "c": 0.4}
-    evidence = tuple(LayoutEvidence(name, share, 0.5, 9.0, 8.0) for name, share in shares.items())
+    evidence = LayoutEvidence("b", 30.04, 12.04), LayoutEvidence("c", 18.0, -12.04)
     run._view._publish(phase=Phase.TURNING, turned_rad=2.5 * np.pi, evidence=evidence)
     described = wire.scan(run)
     assert (described["turned_deg"], described["turn_share"]) == (450.0, 1.0)
-    assert [item["layout"] for item in described["evidence"]] == ["b", "c", "a"]
-    assert [item["enough"] for item in described["evidence"]] == [True, False, False]
+    assert described["evidence"] == [
+        {"layout": "b", "log_evidence": 30.0, "lead": 12.0},
+        {"layout": "c", "log_evidence": 18.0, "lead": -12.0},
+    ]
 
 
 def test_only_a_radar_that_the_recording_waits_for_is_silent(

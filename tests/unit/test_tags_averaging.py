@@ -9,11 +9,11 @@ import pytest
 from tags_synthetic import synthetic_scans
 
 from tagid.enrolling.averaging import Sighting, average, position_covariances
+from tagid.enrolling.field import MatchedField
+from tagid.enrolling.reflectors import refine_positions
 from tagid.errors import DataError
 from tagid.tags.layouts.codebook import best_pairing, rotational_distance
 from tagid.tags.layouts.layout import Layout, rotation_matrix
-from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.reflectors import refine_positions
 
 SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
 

@@ -1,19 +1,20 @@
-"""Templates, folded views, the finder of reflectors and chance: on scans made from their definition."""
+"""Templates, folded views and the finder of reflectors: on scans made from their definition."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tags_synthetic import synthetic_scans
 
+from tagid.enrolling.field import MatchedField
+from tagid.enrolling.reflectors import SearchDisc, find_reflectors
 from tagid.geometry import Aperture
+from tagid.imaging.types import BasebandScans
+from tagid.reading.views import fold_views
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.reading.chance import chance, nats_needed
-from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.reflectors import find_reflectors
-from tagid.tags.reading.views import fold_views
 
 LAYOUTS = builtin_layouts()
 SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
@@ -88,17 +89,31 @@ def test_the_finder_reports_reflectors_and_no_sidelobes() -> None:
     assert find_reflectors(synthetic_scans(np.zeros((0, 2)), noise=1.0)) == ()
 
 
-def test_chance_is_the_tail_of_the_energy_of_noise() -> None:
-    rng = np.random.default_rng(1)
-    energy = rng.exponential(size=(200_000, 3)).sum(axis=1)
-    assert chance(6.0, 3, 1.0) == pytest.approx(float(np.mean(energy > 6.0)), rel=0.03)
-    assert chance(3.0, 3, 1e6) == 1.0
-    assert chance(0.0, 3, 1.0) == chance(-5.0, 3, 1.0) == 1.0
-    assert chance(60.0, 3, 2000.0) < chance(30.0, 3, 2000.0)
+def at_two_heights(scans: BasebandScans) -> BasebandScans:
+    """The same samples, half of them seen from 0.1 m above."""
+    positions = scans.aperture.positions.copy()
+    positions[::2, 2] = 0.1
+    return replace(scans, aperture=Aperture(positions))
 
 
-def test_the_nats_that_noise_reaches_by_chance() -> None:
-    for size, positions, wanted in ((3, 36600.0, 1e-3), (5, 1e6, 1e-2)):
-        needed = nats_needed(size, positions, wanted)
-        assert chance(needed, size, positions) == pytest.approx(wanted, rel=1e-6)
-        assert chance(needed - 1e-6, size, positions) > wanted
+def with_two_antennas(scans: BasebandScans) -> BasebandScans:
+    """The same samples, transmitter and receiver 0.1 m apart."""
+    positions = scans.aperture.positions
+    return replace(
+        scans, aperture=Aperture(positions, half_baseline=np.tile([0.0, 0.0, 0.05], (len(positions), 1)))
+    )
+
+
+@pytest.mark.parametrize("seen", [lambda scans: scans, at_two_heights, with_two_antennas])
+def test_the_disc_holds_what_points_leave(seen: Callable[[BasebandScans], BasebandScans]) -> None:
+    """The pixels are correlated from tables, and with their templates here."""
+    places = LAYOUTS["helmet-120"].placed(0.3, np.array([0.004, -0.003]))
+    field = MatchedField(seen(synthetic_scans(places, views=13, noise=0.1, seed=5)), 0.08)
+    disc = SearchDisc(field, 0.06)
+    amplitudes = np.array([0.3 + 0.2j, -0.5j])
+    positions = np.array([[0.04, -0.03], [-0.05, 0.02]])
+    for count in (0, 2):
+        data = field.data - amplitudes[:count] @ field.templates(positions[:count])
+        wanted = np.abs(field.templates(disc.points).conj() @ data) ** 2
+        residual = disc.residual(positions[:count], amplitudes[:count])
+        assert np.abs(residual - wanted).max() <= 1e-4 * wanted.max()

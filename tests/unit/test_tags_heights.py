@@ -8,17 +8,17 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from tagid.enrolling.field import MatchedField
 from tagid.geometry import Aperture
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture, prepare
 from tagid.reading.alike import Conditions, told_apart
 from tagid.reading.verdict import Code
+from tagid.reading.views import fold_views
 from tagid.tags.layouts.codebook import all_distances, height_weight, in_space, rotational_distance
 from tagid.tags.layouts.design import DesignRules, design
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.layouts.objects import Row, TaggedObject
-from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.views import fold_views
 from tests.unit.heights_scenes import DOWN, FLAT, OTHER, PLAN, UP, scan
 from tests.unit.imaging_scenes import turn
 

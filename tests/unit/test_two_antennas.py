@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tagid.capture import Capture
+from tagid.enrolling.field import MatchedField
 from tagid.errors import DataError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging import kernel
@@ -22,10 +23,9 @@ from tagid.imaging.region import choose_region
 from tagid.pipeline.prepared import load_capture
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
+from tagid.reading.views import fold_views
 from tagid.simulate import Acquisition, scene_from_name, simulate_capture
 from tagid.storage.importers import read_any
-from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.views import fold_views
 from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, turn
 from train.metrics import pick_peaks
 

@@ -206,13 +206,23 @@ function showEvidence(scan) {
   setText("evidence-head", rivals.length ? "What else it could be" : "Evidence for each layout");
   setText("evidence-text", rivals.length
     ? "The longer the bar, the less likely. A name needs all others beyond the line."
-    : "Share of the echo that a layout explains; the line is the minimum for an identification.");
+    : "How well each layout explains the scans so far, and how far it is ahead.");
   $("residuals").hidden = !(answer && scan.has_residuals);
-  showBars(rivals.length ? rivals.map((one) => rivalBar(one, answer.lead_needed)) : scan.evidence.map(layoutBar));
+  showBars(rivals.length ? rivals.map((one) => rivalBar(one, answer.lead_needed)) : scan.evidence.map((one) => layoutBar(one, scan.evidence[0])));
 }
 
-function layoutBar(one) {
-  return { name: one.layout, share: one.share, needed: one.needed_share, number: `${(100 * one.share).toFixed(0)} %`, enough: one.enough };
+function layoutBar(one, best) {
+  return {
+    name: one.layout,
+    share: Math.max(one.log_evidence, 0) / Math.max(best.log_evidence, 1),
+    needed: null,
+    number: nats(one.lead),
+    enough: false,
+  };
+}
+
+function nats(value) {
+  return value.toFixed(Math.abs(value) < 10 ? 1 : 0);
 }
 
 function rivalBar(one, needed) {
@@ -221,7 +231,7 @@ function rivalBar(one, needed) {
     name: one.words,
     share: Math.min(behind / LONGEST_BAR, 1),
     needed: needed === null ? null : Math.min(needed / LONGEST_BAR, 1),
-    number: behind.toFixed(behind < 10 ? 1 : 0),
+    number: nats(behind),
     enough: needed !== null && behind >= needed,
   };
 }

@@ -7,17 +7,15 @@ reflectors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.enrolling.field import MatchedField, read
 from tagid.imaging.types import BasebandScans
+from tagid.reading.reading import Reflector
+from tagid.reading.views import fold_views
 from tagid.signal import median
 from tagid.tags.layouts.layout import MIN_SPACING_M
-from tagid.tags.reading.compiled import MOST_POINTS
-from tagid.tags.reading.field import MatchedField, read
-from tagid.tags.reading.views import fold_views
 
 STEP_M = 5e-3
 """Pixel of the search image."""
@@ -34,28 +32,6 @@ threshold."""
 _FIRST_STEP_M, _ROUNDS, _REACH_M = 2e-3, 6, 12e-3
 """First step of the refinement of positions, its rounds, and the farthest from the start, per coordinate."""
 _BLOCK = 1 << 18
-
-
-@dataclass(frozen=True)
-class Reflector:
-    """A point found in the scans.
-
-    Attributes:
-        x_m, y_m: position in the object's plane, m.
-        amplitude: complex, in units of the scans.
-        amplitude_db: relative to the strongest reflector found, dB.
-        snr_db: energy over the level of noise and clutter, dB.
-        matched: whether it belongs to the layout that was read.
-        z_m: height above the object's plane, m; None where one antenna height does not show it.
-    """
-
-    x_m: float
-    y_m: float
-    amplitude: complex
-    amplitude_db: float
-    snr_db: float
-    matched: bool = False
-    z_m: float | None = None
 
 
 class SearchDisc:
@@ -171,8 +147,6 @@ def refine_positions(
     coordinate. Positions stay within +- 12 mm of the start.
     """
     k = len(positions)
-    if field.tables is not None and k <= MOST_POINTS:
-        return field.tables.moved_points(positions, _FIRST_STEP_M, _REACH_M, _ROUNDS)
     start, trial_positions, step = positions, positions.copy(), _FIRST_STEP_M
     unit = np.eye(2 * k).reshape(2 * k, k, 2)
     alone = np.arange(k)[None]

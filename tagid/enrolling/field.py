@@ -5,7 +5,7 @@ each other. No image grid limits its accuracy.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans, PointResponse
 from tagid.signal import median
-from tagid.tags.reading.compiled import FieldTables
 
 FINE_STEP_M = 5e-4
 """Range step of the tables, read at the nearest entry: baseband varies over c / B = 176 mm, so half a step is
@@ -76,10 +75,8 @@ class RangeProfiles:
         np.maximum(index, 0, out=index)
         return np.minimum(index, len(self.profiles) - 1, out=index)
 
-    def phase(
-        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
-    ) -> NDArray[np.complex64]:
-        """Weight times exp(-2jk d) in single precision; the angle, hundreds of radians, in double."""
+    def phase(self, distances: NDArray[np.float64]) -> NDArray[np.complex64]:
+        """exp(-2jk d) in single precision; the angle, hundreds of radians, in double."""
         cycles = distances * (-self.wavenumber / np.pi)
         cycles -= np.floor(cycles)
         cycles *= 2 * np.pi
@@ -87,8 +84,6 @@ class RangeProfiles:
         out = np.empty(angle.shape, dtype=np.complex64)
         np.cos(angle, out=out.real)
         np.sin(angle, out=out.imag)
-        if weight is not None:
-            out *= weight
         return out
 
 
@@ -141,13 +136,6 @@ class MatchedField:
         """Number of views."""
         return len(self.antenna)
 
-    @cached_property
-    def tables(self) -> FieldTables | None:
-        """The same for the compiled loops; None where they were not compiled."""
-        axis = self.ranges.start_m, FINE_STEP_M, self.ranges.wavenumber
-        rows = self.data.reshape(self.views, -1)
-        return FieldTables.of(self._antennas, self._groups, self.ranges.profiles, axis, rows)
-
     def distances(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """(..., views) one-way range of points (..., 2) in every view, m."""
         p = np.asarray(points, dtype=np.float64)
@@ -171,14 +159,12 @@ class MatchedField:
             rows[..., views, :] = some - some.mean(axis=-2, keepdims=True)
         return rows
 
-    def _whole(
-        self, points: NDArray[np.float64], weight: NDArray[np.float32] | None = None
-    ) -> NDArray[np.complex64]:
+    def _whole(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(..., views, rank) templates with their constant parts."""
         distances = self.distances(points)
         # The index is within bounds already; "clip" reads without a check and without a buffer.
         whole = self.ranges.profiles.take(self.ranges.index(distances), axis=0, mode="clip")
-        whole *= self.ranges.phase(distances, weight)[..., None]
+        whole *= self.ranges.phase(distances)[..., None]
         return whole
 
     def correlate(self, templates: NDArray[np.complex64]) -> NDArray[np.complex128]:
@@ -189,16 +175,6 @@ class MatchedField:
     def gram(self, templates: NDArray[np.complex64]) -> NDArray[np.complex128]:
         """(..., K, K) G[k, l] = <s_k, s_l> of groups of K templates (..., K, views * rank)."""
         return np.asarray(np.matmul(templates.conj(), np.swapaxes(templates, -1, -2)), dtype=np.complex128)
-
-    def full_gram(
-        self, points: NDArray[np.float64], weight: NDArray[np.float32] | None
-    ) -> NDArray[np.complex128]:
-        """(..., K, K) `gram` of points (..., K, 2), m, before their constant parts are taken out.
-
-        The weight (..., K, views) is their amplitude in each view; None: 1.
-        """
-        whole = self._whole(points, weight)
-        return self.gram(whole.reshape(*points.shape[:-1], self.data.size))
 
     def table(self, data: NDArray[np.complex64]) -> NDArray[np.complex64]:
         """(views, n) inner products of the profiles with data (views * rank,)."""
