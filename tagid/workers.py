@@ -1,4 +1,4 @@
-"""Threads whose owner learns of their end, whatever ended them."""
+"""Threads whose owner learns of their end, whatever ended them, and that stop where nobody waits for them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,20 @@ NO_THREAD: Final = "can't start new thread"
 """Text of the RuntimeError of `threading`, and of `Worker.start`."""
 
 
+_own = threading.local()
+
+
+class UnwantedError(Exception):
+    """Nobody waits for the work of this thread any more."""
+
+
+def check_wanted() -> None:
+    """For long computations to call now and then: raise UnwantedError where nobody waits for this thread."""
+    unwanted: Callable[[], bool] | None = getattr(_own, "unwanted", None)
+    if unwanted is not None and unwanted():
+        raise UnwantedError
+
+
 class Worker:
     """A daemon thread that keeps the exception that ended it.
 
@@ -20,6 +34,7 @@ class Worker:
         work: runs on the thread.
         name: of the thread, for logs.
         failed: called on the thread, after `failure` is set, if `work` raised; wakes an owner that waits.
+        unwanted: True ends the work at its next `check_wanted`, which is no failure.
 
     >>> worker = Worker(lambda: int("x"), "example")
     >>> worker.start()
@@ -34,9 +49,10 @@ class Worker:
         work: Callable[[], None],
         name: str,
         failed: Callable[[BaseException], None] = lambda error: None,
+        unwanted: Callable[[], bool] | None = None,
     ) -> None:
         self.name = name
-        self._work, self._failed = work, failed
+        self._work, self._failed, self._unwanted = work, failed, unwanted
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
@@ -68,12 +84,15 @@ class Worker:
         return not self.alive
 
     def _run(self) -> None:
+        _own.unwanted = self._unwanted
         try:
             self._work()
+        except UnwantedError:
+            logging.getLogger("tagid").debug("thread %s was no longer wanted", self.name)
         except BaseException as error:
             self._failure = error
             logging.getLogger("tagid").debug("thread %s ended", self.name, exc_info=True)
             self._failed(error)
         finally:
             # As in `threading.Thread`: an owner that refers to it is freed without garbage collection.
-            del self._work, self._failed
+            del self._work, self._failed, self._unwanted, _own.unwanted

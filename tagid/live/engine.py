@@ -218,9 +218,15 @@ class LiveView:
             )
         self._tell(state)
 
-    def _start(self, work: Callable[[], None], name: str, stopped: str) -> Worker:
+    def _start(
+        self,
+        work: Callable[[], None],
+        name: str,
+        stopped: str,
+        unwanted: Callable[[], bool] | None = None,
+    ) -> Worker:
         """Start a worker whose failure is a remark in the state and costs the recording nothing."""
-        worker = Worker(work, name, lambda error: self._remark(stopped, error))
+        worker = Worker(work, name, lambda error: self._remark(stopped, error), unwanted)
         try:
             worker.start()
         except RuntimeError as error:
@@ -309,7 +315,10 @@ class LiveView:
             return
         self._read_turn = per_scan
         capture = replace(capture_so_far(stream.session, scans), angles_rad=angles.copy())
-        self._reader = self._start(lambda: self._read(capture), "live-reader", "no answer ahead")
+        # Once the recording has ended it would only delay the reading of the stored capture.
+        self._reader = self._start(
+            lambda: self._read(capture), "live-reader", "no answer ahead", lambda: stream.ended
+        )
 
     def _read(self, capture: Capture) -> None:
         from tagid.pipeline.identify import identify

@@ -112,7 +112,9 @@ class EarlyEnding:
 
         def began(stream: ScanStream) -> None:
             watch.began(stream)
-            self._worker = Worker(lambda: self._work(stream), "live-ending", self._failed)
+            self._worker = Worker(
+                lambda: self._work(stream), "live-ending", self._failed, lambda: stream.ended
+            )
             try:
                 self._worker.start()
             except RuntimeError as error:

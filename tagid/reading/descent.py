@@ -14,6 +14,7 @@ from tagid.reading.compiled import Amplitudes, Compiled, Given, fits
 from tagid.reading.evidence import fit, log_evidence
 from tagid.reading.spectra import Spectra
 from tagid.types import Floats
+from tagid.workers import check_wanted
 
 CLUTTER = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)
 """Powers of the clutter that are tried, over the moving energy."""
@@ -255,6 +256,7 @@ def refined(
             in the end with parameters and powers that are the best of each other.
         rounds: of every stage.
     """
+    check_wanted()
     x = np.asarray(x, dtype=float)
     _likelihood(spectra, model).foresee(x)
     for clutter in stages:

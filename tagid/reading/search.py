@@ -21,6 +21,7 @@ from tagid.reading.descent import Powers
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.transfer import ANGLES, Transfer
 from tagid.types import Complex, Floats
+from tagid.workers import check_wanted
 
 _sets = loop("tagid.reading._sets")
 
@@ -324,6 +325,7 @@ def tables(
         bodies: (C, F, V) echo of the body beside them; None: a point in the centre, if there is one.
         step_rad: turns are no farther apart.
     """
+    check_wanted()
     transfer, points, views = model.transfer, np.append(centres, 0), spectra.views
     blocks, root, step = _turning(spectra, transfer, model.disc, tuple(groups), powers.clutter, step_rad)
     waves, range_m = spectra.waves(points, np.zeros(len(points)))

@@ -26,7 +26,7 @@ def test_the_image_forms_on_a_terminal_without_colours(home: dict[str, str], tmp
     screen = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", text)
     turned = [int(degrees) for degrees in re.findall(r"(\d+) of 360 deg", screen)]
     assert turned and max(turned) <= 360
-    assert re.search(r"helmet-120 +[#.]+\|[#.]+ +\d+% of the echo, 45% needed", screen), screen[-3000:]
+    assert re.search(r"helmet-120 +#{24} ahead by \d+", screen), screen[-3000:]
     assert "x, mm" in screen and "range, m" in screen and "nats" not in screen
     kept = text[text.rindex("\x1b[?1049l") :]
     assert "HELMET-120" in kept and "x, mm" in kept, "the last frame stays"

@@ -48,6 +48,7 @@ from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.workers import check_wanted
 from tests.unit.paced import wait_for
 
 GRID = ImageGrid(0.4, 48)
@@ -442,6 +443,31 @@ def test_a_worker_of_the_view_that_dies_is_a_remark_and_costs_no_scan(
 
         assert recorded(tmp_path, view, resolve=resolve).complete
     assert "Traceback" not in capfd.readouterr().err
+
+
+def test_a_reading_ahead_stops_with_the_recording(tmp_path: Path, layouts: list[Layout]) -> None:
+    """It would delay the reading of the stored capture."""
+    turning = Turning.of("helmet-120", tmp_path, 1.2)
+    view = LiveView(LiveSettings(open_motion("free?rpm=6"), layouts, imaging=ImagingSettings(pixels=48)))
+    stream, asked = ScanStream(turning.session), threading.Event()
+    view._stream = stream
+
+    def identified(*_: object) -> Identification:
+        asked.set()
+        while True:
+            check_wanted()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(identify_module, "identify", identified)
+        for scan in turning.scans:
+            stream.append(scan)
+        angles = np.linspace(0, 2.1 * np.pi, len(turning.scans))
+        view._read_ahead(stream, turning.scans, angles)
+        assert asked.wait(60) and view._reader is not None and view._reader.alive
+        stream.end()
+        assert view._reader.join(60) and view._reader.failure is None
+    assert view.state.answer is None and view.state.note == ""
+    view.close()
 
 
 def test_the_final_answer_stays_and_a_new_one_has_its_own_time() -> None:

@@ -56,6 +56,28 @@ def test_many_views_fold_into_few_without_loss() -> None:
     assert fold_views(synthetic_scans(points, views=36), 0.15).aperture.views == 36
 
 
+@pytest.mark.parametrize("views", [76, 89, 160])
+def test_views_that_do_not_divide_a_turn_become_even_ones(views: int) -> None:
+    """A table turns on by 0.4 of a step more than the whole number of views."""
+    points = LAYOUTS["helmet-120"].placed(0.2, np.array([0.005, 0.0]))
+    many = synthetic_scans(points, views=7200)
+    seen = np.rint(7200 / (views + 0.4) * np.arange(views)).astype(int)
+    uneven = Aperture.turntable(seen * 2 * np.pi / 7200, 0.5)
+    even = fold_views(replace(many, samples=many.samples[seen], aperture=uneven), 0.13)
+    truth = synthetic_scans(points, views=even.aperture.views)
+    assert even.aperture.views == 75
+    assert np.linalg.norm(even.samples - truth.samples) < 1e-3 * np.linalg.norm(truth.samples)
+    noise = synthetic_scans(np.zeros((0, 2)), views=views, noise=1.0)
+    folded = fold_views(replace(noise, aperture=uneven), 0.13)
+    assert np.sqrt(np.mean(np.abs(folded.samples) ** 2)) == pytest.approx(folded.noise_std, rel=0.05)
+    part = replace(
+        many,
+        samples=many.samples[seen[: views // 2]],
+        aperture=uneven.turned(uneven.angles[: views // 2], 0.5),
+    )
+    assert fold_views(part, 0.13).aperture.angles[-1] < 3.2, "half a turn stays one"
+
+
 def test_neighbouring_views_of_a_part_of_a_turn_are_averaged() -> None:
     """Its echo is that of the mean angles, and its noise less; where they are few, nothing is."""
     points = LAYOUTS["helmet-120"].placed(0.2, np.array([0.005, 0.0]))
