@@ -70,8 +70,8 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
 
 def _fast(least: int) -> int:
     """The smallest number from `least` on without a prime factor above 5, whose transform is fast."""
-    powers = (2**i * 3**j * 5**k for i in range(12) for j in range(8) for k in range(6))
-    return min(number for number in powers if number >= least)
+    threes_and_fives = [three * five for three in (1, 3, 9, 27, 81) for five in (1, 5, 25, 125)]
+    return min(number << twos for number in threes_and_fives for twos in range(12) if number << twos >= least)
 
 
 def _averaged(scans: BasebandScans, turn: NDArray[np.float64], count: int) -> BasebandScans:
