@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
+from tagid.fields.bessel import first_kind
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
 from tagid.reading.views import fold_views
@@ -30,8 +31,6 @@ CLUTTER_RADII_M = (0.05, 0.10)
 """Radii of the discs over which the scatterers of the clutter are spread."""
 UPRIGHT_SD_M = 0.04
 """Standard deviation of the height of the clutter's scatterers, m: from another height their sum differs."""
-_RINGS = np.sqrt((np.arange(24) + 0.5) / 24)
-"""Radii of rings of equal area over that of their disc."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +218,7 @@ class Spectra:
             return tuple(_diagonal(covariance, np.eye(self.views)) for covariance in self._covariances)
         apart, whiteners = 2 * np.abs(np.sin((self.direction[0] - self.direction) / 2)), []
         for radius in CLUTTER_RADII_M:
-            row = _j0(self.kappa[:, None, None] * (radius * _RINGS)[None, :, None] * apart).mean(axis=1)
+            row = _disc(self.kappa[:, None] * radius * apart)
             whiteners.append(Whitener(np.maximum(np.fft.fft(row, axis=1).real, 0), None))
         return tuple(whiteners)
 
@@ -229,9 +228,8 @@ class Spectra:
         apart = 2 * np.abs(np.sin((self.direction[:, None] - self.direction) / 2))
         risen = np.subtract.outer(self.height_m, self.height_m) / self.distance_m
         upright = np.exp(-0.5 * (self.kappa[:, None, None] * UPRIGHT_SD_M * risen) ** 2)
-        kappa, rings = self.kappa[:, None, None, None], _RINGS[:, None, None]
         return tuple(
-            _j0(kappa * (radius * rings) * apart).mean(axis=1) * upright for radius in CLUTTER_RADII_M
+            _disc(self.kappa[:, None, None] * radius * apart) * upright for radius in CLUTTER_RADII_M
         )
 
     @cached_property
@@ -282,13 +280,13 @@ def _is_full_turn(antenna: Complex, height_m: Floats) -> bool:
     return bool(np.ptp(steps) < 1e-6 and abs(abs(steps.sum()) - 2 * np.pi) < 1e-6)
 
 
-def _j0(x: Floats) -> Floats:
-    """The Bessel function J0 of x >= 0, by interpolation in a table: to 1e-5."""
-    return np.interp(x, *_j0_table())
+def _disc(x: Floats) -> Floats:
+    """J0 averaged over a disc at whose rim its argument is x >= 0: 2 J1(x) / x, from a table, to 1e-5."""
+    return np.interp(x, *_disc_table())
 
 
 @cache
-def _j0_table() -> tuple[Floats, Floats]:
-    grid = np.linspace(0, 200, 20_001)
-    angle = (np.arange(256) + 0.5) * np.pi / 256
-    return grid, np.cos(np.outer(grid, np.sin(angle))).mean(axis=1)
+def _disc_table() -> tuple[Floats, Floats]:
+    grid = np.linspace(0, 100, 10_001)
+    orders = first_kind(2, grid)
+    return grid, orders[:, 0] + orders[:, 2]

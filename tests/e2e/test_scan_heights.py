@@ -54,7 +54,7 @@ def on_terminal(
             if child.poll() is None:
                 os.write(keyboard, b"\n")
 
-    return run(home, words, (24, 200), react, seconds=300, TAGID_RADAR_INTEGRATION="13")
+    return run(home, words, (24, 200), react, seconds=300, TAGID_RADAR_INTEGRATION="15")
 
 
 def words_of(url: str, folder: Path) -> list[str]:

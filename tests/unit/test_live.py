@@ -220,16 +220,16 @@ def test_a_symmetric_tag_without_a_stated_speed_is_shown_once_imaging_tells_the_
 def recorded(folder: Path, view: LiveView, seconds: float = 60.0, **more: object) -> Capture:
     """A turn of an emulated helmet in memory, as fast as it goes, with a live view."""
     config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
-    url = "free?rpm=20"
+    url = "free?rpm=30"
     plan = RecordingPlan(config, 1.0, motion=url, max_seconds=seconds)
     watch = Watch(resolve=view.resolving(resolve_turn), began=view.began)
-    radar = open_radar("emulator://helmet-120?rpm=20&seed=2")
+    radar = open_radar("emulator://helmet-120?rpm=30&seed=2")
     return record(radar, open_motion(url), plan, folder / "x.tagid.h5", replace(watch, **more))
 
 
 def test_a_recording_is_shown_to_its_last_frame(tmp_path: Path, layouts: list[Layout]) -> None:
     states: list[LiveState] = []
-    motion = open_motion("free?rpm=20")
+    motion = open_motion("free?rpm=30")
     imaging = ImagingSettings(pixels=48)
     with LiveView(LiveSettings(motion, layouts, imaging=imaging), states.append) as view:
         capture = recorded(tmp_path, view)
@@ -258,7 +258,7 @@ def test_a_view_that_is_late_ends_with_angle_and_sinogram_of_what_was_recorded(
         if threading.current_thread().name == "live-view":
             settled.wait(60)
 
-    settings = LiveSettings(open_motion("free?rpm=20"), layouts, imaging=ImagingSettings(pixels=48))
+    settings = LiveSettings(open_motion("free?rpm=30"), layouts, imaging=ImagingSettings(pixels=48))
     with LiveView(settings, late) as view:
         capture = recorded(tmp_path, view)
         prepared = PreparedCapture(load_capture(capture), ImagingSettings(pixels=48))
@@ -353,7 +353,7 @@ def test_closed_watchers_hold_no_scans_and_are_freed_without_the_garbage_collect
         return [sum(type(get_object) is kind for get_object in gc.get_objects()) for kind in kinds]
 
     def watched() -> None:
-        settings = LiveSettings(open_motion("free?rpm=20"), layouts)
+        settings = LiveSettings(open_motion("free?rpm=30"), layouts)
         with LiveView(settings) as view, EarlyEnding(settings) as ending:
             began = ending.watching(Watch(began=view.began)).began
             recorded(tmp_path, view, began=began, gap=lambda gap: view.note("a gap"))
@@ -373,7 +373,7 @@ def test_closed_watchers_hold_no_scans_and_are_freed_without_the_garbage_collect
 
 
 def test_a_view_that_fails_or_hangs_costs_no_scan(tmp_path: Path) -> None:
-    motion = open_motion("free?rpm=20")
+    motion = open_motion("free?rpm=30")
     held = threading.Event()
 
     def hang(state: LiveState) -> None:
@@ -427,7 +427,7 @@ def test_a_worker_of_the_view_that_dies_is_a_remark_and_costs_no_scan(
         monkeypatch.setattr(GrowingAts, "go_on", dies)
     method = "ats" if thread == "live-fitter" else "bp"
     imaging = ImagingSettings(method=method)
-    known = LiveSettings(open_motion("free?rpm=20"), layouts, imaging=imaging)
+    known = LiveSettings(open_motion("free?rpm=30"), layouts, imaging=imaging)
     words = "MemoryError" if starts else f"no {thread}"
     remarked = threading.Event()
 
@@ -472,7 +472,7 @@ def test_a_reading_ahead_stops_with_the_recording(tmp_path: Path, layouts: list[
 
 def test_the_final_answer_stays_and_a_new_one_has_its_own_time() -> None:
     first, other = (Identification(status, None, None, None) for status in ("no_tag", "unknown"))
-    view = LiveView(LiveSettings(open_motion("free?rpm=20")))
+    view = LiveView(LiveSettings(open_motion("free?rpm=30")))
     view._answered_ahead(first)
     ahead_at = view._answer_at
     assert ahead_at is not None
@@ -487,7 +487,7 @@ def test_the_final_answer_stays_and_a_new_one_has_its_own_time() -> None:
 def test_stop_ends_a_recording_and_keeps_its_scans(tmp_path: Path) -> None:
     streams: list[ScanStream] = []
     with (
-        LiveView(LiveSettings(open_motion("free?rpm=20"))) as view,
+        LiveView(LiveSettings(open_motion("free?rpm=30"))) as view,
         pytest.raises(CaptureInterrupted, match="stopped after") as stopped,
     ):
 
