@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.fields.bessel import first_kind
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
 from tagid.reading.views import fold_views
@@ -281,12 +280,14 @@ def _is_full_turn(antenna: Complex, height_m: Floats) -> bool:
 
 
 def _disc(x: Floats) -> Floats:
-    """J0 averaged over a disc at whose rim its argument is x >= 0: 2 J1(x) / x, from a table, to 1e-5."""
+    """J0 averaged over a disc (24 rings of equal area) at whose rim its argument is x >= 0, from a table."""
     return np.interp(x, *_disc_table())
 
 
 @cache
 def _disc_table() -> tuple[Floats, Floats]:
     grid = np.linspace(0, 100, 10_001)
-    orders = first_kind(2, grid)
-    return grid, orders[:, 0] + orders[:, 2]
+    angle = (np.arange(128) + 0.5) * np.pi / 128
+    j0 = np.cos(np.outer(grid, np.sin(angle))).mean(axis=1)
+    rings = np.sqrt((np.arange(24) + 0.5) / 24)
+    return grid, np.interp(np.outer(rings, grid), grid, j0).mean(axis=0)

@@ -30,12 +30,12 @@ BAND_MARGIN = 1.25
 
 
 def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
-    """Full turns with many or uneven views, resampled to one turn of the fewest even ones that represent a disc.
+    """Full turns of many or uneven views, resampled to the fewest even views that represent a disc.
 
-    The angular frequencies up to 2 k r and a guard are fitted to the views by least squares, which keeps white
-    noise white. Antenna positions on circles at several heights are resampled circle by circle. Of turns with
-    gaps, views within `SECTOR` of that step are averaged. Scans with few views, or with no more than need be
-    that are even, or from other positions are returned unchanged.
+    The angular frequencies up to 2 k r and a guard are fitted to the views by least squares, which keeps
+    white noise white. Antenna positions on circles at several heights are resampled circle by circle. Of
+    turns with gaps, views within `SECTOR` of that step are averaged. Scans with few views, with even ones
+    that are no more than needed, or from other positions are returned unchanged.
 
     Args:
         scans: (views, bins) scans of a turntable aperture.
@@ -52,7 +52,7 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
     gap = np.diff(np.sort(turn), append=turn.min() + 2 * np.pi)
     if gap.max() > WIDEST_GAP * 2 * np.pi / count or scans.angle_scale_sigma:
         # What is not known to be one turn has a seam that no filter may cross.
-        return _averaged(scans, turn, count)
+        return _averaged(scans, turn, 2 * needed + GUARD_ORDERS)
     if len(angles) < 1.5 * count and np.ptp(gap) < EVEN_RAD:
         return scans
     orders = np.arange(-((count - 1) // 2), (count + 1) // 2)
