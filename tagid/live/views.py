@@ -20,6 +20,7 @@ from tagid.live.image import GrowingImage
 from tagid.metadata import RadarInfo
 from tagid.pipeline.settings import ImagingSettings
 from tagid.reading.preview import LayoutEvidence, layout_evidence
+from tagid.reading.reader import contest
 from tagid.tags.layouts.layout import Layout
 
 if TYPE_CHECKING:
@@ -184,4 +185,4 @@ def evidence_of(
     if not layouts or capture.views < FEWEST_VIEWS:
         return ()
     plain = replace(imaging.preprocessing(matched_filter=False), background="mean")
-    return layout_evidence(preprocess(capture, settings=plain), layouts)
+    return layout_evidence(contest(preprocess(capture, settings=plain), layouts))

@@ -44,7 +44,7 @@ from tagid.reading.transfers.shade import SHADES
 from tagid.reading.transfers.transfer import Transfer
 from tagid.reading.transfers.wall import WALLS
 from tagid.reading.uneven import straightened
-from tagid.reading.untagged import GRID_M, RoundBody, likeliest, nothing, round_bodies, with_clutter
+from tagid.reading.untagged import GRID_M, RoundBodies, nothing, round_bodies, with_clutter
 from tagid.tags.layouts.layout import Layout
 from tagid.types import Floats
 
@@ -120,6 +120,10 @@ class Contest:
     def _odd(self) -> OddMap:
         return OddMap(self.spectra)
 
+    def behind(self, transfer: Transfer) -> Model:
+        """A model without reflectors."""
+        return Model(transfer, None, transfer.body, 0, levels=self.spectra.levels, priors=self.priors)
+
     def add(
         self, layout: Layout | None, estimate: Estimate, middle: bool = False, prior: float = 0.0
     ) -> Hypothesis:
@@ -158,11 +162,11 @@ class Contest:
 
     def _explore(self) -> None:
         bodies = self._untagged()
-        body = likeliest(bodies)
+        body = bodies.best
         centres = [body.centre, *GRID_M]
         # A loud tag moves the centre that a body alone seems to have.
         near = distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
-        powers, shapes = [of_disc.powers for of_disc in bodies], [of_disc.shape for of_disc in bodies]
+        powers, shapes = bodies.powers, bodies.shapes
         known = body.centre_sd_m < _KNOWN_M
         self._look(centres, near if known else centres, powers, shapes, GRID_M[::2])
         self._beside_others(shapes)
@@ -204,7 +208,7 @@ class Contest:
         """Reflectors in the open and beside bodies about centres, and beside round ones about others."""
         starts: list[Candidate] = []
         for transfer in self.searched:
-            model = Model(transfer, None, transfer.body, 0, levels=self.spectra.levels, priors=self.priors)
+            model = self.behind(transfer)
             some = centres if transfer.body else open_centres
             starts += starts_about(self.wanted, model, some, powers, shapes, others, wide=2)
             if transfer.body and len(self._planes) > 2:
@@ -378,13 +382,11 @@ class Contest:
                 best = refined(self.spectra, raised, starts[i], (1e-2, None))
                 self.grow(self.add(None, best, hypothesis.middle, float(np.log(RAISED))), self.most_odd)
 
-    def _untagged(self) -> list[RoundBody]:
+    def _untagged(self) -> RoundBodies:
         """Nothing, and a round body, with clutter of either disc."""
         bodies = round_bodies(self.spectra, self.priors)
-        for body in bodies:
-            self._centres += [estimate.centre for estimate in body.estimates]
-            self.add(None, body.best)
-        for estimate in nothing(self.spectra, self.priors):
+        self._centres += [estimate.centre for some in bodies.estimates for estimate in some]
+        for estimate in (*bodies.of_disc, *nothing(self.spectra, self.priors)):
             self.add(None, estimate)
         return bodies
 

@@ -99,10 +99,10 @@ def look(
     nothing = Look(share, part.views)
     try:
         scans = preprocess(part, settings=PreprocessSettings(matched_filter=False, extent_m=_EXTENT_M))
-        if layout_evidence(scans, layouts)[0].log_evidence < SURE:
+        contest_of_look = contest(scans, layouts, signatures)
+        if layout_evidence(contest_of_look)[0].log_evidence < SURE:
             # A closer look would hardly name what its first step does not show.
             return nothing
-        contest_of_look = contest(scans, layouts, signatures)
         contest_of_look.run()
     except DataError:
         return nothing

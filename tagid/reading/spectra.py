@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
-from tagid.reading.views import fold_views
+from tagid.reading.views import EVEN_RAD, fold_views
 from tagid.tags.bodies.spectra import BAND_SHARE, FREQUENCIES, range_window
 from tagid.types import Complex, Floats
 
@@ -276,7 +276,7 @@ def _is_full_turn(antenna: Complex, height_m: Floats) -> bool:
     if np.ptp(height_m) > 1e-4 or np.ptp(np.abs(antenna)) > 1e-4:
         return False
     steps = np.angle(np.roll(antenna, -1) / antenna)
-    return bool(np.ptp(steps) < 1e-6 and abs(abs(steps.sum()) - 2 * np.pi) < 1e-6)
+    return bool(np.ptp(steps) < EVEN_RAD and abs(abs(steps.sum()) - 2 * np.pi) < 1e-6)
 
 
 def _disc(x: Floats) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -24,28 +25,33 @@ LEAST_CLUTTER = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class RoundBody:
-    """A round body in the clutter of one disc.
+class RoundBodies:
+    """A round body in the clutter of either disc.
 
     Attributes:
-        estimates: of the likeliest starts.
+        estimates: of the likeliest starts, for each disc.
     """
 
-    estimates: Sequence[Estimate]
+    estimates: Sequence[Sequence[Estimate]]
+
+    @cached_property
+    def of_disc(self) -> list[Estimate]:
+        """The best of each disc."""
+        return [max(some, key=lambda estimate: estimate.log_z) for some in self.estimates]
 
     @property
     def best(self) -> Estimate:
-        return max(self.estimates, key=lambda estimate: estimate.log_z)
+        return max(self.of_disc, key=lambda estimate: estimate.log_z)
 
     @property
-    def powers(self) -> Powers:
-        """Under which reflectors are looked for."""
-        return with_clutter(self.best.powers)
+    def powers(self) -> list[Powers]:
+        """Under which reflectors are looked for, for each disc."""
+        return [with_clutter(estimate.powers) for estimate in self.of_disc]
 
     @property
-    def shape(self) -> Floats:
-        """(2,) two-fold part of the support function, m."""
-        return self.best.x[2:4]
+    def shapes(self) -> list[Floats]:
+        """(2,) two-fold parts of the support function, m, for each disc."""
+        return [estimate.x[2:4] for estimate in self.of_disc]
 
 
 def with_clutter(powers: Powers) -> Powers:
@@ -53,21 +59,14 @@ def with_clutter(powers: Powers) -> Powers:
     return replace(powers, clutter=max(powers.clutter, LEAST_CLUTTER))
 
 
-def round_bodies(spectra: Spectra, priors: Priors) -> list[RoundBody]:
+def round_bodies(spectra: Spectra, priors: Priors) -> RoundBodies:
     """A round body in the clutter of either disc."""
     model = Model(POINTS, None, True, 0, levels=spectra.levels, priors=priors)
     starts = [np.array([c.real, c.imag, s.real, s.imag]) for c, s in BODIES_M]
     values = [best_powers(spectra, model, x, 1e-2)[1] for x in starts]
     order = np.argsort(values)[::-1][:2]
-    return [
-        RoundBody([refined(spectra, replace(model, disc=disc), starts[i], (1e-2, None), 12) for i in order])
-        for disc in (0, 1)
-    ]
-
-
-def likeliest(bodies: Sequence[RoundBody]) -> Estimate:
-    """The best of several."""
-    return max((body.best for body in bodies), key=lambda estimate: estimate.log_z)
+    models = [replace(model, disc=disc) for disc in (0, 1)]
+    return RoundBodies([[refined(spectra, m, starts[i], (1e-2, None), 12) for i in order] for m in models])
 
 
 def nothing(spectra: Spectra, priors: Priors) -> list[Estimate]:

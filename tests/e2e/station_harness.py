@@ -29,7 +29,9 @@ from tagid.station.station import Source, Station
 OWN = {"tagid-station": "1"}
 """The header of the page's own requests."""
 
-FAST = "emulator://helmet-120?rpm=8&seed=2"
+RPM = 8
+"""Speed of the objects: 134 views a turn, which are folded to even ones."""
+FAST = f"emulator://helmet-120?rpm={RPM}&seed=2"
 """As fast as the scans are taken: a turn within a second."""
 ENDLESS = "emulator://helmet-120?rpm=0.5&seed=2&rate=1"
 """In real time, two minutes and a half for a turn and its overlap: it is stopped long before."""
@@ -40,7 +42,7 @@ def source(
     folder: Path, radar: str | Callable[[], str] = FAST, rpm: float | None = None, resume_s: float = 20.0
 ) -> Source:
     """Scans of an emulated helmet into a folder; a function gives each scan its own radar."""
-    motion = f"free?rpm={rpm or (0.5 if radar == ENDLESS else 8 if isinstance(radar, str) else POSED_RPM):g}"
+    motion = f"free?rpm={rpm or (0.5 if radar == ENDLESS else RPM):g}"
 
     settings = {
         "motion.url": motion,
@@ -136,10 +138,6 @@ POSES = ((0.006, -0.002, 10.0), (-0.004, 0.005, 130.0), (0.001, 0.008, 250.0))
 """Centre (m) and rotation (degrees) of the object in one capture after the other."""
 
 
-POSED_RPM = 8
-"""Speed of the objects of `poses`: 134 views a turn, which are folded to even ones."""
-
-
 def own_object(folder: Path) -> str:
     """Options of the emulator for the object `mine`, which is not enrolled."""
     rows = ", ".join(f"[{x}, {y}]" for x, y in PLACES)
@@ -152,7 +150,7 @@ def poses(scene: str, options: str = "", seed: int = 1) -> Iterator[str]:
     while True:
         for x, y, turn in POSES:
             seed += 1
-            yield f"emulator://{scene}?rpm={POSED_RPM}&seed={seed}&centre={x},{y}&rotation={turn}&{options}".rstrip(
+            yield f"emulator://{scene}?rpm={RPM}&seed={seed}&centre={x},{y}&rotation={turn}&{options}".rstrip(
                 "&"
             )
 

@@ -53,7 +53,6 @@ from tests.unit.paced import wait_for
 
 GRID = ImageGrid(0.4, 48)
 RAW = PreprocessSettings(background="none", extent_m=0.4)
-UNMATCHED = replace(RAW, matched_filter=False)
 
 
 def a_capture(views: int = 40, layout: str = "helmet-120", snr_db: float = 15.0, seed: int = 3) -> Capture:
