@@ -188,6 +188,7 @@ class Contest:
         self._as_free()
         self._raised()
         self._one_more()
+        self._beside_others(shapes)
         self._by_hand()
         self._unbound()
         self._evened()
@@ -260,10 +261,10 @@ class Contest:
             self.add(layout, estimate, starts[i].middle)
 
     def _beside_others(self, shapes: Sequence[Floats]) -> None:
-        """The best pose of every layout, and of free arrangements of every number, beside all bodies."""
+        """The best pose of every layout and of free arrangements of every number, beside all but sheets."""
         best: dict[tuple[str, int], Hypothesis] = {}
         for hypothesis in sorted(self.hypotheses, key=lambda hypothesis: -hypothesis.log_z):
-            if hypothesis.estimate.model.tag is not None:
+            if type(hypothesis.estimate.model) is Model and hypothesis.estimate.model.tag is not None:
                 name = "" if hypothesis.layout is None else hypothesis.layout.name
                 best.setdefault((name, 0 if name else hypothesis.estimate.model.tag.count), hypothesis)
         for hypothesis in best.values():
@@ -578,7 +579,7 @@ class Contest:
             self.grow(best, self.most_odd - freed.odd)
 
     def _evened(self) -> None:
-        """The best of every kind without a name, beside as many odd scatterers as the best with one has."""
+        """The best rivals of every kind, beside as many odd scatterers as the best with a name has."""
         named = [hypothesis for hypothesis in self.hypotheses if hypothesis.name is not None]
         odd = max(named, key=lambda hypothesis: hypothesis.log_z).estimate.model.odd if named else 0
         for hypothesis in rivals(self.hypotheses)[:EVENED]:

@@ -245,13 +245,15 @@ def unlike(starts: list[Candidate], count: int) -> list[Candidate]:
 
 
 def rivals(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The best hypothesis without a name of every transfer and number of reflectors, best first."""
-    kinds: dict[tuple[str, int], Hypothesis] = {}
+    """What competes with the best name: the best of every other name, and those without one of every transfer
+    and number of reflectors; the best first."""
+    kinds: dict[tuple[str | None, str, int], Hypothesis] = {}
     for hypothesis in sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_z):
-        if hypothesis.name is None:
-            estimate = hypothesis.estimate
-            kinds.setdefault((estimate.model.transfer.name, len(estimate.positions)), hypothesis)
-    return list(kinds.values())
+        estimate, name = hypothesis.estimate, hypothesis.name
+        kind = ("", 0) if name is not None else (estimate.model.transfer.name, len(estimate.positions))
+        kinds.setdefault((name, *kind), hypothesis)
+    best = next((hypothesis for hypothesis in kinds.values() if hypothesis.name is not None), None)
+    return [hypothesis for hypothesis in kinds.values() if hypothesis is not best]
 
 
 def same_place(estimate: Estimate, other: Estimate) -> bool:

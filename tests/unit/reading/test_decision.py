@@ -112,6 +112,20 @@ def test_a_stranger_beside_a_body_is_not_named(seed: int, code: Code) -> None:
     assert answer.code is code
 
 
+def test_bodies_are_tried_again_for_what_is_found_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search goes other ways under slightly other clutter: a layout's four reflectors are found late."""
+    grid = np.linspace(0, 100, 10_001)
+    angle = (np.arange(128) + 0.5) * np.pi / 128
+    waves = np.outer(grid, np.sin(angle))
+    # The same average over a disc in closed form, J0 + J2.
+    exact = np.cos(waves).mean(axis=1) + np.cos(2 * angle - waves).mean(axis=1)
+    monkeypatch.setattr("tagid.reading.spectra._disc_table", lambda: (grid, exact))
+    scans = preprocess(draw(300_146).capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+    answer = decide(Contest(Spectra.of(scans), LAYOUTS, sheets=()).run())
+    assert (answer.name, answer.code) == (None, Code.EXTRA)
+    assert answer.lead < -20
+
+
 def test_a_layout_far_from_its_places_is_another_tag() -> None:
     """A can with a handle and a pair: 89 degrees apart fits, but 18 and 8 mm from where the layout has it."""
     specimen = draw(340_353, views=36)
