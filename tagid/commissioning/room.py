@@ -60,15 +60,16 @@ def watch_room(bench: Bench) -> StepReport:
     make_folder(path.parent)
     write_capture(path, capture)
     change_settings({"radar.background": str(path)})
-    line = _line(rest)
-    bursts = _bursts(rest, line is not None)
+    line, clipping = _line(rest), _clipping(bench, capture)
+    cause = "the line above" if line is not None else "the receiver clips" if clipping.code else ""
+    bursts = _bursts(rest, cause)
     explained = line is not None or bursts.code != ""
     rows = [
         _noise_row(noise, sigma, index, explained),
         line or Row("interference", Level.PASS, text="no line in the spectrum"),
         bursts,
         _moving(capture, scans, bench.axis_distance_m(), bursts.code != ""),
-        _clipping(bench, capture),
+        clipping,
         _integration(bench),
     ]
     return reported("room", rows, values={"noise_counts": Measured(noise, sigma)}, recording=name)
@@ -139,8 +140,8 @@ def _line(rest: NDArray[np.float64]) -> Row | None:
     )
 
 
-def _bursts(rest: NDArray[np.float64], explained: bool) -> Row:
-    """Scans that are noisier than their neighbours."""
+def _bursts(rest: NDArray[np.float64], cause: str) -> Row:
+    """Scans that are noisier than their neighbours, by a cause that is known, or by another radar."""
     energy = (rest[:, _quiet(rest)] ** 2).mean(axis=1)
     # Most second differences may contain a noisy scan: the quietest tenth tells the noise.
     quiet = float(np.percentile(energy, 10))
@@ -150,13 +151,13 @@ def _bursts(rest: NDArray[np.float64], explained: bool) -> Row:
         return Row("noisy scans", Level.PASS, 100 * noisy, 100 * sigma, "%")
     return Row(
         "noisy scans",
-        Level.NOTE if explained else Level.FAIL,
+        Level.NOTE if cause else Level.FAIL,
         100 * noisy,
         100 * sigma,
         "%",
-        "the line above" if explained else "pulses of another radar",
-        "" if explained else "Another UWB radar is near: stop it, or give it another code channel.",
-        "other-radar",
+        cause or "pulses of another radar",
+        "" if cause else "Another UWB radar is near: stop it, or give it another code channel.",
+        "noisy" if cause else "other-radar",
     )
 
 

@@ -10,7 +10,7 @@ import math
 import os
 import tempfile
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -183,7 +183,7 @@ def hard(run: Run) -> Iterator[Table]:
 
 def rigs(run: Run) -> Iterator[Table]:
     """Errors of the values beside their standard errors, and which planted faults are named."""
-    count, faulty = run.number(60, 2), 1 if run.quick else 3
+    count, faulty = run.number(60, 2), 1 if run.quick else 20
     run.seeds = f"1000 to {1000 + count - 1}; with a planted fault 1000 to {1000 + faulty - 1}"
     jobs = [(1000 + i, fault) for fault in FAULTS for i in range(faulty)]
     jobs += [(1000 + i, "") for i in range(count)]
@@ -214,8 +214,14 @@ def rigs(run: Run) -> Iterator[Table]:
         name="values",
         below=f"False alarms: {alarms} of {count} rigs without a fault.",
     )
-    named = [
-        (fault, code, f"{sum(code in results[job]['codes'] for job in jobs if job[1] == fault)} of {faulty}")
-        for fault, code in FAULTS.items()
-    ]
-    yield Table(("planted fault", "code", "named"), named, name="faults")
+    rows = []
+    for fault, code in FAULTS.items():
+        codes = [results[job]["codes"] for job in jobs if job[1] == fault]
+        others = Counter(other for some in codes for other in dict.fromkeys(some) if other != code)
+        rows.append((
+            fault,
+            code,
+            f"{sum(code in some for some in codes)} of {faulty}",
+            ", ".join(f"{other} {count}" for other, count in others.most_common()),
+        ))  # fmt: skip
+    yield Table(("planted fault", "code", "named", "other codes"), rows, name="faults")
