@@ -7,6 +7,7 @@ import os
 import platform
 import shutil
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Literal
@@ -48,6 +49,7 @@ def examine(config: Config, needs_radar: bool = False) -> list[Finding]:
 
     With `needs_radar` it is a problem, not a warning, if none is configured.
     """
+    radar, serial = _radar(config, needs_radar)
     return [
         *_versions(),
         _engines(),
@@ -56,8 +58,8 @@ def examine(config: Config, needs_radar: bool = False) -> list[Finding]:
         _ports(),
         *_system(),
         _axis(config),
-        _rig(config),
-        _radar(config, needs_radar),
+        _rig(config, serial),
+        radar,
     ]
 
 
@@ -184,14 +186,11 @@ def _axis(config: Config) -> Finding:
     return Finding("axis distance", "ok", f"{distance:.4g} m")
 
 
-def _rig(config: Config) -> Finding:
-    """The profile of the rig, and settings of the configuration that contradict it."""
+def _rig(config: Config, serial: int | None) -> Finding:
+    """The profile of the rig, and what contradicts it: settings, or the radar of a serial number."""
     from tagid.rig import installed_profile
 
-    try:
-        profile = installed_profile(data_folder())
-    except TagidError as error:
-        return Finding("rig", "problem", error.message, error.remedy)
+    profile = installed_profile(data_folder())
     if profile is None:
         return Finding(
             "rig", "ok", "not commissioned", "To measure delay, axis, pulse and gain: `tagid commission`"
@@ -204,6 +203,9 @@ def _rig(config: Config) -> Finding:
         odd.append(f"the delay in use is {delay - expected.value:+.0f} ps off")
     if axis is not None and abs(axis - measured.value) > 3 * measured.sigma:
         odd.append(f"the axis distance in use is {1e3 * (axis - measured.value):+.0f} mm off")
+    if serial is not None and profile.radar.serial and serial != profile.radar.serial:
+        remedy = "Commission this radar: `tagid commission`."
+        return Finding("rig", "warning", f"{text}: the connected radar is {serial}", remedy)
     if odd:
         remedy = (
             "Remove the setting (`tagid config unset NAME`) to use the profile, or repeat `tagid commission`."
@@ -212,26 +214,28 @@ def _rig(config: Config) -> Finding:
     return Finding("rig", "ok", text)
 
 
-def _radar(config: Config, needed: bool) -> Finding:
+def _radar(config: Config, needed: bool) -> tuple[Finding, int | None]:
+    """Whether the radar answers, and its serial number."""
     from tagid.radar.survey import survey
     from tagid.recording.radars import open_radar
 
     url = config["radar.url"]
+    silent = partial(Finding, "radar", answers=False)
     if not url:
         remedy = "`tagid config set radar.url udp://192.168.1.100` (kit units: .100 to .103)"
-        return Finding("radar", "problem" if needed else "warning", "none configured", remedy, answers=False)
+        return silent("problem" if needed else "warning", "none configured", remedy), None
     try:
         state = survey(open_radar(url, config["radar.timeout_s"]))
     except TagidError as error:
-        return Finding("radar", "problem", f"{url}: {error.message}", error.remedy, answers=False)
-    status = state.status
+        return silent("problem", f"{url}: {error.message}", error.remedy), None
+    level: Level = "ok"
+    status, remedy = state.status, ""
     text = f"{url} answers: serial {status.serial}, MRM {status.mrm_version}, {status.temperature_c:.1f} degC"
     if state.config is not None:
         text += f", {state.config.samples} samples"
     if status.built_in_test:
+        level, text = "problem", f"{text}, self test {status.built_in_test}"
         remedy = "Power-cycle the radar; if the error persists, the unit needs service."
-        return Finding("radar", "problem", f"{text}, self test {status.built_in_test}", remedy, answers=True)
-    if odd := state.warnings():
-        remedy = "`tagid radar info` shows more."
-        return Finding("radar", "warning", f"{text}; {'; '.join(odd)}", remedy, answers=True)
-    return Finding("radar", "ok", text, answers=True)
+    elif odd := state.warnings():
+        level, text, remedy = "warning", f"{text}; {'; '.join(odd)}", "`tagid radar info` shows more."
+    return Finding("radar", level, text, remedy, answers=True), status.serial

@@ -18,11 +18,12 @@ from tagid._version import __version__
 from tagid.capture import Capture, Pulse
 from tagid.constants import RIG_FILE
 from tagid.errors import ConfigError, DataError, FileFormatError
-from tagid.files import make_folder, read_toml, write_bytes
+from tagid.files import make_folder, read_toml, storage_error, write_bytes
 
 FORMAT_VERSION: Final = 1
 MAX_BYTES: Final = 1 << 18
 """Largest profile, bytes: a pulse of some hundred samples is its largest part."""
+_WRITE_AGAIN: Final = "Write it again with `tagid commission`, or delete it."
 _DELAY_TOLERANCE_PS: Final = 20.0
 """Drift of the delay with the temperature of a P440 between two days (assumed; 3 mm of range)."""
 _AXIS_TOLERANCE_M: Final = 0.005
@@ -125,6 +126,9 @@ class RigProfile:
             direction = data["turntable"]["direction"]
             if direction not in (1, -1):
                 raise ValueError(f"direction {direction}")
+            for name in ("axis_distance_m", "period_s"):
+                if measured[name].value <= 0:
+                    raise ValueError(f"{name} {measured[name].value:g}")
             return cls(
                 str(data["date_utc"]),
                 Radar(**data["radar"]),
@@ -135,8 +139,7 @@ class RigProfile:
             )
         except (KeyError, TypeError, ValueError, DataError) as error:
             raise FileFormatError(
-                f"{where} is no rig profile of this version: {error}",
-                "Write it again with `tagid commission`, or delete it.",
+                f"{where} is no rig profile of this version: {error}", _WRITE_AGAIN
             ) from None
 
     @property
@@ -227,7 +230,25 @@ def installed_profile(folder: Path) -> RigProfile | None:
         data = read_toml(path, MAX_BYTES, missing_ok=True)
         return RigProfile.from_toml(data, str(path)) if data else None
     except FileFormatError as error:
-        raise ConfigError(error.message, error.remedy) from None
+        raise ConfigError(error.message, _WRITE_AGAIN) from None
+
+
+def set_aside_damaged(folder: Path) -> Path | None:
+    """Rename a damaged profile in a data folder; returns its new path, or None if it is not damaged.
+
+    Raises StorageError.
+    """
+    try:
+        installed_profile(folder)
+    except ConfigError:
+        path = folder / RIG_FILE
+        aside = path.with_stem(f"{path.stem}.damaged")
+        try:
+            path.replace(aside)
+        except OSError as error:
+            raise storage_error(error, path, "renaming") from None
+        return aside
+    return None
 
 
 def write_profile(profile: RigProfile, folder: Path) -> Path:

@@ -14,7 +14,7 @@ from tagid.cli.frame import Terminal, command
 from tagid.cli.outputs import check_drawing
 from tagid.config import Config, data_folder, load_config
 from tagid.constants import RIG_FILE
-from tagid.errors import EXIT_FAILED, EXIT_OK, CaptureInterrupted, UsageError
+from tagid.errors import EXIT_FAILED, EXIT_OK, CaptureInterrupted, TagidError, UsageError
 from tagid.result import Result
 from tagid.types import Progress
 
@@ -92,6 +92,8 @@ def commission(
     Example: tagid commission --axis-distance 1.0 --antenna-height 0.05 --distance 1.0
     Example: tagid commission --step target --target corner:20cm --distance 1.5 --page rig.html
     """
+    from rich.text import Text
+
     from tagid.commissioning.bench import Bench
     from tagid.commissioning.steps import STEPS, next_step, run_step, step_named
 
@@ -100,6 +102,7 @@ def commission(
         raise UsageError(f"--step is {step[:40]!r}", f"Give one of {names}.")
     check_drawing("--page", page, (".html", ".pdf"))
     check_drawing("--bundle", bundle, (".zip",))
+    aside = _set_aside()
     config = load_config({"radar.url": radar, "motion.url": motion})
     given: TapeChanges = {
         "target": tape.target,
@@ -115,13 +118,18 @@ def commission(
     bench = Bench(config, given, seconds, scans)
     first = next_step(bench) if step is None else step_named(step)
     chosen = [first] if step is not None else list(STEPS[STEPS.index(first) :])
-    for chosen_step in chosen:
-        _prepare(chosen_step, config, yes, ask=step is None)
-        with terminal.progress(chosen_step.name, 1.0) as advance:
-            bench.progress = _progress(advance)
-            done.append(run_step(chosen_step, bench))
-        if not done[-1].passed:
-            break
+    ended: TagidError | None = None
+    try:
+        for chosen_step in chosen:
+            _prepare(chosen_step, config, yes, ask=step is None)
+            with terminal.progress(chosen_step.name, 1.0) as advance:
+                bench.progress = _progress(advance)
+                done.append(run_step(chosen_step, bench))
+            terminal.show(_drawn(done[-1]))
+            if not done[-1].passed:
+                break
+    except TagidError as error:
+        ended = error
     written = _page(page, bench)
     data = {
         "steps": [report.to_json() for report in done],
@@ -129,8 +137,19 @@ def commission(
         "profile": _profile_path(),
         "page": written,
     }
+    drawn = None if written is None else Text(f"written  {written}")
+    if ended is not None:
+        return Result.from_error("commission", ended, data, drawn, aside)
     passed = all(report.passed for report in done)
-    return Result("commission", data, _drawn(done, written), exit_code=EXIT_OK if passed else EXIT_FAILED)
+    return Result("commission", data, drawn, exit_code=EXIT_OK if passed else EXIT_FAILED, messages=aside)
+
+
+def _set_aside() -> tuple[str, ...]:
+    """A damaged profile goes aside: the steps write it again. Gives a remark on that."""
+    from tagid.rig import set_aside_damaged
+
+    path = set_aside_damaged(data_folder())
+    return () if path is None else (f"the rig profile was damaged; it is kept as {path.name}, and not used",)
 
 
 def _bundled(path: Path, bench: Bench, page: Path | None) -> Result:
@@ -181,20 +200,17 @@ def _page(page: Path | None, bench: Bench) -> str | None:
     return str(page)
 
 
-def _drawn(done: list[StepReport], page: str | None) -> RenderableType:
+def _drawn(report: StepReport) -> RenderableType:
     from rich.text import Text
 
     styles = {"pass": "green", "note": "dim", "fail": "bold red"}
-    wide = max((len(row.name) for report in done for row in report.rows), default=0)
+    wide = max((len(row.name) for row in report.rows), default=0)
     text = Text()
-    for report in done:
-        text.append(f"{report.step}\n", "bold")
-        for row in report.rows:
-            text.append(f"{row.level.value:4}", styles[row.level])
-            text.append(f"  {row.name:{wide}}  {'  '.join(filter(None, (row.number, row.text)))}\n")
-            if row.advice and row.level != "pass":
-                text.append(f"      -> {row.advice}\n", "bold")
-    if page is not None:
-        text.append(f"written  {page}")
+    text.append(f"{report.step}\n", "bold")
+    for row in report.rows:
+        text.append(f"{row.level.value:4}", styles[row.level])
+        text.append(f"  {row.name:{wide}}  {'  '.join(filter(None, (row.number, row.text)))}\n")
+        if row.advice and row.level != "pass":
+            text.append(f"      -> {row.advice}\n", "bold")
     text.rstrip()
     return text

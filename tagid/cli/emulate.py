@@ -134,8 +134,9 @@ def p440(
 
     if truth is not None:
         check_own(truth, is_truth, "a truth file")
+    rig = None if scene.rig is None else parse_rig(scene.rig)
     faults = Faults(
-        lose=faulty.lose,
+        lose=faulty.lose or (0.0 if rig is None else rig.loss),
         duplicate=faulty.duplicate,
         reorder=faulty.reorder,
         delay=faulty.delay,
@@ -147,7 +148,6 @@ def p440(
     source, about, remark = _source(scene, replay, loop)
     if truth is not None:
         _write_truth(truth, about)
-    rig = None if scene.rig is None else parse_rig(scene.rig)
     rpm = scene.rpm if rig is None else 60 / rig.period_s
     core = EmulatorCore(source, identity=None if rig is None else rig.identity, firmware=firmware)
     stop = threading.Event()

@@ -41,6 +41,7 @@ from tagid.errors import (
 from tagid.result import Result, render
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
     from rich.text import Text
 
 
@@ -84,6 +85,14 @@ class Terminal:
             yield advance
             if total is not None:
                 bars.update(task, completed=total)
+
+    def show(self, human: RenderableType) -> None:
+        """Print a part of the answer before the command ends; nothing where that is JSON.
+
+        Raises OSError.
+        """
+        if self.output == Output.human:
+            render(Result("", human=human), self.output, self.quiet)
 
 
 _COMMON = {

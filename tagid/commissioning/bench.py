@@ -22,7 +22,6 @@ from tagid.errors import ConfigError, FileFormatError, UsageError
 from tagid.files import make_folder, parse_json, read_bytes, storage_error, write_bytes
 from tagid.operate.turn import Recorded, record_turn
 from tagid.operate.workplace import Workplace
-from tagid.radar.settings import RadarConfig
 from tagid.recording.calibration import LONGEST_DELAY_PS, calibration_window, take_scans
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
@@ -62,6 +61,14 @@ class Tape:
         for name, value in (("target", self.target_distance_m), ("rotation axis", self.axis_distance_m)):
             if value is not None and not 0.1 <= value <= 20:
                 raise UsageError(f"the distance to the {name} is {value:g} m", "Give 0.1 to 20, in metres.")
+        if not abs(self.antenna_height_m) <= 10:
+            raise UsageError(
+                f"the antenna height is {self.antenna_height_m:g} m", "Give -10 to 10, in metres."
+            )
+        if not 0 <= self.antenna_separation_m <= 10:
+            raise UsageError(
+                f"the antennas' separation is {self.antenna_separation_m:g} m", "Give 0 to 10, in metres."
+            )
         if not 0 < self.error_m <= 0.1:
             raise UsageError(f"the error of the tape is {self.error_m:g} m", "Give up to 0.1 m, e.g. 0.005.")
 
@@ -214,8 +221,8 @@ class Bench:
         if self.tape.target_distance_m is not None:
             distances.append(self.tape.target_distance_m)
         config, place = self.config, self.workplace()
-        base = RadarConfig().configured(config)
         with open_radar(place.radar_url(), config["radar.timeout_s"]) as radar:
+            base = radar.config.configured(config)
             radar.set_config(calibration_window(distances, LONGEST_DELAY_PS, base))
             return take_scans(radar, self.scans, lambda done: self.progress(done, self.scans, what))
 
@@ -236,6 +243,12 @@ class Bench:
 def reported(step: str, rows: list[Row], **more: Any) -> StepReport:
     """The report of a step that ends now."""
     return StepReport(step, datetime.now(UTC).isoformat(timespec="seconds"), tuple(rows), **more)
+
+
+def radar_facts(capture: Capture) -> dict[str, str | int]:
+    """Which radar recorded a capture, for a report."""
+    serial = capture.radar.serial
+    return {} if serial is None else {"serial": serial}
 
 
 def _damaged(path: Path) -> ConfigError:

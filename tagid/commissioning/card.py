@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from tagid.capture import Capture
-from tagid.commissioning.bench import Bench, reported
+from tagid.commissioning.bench import Bench, radar_facts, reported
 from tagid.commissioning.pulse import received_from
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.commissioning.turning import CARD_REFLECTOR, MIRRORED, MISSING_ADVICE
@@ -55,7 +55,7 @@ def read_card(bench: Bench) -> StepReport:
         rows.append(_named_row(share, given.views, reading))
     rows.append(_places_row(readings[0]))
     rows.append(_level_row(bench, place.config["motion.axis_distance_m"], capture, period))
-    return reported("card", rows, recording=name)
+    return reported("card", rows, facts=radar_facts(capture), recording=name)
 
 
 def _prepared(bench: Bench, place: Workplace, capture: Capture, period: Measured | None) -> PreparedCapture:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.commissioning.bench import REACH_M, Bench, reported
+from tagid.commissioning.bench import REACH_M, Bench, radar_facts, reported
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.config import change_settings, data_folder
 from tagid.constants import BACKGROUND_FILE, BANDWIDTH_HZ, CENTER_FREQUENCY_HZ, SAMPLE_STEP_S, SPEED_OF_LIGHT
@@ -72,7 +72,8 @@ def watch_room(bench: Bench) -> StepReport:
         clipping,
         _integration(bench),
     ]
-    return reported("room", rows, values={"noise_counts": Measured(noise, sigma)}, recording=name)
+    values = {"noise_counts": Measured(noise, sigma)}
+    return reported("room", rows, values=values, facts=radar_facts(capture), recording=name)
 
 
 def _second_differences(scans: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -98,7 +99,7 @@ def _noise_row(noise: float, sigma: float, index: int, explained: bool) -> Row:
     if abs(above) <= NOISE_DB:
         return Row("noise of a sample", Level.PASS, noise, sigma, "counts", text)
     if above > 0:
-        advice = "Another transmitter is in the band: change the code channel, or switch it off."
+        advice = "Another transmitter is in the band: find it and switch it off, then repeat this step."
         return Row(
             "noise of a sample",
             Level.NOTE if explained else Level.FAIL,
@@ -156,7 +157,9 @@ def _bursts(rest: NDArray[np.float64], cause: str) -> Row:
         100 * sigma,
         "%",
         cause or "pulses of another radar",
-        "" if cause else "Another UWB radar is near: stop it, or give it another code channel.",
+        ""
+        if cause
+        else "Another UWB radar is near: stop it, or `tagid radar config --code-channel N --save`.",
         "noisy" if cause else "other-radar",
     )
 

@@ -9,9 +9,9 @@ from typing import Final
 from tagid.commissioning.bench import Bench
 from tagid.commissioning.card import read_card
 from tagid.commissioning.link import watch_link
-from tagid.commissioning.result import write_result
+from tagid.commissioning.result import verdict, write_result
 from tagid.commissioning.room import watch_room
-from tagid.commissioning.rows import StepReport
+from tagid.commissioning.rows import Level, StepReport
 from tagid.commissioning.target import measure_target
 from tagid.commissioning.turning import measure_turning
 from tagid.errors import UsageError
@@ -74,12 +74,8 @@ def reports_by_title(bench: Bench) -> list[tuple[str, StepReport]]:
 
 
 def next_step(bench: Bench) -> Step:
-    """The first step that was not passed; the last one if all were. Raises StorageError, ConfigError."""
-    for step in STEPS:
-        report = bench.report(step.name)
-        if report is None or not report.passed:
-            return step
-    return STEPS[-1]
+    """The first step that does not stand; the last one if all do. Raises StorageError, ConfigError."""
+    return next((step for step in STEPS if verdict(bench, step.name).level is Level.FAIL), STEPS[-1])
 
 
 def run_step(step: Step, bench: Bench) -> StepReport:

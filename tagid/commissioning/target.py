@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from tagid.capture import Capture
-from tagid.commissioning.bench import Bench, reported
+from tagid.commissioning.bench import Bench, radar_facts, reported
 from tagid.commissioning.pulse import EchoPulse, echo_pulse
 from tagid.commissioning.room import NOISE_DB
 from tagid.commissioning.rows import Level, Row, StepReport
@@ -29,6 +29,7 @@ _OTHER_CABLE_PS: Final = 100.0
 _NEAREST_M: Final = 0.5
 _LOOSE_DB: Final = -6.0
 """The budget is uncertain by 6 dB for want of a target whose size is known; a loose connector costs 10."""
+_OTHER_DB: Final = 6.0
 _CROSSED_DB: Final = -15.0
 _DELAY_BUDGET_PS: Final = 100.0
 """Largest standard error of a useful delay: 15 mm, half of the reader's prior."""
@@ -53,7 +54,7 @@ def measure_target(bench: Bench) -> StepReport:
         )
     if bench.report("room") is None:
         raise ConfigError("the empty room was not recorded", "Do the step room first.")
-    room = bench.recording("room")
+    room, before = bench.recording("room"), bench.value("target", "path_delay_ps")
     capture = bench.take_still("target")
     name = bench.keep_recording("target", capture)
     background = reference_on(room, capture)
@@ -68,9 +69,9 @@ def measure_target(bench: Bench) -> StepReport:
     delay = _delay(estimate, echo)
     noise = bench.value("room", "noise_counts") or Measured(1.0, 0.0)
     gain = _gain(bench, scan, noise, distance, capture)
-    rows = [near, _delay_row(delay), *_pulse_rows(echo, noise, scan, capture.views), _gain_row(gain)]
+    rows = [near, _delay_row(delay, before), *_pulse_rows(echo, noise, scan, capture.views), _gain_row(gain)]
     config = bench.config
-    facts = {
+    facts = radar_facts(capture) | {
         "antenna_mode": config["radar.antenna_mode"],
         "transmit_gain": config["radar.gain"],
         "integration": config["radar.integration"],
@@ -103,6 +104,11 @@ def _near(distance: float) -> Row:
 def _no_echo(error: DataError) -> Row:
     if "clipped" in error.message:
         return Row("echo", Level.FAIL, text=error.message, advice=error.remedy, code="gain")
+    if "two echoes" in error.message:
+        advice = (
+            "Remove what else was put there since the room was recorded, or use a larger target; then repeat."
+        )
+        return Row("echo", Level.FAIL, text=error.message, advice=advice, code="two-echoes")
     return Row(
         "echo",
         Level.FAIL,
@@ -124,32 +130,43 @@ def _delay(estimate: DelayEstimate, echo: EchoPulse) -> Measured:
     return Measured(estimate.delay_ps - echo.delay_ps, sigma)
 
 
-def _delay_row(delay: Measured) -> Row:
-    previous = installed_profile(data_folder())
+def _delay_row(delay: Measured, before: Measured | None) -> Row:
+    """The path delay; an unusual one is taken when it is measured again.
+
+    Args:
+        before: what the step measured last time.
+    """
     row = partial(Row, "path delay", value=delay.value, sigma=delay.sigma, unit="ps")
-    low, high = USUAL_DELAY_PS
     if delay.sigma > _DELAY_BUDGET_PS:
         return row(Level.FAIL, text="too uncertain", advice="Measure the distance to 5 mm.", code="delay")
-    if previous is not None:
-        change = delay.value - previous.path_delay_ps.value
-        if abs(change) > max(_OTHER_CABLE_PS, 3 * math.hypot(delay.sigma, previous.path_delay_ps.sigma)):
-            return row(
-                Level.FAIL,
-                text=f"{change:+.0f} ps against the profile of {previous.day}: other cables, or another "
-                "distance",
-                advice="Check cables and distance; if they were changed on purpose, go on: the profile is "
-                "replaced.",
-                code="cable",
-            )
-    elif not low <= delay.value <= high:
+    odd = _unusual(delay)
+    if odd and (before is None or not _agree(delay, before)):
         return row(
             Level.FAIL,
-            text=f"outside the usual {low / 1e3:g} to {high / 1e3:g} ns: another cable length or a wrong "
-            "distance",
-            advice="Check the distance to the target; a metre of cable more at each antenna adds 10 ns.",
+            text=f"{odd}: another cable length or a wrong distance",
+            advice="Check distance to the target and cables: a metre more at each antenna adds 10 ns. "
+            "If both are right, repeat this step: the same delay is then taken.",
             code="cable",
         )
-    return row(Level.PASS, text="for the measured pulse")
+    return row(Level.PASS, text=f"{odd}, measured twice" if odd else "for the measured pulse")
+
+
+def _unusual(delay: Measured) -> str:
+    """How a delay differs from that of the profile so far, or from usual ones; empty if it does not."""
+    previous = installed_profile(data_folder())
+    if previous is not None:
+        change = delay.value - previous.path_delay_ps.value
+        same = _agree(delay, previous.path_delay_ps)
+        return "" if same else f"{change:+.0f} ps against the profile of {previous.day}"
+    low, high = USUAL_DELAY_PS
+    usual = low <= delay.value <= high
+    return "" if usual else f"outside the usual {low / 1e3:g} to {high / 1e3:g} ns"
+
+
+def _agree(delay: Measured, other: Measured) -> bool:
+    """Whether two delays are of the same cables."""
+    apart = abs(delay.value - other.value)
+    return apart <= max(_OTHER_CABLE_PS, 3 * math.hypot(delay.sigma, other.sigma))
 
 
 def _pulse_rows(echo: EchoPulse, noise: Measured, scan: np.ndarray, scans: int) -> list[Row]:
@@ -190,6 +207,14 @@ def _gain(bench: Bench, scan: np.ndarray, noise: Measured, distance: float, capt
 def _gain_row(gain: Measured) -> Row:
     row = partial(Row, "system gain", value=gain.value, sigma=gain.sigma, unit="dB")
     text = "received against the link budget of `tagid plan`"
+    if gain.value > _OTHER_DB:
+        return row(
+            Level.NOTE,
+            text=f"{text}: more than this target returns",
+            advice="Another echo was taken for it: remove what stands near it, check its kind, its distance "
+            "and all four connectors, then repeat.",
+            code="other-echo",
+        )
     if gain.value >= _LOOSE_DB:
         return row(Level.PASS, text=text)
     if gain.value < _CROSSED_DB:

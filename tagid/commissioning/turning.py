@@ -11,7 +11,7 @@ import numpy as np
 from tagid.angles.clock import fit_clock
 from tagid.angles.sinogram import uniform_grid
 from tagid.capture import Capture
-from tagid.commissioning.bench import Bench, reported
+from tagid.commissioning.bench import Bench, radar_facts, reported
 from tagid.commissioning.card_fit import HARMONICS, CardFit, Known, fit_card
 from tagid.commissioning.pulse import received_from
 from tagid.commissioning.rows import Level, Row, StepReport
@@ -104,8 +104,8 @@ def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, 
             100 * fit.unexplained,
             unit="%",
             text="of the changing echo is not that of the test card",
-            advice="Put the test card alone on the middle of the table and point both antennas at it; "
-            "then repeat.",
+            advice=f"Measure the distance to the axis again ({bench.axis_distance_m():g} m was given), put "
+            "the test card alone on the middle of the table, point both antennas at it, and repeat.",
             code="axis-unknown",
         )
         return reported("turning", [evenness, row], recording=recording)
@@ -132,7 +132,7 @@ def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, 
         ),
         _variation_row(fit),
     ]
-    facts: dict[str, str | int] = {"direction": motion.direction}
+    facts = radar_facts(capture) | {"direction": motion.direction}
     return reported("turning", rows, values=values, facts=facts, recording=recording)
 
 

@@ -118,6 +118,10 @@ class RadarConfig:
             antenna_mode=config["radar.antenna_mode"],
         )
 
+    def on(self, radar: RadarConfig) -> RadarConfig:
+        """The same with number and code channel of a radar, by which neighbours are told apart."""
+        return replace(self, node_id=radar.node_id, code_channel=radar.code_channel)
+
     def quantised(self) -> RadarConfig:
         """The settings as the radar applies them: start and stop on its grid.
 

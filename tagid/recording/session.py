@@ -151,8 +151,10 @@ def run_recording(
 
 def _configure(radar: P440, plan: RecordingPlan) -> JournalHeader:
     """Configure a connected radar; returns the header of the journal."""
-    status = radar.status()
-    config = radar.config if plan.config is None else radar.set_config(plan.config)
+    status, config = radar.status(), radar.config
+    if plan.config is not None:
+        asked = plan.config.on(config)
+        plan, config = replace(plan, config=asked), radar.set_config(asked)
     return journal_header(plan, config, RadarInfo(serial=status.serial, package=status.package))
 
 

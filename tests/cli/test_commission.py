@@ -37,6 +37,20 @@ def test_steps_alone_are_remembered_and_the_page_and_the_archive_show_them(tagid
     assert f"-> {row['advice']}" in shown.out, "no advice is wrapped"
 
 
+def test_a_damaged_profile_is_written_again_and_a_stop_shows_what_was_done(tagid, tmp_path: Path) -> None:
+    folder = tmp_path / "home"
+    folder.mkdir(exist_ok=True)
+    (folder / "rig.toml").write_text("format = 'tagid.rig'\nformat_version = 2\n")
+    refused = tagid("doctor", "--output", "json").json["errors"][0]
+    assert refused["code"] == "config" and "tagid commission" in refused["remedy"]
+    # Nobody is there to clear the table for the second step.
+    words = ("--seconds", 1, "--radar", f"emulator://empty?{RIG}", *TAPE, "--page", "rig.html")
+    done = tagid("commission", *words)
+    assert done.code == 2 and "Clear the table" in done.err
+    assert "rig.damaged.toml" in done.err and (folder / "rig.damaged.toml").exists()
+    assert "temperature" in done.out and "scan rate" in (tmp_path / "rig.html").read_text()
+
+
 def test_what_cannot_be_done_is_one_error(tagid) -> None:
     common = ("--radar", f"emulator://empty?{RIG}", "--output", "json")
     for words, code, says in (

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import pytest
 from tagid.capture import ViewFlag
 from tagid.errors import DeviceTimeoutError, DiskFullError
 from tagid.metadata import ObjectInfo
+from tagid.motion.urls import open_motion
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
 from tagid.radar.emulation.memory import MemoryLink
@@ -23,6 +25,7 @@ from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.recording.long_recording import RecordingLimits, RecordingWatch, record_long
 from tagid.recording.plan import RecordingPlan
+from tagid.recording.recorder import record
 from tagid.storage import journal as journal_module
 from tagid.storage.importers import read_any
 from tagid.storage.journal_capture import write_captures
@@ -40,6 +43,15 @@ def radar(config: RadarConfig = SMALL) -> P440:
 
 
 PLAN = RecordingPlan(None, 1.0)
+
+
+def test_a_recording_leaves_number_and_code_channel_of_the_radar(tmp_path: Path) -> None:
+    """By the code channel radars that are near each other are told apart."""
+    own = replace(SMALL, node_id=7, code_channel=3)
+    plan = RecordingPlan(SMALL, 1.0, scans=4)
+    capture = record(radar(own), open_motion("free?rpm=60"), plan, tmp_path / "a.tagid.h5")
+    config = capture.radar.config
+    assert config is not None and (config.node_id, config.code_channel) == (7, 3)
 
 
 def test_config_sets_only_what_is_asked_and_shows_both_sides(tagid) -> None:

@@ -15,6 +15,7 @@ from tagid.commissioning import card as card_step
 from tagid.commissioning.bench import Bench, reported
 from tagid.commissioning.page import write_page
 from tagid.commissioning.pulse import echo_pulse
+from tagid.commissioning.result import verdict, write_result
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.commissioning.steps import STEPS, goes_on, next_step, run_step, step_named
 from tagid.commissioning.targets import parse_target
@@ -85,6 +86,43 @@ def test_steps_that_need_nobody_follow_the_one_before(tmp_path: Path) -> None:
     assert goes_on(step_named("card"), rig) == step_named("result")
     rig.keep(reported("card", [Row("a row", Level.FAIL)]))
     assert goes_on(step_named("card"), rig) is None
+
+
+def test_another_cable_is_taken_when_it_is_measured_again(tmp_path: Path) -> None:
+    """Otherwise a rig with new cables could never be commissioned again."""
+    rig = "realistic?seed=3&fault=cable"
+    run_step(step_named("room"), bench(tmp_path, "empty", rig))
+    first, again = (run_step(step_named("target"), bench(tmp_path, "target", rig)) for _ in range(2))
+    assert first.faults == ("cable",) and again.passed
+    (row,) = [row for row in again.rows if row.name == "path delay"]
+    assert row.text.endswith("measured twice")
+
+
+def test_a_step_is_repeated_when_what_it_takes_is_newer_or_of_another_radar(tmp_path: Path) -> None:
+    rig = bench(tmp_path, "empty")
+
+    def done(name: str, minute: int, serial: int = 1099) -> None:
+        report = reported(name, [Row("a row", Level.PASS)], facts={"serial": serial})
+        rig.keep(replace(report, date_utc=f"2026-03-12T10:{minute:02}:00+00:00"))
+
+    for minute, step in enumerate(STEPS):
+        done(step.name, minute)
+    assert next_step(rig).name == "result"
+    assert verdict(rig, "result").level is Level.PASS
+    done("target", 10)
+    assert next_step(rig).name == "turning"
+    assert verdict(rig, "turning").text == "older than target"
+    assert [row.name for row in write_result(rig).rows if row.level is Level.FAIL] == ["turning", "card"]
+    done("link", 11, serial=1111)
+    assert next_step(rig).name == "room"
+    assert verdict(rig, "room").text == "of radar 1099, the link is to 1111"
+
+
+@pytest.mark.parametrize("tape", [{"antenna_height_m": math.nan}, {"antenna_separation_m": -1.0}])
+def test_what_no_tape_shows_is_refused_and_not_remembered(tmp_path: Path, tape: dict[str, float]) -> None:
+    with pytest.raises(UsageError, match="antenna"):
+        bench(tmp_path, "empty", **tape)
+    assert bench(tmp_path, "empty").tape.antenna_separation_m == 0.0
 
 
 def test_a_rig_shows_a_tag_on_a_body(tmp_path: Path) -> None:

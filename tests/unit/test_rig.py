@@ -11,6 +11,7 @@ import pytest
 
 from tagid.capture import Capture
 from tagid.config import load_config
+from tagid.doctor import examine
 from tagid.errors import ConfigError, FileFormatError
 from tagid.metadata import MotionInfo, RadarInfo, RadarSettings, ResolvedMotion
 from tagid.pipeline.prepared import LoadSettings, load_capture
@@ -47,6 +48,16 @@ def profile() -> RigProfile:
 def capture(**radar: object) -> Capture:
     known = {"serial": 1088, "config": RadarSettings(antenna_mode=2), "cable_delay_ps": 11_841.5, **radar}
     return Capture(np.ones((4, 8), np.float32), 0.5, 0.009, radar=RadarInfo(**known))
+
+
+def test_doctor_compares_the_radar_that_answers_with_the_profile(folder: Path) -> None:
+    write_profile(profile(), folder)
+    for seed, level in ((0, "ok"), (11, "warning")):
+        url = f"emulator://empty?rig=realistic%3Fseed%3D{seed}"
+        assert parse_rig(f"realistic?seed={seed}").identity.serial == 1088 + seed
+        (finding,) = [f for f in examine(load_config({"radar.url": url})) if f.topic == "rig"]
+        assert finding.level == level
+        assert ("connected radar is 1099" in finding.text) == (level == "warning")
 
 
 def test_a_profile_is_read_back_and_gives_the_defaults(folder: Path) -> None:
