@@ -12,7 +12,7 @@ import typer
 from tagid.cli import consent, options
 from tagid.cli.frame import Terminal, command
 from tagid.cli.outputs import check_drawing
-from tagid.config import Config, data_folder, load_config
+from tagid.config import Config, data_folder, load_config, radar_url
 from tagid.constants import RIG_FILE
 from tagid.errors import EXIT_FAILED, EXIT_OK, CaptureInterrupted, TagidError, UsageError
 from tagid.result import Result
@@ -117,6 +117,8 @@ def commission(
     done: list[StepReport] = []
     bench = Bench(config, given, seconds, scans)
     first = next_step(bench) if step is None else step_named(step)
+    if first is not STEPS[-1]:
+        radar_url(config)
     chosen = [first] if step is not None else list(STEPS[STEPS.index(first) :])
     ended: TagidError | None = None
     try:

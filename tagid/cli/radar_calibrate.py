@@ -117,7 +117,7 @@ class _Session:
         from tagid.recording.calibration import take_scans
 
         with self.terminal.progress(what, self.scans) as advance:
-            return take_scans(device, self.scans, lambda done: advance(done, f"{done} scans"))
+            return take_scans(device, self.scans, lambda done, _: advance(done, f"{done} scans"))
 
 
 def _steps(step: str | None, distance: float | None) -> str:

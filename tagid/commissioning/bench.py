@@ -14,18 +14,21 @@ from pathlib import Path
 from typing import Any, Final, TypedDict
 
 from tagid.capture import Capture, Pulse
+from tagid.commissioning.echo_line import echo_line
 from tagid.commissioning.rows import Row, StepReport
 from tagid.commissioning.targets import Target, parse_target
 from tagid.config import Config, data_folder
 from tagid.constants import CAPTURE_SUFFIX, SAMPLE_STEP_S
-from tagid.errors import ConfigError, FileFormatError, UsageError
+from tagid.errors import ConfigError, FileFormatError, StorageError, UsageError
 from tagid.files import make_folder, parse_json, read_bytes, storage_error, write_bytes
 from tagid.operate.turn import Recorded, record_turn
 from tagid.operate.workplace import Workplace
+from tagid.radar.assembler import Scan
 from tagid.recording.calibration import LONGEST_DELAY_PS, calibration_window, take_scans
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch
+from tagid.recording.stream import ScanStream
 from tagid.rig import Measured
 from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.types import Progress
@@ -163,8 +166,11 @@ class Bench:
         return None if report is None or not report.pulse else Pulse(np.array(report.pulse), SAMPLE_STEP_S)
 
     def recording(self, name: str) -> Capture:
-        """A recording of an earlier step. Raises StorageError, FileFormatError."""
-        return read_capture(self.folder / f"{name}{CAPTURE_SUFFIX}")
+        """A recording of an earlier step. Raises ConfigError if it cannot be read."""
+        try:
+            return read_capture(self.folder / f"{name}{CAPTURE_SUFFIX}")
+        except (StorageError, FileFormatError) as error:
+            raise ConfigError(error.message, f"Repeat the step {name}.") from None
 
     def keep_recording(self, name: str, capture: Capture) -> str:
         """Store the recording of a step, in place of an earlier one; returns the file's name."""
@@ -204,12 +210,15 @@ class Bench:
 
     def take_turn(self, place: Workplace, plan: RecordingPlan, remark: str) -> Recorded:
         """A recording of the table as it turns. Raises as `record_turn`."""
-        asked = plan.scans
+        asked, streams = plan.scans, list[ScanStream]()
 
         def advance(scans: int, seconds: float) -> None:
-            self.progress(min(scans, asked or 0), asked or 1, f"{remark}, {scans} scans in {seconds:.0f} s")
+            newest = [echo_line(scan.samples) for stream in streams for scan in stream.since(scans - 1)[:1]]
+            words = f"{remark}, {scans} scans {''.join(newest)}"
+            self.progress(min(scans, asked or 0), asked or 1, words)
 
-        return record_turn(place, plan, watch=Watch(progress=advance, stop=self.stop))
+        watch = Watch(progress=advance, began=streams.append, stop=self.stop)
+        return record_turn(place, plan, watch=watch)
 
     def take_still(self, what: str) -> Capture:
         """Scans of a scene that stands still, with a window for axis and target and any usual delay.
@@ -224,7 +233,11 @@ class Bench:
         with open_radar(place.radar_url(), config["radar.timeout_s"]) as radar:
             base = radar.config.configured(config)
             radar.set_config(calibration_window(distances, LONGEST_DELAY_PS, base))
-            return take_scans(radar, self.scans, lambda done: self.progress(done, self.scans, what))
+
+            def advance(done: int, scan: Scan) -> None:
+                self.progress(done, self.scans, f"{what}, {done} scans {echo_line(scan.samples)}")
+
+            return take_scans(radar, self.scans, advance)
 
     def _read(self, name: str) -> Any:
         path = self.folder / f"{name}.json"

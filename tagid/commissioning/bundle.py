@@ -33,7 +33,7 @@ _README: Final = """A commissioning of a radar rig, recorded by tagid {version}.
 
 tape.json      what was measured by tape; the reference target
 STEP.json      report of each step: values with standard errors, verdicts
-STEP{suffix}   its recording, readable by `tagid show`, `tagid identify`, `tagid reconstruct`
+STEP{suffix}   its recording with the radar's settings, for `tagid show`, `identify` and `reconstruct`
 rig.toml       the profile, if the commissioning was complete
 SHA256SUMS     checksums of all other files
 
@@ -81,7 +81,7 @@ def _contents(bench: Bench) -> Iterator[tuple[str, bytes]]:
 
 
 def anonymous(capture: Capture) -> Capture:
-    """A capture with what imaging and reading need of it, and nothing else; host times begin at zero."""
+    """A capture with what imaging and reading need of it, and nothing else; its times begin at zero."""
     known = capture.radar
     radar = RadarInfo(
         config=known.config,
@@ -93,13 +93,14 @@ def anonymous(capture: Capture) -> Capture:
     url = capture.motion.url
     # The address of a device tells the computer that it was plugged into.
     motion = MotionInfo(url=url if url is not None and url.startswith("free") else None)
-    host = capture.host_time_ns
+    host, clock = capture.host_time_ns, capture.radar_time_ms
     return replace(
         capture,
         radar=radar,
         motion=motion,
         object=ObjectInfo(),
         host_time_ns=None if host is None else host - host[0],
+        radar_time_ms=None if clock is None else clock - clock[0],
         created_utc=NO_TIME,
         uuid="00000000-0000-0000-0000-000000000000",
     )

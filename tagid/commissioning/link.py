@@ -9,6 +9,7 @@ import numpy as np
 from tagid.angles.clock import fit_clock
 from tagid.capture import Capture
 from tagid.commissioning.bench import Bench, reported
+from tagid.commissioning.echo_line import echo_line
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import DataError
@@ -58,7 +59,7 @@ def _scans(bench: Bench, radar: P440, count: int) -> tuple[Capture, int]:
         host.append(scan.host_time_ns)
         clock.append(scan.radar_time_ms)
         ids.append(scan.scan_id)
-        bench.progress(len(host), count, f"{len(host)} scans")
+        bench.progress(len(host), count, f"{len(host)} scans {echo_line(scan.samples)}")
     if len(host) < 2:
         raise DataError("no complete scan arrived", "Check the radar with `tagid radar monitor`.")
     times = Capture(

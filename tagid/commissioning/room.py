@@ -21,7 +21,7 @@ from tagid.recording.calibration import make_reference, usable
 from tagid.recording.inspection import clipped_fraction
 from tagid.rig import Measured
 from tagid.signal import analytic, noise_power_of, snr_db
-from tagid.simulate.budget import LinkBudget
+from tagid.simulate.budget import MOST_GAIN, LinkBudget
 from tagid.simulate.source import noise_counts
 from tagid.storage.hdf5 import write_capture
 
@@ -200,9 +200,11 @@ def _clipping(bench: Bench, capture: Capture) -> Row:
     margin = 20 * math.log10(clip / max(largest, 1.0))
     share = clipped_fraction(capture) or 0.0
     gain = bench.config["radar.gain"]
-    if not share and margin >= _MARGIN_DB:
-        return Row("margin to clipping", Level.PASS, margin, 0.1, "dB", "leakage between the antennas, walls")
-    lower = max(0, gain - math.ceil((max(_MARGIN_DB - margin, 0.0) + 6.0 * bool(share)) / LinkBudget.step_db))
+    spare = margin - _MARGIN_DB - 6.0 * bool(share)
+    best = min(max(gain + math.floor(spare / LinkBudget.step_db), 0), MOST_GAIN)
+    if spare >= 0:
+        text = f"leakage between the antennas, walls; the largest gain is {best}, radar.gain is {gain}"
+        return Row("margin to clipping", Level.PASS, margin, 0.1, "dB", text)
     return Row(
         "margin to clipping",
         Level.FAIL,
@@ -210,7 +212,7 @@ def _clipping(bench: Bench, capture: Capture) -> Row:
         0.1,
         "dB",
         f"{100 * share:.2f} % of the samples are clipped",
-        f"The gain is too high: `tagid config set radar.gain {lower}`, or move the antennas apart.",
+        f"The gain is too high: `tagid config set radar.gain {best}`, or move the antennas apart.",
         "gain",
     )
 

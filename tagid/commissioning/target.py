@@ -68,8 +68,13 @@ def measure_target(bench: Bench) -> StepReport:
     echo = echo_pulse(scan, (at - capture.range_start_m) / capture.range_step_m, bench.target)
     delay = _delay(estimate, echo)
     noise = bench.value("room", "noise_counts") or Measured(1.0, 0.0)
-    gain = _gain(bench, scan, noise, distance, capture)
-    rows = [near, _delay_row(delay, before), *_pulse_rows(echo, noise, scan, capture.views), _gain_row(gain)]
+    gain, planned_db = _gain(bench, scan, noise, distance, capture)
+    rows = [
+        near,
+        _delay_row(delay, before),
+        *_pulse_rows(echo, noise, scan, capture.views),
+        _gain_row(gain, planned_db),
+    ]
     config = bench.config
     facts = radar_facts(capture) | {
         "antenna_mode": config["radar.antenna_mode"],
@@ -188,8 +193,10 @@ def _pulse_rows(echo: EchoPulse, noise: Measured, scan: np.ndarray, scans: int) 
     ]
 
 
-def _gain(bench: Bench, scan: np.ndarray, noise: Measured, distance: float, capture: Capture) -> Measured:
-    """Echo received over that of the link budget with its assumed losses, dB."""
+def _gain(
+    bench: Bench, scan: np.ndarray, noise: Measured, distance: float, capture: Capture
+) -> tuple[Measured, float]:
+    """Echo received over that of the link budget with its assumed losses, and the budget's SNR, dB."""
     config = bench.config
     budget = LinkBudget(transmit_gain=config["radar.gain"], integration=config["radar.integration"])
     planned = budget.snr_db(effective_length_m(bench.target.scatterer), distance)
@@ -201,12 +208,15 @@ def _gain(bench: Bench, scan: np.ndarray, noise: Measured, distance: float, capt
     measured = 20 * math.log10(peak / scale)
     tape = 40 / math.log(10) * bench.tape.error_m / distance
     random = 20 / math.log(10) * noise.value / math.sqrt(capture.views) / peak
-    return Measured(measured - planned, math.sqrt(LEVEL_SIGMA_DB**2 + _SHAPE_DB**2 + tape**2 + random**2))
+    sigma = math.sqrt(LEVEL_SIGMA_DB**2 + _SHAPE_DB**2 + tape**2 + random**2)
+    return Measured(measured - planned, sigma), planned
 
 
-def _gain_row(gain: Measured) -> Row:
+def _gain_row(gain: Measured, planned_db: float) -> Row:
     row = partial(Row, "system gain", value=gain.value, sigma=gain.sigma, unit="dB")
-    text = "received against the link budget of `tagid plan`"
+    text = (
+        f"{planned_db + gain.value:.0f} dB received, {planned_db:.0f} dB by the link budget of `tagid plan`"
+    )
     if gain.value > _OTHER_DB:
         return row(
             Level.NOTE,

@@ -126,6 +126,7 @@ def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, 
         *([_angle_row(reported_turns, fit.speed)] if motion.measures else []),
         _direction_row(motion.direction, fit.mirrored),
         _reflectors_row(fit.strengths),
+        Row("residual", Level.PASS, 100 * fit.unexplained, unit="%", text="of the echo is not the card's"),
         _axis_row(fit.axis_distance_m, bench),
         Row(
             "antenna height", Level.NOTE, height.value, height.sigma, "m", "by tape: the scans do not tell it"

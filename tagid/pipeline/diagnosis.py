@@ -241,8 +241,12 @@ def with_causes(
     """
     if answer.status in ("identified", "failed") or answer.reading is None:
         return answer
-    causes = [*_of_the_turn(prepared.given)]
     round_echo = circling(prepared.given)
+    causes = _of_the_turn(prepared.given)
+    if _beyond_range(answer.reading, round_echo, prepared.given.radar):
+        # Scans that do not reach the object do not tell that its speed is wrong, only what else it is.
+        shown = prepared.given.motion.resolved is not None and prepared.given.motion.resolved.shown_rpms
+        causes = [cause for cause in causes if cause.code != "speed" or shown]
     circle = _off_the_axis(round_echo)
     if not any(cause.code == "speed" for cause in causes):
         beside = None if circle is None else _of_a_round_body(circle)
@@ -258,12 +262,24 @@ def _advice(reading: Reading, round_echo: Circling | None, radar: RadarInfo) -> 
     """What to do in the place of the reader's advice; empty where that is right."""
     if _another_tag(reading):
         return _NEW_TAG
-    if reading.code in (Code.NO_TAG, Code.NO_ECHO) and not _followed(round_echo):
+    if _unseen(reading, round_echo):
         in_range = _IN_RANGE if reading.code is Code.NO_TAG else reading.advice
-        # Every cable delays: no radar but a simulated one records at the stated ranges without a correction.
-        unknown = radar.kind != "simulated" and radar.cable_delay_ps == 0
-        return f"{_NO_DELAY} {in_range}" if unknown else in_range
+        return f"{_NO_DELAY} {in_range}" if _beyond_range(reading, round_echo, radar) else in_range
     return "" if _centred(round_echo) else _CENTRE_FIRST.get(reading.code, "")
+
+
+def _unseen(reading: Reading, round_echo: Circling | None) -> bool:
+    """Whether no echo turns that could be the object's."""
+    return reading.code in (Code.NO_TAG, Code.NO_ECHO) and not _followed(round_echo)
+
+
+def _beyond_range(reading: Reading, round_echo: Circling | None, radar: RadarInfo) -> bool:
+    """Whether the ranges are wrong by an unknown path delay, so that nothing is seen.
+
+    Every cable delays: no radar but a simulated one records at the stated ranges without a correction.
+    """
+    unknown = radar.kind != "simulated" and radar.cable_delay_ps == 0
+    return unknown and _unseen(reading, round_echo)
 
 
 def _another_tag(reading: Reading) -> bool:

@@ -18,6 +18,7 @@ from tagid.capture import Capture, ViewFlag
 from tagid.constants import BIN_PS, SPEED_OF_LIGHT
 from tagid.errors import DataError, UsageError
 from tagid.metadata import RadarInfo, RadarSettings, ReferenceFacts, ReferenceName
+from tagid.radar.assembler import Scan
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.signal import from_positive, peak_place, positive_spectrum
@@ -198,8 +199,12 @@ def calibration_window(distances_m: Sequence[float], longest_ps: float, base: Ra
     return replace(base, scan_start_ps=start, scan_stop_ps=stop, persist=0)
 
 
-def take_scans(radar: P440, count: int, progress: Callable[[int], None] = lambda done: None) -> Capture:
+def take_scans(
+    radar: P440, count: int, progress: Callable[[int, Scan], None] = lambda done, scan: None
+) -> Capture:
     """A capture of `count` scans with the radar's settings, without a delay correction, in memory.
+
+    The progress is called with how many there are, and the newest.
 
     Raises UsageError for more than 5000 scans, DataError if none arrives, DeviceError and its subclasses.
     """
@@ -209,7 +214,7 @@ def take_scans(radar: P440, count: int, progress: Callable[[int], None] = lambda
     scans = []
     for scan in radar.scans(count):
         scans.append(scan)
-        progress(len(scans))
+        progress(len(scans), scan)
     if not scans:
         raise DataError("no complete scan arrived", "Check the radar with `tagid radar monitor`.")
     return Capture(
