@@ -71,7 +71,8 @@ def measure_target(bench: Bench) -> StepReport:
     gain, planned_db = _gain(bench, scan, noise, distance, capture)
     rows = [
         near,
-        _delay_row(delay, before),
+        # What returns more than the target is another echo, however often it is measured.
+        _delay_row(delay, before if gain.value <= _OTHER_DB else None),
         *_pulse_rows(echo, noise, scan, capture.views),
         _gain_row(gain, planned_db),
     ]
