@@ -281,7 +281,7 @@ class Contest:
                 x = np.r_[estimate.x[:2], shape[: walled.shapes], estimate.x[model.head :]]
                 outward = np.zeros(len(x))
                 outward[walled.head + tag.turns :][: tag.stretches] = 1.0
-                radii = [x + stray * outward for stray in (STRAYS_M if hypothesis.layout is None else (0.0,))]
+                radii = [x + stray * outward for stray in STRAYS_M]
                 values = [
                     best_powers(self.spectra, walled, there, estimate.powers.clutter)[1] for there in radii
                 ]
