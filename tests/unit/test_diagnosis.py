@@ -277,6 +277,15 @@ def test_a_handle_circles_but_is_no_body_off_the_axis(monkeypatch: pytest.Monkey
         )
         assert simulated == measured != unmeasured and "tagid commission" in unmeasured
         assert "recorded range" in simulated or code is Code.NO_ECHO
+    # Scans that do not reach the object do not show that its speed is wrong.
+    nothing = replace(other, reading=other.reading.refused(Code.NO_TAG, ""))
+    noise = np.random.default_rng(1).standard_normal(prepared.given.samples.shape).astype(np.float32)
+    motion = MotionInfo(resolved=ResolvedMotion(nominal_rpm=2.0, repeats=False))
+    for delay_ps, codes in ((0.0, []), (800.0, ["speed"])):
+        recorded = replace(prepared.given, samples=noise, motion=motion)
+        recorded = replace(recorded, radar=RadarInfo(kind="p440", cable_delay_ps=delay_ps))
+        said = with_causes(nothing, PreparedCapture(recorded, prepared.settings), LAYOUTS)
+        assert [cause.code for cause in said.causes] == codes
 
 
 @pytest.mark.parametrize(("error_m", "causes"), [(0.020, 1), (0.003, 0)])
