@@ -17,6 +17,15 @@ class Interval:
     high: float
 
 
+def percent(share: float) -> str:
+    """A share with two digits.
+
+    >>> percent(0.9996), percent(0.0123)
+    ('100 %', '1.2 %')
+    """
+    return f"{float(f'{100 * share:.2g}'):g} %"
+
+
 def wilson(share: float, trials: float) -> Interval:
     """95 % interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 209, 1927).
 

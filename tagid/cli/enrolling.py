@@ -16,6 +16,7 @@ from tagid.cli.consent import can_ask, confirm
 from tagid.cli.frame import Output, Terminal
 from tagid.config import load_config
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
+from tagid.proportion import percent
 from tagid.query import quantity
 from tagid.result import Result
 
@@ -249,4 +250,4 @@ def store_family(
 
 def rate_in_words(rate: float) -> str:
     """A share of the readings as text; one below 0.001 % is given as a bound."""
-    return "under 0.001 %" if rate < 1e-5 else f"{100 * rate:.2g} %"
+    return "under 0.001 %" if rate < 1e-5 else percent(rate)

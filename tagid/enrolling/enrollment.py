@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import LayoutConflictError, RegistryError
+from tagid.proportion import percent
 from tagid.reading.alike import Apart, Conditions, told_apart
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.codebook import (
@@ -145,7 +146,7 @@ class Outlook:
         return LayoutConflictError(
             f"layout {self.layout.name} could be confused with {image}{worst.name}: after a rotation of "
             f"{round(worst.distance.rotation_deg) % 360} degrees their reflectors are within "
-            f"{worst.distance.worst_m * 1e3:.1f} mm of each other{known}, and {100 * worst.unresolved:.2g} % "
+            f"{worst.distance.worst_m * 1e3:.1f} mm of each other{known}, and {percent(worst.unresolved)} "
             f"of readings{where} leave no name",
             f"Move a reflector, or {'measure it on more captures, or ' if sigma > 0 else ''}override with "
             "`force`; nothing was stored.",

@@ -24,12 +24,14 @@ class Comparison:
             if the layout was not named or the rotation is unknown, as on an emulated table, which turns
             before the first scan, and of a layout measured from captures, whose directions are its own.
         centre_error_m: distance between estimated and true centre, m; None where the rotation's error is.
+        instead: the wrong name that the answer gives; None if it gives none.
     """
 
     layout: str | None
     right: bool
     rotation_error_deg: float | None = None
     centre_error_m: float | None = None
+    instead: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -44,7 +46,7 @@ def compare(capture: Capture, answer: Identification, layouts: Sequence[Layout])
     reading = answer.reading
     named = reading.layout if reading is not None and answer.status == "identified" else None
     if named is None or named != carried or reading is None:
-        return Comparison(carried, named == carried)
+        return Comparison(carried, named == carried, instead=None if named == carried else named)
     layout = next((layout for layout in layouts if layout.name == named), None)
     measured = layout is not None and layout.covariance is not None
     # An emulated table turns before the first scan: rotation and centre then are not those of the truth.

@@ -6,6 +6,7 @@ give the same document.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from tagid.capture import Capture
 from tagid.constants import CAPTURE_SUFFIX
+from tagid.counting import counted
 from tagid.errors import DataError, TagidError, UsageError, displayable
 from tagid.operate.truth import Comparison, compare
 from tagid.operate.words import headline, method_shown, notes
@@ -347,14 +349,21 @@ def read_jointly(
     if not sources:
         raise UsageError("there is no recording to identify", "Give at least one.")
     names = [displayable(str(file)) if isinstance(file, Path) else "" for file in files or sources]
-    if len(sources) == 1:
+    enrolled = setup.enrolled
+    began = datetime.now(UTC)
+    kept, loaded = [0], list[PreparedCapture]()
+    if len(sources) > 1:
+        loaded = [PreparedCapture(load_capture(source, setup.loading), setup.imaging) for source in sources]
+        kept = _distinct([prepared.given for prepared in loaded])
+    copies = len(sources) - len(kept)
+    copied = (f"{counted(copies, 'recording')} given again, which says nothing more",) if copies else ()
+    if len(kept) == 1:
         only = read(setup, sources[0], names[0])
         if only.error is not None:
             raise only.error
-        return replace(only, alone=(only,))
-    enrolled = setup.enrolled
-    began = datetime.now(UTC)
-    recordings = [PreparedCapture(load_capture(source, setup.loading), setup.imaging) for source in sources]
+        remarked = replace(only.identification, remarks=(*only.remarks, *copied))
+        return replace(only, identification=remarked, alone=(only,))
+    recordings, names = [loaded[i] for i in kept], [names[i] for i in kept]
     joint, readings = identify_together(
         recordings,
         enrolled.layouts,
@@ -366,8 +375,8 @@ def read_jointly(
         odd = _against_the_rig(setup, prepared.given)
         reading = replace(reading, remarks=(*remarks_on(prepared.given), *odd))
         explained.append(Answer(with_causes(reading, prepared, enrolled.layouts), name, prepared))
-    remarks = tuple(dict.fromkeys(remark for answer in explained for remark in answer.remarks))
-    joint = replace(joint, remarks=remarks)
+    remarks = dict.fromkeys(remark for answer in explained for remark in answer.remarks)
+    joint = replace(joint, remarks=(*remarks, *copied))
     if joint.status != "identified" and joint.reading is not None:
         causes = {cause.code: cause for answer in reversed(explained) for cause in answer.causes}
         advice = {
@@ -376,12 +385,20 @@ def read_jointly(
             if answer.identification.reading is not None
         }
         joint = replace(joint, causes=tuple(causes.values()), advice=advice.get(joint.reading.code, ""))
-    first = recordings[0].given
-    truth = compare(first, joint, enrolled.layouts)
-    if truth is not None:  # The recordings show the object in several poses.
-        truth = Comparison(truth.layout, truth.right)
-    recorded = _recorded(sources[0], first, began)
+    truths = [compare(recording.given, joint, enrolled.layouts) for recording in recordings]
+    # They show the object in several poses; those of several objects have no common truth.
+    alike = {truth and Comparison(truth.layout, truth.right, instead=truth.instead) for truth in truths}
+    truth = alike.pop() if len(alike) == 1 else None
+    recorded = _recorded(sources[0], recordings[0].given, began)
     return Answer(joint, names[0], alone=tuple(explained), recorded_utc=recorded, truth=truth)
+
+
+def _distinct(captures: Sequence[Capture]) -> list[int]:
+    """Numbers of the captures that are no copies of an earlier one: no two recordings have the same noise."""
+    first: dict[bytes, int] = {}
+    for i, capture in enumerate(captures):
+        first.setdefault(hashlib.sha256(capture.samples.tobytes()).digest(), i)
+    return sorted(first.values())
 
 
 @dataclass(frozen=True, eq=False)

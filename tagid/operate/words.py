@@ -82,9 +82,10 @@ def truth_words(truth: Comparison | None) -> str:
     """
     if truth is None:
         return ""
-    words = f"{truth.layout or 'no tag'}: {'named rightly' if truth.right else 'not named'}"
-    if truth.layout is None:
-        words = "no tag: nothing named" if truth.right else "no tag: named wrongly"
+    verdict = "named wrongly" if truth.instead is not None else "not named"
+    if truth.right:
+        verdict = "nothing named" if truth.layout is None else "named rightly"
+    words = f"{truth.layout or 'no tag'}: {verdict}"
     if truth.rotation_error_deg is not None:
         words += f", rotation {round(truth.rotation_error_deg, 1) + 0.0:+.1f} deg"
     if truth.centre_error_m is not None:

@@ -201,7 +201,10 @@ def _uncovered(capture: Capture) -> Cause | None:
     lost = (radar.scans_lost or 0) + (radar.scans_dropped or 0)
     flagged = flags is not None and bool(np.any(flags & _LOSS))
     if not inside or not (lost or radar.gap_count or flagged):
-        remedy = "Record slightly more than one full turn; `tagid scan` does so if the speed is right."
+        remedy = (
+            "Record slightly more than one full turn; `tagid scan` does so if the speed is right and no "
+            "limit of scans or seconds ends it before."
+        )
         if capture.angles_rad is None:
             remedy = "Record from positions on all sides of the object."
         return Cause("partial_turn", covered, remedy)
@@ -241,6 +244,9 @@ def with_causes(
     """
     if answer.status in ("identified", "failed") or answer.reading is None:
         return answer
+    if answer.reading.code is Code.UNCALIBRATED:
+        # A layout explains the scans: nothing is wrong with them but that they are few.
+        return replace(answer, causes=tuple(_of_the_turn(prepared.given)))
     round_echo = circling(prepared.given)
     causes = _of_the_turn(prepared.given)
     if _beyond_range(answer.reading, round_echo, prepared.given.radar):

@@ -286,6 +286,15 @@ class LoadSettings:
             rig=installed_profile(data_folder()),
         )
 
+    @property
+    def yielding(self) -> LoadSettings:
+        """The same for recordings made elsewhere: what they say precedes what was given."""
+        given = {
+            name: replace(getattr(self, name), overrides=False)
+            for name in ("axis_distance_m", "antenna_height_m", "antenna_separation_m", "motion")
+        }
+        return replace(self, **given, motion_is_default=True)
+
     def described(self) -> dict[str, Any]:
         """All settings that affect an answer, as JSON values."""
         given = {

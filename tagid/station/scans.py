@@ -66,7 +66,6 @@ class Run(BackgroundRun):
         number: counts the station's scans.
         place: settings, registry, history and folder.
         motion: the device that rotates the object, for the live view.
-        as_recorded: whether the recording is one of this station, see `Workplace.setup`.
 
     Attributes:
         number, motion: as given.
@@ -75,11 +74,11 @@ class Run(BackgroundRun):
 
     file = ""
 
-    def __init__(self, number: int, place: Workplace, motion: Motion, as_recorded: bool = True) -> None:
+    def __init__(self, number: int, place: Workplace, motion: Motion) -> None:
         self.number = number
         self.motion = motion
         self._place = place
-        self._setup = place.setup(as_recorded=as_recorded)
+        self._setup = place.setup(as_recorded=True)
         enrolled = self._setup.enrolled
         self._needs = LiveSettings(
             motion, enrolled.layouts, enrolled.signatures, enrolled.version, self._setup.imaging

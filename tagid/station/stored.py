@@ -94,7 +94,8 @@ class ReceivedRun(Run):
     """
 
     def __init__(self, number: int, place: Workplace, path: Path) -> None:
-        super().__init__(number, place, FreeTurntable(), as_recorded=False)
+        super().__init__(number, place, FreeTurntable())
+        self._setup = replace(self._setup, loading=self._setup.loading.yielding)
         self.file = path.name
         self._path = path
 

@@ -262,6 +262,9 @@ def test_a_handle_circles_but_is_no_body_off_the_axis(monkeypatch: pytest.Monkey
     assert said.what_to_do().startswith("Place the object") and ADVICE[Code.OTHER][1:] in said.what_to_do()
     assert said.to_dict()["advice"] == said.what_to_do()
     assert with_causes(other, prepared, LAYOUTS).what_to_do() == ADVICE[Code.OTHER]
+    # Of a layout that too few views show nothing else is wrong.
+    few = replace(other, reading=answer.reading.refused(Code.UNCALIBRATED, ""))
+    assert with_causes(few, can_off_the_axis(0.03, "can:35mm"), LAYOUTS).causes == ()
     # Without a body there is nothing to enroll but the tag, and an empty scene is not to be centred.
     assert other.reading is not None
     winner = replace(other.reading.hypotheses[0], unexplained=0.01)

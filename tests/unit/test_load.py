@@ -9,6 +9,7 @@ import pytest
 
 from tagid.capture import Capture
 from tagid.imaging.lengths import views_needed
+from tagid.metadata import MotionInfo
 from tagid.pipeline.prepared import LoadDefault, LoadSettings, load_capture, prepare
 from tagid.pipeline.resolve import clock_of, one_turn
 from tests.unit.imaging_scenes import record, turn
@@ -64,3 +65,16 @@ def test_arrival_times_are_seconds_where_the_radar_gives_none() -> None:
     times_s = 0.02 * np.arange(50)
     clock = clock_of(capture(50, angles_rad=None, host_time_ns=10**18 + (times_s * 1e9).astype(np.int64)))
     np.testing.assert_allclose(clock.times_s, times_s, atol=1e-4)
+
+
+def test_a_file_from_elsewhere_keeps_what_it_says_of_its_turn_and_place() -> None:
+    """A station of its own table, started with its speed and distance, read every file with them."""
+    speed = LoadDefault("free?rpm=6", True)
+    ours = LoadSettings(axis_distance_m=LoadDefault(1.5, True), motion=speed, motion_is_default=False)
+    angles = np.arange(12) * np.pi / 6
+    turned = Capture(np.ones((12, 8), np.float32), 0.5, 0.009, angles_rad=angles, axis_distance_m=1.0)
+    unturned = replace(turned, angles_rad=None, motion=MotionInfo(url="free?rpm=9"))
+    assert [ours.motion_for(capture) for capture in (turned, unturned)] == ["free?rpm=6"] * 2
+    assert [ours.yielding.motion_for(capture) for capture in (turned, unturned)] == [None, "free?rpm=9"]
+    assert load_capture(turned, ours, turn=False).axis_distance_m == 1.5
+    assert load_capture(turned, ours.yielding, turn=False).axis_distance_m == 1.0

@@ -69,6 +69,17 @@ def test_an_answer_stands_beside_the_truth_of_its_capture(place: Workplace) -> N
     assert compare(bare, Identification("no_tag", None, None, None), []) == Comparison(None, True)
 
 
+def test_a_recording_that_is_given_again_says_nothing_more(place: Workplace) -> None:
+    """Four times the same weak recording gave a wrong name with a bound."""
+    once = recording(3)
+    copy = replace(once, uuid="another")
+    twice = read_jointly(place.setup(), [once, copy])
+    assert len(twice.alone) == 1 and "1 recording given again" in twice.remarks[-1]
+    alone = read_jointly(place.setup(), [once])
+    assert twice.identification.reading is not None and alone.identification.reading is not None
+    assert twice.identification.reading.lead == alone.identification.reading.lead
+
+
 def test_a_joint_answer_has_the_remarks_and_causes_of_its_recordings(place: Workplace) -> None:
     noted = recording(2)
     noted = replace(
@@ -81,6 +92,8 @@ def test_a_joint_answer_has_the_remarks_and_causes_of_its_recordings(place: Work
     assert [vote["layout"] for vote in document["votes"]] == ["helmet-120"] * 2
     assert document["votes"][0]["score"] > 0.5 and document["votes"][0]["margin"] > 0
     assert joint.truth == Comparison("helmet-120", True), "of several poses"
+    other = replace(noted, object=replace(noted.object, layout="container-90"))
+    assert read_jointly(place.setup(), [recording(3), other]).truth is None, "of two objects"
     parts = [whole.select(np.flatnonzero(whole.angles_rad < np.pi)) for whole in (noted, recording(3))]
     part = read_jointly(place.setup(), parts)
     assert part.name is None and [cause.code for cause in part.causes] == ["partial_turn"]
@@ -155,7 +168,8 @@ def test_the_words_on_trust_never_promise_more_than_the_bound(place: Workplace) 
         "false accept at most 0.0021 (0.001 is set)"
     )
     assert truth_words(Comparison(None, True)) == "no tag: nothing named"
-    assert truth_words(Comparison(None, False)) == "no tag: named wrongly"
+    assert truth_words(Comparison(None, False, instead="mine")) == "no tag: named wrongly"
+    assert truth_words(Comparison("mine", False, instead="helmet-120")) == "mine: named wrongly"
 
 
 def test_a_radar_that_is_lost_often_has_perhaps_another_user() -> None:
