@@ -26,11 +26,13 @@ from tagid.enrolling.registry import Registry
 from tagid.errors import ConfigError, UsageError
 from tagid.metadata import MotionInfo
 from tagid.motion.urls import open_motion
+from tagid.reading.reading import Reflector
 from tagid.rig import Measured
 from tagid.simulate.acquisition import Placement
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.rig import EmulatedRig, RigScene, parse_rig
 from tagid.simulate.spec import SceneSpec
+from tagid.tags.layouts.layout import rotation_matrix
 from tagid.tags.layouts.test_card import test_card
 from tagid.waveform import nominal_pulse, pulse_at
 
@@ -262,6 +264,18 @@ def test_the_card_tells_mirror_image_and_missing_reflector() -> None:
     assert row("all", 90, reading("identified", "test-card-mirrored")).code == "mirrored"
     assert row("all", 90, reading("unknown", None, 1)).code == "missing-reflector"
     assert row("all", 90, reading("unknown", None)).code == "not-named"
+
+
+@pytest.mark.parametrize(("off_m", "level"), [(0.0008, Level.PASS), (0.003, Level.FAIL)])
+def test_reflectors_off_their_marks_fail_the_card(off_m: float, level: Level) -> None:
+    read = reading("identified", "test-card")
+    read.rotation_deg, read.centre_m = 30.0, (0.004, -0.002)
+    there = test_card().positions @ rotation_matrix(math.radians(30.0)).T + read.centre_m
+    # Opposite ones apart: no turn and no shift makes that good.
+    there += off_m * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    read.reflectors = [Reflector(x, y, 1.0, 0.0, 20.0, matched=True) for x, y in there]
+    row = card_step._places_row(read)
+    assert (row.level, row.code) == (level, "" if level is Level.PASS else "positions")
 
 
 def test_the_name_of_the_card_is_reserved(tmp_path: Path) -> None:
