@@ -33,7 +33,7 @@ _README: Final = """A commissioning of a radar rig, recorded by tagid {version}.
 
 tape.json      what was measured by tape; the reference target
 STEP.json      report of each step: values with standard errors, verdicts
-STEP{suffix}   its recording with the radar's settings, for `tagid show`, `identify` and `reconstruct`
+STEP{suffix}   its recording with the radar's settings, for `tagid show` and `tagid reconstruct`
 rig.toml       the profile, if the commissioning was complete
 SHA256SUMS     checksums of all other files
 
