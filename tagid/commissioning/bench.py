@@ -34,6 +34,8 @@ from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.types import Progress
 
 FOLDER: Final = "commissioning"
+STEP_NAMES: Final = ("link", "room", "target", "turning", "card", "result")
+"""In their order."""
 _MAX_BYTES: Final = 1 << 20
 REACH_M: Final = 0.6
 """Half of the window around axis and target: image, pulse, and ranges for the noise."""
@@ -148,6 +150,11 @@ class Bench:
             return None if data is None else StepReport.from_json(data)
         except (KeyError, TypeError, ValueError, AttributeError):
             raise _damaged(self.folder / f"{step}.json") from None
+
+    def reports(self) -> dict[str, StepReport]:
+        """The stored reports of the steps that were done, by their names. Raises as `report`."""
+        every = {step: self.report(step) for step in STEP_NAMES}
+        return {step: report for step, report in every.items() if report is not None}
 
     def keep(self, report: StepReport) -> None:
         """Store the report of a step. Raises StorageError, DiskFullError."""

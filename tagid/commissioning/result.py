@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
 
-from tagid.commissioning.bench import Bench, reported
+from tagid.commissioning.bench import STEP_NAMES, Bench, reported
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.config import data_folder
 from tagid.errors import ConfigError
 from tagid.rig import Radar, RigProfile, write_profile
 
-MEASURING: Final = ("link", "room", "target", "turning", "card")
+MEASURING: Final = STEP_NAMES[:-1]
 """Steps that the profile is made of, in their order."""
 _USES: Final = {
     "target": ("room",),
@@ -28,34 +29,35 @@ def write_result(bench: Bench) -> StepReport:
     Raises:
         ConfigError: a step is missing, or measured no value. StorageError: the profile cannot be written.
     """
-    reports = [report for name in MEASURING if (report := bench.report(name)) is not None]
-    missing = [name for name in MEASURING if name not in {report.step for report in reports}]
+    reports = bench.reports()
+    missing = [name for name in MEASURING if name not in reports]
     if missing:
         raise ConfigError(f"not done yet: {', '.join(missing)}", f"Do the step {missing[0]} next.")
-    rows = [verdict(bench, name) for name in MEASURING]
+    rows = [verdict(reports, name) for name in MEASURING]
     if any(row.level is Level.FAIL for row in rows):
         return reported("result", rows)
-    path = write_profile(_profile(bench, reports), data_folder())
+    path = write_profile(_profile(bench, [reports[name] for name in MEASURING]), data_folder())
     rows.append(Row("profile", Level.PASS, text=str(path)))
     return reported("result", rows)
 
 
-def verdict(bench: Bench, name: str) -> Row:
+def verdict(reports: Mapping[str, StepReport], name: str) -> Row:
     """Whether a step stands: it passed, later than the steps that it uses, with the radar of the link.
 
-    Raises StorageError, ConfigError.
+    Args:
+        reports: of the steps that were done, by their names.
     """
-    report, link = bench.report(name), bench.report("link")
+    report = reports.get(name)
     if report is None:
         return _repeat(name, "not done")
     if failed := [row.name for row in report.rows if row.level is Level.FAIL]:
         return _repeat(name, f"failed: {', '.join(failed)}")
-    used = [(step, bench.report(step)) for step in _USES.get(name, ())]
-    if later := [step for step, other in used if other is not None and other.date_utc > report.date_utc]:
+    used = [reports[step] for step in _USES.get(name, ()) if step in reports]
+    if later := [other.step for other in used if other.date_utc > report.date_utc]:
         return _repeat(name, f"older than {', '.join(later)}")
-    serial, linked = report.facts.get("serial"), None if link is None else link.facts.get("serial")
-    if None not in (serial, linked) and str(serial) != str(linked):
-        return _repeat(name, f"of radar {serial}, the link is to {linked}")
+    radars = [some.facts.get("serial") for some in (report, reports.get("link")) if some is not None]
+    if len({str(serial) for serial in radars if serial is not None}) > 1:
+        return _repeat(name, f"of radar {radars[0]}, the link is to {radars[1]}")
     return Row(name, Level.PASS, text=report.date_utc)
 
 

@@ -6,6 +6,7 @@ The table stands in place, without an object, and nobody walks.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -150,18 +151,11 @@ def _bursts(rest: NDArray[np.float64], cause: str) -> Row:
     sigma = math.sqrt(max(noisy * (1 - noisy), 1 / len(energy)) / len(energy))
     if noisy <= _BURSTS:
         return Row("noisy scans", Level.PASS, 100 * noisy, 100 * sigma, "%")
-    return Row(
-        "noisy scans",
-        Level.NOTE if cause else Level.FAIL,
-        100 * noisy,
-        100 * sigma,
-        "%",
-        cause or "pulses of another radar",
-        ""
-        if cause
-        else "Another UWB radar is near: stop it, or `tagid radar config --code-channel N --save`.",
-        "noisy" if cause else "other-radar",
-    )
+    row = partial(Row, "noisy scans", value=100 * noisy, sigma=100 * sigma, unit="%")
+    if cause:
+        return row(Level.NOTE, text=cause, code="noisy")
+    advice = "Another UWB radar is near: stop it, or `tagid radar config --code-channel N --save`."
+    return row(Level.FAIL, text="pulses of another radar", advice=advice, code="other-radar")
 
 
 def _moving(capture: Capture, scans: NDArray[np.float64], axis_m: float, explained: bool) -> Row:

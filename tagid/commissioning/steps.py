@@ -69,13 +69,13 @@ def step_named(name: str) -> Step:
 
 def reports_by_title(bench: Bench) -> list[tuple[str, StepReport]]:
     """The title and report of every step that was done. Raises StorageError, ConfigError."""
-    reports = [(step.title, bench.report(step.name)) for step in STEPS]
-    return [(title, report) for title, report in reports if report is not None]
+    return [(step_named(name).title, report) for name, report in bench.reports().items()]
 
 
 def next_step(bench: Bench) -> Step:
     """The first step that does not stand; the last one if all do. Raises StorageError, ConfigError."""
-    return next((step for step in STEPS if verdict(bench, step.name).level is Level.FAIL), STEPS[-1])
+    reports = bench.reports()
+    return next((step for step in STEPS if verdict(reports, step.name).level is Level.FAIL), STEPS[-1])
 
 
 def run_step(step: Step, bench: Bench) -> StepReport:

@@ -30,6 +30,7 @@ _NEAREST_M: Final = 0.5
 _LOOSE_DB: Final = -6.0
 """The budget is uncertain by 6 dB for want of a target whose size is known; a loose connector costs 10."""
 _OTHER_DB: Final = 6.0
+"""By its uncertainty at most more is received than the budget says of the target."""
 _CROSSED_DB: Final = -15.0
 _DELAY_BUDGET_PS: Final = 100.0
 """Largest standard error of a useful delay: 15 mm, half of the reader's prior."""

@@ -248,11 +248,8 @@ def with_causes(
         # A layout explains the scans: nothing is wrong with them but that they are few.
         return replace(answer, causes=tuple(_of_the_turn(prepared.given)))
     round_echo = circling(prepared.given)
-    causes = _of_the_turn(prepared.given)
-    if _beyond_range(answer.reading, round_echo, prepared.given.radar):
-        # Scans that do not reach the object do not tell that its speed is wrong, only what else it is.
-        shown = prepared.given.motion.resolved is not None and prepared.given.motion.resolved.shown_rpms
-        causes = [cause for cause in causes if cause.code != "speed" or shown]
+    beyond = _beyond_range(answer.reading, round_echo, prepared.given.radar)
+    causes = _of_the_turn(prepared.given, beyond_range=beyond)
     circle = _off_the_axis(round_echo)
     if not any(cause.code == "speed" for cause in causes):
         beside = None if circle is None else _of_a_round_body(circle)
@@ -295,11 +292,12 @@ def _another_tag(reading: Reading) -> bool:
     return reading.hypotheses[0].unexplained < _EXPLAINED
 
 
-def _of_the_turn(capture: Capture) -> list[Cause]:
+def _of_the_turn(capture: Capture, *, beyond_range: bool = False) -> list[Cause]:
     resolved = capture.motion.resolved
     causes = []
-    if contradiction := speed_contradiction(resolved):
-        assert resolved is not None
+    contradiction = speed_contradiction(resolved)
+    # Scans that do not reach the object do not tell that its speed is wrong, unless they show another one.
+    if contradiction and resolved is not None and (resolved.shown_rpms or not beyond_range):
         causes.append(_of_the_speed(resolved, contradiction))
     if cause := _stopped(capture) or _uncovered(capture):
         causes.append(cause)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 from tagid.commissioning.bench import Bench, Tape, TapeChanges
 from tagid.commissioning.rows import StepReport
-from tagid.commissioning.steps import STEPS, Step, goes_on, next_step, reports_by_title, run_step
+from tagid.commissioning.steps import Step, goes_on, next_step, reports_by_title, run_step
 from tagid.config import Config, data_folder
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
 from tagid.motion.urls import open_motion
@@ -58,9 +58,7 @@ class Commissioning:
     def stored(cls, config: Config) -> Commissioning:
         """The state in the data folder. Raises StorageError, ConfigError."""
         bench = Bench(config, {})
-        every = {step.name: bench.report(step.name) for step in STEPS}
-        reports = {name: report for name, report in every.items() if report is not None}
-        return cls(reports, next_step(bench).name, bench.tape, installed_profile(data_folder()))
+        return cls(bench.reports(), next_step(bench).name, bench.tape, installed_profile(data_folder()))
 
 
 def results_page(config: Config) -> bytes:

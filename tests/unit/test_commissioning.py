@@ -110,14 +110,14 @@ def test_a_step_is_repeated_when_what_it_takes_is_newer_or_of_another_radar(tmp_
     for minute, step in enumerate(STEPS):
         done(step.name, minute)
     assert next_step(rig).name == "result"
-    assert verdict(rig, "result").level is Level.PASS
+    assert verdict(rig.reports(), "result").level is Level.PASS
     done("target", 10)
     assert next_step(rig).name == "turning"
-    assert verdict(rig, "turning").text == "older than target"
+    assert verdict(rig.reports(), "turning").text == "older than target"
     assert [row.name for row in write_result(rig).rows if row.level is Level.FAIL] == ["turning", "card"]
     done("link", 11, serial=1111)
     assert next_step(rig).name == "room"
-    assert verdict(rig, "room").text == "of radar 1099, the link is to 1111"
+    assert verdict(rig.reports(), "room").text == "of radar 1099, the link is to 1111"
 
 
 @pytest.mark.parametrize("tape", [{"antenna_height_m": math.nan}, {"antenna_separation_m": -1.0}])
