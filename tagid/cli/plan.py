@@ -129,15 +129,17 @@ def setup_from(asked: Asked) -> Setup:
             f"no layout is named {asked.layout[:80]!r}",
             f"{meant(asked.layout, layouts)}Use {', '.join(sorted(layouts))}.",
         )
+    rig = installed_profile(data_folder())
     return Setup(
         layouts[asked.layout],
         parse_reflector(asked.reflector),
         parse_body(asked.body or "none"),
         config["motion.axis_distance_m"] or 1.0,
         asked.rpm,
-        LinkBudget.on(installed_profile(data_folder()), config["radar.gain"], config["radar.integration"]),
+        LinkBudget.on(rig, config["radar.gain"], config["radar.integration"]),
         config["imaging.extent_m"],
         asked.enrolled,
+        None if rig is None else rig.pulse,
     )
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tagid.capture import Capture, Pulse
 from tagid.constants import SPEED_OF_LIGHT
@@ -52,6 +53,8 @@ _ITERATIONS: Final = 15
 _SECTORS: Final = 18
 _CONVERGED: Final = 0.02
 _DIFFERENCE: Final = 1e-6
+_PHASE_CENTRE_M: Final = 5e-6
+"""By how much phase centres and marks move at each harmonic of the turn, alike in all (emulated rigs)."""
 _FREE: Final = 1e-4
 """Weight of the relative change of an amplitude, which is free."""
 
@@ -87,6 +90,7 @@ class CardFit:
         speed: mean speed over that of the given angles.
         speed_levels: (HARMONICS,) RMS deviation of the speed in each harmonic of a turn, relative.
         speed_variation: their root sum of squares.
+        wobble: (HARMONICS, 2) cosine and sine of the angle's error over a turn, rad.
         mirrored: whether the marks' mirror image explains the recording, and not the marks.
         strengths: (marks,) amplitude of each reflector over that of the median one.
         unexplained: share of the changing echo's energy that is not explained, the noise subtracted.
@@ -96,9 +100,18 @@ class CardFit:
     speed: Measured
     speed_levels: Floats
     speed_variation: Measured
+    wobble: Floats
     mirrored: bool
     strengths: Floats
     unexplained: float
+
+    def speed_deviation(self, angles: Floats) -> Floats:
+        """Relative deviation of the speed at angles (n,), rad."""
+        orders = np.arange(1, HARMONICS + 1)
+        phase = np.outer(angles, orders)
+        return np.asarray(
+            (np.cos(phase) * orders) @ self.wobble[:, 1] - (np.sin(phase) * orders) @ self.wobble[:, 0]
+        )
 
 
 def fit_card(capture: Capture, angles: Floats, marks: Floats, known: Known) -> CardFit:
@@ -324,7 +337,8 @@ def _stepped(data: _Data, state: _State) -> tuple[_State, float]:
     flat = jacobian.reshape(-1, len(columns))
     inverse: Floats = np.asarray(np.linalg.inv(flat.T @ flat / noise + np.diag(weight)), dtype=np.float64)
     change = inverse @ (flat.T @ residual.ravel() / noise + pull)
-    covariance = _covariance(jacobian, residual, noise, inverse, weight)
+    sector = np.floor(data.angles / (2 * np.pi) * _SECTORS).astype(np.int64) % _SECTORS
+    covariance = _covariance(jacobian, residual, sector, noise, inverse, weight)
     relative = change[len(x) :].reshape(-1, 2).clip(-0.7, 1)
     amplitudes = amplitudes * (1 + relative[:, 0] + 1j * relative[:, 1])
     moved = float(np.abs(change[: len(x)] / np.sqrt(np.diag(inverse))[: len(x)]).max())
@@ -332,13 +346,20 @@ def _stepped(data: _Data, state: _State) -> tuple[_State, float]:
     return _State(x + change[: len(x)].clip(-limits, limits), amplitudes, noise, covariance), moved
 
 
-def _covariance(jacobian: Floats, residual: Floats, noise: float, inverse: Floats, weight: Floats) -> Floats:
+def _covariance(
+    jacobian: Floats,
+    residual: Floats,
+    sector: NDArray[np.int64],
+    noise: float,
+    inverse: Floats,
+    weight: Floats,
+) -> Floats:
     """Covariance as the sectors of the turn differ, at least that of the noise.
 
     Where reflectors do not echo as the model says, neighbouring views are wrong alike (White, Econometrica
-    48, 1980).
+    48, 1980), and those of the same angle in every turn.
     """
-    parts = np.array_split(np.arange(len(residual)), _SECTORS)
+    parts = [sector == number for number in range(_SECTORS)]
     scores = np.array([np.einsum("vbp,vb->p", jacobian[part], residual[part]) / noise for part in parts])
     scores -= scores.mean(axis=0)
     spread = scores.T @ scores * _SECTORS / (_SECTORS - 1) + np.diag(weight)
@@ -366,7 +387,8 @@ def _summary(data: _Data, fit: _State, mirrored: bool) -> CardFit:
     total = float(np.linalg.norm(levels))
     slope = np.zeros(len(sigma))
     slope[_WOBBLE] = (orders[:, None] ** 2 * wobble / (2 * max(total, 1e-9))).ravel()
-    variation = math.sqrt(slope @ fit.covariance @ slope)
+    moved = _PHASE_CENTRE_M / float(np.sqrt((data.marks**2).sum(axis=1).mean()))
+    variation = math.sqrt(slope @ fit.covariance @ slope + moved**2 * (slope @ slope))
     strengths = np.abs(fit.amplitudes)
     changing = float((data.scans**2).mean()) - data.known.noise**2
     return CardFit(
@@ -374,6 +396,7 @@ def _summary(data: _Data, fit: _State, mirrored: bool) -> CardFit:
         Measured(1 + float(x[_SPEED_AT]), float(sigma[_SPEED_AT])),
         levels,
         Measured(total, variation),
+        wobble,
         mirrored,
         strengths / float(np.median(strengths)),
         float(np.clip((fit.noise - data.known.noise**2) / max(changing, 1e-9), 0, 1)),

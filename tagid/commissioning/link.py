@@ -10,6 +10,7 @@ from tagid.angles.clock import fit_clock
 from tagid.capture import Capture
 from tagid.commissioning.bench import Bench, reported
 from tagid.commissioning.echo_line import echo_line
+from tagid.commissioning.pictures import Picture
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import DataError
@@ -46,9 +47,10 @@ def watch_link(bench: Bench) -> StepReport:
     with open_radar(url, timeout) as radar:
         asked_s = radar.config.scan_period_s
         capture, lost = _scans(bench, radar, max(32, round(bench.seconds / asked_s)))
-    rows += [_rate(capture, asked_s), _loss(capture.views, lost), _drift(capture)]
+    drift, late = _drift(capture)
+    rows += [_rate(capture, asked_s), _loss(capture.views, lost), drift]
     facts = {"serial": status.serial, "package": status.package, "mrm_version": status.mrm_version}
-    return reported("link", rows, facts=facts)
+    return reported("link", rows, facts=facts, pictures=(late,))
 
 
 def _scans(bench: Bench, radar: P440, count: int) -> tuple[Capture, int]:
@@ -109,21 +111,26 @@ def _loss(received: int, lost: int) -> Row:
     )
 
 
-def _drift(capture: Capture) -> Row:
-    """Rate of the radar's clock over the computer's; the residual of the line gives its standard error."""
+def _drift(capture: Capture) -> tuple[Row, Picture]:
+    """Rate of the radar's clock over the computer's, and the residual of the line.
+
+    The residual gives the standard error.
+    """
     assert capture.radar_time_ms is not None and capture.host_time_ns is not None
     radar_s = capture.radar_time_ms * 1e-3
     host_s = (capture.host_time_ns - capture.host_time_ns[0]) * 1e-9
     span = radar_s - radar_s.mean()
     slope = float(span @ host_s / (span @ span))
-    if abs(slope - 1) > _NO_CLOCK:
-        return Row("clock drift", Level.NOTE, text="not measured: the radar does not run in real time")
     rest = host_s - host_s.mean() - slope * span
+    late = Picture.of("s: arrival of scans against a steady clock, ms", (radar_s - radar_s[0], 1e3 * rest))
+    if abs(slope - 1) > _NO_CLOCK:
+        no_clock = "not measured: the radar does not run in real time"
+        return Row("clock drift", Level.NOTE, text=no_clock), late
     # Arrivals are late together when the computer is busy: neighbours count as one in ten.
     sigma = float(np.sqrt(rest @ rest / max(len(rest) - 2, 1) * 10 / (span @ span)))
     ppm = (1 / slope - 1) * 1e6
     fits = abs(ppm) <= _MOST_DRIFT_PPM + 3e6 * sigma
-    return Row(
+    row = Row(
         "clock drift",
         Level.PASS if fits else Level.FAIL,
         ppm,
@@ -133,3 +140,4 @@ def _drift(capture: Capture) -> Row:
         "" if fits else "Check that the computer's clock is not being set while recording.",
         "" if fits else "clock",
     )
+    return row, late

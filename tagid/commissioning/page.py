@@ -1,14 +1,16 @@
-"""The page of a commissioning: every row green or red, and the measured pulse as a drawing, in one file."""
+"""The page of a commissioning: every row green or red, and drawings of what was measured, in one file."""
 
 from __future__ import annotations
 
+import base64
 import html
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from tagid._version import __version__
-from tagid.commissioning.page_content import Curve, curves_of, heading, plain
+from tagid.commissioning.page_content import heading, plain
+from tagid.commissioning.pictures import Picture, to_svg
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.files import write_bytes
 from tagid.rig import RigProfile
@@ -25,11 +27,11 @@ tr.pass td.level { background: #d9f2df; color: #0b5a22; }
 tr.fail td.level { background: #fbdcdc; color: #8f1010; }
 tr.note td.level { background: #eee; color: #444; }
 p.advice { margin: .2rem 0 0; font-weight: 600; }
-svg { max-width: 100%; height: auto; }
+img { max-width: 48%; height: auto; }
 @media print {
   body { margin: 0; max-width: none; }
   h2 { break-after: avoid; }
-  tr, svg { break-inside: avoid; }
+  tr, img { break-inside: avoid; }
 }
 """
 
@@ -55,7 +57,7 @@ def write_page(path: Path, reports: Sequence[tuple[str, StepReport]], profile: R
     page = (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta http-equiv="Content-Security-Policy" '
-        "content=\"default-src 'none'; style-src 'unsafe-inline'\">"
+        "content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\">"
         f'<meta name="viewport" content="width=device-width"><title>{head}</title>'
         f"<style>{_STYLE}</style></head>"
         f"<body><h1>{head}</h1>{about}{''.join(parts)}<footer>tagid {__version__}</footer></body></html>\n"
@@ -65,10 +67,10 @@ def write_page(path: Path, reports: Sequence[tuple[str, StepReport]], profile: R
 
 def _section(title: str, report: StepReport) -> str:
     rows = "".join(_row(row) for row in report.rows)
-    pulse = _pulse(report.pulse) if report.pulse else ""
+    pictures = "".join(_picture(picture) for picture in report.pictures)
     return (
         f"<h2>{html.escape(title)}</h2><p>{html.escape(report.date_utc)}</p>"
-        f"<table><tbody>{rows}</tbody></table>{pulse}"
+        f"<table><tbody>{rows}</tbody></table>{pictures}"
     )
 
 
@@ -88,33 +90,6 @@ def _text(text: str) -> str:
     return html.escape(plain(text))
 
 
-def _pulse(samples: Sequence[float]) -> str:
-    """The measured pulse and its spectrum, as a drawing."""
-    boxes = ((50.0, 20.0, 400.0, 170.0), (500.0, 20.0, 380.0, 170.0))
-    drawn = [_curve(curve, box) for curve, box in zip(curves_of(samples), boxes, strict=True)]
-    return (
-        '<svg viewBox="0 0 900 240" role="img" aria-label="measured pulse and its spectrum">'
-        f"{''.join(drawn)}</svg>"
-    )
-
-
-def _curve(curve: Curve, box: tuple[float, float, float, float]) -> str:
-    left, top, width, height = box
-    x, y = curve.within(width, height)
-    points = " ".join(f"{left + a:.1f},{top + height - b:.1f}" for a, b in zip(x, y, strict=True))
-    marks = "".join(
-        f'<text x="{left + at:.0f}" y="{top + height + 18:.0f}" font-size="13" '
-        f'text-anchor="middle">{words}</text>'
-        for at, words in curve.across_marks(width)
-    )
-    levels = "".join(
-        f'<text x="{left - 6:.0f}" y="{top + height - at + 4:.0f}" font-size="13" '
-        f'text-anchor="end">{words}</text>'
-        for at, words in curve.up_marks(height)
-    )
-    return (
-        f'<rect x="{left}" y="{top}" width="{width}" height="{height}" fill="none" stroke="#999"/>'
-        f'<polyline points="{points}" fill="none" stroke="#1f5fa8" stroke-width="1.5"/>{marks}{levels}'
-        f'<text x="{left + width / 2}" y="{top + height + 38}" font-size="13" text-anchor="middle">'
-        f"{curve.title}</text>"
-    )
+def _picture(picture: Picture) -> str:
+    data = base64.b64encode(to_svg(picture).encode()).decode()
+    return f'<img alt="{html.escape(picture.title)}" src="data:image/svg+xml;base64,{data}">'

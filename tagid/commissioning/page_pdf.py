@@ -7,7 +7,6 @@ import io
 from collections.abc import Sequence
 from typing import Final
 
-from reportlab.graphics.shapes import Drawing, PolyLine, Rect, String
 from reportlab.lib.colors import HexColor
 from reportlab.lib.enums import TA_LEFT
 from reportlab.lib.pagesizes import A4
@@ -17,7 +16,8 @@ from reportlab.platypus import KeepTogether, Paragraph, SimpleDocTemplate, Space
 from reportlab.platypus.flowables import Flowable
 
 from tagid._version import __version__
-from tagid.commissioning.page_content import Curve, curves_of, heading, plain
+from tagid.commissioning.page_content import heading, plain
+from tagid.commissioning.pictures import Picture, drawing_of
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.rig import RigProfile
 
@@ -28,8 +28,6 @@ _HEAD: Final = ParagraphStyle("head", parent=_BOLD, fontSize=16, leading=20, spa
 _BACKGROUND: Final = {Level.PASS: "#d9f2df", Level.NOTE: "#eeeeee", Level.FAIL: "#fbdcdc"}
 _INK: Final = {Level.PASS: "#0b5a22", Level.NOTE: "#444444", Level.FAIL: "#8f1010"}
 _COLUMNS_MM: Final = (14.0, 40.0, 40.0, 86.0)
-_BOX_MM: Final = (78.0, 40.0)
-_INSET_MM: Final = (9.0, 9.0)
 
 
 def to_pdf(reports: Sequence[tuple[str, StepReport]], profile: RigProfile | None) -> bytes:
@@ -50,8 +48,7 @@ def to_pdf(reports: Sequence[tuple[str, StepReport]], profile: RigProfile | None
             Spacer(1, 2),
         ]
         story.append(KeepTogether([*step, _table(report.rows)]))
-        if report.pulse:
-            story += [Spacer(1, 4), _pictures(curves_of(report.pulse))]
+        story += [_beside(report.pictures[at : at + 2]) for at in range(0, len(report.pictures), 2)]
     document.build(story)
     return buffer.getvalue()
 
@@ -84,24 +81,7 @@ def _table(rows: Sequence[Row]) -> Table:
     return table
 
 
-def _pictures(curves: Sequence[Curve]) -> Table:
-    """Drawings beside each other."""
-    return Table([[_drawing(curve) for curve in curves]])
-
-
-def _drawing(curve: Curve) -> Drawing:
-    width, height = (side * mm for side in _BOX_MM)
-    left, bottom = (inset * mm for inset in _INSET_MM)
-    drawing = Drawing(left + width + 2 * mm, bottom + height + 3 * mm)
-    drawing.add(
-        Rect(left, bottom, width, height, fillColor=None, strokeColor=HexColor("#999999"), strokeWidth=0.5)
-    )
-    x, y = curve.within(width, height)
-    points = [value for pair in zip(left + x, bottom + y, strict=True) for value in pair]
-    drawing.add(PolyLine(points, strokeColor=HexColor("#1f5fa8"), strokeWidth=0.8))
-    for at, words in curve.across_marks(width):
-        drawing.add(String(left + at, bottom - 3.5 * mm, words, fontSize=7, textAnchor="middle"))
-    for at, words in curve.up_marks(height):
-        drawing.add(String(left - 1 * mm, bottom + at - 2, words, fontSize=7, textAnchor="end"))
-    drawing.add(String(left + width / 2, 0, curve.title, fontSize=7.5, textAnchor="middle"))
-    return drawing
+def _beside(pictures: Sequence[Picture]) -> Table:
+    """Two drawings beside each other."""
+    drawn: list[object] = [drawing_of(picture) for picture in pictures]
+    return Table([[*drawn, *[""] * (2 - len(drawn))]], colWidths=[90 * mm] * 2)

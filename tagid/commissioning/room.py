@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.commissioning.bench import REACH_M, Bench, radar_facts, reported
+from tagid.commissioning.pictures import echo_over_range, noise_spectrum
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.config import change_settings, data_folder
 from tagid.constants import BACKGROUND_FILE, BANDWIDTH_HZ, CENTER_FREQUENCY_HZ, SAMPLE_STEP_S, SPEED_OF_LIGHT
@@ -49,8 +50,6 @@ def watch_room(bench: Bench) -> StepReport:
     Raises DeviceError and its subclasses, DataError, StorageError.
     """
     capture = make_reference(bench.take_still("empty room"))
-    facts = capture.radar.reference
-    assert facts is not None
     scans = usable(capture)
     index = bench.config["radar.integration"]
     rest = _second_differences(scans)
@@ -74,7 +73,12 @@ def watch_room(bench: Bench) -> StepReport:
         _integration(bench),
     ]
     values = {"noise_counts": Measured(noise, sigma)}
-    return reported("room", rows, values=values, facts=radar_facts(capture), recording=name)
+    pictures = (
+        echo_over_range(capture.ranges_m, scans.mean(axis=0), noise, "empty room"),
+        noise_spectrum(rest),
+    )
+    facts = radar_facts(capture)
+    return reported("room", rows, values=values, facts=facts, recording=name, pictures=pictures)
 
 
 def _second_differences(scans: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from tagid.commissioning.pictures import Picture
 from tagid.rig import Measured
 
 
@@ -63,6 +64,7 @@ class StepReport:
         facts: texts and whole numbers that the profile takes from it.
         pulse: samples of the pulse, if the step measured it; its middle is time zero.
         recording: name of the capture file; empty if there is none.
+        pictures: drawings of what was measured.
     """
 
     step: str
@@ -72,6 +74,7 @@ class StepReport:
     facts: Mapping[str, str | int] = field(default_factory=dict)
     pulse: tuple[float, ...] = ()
     recording: str = ""
+    pictures: tuple[Picture, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -94,6 +97,7 @@ class StepReport:
         given["rows"] = tuple(Row(**{**row, "level": Level(row["level"])}) for row in given["rows"])
         given["values"] = {name: Measured(**value) for name, value in given["values"].items()}
         given["pulse"] = tuple(given["pulse"])
+        given["pictures"] = tuple(Picture.from_json(picture) for picture in given.get("pictures", ()))
         return cls(**given)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from tagid.capture import Capture
 from tagid.commissioning.bench import Bench, radar_facts, reported
+from tagid.commissioning.pictures import echo_over_range, wave_and_spectrum
 from tagid.commissioning.pulse import EchoPulse, echo_pulse
 from tagid.commissioning.room import NOISE_DB
 from tagid.commissioning.rows import Level, Row, StepReport
@@ -60,15 +61,16 @@ def measure_target(bench: Bench) -> StepReport:
     name = bench.keep_recording("target", capture)
     background = reference_on(room, capture)
     near = _near(distance)
+    scan = usable(capture).mean(axis=0) - background
+    noise = bench.value("room", "noise_counts") or Measured(1.0, 0.0)
+    seen = echo_over_range(capture.ranges_m, scan, noise.value, "target less the empty room")
     try:
         estimate = estimate_delay(capture, distance, bench.tape.error_m, background)
     except DataError as error:
-        return reported("target", [near, _no_echo(error)], recording=name)
-    scan = usable(capture).mean(axis=0) - background
+        return reported("target", [near, _no_echo(error)], recording=name, pictures=(seen,))
     at = estimate.echo_ps * 1e-12 * SPEED_OF_LIGHT / 2
     echo = echo_pulse(scan, (at - capture.range_start_m) / capture.range_step_m, bench.target)
     delay = _delay(estimate, echo)
-    noise = bench.value("room", "noise_counts") or Measured(1.0, 0.0)
     gain, planned_db = _gain(bench, scan, noise, distance, capture)
     rows = [
         near,
@@ -90,6 +92,7 @@ def measure_target(bench: Bench) -> StepReport:
         facts=facts,
         pulse=tuple(round(float(sample), 5) for sample in echo.pulse.samples),
         recording=name,
+        pictures=(seen, *wave_and_spectrum(echo.pulse.samples)),
     )
 
 
@@ -217,7 +220,8 @@ def _gain(
 def _gain_row(gain: Measured, planned_db: float) -> Row:
     row = partial(Row, "system gain", value=gain.value, sigma=gain.sigma, unit="dB")
     text = (
-        f"{planned_db + gain.value:.0f} dB received, {planned_db:.0f} dB by the link budget of `tagid plan`"
+        f"{planned_db + gain.value:.0f} dB over the noise received, {planned_db:.0f} dB planned over "
+        f"kT0B + {LinkBudget.noise_figure_db:g} dB (`tagid plan`)"
     )
     if gain.value > _OTHER_DB:
         return row(

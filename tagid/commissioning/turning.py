@@ -13,6 +13,7 @@ from tagid.angles.sinogram import uniform_grid
 from tagid.capture import Capture
 from tagid.commissioning.bench import Bench, radar_facts, reported
 from tagid.commissioning.card_fit import HARMONICS, CardFit, Known, fit_card
+from tagid.commissioning.pictures import Picture
 from tagid.commissioning.pulse import received_from
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.commissioning.targets import Target
@@ -55,6 +56,11 @@ _SLIP_REACH: Final = 0.25
 _SLIP_BLOCK: Final = 0.06
 """Largest slip and length of the parts that are compared, in turns."""
 _ALIKE: Final = 0.5
+_STEP: Final = 1 / 90
+"""Turns over which the scans of a turning card differ for certain."""
+_STANDS: Final = 0.1
+"""Change over that part, over the usual one, below which the card stands."""
+_AT_SPEED: Final = 0.9
 
 
 def measure_turning(bench: Bench) -> StepReport:
@@ -89,8 +95,9 @@ def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, 
     """
     turning = turning_period(capture)
     evenness = _evenness(capture, nominal_s)
+    ends = _ends_row(capture, nominal_s, motion.measures)
     if evenness.level is Level.FAIL:
-        return reported("turning", [evenness], recording=recording)
+        return reported("turning", [evenness, ends], recording=recording)
     if turning.period_s is None:
         advice = "Check that the table turns evenly, and its speed in `motion.url`."
         row = Row("period", Level.FAIL, text=turning.note, advice=advice, code="period")
@@ -123,6 +130,7 @@ def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, 
     rows = [
         _period_row(period, nominal_s),
         evenness,
+        ends,
         *([_angle_row(reported_turns, fit.speed)] if motion.measures else []),
         _direction_row(motion.direction, fit.mirrored),
         _reflectors_row(fit.strengths),
@@ -134,7 +142,12 @@ def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, 
         _variation_row(fit),
     ]
     facts = radar_facts(capture) | {"direction": motion.direction}
-    return reported("turning", rows, values=values, facts=facts, recording=recording)
+    degrees = np.arange(0.0, 361.0, 3.0)
+    speed = Picture.of(
+        "degrees: deviation of the speed over a turn, %",
+        (degrees, 100 * fit.speed_deviation(np.deg2rad(degrees))),
+    )
+    return reported("turning", rows, values=values, facts=facts, recording=recording, pictures=(speed,))
 
 
 def _angles(motion: Motion, capture: Capture, period_s: float) -> tuple[Floats, float]:
@@ -221,6 +234,32 @@ def _evenness(capture: Capture, period_s: float) -> Row:
         "Check the drive and the weight on the table; fix the card on the table; then repeat.",
         "slip",
     )
+
+
+def _ends_row(capture: Capture, period_s: float, measures: bool) -> Row:
+    """How long the card stands before it turns and after it, and when a device has its speed."""
+    times_s, scans = _times_s(capture), capture.samples.astype(np.float32)
+    lag_s = _STEP * period_s
+    lag = max(1, round(lag_s / float(np.median(np.diff(times_s)))))
+    if len(scans) <= 2 * lag:
+        return Row("start and stop", Level.NOTE, text="too few scans")
+    change = ((scans[lag:] - scans[:-lag]) ** 2).mean(axis=1)
+    # What stands differs by noise alone; of a card that turns throughout the least change is no noise.
+    usual, least = float(np.median(change)), float(change.min())
+    turning = np.flatnonzero(change > least + _STANDS * (usual - least))
+    first_s = float(times_s[turning[0]] - times_s[0])
+    last_s = float(times_s[-1] - times_s[turning[-1] + lag])
+    stands = max(first_s, last_s) > lag_s
+    words = f"it stands for {first_s:.1f} s before and {last_s:.1f} s after the turns"
+    text = [words if stands else "it turns from the first scan to the last"]
+    if measures and capture.angles_rad is not None:
+        speed = np.abs(capture.angles_rad[lag:] - capture.angles_rad[:-lag])
+        reached = int(np.argmax(speed >= _AT_SPEED * np.median(speed)))
+        text.append(f"{100 * _AT_SPEED:.0f} % of its speed after {times_s[reached] - times_s[0]:.1f} s")
+    row = partial(Row, "start and stop", value=first_s + last_s, sigma=lag_s, unit="s", text="; ".join(text))
+    if not stands:
+        return row(Level.PASS)
+    return row(Level.NOTE, advice="Start the table before the step: standing scans tell nothing.")
 
 
 def repetition(capture: Capture, period_s: float) -> Floats:

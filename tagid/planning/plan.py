@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from tagid.capture import Capture
+from tagid.capture import Capture, Pulse
 from tagid.constants import CENTER_FREQUENCY_HZ, SPEED_OF_LIGHT
 from tagid.errors import ConfigError, UsageError
 from tagid.imaging.lengths import views_needed
@@ -54,6 +54,7 @@ class Setup:
         budget: radar and antennas.
         extent_m: width of the image, which determines the range window.
         enrolled: whether the untagged body is enrolled.
+        pulse: as received from a point; None for the nominal one.
     """
 
     layout: Layout
@@ -64,6 +65,7 @@ class Setup:
     budget: LinkBudget
     extent_m: float = 0.5
     enrolled: bool = False
+    pulse: Pulse | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.rpm <= 1000:
@@ -213,6 +215,7 @@ def planned_snr_db(setup: Setup) -> float:
     """
     layout, distance = setup.layout, setup.distance_m
     acquisition = Acquisition(axis_distance_m=distance, range_law=True, window=RangeWindow.around(distance))
+    table = PulseTable.of(setup.pulse)
     angles = np.arange(_LEVEL_VIEWS) * 2 * np.pi / _LEVEL_VIEWS
     antenna = antennas(angles, np.full(_LEVEL_VIEWS, distance), 0.0)
     # The handle's place among the reflectors is not known: the mean over some places.
@@ -220,7 +223,7 @@ def planned_snr_db(setup: Setup) -> float:
     power = 0.0
     for seed in seeds:
         scene = scene_on_body(layout.name, setup.body, setup.reflector, seed, layouts={layout.name: layout})
-        echo = render_bodies(scene.object, acquisition.placement, antenna, acquisition, PulseTable.of(None))
+        echo = render_bodies(scene.object, acquisition.placement, antenna, acquisition, table)
         power += changing_power(echo) / len(seeds)
     scatterer = Octahedron(setup.reflector.size_m)
     alone = effective_length_m(scatterer)

@@ -6,6 +6,7 @@ import threading
 from dataclasses import dataclass, fields
 
 from tagid.commissioning.bench import Bench, Tape, TapeChanges
+from tagid.commissioning.pictures import to_svg
 from tagid.commissioning.rows import StepReport
 from tagid.commissioning.steps import Step, goes_on, next_step, reports_by_title, run_step
 from tagid.config import Config, data_folder
@@ -69,6 +70,14 @@ def results_page(config: Config) -> bytes:
     if not reports:
         raise NoSuchItemError("no step was done yet", "Start the first one.")
     return to_pdf(reports, installed_profile(data_folder()))
+
+
+def results_picture(config: Config, step: str, number: int) -> bytes:
+    """A picture of a step's report as SVG. Raises NoSuchItemError, StorageError, ConfigError."""
+    report = Bench(config, {}).report(step)
+    if report is None or number >= len(report.pictures):
+        raise NoSuchItemError(f"the step {step} has no such picture", "Do the step, then ask again.")
+    return to_svg(report.pictures[number]).encode()
 
 
 class CommissioningRun(BackgroundRun):

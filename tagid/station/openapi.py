@@ -141,7 +141,7 @@ def _enrolment() -> dict[str, Any]:
             "description": "Radius of the surface that the strip wraps around.",
         },
     ]
-    name = {"name": "name", "in": "path", "required": True, "schema": {"type": "string"}}
+    name = _path("name", "string")
 
     def act(summary: str, asked: str = "Keyed") -> dict[str, Any]:
         return {"post": _post(summary, asked, 200, "Enrolment")}
@@ -214,6 +214,10 @@ def _commissioning() -> dict[str, Any]:
         "/api/v1/commissioning/page.pdf": {
             "get": _file("The results as a page to be filed", "application/pdf", missing=True)
         },
+        "/api/v1/commissioning/{step}/{number}.svg": {
+            "parameters": [_path("step", "string"), _path("number", "integer")],
+            "get": _file("A picture of a step, by its number in `pictures`", "image/svg+xml", missing=True),
+        },
     }
 
 
@@ -226,8 +230,12 @@ def _file(summary: str, media: str, missing: bool = False) -> dict[str, Any]:
     return {"summary": summary, "responses": {**responses, **({"404": _error()} if missing else {})}}
 
 
+def _path(name: str, kind: str) -> dict[str, Any]:
+    return {"name": name, "in": "path", "required": True, "schema": {"type": kind}}
+
+
 def _number() -> dict[str, Any]:
-    return {"parameters": [{"name": "number", "in": "path", "required": True, "schema": {"type": "integer"}}]}
+    return {"parameters": [_path("number", "integer")]}
 
 
 def _get(summary: str, schema: str, missing: bool = False) -> dict[str, Any]:
@@ -464,7 +472,8 @@ def _schemas() -> dict[str, Any]:
 def _commissioning_schemas(key: dict[str, Any]) -> dict[str, Any]:
     text, number, yes_no = {"type": "string"}, {"type": "number"}, {"type": "boolean"}
     row = _object(name=text, level={"enum": list(Level)}, number=text, text=text, advice=text)
-    report = _object(date_utc=text, passed=yes_no, rows={"type": "array", "items": row})
+    pictures = {"type": "array", "items": text}
+    report = _object(date_utc=text, passed=yes_no, rows={"type": "array", "items": row}, pictures=pictures)
     names = {"enum": [step.name for step in STEPS]}
     tape = {name: {"type": ["number", "null"]} for name in TAPE_NUMBERS} | {"target": text}
     return {

@@ -21,7 +21,7 @@ from tagid.files import read_bytes
 from tagid.metadata import ObjectInfo
 from tagid.operate.turn import picture_of, residuals_beside
 from tagid.operate.workplace import TURN_S, Workplace, open_registry
-from tagid.station.commissioning import CommissioningRun, results_page
+from tagid.station.commissioning import CommissioningRun, results_page, results_picture
 from tagid.station.demo import DemoObject
 from tagid.station.enrolling import Enrolling, Subject
 from tagid.station.errors import (
@@ -331,6 +331,10 @@ class Station:
         Raises NoSuchItemError before the first one; StorageError, ConfigError.
         """
         return results_page(self.source.place().config)
+
+    def commissioning_picture(self, step: str, number: int) -> bytes:
+        """A picture of a step's report as SVG. Raises NoSuchItemError, StorageError, ConfigError."""
+        return results_picture(self.source.place().config, step, number)
 
     def stop_commissioning(self) -> None:
         """End the running step of the commissioning; every connection may."""

@@ -35,6 +35,7 @@ class CommissioningHandlers:
             Route("/api/v1/commissioning", self.start, methods=["POST"]),
             Route("/api/v1/commissioning/stop", self.stop, methods=["POST"]),
             Route("/api/v1/commissioning/page.pdf", self.page, methods=["GET"]),
+            Route("/api/v1/commissioning/{step}/{number:int}.svg", self.picture, methods=["GET"]),
         ]
 
     async def state(self, request: Request) -> Response:
@@ -55,6 +56,11 @@ class CommissioningHandlers:
     async def page(self, request: Request) -> Response:
         content = await run_in_threadpool(self._station.commissioning_page)
         return Response(content, media_type="application/pdf")
+
+    async def picture(self, request: Request) -> Response:
+        step, number = step_named(request.path_params["step"]).name, request.path_params["number"]
+        content = await run_in_threadpool(self._station.commissioning_picture, step, number)
+        return Response(content, media_type="image/svg+xml")
 
 
 def _tape(given: Any) -> TapeChanges:

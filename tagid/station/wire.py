@@ -204,7 +204,8 @@ def _step_report(report: StepReport | None) -> Json | None:
         }
         for row in report.rows
     ]
-    return {"date_utc": report.date_utc, "passed": report.passed, "rows": rows}
+    pictures = [picture.title for picture in report.pictures]
+    return {"date_utc": report.date_utc, "passed": report.passed, "rows": rows, "pictures": pictures}
 
 
 def settings(station: Station) -> Json:

@@ -380,6 +380,9 @@ def test_a_rig_is_commissioned_on_its_page(
     assert focused == "target", "the keyboard stays where it was"
     written = Asks(single.url, {}).get("/api/v1/commissioning/page.pdf")
     assert written.status == 200 and written.content.startswith(b"%PDF") and b"path delay" in written.content
+    drawn = "return [...document.querySelectorAll('#c-steps img')].map((one) => one.naturalWidth)"
+    browser.execute_script("for (const one of document.querySelectorAll('#c-steps details')) one.open = true")
+    wait(browser, lambda: len(browser.execute_script(drawn)) == 5 and all(browser.execute_script(drawn)))
     # A script may not begin a step while a browser operates.
     refused = Asks(single.url, {"tagid-station": "1"}).post("/api/v1/commissioning", step="room")
     assert refused.status == 403

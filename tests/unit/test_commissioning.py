@@ -14,6 +14,7 @@ from tagid.capture import Capture
 from tagid.commissioning import card as card_step
 from tagid.commissioning.bench import Bench, reported
 from tagid.commissioning.page import write_page
+from tagid.commissioning.pictures import Picture, to_svg
 from tagid.commissioning.pulse import echo_pulse
 from tagid.commissioning.result import verdict, write_result
 from tagid.commissioning.rows import Level, Row, StepReport
@@ -26,7 +27,7 @@ from tagid.enrolling.registry import Registry
 from tagid.errors import ConfigError, UsageError
 from tagid.metadata import MotionInfo
 from tagid.motion.urls import open_motion
-from tagid.reading.reading import Reflector
+from tagid.reading.reading import Explanation, Reflector
 from tagid.rig import Measured
 from tagid.simulate.acquisition import Placement
 from tagid.simulate.capture import simulate_capture
@@ -66,7 +67,7 @@ def test_link_room_and_target_measure_the_rig(tmp_path: Path) -> None:
     page = tmp_path / "rig.html"
     write_page(page, [("Reference target", report)], None)
     text = page.read_text()
-    assert 'class="pass"' in text and "polyline" in text and "not commissioned yet" in text
+    assert 'class="pass"' in text and "data:image/svg" in text and "not commissioned yet" in text
     write_page(page.with_suffix(".pdf"), [("Reference target <1>", report)], None)
     content = page.with_suffix(".pdf").read_bytes()
     assert content.startswith(b"%PDF") and b"/Subtype /Image" not in content, "vectors alone"
@@ -234,6 +235,37 @@ def test_the_card_gives_axis_and_period_and_names_faults(
     assert report.values["period_s"].sigma < 1e-4 * true.period_s
 
 
+def test_scans_before_the_table_turns_are_told_of(measured: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TAGID_DATA", str(measured))
+    rig = parse_rig("realistic?seed=3")
+    at, motion = bench(measured, "test-card"), open_motion(f"free?rpm={60 / rig.period_s:.2g}")
+    capture = turned(at, rig)
+    first, noise = 60, at.value("room", "noise_counts")
+    still = capture.samples[:1] + np.random.default_rng(1).normal(0, noise.value, (first, capture.bins))
+    samples = np.vstack([np.rint(still).astype(capture.samples.dtype), capture.samples])[: capture.views]
+    late = replace(capture, samples=samples)
+    rows = {}
+    for name, given in (("whole", capture), ("late", late)):
+        report = evaluated(at, motion, given, motion.nominal_s, "")
+        (rows[name],) = (row for row in report.rows if row.name == "start and stop")
+    stood_s = float(capture.radar_time_ms[first] - capture.radar_time_ms[0]) * 1e-3
+    assert rows["whole"].level is Level.PASS and rows["late"].level is Level.NOTE
+    assert abs(rows["late"].value - stood_s) < 2 * rows["late"].sigma
+
+
+@pytest.mark.parametrize(("left", "code"), [(0.004, ""), (0.03, "residual")])
+def test_what_the_card_leaves_is_compared_with_model_error_and_wobble(left: float, code: str) -> None:
+    read = reading("identified", "test-card")
+    read.hypotheses = [Explanation("tag", "card", "test-card", "", 0.0, left, (0.0, 0.0))]
+    capture = Capture(np.zeros((1, 1), np.int32), 0.0, RANGE_STEP_M)
+    row = card_step._residual_row(read, Measured(0.015, 1e-4), capture)
+    assert row.code == code
+    # 5 % of the amplitude, and 0.015 x 0.5 x 168 / m times the mean radius of the marks.
+    radius_m = math.sqrt((test_card().positions ** 2).sum(axis=1).mean())
+    expected = 0.05**2 + (0.0075 * 165.5 * radius_m) ** 2
+    assert row.value == pytest.approx(10 * math.log10(left / expected), abs=0.1)
+
+
 @pytest.mark.parametrize(("reported", "code"), [(1.0, ""), (1.05, "angle")])
 def test_the_angle_that_a_device_reports_is_compared_with_the_scans(
     measured: Path, monkeypatch: pytest.MonkeyPatch, reported: float, code: str
@@ -274,7 +306,7 @@ def test_reflectors_off_their_marks_fail_the_card(off_m: float, level: Level) ->
     # Opposite ones apart: no turn and no shift makes that good.
     there += off_m * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     read.reflectors = [Reflector(x, y, 1.0, 0.0, 20.0, matched=True) for x, y in there]
-    row = card_step._places_row(read)
+    row = card_step._places_row(*card_step._places(read))
     assert (row.level, row.code) == (level, "" if level is Level.PASS else "positions")
 
 
@@ -288,9 +320,10 @@ def test_the_name_of_the_card_is_reserved(tmp_path: Path) -> None:
 
 def test_a_report_is_read_back() -> None:
     rows = (Row("a", Level.FAIL, 1.234, 0.05, "m", "t", "do", "c"), Row("b", Level.NOTE))
-    report = StepReport(
-        "room", "2026-01-01", rows, {"noise_counts": Measured(1.0, 0.1)}, {"serial": 3}, (0.0, 1.0)
-    )
+    values, curve = {"noise_counts": Measured(1.0, 0.1)}, (np.arange(900.0), np.arange(900.0) ** 2)
+    picture = Picture.of("s: what", curve)
+    report = StepReport("room", "2026-01-01", rows, values, {"serial": 3}, (0.0, 1.0), pictures=(picture,))
+    assert len(picture.curves[0][0]) == 300 and "polyline" in to_svg(picture)
     assert StepReport.from_json(report.to_json()) == report
     assert report.faults == ("c",) and not report.passed
     assert rows[0].number == "1.234 +- 0.050 m"

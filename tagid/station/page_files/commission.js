@@ -55,7 +55,14 @@ function stepRow(step) {
     list.append(...rows);
     const details = element("details");
     details.open = !report.passed || step.name === lastStep();
-    details.append(element("summary", `${report.rows.length} results of ${report.date_utc.slice(0, 16).replace("T", " ")} UTC`), list);
+    const pictures = report.pictures.map((title, number) => {
+      const picture = element("img");
+      picture.alt = title;
+      picture.loading = "lazy";
+      picture.src = `api/v1/commissioning/${step.name}/${number}.svg?${encodeURIComponent(report.date_utc)}`;
+      return picture;
+    });
+    details.append(element("summary", `${report.rows.length} results of ${report.date_utc.slice(0, 16).replace("T", " ")} UTC`), list, ...pictures);
     row.append(details);
   }
   return row;
