@@ -61,7 +61,8 @@ def show(
     target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".show.png")
     check_drawing("--png", target, (".png",), [file])
     config = load_config({"radar.cable_delay_ps": cable_delay})
-    capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
+    loading = LoadSettings.of(config, node=node)
+    capture = load_capture(file, loading, turn=False)
     summary = inspect(capture)
     draw_recording(
         thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
@@ -111,7 +112,7 @@ def show(
             "cause": compared.cause,
         },
     }
-    messages = intake_remarks(capture)
+    messages = intake_remarks(capture) + loading.against_the_rig(capture)
     if summary.every > 1:
         messages += (f"SNR, period and picture are from every {summary.every}th scan",)
     return Result("show", data, Group(table, Text(f"picture {target}")), messages=messages)

@@ -291,15 +291,9 @@ def read(
     except TagidError as error:
         return failed(error, name, displayable(str(source)) if isinstance(source, Path) else "", uuid)
     answer = replace(answer, seconds={**watch.seconds, **answer.seconds})
-    answer = replace(answer, remarks=(*answer.remarks, *_against_the_rig(setup, capture)))
+    answer = replace(answer, remarks=(*answer.remarks, *setup.loading.against_the_rig(capture)))
     truth = compare(capture, answer, enrolled.layouts)
     return Answer(answer, name, prepared, recorded_utc=_recorded(source, capture, began), truth=truth)
-
-
-def _against_the_rig(setup: ReadingSetup, capture: Capture) -> tuple[str, ...]:
-    """How a recording contradicts the profile of the rig; nothing for a simulated one."""
-    rig = setup.loading.rig
-    return () if rig is None or capture.radar.kind == "simulated" else rig.contradictions(capture)
 
 
 def _recorded(source: Path | Capture, capture: Capture, read_at: datetime) -> str | None:
@@ -372,7 +366,7 @@ def read_jointly(
     )
     explained = []
     for prepared, reading, name in zip(recordings, readings, names, strict=True):
-        odd = _against_the_rig(setup, prepared.given)
+        odd = setup.loading.against_the_rig(prepared.given)
         reading = replace(reading, remarks=(*remarks_on(prepared.given), *odd))
         explained.append(Answer(with_causes(reading, prepared, enrolled.layouts), name, prepared))
     remarks = dict.fromkeys(remark for answer in explained for remark in answer.remarks)

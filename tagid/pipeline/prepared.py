@@ -295,6 +295,11 @@ class LoadSettings:
         }
         return replace(self, **given, motion_is_default=True)
 
+    def against_the_rig(self, capture: Capture) -> tuple[str, ...]:
+        """How a recording contradicts the profile of the rig; nothing for a simulated one."""
+        simulated = capture.radar.kind == "simulated"
+        return () if self.rig is None or simulated else self.rig.contradictions(capture)
+
     def described(self) -> dict[str, Any]:
         """All settings that affect an answer, as JSON values."""
         given = {

@@ -95,6 +95,8 @@ def test_what_contradicts_it_is_said_and_the_pulse_not_used(folder: Path) -> Non
     assert "30.00 s" in period and "2026-03-12" in period
     (delay,) = rig.contradictions(capture(cable_delay_ps=12_000.0))
     assert "12000 ps" in delay
+    assert LoadSettings(rig=rig).against_the_rig(capture(cable_delay_ps=12_000.0)) == (delay,)
+    assert LoadSettings().against_the_rig(capture(cable_delay_ps=12_000.0)) == ()
     (axis,) = rig.contradictions(replace(capture(), axis_distance_m=1.04))
     assert "1.040 m" in axis and "1.008 m" in axis and "moved" in axis
     assert rig.contradictions(replace(capture(), axis_distance_m=1.012)) == ()
