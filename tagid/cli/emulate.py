@@ -82,7 +82,12 @@ class _WireOptions:
 
 @dataclass(frozen=True)
 class _FaultOptions:
-    lose: Annotated[float, typer.Option("--lose", min=0, max=1, help="Share of packets lost.")] = 0.0
+    lose: Annotated[
+        float | None,
+        typer.Option(
+            "--lose", min=0, max=1, help="Share of packets lost.", show_default="0, or that of --rig"
+        ),
+    ] = None
     duplicate: Annotated[
         float, typer.Option("--duplicate", min=0, max=1, help="Share of packets sent twice.")
     ] = 0.0
@@ -136,7 +141,7 @@ def p440(
         check_own(truth, is_truth, "a truth file")
     rig = None if scene.rig is None else parse_rig(scene.rig)
     faults = Faults(
-        lose=faulty.lose or (0.0 if rig is None else rig.loss),
+        lose=(0.0 if rig is None else rig.loss) if faulty.lose is None else faulty.lose,
         duplicate=faulty.duplicate,
         reorder=faulty.reorder,
         delay=faulty.delay,

@@ -18,7 +18,14 @@ from tagid.commissioning.targets import LEVEL_SIGMA_DB
 from tagid.config import data_folder
 from tagid.constants import BIN_PS, SPEED_OF_LIGHT
 from tagid.errors import ConfigError, DataError, UsageError
-from tagid.recording.calibration import DelayEstimate, estimate_delay, reference_on, usable
+from tagid.recording.calibration import (
+    ClippedEchoError,
+    DelayEstimate,
+    TwoEchoesError,
+    estimate_delay,
+    reference_on,
+    usable,
+)
 from tagid.rig import Measured, installed_profile
 from tagid.signal import analytic
 from tagid.simulate.budget import LinkBudget, effective_length_m
@@ -112,9 +119,9 @@ def _near(distance: float) -> Row:
 
 
 def _no_echo(error: DataError) -> Row:
-    if "clipped" in error.message:
+    if isinstance(error, ClippedEchoError):
         return Row("echo", Level.FAIL, text=error.message, advice=error.remedy, code="gain")
-    if "two echoes" in error.message:
+    if isinstance(error, TwoEchoesError):
         advice = (
             "Remove what else was put there since the room was recorded, or use a larger target; then repeat."
         )

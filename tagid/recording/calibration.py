@@ -39,6 +39,14 @@ _APART_PS = 1_200.0
 _SIMILAR = 0.5
 
 
+class TwoEchoesError(DataError):
+    """Two echoes of similar strength stand out: which one is the target's is not known."""
+
+
+class ClippedEchoError(DataError):
+    """The target's echo is clipped, so that its peak cannot be found."""
+
+
 @dataclass(frozen=True)
 class DelayEstimate:
     """The two-way delay of cables and antennas.
@@ -289,7 +297,7 @@ def _check_echo(
     rival = low + int(rivals[low : high + 1].argmax())
     if rivals[rival] > _SIMILAR * height:
         times = [f"{echo.time_ps(index) / 1e3:.2f} ns" for index in sorted((peak, rival))]
-        raise DataError(
+        raise TwoEchoesError(
             f"two echoes of similar strength stand out, at {times[0]} and {times[1]}",
             "Record the scene without the target first (`step=both`), or use a larger reflector.",
         )
@@ -297,7 +305,7 @@ def _check_echo(
     sample = round(peak / _FINER)
     gate = scans[:, max(0, sample - 8) : sample + 9]
     if clip is not None and np.abs(gate).max() >= clip:
-        raise DataError(
+        raise ClippedEchoError(
             "the target's echo is clipped, its peak cannot be found",
             "Lower the gain (`tagid config set radar.gain`), or use a smaller or more distant reflector.",
         )
