@@ -220,10 +220,15 @@ def _settings(
     """The settings of an image from those of the configuration. Raises UsageError."""
     from tagid.imaging.ats.settings import parse_calibrate, parse_settings
 
-    if (how.calibrate or how.ats or how.device != "cpu") and plain.method not in ("ats", "auto"):
-        raise UsageError(
-            f"--calibrate, --ats and --device have no effect with {plain.method}", "Use --method ats."
-        )
+    given_for_ats = {
+        "--calibrate": how.calibrate,
+        "--ats": how.ats,
+        "--device": how.device != "cpu",
+        "--preset": wanted.preset != "field",
+    }
+    idle = [option for option, given in given_for_ats.items() if given]
+    if idle and plain.method not in ("ats", "auto"):
+        raise UsageError(f"no effect with {plain.method}: {', '.join(idle)}", "Use --method ats.")
     calibrate = [f"calibrate={'+'.join(parse_calibrate(how.calibrate))}"] if how.calibrate else []
     learned = parse_settings([*(how.ats or ()), *calibrate])
     return replace(

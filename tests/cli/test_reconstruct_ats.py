@@ -49,6 +49,7 @@ def test_settings_come_from_the_command_line_and_the_configuration(tagid, wobbly
         (("--ats", "steps=many"), "whole number"),
         (("--calibrate", "height"), "axis, wobble, gain, static"),
         (("--method", "bp", "--ats", "steps=9"), "--method ats"),
+        (("--method", "bp", "--preset", "paper"), "no effect with bp: --preset"),
         (("--preset", "paper", "--calibrate", "axis"), "--preset field"),
         (("--engine", "jax"), "onnx"),
     ],

@@ -125,7 +125,7 @@ def test_a_planted_link_is_replaced_and_one_that_the_user_names_is_followed(
     for name in ("a.show.png", "rep/report.html", "rep/items.jsonl", "rep/.tagid-report.sqlite"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).symlink_to(precious)
-    assert tagid("simulate", "points-3", "--views", "12", "--out", "a.tagid.h5").code == 0
+    assert tagid("simulate", "empty", "--views", "12", "--out", "a.tagid.h5").code == 0
     assert tagid("show", "a.tagid.h5").code == 0
     assert tagid("report", "a.tagid.h5", "--out", "rep", "--jobs", "1").code == 3
     assert precious.read_text() == "precious"
