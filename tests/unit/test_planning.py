@@ -30,7 +30,9 @@ from tagid.recording.plan import plan_window
 from tagid.signal import analytic, noise_power_of, snr_db
 from tagid.simulate import Acquisition, BodySpec, ReflectorSpec, parse_body, scene_on_body, simulate_capture
 from tagid.simulate.budget import LinkBudget, effective_length_m, rcs_dbsm
-from tagid.simulate.scatterers import Octahedron
+from tagid.simulate.rig import measured_pulses
+from tagid.simulate.scatterers import Octahedron, unit_of
+from tagid.simulate.snr import noise_std_for
 from tagid.simulate.source import noise_counts
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.tags.layouts.layout import builtin_layouts
@@ -249,3 +251,18 @@ def test_the_window_covers_the_corners_of_the_image_and_a_pulse_whatever_the_cab
     stop_m = start_m + (config.samples - 1) * config.range_step_m
     corner_m = 0.5 / np.sqrt(2) + 0.3
     assert 0.3 < start_m <= 1.5 - corner_m and 1.5 + corner_m <= stop_m < 2.7
+
+
+def test_a_pulse_that_lasts_longer_is_planned_for() -> None:
+    pulse = measured_pulses()[1]
+    helmet, reflector = builtin_layouts()["helmet-120"], ReflectorSpec("octahedron", 0.04)
+    asked = replace(setup(), layout=helmet, pulse=pulse)
+    single = asked.budget.snr_db(unit_of(Octahedron(0.04)), 1.0)
+    acquisition = Acquisition(
+        views=96, axis_distance_m=1.0, pulse=pulse, noise_std=noise_std_for(single, 1.0), range_law=True
+    )
+    capture, _ = simulate_capture(scene_on_body("helmet-120", parse_body("none"), reflector, 0), acquisition)
+    signal = analytic(capture.samples)
+    measured = snr_db(signal, noise_power_of(signal))[0]
+    assert measured == pytest.approx(planned_snr_db(asked), abs=0.5)
+    assert measured > planned_snr_db(replace(asked, pulse=None)) + 1
