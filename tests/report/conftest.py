@@ -23,7 +23,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One small capture of each of `OBJECTS`."""
     folder = tmp_path_factory.mktemp("recorded")
     for seed, name in enumerate(OBJECTS):
-        capture, _ = simulate_capture(scene_from_name(name, seed), Acquisition(views=24, snr_db=20.0), seed)
+        capture, _ = simulate_capture(scene_from_name(name, seed), Acquisition(views=16, snr_db=20.0), seed)
         write_capture(folder / f"{name}.tagid.h5", capture)
     return folder
 

@@ -141,7 +141,7 @@ def test_sort_filter_and_open(show, report: Path) -> None:
         "{ const p = new Image(); p.src = i.getAttribute('href'); return p.decode().then(() =>"
         " [p.naturalWidth, p.naturalHeight]); })).then(done);"
     )
-    assert sizes == [[48, 48], [128, 24]]
+    assert sizes == [[48, 48], [128, 16]]
     rings = page.find_elements(By.CSS_SELECTOR, "#v-image circle.layout")
     assert len(rings) == 3
     centre = np.array([[float(ring.get_attribute(name)) for name in ("cx", "cy")] for ring in rings])
