@@ -215,8 +215,10 @@ def _commissioning() -> dict[str, Any]:
             "get": _file("The results as a page to be filed", "application/pdf", missing=True)
         },
         "/api/v1/commissioning/{step}/{number}.svg": {
-            "parameters": [_path("step", "string"), _path("number", "integer")],
-            "get": _file("A picture of a step, by its number in `pictures`", "image/svg+xml", missing=True),
+            "get": {
+                **_file("A picture of a step, by its number", "image/svg+xml", missing=True),
+                "parameters": [_path("step", "string"), _path("number", "integer")],
+            },
         },
     }
 
