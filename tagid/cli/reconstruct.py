@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -207,11 +208,15 @@ def _check_combined(how: _MethodOptions, wanted: _ImageOptions, volume: VolumeOp
             "--side": wanted.side,
             "--subtract-body": wanted.subtract_body,
         }
-        idle = [option for option, given in given_for.items() if given]
-        if idle:
+        if idle := _given_among(given_for):
             raise UsageError(f"no effect on a volume: {', '.join(idle)}", f"Omit {' and '.join(idle)}.")
     if (how.calibrate or how.ats) and wanted.preset != "field":
         raise UsageError("--calibrate and --ats require --preset field", "Omit them.")
+
+
+def _given_among(options: Mapping[str, object]) -> list[str]:
+    """The options that were given."""
+    return [option for option, given in options.items() if given]
 
 
 def _settings(
@@ -220,14 +225,13 @@ def _settings(
     """The settings of an image from those of the configuration. Raises UsageError."""
     from tagid.imaging.ats.settings import parse_calibrate, parse_settings
 
-    given_for_ats = {
+    for_ats = {
         "--calibrate": how.calibrate,
         "--ats": how.ats,
         "--device": how.device != "cpu",
         "--preset": wanted.preset != "field",
     }
-    idle = [option for option, given in given_for_ats.items() if given]
-    if idle and plain.method not in ("ats", "auto"):
+    if plain.method not in ("ats", "auto") and (idle := _given_among(for_ats)):
         raise UsageError(f"no effect with {plain.method}: {', '.join(idle)}", "Use --method ats.")
     calibrate = [f"calibrate={'+'.join(parse_calibrate(how.calibrate))}"] if how.calibrate else []
     learned = parse_settings([*(how.ats or ()), *calibrate])

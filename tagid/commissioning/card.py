@@ -117,8 +117,7 @@ def _places(reading: Reading) -> tuple[Floats, Floats]:
     """(marks, 2) as the card lies, and (reflectors, 2) as they were found, m."""
     positions = np.array([[r.x_m, r.y_m] for r in reading.reflectors if r.matched]).reshape(-1, 2)
     layout: Layout = test_card() if reading.layout != _MIRRORED else test_card().mirrored()
-    turn = rotation_matrix(math.radians(reading.rotation_deg))
-    return np.asarray(layout.positions @ turn.T + reading.centre_m, np.float64), positions
+    return layout.placed(math.radians(reading.rotation_deg), np.array(reading.centre_m)), positions
 
 
 def _drawn(*places: Floats) -> list[tuple[Floats, Floats]]:
@@ -164,7 +163,7 @@ def _residual_row(reading: Reading, variation: Measured | None, capture: Capture
         return Row("residual", Level.NOTE, text="not compared: nothing was read")
     left = reading.hypotheses[0].unexplained
     radius_m = float(np.sqrt((test_card().positions ** 2).sum(axis=1).mean()))
-    kappa = 4 * math.pi * capture.center_frequency_hz / capture.wave_speed_m_s
+    kappa = 4 * math.pi / capture.wavelength_m
     error = Measured(0.0, 0.0) if variation is None else variation
     by_wobble = (kappa * radius_m * error.value / 2) ** 2
     expected = MODEL_ERROR**2 + by_wobble

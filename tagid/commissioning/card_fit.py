@@ -88,9 +88,8 @@ class CardFit:
     Attributes:
         axis_distance_m: m; the errors of height and delay are in its standard error.
         speed: mean speed over that of the given angles.
-        speed_levels: (HARMONICS,) RMS deviation of the speed in each harmonic of a turn, relative.
-        speed_variation: their root sum of squares.
         wobble: (HARMONICS, 2) cosine and sine of the angle's error over a turn, rad.
+        speed_variation: RMS deviation of the speed, relative.
         mirrored: whether the marks' mirror image explains the recording, and not the marks.
         strengths: (marks,) amplitude of each reflector over that of the median one.
         unexplained: share of the changing echo's energy that is not explained, the noise subtracted.
@@ -98,20 +97,28 @@ class CardFit:
 
     axis_distance_m: Measured
     speed: Measured
-    speed_levels: Floats
-    speed_variation: Measured
     wobble: Floats
+    speed_variation: Measured
     mirrored: bool
     strengths: Floats
     unexplained: float
+
+    @property
+    def speed_levels(self) -> Floats:
+        """(HARMONICS,) RMS deviation of the speed in each harmonic of a turn, relative."""
+        return _speed_levels(self.wobble)
 
     def speed_deviation(self, angles: Floats) -> Floats:
         """Relative deviation of the speed at angles (n,), rad."""
         orders = np.arange(1, HARMONICS + 1)
         phase = np.outer(angles, orders)
-        return np.asarray(
-            (np.cos(phase) * orders) @ self.wobble[:, 1] - (np.sin(phase) * orders) @ self.wobble[:, 0]
-        )
+        cosine, sine = orders * self.wobble.T
+        return np.asarray(np.cos(phase) @ sine - np.sin(phase) @ cosine)
+
+
+def _speed_levels(wobble: Floats) -> Floats:
+    orders = np.arange(1, HARMONICS + 1)
+    return np.asarray(orders * np.linalg.norm(wobble, axis=1) / math.sqrt(2))
 
 
 def fit_card(capture: Capture, angles: Floats, marks: Floats, known: Known) -> CardFit:
@@ -383,8 +390,7 @@ def _summary(data: _Data, fit: _State, mirrored: bool) -> CardFit:
     by_height = height.value * height.sigma / float(x[_AXIS])
     orders = np.arange(1, HARMONICS + 1)
     wobble = x[_WOBBLE].reshape(-1, 2)
-    levels = orders * np.linalg.norm(wobble, axis=1) / math.sqrt(2)
-    total = float(np.linalg.norm(levels))
+    total = float(np.linalg.norm(_speed_levels(wobble)))
     slope = np.zeros(len(sigma))
     slope[_WOBBLE] = (orders[:, None] ** 2 * wobble / (2 * max(total, 1e-9))).ravel()
     moved = _PHASE_CENTRE_M / float(np.sqrt((data.marks**2).sum(axis=1).mean()))
@@ -394,9 +400,8 @@ def _summary(data: _Data, fit: _State, mirrored: bool) -> CardFit:
     return CardFit(
         Measured(float(x[_AXIS]), math.hypot(sigma[_AXIS], data.known.delay.sigma, by_height)),
         Measured(1 + float(x[_SPEED_AT]), float(sigma[_SPEED_AT])),
-        levels,
-        Measured(total, variation),
         wobble,
+        Measured(total, variation),
         mirrored,
         strengths / float(np.median(strengths)),
         float(np.clip((fit.noise - data.known.noise**2) / max(changing, 1e-9), 0, 1)),

@@ -23,6 +23,8 @@ _LEFT, _BELOW, _ABOVE, _RIGHT = 34.0, 30.0, 6.0, 8.0
 _INKS: Final = ("#1f5fa8", "#c05a00")
 _FRAME: Final = "#999999"
 _FLOOR_DB: Final = -40.0
+_FINE: Final = 1024
+"""Samples to which a pulse is filled up for its spectrum."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,8 @@ def wave_and_spectrum(samples: Floats) -> tuple[Picture, Picture]:
     """A pulse, whose middle sample is time zero, over time, and its spectrum."""
     time_ns = np.asarray((np.arange(len(samples)) - len(samples) // 2) * SAMPLE_STEP_S * 1e9, np.float64)
     shown = (time_ns >= -2) & (time_ns <= 4)
-    frequency, level = _band(np.abs(np.fft.rfft(samples, 1024)) ** 2, 1024)
+    frequency_hz = np.asarray(np.fft.rfftfreq(_FINE, SAMPLE_STEP_S), np.float64)
+    frequency, level = _band(frequency_hz, np.abs(np.fft.rfft(samples, _FINE)) ** 2)
     level = np.maximum(level - level.max(), _FLOOR_DB)
     return (
         Picture.of("ns: pulse", (time_ns[shown], samples[shown])),
@@ -67,19 +70,17 @@ def wave_and_spectrum(samples: Floats) -> tuple[Picture, Picture]:
     )
 
 
-def noise_spectrum(rest: Floats) -> Picture:
-    """The mean spectrum of scans (views, bins) of noise alone, over its median."""
-    bins = rest.shape[1]
-    power = (np.abs(np.fft.rfft(rest * np.hanning(bins), axis=1)) ** 2).mean(axis=0)
-    frequency, level = _band(power, bins)
+def noise_spectrum(frequency_hz: Floats, power: Floats) -> Picture:
+    """The mean spectrum of the noise, over its median."""
+    frequency, level = _band(frequency_hz, power)
     return Picture.of("GHz: spectrum of the noise, dB", (frequency, level - np.median(level)))
 
 
-def _band(power: Floats, length: int) -> tuple[Floats, Floats]:
+def _band(frequency_hz: Floats, power: Floats) -> tuple[Floats, Floats]:
     """(frequency, GHz; level, dB) of the frequencies about the radar's band."""
-    frequency = np.asarray(np.fft.rfftfreq(length, SAMPLE_STEP_S) / 1e9, np.float64)
-    inside = (frequency >= 2) & (frequency <= 6)
-    return frequency[inside], np.asarray(10 * np.log10(np.maximum(power[inside], 1e-12)), np.float64)
+    inside = (frequency_hz >= 2e9) & (frequency_hz <= 6e9)
+    level = np.asarray(10 * np.log10(np.maximum(power[inside], 1e-12)), np.float64)
+    return frequency_hz[inside] / 1e9, level
 
 
 def echo_over_range(ranges_m: Floats, scan: Floats, noise: float, title: str) -> Picture:

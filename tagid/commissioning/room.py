@@ -26,6 +26,7 @@ from tagid.signal import analytic, noise_power_of, snr_db
 from tagid.simulate.budget import MOST_GAIN, LinkBudget
 from tagid.simulate.source import noise_counts
 from tagid.storage.hdf5 import write_capture
+from tagid.types import Floats
 
 NOISE_DB: Final = 3.0
 """Recordings have 90 to 160 counts at integration index 11: within 2.5 dB of the expected 120."""
@@ -60,7 +61,8 @@ def watch_room(bench: Bench) -> StepReport:
     make_folder(path.parent)
     write_capture(path, capture)
     change_settings({"radar.background": str(path)})
-    line, clipping = _line(rest), _clipping(bench, capture)
+    frequency_hz, power = _spectrum(rest)
+    line, clipping = _line(frequency_hz, power, len(rest)), _clipping(bench, capture)
     cause = "the line above" if line is not None else "the receiver clips" if clipping.code else ""
     bursts = _bursts(rest, cause)
     explained = line is not None or bursts.code != ""
@@ -75,7 +77,7 @@ def watch_room(bench: Bench) -> StepReport:
     values = {"noise_counts": Measured(noise, sigma)}
     pictures = (
         echo_over_range(capture.ranges_m, scans.mean(axis=0), noise, "empty room"),
-        noise_spectrum(rest),
+        noise_spectrum(frequency_hz, power),
     )
     facts = radar_facts(capture)
     return reported("room", rows, values=values, facts=facts, recording=name, pictures=pictures)
@@ -119,11 +121,16 @@ def _noise_row(noise: float, sigma: float, index: int, explained: bool) -> Row:
     return Row("noise of a sample", Level.FAIL, noise, sigma, "counts", text, advice, "deaf")
 
 
-def _line(rest: NDArray[np.float64]) -> Row | None:
-    """The strongest line of the noise's spectrum; None if there is none."""
-    rest = rest * _quiet(rest)
-    power = (np.abs(np.fft.rfft(rest * np.hanning(rest.shape[1]), axis=1)) ** 2).mean(axis=0)[2:-2]
-    frequency = np.fft.rfftfreq(rest.shape[1], SAMPLE_STEP_S)[2:-2]
+def _spectrum(rest: NDArray[np.float64]) -> tuple[Floats, Floats]:
+    """(frequency, Hz; power) of the noise, mean over the scans, from the bins in which nothing moves."""
+    window = _quiet(rest) * np.hanning(rest.shape[1])
+    power = (np.abs(np.fft.rfft(rest * window, axis=1)) ** 2).mean(axis=0)
+    return np.asarray(np.fft.rfftfreq(rest.shape[1], SAMPLE_STEP_S), np.float64), power
+
+
+def _line(frequency: Floats, power: Floats, scans: int) -> Row | None:
+    """The strongest line of the noise's spectrum over so many scans; None if there is none."""
+    frequency, power = frequency[2:-2], power[2:-2]
     half = round(_LINE_WIDTH_HZ / (frequency[1] - frequency[0]))
     around = np.lib.stride_tricks.sliding_window_view(np.pad(power, half, mode="reflect"), 2 * half + 1)
     over = power / np.median(around, axis=1)
@@ -132,7 +139,7 @@ def _line(rest: NDArray[np.float64]) -> Row | None:
     if level < _LINE_DB:
         return None
     at = float(frequency[best])
-    sigma = 10 / math.log(10) / math.sqrt(len(rest))
+    sigma = 10 / math.log(10) / math.sqrt(scans)
     inside = abs(at - CENTER_FREQUENCY_HZ) < BANDWIDTH_HZ / 2
     if 2.35e9 < at < 2.55e9:
         what = "a microwave oven or a wireless network"

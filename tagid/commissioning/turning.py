@@ -56,7 +56,7 @@ _SLIP_REACH: Final = 0.25
 _SLIP_BLOCK: Final = 0.06
 """Largest slip and length of the parts that are compared, in turns."""
 _ALIKE: Final = 0.5
-_STEP: Final = 1 / 90
+_PART_TURNS: Final = 1 / 90
 """Turns over which the scans of a turning card differ for certain."""
 _STANDS: Final = 0.1
 """Change over that part, over the usual one, below which the card stands."""
@@ -239,7 +239,7 @@ def _evenness(capture: Capture, period_s: float) -> Row:
 def _ends_row(capture: Capture, period_s: float, measures: bool) -> Row:
     """How long the card stands before it turns and after it, and when a device has its speed."""
     times_s, scans = _times_s(capture), capture.samples.astype(np.float32)
-    lag_s = _STEP * period_s
+    lag_s = _PART_TURNS * period_s
     lag = max(1, round(lag_s / float(np.median(np.diff(times_s)))))
     if len(scans) <= 2 * lag:
         return Row("start and stop", Level.NOTE, text="too few scans")
