@@ -36,7 +36,7 @@ class Arrangement:
         free: (S,) whether the radius is free that a stretch moves; otherwise it has the mounting's prior.
         lift: (K,) number of the lift that raises each.
         tall: its heights differ: then they show from one antenna height, too.
-        glued: every reflector stands a little off its enrolled place: all have a turn and a stretch.
+        glued: every reflector stands a little off its enrolled place: all have a turn, a stretch and a lift.
     """
 
     radius_m: Floats
@@ -93,26 +93,30 @@ class Arrangement:
     def by_hand(self) -> Arrangement:
         """The same with every reflector a little off its place."""
         numbers = np.arange(self.count)
-        return replace(self, turn=numbers, stretch=numbers, free=np.zeros(self.count, dtype=bool), glued=True)
+        rigid = np.zeros(self.count, dtype=bool)
+        return replace(self, turn=numbers, stretch=numbers, free=rigid, lift=numbers, glued=True)
 
-    def glue(self, common_sd_m: float) -> tuple[float, Floats]:
-        """Log density at the enrolled places, and precision (2 K, 2 K), of turns and stretches.
+    def glue(self, *common_sd_m: float) -> tuple[float, Floats]:
+        """Log density at the enrolled places of turns, stretches and lifts, and precision (2 K or 3 K, ..).
 
         Args:
-            common_sd_m: standard deviation of what moves all outward, m.
+            common_sd_m: standard deviation of what moves all outward, and of what lifts all, m; lifts are
+                left out where that is not given.
         """
         k, along = self.count, (np.maximum(self.radius_m, GLUED_SD_M) / GLUED_SD_M) ** 2
-        out = np.linalg.inv(GLUED_SD_M**2 * np.eye(k) + common_sd_m**2)
-        precision = np.zeros((2 * k, 2 * k))
+        precision = np.zeros(((1 + len(common_sd_m)) * k,) * 2)
         # Any turn of all is as likely: it is integrated out.
         precision[:k, :k] = np.diag(along) - np.outer(along, along) / along.sum()
-        precision[k:, k:] = out
         log = (
             -np.log(2 * np.pi)
             + 0.5 * np.log(2 * np.pi / along.sum())
             + 0.5 * np.log(along / (2 * np.pi)).sum()
         )
-        return float(log + 0.5 * np.linalg.slogdet(out / (2 * np.pi))[1]), precision
+        for i, sd in enumerate(common_sd_m, start=1):
+            own = slice(i * k, (i + 1) * k)
+            precision[own, own] = np.linalg.inv(GLUED_SD_M**2 * np.eye(k) + sd**2)
+            log += 0.5 * np.linalg.slogdet(precision[own, own] / (2 * np.pi))[1]
+        return float(log), precision
 
     def unbound(self, turn: Floats) -> Arrangement:
         """The same reflectors turned by (K,), rad, every one free to go anywhere."""

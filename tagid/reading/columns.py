@@ -345,7 +345,7 @@ class Model:
         flags = [True, True] + [False] * self.shapes
         if self.tag is not None:
             certain = [not (free or self.tag.glued) for free in self.tag.free]
-            flags += [False] * self.tag.turns + certain + [True] * self.lifts
+            flags += [False] * self.tag.turns + certain + [not self.tag.glued] * self.lifts
         return np.array(flags + [False, False, True][: self.spot] * self.odd)
 
     def log_prior(self, x: Floats, *, slopes: bool = False) -> tuple[float, Floats, Floats]:
@@ -373,15 +373,16 @@ class Model:
     @cached_property
     def _glue(self) -> tuple[float, Floats]:
         assert self.tag is not None
-        return self.tag.glue(float(np.hypot(self.priors.mounting_m, self.transfer.radius_sd_m)))
+        outward = float(np.hypot(self.priors.mounting_m, self.transfer.radius_sd_m))
+        return self.tag.glue(outward, *[PLANE_SD_M] * bool(self.lifts))
 
     @cached_property
     def pull(self) -> Floats:
         """(P, P) precision of the Gaussian priors."""
         pull = np.diag(np.where(self._normal, self.precision, 0.0))
         if self.tag is not None and self.tag.glued:
-            turns_and_stretches = slice(self.head, self.head + 2 * self.tag.count)
-            pull[turns_and_stretches, turns_and_stretches] = self._glue[1]
+            tagged = slice(self.head, self.head + len(self._glue[1]))
+            pull[tagged, tagged] = self._glue[1]
         return pull
 
     @cached_property

@@ -83,8 +83,9 @@ class Estimate:
         assert model.tag is not None
         tag = model.tag.by_hand()
         turn, stretch, *rest = x[model.head :]
-        glued = replace(model, tag=replace(tag, angle=tag.angle + turn))
-        return glued, np.r_[x[: model.head], np.zeros(tag.count), np.full(tag.count, stretch), rest]
+        glued, lift = replace(model, tag=replace(tag, angle=tag.angle + turn)), rest[: model.lifts]
+        moved = np.zeros(tag.count), np.full(tag.count, stretch), np.repeat(lift, tag.count)
+        return glued, np.r_[x[: model.head], *moved, rest[model.lifts :]]
 
     def and_alike(self, place: complex) -> tuple[Model, Floats]:
         """The model with a reflector more, alike and free, instead of the odd scatterers; its parameters."""

@@ -275,7 +275,7 @@ def differ_in_height(estimate: Estimate, other: Estimate) -> bool:
     tag = estimate.model.tag
     if not (estimate.model.lifts or other.model.lifts) or tag is None or not len(other.positions):
         return False
-    if tag.tall and tag.lifts > 1:
+    if tag.tall and tag.lifts > 1 and not tag.glued:
         return True
     nearest = np.abs(estimate.positions[:, None] - other.positions).argmin(axis=1)
     off = estimate.model.heights_of(estimate.x)[0] - other.model.heights_of(other.x)[0][nearest]

@@ -41,6 +41,7 @@ MODELS = {
     "lifted": Model(BARE, FREE, False, 0, odd=2, levels=2),
     "tall": Model(BARE, LAYOUT.raised(), False, 1, odd=1),
     "glued": Model(SHADES[1], LAYOUT.by_hand(), True, 0, odd=1),
+    "glued at heights": Model(SHADES[1], LAYOUT.by_hand(), True, 0, odd=1, levels=2),
     "face": Model(SHADES[1], LAYOUT, True, 0, odd=2, faces=(None, (0.7, 0.3))),
     "hidden": Model(BARE, FREE, False, 0, odd=1, hidden=(1.0, 2.0)),
 }
@@ -89,7 +90,8 @@ def test_a_density_does_not_depend_on_those_asked_before(faces: tuple[Face | Non
 
 @pytest.mark.parametrize("turn", SPECTRA)
 @pytest.mark.parametrize(
-    "kind", ["body", "layout", "free", "glued", "face", "hidden", "plane", "lifted", "tall"]
+    "kind",
+    ["body", "layout", "free", "glued", "glued at heights", "face", "hidden", "plane", "lifted", "tall"],
 )
 @pytest.mark.parametrize("way", [compiled, _Numpy])
 def test_the_gradient_is_that_of_finite_differences(
@@ -175,7 +177,7 @@ def test_a_wave_between_reflectors_is_as_late_as_its_path_is_long() -> None:
     np.testing.assert_allclose(column, expected, rtol=2e-3)
 
 
-@pytest.mark.parametrize("kind", ["layout", "glued", "plane", "tall"])
+@pytest.mark.parametrize("kind", ["layout", "glued", "glued at heights", "plane", "tall"])
 def test_the_slopes_of_the_prior_are_those_of_finite_differences(kind: str) -> None:
     model, step = MODELS[kind], 1e-7
     x = somewhere(model)
@@ -192,12 +194,12 @@ def test_the_slopes_of_the_prior_are_those_of_finite_differences(kind: str) -> N
 
 def test_a_tag_that_was_glued_by_hand_has_a_density_that_sums_to_one() -> None:
     tag = Arrangement.of_layout(LAYOUTS[0].positions[:2], None).by_hand()
-    log, precision = tag.glue(2e-3)
-    # Over the difference of the turns, any turn of both, and the two stretches.
+    log, precision = tag.glue(2e-3, 50e-3)
+    # Over the difference of the turns, any turn of both, the two stretches and the two lifts.
     apart = np.linspace(-0.5, 0.5, 4001)
     turned = np.exp(-0.5 * precision[1, 1] * apart**2).sum() * (apart[1] - apart[0]) * 2 * np.pi
-    outward = 2 * np.pi / np.sqrt(np.linalg.det(precision[2:, 2:]))
-    assert np.exp(log) * turned * outward == pytest.approx(1.0, rel=1e-6)
+    outward, upward = (2 * np.pi / np.sqrt(np.linalg.det(precision[i : i + 2, i : i + 2])) for i in (2, 4))
+    assert np.exp(log) * turned * outward * upward == pytest.approx(1.0, rel=1e-6)
 
 
 def test_a_flat_wall_is_found_as_a_face() -> None:

@@ -74,6 +74,35 @@ def test_errors_of_the_angles_are_found() -> None:
     assert straightened(SPECTRA, [right], right.log_z) is None
 
 
+def test_every_height_has_a_speed_and_a_beginning_of_its_own() -> None:
+    """Turns of 10 degrees a view, of which the last step is shorter: there the scale of the angles jumps."""
+    views, levels = 36, 3
+    angle = np.concatenate([0.7 * level - np.deg2rad(10.05) * np.arange(views) for level in range(levels)])
+    height_m = np.repeat([0.0, 0.15, 0.3], views)
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((2, len(SPECTRA.kappa), levels * views))
+    empty = replace(
+        SPECTRA, antenna=np.exp(1j * angle), height_m=height_m, data=(noise[0] + 1j * noise[1]) / np.sqrt(2)
+    )
+    rows = errors(empty)
+    assert len(rows) == 4 + levels + levels - 1
+    for row, start in zip(rows[4 : 4 + levels], range(0, levels * views, views), strict=True):
+        own = row[start : start + views] / SCALE
+        np.testing.assert_allclose(np.diff(own), -np.deg2rad(10.05), atol=1e-6)
+        assert not row[:start].any() and not row[start + views :].any()
+    truth = np.array([0.0, 0.0, 0.0, 0.0, 0.2, -0.1, 0.3, 0.8, -1.2])
+    model = Model(BARE, Arrangement.of_layout(HELMET.positions, None), False, 1, levels=levels)
+    x = np.zeros(model.parameters)
+    echo = model.at(empty.turned(truth @ rows), x, slopes=False).values[:, 0]
+    spectra = replace(empty, data=empty.data + 20 * echo, moving=np.full_like(SPECTRA.moving, 200.0))
+    data = spectra.data - (spectra.data @ spectra.rooms.T) @ spectra.rooms
+    spectra = replace(spectra, data=data)
+    turned = fitted(spectra, refined(spectra, model, x))
+    assert turned is not None
+    off = error_of(turned.spectra) - truth @ rows
+    assert np.std(off) < 0.02 * np.std(truth @ rows)
+
+
 def scaled(scans: BasebandScans, scale: float) -> BasebandScans:
     angles, distance = scans.aperture.angles, scans.aperture.axis_distance
     assert angles is not None and distance is not None
