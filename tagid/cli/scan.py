@@ -232,7 +232,7 @@ def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInf
         {"items": items, **facts},
         Group(*drawn),
         exit_code=code,
-        messages=(*answer.remarks, *messages, *kept),
+        messages=(*answer.remarks, *messages, *place.without_profile(answer), *kept),
         errors=errors,
     )
 

@@ -193,7 +193,7 @@ def _joined(
         {"items": items, "heights": rows, "files": files, "views": joined.views},
         Group(*drawn),
         exit_code=imaging.exit_code_of([answer.identification]),
-        messages=(*dict.fromkeys((*losses, *answer.remarks)), *kept),
+        messages=(*dict.fromkeys((*losses, *answer.remarks)), *place.without_profile(answer), *kept),
         errors=() if answer.error is None else (Problem.of(answer.error),),
     )
 

@@ -28,6 +28,7 @@ MOST_SCANS = 65534
 """Largest number of scans in a recording."""
 TURN_S = 180.0
 """Time within which a table that turns at 0.35 rpm completes a turn, s."""
+NOT_COMMISSIONED = "rig not commissioned: `tagid commission` measures its delay, pulse and axis"
 
 
 def open_registry() -> Registry:
@@ -154,6 +155,13 @@ class Workplace:
         from tagid.operate.turn import ReadingSetup
 
         return ReadingSetup(self.loading(as_recorded=as_recorded), self.imaging(), self.registry.contents())
+
+    def without_profile(self, answer: Answer) -> tuple[str, ...]:
+        """That the rig is not commissioned, where an answer of its own radar has no name; else nothing."""
+        emulated = self.radar_url().startswith(("emulator://", "replay://"))
+        if emulated or answer.status in ("identified", "failed") or self.loading().rig is not None:
+            return ()
+        return (NOT_COMMISSIONED,)
 
     def radar_url(self) -> str:
         """The URL of the configured radar.
@@ -309,7 +317,7 @@ class Workplace:
             draw(answer, picture_of(recorded.path))
         except TagidError as error:
             answer = replace(answer, notes=(*answer.notes, f"no picture: {error.message}"))
-        return self._remembered(answer)
+        return self._remembered(replace(answer, notes=(*answer.notes, *self.without_profile(answer))))
 
     def _remembered(self, answer: Answer) -> Answer:
         config = self.config

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from command_server import Ran
 
+from tagid.operate.workplace import NOT_COMMISSIONED
 from tagid.storage.importers import read_any
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,6 +66,16 @@ def test_a_turning_helmet_is_named_and_everything_is_left_on_disk(
     lost = int(capture.scan_id[-1] - capture.scan_id[0]) + 1 - capture.views
     assert lost <= capture.radar.scans_lost
     assert not list((tmp_path / "out").glob("*.journal"))
+    assert NOT_COMMISSIONED not in done.json["messages"], "a name needs no rig that is trusted"
+
+
+def test_a_rig_that_is_not_commissioned_is_said_where_nothing_is_named(
+    tagid: Callable[..., Ran], home: dict[str, str]
+) -> None:
+    with emulator(home, "--scene", "empty", "--rpm", "40", "--rate", "0", "--seed", "3") as (url, _):
+        twice = scan(tagid, url, "--motion", "free?rpm=40", "--repeat", "2")
+    assert twice.code == 3, twice
+    assert twice.json["messages"].count(NOT_COMMISSIONED) == 1
 
 
 def test_a_radar_that_dies_costs_nothing_that_arrived(home: dict[str, str], tmp_path: Path) -> None:
