@@ -363,10 +363,9 @@ class Model:
         log = self.log_at_mean + 0.5 * float(slope @ x)
         if self.shapes:
             # Cauchy's distribution in two dimensions.
-            shape = slice(2, 4)
-            size = SHAPE_M**2 + float(x[shape] @ x[shape])
+            size = SHAPE_M**2 + float(x[2:4] @ x[2:4])
             log += float(np.log(SHAPE_M / (2 * np.pi)) - 1.5 * np.log(size))
-            slope[shape] -= 3 * x[shape] / size
+            slope[2:4] -= 3 * x[2:4] / size
             hessian[[2, 3], [2, 3]] += 3 / size
         return log, slope, hessian
 

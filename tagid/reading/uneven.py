@@ -2,10 +2,10 @@
 
 The direction of the antenna in view v differs from the stated one by the sum of t_i e_i(v), t_i of unit
 variance: one and two cycles a turn, and of every antenna height the scale of its angles and where its turn
-began. A turned antenna is an object that is turned back, so the slopes over t are those of the parameters that
-turn the object. A whole even turn has no scale to find, and is left as it is stated: its bodies, which no
-hypothesis describes wholly, would be read as uneven. Where a device states the angles and the scans do not
-come again, a whole turn is not known to be one.
+began. A turned antenna is an object that is turned back, so the slopes over t are those of the parameters
+that turn the object. A whole even turn has no scale to find, and is left as it is stated: its bodies, which
+no hypothesis describes wholly, would be read as uneven. Where a device states the angles and the scans do
+not come again, a whole turn is not known to be one.
 """
 
 from __future__ import annotations
