@@ -43,7 +43,7 @@ from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADES
 from tagid.reading.transfers.transfer import Transfer
 from tagid.reading.transfers.wall import WALLS
-from tagid.reading.uneven import straightened
+from tagid.reading.uneven import Turned, straightened
 from tagid.reading.untagged import GRID_M, RoundBodies, nothing, round_bodies, with_clutter
 from tagid.tags.layouts.layout import Layout
 from tagid.types import Floats
@@ -107,6 +107,7 @@ class Contest:
     _tried: set[Estimate] = field(default_factory=set, init=False)
     _rough: list[Hypothesis] = field(default_factory=list, init=False)
     _planes: list[float] = field(init=False)
+    _shapes: Sequence[Floats] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
         self._planes = self.spectra.rises(2 * PLANE_SD_M).tolist()
@@ -134,25 +135,23 @@ class Contest:
         return hypothesis
 
     def run(self) -> list[Hypothesis]:
-        """All hypotheses, the best first, at the stated angles or at those that explain more."""
-        self._explore()
-        stated, errors, best = self.spectra, None, self._highest
-        for _ in range(STRAIGHTENED):
+        """All hypotheses, the best first, at the stated angles or those that a look or all show."""
+        stated, errors, cost = self.spectra, None, 0.0
+        self._first()
+        for explored in (False, *[True] * (STRAIGHTENED - 1)):
             # An enrolled body has an uneven turn of its own.
-            others = [
-                hypothesis.estimate
-                for hypothesis in self.hypotheses
-                if not isinstance(hypothesis.estimate.model, SignatureModel)
-            ]
+            others = [h.estimate for h in self.hypotheses if not isinstance(h.estimate.model, SignatureModel)]
+            best = self._highest - cost
             turned = straightened(stated, others, best, errors)
-            if turned is None:
+            other = None if turned is None else self._turned(turned, explored, best)
+            if turned is not None and other is not None:
+                vars(self).clear()
+                vars(self).update(vars(other))
+                errors, cost = turned.errors, turned.cost
+            elif explored:
                 break
-            other = replace(self, spectra=turned.spectra)
-            other._explore()
-            if other._highest - turned.cost <= best:
-                break
-            vars(self).update(vars(other))
-            errors, best = turned.errors, other._highest - turned.cost
+            if not explored:
+                self._then()
         self.hypotheses = smoothed(self.spectra, self.hypotheses)
         return self.hypotheses
 
@@ -160,19 +159,34 @@ class Contest:
     def _highest(self) -> float:
         return max(hypothesis.estimate.log_z for hypothesis in self.hypotheses)
 
-    def _explore(self) -> None:
+    def _turned(self, turned: Turned, explored: bool, best: float) -> Contest | None:
+        """What competes at other angles, tried as far as at those before; None where it explains no more."""
+        other = replace(self, spectra=turned.spectra)
+        other._first()
+        if explored:
+            other._then()
+        return other if other._highest - turned.cost > best else None
+
+    def _first(self) -> None:
+        """Bodies, and reflectors in the open and beside them."""
         bodies = self._untagged()
         body = bodies.best
         centres = [body.centre, *GRID_M]
         # A loud tag moves the centre that a body alone seems to have.
         near = distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
-        powers, shapes = bodies.powers, bodies.shapes
+        powers, self._shapes = bodies.powers, bodies.shapes
         known = body.centre_sd_m < _KNOWN_M
-        self._look(centres, near if known else centres, powers, shapes, GRID_M[::2])
-        self._beside_others(shapes)
+        self._look(centres, near if known else centres, powers, self._shapes, GRID_M[::2])
+        self._beside_others(self._shapes)
         best = max(self.hypotheses, key=lambda hypothesis: hypothesis.log_z).estimate
         if known and min(abs(best.centre - centre) for centre in near) > ELSEWHERE_M:
             self._look([best.centre], [best.centre], [with_clutter(best.powers)] * 2, [np.zeros(2)] * 2)
+        if not self.spectra.full_turn:
+            # Angles are told by what explains most.
+            self._facing()
+
+    def _then(self) -> None:
+        """All that follows from what the first look has shown."""
         self._resized()
         self._beside_enrolled()
         self._as_enrolled()
@@ -188,7 +202,7 @@ class Contest:
         self._as_free()
         self._raised()
         self._one_more()
-        self._beside_others(shapes)
+        self._beside_others(self._shapes)
         self._by_hand()
         self._unbound()
         self._evened()

@@ -10,13 +10,13 @@ not come again, a whole turn is not known to be one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tagid.reading.columns import Model
-from tagid.reading.descent import Estimate, climbed, spread, variance
+from tagid.reading.descent import Estimate, Powers, best_powers, climbed, spread, variance
 from tagid.reading.evidence import fit
 from tagid.reading.spectra import Spectra
 from tagid.types import Floats
@@ -36,7 +36,8 @@ MOST = 8
 FARTHEST = 3.0
 """No device turns less evenly than this, standard deviations: what looks like it is an object that no
 hypothesis describes (a pair on a can with a handle: 5, for 100 nats)."""
-_ROUNDS = 6
+_ROUNDS, _AGAIN = 6, 3
+"""Steps to the angles that suit a hypothesis, and how often its powers are chosen again on the way."""
 
 
 def cycles(direction: Floats) -> Floats:
@@ -113,11 +114,34 @@ def fitted(
         spectra: with the angles as stated.
         estimate: the hypothesis, at the angles whose errors are `start`: (T,), None for the stated ones.
     """
-    model, powers = estimate.model, estimate.powers
+    model, powers, rows = estimate.model, estimate.powers, errors(spectra)
+    size = len(estimate.x)
+    z = np.append(estimate.x, np.zeros(len(rows)) if start is None else start)
+    precision = np.append(model.precision, np.ones(len(rows)))
+    given = least - estimate.log_z + estimate.log
+    for _ in range(_AGAIN):
+        z, here = climbed(_expanded(spectra, model, powers), precision, z, _ROUNDS, given)
+        # Wrong angles look like clutter.
+        again, _ = best_powers(spectra.turned(z[size:] @ rows), model, z[:size])
+        if again == powers:
+            break
+        powers = again
+    t, (curved, volume) = z[size:], spread(here.hessian, precision)
+    log_z = here.log + 0.5 * size * np.log(2 * np.pi) - 0.5 * volume
+    if log_z < least or np.abs(t).max() > FARTHEST:
+        return None
+    cost = 0.5 * float(t @ t + volume - np.linalg.slogdet(curved[:size, :size])[1])
+    return Turned(spectra.turned(t @ rows), float(log_z), cost, t)
+
+
+def _expanded(
+    spectra: Spectra, model: Model, powers: Powers
+) -> Callable[[Floats], tuple[float, Floats, Floats]]:
+    """Log density of parameters and errors of the angles, its gradient and its curvature."""
     rows, whitener, white = errors(spectra), spectra.whiteners[model.disc], spectra.white[model.disc]
     lam = variance(spectra, model, powers.clutter)
     power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
-    size = len(estimate.x)
+    size = model.parameters
 
     def expanded(z: Floats) -> tuple[float, Floats, Floats]:
         x, t = z[:size], z[size:]
@@ -135,15 +159,7 @@ def fitted(
         gradient = 2 * back.sum(axis=(1, 2)).real + np.append(slope, -t)
         return fit_here.log + log - 0.5 * float(t @ t), gradient, hessian
 
-    z = np.append(estimate.x, np.zeros(len(rows)) if start is None else start)
-    precision = np.append(model.precision, np.ones(len(rows)))
-    z, here = climbed(expanded, precision, z, _ROUNDS, least - estimate.log_z + estimate.log)
-    t, (curved, volume) = z[size:], spread(here.hessian, precision)
-    log_z = here.log + 0.5 * size * np.log(2 * np.pi) - 0.5 * volume
-    if log_z < least or np.abs(t).max() > FARTHEST:
-        return None
-    cost = 0.5 * float(t @ t + volume - np.linalg.slogdet(curved[:size, :size])[1])
-    return Turned(spectra.turned(t @ rows), float(log_z), cost, t)
+    return expanded
 
 
 def straightened(
