@@ -179,6 +179,9 @@ _EXPLAINED = 0.05
 """Share of the echo that reflectors alone may leave where there is no body to be enrolled."""
 _AXIS_M = 0.01
 """An axis distance wrong by less is no cause: the reader looks for that itself."""
+_BEYOND_M = 0.05
+"""Half the range resolution: reflectors so far from where the axis distance puts them do not fit the picture.
+Bare tags of the yardsticks are within 16 mm."""
 
 
 def _uncovered(capture: Capture) -> Cause | None:
@@ -235,15 +238,17 @@ def recording_remarks(capture: Capture) -> tuple[str, ...]:
 def with_causes(
     answer: Identification, prepared: PreparedCapture, layouts: Sequence[Layout]
 ) -> Identification:
-    """The answer, with the likely causes if nothing is named, most certain first.
+    """The answer, with the likely causes if nothing is named, most certain first; else a remark on the axis.
 
     Args:
         answer: of `identify`.
         prepared: the capture of the answer.
         layouts: the enrolled ones.
     """
-    if answer.status in ("identified", "failed") or answer.reading is None:
+    if answer.status == "failed" or answer.reading is None:
         return answer
+    if answer.status == "identified":
+        return replace(answer, remarks=(*answer.remarks, *_of_the_range(answer.reading, prepared.given)))
     if answer.reading.code is Code.UNCALIBRATED:
         # A layout explains the scans: nothing is wrong with them but that they are few.
         return replace(answer, causes=tuple(_of_the_turn(prepared.given)))
@@ -333,6 +338,15 @@ def _stopped(capture: Capture) -> Cause | None:
     if resolved is None or resolved.standstill is None:
         return None
     return Cause("turn_stopped", stopped_words(resolved.standstill), REMEDY)
+
+
+def _of_the_range(reading: Reading, capture: Capture) -> tuple[str, ...]:
+    """That a tag was read elsewhere than where the axis distance puts it; on a body that does not tell."""
+    given = capture.axis_distance_m
+    if given is None or reading.kind is not Kind.BARE or abs(reading.offset_m) < _BEYOND_M:
+        return ()
+    fits = f"an axis distance of {given + reading.offset_m:.2f} m, not {given:.2f} m"
+    return (f"the reflectors fit {fits}: measure it again, and the path delay",)
 
 
 def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[Cause]:

@@ -28,7 +28,7 @@ RANGES_M = np.linspace(-0.25, 0.25, 51)
 _BOX = np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j])
 _ROUND = np.exp(2j * np.pi * np.arange(48) / 48)
 """Corners of outlines of half sizes 1."""
-OFFSETS_M = np.arange(-0.1, 0.1, 5e-4)
+OFFSETS_M = np.arange(-0.25, 0.25, 5e-4)
 """Range offsets that are tried, m."""
 
 

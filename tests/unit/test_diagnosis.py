@@ -115,6 +115,21 @@ def test_a_part_of_a_turn_shows_no_absence() -> None:
     assert part.code == "partial_turn" and "144 of 360 degrees" in part.reason
 
 
+@pytest.mark.parametrize("off_m", [0.12, -0.12])
+def test_a_name_at_a_wrong_axis_distance_comes_with_the_one_that_fits(off_m: float) -> None:
+    capture, _ = simulate_capture(
+        scene_from_name("helmet-120", 3), Acquisition(views=12, snr_db=20.0), seed=3
+    )
+    prepared = PreparedCapture(load_capture(replace(capture, axis_distance_m=1.0 + off_m)))
+    answer = with_causes(identify(prepared, LAYOUTS), prepared, LAYOUTS)
+    assert answer.status == "identified"
+    (remark,) = answer.remarks
+    fits = float(remark.split("axis distance of ")[1].split()[0])
+    assert fits == pytest.approx(1.0, abs=0.02) and f"not {1.0 + off_m:.2f} m" in remark
+    right = replace(answer, reading=replace(answer.reading, offset_m=0.02), remarks=())
+    assert with_causes(right, prepared, LAYOUTS).remarks == ()
+
+
 @cache
 def part_alone(share: float) -> str | None:
     """The name that part of a turn has, whatever sides it shows."""
