@@ -181,8 +181,8 @@ class Contest:
         best = max(self.hypotheses, key=lambda hypothesis: hypothesis.log_z).estimate
         if known and min(abs(best.centre - centre) for centre in near) > ELSEWHERE_M:
             self._look([best.centre], [best.centre], [with_clutter(best.powers)] * 2, [np.zeros(2)] * 2)
-        if not self.spectra.full_turn:
-            # Angles are told by what explains most.
+        if not self.spectra.full_turn:  # angles are told by what explains most
+            self._anywhere()
             self._facing()
 
     def _then(self) -> None:

@@ -44,7 +44,7 @@ def test_a_tag_on_a_can_is_written_with_its_truth(tagid, tmp_path: Path) -> None
 
 def test_both_snrs_are_printed_and_the_option_says_which_it_sets(tagid) -> None:
     for reference in ("reflector", "summed"):
-        done = tagid("simulate", "helmet-120", "--views", 36, "--snr", 12, "--snr-of", reference,
+        done = tagid("simulate", "helmet-120", "--views", 18, "--snr", 12, "--snr-of", reference,
                      "--out", f"{reference}.tagid.h5")  # fmt: skip
         assert done.code == 0, done.err
         shown = " ".join(done.out.split())

@@ -39,7 +39,7 @@ def test_every_command_has_help_with_an_example(tagid, command) -> None:
 
 def test_simulate_identify_and_reconstruct(tagid, tmp_path: Path) -> None:
     made = tagid(
-        "simulate", "helmet-120", "--views", 36, "--snr", 15, "--out", "h.tagid.h5", "--rotation", 40
+        "simulate", "helmet-120", "--views", 18, "--snr", 15, "--out", "h.tagid.h5", "--rotation", 40
     )
     assert made.code == 0, made.err
     done = tagid("identify", "h.tagid.h5", "--output", "json")
@@ -91,8 +91,8 @@ def test_a_command_has_one_thread_of_linear_algebra_unless_told_otherwise() -> N
 
 
 def test_uncertain_answers_and_failed_items_have_their_exit_codes(tagid, tmp_path: Path) -> None:
-    tagid("simulate", "empty", "--views", 36, "--out", "empty.tagid.h5")
-    tagid("simulate", "container-90", "--views", 36, "--out", "tag.tagid.h5")
+    tagid("simulate", "empty", "--views", 12, "--out", "empty.tagid.h5")
+    tagid("simulate", "container-90", "--views", 18, "--out", "tag.tagid.h5")
     empty = tagid("identify", "empty.tagid.h5", "--output", "json")
     assert empty.code == 3
     assert empty.json["data"]["items"][0]["status"] == "no_tag"
@@ -163,7 +163,7 @@ def test_enroll_prints_distances_and_refuses_what_could_be_confused(tagid, tmp_p
 def test_enroll_from_captures_measures_the_object(tagid, tmp_path: Path) -> None:
     for seed in (1, 2):
         tagid(
-            "simulate", "container-90", "--views", 72, "--out", f"{seed}.tagid.h5", "--rotation", 70 * seed,
+            "simulate", "container-90", "--views", 24, "--out", f"{seed}.tagid.h5", "--rotation", 70 * seed,
             "--seed", seed,
         )  # fmt: skip
     done = tagid(
@@ -177,7 +177,7 @@ def test_enroll_from_captures_measures_the_object(tagid, tmp_path: Path) -> None
 
 
 def test_no_color_and_quiet(tagid) -> None:
-    tagid("simulate", "container-90", "--views", 36, "--out", "c.tagid.h5")
+    tagid("simulate", "container-90", "--views", 18, "--out", "c.tagid.h5")
     done = tagid("identify", "c.tagid.h5", "--preview", "-q", NO_COLOR="1", FORCE_COLOR="1")
     assert done.code == 0
     assert "\x1b[3" not in done.out

@@ -174,7 +174,7 @@ def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
 ) -> None:
     assert here("enroll", "mine", *POINTS).code == 0
     where = ("--rotation", 30, "--centre", "0.004,-0.002", "--wobble", 0.01)
-    assert here("simulate", "mine", *where, "--views", 36, "--out", "mine.tagid.h5").code == 0
+    assert here("simulate", "mine", *where, "--views", 18, "--out", "mine.tagid.h5").code == 0
     design = ("layouts", "design", "--object", "helmet", "--count", 2, "--out", "two.toml")
     made = here(*design, "--output", "json")
     name = made.json["data"]["layouts"][1]["name"]
@@ -462,7 +462,7 @@ def test_old_and_new_forms_do_the_same(here: Callable[..., Ran], tmp_path: Path)
 
 def test_no_name_or_command_is_cut(here: Callable[..., Ran], tmp_path: Path) -> None:
     name = "scan-of-the-second-object-on-the-third-shelf-20261126-161012.tagid.h5"
-    assert here("simulate", "--scene", "helmet-120", "--views", 36, "--out", name).code == 0
+    assert here("simulate", "--scene", "helmet-120", "--views", 18, "--out", name).code == 0
     assert here("identify", name, COLUMNS="60").code == 0
     assert name in here("history", COLUMNS="60").out
     settings = here("config", COLUMNS="60").out

@@ -113,7 +113,7 @@ def test_a_capture_of_another_object_is_named_and_nothing_stored(
 ) -> None:
     for seed, scene in enumerate(("container-180", "container-180", "container-90", "container-180")):
         tagid(
-            "simulate", scene, "--views", 36, "--seed", seed, "--rotation", 70 * seed, "--out", f"{seed}.h5"
+            "simulate", scene, "--views", 24, "--seed", seed, "--rotation", 70 * seed, "--out", f"{seed}.h5"
         )
     files = [word for i in range(4) for word in ("--capture", f"{i}.h5")]
     refused = tagid("enroll", "can", *files, "--output", "json")

@@ -43,7 +43,7 @@ def test_both_steps_then_a_scan_uses_delay_and_reference(tagid, tmp_path: Path) 
 
 
 def test_without_a_reference_it_says_what_is_missing(tagid) -> None:
-    tagid("simulate", "helmet-120", "--views", 36, "--out", "h.tagid.h5")
+    tagid("simulate", "helmet-120", "--views", 18, "--out", "h.tagid.h5")
     done = tagid("reconstruct", "h.tagid.h5", "--background", "reference", "--output", "json")
     assert done.code == 2
     assert "--step empty" in done.json["errors"][0]["remedy"]

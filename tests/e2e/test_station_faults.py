@@ -106,7 +106,7 @@ from tagid.storage.importers import read_any
 def main(place):
     global shift
     codes = []
-    station = h.Station(h.source(place, "emulator://helmet-120?rpm=8&seed=2&rate=2"), h.healthy)
+    station = h.Station(h.source(place, "emulator://helmet-120?rpm=45&seed=2&rate=0.5"), h.healthy)
     with h.Server(station, "127.0.0.1", 0, codes.append) as one:
         own = {"tagid-station": "1"}
         token = h.Asks(one.url, own).post("/api/v1/pair", code=codes[-1]).json()["token"]

@@ -78,7 +78,7 @@ def test_without_recorded_turns_the_flags_beside_the_gap_decide(first: bool, los
 
 def test_a_refused_answer_names_lost_scans_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(diagnosis, "named_in", lambda *_: None)
-    capture, _ = simulate_capture(scene_from_name("empty", 3), Acquisition(views=60, snr_db=10.0), seed=3)
+    capture, _ = simulate_capture(scene_from_name("empty", 3), Acquisition(views=36, snr_db=10.0), seed=3)
     assert capture.angles_rad is not None
     hole = (capture.angles_rad > np.deg2rad(200)) & (capture.angles_rad < np.deg2rad(272))
     scans = replace(

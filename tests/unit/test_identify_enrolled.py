@@ -27,7 +27,7 @@ CAN = Thing((), (), wall=20.0)
 
 
 def recorded(thing: Thing, noise: float = 0.02, room: float = 3.0) -> Capture:
-    return capture(thing, 50, centre=CENTRE, rotation=TURN, views=36, noise=noise, room=room)
+    return capture(thing, 50, centre=CENTRE, rotation=TURN, views=24, noise=noise, room=room)
 
 
 def known(names: str) -> list[Signature]:

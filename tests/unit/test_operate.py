@@ -36,7 +36,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workplace:
 
 
 def recording(seed: int) -> Capture:
-    return simulate_capture(scene_from_name("helmet-120", seed), Acquisition(views=24), seed)[0]
+    return simulate_capture(scene_from_name("helmet-120", seed), Acquisition(views=16), seed)[0]
 
 
 def test_an_answer_stands_beside_the_truth_of_its_capture(place: Workplace) -> None:

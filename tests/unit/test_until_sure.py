@@ -48,17 +48,17 @@ from tagid.tags.layouts.layout import builtin_layouts
 from tests.unit.paced import paced
 
 CALIBRATION = EndingCalibration("made up", (0, 3999), LOOKS, 32, 3999, ())
-URL = "free?rpm=20"
+URL = "free?rpm=30"
 
 
 def recorded(
     path: Path, ending: EarlyEnding, scene: str = "helmet-120", motion: FreeTurntable | None = None
 ) -> Capture:
     """A turn in memory, as fast as it goes; each scan waits for the looks, whatever the computer's speed."""
-    config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=13))
+    config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
     plan = RecordingPlan(config, 1.0, motion=URL)
     watch = paced(ending, Watch(resolve=resolve_turn))
-    radar = open_radar(f"emulator://{scene}?rpm=20&seed=2")
+    radar = open_radar(f"emulator://{scene}?rpm=30&seed=2")
     return record(radar, motion or open_motion(URL), plan, path, watch)
 
 
@@ -164,9 +164,9 @@ def test_a_scan_that_fails_leaves_no_thread_and_no_ending(tmp_path: Path, error:
 
     motion.check = check  # type: ignore[method-assign]
     known = settings(motion)
-    config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=13))
+    config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
     plan = RecordingPlan(config, 1.0, motion=URL)
-    radar = open_radar("emulator://helmet-120?rpm=20&seed=2")
+    radar = open_radar("emulator://helmet-120?rpm=30&seed=2")
     with (
         pytest.raises(type(error), match=error.message) as failed,
         LiveView(known) as view,
@@ -189,19 +189,19 @@ class _Uncalibrated(FreeTurntable):
 
 
 def test_an_angle_of_uncertain_scale_ends_no_scan(tmp_path: Path) -> None:
-    motion = _Uncalibrated(20.0)
+    motion = _Uncalibrated(30.0)
     with EarlyEnding(settings(motion), CALIBRATION) as ending:
         path = tmp_path / "x.tagid.h5"
-        config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=13))
+        config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
         watch = ending.watching(Watch())
         plan = RecordingPlan(config, 1.0, motion=URL, scans=150)
-        capture = record(open_radar("emulator://helmet-120?rpm=20&seed=2"), motion, plan, path, watch)
+        capture = record(open_radar("emulator://helmet-120?rpm=30&seed=2"), motion, plan, path, watch)
     assert capture.radar.ended == Ending("limit") and ending.looks == ()
     assert "not calibrated" in ending.remark
 
 
 def test_a_pair_of_reflectors_ends_no_scan(monkeypatch: pytest.MonkeyPatch) -> None:
-    capture, _ = simulate_capture(scene_from_name("container-90", 2), Acquisition(views=36, snr_db=20), 2)
+    capture, _ = simulate_capture(scene_from_name("container-90", 2), Acquisition(views=24, snr_db=20), 2)
     part, pairs = part_of_turn(capture, 0.75), [layout for layout in settings().layouts if layout.size == 2]
     assert look(part, pairs, 0.75).layout is None
     monkeypatch.setattr(looks, "LEAST_REFLECTORS", 2)
