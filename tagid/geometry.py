@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 
 from tagid.errors import DataError, UsageError
 
-_SAME_HEIGHT_M = 1e-4
+SAME_HEIGHT_M = 1e-4
+"""Antenna heights that differ by less are one."""
+
+
+def views_of_heights(height_m: NDArray[np.float64]) -> list[NDArray[np.intp]]:
+    """Views of each antenna height (views,), m, as `Aperture.height_groups`."""
+    order = np.argsort(height_m, kind="stable")
+    steps = np.flatnonzero(np.diff(height_m[order]) > SAME_HEIGHT_M) + 1
+    groups = [np.sort(part) for part in np.split(order, steps)]
+    return groups if min(map(len, groups)) > 1 else [np.arange(len(height_m))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,11 +155,7 @@ class Aperture:
         >>> [views.tolist() for views in two.height_groups()]
         [[0, 3], [1, 2]]
         """
-        height = self.positions[:, 2]
-        order = np.argsort(height, kind="stable")
-        steps = np.flatnonzero(np.diff(height[order]) > _SAME_HEIGHT_M) + 1
-        groups = [np.sort(part) for part in np.split(order, steps)]
-        return groups if min(map(len, groups)) > 1 else [np.arange(self.views)]
+        return views_of_heights(self.positions[:, 2])
 
     def with_axis_distance(self, axis_distance: float) -> Aperture:
         """The same rotation seen from another distance. Raises DataError for free positions."""

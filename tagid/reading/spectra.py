@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
+from tagid.geometry import SAME_HEIGHT_M, views_of_heights
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
 from tagid.reading.views import EVEN_RAD, fold_views
@@ -171,13 +172,16 @@ class Spectra:
 
     @cached_property
     def level(self) -> NDArray[np.intp]:
-        """(V,) number of the height at which the antenna stood."""
-        return np.asarray(np.unique(np.round(self.height_m, 4), return_inverse=True)[1])
+        """(V,) number of the height at which the antenna stood; one where it changed from view to view."""
+        out = np.zeros(self.views, dtype=np.intp)
+        for number, views in enumerate(views_of_heights(self.height_m)):
+            out[views] = number
+        return out
 
     @property
     def levels(self) -> int:
-        """Number of those heights."""
-        return int(self.level.max()) + 1
+        """Number of heights, two or more where heights of reflectors show."""
+        return max(int(self.level.max()) + 1, 1 + int(np.ptp(self.height_m) > SAME_HEIGHT_M))
 
     def rises(self, most_m: float) -> Floats:
         """Heights up to so much above and below that change the echo by 1 rad from one to the next, m.
@@ -267,13 +271,15 @@ def _diagonal(covariance: Floats, rows: Floats) -> Whitener:
 
 def _rooms(height_m: Floats) -> Floats:
     """(H, V) orthonormal: one constant per antenna height."""
-    levels = sorted(set(np.round(height_m, 4).tolist()))
-    rows = np.stack([np.isclose(height_m, level, atol=1e-4) for level in levels]).astype(float)
-    return np.asarray(rows / np.sqrt(rows.sum(axis=1, keepdims=True)))
+    groups = views_of_heights(height_m)
+    rooms = np.zeros((len(groups), len(height_m)))
+    for row, views in zip(rooms, groups, strict=True):
+        row[views] = 1 / sqrt(len(views))
+    return rooms
 
 
 def _is_full_turn(antenna: Complex, height_m: Floats) -> bool:
-    if np.ptp(height_m) > 1e-4 or np.ptp(np.abs(antenna)) > 1e-4:
+    if np.ptp(height_m) > SAME_HEIGHT_M or np.ptp(np.abs(antenna)) > 1e-4:
         return False
     steps = np.angle(np.roll(antenna, -1) / antenna)
     return bool(np.ptp(steps) < EVEN_RAD and abs(abs(steps.sum()) - 2 * np.pi) < 1e-6)

@@ -50,7 +50,7 @@ def errors(spectra: Spectra) -> Floats:
     """(T, V) errors of the stated angles of one standard deviation, rad."""
     scale = SCALE if spectra.scale_sigma is None else spectra.scale_sigma
     rows = np.repeat(CYCLES_RAD, 2)[:, None] * cycles(spectra.direction)
-    level = spectra.level == np.arange(spectra.levels)[:, None]
+    level = spectra.level == np.arange(spectra.level.max() + 1)[:, None]
     scales = np.zeros(level.shape)
     for own, row in zip(level, scales, strict=True):
         row[own] = scale * turned_so_far(spectra.direction[own])
@@ -64,7 +64,7 @@ def turned_so_far(direction: Floats) -> Floats:
         direction: (V,) of the antenna, in the order of recording, rad.
     """
     steps = np.angle(np.exp(1j * np.diff(direction)))
-    way = 1.0 if np.median(steps) > 0 else -1.0
+    way = 1.0 if steps.sum() > 0 else -1.0
     turned = np.mod(way * (direction - direction[0]) + 1e-9, 2 * np.pi)
     ordered = np.sort(turned)
     gaps = np.diff(np.append(ordered, 2 * np.pi))

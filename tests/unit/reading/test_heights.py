@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tagid.capture import Capture
+from tagid.geometry import Aperture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.reading.decision import Decision, decide
 from tagid.reading.reader import contest
 from tagid.reading.transfers.plain import BARE
 from tagid.tags.layouts.layout import Layout
 from tests.unit.heights_scenes import DOWN, FLAT, OTHER, PLAN, UP, scan
+from tests.unit.imaging_scenes import record, turn
 
 SEVERAL = (0.0, 0.2)
 VIEWS = 20
@@ -18,10 +21,12 @@ STRANGER = Layout("stranger", PLAN, heights=np.array([0.06, 0.06, 0.0]))
 
 
 def read(layout: Layout, heights: tuple[float, ...], raised: float) -> Decision:
+    return decided(scan(layout, heights, raised, VIEWS))
+
+
+def decided(capture: Capture) -> Decision:
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
-    base = contest(
-        preprocess(scan(layout, heights, raised, VIEWS), settings=settings), [UP, DOWN, OTHER, FLAT]
-    )
+    base = contest(preprocess(capture, settings=settings), [UP, DOWN, OTHER, FLAT])
     base.transfers, base.sheets = (BARE,), ()
     return decide(base.run())
 
@@ -33,6 +38,16 @@ def test_a_layout_is_named_wherever_its_plane_lies(layout: Layout, raised: float
     assert decision.best is not None
     model, x = decision.best.estimate.model, decision.best.estimate.x
     assert model.heights_of(x)[0] == pytest.approx(np.asarray(layout.heights) + raised, abs=0.01)
+
+
+@pytest.mark.parametrize("layout", [UP, DOWN])
+def test_a_path_that_rises_from_view_to_view_is_read(layout: Layout) -> None:
+    """No height has a second view: the mean of all is subtracted, not that of each."""
+    antennas = turn(36, 1.0).positions
+    rising = Aperture(antennas + np.outer(np.linspace(0.0, 0.3, len(antennas)), [0, 0, 1]))
+    points = np.column_stack([layout.positions, np.asarray(layout.heights) + 0.02])
+    recorded = record(points, [1, 1, 1], rising, start_m=0.5, noise=0.1)
+    assert decided(recorded).name == layout.name
 
 
 @pytest.mark.parametrize("heights", [SEVERAL, (0.0,), (0.2,)])
