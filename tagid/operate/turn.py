@@ -20,7 +20,7 @@ from tagid.errors import DataError, TagidError, UsageError, displayable
 from tagid.operate.truth import Comparison, compare
 from tagid.operate.words import headline, method_shown, notes
 from tagid.pipeline.answer import Cause, Identification
-from tagid.pipeline.diagnosis import recording_remarks, with_causes
+from tagid.pipeline.diagnosis import axis_error_m, recording_remarks, with_causes
 from tagid.pipeline.identify import ended_answer, identify_together, without_body
 from tagid.pipeline.identify import identify as read_tag
 from tagid.pipeline.prepared import LoadSettings, PreparedCapture, as_prepared, intake_remarks, load_capture
@@ -431,11 +431,16 @@ def draw(
 
     if answer.prepared is None:
         raise answer.error or DataError("several recordings have no common image", "Draw them one by one.")
-    shown = without_body(answer.prepared, answer.identification) if subtract_body else answer.prepared
+    prepared, given = answer.prepared, answer.prepared.given
+    if error := axis_error_m(answer.identification, given):
+        # The search for the axis does not reach so far, and with a wrong one there is nothing to be seen.
+        moved = replace(given, axis_distance_m=(given.axis_distance_m or 0.0) + error)
+        prepared = PreparedCapture(moved, replace(prepared.settings, focus_m=0.0))
+    shown = without_body(prepared, answer.identification) if subtract_body else prepared
     result = reconstruct(shown, progress=progress)
     if png is not None:
         draw_image_of(result, answer.identification, png)
-    return Drawn(result, shown is not answer.prepared)
+    return Drawn(result, shown is not prepared)
 
 
 def draw_image_of(result: Reconstruction, answer: Identification | None, png: Path) -> None:

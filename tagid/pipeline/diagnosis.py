@@ -248,7 +248,7 @@ def with_causes(
     if answer.status == "failed" or answer.reading is None:
         return answer
     if answer.status == "identified":
-        return replace(answer, remarks=(*answer.remarks, *_of_the_range(answer.reading, prepared.given)))
+        return replace(answer, remarks=(*answer.remarks, *_of_the_range(answer, prepared.given)))
     if answer.reading.code is Code.UNCALIBRATED:
         # A layout explains the scans: nothing is wrong with them but that they are few.
         return replace(answer, causes=tuple(_of_the_turn(prepared.given)))
@@ -340,13 +340,20 @@ def _stopped(capture: Capture) -> Cause | None:
     return Cause("turn_stopped", stopped_words(resolved.standstill), REMEDY)
 
 
-def _of_the_range(reading: Reading, capture: Capture) -> tuple[str, ...]:
-    """That a tag was read elsewhere than where the axis distance puts it; on a body that does not tell."""
-    given = capture.axis_distance_m
-    if given is None or reading.kind is not Kind.BARE or abs(reading.offset_m) < _BEYOND_M:
-        return ()
-    fits = f"an axis distance of {given + reading.offset_m:.2f} m, not {given:.2f} m"
-    return (f"the reflectors fit {fits}: measure it again, and the path delay",)
+def axis_error_m(answer: Identification, capture: Capture) -> float:
+    """By how much a tag was read beyond the given axis distance, m; 0 within `_BEYOND_M`, and on a body."""
+    reading = answer.reading
+    if answer.status != "identified" or reading is None or reading.kind is not Kind.BARE:
+        return 0.0
+    far = capture.axis_distance_m is not None and abs(reading.offset_m) >= _BEYOND_M
+    return reading.offset_m if far else 0.0
+
+
+def _of_the_range(answer: Identification, capture: Capture) -> tuple[str, ...]:
+    """That a tag was read elsewhere than where the axis distance puts it."""
+    error, given = axis_error_m(answer, capture), capture.axis_distance_m or 0.0
+    fits = f"an axis distance of {given + error:.2f} m, not {given:.2f} m"
+    return (f"the reflectors fit {fits}: measure it again, and the path delay",) if error else ()
 
 
 def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[Cause]:

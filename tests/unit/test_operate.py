@@ -27,12 +27,19 @@ from tagid.tags.layouts.layout import builtin_layouts
 BOUND = Bound(1 / 4700, 0.001, 4999, "24 to 360 views", "simulated objects")
 
 
+SETTINGS = {
+    "radar.url": "emulator://empty",
+    "motion.axis_distance_m": 1.0,
+    "imaging.method": "bp",
+    "imaging.pixels": 32,
+}
+
+
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workplace:
     monkeypatch.setenv("TAGID_DATA", str(tmp_path / "data"))
     monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "config.toml"))
-    settings = {"motion.axis_distance_m": 1.0, "imaging.method": "bp", "imaging.pixels": 32}
-    return Workplace({"radar.url": "emulator://empty", **settings})
+    return Workplace(SETTINGS)
 
 
 def recording(seed: int) -> Capture:
@@ -99,6 +106,21 @@ def test_a_joint_answer_has_the_remarks_and_causes_of_its_recordings(place: Work
     assert part.name is None and [cause.code for cause in part.causes] == ["partial_turn"]
     with pytest.raises(DataError, match="no common image"):
         draw(joint, None)
+
+
+def test_a_picture_is_drawn_where_the_reflectors_were_read(place: Workplace) -> None:
+    """With an axis distance wrong by 12 cm there is nothing to be seen where the rings are."""
+    whole = recording(3)
+    wrong = Workplace({**SETTINGS, "motion.axis_distance_m": 1.12})
+    answer = read(wrong.setup(), whole)
+    assert answer.name == "helmet-120" and "1.00 m, not 1.12 m" in answer.remarks[0]
+    image = draw(answer, None).result.image
+    brightest = image.grid.points[np.argmax(np.abs(image.values))] + image.centre_m
+    places = [(r.x_m, r.y_m) for r in answer.identification.reading.reflectors if r.matched]
+    assert np.linalg.norm(np.array(places) - brightest, axis=1).min() < 0.015
+    right = draw(read(place.setup(), whole), None).result
+    assert right.image.settings["axis_distance_m"] == pytest.approx(1.0, abs=0.02)
+    assert image.settings["axis_distance_m"] == pytest.approx(1.0, abs=0.02)
 
 
 def test_an_error_names_the_recording_once_and_not_its_copy(place: Workplace, tmp_path: Path) -> None:
