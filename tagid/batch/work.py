@@ -13,7 +13,7 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from tagid import files
@@ -22,10 +22,10 @@ from tagid.batch.job import MAX_CAPTURE_BYTES, Answered, Job, Known, Outcome
 from tagid.errors import FileFormatError, StorageError, TagidError, displayable
 from tagid.operate.turn import Answer, failed, read
 from tagid.pipeline.answer import Identification
+from tagid.pipeline.diagnosis import axis_read_m
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import Stopwatch
-from tagid.reading.reading import Kind
 from tagid.report.records import ItemRecord, Thumbnails
 from tagid.report.thumbnails import draw_pictures
 from tagid.storage.history import utc_text
@@ -175,9 +175,7 @@ def pictured(prepared: PreparedCapture, answer: Identification) -> PreparedCaptu
 
     Only a name without a body determines it; the pictures do not show how well they predict held-out views.
     """
-    reading, distance = answer.reading, prepared.given.axis_distance_m
-    identified = reading is not None and reading.status == "identified" and reading.kind is Kind.BARE
-    if reading is None or not identified or distance is None or prepared.pulse_estimate is not None:
+    distance_m = axis_read_m(answer, prepared.given)
+    if distance_m is None or prepared.pulse_estimate is not None:
         return prepared
-    moved = replace(prepared.given, axis_distance_m=distance + reading.offset_m)
-    return PreparedCapture(moved, replace(prepared.settings, focus_m=0.0, held_out=False))
+    return prepared.at_axis(distance_m, held_out=False)

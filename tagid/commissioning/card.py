@@ -60,8 +60,8 @@ def read_card(bench: Bench) -> StepReport:
     rows.append(_places_row(marks, positions))
     rows.append(_residual_row(readings[0], bench.value("turning", "speed_variation"), capture))
     rows.append(_level_row(bench, place.config["motion.axis_distance_m"], capture, period))
-    places = Picture.of("mm: marks (rings) and reflectors (dots)", *_drawn(marks, positions), dots=True)
-    return reported("card", rows, facts=radar_facts(capture), recording=name, pictures=(places,))
+    plan = Picture.of("mm: marks (rings) and reflectors (dots)", *_drawn(marks, positions), dots=True)
+    return reported("card", rows, facts=radar_facts(capture), recording=name, pictures=(plan,))
 
 
 def _prepared(bench: Bench, place: Workplace, capture: Capture, period: Measured | None) -> PreparedCapture:
@@ -120,8 +120,8 @@ def _places(reading: Reading) -> tuple[Floats, Floats]:
     return layout.placed(math.radians(reading.rotation_deg), np.array(reading.centre_m)), positions
 
 
-def _drawn(*places: Floats) -> list[tuple[Floats, Floats]]:
-    return [(1e3 * points[:, 0], 1e3 * points[:, 1]) for points in places]
+def _drawn(*point_sets: Floats) -> list[tuple[Floats, Floats]]:
+    return [(1e3 * points[:, 0], 1e3 * points[:, 1]) for points in point_sets]
 
 
 def _places_row(marks: Floats, positions: Floats) -> Row:
@@ -161,13 +161,13 @@ def _residual_row(reading: Reading, variation: Measured | None, capture: Capture
     """
     if not reading.hypotheses:
         return Row("residual", Level.NOTE, text="not compared: nothing was read")
-    left = reading.hypotheses[0].unexplained
+    unexplained = reading.hypotheses[0].unexplained
     radius_m = float(np.sqrt((test_card().positions ** 2).sum(axis=1).mean()))
     kappa = 4 * math.pi / capture.wavelength_m
     error = Measured(0.0, 0.0) if variation is None else variation
     by_wobble = (kappa * radius_m * error.value / 2) ** 2
     expected = MODEL_ERROR**2 + by_wobble
-    off = 10 * math.log10(max(left, 1e-6) / expected)
+    off = 10 * math.log10(max(unexplained, 1e-6) / expected)
     sigma = 20 / math.log(10) * by_wobble / expected * error.sigma / max(error.value, 1e-9)
     good = off <= _LEVEL_DB
     return Row(
@@ -176,7 +176,7 @@ def _residual_row(reading: Reading, variation: Measured | None, capture: Capture
         off,
         sigma,
         "dB",
-        f"{100 * left:.2f} % of the changing echo measured, at most {100 * expected:.2f} % predicted",
+        f"{100 * unexplained:.2f} % of the changing echo measured, at most {100 * expected:.2f} % predicted",
         "" if good else "Take away what turns with the card, put the table level, then repeat.",
         "" if good else "residual",
     )

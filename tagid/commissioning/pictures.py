@@ -101,19 +101,19 @@ def drawing_of(picture: Picture) -> Drawing:
     drawing.add(Rect(_LEFT, _BELOW, width, height, fillColor=None, strokeColor=frame, strokeWidth=0.5))
     across, up = _limits(picture)
     for ink, (x, y) in zip(_INKS, picture.curves, strict=False):
-        places = [
+        points = [
             (_LEFT + _share(a, across) * width, _BELOW + _share(b, up) * height)
             for a, b in zip(x, y, strict=True)
         ]
         if picture.dots:
-            for a, b in places:
+            for a, b in points:
                 hollow = ink == _INKS[0]
                 drawing.add(
                     Circle(a, b, 4 if hollow else 2, fillColor=None if hollow else HexColor(ink),
                            strokeColor=HexColor(ink), strokeWidth=0.8)
                 )  # fmt: skip
         else:
-            flat = [value for place in places for value in place]
+            flat = [value for point in points for value in point]
             drawing.add(PolyLine(flat, strokeColor=HexColor(ink), strokeWidth=0.8))
     marks = nice_ticks(*across)
     for at, words in zip(marks, tick_labels(marks), strict=True):

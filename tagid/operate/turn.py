@@ -20,7 +20,7 @@ from tagid.errors import DataError, TagidError, UsageError, displayable
 from tagid.operate.truth import Comparison, compare
 from tagid.operate.words import headline, method_shown, notes
 from tagid.pipeline.answer import Cause, Identification
-from tagid.pipeline.diagnosis import axis_error_m, recording_remarks, with_causes
+from tagid.pipeline.diagnosis import other_axis_m, recording_remarks, with_causes
 from tagid.pipeline.identify import ended_answer, identify_together, without_body
 from tagid.pipeline.identify import identify as read_tag
 from tagid.pipeline.prepared import LoadSettings, PreparedCapture, as_prepared, intake_remarks, load_capture
@@ -431,11 +431,10 @@ def draw(
 
     if answer.prepared is None:
         raise answer.error or DataError("several recordings have no common image", "Draw them one by one.")
-    prepared, given = answer.prepared, answer.prepared.given
-    if error := axis_error_m(answer.identification, given):
+    prepared = answer.prepared
+    if (distance_m := other_axis_m(answer.identification, prepared.given)) is not None:
         # The search for the axis does not reach so far, and with a wrong one there is nothing to be seen.
-        moved = replace(given, axis_distance_m=(given.axis_distance_m or 0.0) + error)
-        prepared = PreparedCapture(moved, replace(prepared.settings, focus_m=0.0))
+        prepared = prepared.at_axis(distance_m)
     shown = without_body(prepared, answer.identification) if subtract_body else prepared
     result = reconstruct(shown, progress=progress)
     if png is not None:

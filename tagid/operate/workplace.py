@@ -158,10 +158,12 @@ class Workplace:
 
     def without_profile(self, answer: Answer) -> tuple[str, ...]:
         """That the rig is not commissioned, where an answer of its own radar has no name; else nothing."""
+        from tagid.rig import installed_profile
+
         emulated = self.radar_url().startswith(("emulator://", "replay://"))
-        if emulated or answer.status in ("identified", "failed") or self.loading().rig is not None:
+        if emulated or answer.status in ("identified", "failed"):
             return ()
-        return (NOT_COMMISSIONED,)
+        return () if installed_profile(data_folder()) else (NOT_COMMISSIONED,)
 
     def radar_url(self) -> str:
         """The URL of the configured radar.

@@ -340,20 +340,27 @@ def _stopped(capture: Capture) -> Cause | None:
     return Cause("turn_stopped", stopped_words(resolved.standstill), REMEDY)
 
 
-def axis_error_m(answer: Identification, capture: Capture) -> float:
-    """By how much a tag was read beyond the given axis distance, m; 0 within `_BEYOND_M`, and on a body."""
-    reading = answer.reading
-    if answer.status != "identified" or reading is None or reading.kind is not Kind.BARE:
-        return 0.0
-    far = capture.axis_distance_m is not None and abs(reading.offset_m) >= _BEYOND_M
-    return reading.offset_m if far else 0.0
+def axis_read_m(answer: Identification, capture: Capture) -> float | None:
+    """The axis distance that the reflectors of a name fit, m; None without a name, and on a body."""
+    given, reading = capture.axis_distance_m, answer.reading
+    if given is None or reading is None or answer.status != "identified" or reading.kind is not Kind.BARE:
+        return None
+    return given + reading.offset_m
+
+
+def other_axis_m(answer: Identification, capture: Capture) -> float | None:
+    """The same where it is not the given distance: from `_BEYOND_M` on."""
+    fits = axis_read_m(answer, capture)
+    return None if fits is None or abs(fits - (capture.axis_distance_m or 0.0)) < _BEYOND_M else fits
 
 
 def _of_the_range(answer: Identification, capture: Capture) -> tuple[str, ...]:
     """That a tag was read elsewhere than where the axis distance puts it."""
-    error, given = axis_error_m(answer, capture), capture.axis_distance_m or 0.0
-    fits = f"an axis distance of {given + error:.2f} m, not {given:.2f} m"
-    return (f"the reflectors fit {fits}: measure it again, and the path delay",) if error else ()
+    fits = other_axis_m(answer, capture)
+    if fits is None:
+        return ()
+    instead = f"an axis distance of {fits:.2f} m, not {capture.axis_distance_m:.2f} m"
+    return (f"the reflectors fit {instead}: measure it again, and the path delay",)
 
 
 def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[Cause]:

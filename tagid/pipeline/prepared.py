@@ -120,6 +120,16 @@ class PreparedCapture:
         """Other scans, made from `capture`, with these settings: their pulse is chosen already."""
         return PreparedCapture(capture, replace(self.settings, pulse="auto"))
 
+    def at_axis(self, distance_m: float, held_out: bool = True) -> PreparedCapture:
+        """The same scans with the axis at a known distance, m, which is not searched for.
+
+        Args:
+            distance_m: of the axis.
+            held_out: whether images say how well they predict held-out views, if the settings ask for it.
+        """
+        settings = replace(self.settings, focus_m=0.0, held_out=self.settings.held_out and held_out)
+        return PreparedCapture(replace(self._given, axis_distance_m=distance_m), settings)
+
     @property
     def pulse_estimate(self) -> PulseEstimate | None:
         """The estimate of the pulse; None if the settings select none."""

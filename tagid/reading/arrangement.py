@@ -113,9 +113,9 @@ class Arrangement:
             + 0.5 * np.log(along / (2 * np.pi)).sum()
         )
         for i, sd in enumerate(common_sd_m, start=1):
-            own = slice(i * k, (i + 1) * k)
-            precision[own, own] = np.linalg.inv(GLUED_SD_M**2 * np.eye(k) + sd**2)
-            log += 0.5 * np.linalg.slogdet(precision[own, own] / (2 * np.pi))[1]
+            block = np.linalg.inv(GLUED_SD_M**2 * np.eye(k) + sd**2)
+            precision[i * k : (i + 1) * k, i * k : (i + 1) * k] = block
+            log += 0.5 * np.linalg.slogdet(block / (2 * np.pi))[1]
         return float(log), precision
 
     def unbound(self, turn: Floats) -> Arrangement:

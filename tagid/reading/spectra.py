@@ -170,18 +170,10 @@ class Spectra:
         """Number of views V."""
         return int(self.data.shape[1])
 
-    @cached_property
-    def level(self) -> NDArray[np.intp]:
-        """(V,) number of the height at which the antenna stood; one where it changed from view to view."""
-        out = np.zeros(self.views, dtype=np.intp)
-        for number, views in enumerate(views_of_heights(self.height_m)):
-            out[views] = number
-        return out
-
     @property
     def levels(self) -> int:
         """Number of heights, two or more where heights of reflectors show."""
-        return max(int(self.level.max()) + 1, 1 + int(np.ptp(self.height_m) > SAME_HEIGHT_M))
+        return max(len(self.rooms), 1 + int(np.ptp(self.height_m) > SAME_HEIGHT_M))
 
     def rises(self, most_m: float) -> Floats:
         """Heights up to so much above and below that change the echo by 1 rad from one to the next, m.

@@ -50,11 +50,11 @@ def errors(spectra: Spectra) -> Floats:
     """(T, V) errors of the stated angles of one standard deviation, rad."""
     scale = SCALE if spectra.scale_sigma is None else spectra.scale_sigma
     rows = np.repeat(CYCLES_RAD, 2)[:, None] * cycles(spectra.direction)
-    level = spectra.level == np.arange(spectra.level.max() + 1)[:, None]
-    scales = np.zeros(level.shape)
-    for own, row in zip(level, scales, strict=True):
-        row[own] = scale * turned_so_far(spectra.direction[own])
-    return np.concatenate([rows, scales, BEGUN_RAD * level[1:]])
+    turns = spectra.rooms > 0
+    scales = np.zeros(turns.shape)
+    for views, row in zip(turns, scales, strict=True):
+        row[views] = scale * turned_so_far(spectra.direction[views])
+    return np.concatenate([rows, scales, BEGUN_RAD * turns[1:]])
 
 
 def turned_so_far(direction: Floats) -> Floats:

@@ -116,8 +116,8 @@ def test_a_picture_is_drawn_where_the_reflectors_were_read(place: Workplace) -> 
     assert answer.name == "helmet-120" and "1.00 m, not 1.12 m" in answer.remarks[0]
     image = draw(answer, None).result.image
     brightest = image.grid.points[np.argmax(np.abs(image.values))] + image.centre_m
-    places = [(r.x_m, r.y_m) for r in answer.identification.reading.reflectors if r.matched]
-    assert np.linalg.norm(np.array(places) - brightest, axis=1).min() < 0.015
+    reflectors = [(r.x_m, r.y_m) for r in answer.identification.reading.reflectors if r.matched]
+    assert np.linalg.norm(np.array(reflectors) - brightest, axis=1).min() < 0.015
     right = draw(read(place.setup(), whole), None).result
     assert right.image.settings["axis_distance_m"] == pytest.approx(1.0, abs=0.02)
     assert image.settings["axis_distance_m"] == pytest.approx(1.0, abs=0.02)

@@ -87,8 +87,8 @@ def test_every_height_has_a_speed_and_a_beginning_of_its_own() -> None:
     rows = errors(empty)
     assert len(rows) == 4 + levels + levels - 1
     for row, start in zip(rows[4 : 4 + levels], range(0, levels * views, views), strict=True):
-        own = row[start : start + views] / SCALE
-        np.testing.assert_allclose(np.diff(own), -np.deg2rad(10.05), atol=1e-6)
+        turned = row[start : start + views] / SCALE
+        np.testing.assert_allclose(np.diff(turned), -np.deg2rad(10.05), atol=1e-6)
         assert not row[:start].any() and not row[start + views :].any()
     truth = np.array([0.0, 0.0, 0.0, 0.0, 0.2, -0.1, 0.3, 0.8, -1.2])
     model = Model(BARE, Arrangement.of_layout(HELMET.positions, None), False, 1, levels=levels)
