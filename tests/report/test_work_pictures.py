@@ -41,5 +41,6 @@ def test_without_a_name_the_axis_is_searched() -> None:
     prepared = PreparedCapture(prepare(capture), ImagingSettings(method="bp"))
     answer = identify(prepared, LAYOUTS)
     assert answer.reading is not None
-    unnamed = replace(answer, reading=replace(answer.reading, status="unknown", layout=None))
+    reading = replace(answer.reading, status="unknown", layout=None)
+    unnamed = replace(answer, status=reading.status, reading=reading)
     assert pictured(prepared, unnamed) is prepared
