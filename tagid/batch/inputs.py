@@ -17,7 +17,6 @@ from tagid.constants import CAPTURE_SUFFIX
 from tagid.counting import counted
 from tagid.errors import DataError, MissingExtraError, StorageError, displayable
 from tagid.storage import mrm_ret, npz
-from tagid.storage.image import is_image
 from tagid.storage.journal import being_recorded
 
 SUFFIXES = (CAPTURE_SUFFIX, ".h5", ".hdf5", ".npz", ".prd", ".out", ".csv", ".tagid.journal", ".journal")
@@ -176,7 +175,7 @@ def is_recording(path: Path) -> bool:
         if name.endswith(".csv"):
             return mrm_ret.is_mrm_ret(head)
         if name.endswith(".npz") and head.startswith(npz.MAGIC):
-            return not is_image(path)
+            return not npz.is_image(path)
     except (OSError, StorageError):
         return True
     return True

@@ -66,10 +66,10 @@ def check_drawing(
         UsageError: another suffix, or one of the inputs. StorageError: a folder, an NPZ file that is not an
             image, or nothing can be written there.
     """
-    from tagid.storage.image import is_image
-
     if path is None:
         return
+    from tagid.storage.npz import is_image
+
     if path.suffix.lower() not in suffixes:
         raise UsageError(
             f"{option} {path} does not end in {' or '.join(suffixes)}",

@@ -117,7 +117,7 @@ def reconstruct(
     from tagid.pipeline.identify import identify, without_body
     from tagid.pipeline.prepared import LoadSettings, PreparedCapture, intake_remarks, load_capture
     from tagid.pipeline.reconstruct import reconstruct as reconstruct_image
-    from tagid.storage.image import write_image
+    from tagid.report.arrays import write_image
 
     _check_combined(how, wanted, volume)
     check_drawing("--png", picture.png, (".png",), [file])

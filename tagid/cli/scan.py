@@ -170,7 +170,7 @@ def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInf
     from tagid.cli import imaging
     from tagid.operate.turn import draw, failed, picture_of
     from tagid.operate.words import SUBTRACTED, ending_words, learned_words, turn_line
-    from tagid.storage.image import write_image
+    from tagid.report.arrays import write_image
 
     url = place.radar_url()
     plan = place.plan(limits.scans, limits.max_seconds, about)

@@ -205,8 +205,8 @@ def make_volume(
 
 
 def _write(volume: Volume, files: dict[str, Path]) -> None:
+    from tagid.report.arrays import write_surface, write_volume
     from tagid.report.volume_picture import draw_projections, write_turning
-    from tagid.storage.volume import write_surface, write_volume
 
     axes = volume.grid.square.axis, volume.grid.heights
     for kind, path in files.items():

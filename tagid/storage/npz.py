@@ -42,7 +42,6 @@ from tagid.storage.assembly import (
     number,
     text,
 )
-from tagid.storage.image import is_image
 from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata, stored_version
 from tagid.storage.units import check_times, check_units
 
@@ -169,6 +168,16 @@ def _refuse_misspelt(path: Path, data: bytes, arrays: dict[str, NDArray[Any]]) -
                     f"{path}: the NPZ file holds {displayable(name)}, which is not a key; is it {meant}?",
                     f"Rename it to {meant}, or leave it out.",
                 )
+
+
+def is_image(path: Path) -> bool:
+    """Whether an NPZ file contains an image or a volume of `tagid reconstruct --out`, and no scans."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            names = set(file.namelist())
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return False
+    return not names.isdisjoint(("image.npy", "volume.npy")) and "samples.npy" not in names
 
 
 def encode_npz(capture: Capture) -> bytes:

@@ -22,8 +22,8 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.volume import backproject_volume, sparse_volume
 from tagid.pipeline.join import heights_of, join
 from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
+from tagid.report.arrays import isosurface, write_surface, write_volume
 from tagid.report.volume_picture import draw_projections, write_turning
-from tagid.storage.volume import isosurface, write_surface, write_volume
 from tests.unit.imaging_scenes import record, turn
 
 HEIGHTS = (-0.2, -0.1, 0.0, 0.1, 0.2)

@@ -1,4 +1,4 @@
-"""Volume files for other programs: NPZ, VTK image data (.vti), and a point cloud or a surface (.ply).
+"""Images and volumes as files for other programs: NPZ, VTK image data (.vti), point cloud or surface (.ply).
 
 VTK: "VTK XML file formats", appended raw data with a 64-bit length. PLY: Turk, "The PLY polygon file format"
 (1994), binary little-endian.
@@ -10,13 +10,15 @@ import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.files import write_bytes
+from tagid.imaging.types import Image
+from tagid.imaging.volume import Volume
 
 _CORNERS = np.array([[z, y, x] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
 _TETRAHEDRA = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
@@ -102,71 +104,33 @@ SURFACE_DB = 10.0
 after a fit."""
 
 
-class Square(Protocol):
-    """The part of a level's grid that is needed."""
+def write_image(path: Path, image: Image) -> None:
+    """Write `image` complex64 (y, x), `x_m`, `y_m` and `settings` (JSON) as NPZ, atomically.
 
-    @property
-    def axis(self) -> NDArray[np.float64]:
-        """(pixels,) centres along x and y, m."""
-        ...
-
-    @property
-    def step(self) -> float:
-        """Pixel pitch, m."""
-        ...
+    Raises StorageError, DiskFullError.
+    """
+    x_m, y_m = (image.grid.axis + middle for middle in image.centre_m)
+    write_bytes(
+        path, _npz({"image": image.values.astype(np.complex64), "x_m": x_m, "y_m": y_m}, image.settings)
+    )
 
 
-class Grid(Protocol):
-    """The part of a volume's grid that is needed."""
-
-    @property
-    def square(self) -> Square:
-        """Grid of a level."""
-        ...
-
-    @property
-    def heights(self) -> NDArray[np.float64]:
-        """(levels,) centres along z, m."""
-        ...
-
-    @property
-    def rise(self) -> float:
-        """Height of a voxel, m."""
-        ...
+def _npz(arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer, allow_pickle=False, **arrays, settings=np.array(json.dumps(settings, default=str))
+    )
+    return buffer.getvalue()
 
 
-class GriddedVolume(Protocol):
-    """The part of a volume that is needed; `tagid.imaging.volume.Volume` is one."""
-
-    @property
-    def values(self) -> NDArray[np.complex64]:
-        """(z, y, x) reflectivity."""
-        ...
-
-    @property
-    def grid(self) -> Grid:
-        """The grid of the voxels."""
-        ...
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Method and parameters."""
-        ...
-
-    @property
-    def centre_m(self) -> tuple[float, float]:
-        """(x, y) that the grid is about, m."""
-        ...
-
-
-def _axes(volume: GriddedVolume) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _axes(volume: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Coordinates of the voxels along z, y and x, m."""
     x_m, y_m = (volume.grid.square.axis + middle for middle in volume.centre_m)
     return volume.grid.heights, y_m, x_m
 
 
-def write_volume(path: Path, volume: GriddedVolume) -> None:
-    """Write a volume atomically, in the format given by the suffix.
+def write_volume(path: Path, volume: Volume) -> None:
+    """Write a volume atomically, in the format that the suffix names.
 
     .npz: `volume` complex64 (z, y, x), `x_m`, `y_m`, `z_m`, `settings` (JSON). .vti: point data `magnitude`
     and `phase`. .ply: points with `magnitude`.
@@ -174,19 +138,14 @@ def write_volume(path: Path, volume: GriddedVolume) -> None:
     Raises:
         UsageError: another suffix. StorageError, DiskFullError.
     """
-    writers = {".npz": _npz, ".vti": _vti, ".ply": _ply}
+    writers = {".npz": _volume_npz, ".vti": _vti, ".ply": _ply}
     if path.suffix not in writers:
         raise UsageError(f"{path} has no suffix of a volume file", f"Use one of {', '.join(writers)}.")
     write_bytes(path, writers[path.suffix](volume))
 
 
-def write_surface(path: Path, volume: GriddedVolume, level_db: float = SURFACE_DB) -> None:
-    """Write the surface of constant magnitude as PLY triangles, atomically.
-
-    Args:
-        path: file to write.
-        volume: see there.
-        level_db: level below the brightest voxel, dB.
+def write_surface(path: Path, volume: Volume) -> None:
+    """Write the surface `SURFACE_DB` below the brightest voxel as PLY triangles, atomically.
 
     Raises:
         UsageError: a volume with fewer than two voxels along an axis. StorageError, DiskFullError.
@@ -199,7 +158,7 @@ def write_surface(path: Path, volume: GriddedVolume, level_db: float = SURFACE_D
         )
     # A frame of zeros closes the surface where the object reaches the volume's border.
     axes = [_framed(values) for values in _axes(volume)]
-    level = float(magnitude.max()) * 10 ** (-level_db / 20)
+    level = float(magnitude.max()) * 10 ** (-SURFACE_DB / 20)
     surface = isosurface(np.pad(magnitude, 1), level if level > 0 else 1.0, tuple(axes))
     faces = np.zeros(len(surface.triangles), dtype=[("count", "u1"), ("vertices", "<i4", 3)])
     faces["count"], faces["vertices"] = 3, surface.triangles
@@ -217,21 +176,14 @@ def _framed(axis: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.concatenate([[axis[0] - step], axis, [axis[-1] + step]])
 
 
-def _npz(volume: GriddedVolume) -> bytes:
-    buffer = io.BytesIO()
+def _volume_npz(volume: Volume) -> bytes:
     z_m, y_m, x_m = _axes(volume)
-    np.savez_compressed(
-        buffer,
-        volume=volume.values.astype(np.complex64),
-        x_m=x_m,
-        y_m=y_m,
-        z_m=z_m,
-        settings=np.array(json.dumps(volume.settings, default=str)),
+    return _npz(
+        {"volume": volume.values.astype(np.complex64), "x_m": x_m, "y_m": y_m, "z_m": z_m}, volume.settings
     )
-    return buffer.getvalue()
 
 
-def _vti(volume: GriddedVolume) -> bytes:
+def _vti(volume: Volume) -> bytes:
     levels, rows, columns = volume.values.shape
     extent = f"0 {columns - 1} 0 {rows - 1} 0 {levels - 1}"
     step = volume.grid.square.step
@@ -259,7 +211,7 @@ def _vti(volume: GriddedVolume) -> bytes:
     return head.encode("ascii") + b"".join(parts) + b"\n</AppendedData>\n</VTKFile>\n"
 
 
-def _ply(volume: GriddedVolume) -> bytes:
+def _ply(volume: Volume) -> bytes:
     magnitude = np.abs(volume.values)
     bright = magnitude >= magnitude.max(initial=0.0) * 10 ** (-CLOUD_DB / 20)
     bright &= magnitude > 0
