@@ -346,7 +346,7 @@ def _open_temporary(path: Path) -> tuple[Path, PatientFile]:
         # Another process may have removed it as abandoned before it was locked. Where every lock is refused,
         # no process can do that.
         last = attempt == _LOCK_ATTEMPTS - 1
-        if (_lock(stream.fileno()) is not False or last) and temporary.exists():
+        if (lock(stream.fileno()) is not False or last) and temporary.exists():
             return temporary, stream
         stream.close()
         temporary.unlink(missing_ok=True)
@@ -368,13 +368,13 @@ def clear_abandoned(folder: Path) -> None:
         with suppress(OSError):
             descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
             try:
-                if stat.S_ISREG(os.fstat(descriptor).st_mode) and _lock(descriptor):
+                if stat.S_ISREG(os.fstat(descriptor).st_mode) and lock(descriptor):
                     path.unlink()
             finally:
                 os.close(descriptor)
 
 
-def _lock(descriptor: int) -> bool | None:
+def lock(descriptor: int) -> bool | None:
     """Lock a file until it is closed: True; False if it is locked already; None if unknown."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

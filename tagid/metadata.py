@@ -21,7 +21,7 @@ from tagid.constants import CLIP_COUNTS_PER_INTEGRATION
 from tagid.errors import DataError
 
 METADATA_VERSION = 2
-"""Version of the JSON objects. 1: untyped, before 0.2.0 (`tagid.storage.migrations` reads it)."""
+"""Version of the JSON objects. 1: untyped, before 0.2.0 (`tagid.storage.metadata` reads it)."""
 
 _LARGEST_INTEGRATION_INDEX = 15
 """Largest base integration index of a P440 (MRM API: 6..15); a larger number in a file is not believed."""

@@ -23,8 +23,7 @@ from tagid.recording.plan import RecordingPlan
 from tagid.recording.session import Recorded, Session, Steps, Written, run_recording
 from tagid.recording.stream import ScanStream
 from tagid.storage.hdf5 import write_capture
-from tagid.storage.journal import read_journal
-from tagid.storage.journal_capture import journal_to_capture
+from tagid.storage.journal_capture import read_journal_capture
 
 _JUDGED_SCANS = 2000
 """Maximum number of scans examined during recording; more are decimated to keep the radar's queue short."""
@@ -212,7 +211,7 @@ class _OneTurn:
 def _with_angles(recorded: Recorded, watch: Watch) -> Capture:
     """The capture of a journal, with angles if they are known."""
     ended_by = recorded.ended_by
-    capture = journal_to_capture(read_journal(recorded.journal))
+    capture = read_journal_capture(recorded.journal)
     if ended_by is not None:
         capture = replace(capture, radar=capture.radar.with_known(recorded.counters))
     if watch.resolve and (ended_by is None or capture.motion.track is not None):

@@ -6,24 +6,27 @@ If a recording ends early, the received scans stay on disk and the error says wh
 from __future__ import annotations
 
 import logging
+import uuid
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from tagid import files, interrupts
+from tagid._version import __version__
 from tagid.constants import CAPTURE_SUFFIX, RANGE_STEP_M
 from tagid.errors import CaptureInterrupted, DataError, StorageError, TagidError
-from tagid.metadata import MotionInfo, RadarInfo, ScanGap
+from tagid.metadata import METADATA_VERSION, MotionInfo, RadarInfo, ScanGap
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.recording.intake import Intake
 from tagid.recording.plan import RecordingPlan, capture_beside, journal_beside
 from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
 from tagid.storage.journal import JournalWriter, being_recorded
-from tagid.storage.journal_header import JournalHeader
 from tagid.storage.journal_queue import JournalQueue
+from tagid.storage.metadata import VERSION_KEY
 
 _Result = TypeVar("_Result")
 
@@ -149,7 +152,7 @@ def run_recording(
         raise interrupts.stopped_by_user(stop, where_kept(taken[-1])) from stop
 
 
-def _configure(radar: P440, plan: RecordingPlan) -> JournalHeader:
+def _configure(radar: P440, plan: RecordingPlan) -> dict[str, Any]:
     """Configure a connected radar; returns the header of the journal."""
     status, config = radar.status(), radar.config
     if plan.config is not None:
@@ -214,7 +217,7 @@ def _keep(recorded: Recorded, write: Callable[[Recorded], Written[_Result]]) -> 
     return written.result
 
 
-def start_journal(path: Path, header: JournalHeader, renumber: bool = False) -> JournalWriter:
+def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) -> JournalWriter:
     """The journal of a capture that is to be written at `path`; creating it reserves the name.
 
     With `renumber` the next free name is used if the name exists. Creation is exclusive, so two
@@ -230,7 +233,7 @@ def start_journal(path: Path, header: JournalHeader, renumber: bool = False) -> 
         journal_path = journal_beside(wanted)
         files.check_regular(journal_path)  # opening a pipe may wait for ever
         try:
-            journal = JournalWriter(journal_path, header.to_json(), sync_every=1, sync_seconds=SYNC_S)
+            journal = JournalWriter(journal_path, header, sync_every=1, sync_seconds=SYNC_S)
         except StorageError as error:
             if not journal_path.is_file():
                 raise
@@ -252,8 +255,8 @@ def start_journal(path: Path, header: JournalHeader, renumber: bool = False) -> 
     raise StorageError(f"{path} and the names after it already exist", "Choose another folder.")
 
 
-def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) -> JournalHeader:
-    """The header of a recording's journal.
+def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) -> dict[str, Any]:
+    """The header of a recording's journal: all of its capture that is known before the first scan.
 
     Args:
         plan: the recording plan.
@@ -266,16 +269,20 @@ def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) ->
         config_asked=None if plan.config is None else plan.config.stored(),
         cable_delay_ps=plan.cable_delay_ps,
     )
-    return JournalHeader(
-        range_start_m=taken.range_start_m(plan.cable_delay_ps),
-        range_step_m=RANGE_STEP_M,
-        axis_distance_m=plan.axis_distance_m,
-        antenna_height_m=plan.antenna_height_m,
-        antenna_separation_m=plan.antenna_separation_m or None,
-        radar=info,
-        motion=MotionInfo(url=plan.motion),
-        object=plan.object,
-    )
+    return {
+        "range_start_m": taken.range_start_m(plan.cable_delay_ps),
+        "range_step_m": RANGE_STEP_M,
+        "axis_distance_m": plan.axis_distance_m,
+        "antenna_height_m": plan.antenna_height_m,
+        "antenna_separation_m": plan.antenna_separation_m or None,
+        "uuid": str(uuid.uuid4()),
+        "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "tool_version": __version__,
+        VERSION_KEY: METADATA_VERSION,
+        "radar": info.to_json(),
+        "motion": MotionInfo(url=plan.motion).to_json(),
+        "object": plan.object.to_json(),
+    }
 
 
 def check_all_read(journal: Path, read: int, accepted: int) -> None:

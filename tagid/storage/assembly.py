@@ -113,6 +113,19 @@ OPTIONAL_NUMBERS = (
     "wave_speed_m_s",
 )
 """Numbers of a capture that a file may omit."""
+VIEW_ARRAYS = {
+    "host_time_ns": "int64",
+    "radar_time_ms": "float64",
+    "angles_rad": "float64",
+    "angle_sigma_rad": "float64",
+    "scan_id": "int64",
+    "flags": "uint8",
+    "antenna_positions_m": "float64",
+    "receive_positions_m": "float64",
+}
+"""Arrays with one row per view besides the samples, and their dtypes."""
+OLD_ANGLES = "angle_rad"
+"""Name of the angles in HDF5 and MATLAB files of tagid 0.1 and 0.2, and in NPZ files made of those."""
 _LIMITS = {
     "range_start_m": (-1e7, 1e7),
     "range_step_m": (1e-6, 1e4),

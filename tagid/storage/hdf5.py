@@ -33,9 +33,12 @@ from tagid import files
 from tagid.capture import Capture, Pulse
 from tagid.constants import CAPTURE_SUFFIX, SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError, StorageError, UsageError
+from tagid.metadata import METADATA_VERSION
 from tagid.storage.assembly import (
     AS_NPZ,
     MAX_JSON_BYTES,
+    OLD_ANGLES,
+    VIEW_ARRAYS,
     build_capture,
     decode_settings,
     encode_settings,
@@ -43,29 +46,14 @@ from tagid.storage.assembly import (
     text,
 )
 from tagid.storage.metadata import PARTS, metadata_of, read_metadata
-from tagid.storage.migrations import (
-    FORMAT_VERSION,
-    OLD_ANGLES,
-    RawCapture,
-    check_version,
-    migrate,
-    named_angles,
-)
 
 FORMAT = "tagid.capture"
+FORMAT_VERSION = 3
+"""Version of the capture file that this tagid writes. 2: typed metadata (`tagid.storage.metadata`). 3: the
+angles are called `angles_rad`, as in NPZ and MATLAB files; a second antenna (antenna_separation_m,
+/scans/receive_positions_m), which version 2 would ignore."""
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
-_VIEW_ARRAYS = {
-    "host_time_ns": ("host_time_ns", "int64"),
-    "radar_time_ms": ("radar_time_ms", "float64"),
-    "angles_rad": ("angles_rad", "float64"),
-    "angle_sigma_rad": ("angle_sigma_rad", "float64"),
-    "scan_id": ("scan_id", "int64"),
-    "flags": ("flags", "uint8"),
-    "antenna_positions_m": ("antenna_positions_m", "float64"),
-    "receive_positions_m": ("receive_positions_m", "float64"),
-}
-"""Dataset under /scans -> (field of Capture, dtype)."""
 _NUMBERS = ("range_start_m", "range_step_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
 _TEXTS = ("uuid", "created_utc", "tool_version")
 _BLOCK_BYTES = 1 << 20
@@ -73,7 +61,7 @@ _MAX_EXPANSION = 20
 _SMALL_BYTES = 16 << 20
 """Scans contain noise and compress 2:1 to 5:1; a much higher ratio in a large file indicates an attack."""
 _KNOWN = frozenset(
-    {"pulse", "scans/samples", "scans/samples_imag", OLD_ANGLES, *(f"scans/{name}" for name in _VIEW_ARRAYS)}
+    {"pulse", *(f"scans/{name}" for name in ("samples", "samples_imag", OLD_ANGLES, *VIEW_ARRAYS))}
 )
 
 
@@ -221,14 +209,15 @@ def read_capture(path: Path) -> Capture:
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             version = _version(file, path)
-            raw = RawCapture({name: _attribute(file, name) for name in file.attrs}, _read_arrays(file, path))
+            attributes = {name: _attribute(file, name) for name in file.attrs}
+            arrays = _read_arrays(file, path)
     # h5py raises any of these on damaged files, depending on where the damage is.
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, MemoryError) as error:
         raise FileFormatError(
             f"{path}: the HDF5 file is damaged or truncated ({str(error)[:120]})",
             "If a journal of the recording exists, use `tagid recover`.",
         ) from error
-    return _to_capture(path, named_angles(migrate(raw, version, path)))
+    return _to_capture(path, version, attributes, arrays)
 
 
 def _fill(file: Any, capture: Capture, written: _Written) -> None:
@@ -263,8 +252,8 @@ def _scan_arrays(capture: Capture) -> dict[str, NDArray[Any]]:
     arrays = {"samples": capture.samples}
     if np.iscomplexobj(capture.samples):
         arrays = {"samples": capture.samples.real, "samples_imag": capture.samples.imag}
-    for name, (field, dtype) in _VIEW_ARRAYS.items():
-        value = getattr(capture, field)
+    for name, dtype in VIEW_ARRAYS.items():
+        value = getattr(capture, name)
         if value is not None:
             arrays[name] = np.asarray(value, dtype=dtype)
     return arrays
@@ -303,7 +292,13 @@ def _version(file: Any, path: Path) -> int:
     version = number(_attribute(file, "format_version"), f"{path} (format_version)")
     if version != int(version):
         raise FileFormatError(f"{path}: format_version is {version}, expected a whole number")
-    check_version(int(version), path)
+    if version > FORMAT_VERSION:
+        raise FileFormatError(
+            f"{path}: format version {version:g}, this tagid reads up to version {FORMAT_VERSION}",
+            "It was made by a newer tagid; upgrade.",
+        )
+    if version < 1:
+        raise FileFormatError(f"{path}: format version {version:g} does not exist", "The file is damaged.")
     return int(version)
 
 
@@ -363,8 +358,12 @@ def _check_dataset(dataset: Any, path: Path) -> None:
         )
 
 
-def _to_capture(path: Path, raw: RawCapture) -> Capture:
-    attributes, arrays = raw.attributes, raw.arrays
+def _to_capture(
+    path: Path, version: int, attributes: dict[str, Any], arrays: dict[str, NDArray[Any]]
+) -> Capture:
+    """The capture of a file's root attributes, and of its datasets by path."""
+    if f"scans/{OLD_ANGLES}" in arrays:
+        arrays.setdefault("scans/angles_rad", arrays[f"scans/{OLD_ANGLES}"])
     needed = {"complete", *_TEXTS, *PARTS, *_NUMBERS}
     missing = sorted(name for name in needed if attributes.get(name) is None)
     if "scans/samples" not in arrays:
@@ -378,15 +377,15 @@ def _to_capture(path: Path, raw: RawCapture) -> Capture:
         if not isinstance(attributes[name], str | bytes):
             raise FileFormatError(f"{path}: {name} is not a JSON text")
         parts[name] = decode_settings(attributes[name], f"{path} ({name})")
-    fields |= read_metadata(parts, str(path))
+    fields |= read_metadata(parts, str(path), min(version, METADATA_VERSION))
     for name in ("axis_distance_m", "antenna_separation_m", "wave_speed_m_s"):
         if attributes.get(name) is not None:
             fields[name] = number(attributes[name], f"{path} ({name})")
     if not isinstance(attributes["complete"], bool | np.bool_):
         raise FileFormatError(f"{path}: complete is not true or false")
-    for name, (field, dtype) in _VIEW_ARRAYS.items():
+    for name, dtype in VIEW_ARRAYS.items():
         if f"scans/{name}" in arrays:
-            fields[field] = _native(arrays[f"scans/{name}"], f"{path}: /scans/{name}", (dtype,))
+            fields[name] = _native(arrays[f"scans/{name}"], f"{path}: /scans/{name}", (dtype,))
     if "pulse" in arrays:
         step = number(attributes.get("pulse_step_s"), f"{path} (pulse_step_s)")
         try:

@@ -12,6 +12,7 @@ The payload of a scan is scan_id i64, host_time_ns i64, radar_time_ms f64, flags
 
 from __future__ import annotations
 
+import fcntl
 import os
 import struct
 import time
@@ -30,35 +31,20 @@ from tagid import files, interrupts
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
 from tagid.storage.assembly import decode_settings, encode_settings
 
-fcntl: Any
-try:
-    import fcntl
-except ImportError:  # not a POSIX system
-    fcntl = None
-
 _TRIES = 20
 _PAUSE_S = 0.005
 
 
 def lock(descriptor: int) -> None:
     """Lock a new journal; the lock lasts until the descriptor and its duplicates are closed."""
-    if fcntl is None:
-        return
     for _ in range(_TRIES):
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:  # somebody asks `being_recorded` just now
-            time.sleep(_PAUSE_S)
-        except OSError:
+        if files.lock(descriptor) is not False:
             return
-        else:
-            return
+        time.sleep(_PAUSE_S)  # somebody asks `being_recorded` just now
 
 
 def being_recorded(path: Path) -> bool:
     """Whether a process is recording into this journal, or is writing its capture file."""
-    if fcntl is None:
-        return False
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError:
@@ -398,27 +384,6 @@ class JournalWriter:
             self._descriptor = -1
 
 
-@dataclass(frozen=True, eq=False)
-class Journal:
-    """The readable content of a journal.
-
-    Attributes:
-        path: path of the file.
-        header: as given to the writer.
-        scans: all intact scans, in file order.
-        summary: content of the end record; None if it is missing (killed, power cut, disk full).
-        bytes_dropped: bytes that belong to no intact record.
-        motion: all readings of the motion, None if there are none.
-    """
-
-    path: Path
-    header: dict[str, Any]
-    scans: tuple[JournalScan, ...]
-    summary: dict[str, Any] | None
-    bytes_dropped: int
-    motion: dict[str, Any] | None = None
-
-
 @dataclass
 class JournalStream:
     """A journal read scan by scan, in constant memory; see `open_journal`.
@@ -463,7 +428,14 @@ class JournalStream:
 
 @contextmanager
 def open_journal(path: Path) -> Iterator[JournalStream]:
-    """Open a journal for reading in constant memory; errors as for `read_journal`."""
+    """Open a journal for reading in constant memory, whatever record lengths it claims.
+
+    A truncated or damaged part is skipped and counted.
+
+    Raises:
+        StorageError: the file cannot be read.
+        FileFormatError: not a journal, made by a newer version, or without an intact header.
+    """
     with files.open_regular(path) as (stream, size):
         head = stream.read(PREAMBLE.size)
         if len(head) < PREAMBLE.size or head[: len(MAGIC)] != MAGIC:
@@ -487,26 +459,6 @@ def open_journal(path: Path) -> Iterator[JournalStream]:
         header = decode_settings(payload, f"{path} (header)", repair=True)
         dropped = size - PREAMBLE.size - record_bytes(payload)
         yield JournalStream(path, size, records, header, bytes_dropped=dropped)
-
-
-def read_journal(path: Path) -> Journal:
-    """Read every intact record; a truncated or damaged part is skipped and counted.
-
-    Memory stays within a small multiple of the file's size, whatever record lengths the file claims.
-
-    Raises:
-        StorageError: the file cannot be read.
-        FileFormatError: not a journal, made by a newer version, without an intact header, or too large
-            for memory.
-    """
-    with open_journal(path) as stream:
-        if stream.size > files.MAX_FILE_BYTES:
-            raise FileFormatError(
-                f"{path}: exceeds the limit of {files.MAX_FILE_BYTES} bytes",
-                f"`tagid recover {path}` converts it to capture files of readable size.",
-            )
-        scans = tuple(stream.scans())
-        return Journal(path, stream.header, scans, stream.summary, stream.bytes_dropped, stream.motion)
 
 
 def _parse_scan(path: Path, payload: bytes) -> JournalScan:

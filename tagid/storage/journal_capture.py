@@ -6,10 +6,10 @@ A recording of hours exceeds the memory of any command, so it is split into seve
 from __future__ import annotations
 
 import uuid as uuid_module
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from tagid.errors import DataError, FileFormatError
 from tagid.metadata import RadarInfo, RecordingPart, Track
 from tagid.storage import hdf5
 from tagid.storage.assembly import build_capture, number, text
-from tagid.storage.journal import Journal, JournalScan, open_journal, read_journal
+from tagid.storage.journal import JournalScan, JournalStream, open_journal
 from tagid.storage.metadata import PARTS, read_metadata, stored_version
 
 PART_BYTES = 1 << 30
@@ -30,54 +30,34 @@ _BLOCK_BYTES = 1 << 19
 _NUMBERS = ("range_start_m", "range_step_m", "axis_distance_m", "antenna_height_m", "antenna_separation_m")
 _BAND = ("center_frequency_hz", "bandwidth_hz")
 _TEXTS = ("uuid", "created_utc", "tool_version")
+_SCAN_FIELDS = {"host_time_ns": np.int64, "radar_time_ms": np.float64, "scan_id": np.int64, "flags": np.uint8}
 
 
-def journal_to_capture(journal: Journal) -> Capture:
-    """The capture that a journal holds; `complete` is False if its end record is missing.
+@dataclass(frozen=True)
+class _Survey:
+    """What a first pass over a journal tells.
 
-    The objects `radar`, `motion` and `object` of the end record extend those of the header. Dropped bytes are
-    noted as `radar.journal_bytes_dropped`, motion readings as `motion.track`
-    (`tagid.pipeline.resolve.with_measured_angles` converts them to angles).
-
-    Raises:
-        FileFormatError: no scan is intact, scans differ in shape or dtype, or the header lacks a value.
+    Attributes:
+        fields: of a Capture, besides its arrays.
+        track: readings of the motion; None if there are none.
+        views, bins: number of scans, and samples of each.
+        dtype: of the samples.
+        dropped: bytes that belong to no intact record.
     """
-    scans = journal.scans
-    layout = common_layout(journal.path, scans)
-    arrays = ScanArrays.empty(len(scans), *layout)
-    for row, scan in enumerate(scans):
-        arrays.put(row, scan)
-    return _to_capture(journal, arrays)
+
+    fields: dict[str, Any]
+    track: dict[str, Any] | None
+    views: int
+    bins: int
+    dtype: np.dtype[Any]
+    dropped: int
 
 
-def read_journal_capture(path: Path) -> Capture:
-    """The capture that a journal file holds, read twice to use no more memory than the capture.
-
-    Raises as `read_journal` and `journal_to_capture` do.
-    """
-    with open_journal(path) as stream:
-        if stream.size > files.MAX_FILE_BYTES:
-            return journal_to_capture(read_journal(path))  # raises the detailed error
-        count = 0
-
-        def counted() -> Iterator[JournalScan]:
-            nonlocal count
-            for scan in stream.scans():
-                count += 1
-                yield scan
-
-        layout = common_layout(path, counted())
-        journal = Journal(path, stream.header, (), stream.summary, stream.bytes_dropped, stream.motion)
-    with open_journal(path) as stream:
-        arrays = ScanArrays.empty(count, *layout)
-        arrays.fill(path, stream.scans())
-    return _to_capture(journal, arrays)
-
-
-def common_layout(path: Path, scans: Iterable[JournalScan]) -> tuple[int, np.dtype[Any]]:
-    """(bins, dtype) of the scans. Raises FileFormatError if there is none or they differ."""
+def _surveyed(path: Path, stream: JournalStream) -> _Survey:
+    """Read all of a journal. Raises FileFormatError if it has no scan, or they differ in length or dtype."""
+    views = 0
     layout: tuple[int, np.dtype[Any]] | None = None
-    for scan in scans:
+    for views, scan in enumerate(stream.scans(), 1):  # noqa: B007
         scan_layout = len(scan.samples), scan.samples.dtype.newbyteorder("=")
         if layout not in (None, scan_layout):
             raise FileFormatError(f"{path}: the scans of the journal differ in length or dtype")
@@ -86,44 +66,57 @@ def common_layout(path: Path, scans: Iterable[JournalScan]) -> tuple[int, np.dty
         raise FileFormatError(
             f"{path}: the journal holds no scan", "The recording stopped before the first scan."
         )
-    return layout
+    fields = _capture_fields(path, stream.header, stream.summary, stream.bytes_dropped)
+    return _Survey(fields, stream.motion, views, *layout, stream.bytes_dropped)
 
 
-@dataclass(frozen=True, eq=False)
-class ScanArrays:
-    """Scans as arrays of a capture: (views, bins) samples and (views,) of the rest."""
+def read_journal_capture(path: Path) -> Capture:
+    """The capture that a journal holds, read twice to use no more memory than the capture.
 
-    samples: NDArray[Any]
-    host_time_ns: NDArray[np.int64]
-    radar_time_ms: NDArray[np.float64]
-    scan_id: NDArray[np.int64]
-    flags: NDArray[np.uint8]
+    `complete` is False if the end record is missing. The objects `radar`, `motion` and `object` of the end
+    record extend those of the header. Dropped bytes are noted as `radar.journal_bytes_dropped`, motion
+    readings as `motion.track` (`tagid.pipeline.resolve.with_measured_angles` converts them to angles).
 
-    @classmethod
-    def empty(cls, views: int, bins: int, dtype: np.dtype[Any]) -> Self:
-        """Zero-filled arrays for `views` scans."""
-        integers = np.zeros((2, views), np.int64)
-        times, flags = np.zeros(views, np.float64), np.zeros(views, np.uint8)
-        return cls(np.zeros((views, bins), dtype), integers[0], times, integers[1], flags)
-
-    def fill(self, path: Path, scans: Iterator[JournalScan]) -> None:
-        """Fill all rows. Raises FileFormatError if the journal at `path` has too few scans left."""
-        for row in range(len(self.samples)):
-            scan = next(scans, None)
-            if scan is None:
-                raise FileFormatError(f"{path}: the journal changed while it was read", "Read it again.")
-            self.put(row, scan)
-
-    def put(self, row: int, scan: JournalScan) -> None:
-        """Fill one row."""
-        self.samples[row] = scan.samples
-        self.host_time_ns[row] = scan.host_time_ns
-        self.radar_time_ms[row] = scan.radar_time_ms
-        self.scan_id[row] = scan.scan_id
-        self.flags[row] = scan.flags
+    Raises:
+        StorageError: the file cannot be read.
+        FileFormatError: as `open_journal`, or too large for memory; no scan is intact, scans differ in shape
+            or dtype, or the header lacks a value.
+    """
+    with open_journal(path) as stream:
+        if stream.size > files.MAX_FILE_BYTES:
+            raise FileFormatError(
+                f"{path}: exceeds the limit of {files.MAX_FILE_BYTES} bytes",
+                f"`tagid recover {path}` converts it to capture files of readable size.",
+            )
+        survey = _surveyed(path, stream)
+    fields = survey.fields
+    if survey.track is not None:
+        try:
+            track = Track.from_json(survey.track)
+        except DataError as error:
+            raise FileFormatError(f"{path}: {error.message}", error.remedy) from error
+        fields["motion"] = replace(fields["motion"], track=track)
+    with open_journal(path) as stream:
+        arrays = _next_arrays(path, stream.scans(), survey.views, survey)
+    return build_capture(path, **arrays, **fields)
 
 
-def capture_fields(
+def _next_arrays(
+    path: Path, scans: Iterator[JournalScan], views: int, survey: _Survey
+) -> dict[str, NDArray[Any]]:
+    """The next scans as arrays of a capture. Raises FileFormatError if the journal has too few left."""
+    arrays = {name: np.zeros(views, dtype) for name, dtype in _SCAN_FIELDS.items()}
+    arrays["samples"] = np.zeros((views, survey.bins), survey.dtype)
+    for row in range(views):
+        scan = next(scans, None)
+        if scan is None:
+            raise FileFormatError(f"{path}: the journal changed while it was read", "Read it again.")
+        for name, values in arrays.items():
+            values[row] = getattr(scan, name)
+    return arrays
+
+
+def _capture_fields(
     path: Path, header: dict[str, Any], summary: dict[str, Any] | None, dropped: int
 ) -> dict[str, Any]:
     """The fields of a Capture from a journal's header and end record. Raises FileFormatError."""
@@ -144,17 +137,6 @@ def capture_fields(
     if dropped:
         fields["radar"] = replace(fields["radar"], journal_bytes_dropped=dropped)
     return fields
-
-
-def _to_capture(journal: Journal, arrays: ScanArrays) -> Capture:
-    fields = capture_fields(journal.path, journal.header, journal.summary, journal.bytes_dropped)
-    if journal.motion is not None:
-        try:
-            track = Track.from_json(journal.motion)
-        except DataError as error:
-            raise FileFormatError(f"{journal.path}: {error.message}", error.remedy) from error
-        fields["motion"] = replace(fields["motion"], track=track)
-    return build_capture(journal.path, **vars(arrays), **fields)
 
 
 @dataclass(frozen=True)
@@ -195,24 +177,14 @@ def write_captures(
 
     Raises:
         StorageError, DiskFullError: a file cannot be read or written; earlier parts are kept.
-        FileFormatError: as for `journal_to_capture`.
+        FileFormatError: as for `read_journal_capture`.
     """
-    views = 0
     with open_journal(journal) as stream:
-
-        def counted() -> Iterator[JournalScan]:
-            nonlocal views
-            for scan in stream.scans():
-                views += 1
-                yield scan
-
-        bins, dtype = common_layout(journal, counted())
-        fields = capture_fields(journal, stream.header, stream.summary, stream.bytes_dropped)
-        complete, dropped = stream.summary is not None, stream.bytes_dropped
-        has_track = stream.motion is not None
+        survey = _surveyed(journal, stream)
+    fields, views = survey.fields, survey.views
     if counters is not None:
         fields["radar"] = fields["radar"].with_known(counters)
-    row_bytes = bins * dtype.itemsize
+    row_bytes = survey.bins * survey.dtype.itemsize
     rows_a_part = max(1, part_bytes // row_bytes)
     rows_a_block = max(1, min(_BLOCK_BYTES // row_bytes, rows_a_part))
     parts = -(-views // rows_a_part)
@@ -229,9 +201,16 @@ def write_captures(
             path = part_path(part)
             with hdf5.growing_capture(path) as append:
                 while remaining:
-                    arrays = ScanArrays.empty(min(rows_a_block, remaining), bins, dtype)
-                    arrays.fill(journal, scans)
-                    append(build_capture(journal, **vars(arrays), **fields))
-                    remaining -= len(arrays.samples)
+                    rows = min(rows_a_block, remaining)
+                    append(build_capture(journal, **_next_arrays(journal, scans, rows, survey), **fields))
+                    remaining -= rows
             paths.append(path)
-    return WrittenCaptures(tuple(paths), views, bins, complete, dropped, fields["radar"], has_track)
+    return WrittenCaptures(
+        tuple(paths),
+        views,
+        survey.bins,
+        fields["complete"],
+        survey.dropped,
+        fields["radar"],
+        survey.track is not None,
+    )

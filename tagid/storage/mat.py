@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import zlib
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, cast
 
 import numpy as np
@@ -22,7 +21,9 @@ from tagid.metadata import METADATA_VERSION
 from tagid.storage import hdf5, mat_scans
 from tagid.storage.assembly import (
     AS_NPZ,
+    OLD_ANGLES,
     OPTIONAL_NUMBERS,
+    VIEW_ARRAYS,
     build_capture,
     decode_settings,
     encode_settings,
@@ -36,21 +37,6 @@ MAGIC: Final = b"MATLAB 5.0 MAT-file"
 
 _SCALARS: Final = (*OPTIONAL_NUMBERS, "range_start_m", "range_step_m")
 _TEXTS: Final = ("uuid", "created_utc", "tool_version")
-_VECTORS: Final = MappingProxyType(
-    {
-        "angles_rad": ("angles_rad", "float64"),
-        "angle_sigma_rad": ("angle_sigma_rad", "float64"),
-        "host_time_ns": ("host_time_ns", "int64"),
-        "radar_time_ms": ("radar_time_ms", "float64"),
-        "scan_id": ("scan_id", "int64"),
-        "flags": ("flags", "uint8"),
-        "antenna_positions_m": ("antenna_positions_m", "float64"),
-        "receive_positions_m": ("receive_positions_m", "float64"),
-    }
-)
-"""Field of Capture -> (variable, dtype)."""
-OLD_ANGLES: Final = "angle_rad"
-"""Name of the angles in files of tagid 0.1 and 0.2."""
 _SAMPLE_TYPES: Final = ("int32", "float32", "complex64")
 _MAX_EXPANSION: Final = 20
 _SMALL_BYTES: Final = 16 << 20
@@ -73,9 +59,8 @@ def encode_mat(capture: Capture) -> bytes:
         "samples": capture.samples,
         "range_m": capture.ranges_m,
     }
-    names = {name: name for name in (*_SCALARS, *_TEXTS)} | {key: name for key, (name, _) in _VECTORS.items()}
-    for field, name in names.items():
-        value = getattr(capture, field)
+    for name in (*_SCALARS, *_TEXTS, *VIEW_ARRAYS):
+        value = getattr(capture, name)
         if value is not None:
             variables[name] = value
     variables[VERSION_KEY] = float(METADATA_VERSION)
@@ -131,9 +116,9 @@ def read_mat(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
     missing = [name for name in ("range_start_m", "range_step_m") if name not in fields]
     if missing:
         raise FileFormatError(f"{path}: the MATLAB file lacks {', '.join(missing)}")
-    for field, (name, dtype) in _VECTORS.items():
+    for name, dtype in VIEW_ARRAYS.items():
         if name in arrays:
-            fields[field] = _vector(path, name, arrays[name], dtype)
+            fields[name] = _vector(path, name, arrays[name], dtype)
     for name in _TEXTS:
         if name in arrays:
             fields[name] = text(_text(arrays, name, path), f"{path} ({name})")

@@ -5,8 +5,7 @@ Every format (HDF5, journal, NPZ, MATLAB) reads and writes them here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Mapping
 from typing import Any
 
 from tagid.capture import Capture
@@ -16,9 +15,6 @@ from tagid.metadata import METADATA_VERSION, MotionInfo, ObjectInfo, RadarInfo, 
 PARTS = ("radar", "motion", "object")
 VERSION_KEY = "metadata_version"
 """If a format has no version of its own, this key is stored next to the parts; absent means 1."""
-
-Objects = Mapping[str, Mapping[str, Any]]
-"""The JSON objects by part."""
 
 
 def metadata_of(capture: Capture) -> dict[str, dict[str, Any]]:
@@ -44,12 +40,18 @@ def read_metadata(objects: Mapping[str, Any], where: str, version: int = METADAT
         if not isinstance(value, Mapping):
             raise FileFormatError(f"{where}: {name} is not a JSON object")
         parts[name] = value
-    migrated = migrate_metadata(parts, version, where)
+    if not 1 <= version <= METADATA_VERSION:
+        raise FileFormatError(
+            f"{where}: metadata of version {version}, this tagid reads up to version {METADATA_VERSION}",
+            "It was made by a newer tagid; upgrade.",
+        )
+    if version == 1:
+        parts = _typed(parts)
     try:
         return {
-            "radar": RadarInfo.from_json(migrated["radar"]),
-            "motion": MotionInfo.from_json(migrated["motion"]),
-            "object": ObjectInfo.from_json(migrated["object"]),
+            "radar": RadarInfo.from_json(parts["radar"]),
+            "motion": MotionInfo.from_json(parts["motion"]),
+            "object": ObjectInfo.from_json(parts["object"]),
         }
     except DataError as error:
         raise FileFormatError(f"{where}: {error.message}", error.remedy) from error
@@ -63,19 +65,7 @@ def stored_version(values: Mapping[str, Any], where: str) -> int:
     return version
 
 
-def migrate_metadata(parts: Objects, version: int, where: str) -> Objects:
-    """The JSON objects at the current version. Raises FileFormatError for an unknown version."""
-    if not 1 <= version <= METADATA_VERSION:
-        raise FileFormatError(
-            f"{where}: metadata of version {version}, this tagid reads up to version {METADATA_VERSION}",
-            "It was made by a newer tagid; upgrade.",
-        )
-    for number in range(version, METADATA_VERSION):
-        parts = STEPS[number](parts)
-    return parts
-
-
-def _typed(parts: Objects) -> Objects:
+def _typed(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
     """Version 1 to 2: move settings next to `config` and facts next to `resolved` to their own keys.
 
     Version 1 had no types. Values that do not fit a field of version 2 are dropped, not rejected, because no
@@ -120,7 +110,3 @@ def _fitting(kind: Part, values: Mapping[str, Any]) -> dict[str, Any]:
             continue
         taken[key] = entry
     return taken
-
-
-STEPS: Mapping[int, Callable[[Objects], Objects]] = MappingProxyType({1: _typed})
-"""The migration from version n to n + 1, by n."""

@@ -35,7 +35,9 @@ from tagid.errors import DataError, FileFormatError, displayable
 from tagid.metadata import METADATA_VERSION, RadarInfo
 from tagid.storage.assembly import (
     AS_NPZ,
+    OLD_ANGLES,
     OPTIONAL_NUMBERS,
+    VIEW_ARRAYS,
     build_capture,
     decode_settings,
     encode_settings,
@@ -47,16 +49,6 @@ from tagid.storage.units import check_times, check_units
 
 MAGIC = b"PK"
 
-_VECTORS = {
-    "angles_rad": np.float64,
-    "angle_sigma_rad": np.float64,
-    "antenna_positions_m": np.float64,
-    "receive_positions_m": np.float64,
-    "radar_time_ms": np.float64,
-    "host_time_ns": np.int64,
-    "scan_id": np.int64,
-    "flags": np.uint8,
-}
 _TRANSMIT = "transmit_positions_m"
 """Another name of antenna_positions_m, for files that contain receive_positions_m."""
 _WHERE = ("angles_rad", "timestamps_s", "antenna_positions_m", _TRANSMIT)
@@ -71,10 +63,8 @@ _OTHER = (
     "object",
     "tagid",
 )
-_KEYS = frozenset((*OPTIONAL_NUMBERS, *_VECTORS, *_OTHER))
+_KEYS = frozenset((*OPTIONAL_NUMBERS, *VIEW_ARRAYS, *_OTHER))
 _TEXTS = ("uuid", "created_utc", "tool_version")
-_OLD_ANGLES = "angle_rad"
-"""Name of the angles in older HDF5 and MATLAB files, which scripts copied into NPZ files."""
 _ALIKE = 0.85
 """Likeness (0 to 1, difflib) from which on a name is a misspelt key: bandwith_hz, centre_frequency_hz."""
 _SMALL_BYTES = 16 << 20
@@ -92,10 +82,10 @@ def read_npz(path: Path) -> Capture:
         FileFormatError: damaged; a key is missing or misspelt; a value has a wrong shape, dtype or size.
     """
     data = files.read_bytes(path)
-    arrays = read_arrays(path, data, _KEYS | {_OLD_ANGLES})
+    arrays = read_arrays(path, data, _KEYS | {OLD_ANGLES})
     _refuse_misspelt(path, data, arrays)
-    if _OLD_ANGLES in arrays:
-        arrays.setdefault("angles_rad", arrays[_OLD_ANGLES])
+    if OLD_ANGLES in arrays:
+        arrays.setdefault("angles_rad", arrays[OLD_ANGLES])
     missing = [key for key in ("samples", "range_start_m", "range_step_m") if key not in arrays]
     if missing and is_image(path):
         name = path.name.removesuffix(".npz").removesuffix(".image")
@@ -136,11 +126,11 @@ def read_npz(path: Path) -> Capture:
         for key in ("range_start_m", "range_step_m", *OPTIONAL_NUMBERS)
         if key in arrays
     }
-    for key, dtype in _VECTORS.items():
+    for key, dtype in VIEW_ARRAYS.items():
         if key in arrays:
             fields[key] = _vector(path, key, arrays[key], dtype, len(samples))
     if "timestamps_s" in arrays and "radar_time_ms" not in arrays:
-        seconds = _vector(path, "timestamps_s", arrays["timestamps_s"], np.float64, len(samples))
+        seconds = _vector(path, "timestamps_s", arrays["timestamps_s"], "float64", len(samples))
         if not ours:
             check_times(path, seconds[np.isfinite(seconds)])
         with np.errstate(over="ignore"):  # infinite values are rejected by the capture
@@ -187,7 +177,7 @@ def encode_npz(capture: Capture) -> bytes:
         "range_start_m": np.float64(capture.range_start_m),
         "range_step_m": np.float64(capture.range_step_m),
     }
-    for key in (*OPTIONAL_NUMBERS, *_VECTORS):
+    for key in (*OPTIONAL_NUMBERS, *VIEW_ARRAYS):
         value = getattr(capture, key)
         if value is not None:
             arrays[key] = np.asarray(value)
@@ -317,18 +307,18 @@ def _samples(path: Path, values: NDArray[Any]) -> NDArray[Any]:
         return np.ascontiguousarray(values, dtype=np.complex64 if values.dtype.kind == "c" else np.float32)
 
 
-def _vector(path: Path, key: str, values: NDArray[Any], dtype: Any, views: int) -> NDArray[Any]:
+def _vector(path: Path, key: str, values: NDArray[Any], dtype: str, views: int) -> NDArray[Any]:
     shape = (views, 3) if key.endswith("positions_m") else (views,)
     if values.shape != shape:
         raise FileFormatError(
             f"{path}: {key} has shape {values.shape}, but samples has {views} views: expected {shape}"
         )
-    kinds = "iuf" if dtype is np.float64 else "iu"
+    kinds = "iuf" if dtype == "float64" else "iu"
     if values.dtype.kind not in kinds:
-        raise FileFormatError(f"{path}: {key} has dtype {values.dtype}, expected {np.dtype(dtype).name}")
+        raise FileFormatError(f"{path}: {key} has dtype {values.dtype}, expected {dtype}")
     converted = values.astype(dtype)
     if kinds == "iu" and not np.array_equal(converted, values):
-        raise FileFormatError(f"{path}: {key} holds values that do not fit {np.dtype(dtype).name}")
+        raise FileFormatError(f"{path}: {key} holds values that do not fit {dtype}")
     return converted
 
 
@@ -367,7 +357,7 @@ def _in_order(
         notes.append("the order of the scans, which are sorted by timestamps_s")
     if not notes:
         return samples, fields
-    fields |= {key: fields[key][views] for key in _VECTORS if key in fields}
+    fields |= {key: fields[key][views] for key in VIEW_ARRAYS if key in fields}
     radar = fields.get("radar", RadarInfo())
     return samples[views], {**fields, "radar": replace(radar, ignored=tuple(notes))}
 

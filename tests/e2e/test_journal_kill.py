@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tagid.storage.journal import read_journal
-from tagid.storage.journal_capture import journal_to_capture
+from tagid.storage.journal_capture import read_journal_capture
+from tests.unit.storage_samples import read_journal
 
 BINS = 1152
 KILLS = 20
@@ -66,4 +66,4 @@ def test_every_acknowledged_scan_survives_sigkill(tmp_path: Path) -> None:
             truth = np.random.default_rng(i).integers(-(2**31), 2**31, BINS, dtype=np.int64).astype(np.int32)
             assert (scan.scan_id, scan.host_time_ns, scan.radar_time_ms) == (i, 10**18 + i, 21.5 * i)
             np.testing.assert_array_equal(scan.samples, truth)
-        assert not journal_to_capture(journal).complete
+        assert not read_journal_capture(path).complete

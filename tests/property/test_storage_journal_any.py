@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from tagid.errors import FileFormatError
-from tagid.storage.journal import JournalScan, JournalWriter, read_journal
+from tagid.storage.journal import JournalScan, JournalWriter
+from tests.unit.storage_samples import read_journal
 
 HEADER = {"range_start_m": 0.0, "range_step_m": 0.01}
 INT64 = st.integers(-(2**63), 2**63 - 1)

@@ -31,7 +31,6 @@ from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
 from tagid.recording.session import start_journal
 from tagid.storage.importers import read_any
-from tagid.storage.journal_header import JournalHeader
 
 
 class Incomplete(UdpLink):
@@ -219,7 +218,7 @@ def test_an_emulator_that_stalls_keeps_scene_and_timestamps_on_one_clock(stall_s
 
 def test_two_recordings_that_start_in_one_second_get_two_names(tmp_path: Path) -> None:
     """Twenty threads ask for one name at once, as scripts that start in the same second do."""
-    header = JournalHeader(1.0, 0.009)
+    header = {"range_start_m": 1.0, "range_step_m": 0.009}
     path = tmp_path / "scan-20260101-000000.tagid.h5"
     journals, ready = [], threading.Barrier(20)
 

@@ -28,8 +28,9 @@ from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
 from tagid.storage.importers import read_any
-from tagid.storage.journal import JournalScan, JournalWriter, open_journal, read_journal
+from tagid.storage.journal import JournalScan, JournalWriter, open_journal
 from tagid.storage.journal_queue import JournalQueue
+from tests.unit.storage_samples import read_journal
 
 HEADER = {"range_start_m": 1.0, "range_step_m": 0.009}
 FAST = RadarConfig(12_000, 17_000, base_integration_index=6)

@@ -1,14 +1,16 @@
-"""A capture that holds something in every field, variants of it, and the comparison of two captures."""
+"""A capture that holds something in every field, variants of it, comparisons, and whole journals."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tagid.capture import Capture, Pulse
 from tagid.metadata import Ending, MotionInfo, ObjectInfo, RadarInfo, RadarSettings
+from tagid.storage.journal import JournalScan, open_journal
 
 
 def capture(**changes: Any) -> Capture:
@@ -62,3 +64,20 @@ COMPLEX = {"samples": (np.arange(360).reshape(9, 40) * (1 - 2j)).astype(np.compl
 FLOAT = {"samples": np.linspace(-1, 1, 360, dtype=np.float32).reshape(9, 40)}
 TINY = {**BARE, "samples": np.ones((1, 1), np.int32), "radar_time_ms": None, "scan_id": None, "flags": None}
 LONG = {"radar": RadarInfo(extra={"notes": "x" * 300_000})}
+
+
+@dataclass(frozen=True)
+class Journal:
+    """The readable content of a journal, as `tagid.storage.journal.JournalStream` gives it."""
+
+    header: dict[str, Any]
+    scans: tuple[JournalScan, ...]
+    summary: dict[str, Any] | None
+    bytes_dropped: int
+    motion: dict[str, Any] | None
+
+
+def read_journal(path: Path) -> Journal:
+    with open_journal(path) as stream:
+        scans = tuple(stream.scans())
+    return Journal(stream.header, scans, stream.summary, stream.bytes_dropped, stream.motion)

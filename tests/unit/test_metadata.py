@@ -29,10 +29,9 @@ from tagid.recording.inspection import inspect
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
-from tagid.storage.hdf5 import read_capture, write_capture
+from tagid.storage.hdf5 import FORMAT_VERSION, read_capture, write_capture
 from tagid.storage.importers import read_any
-from tagid.storage.metadata import migrate_metadata, read_metadata
-from tagid.storage.migrations import FORMAT_VERSION
+from tagid.storage.metadata import read_metadata
 
 GOLDEN = Path(__file__).parents[1] / "data" / "captures"
 
@@ -129,9 +128,7 @@ def test_version_1_put_settings_and_facts_where_nobody_looked() -> None:
     new = read_metadata(old, "a file", version=1)
     assert new["radar"] == RadarInfo(config=RadarSettings(base_integration_index=11), extra={"site": 3})
     assert new["motion"] == MotionInfo(nominal_rpm=2.0, resolved=ResolvedMotion(period_s=6.0, source="data"))
-    assert migrate_metadata({k: v.to_json() for k, v in new.items()}, METADATA_VERSION, "") == {
-        k: v.to_json() for k, v in new.items()
-    }
+    assert read_metadata({k: v.to_json() for k, v in new.items()}, "a file") == new
     with pytest.raises(FileFormatError, match="version 3"):
         read_metadata(old, "a file", version=METADATA_VERSION + 1)
 

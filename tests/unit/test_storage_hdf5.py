@@ -15,8 +15,7 @@ from storage_samples import BARE, COMPLEX, FLOAT, FREE, LONG, PAIRS, TINY, asser
 
 from tagid import files
 from tagid.errors import DiskFullError, FileFormatError, StorageError, TagidError
-from tagid.storage.hdf5 import read_capture, write_capture
-from tagid.storage.migrations import FORMAT_VERSION, RawCapture, migrate
+from tagid.storage.hdf5 import FORMAT_VERSION, read_capture, write_capture
 
 
 @pytest.mark.parametrize("changes", [{}, FREE, PAIRS, BARE, COMPLEX, FLOAT, TINY, LONG, {"complete": True}])
@@ -187,19 +186,3 @@ def test_damage_never_gives_other_samples(tmp_path: Path) -> None:
         except TagidError:
             refused += 1
     assert refused > 200
-
-
-def test_migrations_run_in_order_and_miss_none(tmp_path: Path) -> None:
-    def step(name: str) -> Any:
-        return lambda raw: RawCapture({**raw.attributes, "seen": [*raw.attributes["seen"], name]}, raw.arrays)
-
-    steps = {1: step("1to2"), 2: step("2to3"), 3: step("3to4")}
-    raw = RawCapture({"seen": []}, {})
-    assert migrate(raw, 2, tmp_path, steps, 4).attributes["seen"] == ["2to3", "3to4"]
-    assert migrate(raw, 1, tmp_path, steps, 4).attributes["seen"] == ["1to2", "2to3", "3to4"]
-    assert migrate(raw, 4, tmp_path, steps, 4) is raw
-    with pytest.raises(FileFormatError, match="version 1"):
-        migrate(raw, 1, tmp_path, {2: step("2to3")}, 3)
-    for version in (0, -1, 5):
-        with pytest.raises(FileFormatError):
-            migrate(raw, version, tmp_path, steps, 4)

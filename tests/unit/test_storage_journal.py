@@ -16,9 +16,12 @@ import pytest
 from tagid import files
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
 from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, RadarSettings
-from tagid.storage.journal import JournalWriter, pack_record, read_journal
-from tagid.storage.journal_capture import journal_to_capture
-from tagid.storage.journal_header import JournalHeader
+from tagid.radar.settings import RadarConfig
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.session import journal_header
+from tagid.storage.journal import JournalWriter, pack_record
+from tagid.storage.journal_capture import read_journal_capture
+from tests.unit.storage_samples import read_journal
 
 HEADER = {
     "range_start_m": 0.4,
@@ -49,7 +52,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     write(tmp_path / "j", 7)
     journal = read_journal(tmp_path / "j")
     assert journal.header == HEADER and journal.bytes_dropped == 0
-    capture = journal_to_capture(journal)
+    capture = read_journal_capture(tmp_path / "j")
     assert capture.complete and capture.samples.dtype == np.int32
     np.testing.assert_array_equal(capture.samples, np.stack([scan(i) for i in range(7)]))
     np.testing.assert_array_equal(capture.scan_id, np.arange(100, 107))
@@ -65,25 +68,20 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 
 
 def test_every_field_of_a_recordings_header_reaches_the_capture(tmp_path: Path) -> None:
-    header = JournalHeader(
-        range_start_m=0.4,
-        range_step_m=0.009149,
-        axis_distance_m=1.5,
-        antenna_height_m=0.1,
-        antenna_separation_m=0.2,
-        radar=RadarInfo(serial=7, config=RadarSettings(base_integration_index=11)),
-        motion=MotionInfo(url="free?rpm=2"),
-        object=ObjectInfo(label="helmet"),
-        created_utc="2024-05-01T10:00:00+00:00",
-        tool_version="0.1.0",
+    plan = RecordingPlan(
+        None, 1.5, 0.1, 0.2, cable_delay_ps=30.0, motion="free?rpm=2", object=ObjectInfo(label="helmet")
     )
-    with JournalWriter(tmp_path / "j", header.to_json()) as journal:
+    header = journal_header(plan, RadarConfig(), RadarInfo(serial=7))
+    with JournalWriter(tmp_path / "j", header) as journal:
         journal.append(0, 10**18, 0.0, scan(0))
         journal.close()
-    capture = journal_to_capture(read_journal(tmp_path / "j"))
-    for name in JournalHeader.__dataclass_fields__:
-        assert getattr(capture, name) == getattr(header, name), name
-    assert JournalHeader(0.4, 0.009).uuid != JournalHeader(0.4, 0.009).uuid
+    capture = read_journal_capture(tmp_path / "j")
+    for name in set(header) - {"metadata_version", "radar", "motion", "object"}:
+        assert getattr(capture, name) == header[name], name
+    assert capture.range_start_m == RadarConfig().range_start_m(30.0)
+    assert capture.radar == RadarInfo(serial=7, config=RadarConfig().stored(), cable_delay_ps=30.0)
+    assert (capture.motion, capture.object) == (MotionInfo(url="free?rpm=2"), plan.object)
+    assert journal_header(plan, RadarConfig(), RadarInfo())["uuid"] != header["uuid"]
 
 
 def test_the_bytes_are_those_of_the_documented_layout(tmp_path: Path) -> None:
@@ -154,10 +152,10 @@ def test_a_journal_too_large_for_memory_is_not_read_whole(
     write(tmp_path / "j", 3)
     size = (tmp_path / "j").stat().st_size
     monkeypatch.setattr(files, "MAX_FILE_BYTES", size)
-    assert len(read_journal(tmp_path / "j").scans) == 3
+    assert read_journal_capture(tmp_path / "j").views == 3
     monkeypatch.setattr(files, "MAX_FILE_BYTES", size - 1)
     with pytest.raises(FileFormatError, match="exceeds the limit") as caught:
-        read_journal(tmp_path / "j")
+        read_journal_capture(tmp_path / "j")
     assert "tagid recover" in caught.value.remedy
 
 
@@ -170,7 +168,7 @@ def test_samples_of_no_length_or_more_than_a_record_holds_are_refused(tmp_path: 
 
 def test_without_end_record_the_capture_is_not_complete(tmp_path: Path) -> None:
     write(tmp_path / "j", 3, close=False)
-    capture = journal_to_capture(read_journal(tmp_path / "j"))
+    capture = read_journal_capture(tmp_path / "j")
     assert not capture.complete and capture.views == 3
 
 
@@ -203,7 +201,7 @@ def test_damage_in_the_middle_costs_only_the_damaged_record(tmp_path: Path) -> N
     journal = read_journal(tmp_path / "j")
     assert [s.scan_id for s in journal.scans] == [100, 101, 103, 104, 105]
     assert journal.bytes_dropped == record
-    assert journal_to_capture(journal).radar.journal_bytes_dropped == record
+    assert read_journal_capture(tmp_path / "j").radar.journal_bytes_dropped == record
 
 
 def test_hostile_length_takes_no_memory(tmp_path: Path) -> None:
@@ -283,7 +281,7 @@ def test_newer_version_says_upgrade(tmp_path: Path) -> None:
 def test_journal_without_scans_is_no_capture(tmp_path: Path) -> None:
     write(tmp_path / "j", 0)
     with pytest.raises(FileFormatError, match="no scan"):
-        journal_to_capture(read_journal(tmp_path / "j"))
+        read_journal_capture(tmp_path / "j")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
@@ -335,7 +333,7 @@ def test_a_note_that_is_not_utf_8_costs_no_recording(tmp_path: Path) -> None:
     with JournalWriter(tmp_path / "j", header) as journal:
         journal.append(100, 10**18, 0.0, scan(0))
         journal.close({"motion": {"url": "roomba+serial:///dev/\udce4"}})
-    capture = journal_to_capture(read_journal(tmp_path / "j"))
+    capture = read_journal_capture(tmp_path / "j")
     assert capture.object.note == "Kopfh\\xf6rer" and capture.motion.url == "roomba+serial:///dev/\\xe4"
 
 
@@ -346,6 +344,6 @@ def test_a_journal_whose_header_holds_half_a_surrogate_pair_is_recovered(tmp_pat
     first = pack_record(1, json.dumps(HEADER, sort_keys=True).encode())
     assert data.count(first) == 1
     (tmp_path / "j").write_bytes(data.replace(first, pack_record(1, json.dumps(header).encode())))
-    capture = journal_to_capture(read_journal(tmp_path / "j"))
+    capture = read_journal_capture(tmp_path / "j")
     assert capture.views == 3
     assert (capture.object.note, capture.object.label) == ("Kopfh\\xf6rer", "\\ud800")

@@ -19,8 +19,9 @@ import pytest
 from tagid import files, interrupts
 from tagid.errors import DiskFullError, StorageError
 from tagid.storage import journal as journal_module
-from tagid.storage.journal import JournalScan, JournalWriter, read_journal
+from tagid.storage.journal import JournalScan, JournalWriter
 from tagid.storage.journal_queue import JournalQueue
+from tests.unit.storage_samples import read_journal
 
 HEADER = {"range_start_m": 0.0, "range_step_m": 0.01}
 SAMPLES = np.arange(4, dtype=np.int32)

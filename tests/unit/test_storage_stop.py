@@ -293,7 +293,7 @@ def test_the_next_writer_clears_what_killed_ones_left_and_nothing_else(tmp_path:
 def test_a_file_taken_for_abandoned_before_its_lock_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = files._lock
+    real = files.lock
     stolen: list[str] = []
 
     def lock(descriptor: int) -> bool | None:
@@ -303,7 +303,7 @@ def test_a_file_taken_for_abandoned_before_its_lock_is_made_again(
             path.unlink()
         return real(descriptor)
 
-    monkeypatch.setattr(files, "_lock", lock)
+    monkeypatch.setattr(files, "lock", lock)
     files.write_bytes(tmp_path / "a", b"whole")
     assert (tmp_path / "a").read_bytes() == b"whole" and len(list(tmp_path.iterdir())) == 1
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from tagid.errors import FileFormatError
 from tagid.metadata import RadarInfo
+from tagid.storage.hdf5 import write_capture
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_capture import write_captures
 from tagid.storage.metadata import read_metadata, stored_version
-from tagid.storage.migrations import ANGLES, OLD_ANGLES, RawCapture, named_angles
+from tests.unit.storage_samples import capture
 
 DTYPES = (np.int16, np.float64, np.complex64)
 
@@ -67,11 +69,16 @@ def test_settings_and_facts_of_the_first_version_do_not_replace_those_in_their_p
     assert (result["motion"].nominal_rpm, result["motion"].resolved.period_s) == (3.0, 20.0)
 
 
-@pytest.mark.parametrize("names", [(OLD_ANGLES, ANGLES), (ANGLES, OLD_ANGLES)])
-def test_angles_under_both_names_are_those_of_the_current_one(names: tuple[str, str]) -> None:
-    raw = RawCapture({}, {name: name for name in names})
-    assert named_angles(raw).arrays[ANGLES] == ANGLES
-    assert named_angles(RawCapture({}, {OLD_ANGLES: 1})).arrays == {ANGLES: 1}
+@pytest.mark.parametrize("names", [("angle_rad",), ("angle_rad", "angles_rad"), ("angles_rad", "angle_rad")])
+def test_angles_under_both_names_are_those_of_the_current_one(tmp_path: Path, names: tuple[str, ...]) -> None:
+    path = tmp_path / "a.tagid.h5"
+    write_capture(path, capture())
+    with h5py.File(path, "r+") as file:
+        angles = file["scans/angles_rad"][()]
+        del file["scans/angles_rad"]
+        for name in names:
+            file[f"scans/{name}"] = angles + (name == "angle_rad" and len(names) > 1)
+    np.testing.assert_array_equal(read_any(path).angles_rad, angles)
 
 
 @pytest.mark.parametrize(("scans", "parts"), [(10, [4, 4, 2]), (8, [4, 4]), (3, [3])])
