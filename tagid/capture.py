@@ -155,8 +155,6 @@ class Capture:
                 raise DataError(f"{name} has shape {value.shape}, expected ({len(s)},)")
             if not np.isfinite(value).all():
                 raise DataError(f"{name} is not finite")
-        if not (np.isfinite(self.antenna_separation_m) and self.antenna_separation_m >= 0):
-            raise DataError(f"antenna_separation_m is {self.antenna_separation_m}, expected 0 or more")
         for name in ("antenna_positions_m", "receive_positions_m"):
             positions = getattr(self, name)
             if positions is not None and (positions.shape != (len(s), 3) or not np.isfinite(positions).all()):

@@ -148,12 +148,7 @@ _BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 @dataclass(frozen=True)
 class ConfigValue:
-    """The value of a setting and where it comes from.
-
-    Attributes:
-        value: the value, of the setting's type.
-        source: "command line", "environment", "file", "rig profile" or "default".
-    """
+    """The value of a setting, of its type, and where it comes from."""
 
     value: Any
     source: Source
@@ -285,8 +280,7 @@ def load_config(overrides: Mapping[str, Any] | None = None, tolerant: bool = Fal
             a stop, which no configuration may prevent.
 
     Raises:
-        ConfigError: a setting is unknown or out of range.
-        ConfigError: the profile of the rig is damaged.
+        ConfigError: a setting is unknown or out of range, or the profile of the rig is damaged.
         StorageError: a file cannot be read.
     """
     path = config_path()
@@ -326,14 +320,6 @@ def _measured() -> dict[str, float]:
 
     profile = installed_profile(folder)
     return {} if profile is None else profile.settings()
-
-
-def change_file(name: str, raw: Any | None) -> Path:
-    """Set one setting in the file, or remove it if `raw` is None; returns the file's path.
-
-    Raises as `change_settings` does.
-    """
-    return change_settings({name: raw})
 
 
 def radar_url(config: Config) -> str:

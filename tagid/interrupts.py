@@ -212,9 +212,6 @@ def wait_readable(descriptor: int) -> None:
     In a blocking read, a signal that arrives after the last bytecode and before the system call would take
     effect only with the next signal: its handler runs in Python, and nothing interrupts the call. Here the
     signal itself writes to a pipe that is waited for as well (`signal.set_wakeup_fd`).
-
-    Args:
-        descriptor: of a terminal, a pipe, a socket or a file.
     """
     awaited = select.poll()
     awaited.register(descriptor, select.POLLIN)

@@ -271,12 +271,7 @@ def load_onnxruntime() -> Any:
 
 
 def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
-    """A model ready to run on the processor.
-
-    Args:
-        name: in the manifest.
-        threads: number of onnxruntime threads.
-        folder: folder of manifest and files.
+    """A model of the manifest in a folder, ready to run on the processor with some threads.
 
     Raises:
         ModelError: file or graph differs from the manifest (hash, opset, names, dtypes, shapes).

@@ -21,14 +21,7 @@ _PROC: Final = Path("/proc")
 
 @dataclass(frozen=True)
 class Holder:
-    """A process that has a device file open.
-
-    Attributes:
-        pid: of the process.
-        name: of its program.
-        user: its owner.
-        locks: whether it has the exclusive lock.
-    """
+    """A process that has a device file open: its number, program and owner; `locks`: exclusively."""
 
     pid: int
     name: str
@@ -80,13 +73,9 @@ def _holder(pid: int, locks: bool) -> Holder | None:
 
 
 def open_port(path: str, baud: int, write_timeout_s: float, find: str) -> serial.Serial:
-    """A serial port, 8N1, with exclusive access and empty buffers.
+    """The serial port of a device file, 8N1, with exclusive access and empty buffers.
 
-    Args:
-        path: device file.
-        baud: baud rate.
-        write_timeout_s: longest wait for a write, s.
-        find: how to list the ports, for the remedy.
+    `find` says how to list the ports, for the remedy.
 
     Raises:
         PortInUseError: another program has it open.

@@ -39,11 +39,7 @@ def python(module: str, *words: str) -> list[str]:
 
 
 def environment(**more: str) -> dict[str, str]:
-    """This process's environment for a child: its import path has no empty or relative folder.
-
-    Args:
-        more: further variables.
-    """
+    """This process's environment and more for a child: its import path has no empty or relative folder."""
     return {**os.environ, **_import_path(), **more}
 
 
@@ -59,11 +55,8 @@ def _import_path() -> dict[str, str]:
 def start(module: str, *words: str, attached: bool = True, **options: Any) -> subprocess.Popen[Any]:
     """Start a module as a child that ends when its standard input, a pipe from this process, is closed.
 
-    Args:
-        module: run as `python -m` does.
-        words: its arguments.
-        attached: False for a module that reads its standard input and ends with it by itself.
-        options: of `subprocess.Popen`.
+    `attached` is False for a module that reads its standard input and ends with it by itself; `options` are
+    those of `subprocess.Popen`.
     """
     command = python(__name__, module, *words) if attached else python(module, *words)
     return subprocess.Popen(command, stdin=subprocess.PIPE, env=environment(), **options)

@@ -88,13 +88,7 @@ def reworded(text: str, words: Callable[[str, str], str | None]) -> str:
 
 
 def reworded_document(value: Any, words: Callable[[str], str], prose: bool = False) -> Any:
-    """A JSON document with its sentences in other words; names, labels and files stay.
-
-    Args:
-        value: the document, or a part of it.
-        words: for a text.
-        prose: whether the part holds sentences.
-    """
+    """A JSON document, or a part that is `prose`, with its sentences in other words; names and files stay."""
     if isinstance(value, dict):
         return {key: reworded_document(item, words, key in _PROSE) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -216,11 +210,9 @@ def render(result: Result, output: str, quiet: bool = False) -> None:
 
 
 class Redrawn:
-    """Anything rich can draw, with its texts changed; rich's own colours and control sequences stay.
+    """Anything rich can draw, with each piece of text within a line changed by `words`.
 
-    Args:
-        drawn: what is drawn.
-        words: gives the text to draw for a piece of text within a line.
+    rich's own colours and control sequences stay.
     """
 
     def __init__(self, drawn: RenderableType, words: Callable[[str], str]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tagid.cli.frame import Terminal, command
-from tagid.config import SETTINGS, change_file, load_config, parse_value, setting_named
+from tagid.config import SETTINGS, change_settings, load_config, parse_value, setting_named
 from tagid.counting import meant
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -48,7 +48,7 @@ def config(
             )
         if value is not None:
             _check_url(name, value)
-        path = change_file(name, value)
+        path = change_settings({name: value})
         parsed = None if value is None else parse_value(name, value, "command line")
         in_its_unit = isinstance(parsed, float) and value is not None and value[-1:].isalpha()
         shown = str(parsed) if isinstance(parsed, Secret) or in_its_unit else value

@@ -117,6 +117,11 @@ class ScanAssembler:
         clock_ns: host clock, ns since the epoch.
         period_s: shortest time between scans, s. If given, an id ahead of the radar's clock counts as
             damaged, so it cannot make all the valid scans that follow appear late.
+
+    Attributes:
+        next_id: unwrapped id of the next scan expected; None before the first fragment.
+        newest_id: unwrapped id of the newest fragment; None before the first.
+        whole_scans: number of complete scans, including those still held back.
     """
 
     def __init__(
@@ -129,31 +134,21 @@ class ScanAssembler:
         self.statistics = statistics or Statistics()
         self._clock_ns = clock_ns
         self._period_ms = period_s * 1e3 if period_s else None
-        self._next = first_id
+        self.next_id = first_id
         self._start: tuple[int, int] | None = None
         self._time_reference: int | None = None
         self._pending: dict[tuple[int, int], _Partial] = {}
         self._ready: dict[int, Scan] = {}
         self._newest_ready = -1
-        self._whole = 0
+        self.whole_scans = 0
         self.newest_id: int | None = None
-
-    @property
-    def whole_scans(self) -> int:
-        """Number of complete scans, including those still held back."""
-        return self._whole
-
-    @property
-    def next_id(self) -> int | None:
-        """Unwrapped id of the next scan expected; None before the first fragment."""
-        return self._next
 
     def add(self, fragment: Fragment) -> list[Scan]:
         """Process one fragment; return the scans that are now complete and next in order (often none)."""
-        if self._next is None:
-            self._next = fragment.id
-        scan_id = unwrap(fragment.id, self._next, 16)
-        if scan_id < self._next:
+        if self.next_id is None:
+            self.next_id = fragment.id
+        scan_id = unwrap(fragment.id, self.next_id, 16)
+        if scan_id < self.next_id:
             self.statistics.late += 1
             return []
         if scan_id in self._ready:
@@ -184,7 +179,7 @@ class ScanAssembler:
 
     def give_up_until(self, end_id: int) -> None:
         """End the run: count every scan before `end_id` that has not been returned as lost."""
-        if self._next is not None and end_id > self._next:
+        if self.next_id is not None and end_id > self.next_id:
             self._lose_until(end_id)
 
     def _plausible(self, scan_id: int, timestamp_ms: int) -> bool:
@@ -192,7 +187,7 @@ class ScanAssembler:
         if self._period_ms is None:
             return True
         if self._start is None:
-            self._start = (self._next or 0, timestamp_ms)
+            self._start = (self.next_id or 0, timestamp_ms)
         first_id, first_ms = self._start
         elapsed_ms = (timestamp_ms - first_ms + 2**31) % 2**32 - 2**31
         most = first_id + _SLACK_SCANS + 2 * max(elapsed_ms, 0) / self._period_ms
@@ -208,7 +203,7 @@ class ScanAssembler:
 
     def _complete(self, scan_id: int, timestamp_ms: int, partial: _Partial) -> None:
         del self._pending[scan_id, timestamp_ms]
-        self._whole += 1
+        self.whole_scans += 1
         reference = self._time_reference if self._time_reference is not None else timestamp_ms
         radar_time = unwrap(timestamp_ms, reference, 32)
         self._time_reference = max(radar_time, reference)
@@ -222,11 +217,11 @@ class ScanAssembler:
     def _in_turn(self, held: bool) -> list[Scan]:
         """The next scans in order; with `held`, only those that need not wait for an incomplete one."""
         out: list[Scan] = []
-        while self._ready and self._next is not None:
-            scan = self._ready.pop(self._next, None)
+        while self._ready and self.next_id is not None:
+            scan = self._ready.pop(self.next_id, None)
             if scan is not None:
                 out.append(scan)
-                self._next += 1
+                self.next_id += 1
                 continue
             until = self._given_up() if held else min(self._ready)
             if until is None:
@@ -241,7 +236,7 @@ class ScanAssembler:
         if len(self._ready) >= MAX_READY:
             return first
         newest = self._ready[self._newest_ready]
-        if newest.scan_id - (self._next or 0) < WINDOW:
+        if newest.scan_id - (self.next_id or 0) < WINDOW:
             return None
         # The missing scans left the radar before `first` did.
         if newest.radar_time_ms - self._ready[first].radar_time_ms < HOLD_MS:
@@ -249,8 +244,8 @@ class ScanAssembler:
         return min(first, newest.scan_id - WINDOW + 1)
 
     def _lose_until(self, scan_id: int) -> None:
-        assert self._next is not None
-        self.statistics.lost_scans += scan_id - self._next
-        self._next = scan_id
+        assert self.next_id is not None
+        self.statistics.lost_scans += scan_id - self.next_id
+        self.next_id = scan_id
         for key in [k for k in self._pending if k[0] < scan_id]:
             del self._pending[key]

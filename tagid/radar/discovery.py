@@ -108,10 +108,8 @@ def discover(
 ) -> Search:
     """Query the status of every candidate in parallel; a scanning radar continues scanning.
 
-    Args:
-        addresses: HOST or HOST:PORT, for UDP.
-        urls: further radar URLs, e.g. of a UART adapter, which cannot be recognised by its USB number.
-        ports: lists the serial ports that may be a radar.
+    Candidates are addresses HOST or HOST:PORT, for UDP, further URLs, e.g. of a UART adapter, which cannot be
+    recognised by its USB number, and the serial ports that `ports` lists.
 
     Raises UsageError for an invalid address or URL.
     """

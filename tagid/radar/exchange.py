@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -19,9 +20,10 @@ from tagid.radar.messages import (
     MalformedMessage,
     Message,
     MessageType,
-    Request,
     Status,
+    Value,
     decode,
+    encode,
     status_text,
 )
 from tagid.radar.scan_info import SCAN_INFO_HEAD, Fragment, read_fragment
@@ -68,17 +70,19 @@ class Exchange:
 
     def request(self, kind: MessageType, **fields: int | np.void) -> Message:
         """Send a request that does not start a run; return its confirm. Raises as `exchange`."""
-        confirm = self.exchange(Request(kind, fields), self.patience_s)
+        confirm = self.exchange(kind, fields, self.patience_s)
         assert isinstance(confirm, Message)
         return confirm
 
-    def exchange(self, request: Request, patience: float, attempts: int | None = None) -> Message | Fragment:
+    def exchange(
+        self, kind: MessageType, fields: Mapping[str, Value], patience: float, attempts: int | None = None
+    ) -> Message | Fragment:
         """Send a request until its confirm arrives (requests are idempotent; repeats carry the same id).
 
         If the request starts a run, the run's first fragment is returned and also kept for the assembler.
 
         Args:
-            request: to send.
+            kind, fields: of the request; see `messages.encode`.
             patience: wait for one answer, s.
             attempts: number of times it is sent; None: as the exchange was made.
 
@@ -89,11 +93,12 @@ class Exchange:
         """
         message_id, self.next_id = self.next_id, (self.next_id + 1) & 0xFFFF
         try:
-            packet = request.encode(message_id)
+            packet = encode(kind, message_id, **fields)
         except ValueError as error:
             raise UsageError(
                 f"the request cannot be encoded: {error}", "Give a value within the limits."
             ) from error
+        starts_run = kind is _T.CONTROL_REQUEST and bool(fields.get("scan_count"))
         bytes_before, heard = self._bytes_in_vain(), 0
         attempts = attempts or self.attempts
         if not self.statistics.received:
@@ -110,27 +115,26 @@ class Exchange:
                     continue
                 heard += 1
                 if isinstance(message, Fragment):
-                    if request.starts_run() and (message.id - message_id) & 0xFFFF < 2 * WINDOW:
+                    if starts_run and (message.id - message_id) & 0xFFFF < 2 * WINDOW:
                         self.early.append(message)
                         return message
-                    if self.scanning and request.type is _T.GET_CONFIG_REQUEST:
+                    if self.scanning and kind is _T.GET_CONFIG_REQUEST:
                         self.early.append(message)
                     else:
                         self._left_over(message)
-                elif message.id == message_id and message.type == request.type + 0x100:
+                elif message.id == message_id and message.type == kind + 0x100:
                     return message
                 else:
-                    self._refused(message, request.type, message_id)
+                    self._refused(message, kind, message_id)
         strange = self._bytes_in_vain() - bytes_before
         if strange and not heard:
             raise DeviceTimeoutError(
-                f"something answers at {self.link}, but not as a P440 "
-                f"({request.type.name} sent {attempts} times)",
+                f"something answers at {self.link}, but not as a P440 ({kind.name} sent {attempts} times)",
                 "Check the address and port; on a serial line, the framing (usb or uart), the baud rate, and "
                 "that the device is a P440.",
             )
         raise DeviceTimeoutError(
-            f"the radar at {self.link} did not answer {request.type.name} ({attempts} tries)",
+            f"the radar at {self.link} did not answer {kind.name} ({attempts} tries)",
             _no_answer(self.link),
         )
 

@@ -55,9 +55,6 @@ class StreamDecoder:
     its message type. A frame that contains the header of another one is a truncated frame followed by its
     successor, unless another frame starts exactly after it (then the header was a pattern in the samples).
 
-    Args:
-        framing: framing of the wire.
-
     Attributes:
         skipped: bytes outside any frame.
         damaged: frames dropped because of a wrong CRC or end.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -301,27 +301,6 @@ class Message:
 
 Value = int | bytes | np.void | NDArray[np.generic]
 """Of a field: a number, a text, a record, or several numbers."""
-
-
-@dataclass(frozen=True, eq=False)
-class Request:
-    """A message to the radar, without the id that each one gets when it is sent.
-
-    Attributes:
-        type: its type.
-        fields: values by name, as in `MESSAGES[type]`; those that are absent are zero.
-    """
-
-    type: MessageType
-    fields: Mapping[str, Value] = field(default_factory=dict)
-
-    def starts_run(self) -> bool:
-        """Whether scans follow."""
-        return self.type is MessageType.CONTROL_REQUEST and bool(self.fields.get("scan_count", 0))
-
-    def encode(self, message_id: int) -> bytes:
-        """The bytes of the message. Raises as `encode`."""
-        return encode(self.type, message_id, **self.fields)
 
 
 def encode(message_type: MessageType, message_id: int, **fields: Value) -> bytes:

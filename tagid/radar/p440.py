@@ -29,7 +29,6 @@ from tagid.radar.messages import (
     SLEEP_ACTIVE,
     Message,
     MessageType,
-    Request,
     Status,
     encode,
 )
@@ -48,11 +47,9 @@ class Patience:
 
     Time in which this process did not run does not count: packets that arrived wait in the receive buffer.
 
-    Args:
+    Attributes:
         quiet_s: time without a fragment after which the radar is considered silent, s.
         whole_s: time without a complete scan after which the run is aborted although fragments arrive, s.
-
-    Attributes:
         fragments: packets since the last complete scan.
         whole_scans: number of complete scans when the timeout was last restarted.
     """
@@ -277,7 +274,7 @@ class P440:
         if time.monotonic() < ask_from:
             return False
         try:
-            self._talk.exchange(Request(_T.GET_OPMODE_REQUEST), _POLL_S, attempts=1)
+            self._talk.exchange(_T.GET_OPMODE_REQUEST, {}, _POLL_S, attempts=1)
         except DeviceTimeoutError:
             return False
         return True
@@ -356,7 +353,12 @@ class P440:
                     patience.heard()
                     continue
                 if end_id is None or not over:
-                    raise self._silent((assembler.next_id or 0) - first_id, patience.quiet_s)
+                    done = (assembler.next_id or 0) - first_id
+                    raise DeviceTimeoutError(
+                        f"the radar at {self._link} sent nothing for {patience.quiet_s:.1f} s, "
+                        f"after {done} scans",
+                        "Check power and cable; the scans that arrived before are kept.",
+                    )
                 assembler.give_up_until(end_id)
             elif patience.fruitless():
                 yield from _before(assembler.flush(), end_id)
@@ -382,22 +384,16 @@ class P440:
             return False
         return (assembler.next_id or 0) >= end_id - WINDOW
 
-    def _silent(self, done: int, patience: float) -> DeviceTimeoutError:
-        return DeviceTimeoutError(
-            f"the radar at {self._link} sent nothing for {patience:.1f} s, after {done} scans",
-            "Check power and cable; the scans that arrived before are kept.",
-        )
-
     def _start(self, count: int, interval_us: int, patience: float) -> None:
         """Start a run; its first scan also counts as confirm, so a lost confirm does not start it twice."""
-        request = Request(_T.CONTROL_REQUEST, {"scan_count": count, "interval_us": interval_us})
-        confirm = self._talk.exchange(request, patience)
+        fields = {"scan_count": count, "interval_us": interval_us}
+        confirm = self._talk.exchange(_T.CONTROL_REQUEST, fields, patience)
         if isinstance(confirm, Message):
             accept(confirm, "start scanning")
 
     def _stop(self, attempts: int | None = None) -> Message:
-        request = Request(_T.CONTROL_REQUEST, {"scan_count": 0})
-        confirm = self._talk.exchange(request, self._talk.patience_s, attempts)
+        fields = {"scan_count": 0}
+        confirm = self._talk.exchange(_T.CONTROL_REQUEST, fields, self._talk.patience_s, attempts)
         assert isinstance(confirm, Message)
         self._talk.scanning = False
         return confirm
@@ -419,12 +415,11 @@ class P440:
         if message.type is _T.READY_INFO:
             self._talk.scanning = False
             raise restarted()
-        if message.type is _T.CONTROL_CONFIRM and message["status"] != Status.OK:
+        if message.type is _T.CONTROL_CONFIRM:
             accept(message, "start scanning")
-        if message.type is _T.GET_STATUSINFO_CONFIRM and message["status"] == Status.OK:
+        elif message.type is _T.GET_STATUSINFO_CONFIRM and message["status"] == Status.OK:
             self.latest_status = status_from(message)
-            return
-        if message.type is not _T.CONTROL_CONFIRM:
+        else:
             self._talk.statistics.unexpected += 1
 
 

@@ -80,14 +80,9 @@ def scan_packets(
     timestamp_ms: int,
     filter_bit: int = RAW_FILTER,
 ) -> list[bytes]:
-    """The SCAN_INFO packets of one scan: 1452 bytes each, the last one zero-padded.
+    """The SCAN_INFO packets of one scan (N,), counts: 1452 bytes each, the last one zero-padded.
 
-    Args:
-        samples: (N,) int32, counts.
-        config: settings it was recorded with.
-        scan_id: message id, u16, that all fragments share.
-        timestamp_ms: radar clock, u32, that all fragments share.
-        filter_bit: type of the samples; 1 is raw, as sent by a radar.
+    All share the id, u16, and the radar's clock, u32. `filter_bit` is the type of the samples.
     """
     total = len(samples)
     count = -(-total // SAMPLES_PER_MESSAGE)

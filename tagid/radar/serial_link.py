@@ -48,16 +48,12 @@ class SerialPort:
 
     @property
     def url(self) -> str:
-        """The corresponding radar URL."""
         options = "" if self.framing is Framing.USB else f"?framing=uart&baud={self.baud}"
         return f"serial://{self.path}{options}"
 
 
 class SerialLink:
     """Carries packets over a serial port.
-
-    Args:
-        port: port and framing.
 
     Raises:
         PortInUseError: another program has it open.

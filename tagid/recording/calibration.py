@@ -114,7 +114,8 @@ def estimate_delay(
     background = np.zeros(target.bins) if empty is None else empty
     raw, matched = _envelopes(scans.mean(axis=0) - background, step_ps * 1e-12)
     peak = peak_place(matched, low, high)
-    snr_db = _check_echo(target, scans, matched, _Echo(low, high, peak, start_ps, step_ps))
+    to_ps = step_ps / _FINER
+    snr_db = _check_echo(target, scans, matched, (low, high), peak, start_ps, to_ps)
     edges = np.linspace(0, len(scans), _BLOCKS + 1).astype(int)
     near = round(_APART_PS / step_ps * _FINER)
     around = max(low, round(peak) - near), min(high, round(peak) + near)
@@ -122,7 +123,6 @@ def estimate_delay(
         peak_place(_envelopes(scans[a:b].mean(axis=0) - background, step_ps * 1e-12)[1], *around)
         for a, b in pairwise(edges)
     ]
-    to_ps = step_ps / _FINER
     noise_ps = float(np.std(parts, ddof=1)) / math.sqrt(_BLOCKS) * to_ps
     shape_ps = abs(peak_place(raw, *around) - peak) * to_ps
     tape_ps = 2e12 * tape_error_m / SPEED_OF_LIGHT
@@ -250,38 +250,29 @@ def _envelopes(scan: NDArray[np.float64], step_s: float) -> tuple[NDArray[np.flo
     return envelopes[0], envelopes[1]
 
 
-@dataclass(frozen=True)
-class _Echo:
-    """The strongest echo of an envelope.
-
-    Attributes:
-        low, high: first and last index of the search interval.
-        peak: index of the peak, between samples.
-        start_ps, step_ps: two-way time of the first bin and step of the bins, `_FINER` indices each, ps.
-    """
-
-    low: int
-    high: int
-    peak: float
-    start_ps: float
-    step_ps: float
-
-    def time_ps(self, index: float) -> float:
-        """Two-way time at an index, ps."""
-        return self.start_ps + index * self.step_ps / _FINER
-
-
 def _check_echo(
-    target: Capture, scans: NDArray[np.float64], matched: NDArray[np.float64], echo: _Echo
+    target: Capture,
+    scans: NDArray[np.float64],
+    matched: NDArray[np.float64],
+    searched: tuple[int, int],
+    peak: float,
+    start_ps: float,
+    to_ps: float,
 ) -> float:
-    """`DelayEstimate.snr_db`; DataError if there is no echo, more than one, or a clipped one."""
-    low, high, peak, step_ps = echo.low, echo.high, echo.peak, echo.step_ps
-    near = round(_APART_PS / step_ps * _FINER)
+    """`DelayEstimate.snr_db`; DataError if there is no echo, more than one, or a clipped one.
+
+    Args:
+        target, scans, matched: the recording, its usable scans, and the envelope of their mean.
+        searched, peak: first and last index of the search in the envelope, and index of its peak.
+        start_ps, to_ps: two-way time of index 0, and from index to index, ps.
+    """
+    low, high = searched
+    near = round(_APART_PS / to_ps)
     away = np.ones(len(matched), dtype=bool)
     away[max(0, round(peak) - 2 * near) : round(peak) + 2 * near + 1] = False
     height = float(matched[round(peak)])
     # For white noise of variance s^2 the filter output is 4 s^2 sum |p|^2 (negative frequencies are folded).
-    offset = np.arange(-200, 201) * step_ps * 1e-12
+    offset = np.arange(-200, 201) * to_ps * _FINER * 1e-12
     energy = float((np.abs(pulse_at(nominal_pulse(), offset)) ** 2).sum())
     floor = 4 * energy * (float(scans.var(axis=0, ddof=1).mean()) + 1 / 12) / len(scans)
     if away.any():
@@ -296,7 +287,7 @@ def _check_echo(
     rivals[max(0, round(peak) - near) : round(peak) + near + 1] = 0
     rival = low + int(rivals[low : high + 1].argmax())
     if rivals[rival] > _SIMILAR * height:
-        times = [f"{echo.time_ps(index) / 1e3:.2f} ns" for index in sorted((peak, rival))]
+        times = [f"{(start_ps + index * to_ps) / 1e3:.2f} ns" for index in sorted((peak, rival))]
         raise TwoEchoesError(
             f"two echoes of similar strength stand out, at {times[0]} and {times[1]}",
             "Record the scene without the target first (`step=both`), or use a larger reflector.",

@@ -17,7 +17,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion
 from tagid.recording.curves import TIME_LABEL, slow_time
-from tagid.signal import analytic, noise_power_of, over_noise_db, snr_db, vertex
+from tagid.signal import analytic, noise_power_of, over_noise_db, peak_place, snr_db
 
 MOST_BYTES = 64 << 20
 """Samples inspected or plotted at a time, bytes; of longer recordings every n-th view is used."""
@@ -275,15 +275,6 @@ def strongest_return(signal: NDArray[np.complex64], capture: Capture) -> StrongR
     length = 1 << (2 * (high - low) - 1).bit_length()
     spectra = np.fft.fft(gate, length, axis=1) * np.conj(np.fft.fft(template, length))
     magnitude = np.fft.fftshift(np.abs(np.fft.ifft(spectra, axis=1)), axes=1)
-    best = magnitude.argmax(axis=1)
-    beside = [_between(curve, int(at)) for curve, at in zip(magnitude, best, strict=True)]
-    shifts = best - length // 2 + np.array(beside)
+    shifts = np.array([peak_place(curve) for curve in magnitude]) - length // 2
     ranges = capture.ranges_m
     return StrongReturn(peak, float(ranges[peak]), peak + shifts, coherence)
-
-
-def _between(curve: NDArray[np.floating], best: int) -> float:
-    """Offset of the vertex from the curve's maximum, -0.5..0.5 samples."""
-    if not 0 < best < len(curve) - 1:
-        return 0.0
-    return float(vertex(*curve[best - 1 : best + 2].astype(np.float64)))

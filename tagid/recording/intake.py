@@ -5,6 +5,7 @@ Every command that records uses this module, so that a loss, a gap or a slow dis
 
 from __future__ import annotations
 
+import math
 import stat
 import time
 from collections.abc import Callable, Iterator
@@ -18,8 +19,7 @@ from tagid.radar.assembler import Scan
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
 from tagid.radar.resume import RESUME_S, steady_scans
-from tagid.radar.settings import RadarConfig
-from tagid.storage.journal import JournalScan, JournalWriter
+from tagid.storage.journal import JournalScan
 from tagid.storage.journal_queue import JournalQueue
 
 _MOST_GAPS: Final = 1000
@@ -30,19 +30,13 @@ _HOST_SLACK_S: Final = 1.0
 _GUARD_EVERY_S: Final = 0.5
 
 
-class HostLimit:
-    """A time limit on the host's clock, for a radar whose own clock or scans have stopped.
+def host_limit(seconds: float | None) -> Callable[[], bool]:
+    """Whether a time and a second of slack have passed on the host's clock; None: never.
 
-    Args:
-        seconds: the limit, s; None never passes.
+    For a radar whose own clock or scans have stopped.
     """
-
-    def __init__(self, seconds: float | None) -> None:
-        self._end = None if seconds is None else time.monotonic() + seconds + _HOST_SLACK_S
-
-    def passed(self) -> bool:
-        """Whether the limit and a second of slack have passed."""
-        return self._end is not None and time.monotonic() >= self._end
+    end = math.inf if seconds is None else time.monotonic() + seconds + _HOST_SLACK_S
+    return lambda: time.monotonic() >= end
 
 
 class Intake:
@@ -76,17 +70,7 @@ class Intake:
         self._queue = queue
         self._resume_s = resume_s
         self._on_gap = on_gap
-        self._journal: JournalWriter | None = None
         self._guard_at = 0.0
-
-    def guard(self, journal: JournalWriter) -> None:
-        """Check twice per second that the journal's file still holds all that was written."""
-        self._journal = journal
-
-    @property
-    def config(self) -> RadarConfig:
-        """The radar's settings."""
-        return self._radar.config
 
     @property
     def scans_lost(self) -> int:
@@ -146,11 +130,11 @@ class Intake:
         )
 
     def _check_journal(self) -> None:
-        """Raises StorageError if the journal's file was removed, replaced or truncated."""
-        if self._journal is None or time.monotonic() < self._guard_at:
+        """Raises StorageError if the journal's file was removed, replaced or cut; looks twice a second."""
+        if time.monotonic() < self._guard_at:
             return
         self._guard_at = time.monotonic() + _GUARD_EVERY_S
-        path, written = self._journal.path, self._journal.size
+        path, written = self._queue.journal.path, self._queue.journal.size
         try:
             there = path.stat()
         except OSError:

@@ -14,9 +14,9 @@ from tagid.errors import StorageError
 from tagid.metadata import ScanGap
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
-from tagid.recording.intake import HostLimit
+from tagid.recording.intake import host_limit
 from tagid.recording.plan import RecordingPlan
-from tagid.recording.session import Recorded, Session, Steps, Written, run_recording
+from tagid.recording.session import Recorded, Session, Written, run_recording
 from tagid.storage.journal_capture import PART_BYTES, WrittenCaptures, write_captures
 
 
@@ -94,12 +94,8 @@ def record_long(
     If the radar fails, the received scans are written as incomplete, and the error says where. A stop signal
     takes effect while scans arrive; later ones are delayed until the files are written.
 
-    Args:
-        radar: not yet connected.
-        plan: settings and geometry; its scans, seconds and motion are not used.
-        limits: limits of the recording.
-        path: path of the first capture file.
-        watch: callbacks.
+    The radar is not yet connected, and `path` is that of the first capture file. Scans, seconds and motion of
+    the plan are not used.
 
     Raises:
         DeviceError or a subclass: the radar failed. DiskFullError, StorageError: files; the journal is kept.
@@ -117,19 +113,19 @@ def record_long(
             recorded.counters,
             limits.part_bytes,
         )
-        return Written(written, written.views, tuple(written.paths))
+        return written, written.views, written.paths
 
-    return run_recording(radar, plan, path, Steps(receive, write), watch)
+    return run_recording(radar, plan, path, receive, write, gap=watch.gap, named=watch.named)
 
 
 def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -> bool:
     """Whether the recording ended as requested."""
     intake = session.intake
-    period_s = max(intake.config.scan_period_s, limits.interval_us * 1e-6)
+    period_s = max(session.config.scan_period_s, limits.interval_us * 1e-6)
     check_every = max(1, round(0.5 / period_s))
     first_ms: int | None = None
-    limit = HostLimit(limits.seconds)
-    for scan in intake.scans(SCAN_FOREVER, limits.interval_us, lambda: watch.stop() or limit.passed()):
+    late = host_limit(limits.seconds)
+    for scan in intake.scans(SCAN_FOREVER, limits.interval_us, lambda: watch.stop() or late()):
         first_ms = scan.radar_time_ms if first_ms is None else first_ms
         seconds = (scan.radar_time_ms - first_ms) * 1e-3
         done = limits.scans is not None and intake.scans_taken >= limits.scans
@@ -140,4 +136,4 @@ def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -
             )
         if done:
             return True
-    return limit.passed() or (limits.scans is None and limits.seconds is None)
+    return late() or (limits.scans is None and limits.seconds is None)

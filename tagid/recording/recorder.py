@@ -18,9 +18,9 @@ from tagid.motion.turntable import OVERLAP_TURNS
 from tagid.radar.assembler import Scan
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
-from tagid.recording.intake import HostLimit
+from tagid.recording.intake import host_limit
 from tagid.recording.plan import RecordingPlan
-from tagid.recording.session import Recorded, Session, Steps, Written, run_recording
+from tagid.recording.session import Recorded, Session, Written, run_recording
 from tagid.recording.stream import ScanStream
 from tagid.storage.hdf5 import write_capture
 from tagid.storage.journal_capture import read_journal_capture
@@ -94,9 +94,9 @@ def record(
     def write(recorded: Recorded) -> Written[Capture]:
         capture = _with_angles(recorded, watch)
         write_capture(recorded.path, capture)
-        return Written(capture, capture.views, (recorded.path,))
+        return capture, capture.views, (recorded.path,)
 
-    return run_recording(radar, plan, path, Steps(receive, write), watch)
+    return run_recording(radar, plan, path, receive, write, gap=watch.gap, named=watch.named)
 
 
 class _OneTurn:
@@ -117,10 +117,10 @@ class _OneTurn:
             if self._watch.stop():
                 raise CaptureInterrupted("stopped before the first scan")
             self._motion.start()
-            limit = HostLimit(self._plan.max_seconds)
+            late = host_limit(self._plan.max_seconds)
 
             def ends() -> bool:
-                return limit.passed() or self._watch.stop() or self._is_enough()
+                return late() or self._watch.stop() or self._is_enough()
 
             for scan in self._session.intake.scans(self._plan.scans or SCAN_FOREVER, until=ends):
                 self._stream.append(scan)

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from tagid import files, interrupts
 from tagid._version import __version__
@@ -29,6 +29,8 @@ from tagid.storage.journal_queue import JournalQueue
 from tagid.storage.metadata import VERSION_KEY
 
 _Result = TypeVar("_Result")
+Written = tuple[_Result, int, tuple[Path, ...]]
+"""What a recording returns, the number of scans read back from its journal, and the capture files."""
 
 SYNC_S = 0.5
 """Time between two syncs of the disk, s: a power cut loses only scans written within this time."""
@@ -39,11 +41,9 @@ class Session:
     """A running recording.
 
     Attributes:
-        plan: the recording plan.
         config: the radar's settings in force.
         intake: source of the scans.
         queue: accepts motion readings.
-        journal: the journal being written.
     """
 
     plan: RecordingPlan
@@ -71,50 +71,15 @@ class Recorded:
     ended_by: TagidError | None
 
 
-@dataclass(frozen=True)
-class Written(Generic[_Result]):
-    """The capture files made of a journal.
-
-    Attributes:
-        result: return value of the recording.
-        views: number of scans read back from the journal.
-        paths: paths of the files.
-    """
-
-    result: _Result
-    views: int
-    paths: tuple[Path, ...]
-
-
-class Listener(Protocol):
-    """Callbacks of a recording."""
-
-    @property
-    def gap(self) -> Callable[[ScanGap], None]:
-        """Called when scans arrive again after the radar was lost."""
-        ...
-
-    @property
-    def named(self) -> Callable[[Path], None]:
-        """Called with the capture's path once its journal is created."""
-        ...
-
-
-@dataclass(frozen=True)
-class Steps(Generic[_Result]):
-    """What differs between recordings.
-
-    Attributes:
-        receive: takes the scans; returns whether the recording is complete.
-        write: writes the capture files of the journal.
-    """
-
-    receive: Callable[[Session], bool]
-    write: Callable[[Recorded], Written[_Result]]
-
-
 def run_recording(
-    radar: P440, plan: RecordingPlan, path: Path, steps: Steps[_Result], listener: Listener
+    radar: P440,
+    plan: RecordingPlan,
+    path: Path,
+    receive: Callable[[Session], bool],
+    write: Callable[[Recorded], Written[_Result]],
+    *,
+    gap: Callable[[ScanGap], None],
+    named: Callable[[Path], None],
 ) -> _Result:
     """Record into a journal, write its capture files, and remove it once they were read back and compared.
 
@@ -124,9 +89,11 @@ def run_recording(
     Args:
         radar: not yet connected.
         plan: what to record.
-        path: path of the first capture file; the next free name is used if the plan says so.
-        steps: how scans are taken and files written.
-        listener: callbacks.
+        path: path of the first capture file.
+        receive: takes the scans; returns whether the recording is complete.
+        write: writes the capture files of the journal.
+        gap: called when scans arrive again after the radar was lost.
+        named: called with the capture's path once its journal is created.
 
     Raises:
         DeviceError or a subclass: the radar failed; the received scans are in the files that the error names.
@@ -145,9 +112,9 @@ def run_recording(
                 with start_journal(path, header, plan.renumber) as journal:
                     marked.enter_context(journal.locked())
                     taken.append(capture_beside(journal.path))
-                    listener.named(taken[-1])
-                    recorded = _fill(journal, radar, plan, steps.receive, listener, signals)
-            return _keep(recorded, steps.write)
+                    named(taken[-1])
+                    recorded = _fill(journal, radar, plan, receive, gap, signals)
+            return _keep(recorded, write)
     except KeyboardInterrupt as stop:
         raise interrupts.stopped_by_user(stop, where_kept(taken[-1])) from stop
 
@@ -166,7 +133,7 @@ def _fill(
     radar: P440,
     plan: RecordingPlan,
     receive: Callable[[Session], bool],
-    listener: Listener,
+    gap: Callable[[ScanGap], None],
     signals: interrupts.Deferred,
 ) -> Recorded:
     """Write the scans to the journal, with its end record if `receive` reports a complete recording."""
@@ -174,8 +141,7 @@ def _fill(
     complete = False
     try:
         with JournalQueue(journal) as queue:
-            intake = Intake(radar, queue, plan.resume_s, listener.gap)
-            intake.guard(journal)
+            intake = Intake(radar, queue, plan.resume_s, gap)
             try:
                 with signals.listening():
                     complete = receive(Session(plan, radar.config, intake, queue, journal))
@@ -206,15 +172,15 @@ def _keep(recorded: Recorded, write: Callable[[Recorded], Written[_Result]]) -> 
             "no complete scan arrived", "Check the network for lost packets with `tagid radar monitor`."
         )
     try:
-        written = write(recorded)
-        check_all_read(journal, written.views, recorded.scans)
+        result, views, paths = write(recorded)
+        check_all_read(journal, views, recorded.scans)
     except StorageError as error:
         raise with_recovery(error, journal) from error
     journal.unlink(missing_ok=True)
     if ended_by is not None:
-        paths = ", ".join(str(path) for path in written.paths)
-        raise with_remedy(ended_by, f"The {written.views} scans that arrived are in {paths}.") from ended_by
-    return written.result
+        files_made = ", ".join(map(str, paths))
+        raise with_remedy(ended_by, f"The {views} scans that arrived are in {files_made}.") from ended_by
+    return result
 
 
 def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) -> JournalWriter:
@@ -258,10 +224,7 @@ def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) ->
 def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) -> dict[str, Any]:
     """The header of a recording's journal: all of its capture that is known before the first scan.
 
-    Args:
-        plan: the recording plan.
-        taken: the radar's settings in force.
-        radar: the radar's own description.
+    `taken` are the radar's settings in force.
     """
     info = replace(
         radar,

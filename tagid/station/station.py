@@ -520,7 +520,7 @@ class Station:
         return list(files)
 
     def _capture(self, number: int) -> Path:
-        entries = self.history(Filter(number=number, limit=1))
+        entries = self.history(Filter(numbers=(number,)))
         path = _own_file(entries[0], self.source.place().folder()) if entries else None
         if path is None:
             raise NoSuchItemError(f"the station has no capture of entry {number}")

@@ -38,15 +38,9 @@ def encode_settings(settings: dict[str, Any]) -> str:
 
 
 def decode_settings(text: str | bytes, where: str, repair: bool = False) -> dict[str, Any]:
-    """A dict from JSON text in a file.
+    """A dict from JSON text in a file, with halves of surrogate pairs as \\uNNNN if `repair`.
 
-    Args:
-        text: the JSON text.
-        where: the file and field, for messages.
-        repair: show halves of surrogate pairs as \\uNNNN instead of refusing the file.
-
-    Raises:
-        FileFormatError: too long, not JSON, or not an object.
+    Raises FileFormatError, naming `where`: too long, not JSON, not an object, or such a half.
     """
     if len(text) > MAX_JSON_BYTES:
         raise FileFormatError(

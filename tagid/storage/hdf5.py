@@ -196,8 +196,7 @@ def _extend(scans: Any, capture: Capture, written: _Written) -> None:
 def read_capture(path: Path) -> Capture:
     """Read a capture file of this or an older version.
 
-    Declared sizes are checked against the file size before memory is allocated; links to other files are
-    rejected.
+    Declared sizes are checked against the file size before memory is allocated.
 
     Raises:
         StorageError: the file cannot be read.

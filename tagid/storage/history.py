@@ -16,7 +16,6 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from io import RawIOBase
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -176,8 +175,7 @@ class Filter:
         file: part of the file name.
         since, until: ISO 8601 date or time, UTC if no zone is given; from `since` on, before `until`.
         limit: maximum number.
-        number: of one identification.
-        numbers: of several identifications.
+        numbers: of identifications.
     """
 
     status: str | None = None
@@ -188,7 +186,6 @@ class Filter:
     since: str | None = None
     until: str | None = None
     limit: int | None = None
-    number: int | None = None
     numbers: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -383,9 +380,6 @@ def _conditions(wanted: Filter) -> tuple[str, list[Any]]:
         if value:
             tests.append(f"{column} = ?")
             values.append(value)
-    if wanted.number is not None:
-        tests.append("i.id = ?")
-        values.append(wanted.number)
     if wanted.numbers:
         tests.append(f"i.id IN ({', '.join('?' for _ in wanted.numbers)})")
         values += wanted.numbers
@@ -466,44 +460,14 @@ def _parquet(entries: Iterator[HistoryEntry], path: Path) -> int:
         ]
     )
     count = 0
-    with (
-        files.replacing(path) as file,
-        pa.PythonFile(_Sink(file), mode="w") as sink,
-        pq.ParquetWriter(sink, schema) as writer,
-    ):
+    with files.replacing(path) as file, pq.ParquetWriter(file, schema) as writer:
         while some := list(itertools.islice(entries, _BATCH)):
             writer.write_batch(_batch(pa, schema, some))
             count += len(some)
     return count
 
 
-class _Sink:
-    """The file methods that pyarrow needs for sequential writing."""
-
-    closed = False
-
-    def __init__(self, file: RawIOBase) -> None:
-        self._file = file
-        self._at = 0
-
-    def write(self, data: Any) -> int:
-        self._file.write(data)
-        self._at += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        return self._at
-
-    def flush(self) -> None:
-        self._file.flush()
-
-    def close(self) -> None:
-        """Does nothing: the caller closes the file."""
-
-
 def _batch(pa: Any, schema: Any, entries: list[HistoryEntry]) -> Any:
-    from datetime import datetime
-
     columns = {name: [getattr(entry, name) for entry in entries] for name in FIELDS}
     columns["time_utc"] = [datetime.fromisoformat(entry.time_utc) for entry in entries]
     return pa.record_batch(

@@ -134,12 +134,7 @@ _NUMBERS: Final = re.compile(rb"[-+0-9.eE,;\t \r\n]+")
 
 
 def check_foreign(path: Path, head: bytes) -> None:
-    """Raise FileFormatError where the first bytes of a file are of a known format that is not read.
-
-    Args:
-        path: the file.
-        head: its first bytes.
-    """
+    """Raise FileFormatError where the first bytes of a file are of a known format that is not read."""
     for magic, name, remedy in _MAGIC:
         if head.startswith(magic):
             raise _error(path, name, remedy)

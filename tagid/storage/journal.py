@@ -79,14 +79,10 @@ def record_bytes(payload: bytes) -> int:
 
 
 def intact_records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
-    """(kind, payload) of every record whose CRC holds, in file order.
+    """(kind, payload) of every record of a seekable journal whose CRC holds, in file order.
 
     A truncated or damaged part is skipped up to the next marker. Memory is limited to one payload and a
     buffer of 1 MiB, time to a small multiple of the size, whatever lengths the records claim.
-
-    Args:
-        stream: the journal, seekable.
-        size: its size, bytes.
     """
     window = _Window(stream, size)
     position = PREAMBLE.size
@@ -159,7 +155,15 @@ _CODES = {("i", 4): 0, ("f", 4): 1}
 
 @dataclass(frozen=True, eq=False)
 class JournalScan:
-    """One appended scan; see `JournalWriter.append` for the fields."""
+    """One scan.
+
+    Attributes:
+        scan_id: unwrapped scan number.
+        host_time_ns: arrival, ns since the epoch.
+        radar_time_ms: radar clock, ms.
+        flags: of `tagid.capture.ViewFlag`.
+        samples: (bins,) int32 or float32, the same shape and dtype in every scan.
+    """
 
     scan_id: int
     host_time_ns: int
@@ -232,23 +236,16 @@ class JournalWriter:
         samples: NDArray[np.int32] | NDArray[np.float32],
         flags: int = 0,
     ) -> None:
-        """Add one scan; on return, it has been passed to the operating system.
-
-        Args:
-            scan_id: unwrapped scan number.
-            host_time_ns: arrival, ns since the epoch.
-            radar_time_ms: radar clock, ms.
-            samples: (bins,) int32 or float32, the same shape and dtype in every scan.
-            flags: of `tagid.capture.ViewFlag`.
-
-        Raises:
-            DiskFullError: no space; the record is removed again, all earlier ones are kept.
-            DataError: samples of another shape or dtype.
-        """
+        """Add one scan, with the fields of a `JournalScan`; see `append_all`."""
         self.append_all((JournalScan(scan_id, host_time_ns, radar_time_ms, flags, samples),))
 
     def append_all(self, scans: Sequence[JournalScan]) -> None:
-        """Add scans with one write; raises as `append` does. If space runs out, those that fit are kept."""
+        """Add scans with one write; on return, they have been passed to the operating system.
+
+        Raises:
+            DiskFullError: no space; the scans that fit are kept, and all earlier ones.
+            DataError: samples of another shape or dtype.
+        """
         records = [self._packed(scan) for scan in scans]
         with interrupts.deferred():
             self._append(records)
@@ -311,10 +308,7 @@ class JournalWriter:
         return pack_record(_SCAN_KIND, head + samples.astype(_DTYPES[code], copy=False).tobytes())
 
     def append_motion(self, readings: dict[str, Any]) -> None:
-        """Add readings of the motion: lists of equal length host_time_ns, angle_rad, sigma_rad; and info.
-
-        Raises DiskFullError: no space; earlier records are kept.
-        """
+        """Add readings of the motion: lists of equal length host_time_ns, angle_rad, sigma_rad; and info."""
         with interrupts.deferred():
             self._write(pack_record(_MOTION, encode_settings(readings).encode()))
             self._written(1)

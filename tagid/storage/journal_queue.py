@@ -34,11 +34,12 @@ class JournalQueue:
     number of accepted scans that were not written.
 
     Args:
-        writer: the journal; the caller closes it afterwards.
+        journal: the caller closes it afterwards.
         limit_bytes: memory limit for waiting scans.
         stall_s: longest wait at the end for a disk that writes nothing, s.
 
     Attributes:
+        journal: as given.
         accepted: number of scans in the journal or waiting for it.
         dropped: number of scans dropped because the queue was full.
 
@@ -46,11 +47,11 @@ class JournalQueue:
     """
 
     def __init__(
-        self, writer: JournalWriter, limit_bytes: int = QUEUE_BYTES, stall_s: float = _STALL_S
+        self, journal: JournalWriter, limit_bytes: int = QUEUE_BYTES, stall_s: float = _STALL_S
     ) -> None:
-        self.accepted = writer.scans
+        self.accepted = journal.scans
         self.dropped = 0
-        self._writer = writer
+        self.journal = journal
         self._limit = limit_bytes
         self._stall_s = stall_s
         self._waiting: deque[JournalScan] = deque()
@@ -64,7 +65,7 @@ class JournalQueue:
             self._worker.start()
         except RuntimeError as error:
             raise StorageError(
-                f"{writer.path}: the journal cannot be written: {error}",
+                f"{journal.path}: the journal cannot be written: {error}",
                 "Free memory, or raise the limit of processes and threads, then record again.",
             ) from error
 
@@ -113,13 +114,13 @@ class JournalQueue:
         failure = self._worker.failure
         if failure is None:
             return
-        missing = self.accepted - self._writer.scans
+        missing = self.accepted - self.journal.scans
         lost = f"; {counted(missing, 'scan')} that had arrived could not be written" if missing else ""
         if isinstance(failure, TagidError):
             raise type(failure)(f"{failure.message}{lost}", failure.remedy) from failure
         why = f"{type(failure).__name__}: {failure}".removesuffix(": ")
         raise StorageError(
-            f"{self._writer.path}: writing the journal failed ({why}){lost}",
+            f"{self.journal.path}: writing the journal failed ({why}){lost}",
             "Check the memory of this computer, then record again.",
         ) from failure
 
@@ -127,15 +128,15 @@ class JournalQueue:
         """Wait until everything is written. Raises StorageError if nothing is for too long."""
         size = -1
         while not self._worker.join(self._stall_s):
-            if self._writer.size == size:
-                self._writer.abandon()
-                missing = counted(self.accepted - self._writer.scans, "scan")
+            if self.journal.size == size:
+                self.journal.abandon()
+                missing = counted(self.accepted - self.journal.scans, "scan")
                 raise StorageError(
-                    f"{self._writer.path}: the disk has written nothing for {self._stall_s:g} s; "
+                    f"{self.journal.path}: the disk has written nothing for {self._stall_s:g} s; "
                     f"{missing} that had arrived may be lost",
                     "Check the disk and its connection.",
                 )
-            size = self._writer.size
+            size = self.journal.size
 
     def _work(self) -> None:
         while True:
@@ -144,7 +145,7 @@ class JournalQueue:
                 idle = False
                 while not (self._waiting or self._readings or self._ending or idle):
                     # If scans arrive slowly or stop, sync without waiting for the next one.
-                    idle = not self._changed.wait(self._writer.seconds_to_sync())
+                    idle = not self._changed.wait(self.journal.seconds_to_sync())
                 if self._ending and not self._waiting and not self._readings:
                     return
                 readings = list(self._readings)
@@ -152,11 +153,11 @@ class JournalQueue:
                 batch = [self._waiting.popleft() for _ in range(min(len(self._waiting), _BATCH))]
                 self._busy = True
             if batch:
-                self._writer.append_all(batch)
+                self.journal.append_all(batch)
             for reading in readings:
-                self._writer.append_motion(reading)
+                self.journal.append_motion(reading)
             if not batch and not readings:
-                self._writer.sync()
+                self.journal.sync()
             with self._changed:
                 self._bytes -= sum(scan.samples.nbytes + _PER_SCAN for scan in batch)
 

@@ -88,10 +88,7 @@ def _scipy_io() -> Any:
 def read_mat(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
     """Read a MATLAB 5 file that `encode_mat` wrote, or that holds the structs of the vendor's log reader.
 
-    Args:
-        path: the file.
-        cable_delay_ps: two-way delay to subtract from the ranges of the vendor's scans, ps.
-        node: number of the radar to read, if those are of several.
+    Arguments as `tagid.storage.importers.read_any`; the delay and the node are of the vendor's scans.
 
     Raises:
         StorageError: the file cannot be read.

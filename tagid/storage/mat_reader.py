@@ -33,11 +33,8 @@ Variable = NDArray[Any] | list[dict[str, Any]] | None
 def read_variables(data: bytes, limit: int) -> dict[str, Variable]:
     """The variables of a file by name.
 
-    Args:
-        data: the file.
-        limit: most bytes that its compressed variables may hold.
-
-    Raises ValueError, zlib.error or LookupError: damaged, or more than `limit`.
+    Raises ValueError, zlib.error or LookupError: damaged, or its compressed variables hold more than `limit`
+    bytes.
     """
     order = "<" if data[HEADER_BYTES - 2 : HEADER_BYTES] == b"IM" else ">"
     variables: dict[str, Variable] = {}

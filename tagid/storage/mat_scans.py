@@ -7,7 +7,6 @@ Nfilt, antID, Nscn and scn (samples); or one element whose fields hold all scans
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,18 +17,17 @@ from tagid.capture import Capture
 from tagid.constants import BINS_PER_SAMPLE
 from tagid.counting import counted
 from tagid.errors import FileFormatError
-from tagid.metadata import RadarSettings
+from tagid.metadata import RadarInfo, RadarSettings
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN
-from tagid.storage.p440 import MAX_NODES, P440Scans, choose_node, p440_capture
+from tagid.storage.p440 import MAX_NODES, RAW, P440Scans, choose_node, p440_capture
 
-_RAW: Final = 1
 _NEEDED: Final = ("scn", "tstrt", "tstmp")
 _FIELDS: Final = {
     "msgid": 0xFFFF, "srcid": 0xFFFFFFFF, "tstmp": 0xFFFFFFFF, "tstrt": 2**31 - 1, "tstp": 2**31 - 1,
     "nbin": 0xFFFF, "nfilt": 0xFF, "antid": 0xFF,
 }  # fmt: skip
 """Field of a scan, in lower case -> its largest value."""
-_DEFAULTS: Final = {"nbin": BINS_PER_SAMPLE, "nfilt": _RAW, "antid": 2, "srcid": 0, "tstp": 0}
+_DEFAULTS: Final = {"nbin": BINS_PER_SAMPLE, "nfilt": RAW, "antid": 2, "srcid": 0, "tstp": 0}
 _CONFIG: Final = {
     "nodeid": "node_id", "tstrt": "scan_start_ps", "tstp": "scan_stop_ps", "nbin": "resolution_bins",
     "bii": "base_integration_index", "iant": "antenna_mode", "gtmt": "transmit_gain", "ichan": "code_channel",
@@ -54,7 +52,7 @@ def read_scans(
             nodes[scan["srcid"]] = nodes.get(scan["srcid"], 0) + 1
     chosen = choose_node(path, nodes, node)
     scans = [scan for scan in scans if scan["srcid"] == chosen]
-    wanted = _RAW if any(scan["nfilt"] == _RAW for scan in scans) else scans[0]["nfilt"]
+    wanted = RAW if any(scan["nfilt"] == RAW for scan in scans) else scans[0]["nfilt"]
     kept = [scan for scan in scans if scan["nfilt"] == wanted]
     first = kept[0]
 
@@ -84,13 +82,8 @@ def read_scans(
         info={**info, **window},
         config=RadarSettings.from_json({**config, **window} if config else {}),
     )
-    capture = p440_capture(path, p440, "mrm-ret", cable_delay_ps)
-    radar = replace(
-        capture.radar,
-        packets_ignored=(capture.radar.packets_ignored or 0) + filtered + others,
-        ignored=(*capture.radar.ignored, *ignored),
-    )
-    return replace(capture, radar=radar)
+    about = RadarInfo(source="mrm-ret", packets_ignored=filtered + others, ignored=tuple(ignored))
+    return p440_capture(path, p440, cable_delay_ps, about)
 
 
 def _structs(value: Any) -> Iterator[dict[str, Any]]:

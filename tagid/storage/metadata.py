@@ -23,16 +23,10 @@ def metadata_of(capture: Capture) -> dict[str, dict[str, Any]]:
 
 
 def read_metadata(objects: Mapping[str, Any], where: str, version: int = METADATA_VERSION) -> dict[str, Any]:
-    """The fields `radar`, `motion` and `object` of a Capture.
+    """The fields `radar`, `motion` and `object` of a Capture from JSON objects; a missing one is empty.
 
-    Args:
-        objects: JSON objects by part; a missing part is empty.
-        where: the file, for messages.
-        version: version of the objects.
-
-    Raises:
-        FileFormatError: a part is not an object, a known key has a value of the wrong type, or the
-            version is newer than this tagid supports.
+    Raises FileFormatError, naming `where`: a part is not an object, a known key has a value of the wrong
+    type, or the version is newer than this tagid supports.
     """
     parts: dict[str, Mapping[str, Any]] = {}
     for name in PARTS:

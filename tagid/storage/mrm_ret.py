@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -21,9 +21,9 @@ from tagid import files
 from tagid.capture import Capture
 from tagid.counting import counted
 from tagid.errors import FileFormatError, displayable
-from tagid.metadata import RadarSettings
+from tagid.metadata import RadarInfo, RadarSettings
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, SAMPLES_PER_MESSAGE
-from tagid.storage.p440 import GRID_PS, MAX_NODES, P440Scans, choose_node, p440_capture
+from tagid.storage.p440 import GRID_PS, MAX_NODES, RAW, WINDOW, P440Scans, choose_node, p440_capture
 
 SCAN = "MrmFullScanInfo"
 CONFIG = "Config"
@@ -46,8 +46,6 @@ _HEAD_COLUMNS = 14
 """Columns between the name of a scan line and its samples."""
 _BRIEF_COLUMNS = 9
 """The same in the vendor's C example, which logs neither the reserved columns nor the mode."""
-_RAW = 1
-_WINDOW = ("scan_start_ps", "scan_stop_ps")
 _LONGEST_LINE = 1 << 17
 """Maximum line length; a scan of 8400 samples of 12 characters and a space each fits."""
 _MOST_CONFIGS = 64
@@ -143,10 +141,7 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
     `config_stale` is true and `window_requested_ps` is the window of the last one. `detection_lists` holds
     the vendor's detections as texts "message id: index magnitude, ..."; they do not identify the radar.
 
-    Args:
-        path: the file.
-        cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
-        node: number of the radar to read, if the log holds scans of several.
+    Arguments as `tagid.storage.importers.read_any`.
 
     Raises:
         StorageError: the file cannot be read.
@@ -166,7 +161,7 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
         reading = _Reading.of(stream, form, chosen, survey.has_raw)
     if not reading.message_id:
         raise _no_scan(path, len(reading.lost_id), reading.example)
-    config, window = _fitting_config(survey, chosen, reading)
+    config, windows = _fitting_config(survey, chosen, reading)
     scans = P440Scans(
         samples=np.frombuffer(reading.samples, np.int32).reshape(len(reading.message_id), -1),
         message_id=np.array(reading.message_id, dtype=np.int64),
@@ -176,27 +171,23 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
         info=reading.info,
         config=RadarSettings.from_json(config),
     )
-    capture = p440_capture(path, scans, "mrm-ret", cable_delay_ps)
     counts = {
         "unreadable scan line": (survey.unreadable, ""),
         "filtered scan": (reading.filtered, " of the same radar"),
         "scan": (reading.other_grid, " with another window"),
     }
-    ignored = [*capture.radar.ignored]
-    ignored += [f"{counted(count, what)}{whose}" for what, (count, whose) in counts.items() if count]
+    ignored = [f"{counted(count, what)}{whose}" for what, (count, whose) in counts.items() if count]
     if scans.host_time_ns is None:
         ignored.append("the host's times, which are not in seconds since 1970")
-    radar = replace(
-        capture.radar,
-        packets_ignored=(capture.radar.packets_ignored or 0) + sum(count for count, _ in counts.values()),
+    about = RadarInfo(
+        source="mrm-ret",
+        packets_ignored=sum(count for count, _ in counts.values()),
         ignored=tuple(ignored),
         bytes_left_over=survey.left_over,
         detection_lists=tuple(reading.detection_lists),
-        config_stale=window.stale,
-        window_requested_ps=window.requested_ps,
-        window_actual_ps=window.actual_ps,
+        **windows,
     )
-    return replace(capture, radar=radar)
+    return p440_capture(path, scans, cable_delay_ps, about)
 
 
 def _no_scan(path: Path, count: int, example: str) -> FileFormatError:
@@ -335,7 +326,7 @@ class _Survey:
                 elif head.node in survey.scans_of or len(survey.scans_of) < MAX_NODES:
                     seen += 1
                     survey.scans_of[head.node] = survey.scans_of.get(head.node, 0) + 1
-                    if head.filter == _RAW:
+                    if head.filter == RAW:
                         survey.has_raw.add(head.node)
             elif not line.kind:
                 survey.left_over = line.length
@@ -361,7 +352,7 @@ class _Reading:
     def of(cls, stream: BinaryIO, form: _Form, node: int, has_raw: set[int]) -> _Reading:
         reading = cls()
         grid: tuple[int, ...] | None = None
-        wanted = _RAW if node in has_raw else None
+        wanted = RAW if node in has_raw else None
         for line in _lines(stream, form):
             if line.kind == DETECTIONS and (text := _detections(line.body)):
                 reading.detection_lists.append(text)
@@ -515,33 +506,28 @@ def _config(body: str) -> dict[str, Any] | None:
     return {**flat, **segments}
 
 
-@dataclass(frozen=True)
-class _Window:
-    """The scan window of the configuration and that of the scans, ps; None if not known."""
-
-    requested_ps: tuple[int, ...] | None = None
-    actual_ps: tuple[int, ...] | None = None
-    stale: bool | None = None
-
-
-def _fitting_config(survey: _Survey, node: int, reading: _Reading) -> tuple[dict[str, Any], _Window]:
-    """The settings of the Config line for the scans, with notes on it.
+def _fitting_config(survey: _Survey, node: int, reading: _Reading) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The settings of the Config line for the scans, and what `RadarInfo` says of its window and theirs.
 
     Of a radar's Config lines before its scans, the last one whose window matches is used; otherwise the last
     one, whose window at least is stale.
     """
-    actual = {name: reading.info[name] for name in _WINDOW}
+    actual = {name: reading.info[name] for name in WINDOW}
     one_radar = len(survey.scans_of) == 1
     configs = [(seen, c) for seen, c in survey.configs if c["node_id"] == node]
     if not configs and one_radar:
         configs = survey.configs
     before = [c for seen, c in configs if seen == 0] or [c for _, c in configs[:1]]
     if not before:
-        return {}, _Window()
-    fitting = [c for c in before if all(abs(c[name] - actual[name]) <= GRID_PS for name in _WINDOW)]
+        return {}, {}
+    fitting = [c for c in before if all(abs(c[name] - actual[name]) <= GRID_PS for name in WINDOW)]
     chosen = (fitting or before)[-1]
-    window = _Window(tuple(chosen[name] for name in _WINDOW), tuple(actual.values()), not fitting)
-    return {**chosen, **actual}, window
+    windows = {
+        "config_stale": not fitting,
+        "window_requested_ps": tuple(chosen[name] for name in WINDOW),
+        "window_actual_ps": tuple(actual.values()),
+    }
+    return {**chosen, **actual}, windows
 
 
 def _detections(body: str) -> str | None:

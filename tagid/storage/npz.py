@@ -196,12 +196,7 @@ def encode_npz(capture: Capture) -> bytes:
 
 
 def read_arrays(path: Path, data: bytes, keys: frozenset[str]) -> dict[str, NDArray[Any]]:
-    """The arrays of an NPZ file under known keys, each checked before memory is allocated for it.
-
-    Args:
-        path: the file, for messages.
-        data: its content.
-        keys: others are ignored.
+    """The arrays of an NPZ file's content under known keys, each checked before memory is allocated for it.
 
     Raises FileFormatError: damaged, Python objects, or sizes that are not plausible.
     """

@@ -5,7 +5,7 @@ Binary recordings and the vendor's log share the grid, the wrapping counters and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,11 @@ from tagid.storage.assembly import build_capture, unwrap
 
 MAX_NODES = 64
 """Maximum number of radars distinguished in one file."""
+
+RAW = 1
+"""Filter of a scan as the radar took it."""
+
+WINDOW = ("scan_start_ps", "scan_stop_ps")
 
 GRID_PS = 2
 """A requested window end this close to the actual one is considered equal: the radar's grid is 1.9 ps."""
@@ -55,12 +60,9 @@ class P440Scans:
 
 
 def choose_node(path: Path, scans_of: dict[int, int], node: int | None) -> int:
-    """The radar whose scans to read from a file.
+    """The radar whose scans to read from a file: the requested `node`, or the only one.
 
-    Args:
-        path: the file, for messages.
-        scans_of: number of each radar in the file (at most `MAX_NODES`) -> amount of its data.
-        node: the requested one; None selects the only one.
+    `scans_of` maps the number of each radar in the file (at most `MAX_NODES`) to the amount of its data.
 
     Raises UsageError if there are several and none was chosen, or the chosen one is not among them.
     """
@@ -77,16 +79,17 @@ def choose_node(path: Path, scans_of: dict[int, int], node: int | None) -> int:
     raise UsageError(f"{path}: holds no scan of node {node}", f"It holds {shown}; choose one with `node`.")
 
 
-def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: float) -> Capture:
+def p440_capture(path: Path, scans: P440Scans, cable_delay_ps: float, about: RadarInfo) -> Capture:
     """The capture of scans: exact repetitions left out, views sorted, lost scans counted and marked.
 
-    Several runs in one file follow one another. `radar.ignored` names the repetitions.
+    Several runs in one file follow one another.
 
     Args:
         path: the file, for messages.
         scans: the scans read from the file.
-        source: name of the file's format, stored in `radar.source`.
         cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
+        about: the file's format as `source`, and what else it tells; the repetitions are added to
+            `packets_ignored` and `ignored`.
 
     Raises:
         FileFormatError: the grid is invalid.
@@ -99,15 +102,16 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
     number, time_ms = scans.message_id[kept], scans.timestamp_ms[kept]
     scan_id, order, lost = _sort(number, time_ms, scans.lost_id)
     samples = _reorder(scans.samples[kept] if repeated else scans.samples, order)
-    radar = RadarInfo(
-        source=source,
+    again = (f"{counted(repeated, 'scan')} stored again",) if repeated else ()
+    radar = replace(
+        about,
         node_id=scans.info.get("node_id", scans.config.node_id or 0),
         config=scans.config,
         scan_info=scans.info,
         cable_delay_ps=float(cable_delay_ps),
         scans_lost=lost,
-        packets_ignored=repeated,
-        ignored=(f"{counted(repeated, 'scan')} stored again",) if repeated else (),
+        packets_ignored=repeated + (about.packets_ignored or 0),
+        ignored=(*again, *about.ignored),
     )
     host = scans.host_time_ns
     return build_capture(

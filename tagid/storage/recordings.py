@@ -8,7 +8,7 @@ after a whole confirm, in frames, with prefixes or among other messages: the mes
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,7 +20,7 @@ from tagid.capture import Capture
 from tagid.constants import BINS_PER_SAMPLE, SPEED_OF_LIGHT
 from tagid.counting import counted
 from tagid.errors import DataError, FileFormatError, UsageError
-from tagid.metadata import RadarSettings
+from tagid.metadata import RadarInfo, RadarSettings
 from tagid.radar.messages import (
     CONFIG_DTYPE,
     HEADER_DTYPE,
@@ -31,7 +31,7 @@ from tagid.radar.messages import (
     SCAN_INFO_DTYPE,
     MessageType,
 )
-from tagid.storage.p440 import GRID_PS, MAX_NODES, P440Scans, choose_node, p440_capture
+from tagid.storage.p440 import GRID_PS, MAX_NODES, RAW, WINDOW, P440Scans, choose_node, p440_capture
 
 _PER_SCAN = (
     "node_id",
@@ -44,13 +44,11 @@ _PER_SCAN = (
     "antenna_id",
     "operation_mode",
 )
-_WINDOW = ("scan_start_ps", "scan_stop_ps")
 _GRID = ("scan_start_ps", "step_bins", "total_samples")
 _CONFIG_NAMES = CONFIG_DTYPE.names or ()
 _HEAD_NAMES = tuple(name for name in SCAN_INFO_DTYPE.names or () if name != "samples")
 _HEAD_DTYPE = np.dtype([(name, SCAN_INFO_DTYPE[name]) for name in _HEAD_NAMES])
 HEAD_BYTES = _HEAD_DTYPE.itemsize
-_RAW = 1
 _ORDERS = (">", "<")
 """Byte orders: that of the wire, and that of a program that stored the fields as its own numbers."""
 _INTEGRATION = range(6, 16)
@@ -85,10 +83,7 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
     needed to write the file again), `scans_lost`, `packets_ignored` and `ignored` (messages that are no scan
     of this radar, and other bytes) and `bytes_left_over` (a truncated last message).
 
-    Args:
-        path: the file.
-        cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
-        node: number of the radar to read, if the file holds scans of several.
+    Arguments as `tagid.storage.importers.read_any`.
 
     Raises:
         StorageError: the file cannot be read.
@@ -111,14 +106,14 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
         valid = ignored.keep(
             valid, heads["node_id"] == choose_node(path, held, node), "message", "of other radars"
         )
-        raw = valid & (heads["filter"] == _RAW)
-        kept_filter = _RAW if raw.any() else heads["filter"][valid.argmax()]
+        raw = valid & (heads["filter"] == RAW)
+        kept_filter = RAW if raw.any() else heads["filter"][valid.argmax()]
         valid = ignored.keep(valid, heads["filter"] == kept_filter, "filtered message", "of the same radar")
         first = heads[int(valid.argmax())]
         same_grid = np.logical_and.reduce([heads[name] == first[name] for name in _GRID])
         valid = ignored.keep(valid, same_grid, "message", "of scans with another window")
         complete, partial, repeated = _regroup(heads, np.flatnonzero(valid))
-        ignored.add_repeated(repeated)
+        ignored.add("message|stored again", repeated)
         if not complete:
             raise FileFormatError(
                 f"{path}: holds no complete scan", "The recording is truncated or mostly lost."
@@ -135,14 +130,13 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
         info=_plain(heads[rows[0, 0]], _PER_SCAN),
         config=RadarSettings.from_json(config),
     )
-    capture = p440_capture(path, scans, "recording", cable_delay_ps)
-    radar = replace(
-        capture.radar,
-        packets_ignored=(capture.radar.packets_ignored or 0) + ignored.count,
-        ignored=(*capture.radar.ignored, *ignored.notes()),
+    about = RadarInfo(
+        source="recording",
+        packets_ignored=ignored.count,
+        ignored=ignored.notes(),
         bytes_left_over=messages.left_over,
     )
-    return replace(capture, radar=radar)
+    return p440_capture(path, scans, cable_delay_ps, about)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,8 +260,7 @@ class _Ignored:
         self._bytes = 0
         self._first = 0
         last = messages.left_over and not messages.whole[-1]
-        if cut := int(np.count_nonzero(~messages.whole)) - bool(last):
-            self._counts["cut message"] = cut
+        self.add("cut message", int(np.count_nonzero(~messages.whole)) - bool(last))
 
     @property
     def count(self) -> int:
@@ -278,15 +271,14 @@ class _Ignored:
         self, valid: NDArray[np.bool_], kept: NDArray[np.bool_], what: str, whose: str
     ) -> NDArray[np.bool_]:
         """Those of `valid` that are `kept`; the others are counted as `what`."""
-        if others := int(np.count_nonzero(valid & ~kept)):
-            self._counts[f"{what}|{whose}"] = others
+        self.add(f"{what}|{whose}", int(np.count_nonzero(valid & ~kept)))
         both: NDArray[np.bool_] = valid & kept
         return both
 
-    def add_repeated(self, count: int) -> None:
-        """Count messages of the same number, time and part as an earlier one."""
+    def add(self, what: str, count: int) -> None:
+        """Count messages of a kind, a noun with what follows it behind a bar."""
         if count:
-            self._counts["message|stored again"] = count
+            self._counts[what] = self._counts.get(what, 0) + count
 
     def add_gap(self, data: bytes, start: int, order: str) -> None:
         """Count the messages of other types in the bytes at `start`, and the bytes of none."""
@@ -299,7 +291,7 @@ class _Ignored:
             size = max(fitting, default=0)
             if size:
                 name = "damaged SCAN_INFO" if number == MessageType.SCAN_INFO else MESSAGES[number].name
-                self._counts[f"{name} message"] = self._counts.get(f"{name} message", 0) + 1
+                self.add(f"{name} message", 1)
                 at, unknown = at + size, 0
             else:
                 self.add_bytes(1, start + at)
@@ -361,7 +353,7 @@ def _order_of_block(data: bytes, order: str, head: np.void) -> str:
         block = np.frombuffer(data, CONFIG_DTYPE.newbyteorder(candidate), 1)[0]  # type: ignore[arg-type]
         # A program that does not know the integration writes 0, and the window of the scans.
         known = block["base_integration_index"] in _INTEGRATION
-        if known or all(abs(int(block[name]) - int(head[name])) <= GRID_PS for name in _WINDOW):
+        if known or all(abs(int(block[name]) - int(head[name])) <= GRID_PS for name in WINDOW):
             return candidate
     return ""
 
@@ -377,7 +369,7 @@ def _find_config(data: bytes, order: str, head: np.void) -> int:
     at = np.flatnonzero((windows[:, : len(wanted)] == wanted).all(axis=1))
     blocks = np.ascontiguousarray(windows[at]).view(CONFIG_DTYPE.newbyteorder(order)).reshape(-1)  # type: ignore[arg-type]
     fits = np.isin(blocks["base_integration_index"], _INTEGRATION)
-    for name in _WINDOW:
+    for name in WINDOW:
         fits &= np.abs(blocks[name].astype(np.int64) - int(head[name])) <= GRID_PS
     return int(at[fits][-1]) if fits.any() else -1
 

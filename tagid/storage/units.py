@@ -115,11 +115,8 @@ def check_times(path: Path, seconds: NDArray[np.float64]) -> None:
     )
 
 
-def check_positions(path: Path, capture: Capture) -> None:
-    """Reject antenna positions in millimetres, centimetres, kilometres or degrees.
-
-    Raises FileFormatError: naming the unit and the conversion.
-    """
+def _check_positions(path: Path, capture: Capture) -> None:
+    """Reject antenna positions in millimetres, centimetres, kilometres or degrees."""
     positions = capture.antenna_positions_m
     if positions is None or capture.views < 4:
         return
@@ -176,7 +173,7 @@ def check_units(path: Path, capture: Capture) -> None:
             f"{_step(angles):.3g}: these are not radians",
             f"Store radians; they may be {_either(units)}. If they are radians, wrap them to one turn.",
         )
-    check_frequencies(path, capture)
+    _check_frequencies(path, capture)
     resolution = capture.wave_speed_m_s / (2 * capture.bandwidth_hz)
     step = capture.range_step_m
     if step > _COARSE * resolution and step / 1000 <= resolution:
@@ -189,7 +186,7 @@ def check_units(path: Path, capture: Capture) -> None:
             f"They may be {_either(fitting or [name for name, _ in _STEPS])}: convert range_start_m, "
             "range_step_m and axis_distance_m; if they are metres, add bandwidth_hz.",
         )
-    check_positions(path, capture)
+    _check_positions(path, capture)
 
 
 def _step(angles: NDArray[np.float64]) -> float:
@@ -215,11 +212,8 @@ def _angle_units(angles: NDArray[np.float64]) -> list[str]:
     return []
 
 
-def check_frequencies(path: Path, capture: Capture) -> None:
-    """Reject a centre frequency or bandwidth in GHz, MHz or kHz.
-
-    Raises FileFormatError: naming the units that fit.
-    """
+def _check_frequencies(path: Path, capture: Capture) -> None:
+    """Reject a centre frequency or bandwidth in GHz, MHz or kHz."""
     for key in ("center_frequency_hz", "bandwidth_hz"):
         value = float(getattr(capture, key))
         length = capture.wave_speed_m_s / value

@@ -10,10 +10,11 @@ import pytest
 from tagid.config import SETTINGS
 from tagid.radar.discovery import addresses_from
 from tagid.radar.emulation.core import EmulatorCore, Identity
-from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
+from tagid.radar.emulation.emulator import ServeOptions
 from tagid.radar.links import UdpLink
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
+from tests.emulators import UdpEmulator
 
 SETTING_DEFAULTS = {setting.name: setting.default for setting in SETTINGS}
 

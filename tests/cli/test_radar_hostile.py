@@ -15,12 +15,13 @@ import pytest
 
 from tagid.errors import TagidError
 from tagid.radar.emulation.core import EmulatorCore, Identity
-from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
+from tagid.radar.emulation.emulator import ServeOptions
 from tagid.radar.links import UdpLink
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, MessageType, encode
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.storage.importers import read_any
+from tests.emulators import UdpEmulator
 
 NAMES = ("../../../evil", "/etc/evil\0x", "\x1b]0;evil\x07${HOME}")
 CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=15_000, base_integration_index=6)

@@ -14,12 +14,13 @@ from rich.console import Console
 
 from tagid.radar.assembler import Scan, Statistics
 from tagid.radar.emulation.core import EmulatorCore, Identity
-from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
+from tagid.radar.emulation.emulator import ServeOptions
 from tagid.radar.emulation.faults import Faults
 from tagid.radar.settings import RadarConfig
 from tagid.recording.monitoring import ROWS, Monitor
 from tagid.report.waterfall import draw
 from tagid.waveform import nominal_pulse, pulse_at
+from tests.emulators import UdpEmulator
 
 CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=21_000, base_integration_index=8)
 CLIP = 127 << 8

@@ -19,7 +19,7 @@ from tagid.errors import DeviceTimeoutError, DiskFullError
 from tagid.metadata import ObjectInfo
 from tagid.motion.urls import open_motion
 from tagid.radar.emulation.core import EmulatorCore
-from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
+from tagid.radar.emulation.emulator import ServeOptions
 from tagid.radar.emulation.memory import MemoryLink
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
@@ -29,6 +29,7 @@ from tagid.recording.recorder import record
 from tagid.storage import journal as journal_module
 from tagid.storage.importers import read_any
 from tagid.storage.journal_capture import write_captures
+from tests.emulators import UdpEmulator
 
 SMALL = RadarConfig(scan_start_ps=10_000, scan_stop_ps=15_000, base_integration_index=6)
 

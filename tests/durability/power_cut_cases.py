@@ -26,7 +26,7 @@ from tagid.batch.local import Done, Results, Tasks
 from tagid.batch.run import FILES, BatchPlan, run_batch
 from tagid.batch.work import content_of, make_record
 from tagid.capture import Capture
-from tagid.config import change_file, change_settings, read_file
+from tagid.config import change_settings, read_file
 from tagid.enrolling.registry import Registry, RegistryContents
 from tagid.errors import TagidError
 from tagid.operate.turn import Answer, ReadingSetup
@@ -235,10 +235,7 @@ def _changes() -> list[dict[str, Any]]:
 
 def _config() -> None:
     for change in _changes():
-        if len(change) == 1:
-            change_file(*next(iter(change.items())))
-        else:
-            change_settings(change)
+        change_settings(change)
         _tell(_DONE)
 
 

@@ -17,13 +17,14 @@ from station_harness import OWN, WAIT_S, Asks, Raw, ended, joined, wait
 
 from tagid.doctor import examine
 from tagid.radar.emulation.core import EmulatorCore
-from tagid.radar.emulation.emulator import SerialEmulator, ServeOptions, UdpEmulator
+from tagid.radar.emulation.emulator import ServeOptions
 from tagid.radar.settings import RadarConfig
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.station import server
 from tagid.station.station import MAX_CONNECTIONS
 from tagid.station.wiring import wiring
 from tagid.storage.importers import read_any
+from tests.emulators import SerialEmulator, UdpEmulator
 
 ROOT = Path(__file__).resolve().parents[2]
 

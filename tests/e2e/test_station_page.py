@@ -24,7 +24,7 @@ from tagid.enrolling.registry import Registry
 from tagid.operate.workplace import Workplace
 from tagid.pipeline.answer import Cause, Identification
 from tagid.radar.emulation.core import EmulatorCore
-from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
+from tagid.radar.emulation.emulator import ServeOptions
 from tagid.radar.settings import RadarConfig
 from tagid.result import Problem
 from tagid.simulate.rig import parse_rig
@@ -33,6 +33,7 @@ from tagid.station import live_socket, station
 from tagid.station.server import Server
 from tagid.storage.history import FILE_NAME, History
 from tagid.tags.layouts.layout import Layout
+from tests.emulators import UdpEmulator
 
 PIXELS = """
 const canvas = document.getElementById(arguments[0]);

@@ -15,7 +15,7 @@ from tagid.config import config_path, load_config
 from tagid.errors import UsageError
 from tagid.operate.workplace import Workplace
 from tagid.radar.emulation.core import EmulatorCore
-from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
+from tagid.radar.emulation.emulator import ServeOptions
 from tagid.radar.settings import RadarConfig
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.station import settings as station_settings
@@ -25,6 +25,7 @@ from tagid.station.openapi import document
 from tagid.station.security import MOST_UPLOAD_BYTES
 from tagid.station.server import Server
 from tagid.station.station import Source
+from tests.emulators import UdpEmulator
 
 pytestmark = pytest.mark.usefixtures("closed_clients")
 

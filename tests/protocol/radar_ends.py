@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from tagid.radar.emulation.core import EmulatorCore
-from tagid.radar.emulation.emulator import SerialEmulator, ServeOptions, UdpEmulator
+from tagid.radar.emulation.emulator import ServeOptions
 from tagid.radar.emulation.faults import Faults
 from tagid.radar.emulation.firmware import Firmware, Identity
 from tagid.radar.framing import Framing
 from tagid.radar.settings import RadarConfig
+from tests.emulators import SerialEmulator, UdpEmulator
 
 THREE_FRAGMENTS = RadarConfig(scan_start_ps=10_000, scan_stop_ps=60_000, base_integration_index=6)
 """864 samples: 350 + 350 + 164."""

@@ -25,7 +25,7 @@ from tagid.radar.resume import steady_scans
 from tagid.radar.scan_info import SCAN_INFO_HEAD, read_fragment
 from tagid.radar.settings import RadarConfig
 from tagid.radar.urls import open_link
-from tagid.recording.intake import HostLimit
+from tagid.recording.intake import host_limit
 from tagid.recording.long_recording import RecordingLimits, RecordingWatch, record_long
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
@@ -111,8 +111,8 @@ def test_a_limit_holds_where_the_radars_clock_stands_still(tmp_path: Path) -> No
 
 
 def test_a_host_limit_of_none_never_passes() -> None:
-    assert not HostLimit(None).passed()
-    assert HostLimit(-2.0).passed()
+    assert not host_limit(None)()
+    assert host_limit(-2.0)()
 
 
 def test_stop_ends_a_recording_of_a_radar_that_sends_no_whole_scan_after_a_while(tmp_path: Path) -> None:

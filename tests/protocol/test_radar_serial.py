@@ -54,7 +54,8 @@ def test_noise_on_the_line_costs_only_what_it_hits(framing: Framing) -> None:
 
 def test_a_slow_uart_paces_the_scans_and_is_not_taken_for_silence() -> None:
     """At 115200 baud one message takes 127 ms, far longer than the scan itself."""
-    from tagid.radar.emulation.emulator import SerialEmulator, ServeOptions
+    from tagid.radar.emulation.emulator import ServeOptions
+    from tests.emulators import SerialEmulator
 
     emulator = SerialEmulator(core(), ServeOptions(rate=1.0), Framing.UART, baud=115_200)
     with emulator as device, P440(open_link(device.url)(), timeout=0.2) as radar:

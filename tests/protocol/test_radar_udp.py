@@ -14,7 +14,7 @@ import pytest
 from tagid.errors import DeviceError, DeviceTimeoutError, PortInUseError, TagidError, UsageError
 from tagid.radar import links
 from tagid.radar.emulation.core import EmulatorCore
-from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator, serve_udp
+from tagid.radar.emulation.emulator import ServeOptions, serve_udp
 from tagid.radar.emulation.faults import Faults
 from tagid.radar.emulation.firmware import SERVER_ONLY
 from tagid.radar.emulation.sources import RecordingSource
@@ -23,6 +23,7 @@ from tagid.radar.messages import CONFIG_DTYPE, SCAN_INFO_DTYPE, MessageType, dec
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.recording.radars import emulated_object, open_radar
+from tests.emulators import UdpEmulator
 
 T = MessageType
 ROOT = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tagid.config import change_file, load_config
+from tagid.config import change_settings, load_config
 from tagid.errors import ConfigError, StorageError
 
 
@@ -21,7 +21,7 @@ def own_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_command_line_beats_environment_beats_file_beats_default(monkeypatch: pytest.MonkeyPatch) -> None:
     value = load_config().values["radar.gain"]
     assert (value.value, value.source) == (63, "default")
-    change_file("radar.gain", "40")
+    change_settings({"radar.gain": "40"})
     value = load_config().values["radar.gain"]
     assert (value.value, value.source) == (40, "file")
     monkeypatch.setenv("TAGID_RADAR_GAIN", "30")
@@ -32,9 +32,9 @@ def test_command_line_beats_environment_beats_file_beats_default(monkeypatch: py
 
 
 def test_unset_gives_the_default_back_and_keeps_the_rest() -> None:
-    change_file("radar.url", "udp://127.0.0.1")
-    change_file("motion.axis_distance_m", "1.25")
-    change_file("radar.url", None)
+    change_settings({"radar.url": "udp://127.0.0.1"})
+    change_settings({"motion.axis_distance_m": "1.25"})
+    change_settings({"radar.url": None})
     config = load_config()
     assert config["radar.url"] is None
     assert config["motion.axis_distance_m"] == 1.25
@@ -58,10 +58,10 @@ def test_unset_gives_the_default_back_and_keeps_the_rest() -> None:
     ],
 )
 def test_a_bad_value_is_refused_and_the_file_stays(own_file: Path, name: str, value: str) -> None:
-    change_file("radar.gain", "40")
+    change_settings({"radar.gain": "40"})
     before = own_file.read_bytes()
     with pytest.raises(ConfigError, match=name.replace(".", r"\.")):
-        change_file(name, value)
+        change_settings({name: value})
     assert own_file.read_bytes() == before
 
 
@@ -79,4 +79,4 @@ def test_a_folder_that_cannot_be_made_is_one_clear_error(
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "file" / "config.toml"))
     with pytest.raises(StorageError):
-        change_file("radar.gain", "1")
+        change_settings({"radar.gain": "1"})

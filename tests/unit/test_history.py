@@ -241,7 +241,7 @@ def test_damaged_entries_are_told(history: History, tmp_path: Path, column: str,
         with pytest.raises((StorageError, MissingExtraError)):
             export(history, Filter(), tmp_path / name)
         assert not (tmp_path / name).exists()
-    assert [entry.id for entry in history.find(Filter(number=1))] == [1]
+    assert [entry.id for entry in history.find(Filter(numbers=(1,)))] == [1]
 
 
 def test_what_is_stored_is_not_stored_again(history: History) -> None:

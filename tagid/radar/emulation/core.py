@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tagid.constants import BANDWIDTH_HZ, CENTER_FREQUENCY_HZ, SAMPLE_STEP_S
 from tagid.errors import ConfigError
 from tagid.radar.emulation.firmware import SERVER_ONLY, Firmware, Identity
-from tagid.radar.emulation.sources import FixedSource, FollowingSource, ScanSource
+from tagid.radar.emulation.sources import FollowingSource, RecordingSource, ScanSource
 from tagid.radar.messages import (
     CONFIG_DTYPE,
     OPMODE_MRM,
@@ -147,7 +147,7 @@ class EmulatorCore:
     jumps to the next scan; all return the packets that leave the radar, in order.
 
     Args:
-        source: provides the samples; a `FixedSource` (recording) also fixes the settings and the timestamps.
+        source: provides the samples; a `RecordingSource` also fixes the settings and the timestamps.
         config: settings at power-up.
         identity: values reported by GET_STATUSINFO.
         booted_s: emulated time since boot at the start.
@@ -163,7 +163,7 @@ class EmulatorCore:
         firmware: Firmware | None = None,
     ) -> None:
         self._source = source
-        self._fixed = source if isinstance(source, FixedSource) else None
+        self._fixed = source if isinstance(source, RecordingSource) else None
         self._firmware = firmware or Firmware()
         start = self._fixed.config if self._fixed else self._firmware.take(config or RadarConfig())
         self._state = _State(start, start)

@@ -32,30 +32,8 @@ class FollowingSource(Protocol):
         ...
 
 
-@runtime_checkable
-class FixedSource(Protocol):
-    """A source with a fixed window and its own clock: a recording."""
-
-    @property
-    def config(self) -> RadarConfig:
-        """The only settings it supports."""
-        ...
-
-    def timestamp_ms(self, index: int) -> int:
-        """The radar clock of scan `index`, whole ms, unwrapped."""
-        ...
-
-    def has(self, index: int) -> bool:
-        """Whether there is a scan `index`."""
-        ...
-
-    def scan(self, index: int, time_s: float, config: RadarConfig) -> NDArray[np.int32]:
-        """(config.samples,) counts of scan `index`."""
-        ...
-
-
 class RecordingSource:
-    """Replays a recording.
+    """Replays a recording: a source with a fixed window and its own clock.
 
     Args:
         samples: (views, bins) int32, counts.
@@ -84,7 +62,7 @@ class RecordingSource:
                 f"a recording of {samples.dtype} cannot be replayed", "Replay raw counts (int32), not floats."
             )
         self._samples = np.ascontiguousarray(samples, np.int32)
-        self._config = config
+        self.config = config
         self._loop = loop
         if timestamps_ms is None:
             times = np.arange(len(samples)) * config.scan_period_s * 1e3
@@ -95,11 +73,6 @@ class RecordingSource:
         self._times = np.floor(times).astype(np.int64)
         step = config.scan_period_s * 1e3 if len(times) < 2 else float(np.median(np.diff(times)))
         self._duration = int(self._times[-1] - self._times[0] + max(round(step), 1))
-
-    @property
-    def config(self) -> RadarConfig:
-        """The recording's settings."""
-        return self._config
 
     @property
     def views(self) -> int:

@@ -82,11 +82,7 @@ class Wire(Protocol):
 
 
 class UdpWire:
-    """A bound UDP socket. Answers go to the sender of the request; scans go to the port that started them.
-
-    Args:
-        sock: bound; closed with this object.
-    """
+    """A bound UDP socket, closed with it. Answers go to who asks; scans to the port that started them."""
 
     paces = False
 
