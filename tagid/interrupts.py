@@ -80,11 +80,8 @@ def handled(*, to_the_end: bool = False) -> Iterator[None]:
     """Make each of `SIGNALS` raise KeyboardInterrupt in the main thread; for a program's outermost call.
 
     A signal that was ignored when the process started (`nohup`) stays ignored. While the interpreter exits,
-    all signals are ignored: all files are written by then.
-
-    Args:
-        to_the_end: the program ends with the block: signals after it have no effect. Otherwise they are
-            handled as before it.
+    all signals are ignored: all files are written by then. Signals after the block are handled as before it,
+    or have no effect if the program ends with it (`to_the_end`).
     """
     if not _on_main_thread():
         yield
@@ -113,10 +110,8 @@ def asked_to_stop(tell: Callable[[], None] = lambda: None) -> Iterator[Callable[
     """The first signal makes the yielded function return True; a second one raises KeyboardInterrupt.
 
     Signals that arrive during a write count as one, the first. SIGINT, which the shell makes a background
-    process ignore, is handled as well, because stopping is how such a command ends.
-
-    Args:
-        tell: called in the main thread at the first signal.
+    process ignore, is handled as well, because stopping is how such a command ends. `tell` is called in the
+    main thread at the first signal.
     """
     if not _on_main_thread():
         yield lambda: False

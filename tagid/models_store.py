@@ -153,15 +153,6 @@ class ModelEntry:
         size, opset = int(item["size"]), int(item["opset"])
         return cls(name, file, str(item["sha256"]), size, opset, sides[0], sides[1], item.get("facts", {}))
 
-    def to_json(self) -> dict[str, Any]:
-        """The entry as plain JSON values."""
-        sides = [
-            {name: {"dtype": t.dtype, "shape": list(t.shape)} for name, t in side.items()}
-            for side in (self.inputs, self.outputs)
-        ]
-        about = {"file": self.file, "sha256": self.sha256, "size": self.size, "opset": self.opset}
-        return {**about, "inputs": sides[0], "outputs": sides[1], "facts": dict(self.facts)}
-
 
 class Model:
     """An opened model.

@@ -70,11 +70,9 @@ def replace(module: str, *words: str) -> NoReturn:
 def start_alone(program: Path, *, scope: bool, **options: Any) -> subprocess.Popen[bytes] | None:
     """Start a Python file of the standard library only, as a child that outlives this process.
 
-    Args:
-        program: the file.
-        scope: start it in a scope and cgroup of its own, so that what ends this process's cgroup (too much
-            memory, the end of a service or a session) does not end the child; None without systemd-run.
-        options: of `subprocess.Popen`.
+    With `scope` it is in a scope and cgroup of its own, so that what ends this process's cgroup (too much
+    memory, the end of a service or a session) does not end the child; None without systemd-run. `options` are
+    those of `subprocess.Popen`.
     """
     command = [sys.executable, "-I", "-S", str(program)]
     more: dict[str, str] = {}

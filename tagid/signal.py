@@ -142,12 +142,7 @@ def vertex(before: float, at: float, after: float) -> float:
 
 
 def peak_place(envelope: NDArray[np.floating], low: int = 0, high: int | None = None) -> float:
-    """Position of an envelope's maximum in low..high, refined by the parabola through its neighbours.
-
-    Args:
-        envelope: (n,) samples.
-        low, high: first and last index of the search; the last is that of the envelope by default.
-    """
+    """Position of the maximum of an envelope (n,) in low..high, refined by the parabola at its neighbours."""
     last = len(envelope) - 1
     best = low + int(envelope[low : (last if high is None else high) + 1].argmax())
     return best + float(vertex(*envelope[best - 1 : best + 2])) if 0 < best < last else float(best)

@@ -36,6 +36,9 @@ class Worker:
         failed: called on the thread, after `failure` is set, if `work` raised; wakes an owner that waits.
         unwanted: True ends the work at its next `check_wanted`, which is no failure.
 
+    Attributes:
+        failure: the exception that ended the thread, or kept it from starting; None if there was none.
+
     >>> worker = Worker(lambda: int("x"), "example")
     >>> worker.start()
     >>> worker.join()
@@ -53,13 +56,8 @@ class Worker:
     ) -> None:
         self.name = name
         self._work, self._failed, self._unwanted = work, failed, unwanted
-        self._failure: BaseException | None = None
+        self.failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-
-    @property
-    def failure(self) -> BaseException | None:
-        """The exception that ended the thread, or kept it from starting; None if there was none."""
-        return self._failure
 
     @property
     def alive(self) -> bool:
@@ -74,8 +72,8 @@ class Worker:
         try:
             self._thread.start()
         except (RuntimeError, MemoryError) as error:
-            self._failure = RuntimeError(NO_THREAD)
-            raise self._failure from error
+            self.failure = RuntimeError(NO_THREAD)
+            raise self.failure from error
 
     def join(self, timeout_s: float | None = None) -> bool:
         """Wait for the end of the thread; True if it has ended, or was never started."""
@@ -90,7 +88,7 @@ class Worker:
         except UnwantedError:
             logging.getLogger("tagid").debug("thread %s was no longer wanted", self.name)
         except BaseException as error:
-            self._failure = error
+            self.failure = error
             logging.getLogger("tagid").debug("thread %s ended", self.name, exc_info=True)
             self._failed(error)
         finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,17 @@ def write_entry(entry: ModelEntry, content: bytes, folder: Path = FOLDER) -> Non
     path = folder / "manifest.json"
     data: dict[str, Any] = {"manifest_version": MANIFEST_VERSION, "models": {}}
     if path.exists():
-        data["models"] = {name: old.to_json() for name, old in manifest(folder).items()}
-    data["models"][entry.name] = entry.to_json()
+        data["models"] = {name: _json(old) for name, old in manifest(folder).items()}
+    data["models"][entry.name] = _json(entry)
     with interrupts.deferred():
         write_bytes(folder / entry.file, content)
         write_bytes(path, (json.dumps(data, indent=1, sort_keys=True) + "\n").encode())
     manifest.cache_clear()
+
+
+def _json(entry: ModelEntry) -> dict[str, Any]:
+    """The value of an entry in the manifest, where its name is the key."""
+    return {name: value for name, value in asdict(entry).items() if name != "name"}
 
 
 def entry_of(

@@ -71,7 +71,7 @@ def find(
     wanted = {"radar.addresses": ",".join(address)} if address else {}
     config = load_config(wanted)
     radars = discover(addresses_from(config["radar.addresses"]), tuple(ask or ()))
-    data: dict[str, Any] = {"radars": [radar.to_dict() for radar in radars.radars], "asked": radars.asked}
+    data: dict[str, Any] = {"radars": [asdict(radar) for radar in radars.radars], "asked": radars.asked}
     errors = tuple(
         Problem("device", f"{radar.url}: {radar.problem}", radar.remedy)
         for radar in radars.radars

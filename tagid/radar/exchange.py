@@ -40,12 +40,9 @@ wrong address is to be reported soon. One that was heard may be busy, or about t
 class Exchange:
     """Requests and their confirms over one link.
 
-    Args:
-        link: carries the packets.
+    Attributes:
         timeout: wait for one answer, s.
         attempts: number of times a request is sent before the radar is considered silent.
-
-    Attributes:
         statistics: counters of the connection.
         next_id: id of the next request, u16.
         scanning: whether our run is in progress, so its fragments are kept during requests.
@@ -81,10 +78,7 @@ class Exchange:
 
         If the request starts a run, the run's first fragment is returned and also kept for the assembler.
 
-        Args:
-            kind, fields: of the request; see `messages.encode`.
-            patience: wait for one answer, s.
-            attempts: number of times it is sent; None: as the exchange was made.
+        It waits `patience` seconds for an answer.
 
         Raises:
             UsageError: a value does not fit its field.

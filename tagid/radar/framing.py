@@ -57,7 +57,6 @@ class StreamDecoder:
 
     Attributes:
         skipped: bytes outside any frame.
-        damaged: frames dropped because of a wrong CRC or end.
     """
 
     def __init__(self, framing: Framing) -> None:
@@ -66,12 +65,6 @@ class StreamDecoder:
         self._buffer = bytearray()
         self._locked = True
         self.skipped = 0
-        self.damaged = 0
-
-    @property
-    def buffered(self) -> int:
-        """Number of bytes kept until more arrive; at most one frame plus the last argument of `feed`."""
-        return len(self._buffer)
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take bytes from the wire; return the packets that are certain now."""
@@ -107,15 +100,10 @@ class StreamDecoder:
             size = self._size_at(at)
             if size is None:
                 break
-            if size == 0:
-                self._skip(1)
-                at += 1
-                continue
-            verdict = self._verdict(at, size, quiet)
+            verdict = size > 0 and self._verdict(at, size, quiet)
             if verdict is None:
                 break
             if not verdict:
-                self.damaged += 1
                 self._skip(1)
                 at += 1
                 continue

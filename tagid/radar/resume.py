@@ -46,7 +46,6 @@ def steady_scans(
     connection or power is waited for.
 
     Args:
-        radar: connected and configured.
         count, interval_us: as for `P440.scans`; scans missed in a gap do not count.
         resume_s: how long to wait for a radar that is disconnected or booting, s; 0 never waits.
         on_gap: called before the first scan after a gap.

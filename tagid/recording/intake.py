@@ -9,7 +9,7 @@ import math
 import stat
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Final
 
 from tagid.capture import ViewFlag
@@ -40,13 +40,7 @@ def host_limit(seconds: float | None) -> Callable[[], bool]:
 
 
 class Intake:
-    """One recording's scans.
-
-    Args:
-        radar: connected and configured.
-        queue: queue of the journal.
-        resume_s: longest wait for a lost radar, s.
-        on_gap: called for each gap when scans arrive again.
+    """One recording's scans, from a connected radar, for which it waits `resume_s` at most if it is lost.
 
     Attributes:
         scans_taken: number of scans put into the queue.
@@ -116,11 +110,10 @@ class Intake:
             self.scans_taken += 1
             yield scan
 
-    def counted(self, info: RadarInfo | None = None) -> RadarInfo:
-        """The radar's metadata with the counters of this recording."""
+    def counted(self) -> RadarInfo:
+        """The counters of this recording."""
         statistics = asdict(self._radar.statistics)
-        return replace(
-            info or RadarInfo(),
+        return RadarInfo(
             statistics=statistics,
             scans_lost=statistics["lost_scans"],
             scans_dropped=self._queue.dropped,

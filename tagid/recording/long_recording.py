@@ -60,10 +60,9 @@ class RecordingWatch:
 
     Attributes:
         progress: called about twice per second of scans.
-        gap: called when scans arrive again after the radar was lost.
         stop: called about ten times per second, also while no scan arrives; True ends the recording, which is
             complete if it had no limit.
-        named: called with the path of the first capture file once its journal is created.
+        gap, named: as in `tagid.recording.recorder.Watch`.
     """
 
     progress: Callable[[RecordingState], None] = lambda state: None

@@ -58,9 +58,8 @@ class Recorded:
     """Summary of a journal after the last scan.
 
     Attributes:
-        journal: its path. path: path of its capture file.
+        journal, path: paths of the journal and of its capture file.
         scans: number of scans accepted for it.
-        counters: counters of the recording.
         ended_by: error that ended the recording early; None if it is complete.
     """
 
@@ -88,12 +87,10 @@ def run_recording(
 
     Args:
         radar: not yet connected.
-        plan: what to record.
-        path: path of the first capture file.
+        plan, path: what to record, and the first capture file.
         receive: takes the scans; returns whether the recording is complete.
         write: writes the capture files of the journal.
-        gap: called when scans arrive again after the radar was lost.
-        named: called with the capture's path once its journal is created.
+        gap, named: as in `tagid.recording.recorder.Watch`.
 
     Raises:
         DeviceError or a subclass: the radar failed; the received scans are in the files that the error names.

@@ -17,11 +17,8 @@ class ScanStream:
     A reader counts the scans that it has read: `while stream.wait(count)`, it takes `stream.since(count)`. It
     holds the lock only while it copies references, so that a slow one never delays the recording.
 
-    Args:
-        session: the recording.
-
     Attributes:
-        session: as given.
+        session: the recording.
         newest_s: when the newest scan was appended, s of `time.monotonic`; None before the first.
     """
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.capture import Capture
+from tagid.capture import Capture, Pulse
 from tagid.errors import DataError, FileFormatError, displayable
 
 AS_NPZ = (
@@ -86,6 +86,16 @@ def _check_unicode(content: str, where: str) -> None:
         raise FileFormatError(f"{where}: holds half of a surrogate pair, which is no character") from error
 
 
+def build_pulse(samples: NDArray[Any], step: float, path: Path) -> Pulse:
+    """The pulse (n,) of a file, with its step, s. Raises FileFormatError."""
+    if samples.dtype.kind not in "iuf":
+        raise FileFormatError(f"{path}: pulse has dtype {samples.dtype}, expected real numbers")
+    try:
+        return Pulse(samples.astype(np.float64), step)
+    except DataError as error:
+        raise FileFormatError(f"{path}: {error.message}") from error
+
+
 def unwrap(counter: NDArray[Any], modulus: int) -> NDArray[np.int64]:
     """A counter that wraps at `modulus`, continued: every step is the smallest one in either direction.
 
@@ -98,6 +108,12 @@ def unwrap(counter: NDArray[Any], modulus: int) -> NDArray[np.int64]:
     return unwrapped
 
 
+SMALL_BYTES = 16 << 20
+MAX_EXPANSION = 20
+"""Scans contain noise and compress 2:1 to 5:1; a much higher ratio in a large file indicates an attack."""
+
+TEXTS = ("uuid", "created_utc", "tool_version")
+"""Texts of a capture beside its metadata."""
 OPTIONAL_NUMBERS = (
     "axis_distance_m",
     "antenna_height_m",

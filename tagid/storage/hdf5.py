@@ -30,16 +30,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid import files
-from tagid.capture import Capture, Pulse
+from tagid.capture import Capture
 from tagid.constants import CAPTURE_SUFFIX, SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError, StorageError, UsageError
 from tagid.metadata import METADATA_VERSION
 from tagid.storage.assembly import (
     AS_NPZ,
+    MAX_EXPANSION,
     MAX_JSON_BYTES,
     OLD_ANGLES,
+    SMALL_BYTES,
+    TEXTS,
     VIEW_ARRAYS,
     build_capture,
+    build_pulse,
     decode_settings,
     encode_settings,
     number,
@@ -55,11 +59,7 @@ angles are called `angles_rad`, as in NPZ and MATLAB files; a second antenna (an
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
 _NUMBERS = ("range_start_m", "range_step_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
-_TEXTS = ("uuid", "created_utc", "tool_version")
 _BLOCK_BYTES = 1 << 20
-_MAX_EXPANSION = 20
-_SMALL_BYTES = 16 << 20
-"""Scans contain noise and compress 2:1 to 5:1; a much higher ratio in a large file indicates an attack."""
 _KNOWN = frozenset(
     {"pulse", *(f"scans/{name}" for name in ("samples", "samples_imag", OLD_ANGLES, *VIEW_ARRAYS))}
 )
@@ -230,7 +230,7 @@ def _fill(file: Any, capture: Capture, written: _Written) -> None:
         plain["wave_speed_m_s"] = float(capture.wave_speed_m_s)
     if capture.pulse is not None:
         plain["pulse_step_s"] = float(capture.pulse.step)
-    texts = {"format": FORMAT} | {name: getattr(capture, name) for name in _TEXTS}
+    texts = {"format": FORMAT} | {name: getattr(capture, name) for name in TEXTS}
     texts |= {name: encode_settings(part) for name, part in metadata_of(capture).items()}
     written.attributes |= plain
     for name, value in plain.items():
@@ -349,7 +349,7 @@ def _check_dataset(dataset: Any, path: Path) -> None:
     if dataset.shape is None or not 1 <= dataset.ndim <= 2:
         raise FileFormatError(f"{where} has shape {dataset.shape}, expected one or two axes")
     stored = dataset.id.get_storage_size()
-    believed = max(_MAX_EXPANSION * stored, _SMALL_BYTES if stored else 0)
+    believed = max(MAX_EXPANSION * stored, SMALL_BYTES if stored else 0)
     if dataset.nbytes > min(files.MAX_FILE_BYTES, believed):
         raise FileFormatError(
             f"{where} claims shape {dataset.shape} ({dataset.nbytes} bytes), but {stored} bytes are stored",
@@ -363,14 +363,14 @@ def _to_capture(
     """The capture of a file's root attributes, and of its datasets by path."""
     if f"scans/{OLD_ANGLES}" in arrays:
         arrays.setdefault("scans/angles_rad", arrays[f"scans/{OLD_ANGLES}"])
-    needed = {"complete", *_TEXTS, *PARTS, *_NUMBERS}
+    needed = {"complete", *TEXTS, *PARTS, *_NUMBERS}
     missing = sorted(name for name in needed if attributes.get(name) is None)
     if "scans/samples" not in arrays:
         missing.append("/scans/samples")
     if missing:
         raise FileFormatError(f"{path}: lacks {', '.join(missing)}", "The file is damaged or truncated.")
     fields: dict[str, Any] = {name: number(attributes[name], f"{path} ({name})") for name in _NUMBERS}
-    fields |= {name: text(attributes[name], f"{path} ({name})") for name in _TEXTS}
+    fields |= {name: text(attributes[name], f"{path} ({name})") for name in TEXTS}
     parts = {}
     for name in PARTS:
         if not isinstance(attributes[name], str | bytes):
@@ -387,10 +387,7 @@ def _to_capture(
             fields[name] = _native(arrays[f"scans/{name}"], f"{path}: /scans/{name}", (dtype,))
     if "pulse" in arrays:
         step = number(attributes.get("pulse_step_s"), f"{path} (pulse_step_s)")
-        try:
-            fields["pulse"] = Pulse(_native(arrays["pulse"], f"{path}: /pulse", ("float64",)), step)
-        except DataError as error:
-            raise FileFormatError(f"{path}: {error.message}") from error
+        fields["pulse"] = build_pulse(_native(arrays["pulse"], f"{path}: /pulse", ("float64",)), step, path)
     fields["samples"] = _samples(path, arrays)
     return build_capture(path, complete=bool(attributes["complete"]), **fields)
 

@@ -203,9 +203,7 @@ def utc_text(moment: datetime | None = None) -> str:
 class History:
     """The identifications in a sqlite file, created if it does not exist; safe with several processes.
 
-    Args:
-        path: the file.
-        wait_s: longest wait for another process's transaction, s.
+    `wait_s` is the longest wait for another process's transaction, s.
 
     Raises:
         StorageError: another program's file, damaged, from a newer tagid, locked or not writable.

@@ -19,7 +19,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError, FileFormatError
 from tagid.metadata import RadarInfo, RecordingPart, Track
 from tagid.storage import hdf5
-from tagid.storage.assembly import build_capture, number, text
+from tagid.storage.assembly import OPTIONAL_NUMBERS, TEXTS, build_capture, number, text
 from tagid.storage.journal import JournalScan, JournalStream, open_journal
 from tagid.storage.metadata import PARTS, read_metadata, stored_version
 
@@ -27,9 +27,6 @@ PART_BYTES = 1 << 30
 """Samples in one file of a long recording, bytes: half the limit for reading."""
 
 _BLOCK_BYTES = 1 << 19
-_NUMBERS = ("range_start_m", "range_step_m", "axis_distance_m", "antenna_height_m", "antenna_separation_m")
-_BAND = ("center_frequency_hz", "bandwidth_hz")
-_TEXTS = ("uuid", "created_utc", "tool_version")
 _SCAN_FIELDS = {"host_time_ns": np.int64, "radar_time_ms": np.float64, "scan_id": np.int64, "flags": np.uint8}
 
 
@@ -57,7 +54,8 @@ def _surveyed(path: Path, stream: JournalStream) -> _Survey:
     """Read all of a journal. Raises FileFormatError if it has no scan, or they differ in length or dtype."""
     views = 0
     layout: tuple[int, np.dtype[Any]] | None = None
-    for views, scan in enumerate(stream.scans(), 1):  # noqa: B007
+    for scan in stream.scans():
+        views += 1
         scan_layout = len(scan.samples), scan.samples.dtype.newbyteorder("=")
         if layout not in (None, scan_layout):
             raise FileFormatError(f"{path}: the scans of the journal differ in length or dtype")
@@ -121,12 +119,12 @@ def _capture_fields(
 ) -> dict[str, Any]:
     """The fields of a Capture from a journal's header and end record. Raises FileFormatError."""
     fields: dict[str, Any] = {"complete": summary is not None}
-    for name in (*_NUMBERS, *_BAND):
+    for name in ("range_start_m", "range_step_m", *OPTIONAL_NUMBERS):
         if header.get(name) is not None:
             fields[name] = number(header[name], f"{path} (header, {name})")
         elif name in ("range_start_m", "range_step_m"):
             raise FileFormatError(f"{path}: the header of the journal lacks {name}")
-    fields |= {name: text(header[name], f"{path} (header, {name})") for name in _TEXTS if name in header}
+    fields |= {name: text(header[name], f"{path} (header, {name})") for name in TEXTS if name in header}
     objects: dict[str, Any] = {}
     for name in PARTS:
         parts = (header.get(name) or {}, (summary or {}).get(name) or {})
@@ -146,8 +144,7 @@ class WrittenCaptures:
     Attributes:
         paths: the files, in recording order.
         views, bins: scans of all files, and samples per scan.
-        complete: whether the journal has its end record.
-        bytes_dropped: bytes of the journal that belong to no intact record.
+        complete, bytes_dropped: of the journal, see `JournalStream`.
         radar: the settings and counters stored in the files.
         has_track: whether the journal holds readings of the motion, which the files do not contain.
     """

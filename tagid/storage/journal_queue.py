@@ -28,18 +28,13 @@ _STALL_S: Final = 60.0
 
 
 class JournalQueue:
-    """Writes scans to a journal on its own thread; a context manager whose exit waits for all of them.
+    """Writes scans to a journal, which the caller closes, on its own thread.
 
+    It is a context manager whose exit waits for all of them, or `stall_s` for a disk that writes nothing.
     Whatever ends that thread is an error of the recording: from then on every method raises it, with the
     number of accepted scans that were not written.
 
-    Args:
-        journal: the caller closes it afterwards.
-        limit_bytes: memory limit for waiting scans.
-        stall_s: longest wait at the end for a disk that writes nothing, s.
-
     Attributes:
-        journal: as given.
         accepted: number of scans in the journal or waiting for it.
         dropped: number of scans dropped because the queue was full.
 

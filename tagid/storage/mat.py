@@ -15,16 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid import files
-from tagid.capture import Capture, Pulse
-from tagid.errors import DataError, FileFormatError, MissingExtraError, displayable
+from tagid.capture import Capture
+from tagid.errors import FileFormatError, MissingExtraError, displayable
 from tagid.metadata import METADATA_VERSION
 from tagid.storage import hdf5, mat_scans
 from tagid.storage.assembly import (
     AS_NPZ,
+    MAX_EXPANSION,
     OLD_ANGLES,
     OPTIONAL_NUMBERS,
+    SMALL_BYTES,
+    TEXTS,
     VIEW_ARRAYS,
     build_capture,
+    build_pulse,
     decode_settings,
     encode_settings,
     number,
@@ -36,10 +40,7 @@ from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadat
 MAGIC: Final = b"MATLAB 5.0 MAT-file"
 
 _SCALARS: Final = (*OPTIONAL_NUMBERS, "range_start_m", "range_step_m")
-_TEXTS: Final = ("uuid", "created_utc", "tool_version")
 _SAMPLE_TYPES: Final = ("int32", "float32", "complex64")
-_MAX_EXPANSION: Final = 20
-_SMALL_BYTES: Final = 16 << 20
 
 
 def encode_mat(capture: Capture) -> bytes:
@@ -59,7 +60,7 @@ def encode_mat(capture: Capture) -> bytes:
         "samples": capture.samples,
         "range_m": capture.ranges_m,
     }
-    for name in (*_SCALARS, *_TEXTS, *VIEW_ARRAYS):
+    for name in (*_SCALARS, *TEXTS, *VIEW_ARRAYS):
         value = getattr(capture, name)
         if value is not None:
             variables[name] = value
@@ -116,7 +117,7 @@ def read_mat(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
     for name, dtype in VIEW_ARRAYS.items():
         if name in arrays:
             fields[name] = _vector(path, name, arrays[name], dtype)
-    for name in _TEXTS:
+    for name in TEXTS:
         if name in arrays:
             fields[name] = text(_text(arrays, name, path), f"{path} ({name})")
     parts = {
@@ -132,12 +133,7 @@ def read_mat(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
         values = arrays["pulse"]
         if values.dtype.kind not in "iuf" or arrays["pulse_step_s"].size != 1:
             raise FileFormatError(f"{path}: pulse is not an array of real numbers with one step")
-        try:
-            fields["pulse"] = Pulse(
-                values.reshape(-1).astype(np.float64), float(arrays["pulse_step_s"].item())
-            )
-        except DataError as error:
-            raise FileFormatError(f"{path}: {error.message}") from error
+        fields["pulse"] = build_pulse(values.reshape(-1), float(arrays["pulse_step_s"].item()), path)
     fields["complete"] = bool(arrays["complete"].any()) if "complete" in arrays else True
     return build_capture(path, **fields)
 
@@ -160,7 +156,7 @@ def _of_the_vendor(
 def _load(path: Path) -> dict[str, Variable]:
     data = files.read_bytes(path)
     try:
-        return read_variables(data, max(_SMALL_BYTES, _MAX_EXPANSION * len(data)))
+        return read_variables(data, max(SMALL_BYTES, MAX_EXPANSION * len(data)))
     except (ValueError, LookupError, OverflowError, MemoryError, zlib.error) as error:
         raise FileFormatError(
             f"{path}: the MATLAB file is damaged ({str(error)[:120]})", "Save it again with `save -v7`."

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from tagid.capture import Capture
-from tagid.errors import DataError, UsageError
-from tagid.radar.messages import MAX_SAMPLES_PER_SCAN
+from tagid.errors import DataError
 from tagid.storage.mrm_ret import CONFIG, CONFIG_FIELDS, DETECTIONS, SCAN
-from tagid.storage.recordings import clock_ms, wire_settings
+from tagid.storage.recordings import check_counts, clock_ms, wire_settings
 
 _HEADINGS = (
     "Timestamp, Config, NodeId, ScanStartPs, ScanStopPs, ScanResolutionBins, BaseIntegrationIndex, "
@@ -37,15 +36,7 @@ def mrm_ret_lines(capture: Capture) -> Iterator[bytes]:
         UsageError: the samples are not int32 counts, the only type that the format supports.
         DataError: too many bins, no times, or settings that do not fit the format.
     """
-    if capture.samples.dtype != np.int32:
-        raise UsageError(
-            f"the capture holds {capture.samples.dtype} samples, an MRM-RET log holds int32 counts only",
-            "Export to .npz, .mat or .h5 instead.",
-        )
-    if capture.bins > MAX_SAMPLES_PER_SCAN:
-        raise DataError(
-            f"the capture has {capture.bins} bins, a P440 scan has at most {MAX_SAMPLES_PER_SCAN}"
-        )
+    check_counts(capture, "an MRM-RET log")
     info, config = wire_settings(capture)
     clock = clock_ms(capture)
     epoch_ms = _epoch_ms(capture, clock)

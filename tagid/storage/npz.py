@@ -29,16 +29,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid import files
-from tagid.capture import Capture, Pulse
+from tagid.capture import Capture
 from tagid.counting import runs
-from tagid.errors import DataError, FileFormatError, displayable
+from tagid.errors import FileFormatError, displayable
 from tagid.metadata import METADATA_VERSION, RadarInfo
 from tagid.storage.assembly import (
     AS_NPZ,
+    MAX_EXPANSION,
     OLD_ANGLES,
     OPTIONAL_NUMBERS,
+    SMALL_BYTES,
+    TEXTS,
     VIEW_ARRAYS,
     build_capture,
+    build_pulse,
     decode_settings,
     encode_settings,
     number,
@@ -64,12 +68,8 @@ _OTHER = (
     "tagid",
 )
 _KEYS = frozenset((*OPTIONAL_NUMBERS, *VIEW_ARRAYS, *_OTHER))
-_TEXTS = ("uuid", "created_utc", "tool_version")
 _ALIKE = 0.85
 """Likeness (0 to 1, difflib) from which on a name is a misspelt key: bandwith_hz, centre_frequency_hz."""
-_SMALL_BYTES = 16 << 20
-_MAX_EXPANSION = 20
-"""Scans contain noise and compress 2:1 to 5:1; a much higher ratio in a large file indicates an attack."""
 
 
 def read_npz(path: Path) -> Capture:
@@ -136,7 +136,10 @@ def read_npz(path: Path) -> Capture:
         with np.errstate(over="ignore"):  # infinite values are rejected by the capture
             fields["radar_time_ms"] = seconds * 1000.0
     if "pulse" in arrays:
-        fields["pulse"] = _pulse(path, arrays)
+        if "pulse_step_s" not in arrays:
+            raise FileFormatError(f"{path}: the NPZ file holds pulse, but lacks pulse_step_s")
+        step = number(arrays["pulse_step_s"], f"{path} (pulse_step_s)")
+        fields["pulse"] = build_pulse(arrays["pulse"], step, path)
     fields |= _provenance(path, arrays, ours)
     if not ours:
         samples, fields = _in_order(path, samples, fields)
@@ -187,7 +190,7 @@ def encode_npz(capture: Capture) -> bytes:
         arrays["timestamps_s"] = capture.radar_time_ms / 1000.0
     if capture.pulse is not None:
         arrays |= {"pulse": capture.pulse.samples, "pulse_step_s": np.float64(capture.pulse.step)}
-    ours = {key: getattr(capture, key) for key in (*_TEXTS, "complete")}
+    ours = {key: getattr(capture, key) for key in (*TEXTS, "complete")}
     ours |= {**metadata_of(capture), VERSION_KEY: METADATA_VERSION}
     arrays |= {"object": encode_settings(capture.object.to_json()), "tagid": encode_settings(ours)}
     buffer = io.BytesIO()
@@ -210,13 +213,13 @@ def read_arrays(path: Path, data: bytes, keys: frozenset[str]) -> dict[str, NDAr
                 if key not in keys or key in arrays:
                     continue
                 budget -= member.file_size
-                large = member.file_size > _SMALL_BYTES
-                if budget < 0 or (large and member.file_size > _MAX_EXPANSION * max(member.compress_size, 1)):
+                large = member.file_size > SMALL_BYTES
+                if budget < 0 or (large and member.file_size > MAX_EXPANSION * max(member.compress_size, 1)):
                     raise FileFormatError(
                         f"{path}: {key} claims {member.file_size} bytes, which is not plausible"
                     )
                 with archive.open(member) as stream:
-                    content = stream.read(min(member.file_size, _SMALL_BYTES))
+                    content = stream.read(min(member.file_size, SMALL_BYTES))
                 header = _checked(f"{path}: {key}", content, member.file_size)
                 if large:  # not twice in memory
                     with archive.open(member) as stream:
@@ -357,20 +360,8 @@ def _in_order(
     return samples[views], {**fields, "radar": replace(radar, ignored=tuple(notes))}
 
 
-def _pulse(path: Path, arrays: dict[str, NDArray[Any]]) -> Pulse:
-    if "pulse_step_s" not in arrays:
-        raise FileFormatError(f"{path}: the NPZ file holds pulse, but lacks pulse_step_s")
-    values = arrays["pulse"]
-    if values.dtype.kind not in "iuf":
-        raise FileFormatError(f"{path}: pulse has dtype {values.dtype}, expected real numbers")
-    try:
-        return Pulse(values.astype(np.float64), number(arrays["pulse_step_s"], f"{path} (pulse_step_s)"))
-    except DataError as error:
-        raise FileFormatError(f"{path}: {error.message}") from error
-
-
 def _provenance(path: Path, arrays: dict[str, NDArray[Any]], ours: dict[str, Any]) -> dict[str, Any]:
-    fields: dict[str, Any] = {key: text(ours[key], f"{path} (tagid, {key})") for key in _TEXTS if key in ours}
+    fields: dict[str, Any] = {key: text(ours[key], f"{path} (tagid, {key})") for key in TEXTS if key in ours}
     parts = {key: ours[key] for key in PARTS if key in ours}
     if "object" in arrays:
         parts["object"] = _object(_string(arrays["object"], f"{path} (object)"))

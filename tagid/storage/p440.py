@@ -84,15 +84,10 @@ def p440_capture(path: Path, scans: P440Scans, cable_delay_ps: float, about: Rad
 
     Several runs in one file follow one another.
 
-    Args:
-        path: the file, for messages.
-        scans: the scans read from the file.
-        cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
-        about: the file's format as `source`, and what else it tells; the repetitions are added to
-            `packets_ignored` and `ignored`.
+    The two-way delay of cables and antennas, ps, is subtracted from the ranges. `about` has the file's format
+    as `source`, and what else it tells; the repetitions are added to `packets_ignored` and `ignored`.
 
-    Raises:
-        FileFormatError: the grid is invalid.
+    Raises FileFormatError: the grid is invalid.
     """
     start_ps, step_bins = scans.info["scan_start_ps"], scans.info["step_bins"]
     if step_bins < 1:

@@ -392,14 +392,8 @@ def encode_recording(capture: Capture) -> bytes:
         UsageError: the samples are not int32 counts, the only type that the format supports.
         DataError: too many bins, or settings that do not fit the format.
     """
-    if capture.samples.dtype != np.int32:
-        raise UsageError(
-            f"the capture holds {capture.samples.dtype} samples, a P440 recording holds int32 counts only",
-            "Export to .npz, .mat or .h5 instead.",
-        )
+    check_counts(capture, "a P440 recording")
     views, bins = capture.samples.shape
-    if bins > MAX_SAMPLES_PER_SCAN:
-        raise DataError(f"the capture has {bins} bins, a P440 scan has at most {MAX_SAMPLES_PER_SCAN}")
     messages = -(-bins // SAMPLES_PER_MESSAGE)
     info, config = wire_settings(capture)
     packets = np.zeros((views, messages), dtype=SCAN_INFO_DTYPE)
@@ -458,6 +452,19 @@ def _regroup(heads: NDArray[np.void], rows: NDArray[np.intp]) -> tuple[list[list
     complete = [[g[i] for i in range(count)] for g in groups.values() if len(g) == count]
     used = sum(map(len, groups.values()))
     return complete, [key[0] for key, g in groups.items() if len(g) < count], len(rows) - used
+
+
+def check_counts(capture: Capture, form: str) -> None:
+    """Raises UsageError for samples that are no int32 counts, DataError for more than a P440 scan has."""
+    if capture.samples.dtype != np.int32:
+        raise UsageError(
+            f"the capture holds {capture.samples.dtype} samples, {form} holds int32 counts only",
+            "Export to .npz, .mat or .h5 instead.",
+        )
+    if capture.bins > MAX_SAMPLES_PER_SCAN:
+        raise DataError(
+            f"the capture has {capture.bins} bins, a P440 scan has at most {MAX_SAMPLES_PER_SCAN}"
+        )
 
 
 def wire_settings(capture: Capture) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -83,9 +83,9 @@ def _framing(framing: Framing) -> Callable[[bytes], None]:
             out += decoder.feed(data[at : at + size])
             at += size
             size = 1 + (size * 5 + 3) % 397
-            assert decoder.buffered <= MAX_PACKET_BYTES + 8 + 397
+            assert len(decoder._buffer) <= MAX_PACKET_BYTES + 8 + 397
         out += decoder.flush()
-        assert sum(map(len, out)) + decoder.skipped + decoder.buffered <= len(data)
+        assert sum(map(len, out)) + decoder.skipped + len(decoder._buffer) <= len(data)
         for packet in out:
             _message(packet)
 

@@ -65,8 +65,6 @@ class Firmware:
             raise UsageError(f"the status confirm has {self.status_bytes} bytes", "Give 64 or 32.")
         if self.sleep_confirm_bytes not in (8, 12):
             raise UsageError(f"the sleep confirm has {self.sleep_confirm_bytes} bytes", "Give 12 or 8.")
-        if self.residual_scans < 0 or self.window_step_ps < 1:
-            raise UsageError("the firmware's residual scans or window step is negative", "Give more.")
 
     def take(self, config: RadarConfig) -> RadarConfig:
         """The settings in force after a request for these. Raises ConfigError."""

@@ -13,13 +13,9 @@ from tagid.radar.emulation.faults import Faults, FaultyPath
 
 
 class MemoryLink:
-    """A link without a network.
+    """A link without a network to an emulated radar, which messages call `name`.
 
-    Args:
-        core: the emulated radar.
-        rate: emulated seconds per second; 0 is as fast as the client reads scans, without waiting.
-        faults: simulated network faults.
-        name: name of the radar in messages.
+    `rate` is emulated seconds per second; 0 is as fast as the client reads scans, without waiting.
     """
 
     guarded = True
