@@ -228,9 +228,6 @@ def bridge_before(host: RoombaHost, name: str, passkey: str | None) -> Iterator[
 
     Raises MissingExtraError, UsageError.
     """
-    from tagid.motion.links import require
-
-    require("bumble", "virtual", "an emulated bridge")
     from tagid.motion.virtual import virtual_bluetooth
 
     board_process = virtual_bluetooth("board")

@@ -5,6 +5,7 @@ The package imports none of those tools; they register in the group `tagid.virtu
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib import metadata
 from typing import Any, Final
 
@@ -16,9 +17,10 @@ GROUP: Final = "tagid.virtual_bluetooth"
 
 
 def virtual_bluetooth(part: str) -> Any:
-    """A member of the group. Raises MissingExtraError if there is no provider."""
+    """A member of the group. Raises MissingExtraError if there is no provider, or it lacks its packages."""
     for entry in metadata.entry_points(group=GROUP, name=part):
-        return entry.load()
+        with suppress(ImportError):
+            return entry.load()
     raise MissingExtraError(
         "this installation has no virtual Bluetooth controllers",
         "In a checkout of tagid: pip install ./firmware_tools",

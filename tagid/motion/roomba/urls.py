@@ -60,8 +60,7 @@ def open_serial(options: Options) -> Roomba:
 
 def open_ble(options: Options) -> Roomba:
     """A robot behind the Bluetooth bridge. Options as on a cable without baud, plus passkey, hci, wait."""
-    from tagid.motion.ble import BridgeLink
-    from tagid.motion.ble_urls import ble_address
+    from tagid.motion.ble import BridgeLink, ble_address
 
     address = ble_address(options)
     robot = Roomba(lambda: BridgeLink(address), _settings(options, address.target, fast=True), address.target)

@@ -14,8 +14,7 @@ from typing import Any, Final
 
 from tagid import hostclock
 from tagid.errors import DeviceRejectedError
-from tagid.motion.ble import BleAddress, BridgeLink
-from tagid.motion.ble_urls import ble_address
+from tagid.motion.ble import BleAddress, BridgeLink, ble_address
 from tagid.motion.bridge import Event, IndexPulse, Op
 from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.urls import Options

@@ -9,8 +9,7 @@ import re
 from typing import Final
 
 from tagid.errors import DeviceRejectedError
-from tagid.motion.ble import CharacteristicLink
-from tagid.motion.ble_urls import ble_address
+from tagid.motion.ble import CharacteristicLink, ble_address
 from tagid.motion.discovery import REVOPOINT
 from tagid.motion.tables.polled import PolledTable
 from tagid.motion.urls import Options
