@@ -139,7 +139,7 @@ async def _robot(bridge: Bridge, plan: SelftestPlan, arrived: bytearray) -> Step
         if len(arrived) >= 3:
             break
         await asyncio.sleep(0.01)
-    await bridge.disarm()
+    await bridge.request(Op.DISARM)
     if len(arrived) < 3:
         text = f"no answer ({bytes(arrived).hex(' ') or 'no byte'}): check wires and robot"
         return Step("robot", "failed", text)

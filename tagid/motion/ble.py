@@ -28,9 +28,9 @@ from tagid.errors import (
     DeviceTimeoutError,
     TagidError,
 )
-from tagid.motion.bridge import Event, Op, Tripped
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, bluetooth_errors, find, scanning, unless_busy
+from tagid.motion.bridge.protocol import Event, Op, Tripped
 from tagid.motion.guard import Watch
 from tagid.motion.links import WAKE_S, ByteLink
 from tagid.motion.urls import Options

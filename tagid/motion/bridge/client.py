@@ -1,6 +1,6 @@
-"""The client of one bridge: bytes to and from the robot, commands with answers, and heartbeats.
+"""The client of one bridge: bytes to and from the robot, and commands with answers.
 
-It is asynchronous because bleak is; heartbeats are sent automatically while the bridge is armed.
+It is asynchronous because bleak is.
 """
 
 from __future__ import annotations
@@ -34,8 +34,6 @@ from tagid.motion.bridge.protocol import (
 )
 
 _TRUST_S, _TRUST_LOOKS = 1.0, 20
-_HEARTBEATS: Final = 4
-"""Heartbeats per dead-man timeout: three may be late."""
 _MEANING: Final[dict[int, tuple[str, str]]] = {
     Status.UNKNOWN: ("does not know this command", "Its firmware is older: `tagid-firmware verify`."),
     Status.BAD_ARGUMENT: ("reports that the argument is out of range", "See docs/bridge.md for the bounds."),
@@ -86,7 +84,6 @@ class Bridge:
         self._timeout = timeout
         self._seq = 0
         self._waiting: dict[tuple[int, int], asyncio.Future[Reply]] = {}
-        self._heart: asyncio.Task[None] | None = None
         self._closing = False
         backend = (backends or Backends()).client
         self._client = BleakClient(heard.device, lambda _: self._lost(), timeout=timeout, backend=backend)
@@ -187,7 +184,6 @@ class Bridge:
                     DeviceGoneError(f"the link to {self!r} is lost", "Move it closer; check its power.")
                 )
         self._waiting.clear()
-        self._stop_heart()
         if not self._closing:
             self._closing = True
             self._on_lost()
@@ -211,9 +207,9 @@ class Bridge:
     async def ask(self, op: Op, *arguments: int, data: bytes = b"", timeout: float | None = None) -> Reply:
         """The answer, whatever its status."""
         self._seq = (self._seq + 1) & 0xFF
-        future: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
-        self._waiting[int(op), self._seq] = future
         key = int(op), self._seq
+        future: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
+        self._waiting[key] = future
         try:
             with bluetooth_errors(f"sending {op.name} to {self!r}"):
                 await self._client.write_gatt_char(
@@ -244,33 +240,8 @@ class Bridge:
                 f"{self!r}: {error}", "Its firmware is another version: `tagid-firmware verify`."
             ) from error
 
-    async def arm(self, timeout_ms: int = 0) -> int:
-        """Arm the dead-man and start the heartbeats; return the timeout in force, ms."""
-        self._stop_heart()
-        taken = int.from_bytes((await self.request(Op.ARM, timeout_ms))[:2], "little")
-        self._heart = asyncio.get_running_loop().create_task(self._beat(taken / 1000 / _HEARTBEATS))
-        return taken
-
-    async def disarm(self) -> None:
-        """Stop the heartbeats and disarm the dead-man; the robot must already be stopped and in Passive."""
-        self._stop_heart()
-        await self.request(Op.DISARM)
-
-    async def _beat(self, every: float) -> None:
-        with contextlib.suppress(Exception):  # a lost link is reported by on_lost, a trip by its event
-            while True:
-                await asyncio.sleep(every)
-                self._seq = (self._seq + 1) & 0xFF
-                await self._client.write_gatt_char(COMMAND, encode(Op.HEARTBEAT, self._seq), response=True)
-
-    def _stop_heart(self) -> None:
-        if self._heart is not None:
-            self._heart.cancel()
-            self._heart = None
-
     async def close(self) -> None:
         """Close the link; an armed bridge then stops the robot."""
         self._closing = True
-        self._stop_heart()
         with contextlib.suppress(Exception):
             await self._client.disconnect()

@@ -138,20 +138,6 @@ async def scanning(
                 await scanner.stop()
 
 
-async def listen(seconds: float, backends: Backends | None = None) -> list[Heard]:
-    """Every device with the serial service found within `seconds`, strongest first."""
-    heard: dict[str, Heard] = {}
-
-    def seen(device: BLEDevice, advertisement: Any) -> None:
-        if NUS in [item.lower() for item in advertisement.service_uuids]:
-            name = advertisement.local_name or device.name or ""
-            heard[device.address] = Heard(name, device.address, advertisement.rssi, device)
-
-    async with scanning(seen, backends, "listening for bridges"):
-        await asyncio.sleep(seconds)
-    return sorted(heard.values(), key=lambda item: -item.rssi)
-
-
 async def find(wanted: str, seconds: float = 5.0, backends: Backends | None = None) -> Heard:
     """The one device with that name or address.
 

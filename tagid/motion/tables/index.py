@@ -15,7 +15,7 @@ from typing import Any, Final
 from tagid import hostclock
 from tagid.errors import DeviceRejectedError
 from tagid.motion.ble import BleAddress, BridgeLink, ble_address
-from tagid.motion.bridge import Event, IndexPulse, Op
+from tagid.motion.bridge.protocol import Event, IndexPulse, Op
 from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.urls import Options
 
