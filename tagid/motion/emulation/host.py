@@ -5,7 +5,7 @@ Events (a bump, a cliff) occur a set time after it starts turning, so that a tes
 
 from __future__ import annotations
 
-import threading
+import math
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,41 +17,33 @@ from tagid.motion.emulation.pty import PtyPort
 from tagid.motion.emulation.roomba import RoombaCore, World
 from tagid.motion.emulation.truth import TruthServer
 
-EVENTS: Final = ("bump", "wheel-drop", "cliff", "charger")
+EVENTS: Final = {
+    "bump": ("bump", 1),
+    "wheel-drop": ("wheel_drop", 2),
+    "cliff": ("cliff", True),
+    "charger": ("on_charger", True),
+}
+"""What changes in the robot's world at an event."""
 
 
-class _Timed:
-    """A core to which an event happens after it has turned for a given time."""
+class _Timed(RoombaCore):
+    """A robot to which an event happens after it has turned for a given time."""
 
-    def __init__(self, core: RoombaCore, event: str, after_s: float) -> None:
-        self._core, self._event, self._after = core, event, after_s
-        self._since: float | None = None
-
-    @property
-    def baud(self) -> int:
-        return self._core.baud
-
-    def handle(self, data: bytes, now_s: float) -> bytes:
-        return self._core.handle(data, now_s)
+    event = ""
+    after_s = math.inf
+    _since: float | None = None
 
     def advance(self, now_s: float) -> bytes:
-        if self._since is None and self._core.body.moving:
+        if self._since is None and self.body.moving:
             self._since = now_s
-        if self._since is not None and now_s - self._since >= self._after:
-            happen(self._core.world, self._event)
-        return self._core.advance(now_s)
+        if self._since is not None and now_s - self._since >= self.after_s:
+            happen(self.world, self.event)
+        return super().advance(now_s)
 
 
 def happen(world: World, event: str) -> None:
     """Trigger one of EVENTS."""
-    if event == "bump":
-        world.bump = 1
-    elif event == "wheel-drop":
-        world.wheel_drop = 2
-    elif event == "cliff":
-        world.cliff = True
-    else:
-        world.on_charger = True
+    setattr(world, *EVENTS[event])
 
 
 class RoombaHost:
@@ -81,17 +73,16 @@ class RoombaHost:
         truth_port: int = 0,
         link: Path | None = None,
     ) -> None:
-        self.core = RoombaCore(body, world, time.monotonic(), baud, asleep)
-        served: RoombaCore | _Timed = self.core
+        self.core = _Timed(body, world, time.monotonic(), baud, asleep)
         if event is not None:
-            what, _, after = event.partition("@")
+            self.core.event, _, after = event.partition("@")
             try:
-                served = _Timed(self.core, what, float(after or 0))
+                self.core.after_s = float(after or 0)
             except ValueError:
-                what = ""
-            if what not in EVENTS:
+                self.core.event = ""
+            if self.core.event not in EVENTS:
                 raise UsageError(f"the event is {event!r}", f"Give {', '.join(EVENTS)} with @SECONDS.")
-        self.port = PtyPort(served, link)
+        self.port = PtyPort(self.core, link)
         self.truth = TruthServer(self._state, truth_port)
         self._stack = ExitStack()
 
@@ -117,10 +108,9 @@ class RoombaHost:
 def wait_until_still(host: RoombaHost, timeout_s: float) -> float | None:
     """Seconds until the wheels stop; None if they do not within the timeout."""
     begin = time.monotonic()
-    pause = threading.Event()
     while time.monotonic() - begin < timeout_s:
         with host.port.lock:
             if not host.core.body.moving:
                 return max(0.0, host.core.body.still_since_s - begin)
-        pause.wait(0.002)
+        time.sleep(0.002)
     return None

@@ -61,7 +61,6 @@ class PtyPort:
     Args:
         core: the device.
         link: path of a symbolic link to the port; None for none.
-        enforce_baud: garble data sent at another baud rate than the core's.
 
     Attributes:
         path: the port to open.
@@ -71,9 +70,8 @@ class PtyPort:
     Raises DeviceError at the end of the block if the thread has died.
     """
 
-    def __init__(self, core: SerialCore, link: Path | None = None, enforce_baud: bool = True) -> None:
+    def __init__(self, core: SerialCore, link: Path | None = None) -> None:
         self._core = core
-        self._enforce = enforce_baud
         self._master, slave = os.openpty()
         attributes = termios.tcgetattr(slave)
         attributes[0] = attributes[1] = attributes[3] = 0  # raw: no echo, no translation
@@ -113,8 +111,6 @@ class PtyPort:
 
     def wrong_rate(self) -> bool:
         """Whether the client chose another baud rate than the device's."""
-        if not self._enforce:
-            return False
         try:
             chosen = termios.tcgetattr(self._master)[4]
         except termios.error:

@@ -66,7 +66,7 @@ class OpenInterface:
     def __init__(self, link: ByteLink) -> None:
         self.link = link
         self.mode_offset = 0
-        self.decoder = StreamDecoder()
+        self.decoder = StreamDecoder(())
 
     def wake(self) -> RobotStatus:
         """Put the robot into Passive mode, waking it if needed, and read its status.
