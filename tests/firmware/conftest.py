@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from firmware_tools.cli.app import app
+from firmware_tools.cli import app
 from firmware_tools.virtual.backend import open_backend
 from firmware_tools.virtual.process import BoardProcess
 from tagid.cli.frame import serve
