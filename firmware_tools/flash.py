@@ -73,14 +73,13 @@ def flash(image: Image, connection: Connection, progress: FlashProgress, erase: 
 
 def _connect(tool: Any, connection: Connection) -> Any:
     try:
-        esp = tool.detect_chip(connection.port, _BAUD, connection.before, connect_attempts=3)
+        return tool.detect_chip(connection.port, _BAUD, connection.before, connect_attempts=3)
     except Exception as error:
         raise DeviceGoneError(
             f"no board answers on {connection.port}: {_line(error)}",
             "Hold BOOT while pressing RESET (EN), release RESET first, and run this again; "
             "check that the cable carries data.",
         ) from error
-    return esp
 
 
 def _write(
@@ -153,20 +152,12 @@ def _esptool(progress: FlashProgress) -> Iterator[Any]:
 
         def print(self, *words: Any, **options: Any) -> None: ...
 
-        def note(self, message: str) -> None: ...
-
-        def warning(self, message: str) -> None: ...
-
-        def error(self, message: str) -> None: ...
-
-        def stage(self, finish: bool = False) -> None: ...
+        note = warning = error = stage = set_verbosity = print
 
         def progress_bar(
             self, cur_iter: int, total_iters: int, prefix: str = "", suffix: str = "", bar_length: int = 30
         ) -> None:
             progress(cur_iter, f"{100 * cur_iter // max(total_iters, 1)} %")
-
-        def set_verbosity(self, verbosity: str) -> None: ...
 
     # Set on the class, because an installed logger cannot be replaced.
     EsptoolLogger.set_logger(None, Quiet())

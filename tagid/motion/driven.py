@@ -22,6 +22,7 @@ from tagid.errors import DataError, DeviceError, DeviceRejectedError, TagidError
 from tagid.metadata import Track
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.guardian import ask_to_stop
+from tagid.motion.links import ByteLink
 from tagid.workers import Worker
 
 _JOIN_S: Final = 5.0
@@ -53,6 +54,8 @@ class DrivenMotion(ABC):
     """What the user does if the program can no longer stop it; follows "It may still be turning: "."""
     warning = ""
     """Conditions without an automatic stop, for the prompt before motion; "" if it always stops."""
+    _link: ByteLink | None = None
+    """The link while it is open."""
 
     def __init__(
         self,
@@ -90,9 +93,11 @@ class DrivenMotion(ABC):
     def _halt(self) -> None:
         """Stop and verify it; no effect if nothing moves or nothing is open."""
 
-    @abstractmethod
     def _close(self) -> None:
         """Close the link."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
@@ -206,7 +211,7 @@ class DrivenMotion(ABC):
     def check(self) -> None:
         """Raise the error that stopped the motion."""
         worker = self._worker
-        ended = worker is not None and not worker.alive
+        ended = worker is not None and not worker.alive  # asked first: the thread keeps its error, then ends
         if self._error is not None:
             raise self._error
         if ended and not self._stopping.is_set():

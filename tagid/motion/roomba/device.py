@@ -101,7 +101,7 @@ class Roomba(DrivenMotion):
         self.first_angle_s: float | None = None
         """Seconds from `start` to the first angle."""
         self._open_link = open_link
-        self._oi: OpenInterface | None = None
+        self._oi: OpenInterface
         self._decoder: StreamDecoder | None = None
         self._driven = False
         self._driving = threading.Lock()
@@ -132,8 +132,9 @@ class Roomba(DrivenMotion):
         oi.leave()
 
     def _interface(self) -> OpenInterface:
-        if self._oi is None:
-            self._oi = OpenInterface(self._open_link())
+        if self._link is None:
+            self._link = self._open_link()
+            self._oi = OpenInterface(self._link)
         return self._oi
 
     def _begin(self) -> None:
@@ -236,7 +237,7 @@ class Roomba(DrivenMotion):
                 raise MotionStoppedError(f"{self.name} {cause} and was stopped", remedy)
 
     def _halt(self) -> None:
-        if self._oi is None or not self._driven:
+        if self._link is None or not self._driven:
             return
         with self._driving:
             self._driven = False
@@ -249,11 +250,6 @@ class Roomba(DrivenMotion):
         with self._driving:
             if self._driven:
                 self._interface().spin(self.direction, speed_mm_s)
-
-    def _close(self) -> None:
-        oi, self._oi = self._oi, None
-        if oi is not None:
-            oi.link.close()
 
     def _facts(self) -> dict[str, Any]:
         return {

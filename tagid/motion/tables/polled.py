@@ -29,6 +29,7 @@ _SLOW_S: Final = 0.06
 _PATIENCE_S: Final = 0.5
 """An answer slower than _SLOW_S is discarded, unless none was faster for this time."""
 _LONGEST_ANSWER: Final = 512
+_RESOLUTION_RAD: Final = math.radians(0.1)
 
 
 class PolledTable(DrivenMotion):
@@ -40,10 +41,7 @@ class PolledTable(DrivenMotion):
         direction: +1 counter-clockwise from above, -1 clockwise.
         nominal_s: seconds per turn as set; real rates differ.
         turns: turns to record; None for one plus the overlap.
-        resolution_rad: resolution of its angle.
     """
-
-    resolution_rad = math.radians(0.1)
 
     def __init__(
         self,
@@ -57,7 +55,6 @@ class PolledTable(DrivenMotion):
         self.target = name
         self.reversed = False
         self._open_link = open_link
-        self._link: ByteLink | None = None
         self._running = False
         self._buffer = b""
         self._last_deg: float | None = None
@@ -75,8 +72,8 @@ class PolledTable(DrivenMotion):
         """Command it to turn, with its speed and direction."""
 
     @abstractmethod
-    def _ask_angle(self) -> float | None:
-        """Its angle, degrees; None if it currently reports none."""
+    def _ask_angle(self) -> float:
+        """Its angle, degrees."""
 
     @abstractmethod
     def _tell_stop(self) -> None:
@@ -140,8 +137,7 @@ class PolledTable(DrivenMotion):
         self.link().arm(GUARD_S)
         self._running = True
         self._set_going()
-        self._looked = time.monotonic()
-        self._moved = time.monotonic()
+        self._looked = self._moved = time.monotonic()
 
     def _poll(self) -> list[AngleReading]:
         time.sleep(POLL_S)
@@ -161,10 +157,7 @@ class PolledTable(DrivenMotion):
         asked = hostclock.now_ns()
         degrees = self._ask_angle()
         answered = hostclock.now_ns()
-        if degrees is None:
-            return []
-        late = (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._last_answer_s < _PATIENCE_S
-        if late:
+        if (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._last_answer_s < _PATIENCE_S:
             # The time within that interval at which the table sampled its angle is unknown.
             return []
         self._last_answer_s = time.monotonic()
@@ -175,7 +168,7 @@ class PolledTable(DrivenMotion):
             self._turned_deg += step
         self._last_deg = degrees
         spread = 0.5 * (answered - asked) * 1e-9 * 2 * math.pi / self.nominal_s / math.sqrt(3)
-        sigma = math.hypot(self.resolution_rad / math.sqrt(12), spread)
+        sigma = math.hypot(_RESOLUTION_RAD / math.sqrt(12), spread)
         # The sign that tables report is not documented consistently; the commanded direction is used.
         angle = self.direction * math.radians(abs(self._turned_deg))
         return [((asked + answered) // 2, angle, sigma)]
@@ -198,11 +191,6 @@ class PolledTable(DrivenMotion):
             return {"device": self.name, "kind": self.kind, "angle_deg": self._ask_angle()}
         finally:
             self._close()
-
-    def _close(self) -> None:
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
 
     def _facts(self) -> dict[str, Any]:
         return {"stamp_sigma_s": 0.005, "table": self.target, "reversed": self.reversed}
