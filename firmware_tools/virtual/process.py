@@ -64,7 +64,7 @@ class BoardProcess:
         assert lines is not None
         Worker(lambda: self._read(lines), "board", lambda error: self._lines.put(None)).start()
         try:
-            ready = self._answer("ready")
+            ready = self.wait_for("ready")
         except BaseException:
             self.__exit__(None, None, None)
             raise
@@ -96,7 +96,8 @@ class BoardProcess:
             pass
         self._lines.put(None)
 
-    def _answer(self, key: str) -> dict[str, Any]:
+    def wait_for(self, key: str) -> dict[str, Any]:
+        """The next report that has `key`, e.g. "pin" or "watchdog"."""
         until = time.monotonic() + self._timeout
         while True:
             try:
@@ -109,13 +110,9 @@ class BoardProcess:
                 return line
             self.changes.append(line)
 
-    def wait_for(self, key: str) -> dict[str, Any]:
-        """The next report that has `key`, e.g. "pin" or "watchdog"."""
-        return self._answer(key)
-
     def command(self, text: str) -> int:
         """Execute a command (cut, drop, index, stall MS); return its time on this machine's clock, us."""
         assert self.process.stdin is not None
         self.process.stdin.write(text + "\n")
         self.process.stdin.flush()
-        return int(self._answer("done")["us"])
+        return int(self.wait_for("done")["us"])

@@ -228,7 +228,7 @@ def bridge_before(host: RoombaHost, name: str, passkey: str | None) -> Iterator[
 
     Raises MissingExtraError, UsageError.
     """
-    from tagid.motion.virtual import virtual_bluetooth
+    from tagid.motion.ble import virtual_bluetooth
 
     board_process = virtual_bluetooth("board")
     if passkey is not None and not (len(passkey) == 6 and passkey.isdecimal()):

@@ -1,6 +1,7 @@
 """Bluetooth as a byte link: bleak's event loop runs on its own thread, so that drivers can be synchronous.
 
-To a driver, the bridge in front of a robot and a table with a serial characteristic look the same.
+To a driver, the bridge in front of a robot and a table with a serial characteristic look the same. Virtual
+controllers come from the firmware tools, which the package does not import: they register as entry points.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
-from pathlib import Path
+from importlib import metadata
 from typing import Any, Final, TypeVar
 
 from tagid import processes
@@ -26,6 +27,7 @@ from tagid.errors import (
     DeviceGoneError,
     DeviceRejectedError,
     DeviceTimeoutError,
+    MissingExtraError,
     TagidError,
 )
 from tagid.motion.bridge.client import Bridge
@@ -34,8 +36,7 @@ from tagid.motion.bridge.protocol import Event, Op, Tripped
 from tagid.motion.guard import Watch
 from tagid.motion.links import WAKE_S, ByteLink
 from tagid.motion.urls import Options
-from tagid.motion.virtual import virtual_bluetooth
-from tagid.secret import MotionUrl, Secret, masked
+from tagid.secret import Secret, masked
 from tagid.workers import Worker
 
 T = TypeVar("T")
@@ -55,7 +56,7 @@ class BleAddress:
     """Address of a Bluetooth device.
 
     Attributes:
-        target: name or address; "" selects the only device found.
+        target: name or address.
         passkey: six digits to pair with; None if none is needed.
         hci: a separate controller instead of the system's, as a bumble transport, e.g. usb:0.
         seconds: duration of the search, s.
@@ -72,12 +73,20 @@ class BleAddress:
         return None if self.passkey is None else self.passkey.reveal()
 
 
-def _refuse_a_readable_file(path: Path) -> None:
-    """Raise ConfigError if others can read the file that holds the pass-key."""
-    if os.name == "posix" and path.exists() and path.stat().st_mode & 0o077:
-        raise ConfigError(
-            f"{path} holds the bridge's pass-key and other users can read it", f"Run: chmod 600 {path}"
-        )
+GROUP: Final = "tagid.virtual_bluetooth"
+"""`backend`: open_backend(where, passkey) for bleak; `air`: a module with Air, HciServer and make_controller;
+`board`: BoardProcess(config, uart), the bridge's firmware without a board."""
+
+
+def virtual_bluetooth(part: str) -> Any:
+    """A member of the group. Raises MissingExtraError if there is no provider, or it lacks its packages."""
+    for entry in metadata.entry_points(group=GROUP, name=part):
+        with contextlib.suppress(ImportError):
+            return entry.load()
+    raise MissingExtraError(
+        "this installation has no virtual Bluetooth controllers",
+        "In a checkout of tagid: pip install ./firmware_tools",
+    )
 
 
 def ble_address(options: Options, default: str = "") -> BleAddress:
@@ -91,21 +100,23 @@ def ble_address(options: Options, default: str = "") -> BleAddress:
         raise options.wrong("has no device name")
     config = load_config(tolerant=options.stopping)
     passkey = options.secret() or config["motion.passkey"]
-    stored = [config.values[name] for name in ("motion.url", "motion.passkey")]
-    in_file = any(setting.source == "file" and _holds_key(setting.value) for setting in stored)
-    if passkey is not None and in_file and not options.stopping:
-        _refuse_a_readable_file(config.path)
+    url, key = config.values["motion.url"], config.values["motion.passkey"]
+    in_file = key.source == "file" or (url.source == "file" and url.value.holds_key)
+    path = config.path
+    if (
+        passkey is not None and in_file and not options.stopping
+        and os.name == "posix" and path.exists() and path.stat().st_mode & 0o077
+    ):  # fmt: skip
+        raise ConfigError(
+            f"{path} holds the bridge's pass-key and other users can read it", f"Run: chmod 600 {path}"
+        )
     digits = "" if passkey is None else passkey.reveal()
     if passkey is not None and not (len(digits) == 6 and digits.isascii() and digits.isdecimal()):
         if not options.stopping:
             raise options.wrong("the pass-key is not six digits")
         passkey = None
     seconds = options.number("wait", 5.0, 0.5, 60)
-    return BleAddress(target, passkey, options.text("hci"), seconds or 5.0)
-
-
-def _holds_key(value: Secret) -> bool:
-    return value.holds_key if isinstance(value, MotionUrl) else True
+    return BleAddress(target, passkey, options.text("hci"), seconds)
 
 
 @asynccontextmanager

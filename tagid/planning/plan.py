@@ -135,7 +135,8 @@ def plan(setup: Setup) -> Plan:
     views = min(scans, views_needed(setup.extent_m, SPEED_OF_LIGHT / CENTER_FREQUENCY_HZ))
     view = sample + 10 * float(np.log10(scans / views))
     strongest = sample + max(0.0, body_db or 0.0)
-    body = _class_of(setup.body)
+    # Of a handle there are rates on cups only.
+    body = "cup-handle" if "handle" in setup.body.parts else setup.body.kind
     return Plan(
         setup,
         rcs_dbsm(length),
@@ -175,13 +176,6 @@ def moved_distance_m(body_db: float) -> float:
     """
     wavenumber = 2 * np.pi * CENTER_FREQUENCY_HZ / SPEED_OF_LIGHT
     return float(10 ** (-body_db / 20) / (np.sqrt(2) * wavenumber))
-
-
-def _class_of(body: BodySpec) -> str:
-    """The body in the tables that is closest to a given body; of a handle there are rates on cups only."""
-    if "handle" in body.parts:
-        return "cup-handle"
-    return body.kind
 
 
 @lru_cache(maxsize=64)

@@ -134,18 +134,16 @@ class Bridge:
     async def _pair(self) -> None:
         if Flag.PASSKEY not in self.info.flags or Flag.TRUSTED in self.info.flags:
             return
+        from bleak.exc import BleakError
+
         from tagid.motion.bridge.pairing import answering
 
         try:
             async with answering(self._passkey):
                 await self._client.pair()
-        except Exception as error:
-            from bleak.exc import BleakError
-
-            if not isinstance(error, (BleakError, NotImplementedError, TimeoutError)):
-                raise
-            if isinstance(error, NotImplementedError):  # macOS pairs on the first protected write
-                return
+        except NotImplementedError:  # macOS pairs on the first protected write
+            return
+        except (BleakError, TimeoutError) as error:
             raise DeviceRejectedError(
                 f"{self!r} refused the pairing",
                 "Give its pass-key, the six digits on its label. After a wrong one it waits, longer each "

@@ -11,8 +11,8 @@ import time
 from typing import Any, Final
 
 from tagid.errors import DeviceTimeoutError
+from tagid.motion.ble import virtual_bluetooth
 from tagid.motion.emulation.pty import SerialCore, raise_failure
-from tagid.motion.virtual import virtual_bluetooth
 from tagid.workers import Worker
 
 _START_S: Final = 20.0

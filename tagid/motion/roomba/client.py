@@ -33,7 +33,7 @@ _STATUS: Final = (
     Packet.BUMPS_AND_DROPS,
 )
 
-FAREWELL: Final = oi.HALT + oi.pause_stream(False) + oi.simple(Op.START)
+FAREWELL: Final = oi.HALT + oi.command(Op.PAUSE_STREAM, 0) + oi.command(Op.START)
 """Wheels to zero, stream off, Passive mode: the final state of the robot."""
 
 
@@ -78,7 +78,7 @@ class OpenInterface:
         """
         for attempt in range(4):
             # The stream may still be on from a session that was cut off; its frames are not answers.
-            self.link.write(oi.simple(Op.START) + oi.pause_stream(False))
+            self.link.write(oi.command(Op.START) + oi.command(Op.PAUSE_STREAM, 0))
             self._drain()
             with contextlib.suppress(DeviceTimeoutError, DeviceRejectedError):
                 return self.status()
@@ -94,7 +94,6 @@ class OpenInterface:
         """Read the status; the robot must be in Passive mode."""
         values = self.query(_STATUS)
         offset = values[Packet.MODE] - Mode.PASSIVE
-        temperature = values[Packet.TEMPERATURE]
         if offset not in (-1, 0, 1) or not 5_000 <= values[Packet.VOLTAGE] <= 30_000:
             raise DeviceRejectedError(
                 f"the robot at {self.link} sends invalid answers",
@@ -107,7 +106,7 @@ class OpenInterface:
             bool(values[Packet.CHARGER] & 3) or values[Packet.CHARGING_STATE] in (1, 2, 3),
             values[Packet.VOLTAGE] * 1e-3,
             values[Packet.CURRENT] * 1e-3,
-            temperature,
+            values[Packet.TEMPERATURE],
             values[Packet.CHARGE] / capacity if capacity else None,
             bool(values[Packet.BUMPS_AND_DROPS] & 0b1100),
             offset,
@@ -119,7 +118,7 @@ class OpenInterface:
         Raises DeviceTimeoutError if the answer does not come or has the wrong length.
         """
         sizes = [oi.packet_size(packet) for packet in packets]
-        self.link.write(oi.query(packets))
+        self.link.write(oi.command(Op.QUERY_LIST, len(packets), *packets))
         answer = b""
         deadline = time.monotonic() + _ANSWER_S
         while len(answer) < sum(sizes) and (remaining_s := deadline - time.monotonic()) > 0:
@@ -140,7 +139,7 @@ class OpenInterface:
 
     def safe(self) -> None:
         """Enter Safe mode and verify it. Raises DeviceRejectedError with the likely cause."""
-        self.link.write(oi.simple(Op.SAFE))
+        self.link.write(oi.command(Op.SAFE))
         time.sleep(_SETTLE_S)
         mode = self.query([Packet.MODE])[Packet.MODE] - self.mode_offset
         if mode != Mode.SAFE:
@@ -152,7 +151,7 @@ class OpenInterface:
     def stream(self, packets: Sequence[int]) -> None:
         """Start the stream; read it with `frames`."""
         self.decoder = StreamDecoder(packets)
-        self.link.write(oi.stream(packets))
+        self.link.write(oi.command(Op.STREAM, len(packets), *packets))
 
     def frames(self, timeout: float) -> list[tuple[int, dict[int, int]]]:
         """Stream frames received, as (host time ns, values)."""
