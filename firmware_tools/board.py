@@ -1,7 +1,4 @@
-"""A board that runs MicroPython, accessed with mpremote's transport over its USB port.
-
-An incomplete flash, an old MicroPython and a device that is not a board are distinguished by their output.
-"""
+"""A board that runs MicroPython, accessed with mpremote's transport over its USB port."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Serial ports that may have a board, and the names, default pins and flash offsets of each chip.
-
-An ambiguous port selection is answered with a list of the ports.
-"""
+"""Serial ports that may have a board, and the names, default pins and flash offsets of each chip."""
 
 from __future__ import annotations
 

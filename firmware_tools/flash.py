@@ -1,7 +1,4 @@
-"""Writes a verified image with esptool and reads it back; an incomplete flash is reported as such.
-
-esptool's output and errors are converted to progress messages and tagid errors.
-"""
+"""Writes a verified image with esptool and reads it back; an incomplete flash is reported as such."""
 
 from __future__ import annotations
 

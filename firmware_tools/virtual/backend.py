@@ -1,7 +1,4 @@
-"""A backend for bleak over bumble, so that a stock BleakClient reaches a virtual controller.
-
-bleak accepts it through its public `backend=` argument; bleak itself is not modified.
-"""
+"""A backend for bleak over bumble, so that a stock BleakClient reaches a virtual controller."""
 
 from __future__ import annotations
 

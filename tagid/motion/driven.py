@@ -1,6 +1,6 @@
 """Base class of commanded devices: a thread that polls and monitors, and always ends with a halt.
 
-A driver adds four steps (begin, poll, halt, close); halt is run whatever error occurs in them.
+A driver adds three steps (begin, poll, halt); halt is run whatever error occurs in them.
 """
 
 from __future__ import annotations
@@ -66,10 +66,6 @@ class DrivenMotion(ABC):
         turns: float | None = None,
         max_seconds: float = 300.0,
     ) -> None:
-        if turns is not None and not 0 < turns <= 20:
-            raise UsageError(f"{turns} turns are requested of {name}", "Give more than 0 and up to 20.")
-        if not 0 < max_seconds <= 3600:
-            raise UsageError(f"max_seconds is {max_seconds}", "Give more than 0 and up to 3600 seconds.")
         self.name, self.direction, self.nominal_s = name, direction, nominal_s
         self.scale_sigma, self.max_seconds = scale_sigma, max_seconds
         # Three sigma more, so that a turn is complete even if the device overestimates its angle.
@@ -185,6 +181,14 @@ class DrivenMotion(ABC):
         if isinstance(error, TagidError):
             return error
         return DeviceError(f"{self.name}: {type(error).__name__}: {error}")
+
+    def _paused(self, seconds: float) -> PausedError:
+        """The error for a pause of this program."""
+        return PausedError(
+            f"this program was paused for {seconds:.1f} s; {self.name} was stopped and its angle is lost "
+            "from then on",
+            "Record again; keep this computer awake and less busy.",
+        )
 
     def _lose_angle(self) -> None:
         """The angle since the last reading is unknown: its uncertainty is uniform over a turn."""

@@ -1,7 +1,4 @@
-"""Byte links to robots and tables: a serial port here, Bluetooth in `ble`; independent of the messages.
-
-A driver uses ByteLink and does not distinguish a cable from a bridge.
-"""
+"""Byte links to robots and tables: a serial port here, Bluetooth in `ble`; independent of the messages."""
 
 from __future__ import annotations
 

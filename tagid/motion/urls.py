@@ -171,6 +171,6 @@ def _free(options: Options) -> FreeTurntable:
     rpm = options.number("rpm", None, 0.0, 1000.0)
     seconds = options.number("max_seconds", 120.0, 0.0, 3600.0)
     marker = options.number("marker", 0, 0, 1)
-    table = FreeTurntable(rpm, options.direction(), seconds or 0.0, marker=bool(marker))
+    table = FreeTurntable(rpm, options.direction(), seconds, marker=bool(marker))
     options.done()
     return table

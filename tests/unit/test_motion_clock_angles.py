@@ -289,5 +289,6 @@ def test_urls_that_do_not_work_say_what_does(url: str) -> None:
 
 
 def test_turntable_refuses_nonsense() -> None:
-    with pytest.raises(UsageError):
-        FreeTurntable(direction=2)
+    for wrong in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(UsageError):
+            FreeTurntable(wrong)

@@ -1,7 +1,4 @@
-"""The client of one bridge: bytes to and from the robot, and commands with answers.
-
-It is asynchronous because bleak is.
-"""
+"""The client of one bridge: bytes to and from the robot, and commands with answers; asynchronous as bleak."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""An emulated device whose serial line is one Bluetooth characteristic, on its own virtual controller.
-
-A host reaches it with hci=tcp-client:...; bumble provides both controllers.
-"""
+"""An emulated device whose serial line is one Bluetooth characteristic, on its own virtual controller."""
 
 from __future__ import annotations
 

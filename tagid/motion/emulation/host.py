@@ -1,7 +1,4 @@
-"""An emulated robot with all its interfaces: a pty as serial port, loopback UDP for its true angle.
-
-Events (a bump, a cliff) occur a set time after it starts turning, so that a test can trigger each.
-"""
+"""An emulated robot with all its interfaces: a pty as serial port, loopback UDP for its true angle."""
 
 from __future__ import annotations
 
@@ -103,14 +100,3 @@ class RoombaHost:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
-
-
-def wait_until_still(host: RoombaHost, timeout_s: float) -> float | None:
-    """Seconds until the wheels stop; None if they do not within the timeout."""
-    begin = time.monotonic()
-    while time.monotonic() - begin < timeout_s:
-        with host.port.lock:
-            if not host.core.body.moving:
-                return max(0.0, host.core.body.still_since_s - begin)
-        time.sleep(0.002)
-    return None

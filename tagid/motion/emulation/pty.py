@@ -88,7 +88,6 @@ class PtyPort:
             link.symlink_to(self.path)
         self.lock = threading.Lock()
         self._stop = threading.Event()
-        self._cut = threading.Event()
         self.worker = Worker(self._serve, "pty-port")
 
     def __enter__(self) -> PtyPort:
@@ -105,11 +104,7 @@ class PtyPort:
             self._link.unlink(missing_ok=True)
         raise_failure(self.worker)
 
-    def cut(self) -> None:
-        """Cut the cable: no more bytes pass, while the device keeps running."""
-        self._cut.set()
-
-    def wrong_rate(self) -> bool:
+    def _wrong_rate(self) -> bool:
         """Whether the client chose another baud rate than the device's."""
         try:
             chosen = termios.tcgetattr(self._master)[4]
@@ -125,14 +120,12 @@ class PtyPort:
             except OSError:
                 data = b""
                 self._stop.wait(_TICK_S)
-            if self._cut.is_set():
-                data = b""
-            wrong = self.wrong_rate()
+            wrong = self._wrong_rate()
             with self.lock:
                 now = time.monotonic()
                 out = self._core.handle(garbled(data) if wrong else data, now) if data else b""
                 out += self._core.advance(now)
-            if out and not self._cut.is_set():
+            if out:
                 # A client that does not read loses bytes, as at a real port.
                 with contextlib.suppress(OSError):
                     os.write(self._master, garbled(out) if wrong else out)

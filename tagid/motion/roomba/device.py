@@ -13,7 +13,7 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
-from tagid.motion.device import MotionStoppedError, PausedError
+from tagid.motion.device import MotionStoppedError
 from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.links import ByteLink
 from tagid.motion.roomba.client import FAREWELL, OpenInterface, RobotStatus
@@ -175,11 +175,7 @@ class Roomba(DrivenMotion):
         now = time.monotonic()
         away = now - self._looked
         if away > DEAD_MAN_S:
-            raise PausedError(
-                f"this program was paused for {away:.1f} s; {self.name} was stopped and its angle is lost "
-                "from then on",
-                "Record again; keep this computer awake and less busy.",
-            )
+            raise self._paused(away)
         if away > _STARVED_S:
             # This process did not read the link; the robot was not silent.
             self._heard += away

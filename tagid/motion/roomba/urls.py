@@ -1,7 +1,4 @@
-"""`roomba+serial://PORT` and `roomba+ble://NAME-OR-ADDRESS`: creates a robot from a URL.
-
-Options are parsed and checked here, before anything is opened.
-"""
+"""`roomba+serial://PORT` and `roomba+ble://NAME-OR-ADDRESS`: creates a robot from a URL."""
 
 from __future__ import annotations
 

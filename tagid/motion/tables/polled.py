@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from tagid import hostclock
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
-from tagid.motion.device import MotionStoppedError, PausedError
+from tagid.motion.device import MotionStoppedError
 from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.links import ByteLink
 
@@ -142,12 +142,9 @@ class PolledTable(DrivenMotion):
     def _poll(self) -> list[AngleReading]:
         time.sleep(POLL_S)
         self._beat()
-        if time.monotonic() - self._looked > PAUSE_S:
-            raise PausedError(
-                f"this program was paused for {time.monotonic() - self._looked:.1f} s; {self.name} was "
-                "stopped and its angle is lost from then on",
-                "Record again; keep this computer awake and less busy.",
-            )
+        away_s = time.monotonic() - self._looked
+        if away_s > PAUSE_S:
+            raise self._paused(away_s)
         self._looked = time.monotonic()
         if time.monotonic() - self._moved > _STALL_S:
             raise MotionStoppedError(
