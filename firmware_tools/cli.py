@@ -84,12 +84,11 @@ def flash(
     """
     from firmware_tools import flash as flashing
     from firmware_tools.boards import choose_port
-    from firmware_tools.image import check_image, wanted_hash
     from tagid.errors import UsageError
 
     if before not in ("default-reset", "usb-reset", "no-reset"):
         raise UsageError(f"--before {before!r} is unknown", "Give default-reset, usb-reset or no-reset.")
-    checked = check_image(image, wanted_hash(image, sha256))
+    checked = flashing.check_image(image, flashing.wanted_hash(image, sha256))
     connection = flashing.Connection(choose_port(port), baud, before, stub)
     with terminal.progress("flashing", len(checked.data)) as advance:
         done = flashing.flash(checked, connection, advance, erase)

@@ -22,7 +22,7 @@ from tagid.result import Result
 from tagid.workers import Worker
 
 if TYPE_CHECKING:
-    from tagid.motion.emulation.host import RoombaHost
+    from tagid.motion.emulation.roomba import RoombaHost
 
 _LOOK_S = 0.5
 _RateError = Annotated[
@@ -98,8 +98,7 @@ def roomba(
     Example: tagid emulate roomba --pty
     """
     from tagid.motion.emulation.body import BodySettings
-    from tagid.motion.emulation.host import RoombaHost
-    from tagid.motion.emulation.roomba import World
+    from tagid.motion.emulation.roomba import RoombaHost, World
 
     if pty and ble:
         raise UsageError("--pty and --ble are both given", "Choose one.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from tagid.motion.emulation.host import RoombaHost
+from tagid.motion.emulation.roomba import RoombaHost
 from tagid.motion.roomba.device import Roomba
 
 

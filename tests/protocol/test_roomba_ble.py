@@ -18,7 +18,7 @@ from robots import comes_to_rest, turned
 from firmware_tools.virtual.process import BoardProcess
 from tagid.errors import DeviceError, DeviceGoneError
 from tagid.motion.emulation.body import BodySettings
-from tagid.motion.emulation.host import RoombaHost
+from tagid.motion.emulation.roomba import RoombaHost
 from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.tables.index import IndexTable

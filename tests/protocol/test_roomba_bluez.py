@@ -20,7 +20,7 @@ if shutil.which("dbus-daemon") is None:
 from robots import comes_to_rest
 
 from tagid.errors import DeviceError
-from tagid.motion.emulation.host import RoombaHost
+from tagid.motion.emulation.roomba import RoombaHost
 from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.urls import open_motion

@@ -18,8 +18,7 @@ from robots import comes_to_rest, turned
 from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, PortInUseError
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.emulation.body import BodySettings
-from tagid.motion.emulation.host import RoombaHost, happen
-from tagid.motion.emulation.roomba import World
+from tagid.motion.emulation.roomba import RoombaHost, World, happen
 from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.urls import open_motion

@@ -14,9 +14,9 @@ from tagid.errors import UsageError
 from tagid.motion.emulation.body import BodySettings
 from tagid.motion.emulation.roomba import RoombaCore
 from tagid.motion.roomba import messages as oi
+from tagid.motion.roomba.client import StreamDecoder
 from tagid.motion.roomba.messages import Op, Packet
 from tagid.motion.roomba.odometry import MM_PER_COUNT, SpinOdometry
-from tagid.motion.roomba.stream import StreamDecoder
 
 WATCHED = (Packet.BUMPS_AND_DROPS, Packet.MODE, Packet.LEFT_ENCODER, Packet.RIGHT_ENCODER)
 

@@ -6,11 +6,17 @@ It answers like a Create 2, for other clients as well (iRobot, "Create 2 Open In
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
+from tagid.errors import UsageError
 from tagid.motion.emulation.body import Body, BodySettings
+from tagid.motion.emulation.pty import PtyPort
+from tagid.motion.emulation.truth import TruthServer
 from tagid.motion.roomba import messages as oi
 from tagid.motion.roomba.messages import Mode, Op, Packet
 from tagid.motion.roomba.odometry import WHEEL_BASE_MM
@@ -26,6 +32,13 @@ _DATA_BYTES: Final = {
 _COUNTED: Final = {140: (1, 2), 148: (0, 1), 149: (0, 1)}
 """Commands with a count: its offset in the data, and the bytes per counted item."""
 _CLEANING: Final = (134, 135, 136, 143)
+EVENTS: Final = {
+    "bump": ("bump", 1),
+    "wheel-drop": ("wheel_drop", 2),
+    "cliff": ("cliff", True),
+    "charger": ("on_charger", True),
+}
+"""What changes in the robot's world at an event."""
 
 
 @dataclass
@@ -51,6 +64,11 @@ class World:
     mode_offset: int = 0
 
 
+def happen(world: World, event: str) -> None:
+    """Trigger one of EVENTS."""
+    setattr(world, *EVENTS[event])
+
+
 class RoombaCore:
     """One emulated robot; times are seconds of one clock that never runs backwards.
 
@@ -65,6 +83,7 @@ class RoombaCore:
         mode: the true mode.
         asleep: whether it ignores all commands until woken.
         baud: baud rate of its port.
+        event: one of EVENTS, and after how many seconds of turning it happens; None for none.
     """
 
     def __init__(
@@ -78,6 +97,8 @@ class RoombaCore:
         self.body = Body(body, now_s)
         self.world = world or World()
         self.mode, self.asleep, self.baud = Mode.OFF, asleep, baud
+        self.event: tuple[str, float] | None = None
+        self._turning_since_s: float | None = None
         self._now = self._used_s = now_s
         self._starts_at_s: float | None = None
         self._buffer = bytearray()
@@ -105,6 +126,12 @@ class RoombaCore:
 
     def advance(self, now_s: float) -> bytes:
         """Advance the time; return what the robot sends unprompted."""
+        if self._turning_since_s is None and self.body.moving:
+            self._turning_since_s = now_s
+        if self._turning_since_s is not None and self.event is not None:
+            what, after_s = self.event
+            if now_s - self._turning_since_s >= after_s:
+                happen(self.world, what)
         out = b""
         while True:
             due = self._next_frame_s if self._streaming and self._streamed else None
@@ -249,6 +276,65 @@ class RoombaCore:
             42: self._speeds[1],
             **self._since_reported(packets),
         }
+
+
+class RoombaHost:
+    """A running robot; a context manager.
+
+    Args:
+        body, world, baud, asleep: see RoombaCore.
+        event: WHAT@SECONDS; None for no event.
+        truth_port: UDP port of the true angle; 0 selects any free port.
+        link: a symbolic link to create for the serial port.
+
+    Attributes:
+        core: the robot; inspect it while holding port.lock.
+        port: its serial port.
+        truth: provides `angle_rad`, `moving` and `still_since_s` (time.monotonic()).
+
+    Raises UsageError for an event that is not valid.
+    """
+
+    def __init__(
+        self,
+        body: BodySettings | None = None,
+        world: World | None = None,
+        baud: int = 115200,
+        asleep: bool = False,
+        event: str | None = None,
+        truth_port: int = 0,
+        link: Path | None = None,
+    ) -> None:
+        self.core = RoombaCore(body, world, time.monotonic(), baud, asleep)
+        if event is not None:
+            what, _, after = event.partition("@")
+            try:
+                self.core.event = what, float(after or 0)
+            except ValueError:
+                what = ""
+            if what not in EVENTS:
+                raise UsageError(f"the event is {event!r}", f"Give {', '.join(EVENTS)} with @SECONDS.")
+        self.port = PtyPort(self.core, link)
+        self.truth = TruthServer(self._state, truth_port)
+        self._stack = ExitStack()
+
+    def _state(self, moment_s: float) -> dict[str, float | int | bool]:
+        with self.port.lock:
+            body = self.core.body
+            return {
+                "angle_rad": body.heading_at(moment_s),
+                "moving": body.moving,
+                "still_since_s": body.still_since_s,
+                "mode": int(self.core.mode),
+            }
+
+    def __enter__(self) -> RoombaHost:
+        self._stack.enter_context(self.port)
+        self._stack.enter_context(self.truth)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
 
 
 def _wheel_speeds(opcode: int, data: bytes) -> tuple[int, int]:

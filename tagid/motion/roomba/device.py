@@ -16,10 +16,9 @@ from tagid.errors import DeviceRejectedError, DeviceTimeoutError
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.links import ByteLink
-from tagid.motion.roomba.client import FAREWELL, OpenInterface, RobotStatus
+from tagid.motion.roomba.client import FAREWELL, OpenInterface, RobotStatus, StreamDecoder
 from tagid.motion.roomba.messages import FRAME_S, Mode, Packet
 from tagid.motion.roomba.odometry import WHEEL_BASE_MM, SpinOdometry
-from tagid.motion.roomba.stream import StreamDecoder
 
 SPEED_STEP_MM_S: Final = 28.5
 """Step of the wheels' speed (seen on Create 2 robots): 13.9 deg/s per step when turning in place."""
