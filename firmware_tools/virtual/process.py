@@ -13,7 +13,6 @@ import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 from tagid import processes
@@ -66,16 +65,14 @@ class BoardProcess:
         try:
             ready = self.wait_for("ready")
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         self.hci, self.address = ready["hci"], ready["address"]
         if "--reboot" not in self._options:
             self._folder.cleanup()  # the board has copied its configuration; a killed host leaves nothing
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         assert self.process.stdin is not None and self.process.stdout is not None
         with contextlib.suppress(OSError):
             self.process.stdin.close()

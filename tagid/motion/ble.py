@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import threading
 from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable, Coroutine
@@ -105,7 +104,7 @@ def ble_address(options: Options, default: str = "") -> BleAddress:
     path = config.path
     if (
         passkey is not None and in_file and not options.stopping
-        and os.name == "posix" and path.exists() and path.stat().st_mode & 0o077
+        and path.exists() and path.stat().st_mode & 0o077
     ):  # fmt: skip
         raise ConfigError(
             f"{path} holds the bridge's pass-key and other users can read it", f"Run: chmod 600 {path}"

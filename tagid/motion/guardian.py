@@ -58,9 +58,6 @@ class Guardian:
 
     def __init__(self, watch: Watch) -> None:
         self._watch = watch
-        self._process: subprocess.Popen[bytes] | None = None
-        if os.name != "posix":
-            return
         stops = watch.port >= 0 or bool(watch.command)
         self._process = (_start(watch, scope=True) if stops else None) or _start(watch, scope=False)
         if self._process is None:

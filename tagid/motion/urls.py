@@ -6,7 +6,6 @@ devices without a link are here.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
@@ -70,7 +69,7 @@ class Options(Query):
         """The target as a device file, by the same name from every folder. Raises UsageError without one."""
         if not self.target:
             raise self.wrong("has no port")
-        return str(Path(self.target).absolute()) if os.name == "posix" else self.target
+        return str(Path(self.target).absolute())
 
     def direction(self) -> int:
         """The option `direction`: +1 for ccw (the default), -1 for cw."""

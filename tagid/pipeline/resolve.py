@@ -61,7 +61,7 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
     known = has_angles(capture)
     if motion is None and known:
         return capture
-    from tagid.angles.measured import measured_angles
+    from tagid.angles.align import measured_angles
     from tagid.motion.urls import open_motion
 
     device = open_motion(motion or "free")

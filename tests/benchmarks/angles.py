@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from firmware_tools.virtual.process import BoardProcess
+from tagid.angles.align import measured_angles
 from tagid.angles.clock import fit_clock
-from tagid.angles.measured import measured_angles
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import TagidError

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Final, Self
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, DeviceTimeoutError
@@ -104,9 +103,7 @@ class Bridge:
             raise
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *error: object) -> None:
         await self.close()
 
     async def _open(self) -> None:

@@ -28,18 +28,13 @@ _BAUDS: Final = {
 class SerialCore(Protocol):
     """A device behind a serial port; times are of time.monotonic()."""
 
-    @property
-    def baud(self) -> int:
-        """Baud rate of the device."""
-        ...
+    baud: int
 
     def handle(self, data: bytes, now_s: float) -> bytes:
         """Process received bytes; return the bytes it sends."""
-        ...
 
     def advance(self, now_s: float) -> bytes:
         """Advance the time; return the bytes it sends unprompted."""
-        ...
 
 
 def garbled(data: bytes) -> bytes:
