@@ -147,7 +147,7 @@ def provision(
         "python": asdict(done.python),
         "written": done.written,
         "kept": done.kept,
-        "config": done.config,
+        "config": wanted,
     }
     key = wanted["passkey"]
     text = f"{name}: firmware {made.version}, {len(done.written)} files written, {len(done.kept)} kept; " + (

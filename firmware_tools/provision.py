@@ -75,7 +75,6 @@ class Provisioned:
     python: Python
     written: list[str]
     kept: list[str]
-    config: dict[str, Any]
 
 
 def provision(
@@ -111,7 +110,7 @@ def provision(
         board.write(name, contents[name], lambda count, start=start, name=name: progress(start + count, name))  # type: ignore[misc]
         done += len(contents[name])
     board.restart()
-    return Provisioned(python, changed, kept, config)
+    return Provisioned(python, changed, kept)
 
 
 def _config_of(board: Board) -> tuple[dict[str, Any] | None, str]:

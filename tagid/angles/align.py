@@ -34,8 +34,6 @@ _GAP_S: Final = 0.1
 _STEP_S: Final = 0.25
 _MAX_DRIFT: Final = 1e-3
 """A change of the host's clock beyond this, s, plus this share of the duration is no drift of a crystal."""
-
-
 TURN: Final = 2 * np.pi
 _STEADY: Final = 0.7
 """Scans at less than this share of the usual speed (spinning up) are excluded from the search."""
@@ -67,16 +65,6 @@ class Alignment:
     motion_residual_ms: float
     clock_sigma_s: float
     outside: int
-
-    def facts(self) -> dict[str, Any]:
-        """The values stored in the capture."""
-        return {
-            "clock_drift_ppm": self.drift * 1e6,
-            "radar_arrival_residual_ms": self.radar_residual_ms,
-            "motion_arrival_residual_ms": self.motion_residual_ms,
-            "clock_sigma_ms": self.clock_sigma_s * 1e3,
-            "scans_outside_motion": self.outside,
-        }
 
 
 def lower_edge(times_s: Floats, arrivals_s: Floats) -> tuple[float, float]:
@@ -263,7 +251,15 @@ def measured_angles(
     aligned = align(clock, host_time_ns, track)
     scale_sigma = float(track.info.get("scale_sigma", _DEFAULT_SCALE_SIGMA))
     scale = 1.0
-    info: dict[str, Any] = {**track.info, "source": "measured", **aligned.facts()}
+    info: dict[str, Any] = {
+        **track.info,
+        "source": "measured",
+        "clock_drift_ppm": aligned.drift * 1e6,
+        "radar_arrival_residual_ms": aligned.radar_residual_ms,
+        "motion_arrival_residual_ms": aligned.motion_residual_ms,
+        "clock_sigma_ms": aligned.clock_sigma_s * 1e3,
+        "scans_outside_motion": aligned.outside,
+    }
     try:
         estimate = turn_in_own_angle(samples, aligned.angles_rad, scale_sigma)
     except DataError as error:

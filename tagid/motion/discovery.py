@@ -26,7 +26,6 @@ _ADAPTERS: Final = {
 _NOT_A_ROBOT: Final = frozenset({(0x303A, 0x1001), (0x1027, 0x0005), (0x1027, 0x0003)})
 _OPEN_S: Final = 60.0
 """Longest time to open and close a controller, s."""
-_ON_BOARD: Final = "serial port of this computer: a robot's cable, if one is connected"
 REVOPOINT: Final = "REVO_DUAL_AXIS_TABLE"
 """Advertised name of the dual-axis table."""
 
@@ -56,7 +55,7 @@ def serial_devices() -> list[MotionDevice]:
     for port in sorted(list_ports.comports(), key=lambda port: (port.vid is None, port.device)):
         kind = (port.vid, port.pid)
         if port.vid is None:
-            what = _ON_BOARD
+            what = "serial port of this computer: a robot's cable, if one is connected"
         else:
             what = _ADAPTERS.get((port.vid, port.pid or 0), port.description or "USB adapter")
         scheme = "comxim+serial" if kind == (0x1A86, 0x7523) else "roomba+serial"

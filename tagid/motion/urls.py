@@ -128,11 +128,6 @@ def parse_motion_url(url: str | MotionUrl) -> Options:
     return Options(url.public, parts.scheme, unquote(parts.netloc + parts.path), given, passkey)
 
 
-def schemes() -> dict[str, metadata.EntryPoint]:
-    """Devices of the entry-point table, by URL scheme."""
-    return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINTS)}
-
-
 def open_motion(url: str | MotionUrl, stopping: bool = False) -> Motion:
     """The motion device of a URL; nothing is connected.
 
@@ -157,7 +152,7 @@ def open_motion(url: str | MotionUrl, stopping: bool = False) -> Motion:
         return _free(Options(options.url, "free", "", {k: v for k, v in options.given.items() if k in known}))
     if options.scheme == "free" and not options.target:
         return _free(options)
-    entry = schemes().get(options.scheme)
+    entry = next(iter(metadata.entry_points(group=ENTRY_POINTS, name=options.scheme)), None)
     if entry is None:
         raise options.wrong("is unknown")
     factory = cast(Callable[[Options], Motion], entry.load())

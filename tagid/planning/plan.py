@@ -18,7 +18,7 @@ from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import plan_window
 from tagid.signal import changing_power
 from tagid.simulate.acquisition import Acquisition, RangeWindow
-from tagid.simulate.budget import LinkBudget, Term, effective_length_m, rcs_dbsm
+from tagid.simulate.budget import LinkBudget, effective_length_m, rcs_dbsm
 from tagid.simulate.presets import scene_on_body
 from tagid.simulate.render import PulseTable, antennas, echo_levels, render_bodies
 from tagid.simulate.scatterers import Octahedron, unit_of
@@ -95,7 +95,6 @@ class Plan:
             m; None without a body.
         rates: measured rates of the reader under such conditions.
         if_enrolled: the same if the untagged body were enrolled; None without a body, or where it is.
-        terms: every number of the link budget.
     """
 
     setup: Setup
@@ -112,7 +111,6 @@ class Plan:
     moved_m: float | None
     rates: Expected
     if_enrolled: Expected | None
-    terms: tuple[Term, ...]
 
 
 def plan(setup: Setup) -> Plan:
@@ -154,7 +152,6 @@ def plan(setup: Setup) -> Plan:
         None
         if setup.enrolled or body == "none"
         else _rates(replace(setup, enrolled=True), body, views, view),
-        setup.budget.terms(),
     )
 
 

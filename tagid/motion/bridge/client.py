@@ -57,7 +57,7 @@ class Bridge:
         on_event: called with every unsolicited event.
         on_lost: called once when the link ends without `close`.
         passkey: six digits for pairing; None if the bridge is open or already paired.
-        backends: bleak backends, or None for the platform's.
+        backends: bleak backends.
         timeout: timeout for one answer, s.
     """
 
@@ -69,7 +69,7 @@ class Bridge:
         on_event: Callable[[Event], None] = lambda event: None,
         on_lost: Callable[[], None] = lambda: None,
         passkey: str | None = None,
-        backends: Backends | None = None,
+        backends: Backends,
         timeout: float = 5.0,
     ) -> None:
         from bleak import BleakClient
@@ -81,8 +81,9 @@ class Bridge:
         self._seq = 0
         self._waiting: dict[tuple[int, int], asyncio.Future[Reply]] = {}
         self._closing = False
-        backend = (backends or Backends()).client
-        self._client = BleakClient(heard.device, lambda _: self._lost(), timeout=timeout, backend=backend)
+        self._client = BleakClient(
+            heard.device, lambda _: self._lost(), timeout=timeout, backend=backends.client
+        )
         self.info: BridgeInfo
 
     def __repr__(self) -> str:
