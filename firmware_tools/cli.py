@@ -83,7 +83,7 @@ def flash(
     Example: tagid-firmware flash ESP32_GENERIC_C3-v1.27.0.bin --sha256 HASH
     """
     from firmware_tools import flash as flashing
-    from firmware_tools.boards import choose_port
+    from firmware_tools.board import choose_port
     from tagid.errors import UsageError
 
     if before not in ("default-reset", "usb-reset", "no-reset"):
@@ -128,8 +128,7 @@ def provision(
     Example: tagid-firmware provision --name robot-7 --chip esp32c3
     """
     from firmware_tools import provision as provisioning
-    from firmware_tools.board import open_board
-    from firmware_tools.boards import choose_port
+    from firmware_tools.board import choose_port, open_board
 
     given = {"name": name, "baud": baud, "passkey": passkey}
     wanted = provisioning.make_config(chip, given, config)
@@ -175,8 +174,7 @@ def verify(terminal: Terminal, port: _Port = None, build: _BuildFolder = None) -
     """
     from rich.table import Table
 
-    from firmware_tools.board import open_board
-    from firmware_tools.boards import choose_port, ports
+    from firmware_tools.board import choose_port, open_board, ports
     from firmware_tools.provision import compare
 
     chosen = choose_port(port)

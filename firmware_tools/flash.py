@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_tools.boards import CHIPS, Chip
+from firmware_tools.board import CHIPS, Chip
 from firmware_tools.build import EXTRA
 from tagid.errors import (
     DeviceError,

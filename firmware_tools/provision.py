@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_tools.board import Board, Python
-from firmware_tools.boards import CHIPS
+from firmware_tools.board import CHIPS, Board, Python
 from firmware_tools.bridge.tagid_bridge import settings
 from firmware_tools.build import Build
 from tagid.errors import ConfigError

@@ -175,7 +175,7 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
     if step is None:
         clock_sigma = max(clock_sigma, float(track.info.get("stamp_sigma_s") or 0.0))
     speed = np.abs(np.gradient(angles, taken)) if (np.diff(taken) > 0).all() else np.zeros(len(taken))
-    fastest = float(np.percentile(speed, 95)) if len(speed) else 0.0
+    fastest = float(np.percentile(speed, 95))
     beyond = np.maximum(np.maximum(taken[0] - scan_times, scan_times - taken[-1]), 0.0)
     at = np.interp(scan_times, taken, angles)
     if track.info.get("runs_on") and len(taken) > 2:

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import threading
+import queue
 from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from importlib import metadata
@@ -168,12 +167,10 @@ class _Loop:
         future: Future[T] = asyncio.run_coroutine_threadsafe(work, self._loop)
         try:
             return future.result(timeout)
-        except (FutureTimeoutError, TimeoutError):
-            future.cancel()
+        except TimeoutError:
             raise DeviceTimeoutError(f"{what} takes too long", "Move the device closer.") from None
-        except BaseException:
-            future.cancel()
-            raise
+        finally:
+            future.cancel()  # no effect once it is done
 
     def close(self, opened: AsyncExitStack) -> None:
         """Close what was opened on the loop, then stop it and wait for it."""
@@ -198,33 +195,27 @@ class _Inbox:
     """Bytes passed from the loop's thread to the driver's thread."""
 
     def __init__(self) -> None:
-        self._data = bytearray()
-        self._changed = threading.Condition()
+        self._pieces: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._error: TagidError | None = None
-
-    def put(self, data: bytes) -> None:
-        with self._changed:
-            self._data += data
-            self._changed.notify_all()
+        self.put = self._pieces.put
 
     def fail(self, error: TagidError) -> None:
-        with self._changed:
-            self._error = self._error or error
-            self._changed.notify_all()
+        self._error = self._error or error
+        self.put(b"")  # wakes the driver
 
     def raise_failure(self) -> None:
         if self._error is not None:
             raise self._error
 
     def take(self, timeout: float) -> bytes:
-        with self._changed:
-            if not self._data and self._error is None:
-                self._changed.wait(timeout)
-            data = bytes(self._data)
-            self._data.clear()
-            if not data:
-                self.raise_failure()
-            return data
+        data = b""
+        with contextlib.suppress(queue.Empty):
+            data = self._pieces.get(timeout=0 if self._error is not None else timeout)
+            while True:
+                data += self._pieces.get_nowait()
+        if not data:
+            self.raise_failure()
+        return data
 
 
 class _BleLink(ByteLink):

@@ -25,6 +25,7 @@ COMMAND_S = 120.0
 PAUSES_S = (0.0, 0.03, 0.12)
 """Pauses before the three stops: the first may complete a truncated command."""
 LOOK_S = 0.1
+REMEDY = "It may still be turning: switch it off."
 LOG_WARNING = 12
 """A user's message (8) that is a warning (4)."""
 
@@ -70,7 +71,6 @@ class Watch(NamedTuple):
         halt: bytes that stop the device, hexadecimal; written three times.
         command: words of a command that stops the device if there is no port to share; () for none.
         command_input: its standard input, which no other user can read.
-        remedy: what the user does if the guardian cannot stop the device.
         aliases: all other names under which `ask_to_stop` finds the guardian.
         sockets: names of the abstract sockets on which a stop is requested.
         errors: file descriptor of the driver's standard error; -1 for none.
@@ -82,7 +82,6 @@ class Watch(NamedTuple):
     halt: str = ""
     command: Sequence[str] = ()
     command_input: str = ""
-    remedy: str = "It may still be turning: switch it off."
     aliases: Sequence[str] = ()
     sockets: Sequence[str] = ()
     errors: int = -1
@@ -169,7 +168,7 @@ class Guard:
                     failure = error
         if failure is not None:
             self.answer(b"failed")
-            say(f"cannot stop {self.watch.name} ({failure}). {self.watch.remedy}")
+            say(f"cannot stop {self.watch.name} ({failure}). {REMEDY}")
         if not self.watch.command:
             self.answer(b"stopped")
         elif self.command is None and self.command_at is None:
@@ -206,7 +205,7 @@ class Guard:
         self.command = None
         self.answer(b"failed" if code else b"stopped")
         if code:
-            say(f"{self.watch.name} could not be stopped. {self.watch.remedy}")
+            say(f"{self.watch.name} could not be stopped. {REMEDY}")
 
     def end_command(self) -> None:
         """The driver has stopped the device: the command must not interfere with what follows."""

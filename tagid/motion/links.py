@@ -75,13 +75,13 @@ class SerialLink(ByteLink):
     Args:
         port: device path or name.
         baud: baud rate.
-        halt: bytes that a helper process writes if this process dies or hangs while armed; b"" for no helper.
+        halt: bytes that a helper process writes if this process dies or hangs while armed.
 
     Raises:
         DeviceGoneError, DeviceError, PortInUseError: see `tagid.ports.open_port`.
     """
 
-    def __init__(self, port: str, baud: int = 115200, halt: bytes = b"") -> None:
+    def __init__(self, port: str, baud: int, halt: bytes) -> None:
         self.port = port
         self._halt = halt
         self._serial = open_port(port, baud, _WRITE_TIMEOUT_S, "`tagid motion find` lists the ports")
@@ -113,8 +113,7 @@ class SerialLink(ByteLink):
 
     def arm(self, timeout_s: float) -> None:
         """Start the helper that stops the device if this process dies or hangs; it needs an intact cable."""
-        if self._halt:
-            self._guard(Watch(self.port, timeout_s, self._serial.fileno(), self._halt.hex()))
+        self._guard(Watch(self.port, timeout_s, self._serial.fileno(), self._halt.hex()))
 
     def wake(self) -> None:
         """A pulse on RTS, to which robot adapters connect BRC; no effect on a port without RTS.

@@ -91,13 +91,9 @@ class FreeTurntable:
         if not 0 < max_seconds <= 3600:
             raise UsageError(f"max_seconds is {max_seconds}", "Give more than 0 and up to 3600 seconds.")
         self.rpm, self.direction, self.max_seconds, self.marker = rpm, direction, max_seconds, marker
+        self.nominal_s = None if rpm is None else 60.0 / rpm
         self._tested_s = 0.0
         self._last: PeriodEstimate | None = None
-
-    @property
-    def nominal_s(self) -> float | None:
-        """Nominal period, s per turn."""
-        return None if self.rpm is None else 60.0 / self.rpm
 
     def start(self) -> None:
         """Discard the state of an earlier recording; the table turns by itself."""

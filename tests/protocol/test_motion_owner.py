@@ -292,7 +292,7 @@ while True: line.accept()[0].sendall(b"stopped")
 
 def test_a_held_port_without_a_guardian_is_told_with_its_holder(home: dict[str, str]) -> None:
     with emulated(home, "comxim") as (there, _):
-        port = SerialLink(there["url"].partition("://")[2])
+        port = SerialLink(there["url"].partition("://")[2], 115200, b"")
         stop = subprocess.run(
             [*TAGID, "motion", "stop", there["url"]], env=home, capture_output=True, text=True, timeout=60
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from bisect import bisect_right
 from collections import deque
 from enum import Enum
 from typing import Final
@@ -41,8 +40,8 @@ class TurningTable:
     def state(self, moment_s: float) -> dict[str, float | int | bool]:
         """True angle at a given time, and whether it turns."""
         corners = list(self._corners)
-        place = bisect_right([corner[0] for corner in corners], moment_s) - 1
-        since, angle, speed = corners[max(place, 0)]
+        earlier = (corner for corner in reversed(corners) if corner[0] <= moment_s)
+        since, angle, speed = next(earlier, corners[0])
         return {
             "angle_rad": math.radians(angle + speed * max(0.0, moment_s - since)),
             "moving": bool(self.speed_deg_s),

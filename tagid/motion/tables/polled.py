@@ -98,7 +98,14 @@ class PolledTable(DrivenMotion):
                 part, self._buffer = self._buffer.split(b";", 1)
                 # The degree sign of some tables is not UTF-8; only ASCII is needed.
                 text = part.decode("ascii", "ignore").strip()
-                self.refuse(text)
+                if "ERR=" in text or "FAIL" in text:
+                    # The guardian's halt may have caused this answer.
+                    self._beat()
+                    code = text.rpartition("=")[2].strip()
+                    raise DeviceRejectedError(
+                        f"{self.name} reports error {code}",
+                        "Switch it off and on; see its manual for the code.",
+                    )
                 if wanted in text:
                     return text
             remaining_s = deadline - time.monotonic()
@@ -120,17 +127,6 @@ class PolledTable(DrivenMotion):
         while self.link().read(0.02) and time.monotonic() < deadline:
             self._beat()
         self._buffer = b""
-
-    def refuse(self, text: str) -> None:
-        """Raise DeviceRejectedError if an answer is an error."""
-        for mark in ("ERR=", "FAIL"):
-            if mark in text:
-                # The guardian's halt may have caused this answer.
-                self._beat()
-                code = text.rpartition("=")[2].strip()
-                raise DeviceRejectedError(
-                    f"{self.name} reports error {code}", "Switch it off and on; see its manual for the code."
-                )
 
     def _begin(self) -> None:
         self._last_deg, self._turned_deg = None, 0.0
