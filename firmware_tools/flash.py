@@ -178,21 +178,19 @@ def _write(
             f"Use the image for the {esp.CHIP_NAME}, or another board.",
         )
     mac = ":".join(f"{byte:02x}" for byte in esp.read_mac())
-    if connection.stub:
-        with _half(connection, touched=False):
+    offset = image.chip.offset
+    with _half(connection, touched=False):
+        if connection.stub:
             esp = tool.run_stub(esp)
             if connection.baud != _BAUD:
                 esp.change_baud(connection.baud)
-    offset = image.chip.offset
-    with _half(connection, touched=False):
         tool.attach_flash(esp)
     with _half(connection, touched=True):
         if erase:
             progress(0, "erasing")
             tool.erase_flash(esp)
         tool.write_flash(esp, [(offset, image.data)], no_compress=not connection.stub)
-    progress(len(image.data), "reading back")
-    with _half(connection, touched=True):
+        progress(len(image.data), "reading back")
         tool.verify_flash(esp, [(offset, image.data)])
     with contextlib.suppress(Exception):
         tool.reset_chip(esp, "hard-reset" if connection.before != "no-reset" else "no-reset")
