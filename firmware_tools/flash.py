@@ -150,23 +150,19 @@ def flash(image: Image, connection: Connection, progress: FlashProgress, erase: 
     """
     open_port(connection.port, _BAUD, 1.0, "`tagid-firmware verify` without --port lists the ports").close()
     with _esptool(progress) as tool:
-        esp = _connect(tool, connection)
+        try:
+            esp = tool.detect_chip(connection.port, _BAUD, connection.before, connect_attempts=3)
+        except Exception as error:
+            raise DeviceGoneError(
+                f"no board answers on {connection.port}: {_line(error)}",
+                "Hold BOOT while pressing RESET (EN), release RESET first, and run this again; "
+                "check that the cable carries data.",
+            ) from error
         try:
             return _write(tool, esp, image, connection, progress, erase)
         finally:
             with contextlib.suppress(Exception):
                 esp._port.close()
-
-
-def _connect(tool: Any, connection: Connection) -> Any:
-    try:
-        return tool.detect_chip(connection.port, _BAUD, connection.before, connect_attempts=3)
-    except Exception as error:
-        raise DeviceGoneError(
-            f"no board answers on {connection.port}: {_line(error)}",
-            "Hold BOOT while pressing RESET (EN), release RESET first, and run this again; "
-            "check that the cable carries data.",
-        ) from error
 
 
 def _write(

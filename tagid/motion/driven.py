@@ -172,8 +172,10 @@ class DrivenMotion(ABC):
         """On any error the wheels must stop and the recording must be notified."""
         try:
             self._error = self._reported(error)
-            if isinstance(error, PausedError):
-                self._lose_angle()
+            if isinstance(error, PausedError) and self._readings:
+                # The angle since the last reading is unknown: its uncertainty is uniform over a turn.
+                with self._lock:
+                    self._readings.append((hostclock.now_ns(), self._readings[-1][1], math.pi))
         finally:
             self._safely_halt()
 
@@ -189,12 +191,6 @@ class DrivenMotion(ABC):
             "from then on",
             "Record again; keep this computer awake and less busy.",
         )
-
-    def _lose_angle(self) -> None:
-        """The angle since the last reading is unknown: its uncertainty is uniform over a turn."""
-        with self._lock:
-            if self._readings:
-                self._readings.append((hostclock.now_ns(), self._readings[-1][1], math.pi))
 
     def _safely_halt(self) -> None:
         try:
