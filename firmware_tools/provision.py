@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_tools.board import Board, Python
-from firmware_tools.boards import CHIPS
+from firmware_tools.board import CHIPS, Board, Python
 from firmware_tools.bridge.tagid_bridge import settings
 from firmware_tools.build import Build
 from tagid.errors import ConfigError
@@ -75,7 +74,6 @@ class Provisioned:
     python: Python
     written: list[str]
     kept: list[str]
-    config: dict[str, Any]
 
 
 def provision(
@@ -87,7 +85,7 @@ def provision(
     """
     python = board.python()
     text = (json.dumps(config, indent=1) + "\n").encode()
-    old = _config_of(board)
+    old, _ = _config_of(board)
     names = [*[name for name in build.files if name != "main.py"], CONFIG, "main.py"]
     contents = {**build.files, CONFIG: text}
     hashes = build.hashes
@@ -111,17 +109,18 @@ def provision(
         board.write(name, contents[name], lambda count, start=start, name=name: progress(start + count, name))  # type: ignore[misc]
         done += len(contents[name])
     board.restart()
-    return Provisioned(python, changed, kept, config)
+    return Provisioned(python, changed, kept)
 
 
-def _config_of(board: Board) -> dict[str, Any] | None:
+def _config_of(board: Board) -> tuple[dict[str, Any] | None, str]:
+    """The configuration on a board, or None and why there is no valid one."""
     data = board.read(CONFIG)
     if data is None:
-        return None
+        return None, "there is no configuration file"
     try:
-        return dict(settings.check(json.loads(data)))
-    except (ValueError, TypeError, RecursionError):
-        return None
+        return dict(settings.check(json.loads(data))), ""
+    except (ValueError, TypeError, RecursionError) as error:
+        return None, str(error)
 
 
 @dataclass(frozen=True)
@@ -157,16 +156,8 @@ def compare(board: Board, build: Build, progress: Callable[[float, str], None]) 
         progress(done, name)
         actual = board.hash_of(name)
         files[name] = "missing" if actual is None else "same" if actual == digest else "differs"
-    data = board.read(CONFIG)
-    config, passkey, problem = None, False, ""
-    if data is None:
-        problem = "there is no configuration file"
-    else:
-        try:
-            config = dict(settings.check(json.loads(data)))
-            passkey = config.pop("passkey") is not None
-        except (ValueError, TypeError, RecursionError) as error:
-            problem = str(error)
+    config, problem = _config_of(board)
+    passkey = config is not None and config.pop("passkey") is not None
     folder = (
         board.evaluate("__import__('os').listdir('tagid_bridge')") if "missing" not in files.values() else []
     )

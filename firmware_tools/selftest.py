@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from tagid.errors import DeviceError
+from tagid.errors import DeviceError, MissingExtraError
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, find
 from tagid.motion.bridge.protocol import Flag, Op, Status
@@ -57,7 +57,7 @@ class SelftestPlan:
 
 
 async def selftest(
-    plan: SelftestPlan, progress: Callable[[float, str], None], backends: Backends | None = None
+    plan: SelftestPlan, progress: Callable[[float, str], None], backends: Backends
 ) -> list[Step]:
     """Run the steps in order. Raises the errors of `find` and `Bridge` if there is no bridge to test."""
     steps: list[Step] = []
@@ -139,7 +139,7 @@ async def _robot(bridge: Bridge, plan: SelftestPlan, arrived: bytearray) -> Step
         if len(arrived) >= 3:
             break
         await asyncio.sleep(0.01)
-    await bridge.disarm()
+    await bridge.request(Op.DISARM)
     if len(arrived) < 3:
         text = f"no answer ({bytes(arrived).hex(' ') or 'no byte'}): check wires and robot"
         return Step("robot", "failed", text)
@@ -170,12 +170,10 @@ def run_selftest(
 
     async def run() -> list[Step]:
         if hci is None:
-            return await selftest(plan, progress)
+            return await selftest(plan, progress, Backends())
         try:
             from firmware_tools.virtual.backend import open_backend
         except ImportError as error:
-            from tagid.errors import MissingExtraError
-
             raise MissingExtraError(
                 "virtual controllers need bumble", "Install it: pip install bumble."
             ) from error

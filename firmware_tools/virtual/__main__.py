@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 import traceback
+import types
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -26,9 +27,8 @@ from bumble.device import Device
 from bumble.host import Host
 
 from firmware_tools.virtual.air import COMMAND_TIMEOUT_S, Air, HciServer, make_controller
-from firmware_tools.virtual.ble import VirtualBle
-from firmware_tools.virtual.board import RESET_CAUSES, Board
-from firmware_tools.virtual.modules import install
+from firmware_tools.virtual.ble import MicroUUID, VirtualBle
+from firmware_tools.virtual.board import RESET_CAUSES, Board, VirtualPin, VirtualUart
 from tagid import processes
 
 _FIRMWARE = Path(__file__).resolve().parent.parent / "bridge"
@@ -36,6 +36,8 @@ _CAUSES = {name.removesuffix("_RESET").lower(): number for name, number in RESET
 _WATCHDOG, _RESET = 70, 71
 """Exit codes of a board whose watchdog fired, and of one that called machine.reset()."""
 _REPORTS = sys.stdout
+_PERIOD = 1 << 30
+"""The ticks of an ESP32 wrap at 2^30."""
 COMMANDS = (
     "cut: the link is lost; drop: it closes; index: a pulse; stall MS: the firmware hangs; "
     "break: an interrupt of the radio fails; quit"
@@ -75,6 +77,58 @@ def arguments(words: list[str]) -> argparse.Namespace:
         "--reboot", action="store_true", help="restart after a reset like a board; otherwise exit"
     )
     return parser.parse_args(words)
+
+
+def ticks_diff(later: int, earlier: int) -> int:
+    """Signed difference of two readings of a wrapping clock."""
+    return ((later - earlier + _PERIOD // 2) % _PERIOD) - _PERIOD // 2
+
+
+def install(board: Board, ble: Any, folder: str) -> None:
+    """Install what CPython lacks: `machine`, `bluetooth`, `micropython`, and more of `time` and `sys`.
+
+    Modules are global to the process, so each process is one board.
+    """
+    machine = types.ModuleType("machine")
+    pin = partial(VirtualPin, board)
+    for name in ("IN", "OUT", "OPEN_DRAIN", "PULL_UP", "IRQ_RISING", "IRQ_FALLING"):
+        setattr(pin, name, getattr(VirtualPin, name))
+
+    class Watchdog:
+        def __init__(self, timeout: int) -> None:
+            self._timeout = timeout
+            board.feed(timeout)
+
+        def feed(self) -> None:
+            board.feed(self._timeout)
+
+    members = {
+        "Pin": pin,
+        "UART": partial(VirtualUart, board),
+        "WDT": Watchdog,
+        **RESET_CAUSES,
+        "reset_cause": lambda: board.reset_cause,
+        "reset": lambda: board.end(_RESET),
+    }
+    for name, value in members.items():
+        setattr(machine, name, value)
+    bluetooth = types.ModuleType("bluetooth")
+    bluetooth.UUID = MicroUUID  # type: ignore[attr-defined]
+    bluetooth.BLE = lambda: ble  # type: ignore[attr-defined]
+    micropython = types.ModuleType("micropython")
+    micropython.const = lambda value: value  # type: ignore[attr-defined]
+    sys.modules.update(machine=machine, bluetooth=bluetooth, micropython=micropython)
+    clock: dict[str, Any] = {
+        "ticks_us": lambda: (time.monotonic_ns() // 1000) % _PERIOD,
+        "ticks_ms": lambda: (time.monotonic_ns() // 1_000_000) % _PERIOD,
+        "ticks_add": lambda ticks, delta: (ticks + delta) % _PERIOD,
+        "ticks_diff": ticks_diff,
+        "sleep_ms": board.sleep_ms,
+    }
+    for name, value in clock.items():
+        setattr(time, name, value)
+    sys.print_exception = traceback.print_exception  # type: ignore[attr-defined]
+    sys.path.insert(0, folder)
 
 
 def run_firmware(board: Board) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from bumble import hci, ll
@@ -22,6 +22,7 @@ COMMAND_TIMEOUT_S = 120.0
 """A virtual controller answers at once, but its process may not run for seconds on a busy computer."""
 _DATA_LENGTH = 251
 """Bytes of an LE data packet with the length extension, as on ESP32 and current computers."""
+_READ_BYTES = 65536
 
 
 class Air(LocalLink):
@@ -104,58 +105,35 @@ class HciServer:
         self._air = air
         self._bridge = bridge
         self._server: asyncio.Server | None = None
-        self._links: list[_HostLink] = []
-
-    def _link(self) -> _HostLink:
-        link = _HostLink(self._air, self._bridge)
-        self._links.append(link)
-        return link
+        self._writers: set[asyncio.StreamWriter] = set()
 
     async def start(self, host: str, port: int) -> int:
         """Start listening; return the port."""
-        server = await asyncio.get_running_loop().create_server(self._link, host, port)
-        self._server = server
-        return int(server.sockets[0].getsockname()[1])
+        self._server = await asyncio.start_server(self._serve, host, port)
+        return int(self._server.sockets[0].getsockname()[1])
 
     async def close(self) -> None:
         """Stop listening and disconnect the hosts."""
         if self._server is not None:
             self._server.close()
-            for link in list(self._links):
-                link.hang_up()
+            for writer in self._writers:
+                writer.transport.abort()
             await self._server.wait_closed()
 
-
-class _HostLink(asyncio.Protocol):
-    """One host's TCP connection and its controller."""
-
-    def __init__(self, air: Air, bridge: Controller) -> None:
-        self._air = air
-        self._bridge = bridge
-        self._source = StreamPacketSource()
-        self._controller: Controller | None = None
-        self._transport: asyncio.Transport | None = None
-
-    def hang_up(self) -> None:
-        """Close the connection."""
-        if self._transport is not None:
-            self._transport.abort()
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
-        sink = StreamPacketSink(transport)
-        self._controller = make_controller("host", self._air, host_source=self._source, host_sink=sink)
-
-    def data_received(self, data: bytes) -> None:
-        self._source.data_received(data)
-
-    def connection_lost(self, error: Exception | None) -> None:
-        """The host's process has ended, perhaps killed: the bridge detects it only by silence."""
-        if self._controller is None:
-            return
-        with contextlib.suppress(KeyError):
-            self._air.remove_controller(self._controller)
-        if self._controller.le_connections:
-            later: Callable[[], None] = lambda: lose_links(self._bridge)  # noqa: E731
-            asyncio.get_running_loop().call_later(self._air.supervision_s, later)
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        source, sink = StreamPacketSource(), StreamPacketSink(writer.transport)
+        controller = make_controller("host", self._air, host_source=source, host_sink=sink)
+        self._writers.add(writer)
+        try:
+            with contextlib.suppress(ConnectionError):
+                while data := await reader.read(_READ_BYTES):
+                    source.data_received(data)
+        finally:
+            self._writers.discard(writer)
+            writer.close()
+            with contextlib.suppress(KeyError):
+                self._air.remove_controller(controller)
+            if controller.le_connections:
+                # The host's process has ended, perhaps killed: the bridge detects it only by silence.
+                later = partial(lose_links, self._bridge)
+                asyncio.get_running_loop().call_later(self._air.supervision_s, later)

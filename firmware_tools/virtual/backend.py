@@ -1,7 +1,4 @@
-"""A backend for bleak over bumble, so that a stock BleakClient reaches a virtual controller.
-
-bleak accepts it through its public `backend=` argument; bleak itself is not modified.
-"""
+"""A backend for bleak over bumble, so that a stock BleakClient reaches a virtual controller."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ from typing import Any, ClassVar
 from bleak.assigned_numbers import CharacteristicPropertyName
 from bleak.backends.characteristic import BleakGATTCharacteristic
 from bleak.backends.client import BaseBleakClient
-from bleak.backends.descriptor import BleakGATTDescriptor
 from bleak.backends.scanner import AdvertisementData, BaseBleakScanner
 from bleak.backends.service import BleakGATTService, BleakGATTServiceCollection
 from bleak.exc import BleakDeviceNotFoundError, BleakError
@@ -100,7 +96,6 @@ class BumbleClient(BaseBleakClient):
             timeout=options["timeout"],
         )
         self._connection: Connection | None = None
-        self._subscriptions: dict[int, Callable[[Any], None]] = {}
 
     @property
     def name(self) -> str:
@@ -185,11 +180,6 @@ class BumbleClient(BaseBleakClient):
         except (core.BaseBumbleError, asyncio.CancelledError) as error:
             raise BleakError(f"pairing failed: {error or 'the bridge ended the link'}") from error
 
-    async def unpair(self) -> None:
-        store = self.device.keystore
-        if store is not None:
-            await store.delete(str(self._needed().peer_address))
-
     def _needed(self) -> Connection:
         if self._connection is None:
             raise BleakError("Not connected")
@@ -208,16 +198,10 @@ class BumbleClient(BaseBleakClient):
     async def read_gatt_char(self, characteristic: BleakGATTCharacteristic, **options: Any) -> bytearray:
         return bytearray(await self._do(lambda: characteristic.obj.read_value()))
 
-    async def read_gatt_descriptor(self, descriptor: BleakGATTDescriptor, **options: Any) -> bytearray:
-        return bytearray(await self._do(lambda: descriptor.obj.read_value()))
-
     async def write_gatt_char(
         self, characteristic: BleakGATTCharacteristic, data: Any, response: bool
     ) -> None:
         await self._do(lambda: characteristic.obj.write_value(bytes(data), with_response=response))
-
-    async def write_gatt_descriptor(self, descriptor: BleakGATTDescriptor, data: Any) -> None:
-        await self._do(lambda: descriptor.obj.write_value(bytes(data), True))
 
     async def start_notify(
         self, characteristic: BleakGATTCharacteristic, callback: Any, **options: Any
@@ -225,11 +209,13 @@ class BumbleClient(BaseBleakClient):
         def received(value: bytes) -> None:
             callback(bytearray(value))
 
-        self._subscriptions[characteristic.handle] = received
         await self._do(lambda: characteristic.obj.subscribe(received))
 
-    async def stop_notify(self, characteristic: BleakGATTCharacteristic) -> None:
-        await self._do(lambda: characteristic.obj.unsubscribe(self._subscriptions.pop(characteristic.handle)))
+    async def _unused(self, *args: Any, **options: Any) -> Any:
+        """bleak demands it; no part of tagid calls it."""
+        raise NotImplementedError
+
+    unpair = stop_notify = read_gatt_descriptor = write_gatt_descriptor = _unused
 
 
 @asynccontextmanager

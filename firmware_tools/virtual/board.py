@@ -90,17 +90,17 @@ class Board:
         """Reset the watchdog's timer."""
         self.watchdog_due = time.monotonic() + timeout_ms / 1000
 
-    def guard(self) -> None:
-        """End the board if the watchdog was not fed; runs in its own thread."""
-        while True:
-            time.sleep(0.05)
-            if self.watchdog_due is not None and time.monotonic() > self.watchdog_due:
-                self.report({"watchdog": True})
-                self.end(70)
-
     def start_guard(self) -> None:
-        """Start the watchdog; it also fires if its thread fails, e.g. because nobody reads its report."""
-        Worker(self.guard, "watchdog", lambda error: self.end(70)).start()
+        """End the board if the watchdog was not fed, or its thread fails because nobody reads its report."""
+
+        def guard() -> None:
+            while True:
+                time.sleep(0.05)
+                if self.watchdog_due is not None and time.monotonic() > self.watchdog_due:
+                    self.report({"watchdog": True})
+                    self.end(70)
+
+        Worker(guard, "watchdog", lambda error: self.end(70)).start()
 
 
 class VirtualPin:

@@ -13,7 +13,6 @@ import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 from tagid import processes
@@ -64,18 +63,16 @@ class BoardProcess:
         assert lines is not None
         Worker(lambda: self._read(lines), "board", lambda error: self._lines.put(None)).start()
         try:
-            ready = self._answer("ready")
+            ready = self.wait_for("ready")
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         self.hci, self.address = ready["hci"], ready["address"]
         if "--reboot" not in self._options:
             self._folder.cleanup()  # the board has copied its configuration; a killed host leaves nothing
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         assert self.process.stdin is not None and self.process.stdout is not None
         with contextlib.suppress(OSError):
             self.process.stdin.close()
@@ -96,7 +93,8 @@ class BoardProcess:
             pass
         self._lines.put(None)
 
-    def _answer(self, key: str) -> dict[str, Any]:
+    def wait_for(self, key: str) -> dict[str, Any]:
+        """The next report that has `key`, e.g. "pin" or "watchdog"."""
         until = time.monotonic() + self._timeout
         while True:
             try:
@@ -109,13 +107,9 @@ class BoardProcess:
                 return line
             self.changes.append(line)
 
-    def wait_for(self, key: str) -> dict[str, Any]:
-        """The next report that has `key`, e.g. "pin" or "watchdog"."""
-        return self._answer(key)
-
     def command(self, text: str) -> int:
         """Execute a command (cut, drop, index, stall MS); return its time on this machine's clock, us."""
         assert self.process.stdin is not None
         self.process.stdin.write(text + "\n")
         self.process.stdin.flush()
-        return int(self._answer("done")["us"])
+        return int(self.wait_for("done")["us"])

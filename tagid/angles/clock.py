@@ -42,15 +42,6 @@ class UniformClock:
     outliers: int
 
 
-def _indexes(
-    stamps: NDArray[np.float64], scan_id: NDArray[np.integer] | None, period_ms: float
-) -> NDArray[np.int64]:
-    if scan_id is not None:
-        return np.asarray(scan_id, dtype=np.int64) - int(scan_id[0])
-    steps = np.maximum(np.rint(np.diff(stamps) / period_ms), 1)
-    return np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
-
-
 def fit_clock(
     radar_time_ms: NDArray[np.floating], scan_id: NDArray[np.integer] | None = None
 ) -> UniformClock:
@@ -74,16 +65,17 @@ def fit_clock(
             "If the file holds several recordings, one after the other, store each in a file of its own.",
         )
     stamps = stamps + WRAP_MS * np.concatenate([[0], np.cumsum(np.diff(stamps) < -WRAP_MS / 2)])
-    if scan_id is not None:
-        guess = float(np.median(np.diff(stamps) / np.diff(scan_id)))
-    else:
-        guess = float(np.median(np.diff(stamps)))
+    guess = float(np.median(np.diff(stamps) / (1 if scan_id is None else np.diff(scan_id))))
     if guess <= 0:
         raise DataError(
             "the radar's timestamps do not advance",
             "Give the scan period, or record with a radar that timestamps its scans.",
         )
-    index = _indexes(stamps, scan_id, guess)
+    if scan_id is None:
+        steps = np.maximum(np.rint(np.diff(stamps) / guess), 1)
+        index = np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
+    else:
+        index = np.asarray(scan_id, dtype=np.int64) - int(scan_id[0])
     # A robust start: the median slope over long baselines is robust against a few bad stamps.
     half = len(stamps) // 2
     slope = float(

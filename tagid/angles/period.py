@@ -93,6 +93,8 @@ SLOWER = 1.5
 """A period is doubted where the echoes move as if a turn took this many times as long."""
 GAP = 0.03
 """A pause between scans of this part of a turn is a gap: no scan witnesses what happened in it."""
+SHORTEST_S, LONGEST_S = 0.5, 600.0
+"""Bounds of the search without a nominal period, s."""
 NOMINAL_TOLERANCE = 0.15
 """Relative uncertainty of a nominal period."""
 
@@ -115,7 +117,6 @@ class PeriodEstimate:
         quality: 0..1, correlation of the scans with those one turn later, relative to the most that the noise
             allows, times the share of a turn that was recorded without a gap.
         turns: turns in the record.
-        multiple: turns of the lag that was measured (the longest available).
         harmonic_ambiguous: the scans also repeat after a fraction of this period, or are clearly more alike
             after twice this period, or move too slowly for it.
         rivals_s: those other periods, s.
@@ -125,12 +126,11 @@ class PeriodEstimate:
     sigma_s: float
     quality: float
     turns: float
-    multiple: int = 1
     harmonic_ambiguous: bool = False
     rivals_s: tuple[float, ...] = ()
 
 
-def _refine(rho: NDArray[np.float64], peak: int, half_width: int) -> float:
+def _refine(rho: Floats, peak: int, half_width: int) -> float:
     """Vertex of the least-squares parabola through samples around a peak, in lags."""
     low, high = max(1, peak - half_width), min(len(rho), peak + half_width + 1)
     lag = np.arange(low, high) - peak
@@ -142,13 +142,13 @@ def _refine(rho: NDArray[np.float64], peak: int, half_width: int) -> float:
     return float(peak + np.clip(-b / (2 * a), -half_width, half_width))
 
 
-def _lobe(rho: NDArray[np.float64], level: float) -> int:
+def _lobe(rho: Floats, level: float) -> int:
     """First lag at which the correlation is below a level: half the width of the main lobe."""
     below = np.flatnonzero(rho < level)
     return int(below[0]) if len(below) else len(rho)
 
 
-def _near(rho: NDArray[np.float64], lag: float, tolerance: float) -> tuple[int, float]:
+def _near(rho: Floats, lag: float, tolerance: float) -> tuple[int, float]:
     """Strongest lag within a relative tolerance of a lag, and its value; (0, 0) if out of range."""
     low = max(1, int(np.floor(lag * (1 - tolerance))))
     high = min(len(rho), int(np.ceil(lag * (1 + tolerance))) + 1)
@@ -158,7 +158,7 @@ def _near(rho: NDArray[np.float64], lag: float, tolerance: float) -> tuple[int, 
     return k, float(rho[k])
 
 
-def _enough(ac: Autocorrelation) -> NDArray[np.float64]:
+def _enough(ac: Autocorrelation) -> Floats:
     """(lags,) minimum correlation of a repetition: high enough, and significant.
 
     Significance is tested on Fisher's z = artanh(rho), which is normal also for the few samples of a short
@@ -167,13 +167,10 @@ def _enough(ac: Autocorrelation) -> NDArray[np.float64]:
     return np.maximum(ACCEPT * ac.coherence, np.tanh(SIGNIFICANT * ac.noise))
 
 
-def _first_turn(ac: Autocorrelation, rho: NDArray[np.float64], within: tuple[int, int], marker: bool) -> int:
+def _first_turn(ac: Autocorrelation, rho: Floats, low: int, high: int, marker: bool) -> int:
     """The smallest lag that is a peak nearly as high as the highest one; 0 if none is high enough."""
-    low, high = within
     enough = _enough(ac)
     inner = rho[low : high + 1]
-    if len(inner) < 3:
-        return 0
     peaks = low + 1 + np.flatnonzero((inner[1:-1] >= inner[:-2]) & (inner[1:-1] > inner[2:]))
     peaks = peaks[rho[peaks] >= enough[peaks]]
     if len(peaks) == 0:
@@ -206,9 +203,7 @@ def _never_repeats(ac: Autocorrelation, shortest_s: float, longest_s: float) -> 
     return not np.any(may_repeat & (value >= before) & (value >= after))
 
 
-def _peak_place(
-    ac: Autocorrelation, rho: NDArray[np.float64], peak: int, half_width: int
-) -> tuple[float, float]:
+def _peak_place(ac: Autocorrelation, rho: Floats, peak: int, half_width: int) -> tuple[float, float]:
     """(lag, sigma) of a peak.
 
     sigma combines the jackknife over groups of bins with the scatter of the peak under strong noise, about
@@ -228,8 +223,6 @@ def find_period(
     samples: NDArray[np.generic],
     times_s: NDArray[np.floating],
     nominal_s: float | None = None,
-    min_s: float = 0.5,
-    max_s: float = 600.0,
     tolerance: float = NOMINAL_TOLERANCE,
     marker: bool = False,
 ) -> PeriodEstimate:
@@ -242,7 +235,6 @@ def find_period(
         samples: (scans, bins) real RF or complex, any units.
         times_s: (scans,) s, increasing; see `fit_clock`.
         nominal_s: expected period, s; if None, the shortest repetition is used.
-        min_s, max_s: bounds of the search, s.
         tolerance: relative tolerance around the nominal period.
         marker: an off-axis marker breaks the target's symmetry: a clearly better later repetition is used.
 
@@ -270,8 +262,8 @@ def find_period(
             peak = 0
     else:
         lobe = _lobe(rho, 0.5 * ac.coherence)
-        low = max(2 * lobe, int(min_s / ac.step_s), 2)
-        peak = _first_turn(ac, rho, (low, min(longest, int(max_s / ac.step_s))), marker)
+        low = max(2 * lobe, int(SHORTEST_S / ac.step_s), 2)
+        peak = _first_turn(ac, rho, low, min(longest, int(LONGEST_S / ac.step_s)), marker)
     if peak == 0 and nominal_s is not None:
         within = nominal_s * (1 - tolerance), nominal_s * (1 + tolerance)
         if _never_repeats(ac, *within):
@@ -285,8 +277,8 @@ def find_period(
             "Imported times (timestamps_s) are in seconds.",
         )
     half_width = max(1, _lobe(rho, 0.7 * ac.coherence))
-    lag, multiple = float(peak), 1
     lag, sigma = _peak_place(ac, rho, peak, half_width)
+    multiple = 1
     for m in range(2, int(longest / lag) + 1):
         k, value = _near(
             rho[: longest + 1], lag / multiple * m, 0.25 * half_width / (lag / multiple * m) + 0.01
@@ -305,7 +297,6 @@ def find_period(
         sigma_s=sigma / multiple * ac.step_s,
         quality=float(np.clip(rho[peak] / ac.coherence, 0, 1)) * _recorded_share(times_s, period * ac.step_s),
         turns=ac.scans / period,
-        multiple=multiple,
         harmonic_ambiguous=bool(rivals),
         rivals_s=tuple(r * ac.step_s for r in rivals),
     )
@@ -318,9 +309,7 @@ def _recorded_share(times_s: NDArray[np.floating], period_s: float) -> float:
     return max(0.0, 1 - missing / period_s)
 
 
-def _rivals(
-    ac: Autocorrelation, rho: NDArray[np.float64], period: float, peak: int, half_width: int
-) -> list[float]:
+def _rivals(ac: Autocorrelation, rho: Floats, period: float, peak: int, half_width: int) -> list[float]:
     """Other periods, in lags, that fit the scans: a fraction if similar, the double if clearly better.
 
     With strong noise, "similar" means within two standard deviations of the noise.

@@ -80,48 +80,43 @@ def find_standstill(
     scans -= scans.mean(axis=0)
     parts = 2 if np.iscomplexobj(samples) else 1
     echo = moving_echo(scans, np.ones(count - 1, dtype=bool), parts).astype(np.float64)
-    still = _Search(echo, positions).longest() if echo.shape[1] else None
+    still = _longest_still(echo, positions) if echo.shape[1] else None
     if still is None or not _Witness(echo, positions, still).confirms(tolerance):
         return None
     last = still.stop == count
     return Still(still.first * together, len(turns) if last else still.stop * together)
 
 
-class _Search:
-    """Searches the longest part that differs from its own mean by noise only.
+def _longest_still(echo: Floats, turns: Floats) -> Still | None:
+    """The longest part that differs from its own mean by noise only, however short.
+
+    None if not even an anchor is still.
 
     Args:
         echo: (scans, columns) the moving echo.
         turns: (scans,) expected.
     """
-
-    def __init__(self, echo: Floats, turns: Floats) -> None:
-        self._echo, self._turns = echo, turns
-        per_turn = 1 / float(np.median(np.diff(turns)))
-        self._width = _odd(per_turn * _SMOOTHED_TURNS)
-        self._anchor = max(8, round(per_turn * _ANCHOR_TURNS))
-
-    def longest(self) -> Still | None:
-        """The longest such part, however short; None if not even an anchor is still."""
-        size, count = self._anchor, len(self._echo)
-        best: Still | None = None
-        for first in range(0, count - size + 1, max(1, size // 6)):
-            anchor = self._echo[first : first + size]
-            noise = _noise(anchor)
-            away = ((self._echo - anchor.mean(axis=0)) ** 2).sum(axis=1)
-            half = size // 2
-            drift = ((anchor[:half].mean(axis=0) - anchor[-half:].mean(axis=0)) ** 2).sum()
-            inside = away[first : first + size]
-            if inside.sum() > 1.3 * noise * (size - 1) or drift > 2.5 * 2 * noise / half:
-                continue
-            allowed = _SIGMAS * inside.std() / np.sqrt(self._width) + 0.02 * noise
-            beyond = np.flatnonzero(_smoothed(away, self._width) > noise * (1 + 1 / size) + allowed)
-            before, after = beyond[beyond < first], beyond[beyond >= first + size]
-            start = int(before[-1]) + 1 if len(before) else 0
-            stop = int(after[0]) if len(after) else count
-            if best is None or stop - start > best.stop - best.first:
-                best = Still(start, stop)
-        return best
+    per_turn = 1 / float(np.median(np.diff(turns)))
+    width = _odd(per_turn * _SMOOTHED_TURNS)
+    size, count = max(8, round(per_turn * _ANCHOR_TURNS)), len(echo)
+    best: Still | None = None
+    for first in range(0, count - size + 1, max(1, size // 6)):
+        anchor = echo[first : first + size]
+        noise = _noise(anchor)
+        away = ((echo - anchor.mean(axis=0)) ** 2).sum(axis=1)
+        half = size // 2
+        drift = ((anchor[:half].mean(axis=0) - anchor[-half:].mean(axis=0)) ** 2).sum()
+        inside = away[first : first + size]
+        if inside.sum() > 1.3 * noise * (size - 1) or drift > 2.5 * 2 * noise / half:
+            continue
+        allowed = _SIGMAS * inside.std() / np.sqrt(width) + 0.02 * noise
+        beyond = np.flatnonzero(_smoothed(away, width) > noise * (1 + 1 / size) + allowed)
+        before, after = beyond[beyond < first], beyond[beyond >= first + size]
+        start = int(before[-1]) + 1 if len(before) else 0
+        stop = int(after[0]) if len(after) else count
+        if best is None or stop - start > best.stop - best.first:
+            best = Still(start, stop)
+    return best
 
 
 class _Witness:

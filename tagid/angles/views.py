@@ -32,49 +32,18 @@ class Angles:
     info: ResolvedMotion = field(default_factory=ResolvedMotion)
 
 
-def _one_turn(angles_rad: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.bool_], float]:
-    """Angle since the outermost view, which views are in the first turn, and the step between views."""
-    a = np.asarray(angles_rad, dtype=np.float64)
-    if a.ndim != 1 or len(a) == 0 or not np.isfinite(a).all():
-        raise DataError(f"angles have shape {a.shape}, expected (views,), finite")
-    # From the lowest or highest angle, not the first scan: imported angles may be unordered or wrapped.
-    turned = a - a.min() if a[-1] >= a[0] else a.max() - a
-    # Half a step is excluded at the end: the view after a full turn repeats the first one.
-    step = float(np.ptp(turned)) / max(1, len(a) - 1)
-    return turned, turned < 2 * np.pi - 0.5 * step, step
-
-
-def select_views(
-    angles_rad: NDArray[np.floating], views: int | None = None, step_rad: float | None = None
-) -> NDArray[np.int64]:
-    """Indexes of views evenly spaced over at most one turn; the overlap is dropped.
+def first_turn(angles_rad: NDArray[np.floating]) -> NDArray[np.int64]:
+    """(n,) increasing indexes of the views of the first turn; the overlap is dropped.
 
     Args:
-        angles_rad: (scans,) object angles, rad, in the order of recording.
-        views: views per turn; all views of the turn if neither this nor step_rad is given.
-        step_rad: angle between views instead, rad.
-
-    Returns:
-        (n,) increasing indexes, the scan nearest to each wanted angle; fewer if scans are missing.
+        angles_rad: (views,) object angles, rad, in any order, at least one.
     """
-    turned, inside, scan_step = _one_turn(angles_rad)
-    candidates = np.flatnonzero(inside)
-    if views is None and step_rad is None:
-        return candidates
-    if (views is not None and views < 1) or (step_rad is not None and not step_rad > 0):
-        raise UsageError(f"{views} views, step {step_rad} rad", "Give a positive number of views or a step.")
-    count = views if views is not None else max(1, round(2 * np.pi / float(step_rad or 1)))
-    step = 2 * np.pi / count
-    wanted = np.arange(count) * step
-    wanted = wanted[wanted <= turned[candidates[-1]] + 0.5 * scan_step]
-    order = np.argsort(turned[candidates])
-    ordered = turned[candidates][order]
-    right = np.clip(np.searchsorted(ordered, wanted), 1, max(1, len(ordered) - 1))
-    if len(ordered) == 1:
-        return candidates
-    nearer_left = wanted - ordered[right - 1] <= ordered[right] - wanted
-    picked = np.unique(candidates[order[np.where(nearer_left, right - 1, right)]])
-    return np.asarray(picked, dtype=np.int64)
+    # From the lowest or highest angle, not the first scan: imported angles may be unordered or wrapped.
+    rising = angles_rad[-1] >= angles_rad[0]
+    turned = angles_rad - angles_rad.min() if rising else angles_rad.max() - angles_rad
+    # Half a step is excluded at the end: the view after a full turn repeats the first one.
+    step = float(np.ptp(turned)) / max(1, len(turned) - 1)
+    return np.flatnonzero(turned < 2 * np.pi - 0.5 * step)
 
 
 def mean_scans(samples: NDArray[Any], slot: NDArray[np.integer], count: NDArray[np.integer]) -> NDArray[Any]:

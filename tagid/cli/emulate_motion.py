@@ -22,7 +22,7 @@ from tagid.result import Result
 from tagid.workers import Worker
 
 if TYPE_CHECKING:
-    from tagid.motion.emulation.host import RoombaHost
+    from tagid.motion.emulation.roomba import RoombaHost
 
 _LOOK_S = 0.5
 _RateError = Annotated[
@@ -98,8 +98,7 @@ def roomba(
     Example: tagid emulate roomba --pty
     """
     from tagid.motion.emulation.body import BodySettings
-    from tagid.motion.emulation.host import RoombaHost
-    from tagid.motion.emulation.roomba import World
+    from tagid.motion.emulation.roomba import RoombaHost, World
 
     if pty and ble:
         raise UsageError("--pty and --ble are both given", "Choose one.")
@@ -228,10 +227,7 @@ def bridge_before(host: RoombaHost, name: str, passkey: str | None) -> Iterator[
 
     Raises MissingExtraError, UsageError.
     """
-    from tagid.motion.links import require
-
-    require("bumble", "virtual", "an emulated bridge")
-    from tagid.motion.virtual import virtual_bluetooth
+    from tagid.motion.ble import virtual_bluetooth
 
     board_process = virtual_bluetooth("board")
     if passkey is not None and not (len(passkey) == 6 and passkey.isdecimal()):

@@ -170,7 +170,8 @@ def _data(planned: Plan) -> dict[str, Any]:
         "rates_scenes": rates.scenes,
         "rates_note": rates.note,
         "budget": [
-            {"name": t.name, "value": t.value, "unit": t.unit, "source": t.source} for t in planned.terms
+            {"name": t.name, "value": t.value, "unit": t.unit, "source": t.source}
+            for t in setup.budget.terms()
         ],
     }
 
@@ -231,7 +232,7 @@ def _drawn(
 
     budget = table()
     budget.add_column(overflow="fold")
-    for term in planned.terms:
+    for term in planned.setup.budget.terms():
         budget.add_row(term.name, f"{term.value:.4g} {term.unit}", Text(term.source, style="dim"))
     outcome = table()
     for name, text in _rows(planned, snr):

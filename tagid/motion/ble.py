@@ -1,34 +1,39 @@
 """Bluetooth as a byte link: bleak's event loop runs on its own thread, so that drivers can be synchronous.
 
-To a driver, the bridge in front of a robot and a table with a serial characteristic look the same.
+To a driver, the bridge in front of a robot and a table with a serial characteristic look the same. Virtual
+controllers come from the firmware tools, which the package does not import: they register as entry points.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import threading
+import queue
+from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
+from importlib import metadata
 from typing import Any, Final, TypeVar
 
 from tagid import processes
+from tagid.config import load_config
 from tagid.errors import (
+    ConfigError,
     DeviceError,
     DeviceGoneError,
     DeviceRejectedError,
     DeviceTimeoutError,
+    MissingExtraError,
     TagidError,
 )
-from tagid.motion.bridge import Event, Op, Tripped
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, bluetooth_errors, find, scanning, unless_busy
-from tagid.motion.guardian import Guarded, Watch
-from tagid.motion.links import WAKE_S, require
-from tagid.motion.virtual import virtual_bluetooth
+from tagid.motion.bridge.protocol import Event, Op, Tripped
+from tagid.motion.guard import Watch
+from tagid.motion.links import WAKE_S, ByteLink
+from tagid.motion.urls import Options
 from tagid.secret import Secret, masked
 from tagid.workers import Worker
 
@@ -49,7 +54,7 @@ class BleAddress:
     """Address of a Bluetooth device.
 
     Attributes:
-        target: name or address; "" selects the only device found.
+        target: name or address.
         passkey: six digits to pair with; None if none is needed.
         hci: a separate controller instead of the system's, as a bumble transport, e.g. usb:0.
         seconds: duration of the search, s.
@@ -66,13 +71,58 @@ class BleAddress:
         return None if self.passkey is None else self.passkey.reveal()
 
 
+GROUP: Final = "tagid.virtual_bluetooth"
+"""`backend`: open_backend(where, passkey) for bleak; `air`: a module with Air, HciServer and make_controller;
+`board`: BoardProcess(config, uart), the bridge's firmware without a board."""
+
+
+def virtual_bluetooth(part: str) -> Any:
+    """A member of the group. Raises MissingExtraError if there is no provider, or it lacks its packages."""
+    for entry in metadata.entry_points(group=GROUP, name=part):
+        with contextlib.suppress(ImportError):
+            return entry.load()
+    raise MissingExtraError(
+        "this installation has no virtual Bluetooth controllers",
+        "In a checkout of tagid: pip install ./firmware_tools",
+    )
+
+
+def ble_address(options: Options, default: str = "") -> BleAddress:
+    """Take the Bluetooth options of a URL: passkey, hci, wait. Raises UsageError, ConfigError.
+
+    The pass-key may be given in the configuration (motion.passkey) or the environment, where it does not
+    appear on the command line.
+    """
+    target = options.target or default
+    if not target:
+        raise options.wrong("has no device name")
+    config = load_config(tolerant=options.stopping)
+    passkey = options.secret() or config["motion.passkey"]
+    url, key = config.values["motion.url"], config.values["motion.passkey"]
+    in_file = key.source == "file" or (url.source == "file" and url.value.holds_key)
+    path = config.path
+    if (
+        passkey is not None and in_file and not options.stopping
+        and path.exists() and path.stat().st_mode & 0o077
+    ):  # fmt: skip
+        raise ConfigError(
+            f"{path} holds the bridge's pass-key and other users can read it", f"Run: chmod 600 {path}"
+        )
+    digits = "" if passkey is None else passkey.reveal()
+    if passkey is not None and not (len(digits) == 6 and digits.isascii() and digits.isdecimal()):
+        if not options.stopping:
+            raise options.wrong("the pass-key is not six digits")
+        passkey = None
+    seconds = options.number("wait", 5.0, 0.5, 60)
+    return BleAddress(target, passkey, options.text("hci"), seconds)
+
+
 @asynccontextmanager
 async def backends_of(address: BleAddress) -> AsyncIterator[Backends]:
     """bleak's backends for an address. Raises MissingExtraError, DeviceError."""
     if address.hci is None:
         yield Backends()
         return
-    require("bumble", "virtual", "a Bluetooth controller of its own (hci=)")
     open_backend = virtual_bluetooth("backend")
     async with AsyncExitStack() as stack:
         try:
@@ -117,21 +167,13 @@ class _Loop:
         future: Future[T] = asyncio.run_coroutine_threadsafe(work, self._loop)
         try:
             return future.result(timeout)
-        except (FutureTimeoutError, TimeoutError):
-            future.cancel()
+        except TimeoutError:
             raise DeviceTimeoutError(f"{what} takes too long", "Move the device closer.") from None
-        except BaseException:
-            future.cancel()
-            raise
+        finally:
+            future.cancel()  # no effect once it is done
 
     def close(self, opened: AsyncExitStack) -> None:
-        """Close what was opened on the loop, then stop it."""
-        with contextlib.suppress(TagidError, OSError):
-            self.run(opened.aclose(), 10, "closing")
-        self.end()
-
-    def end(self) -> None:
-        """Stop the loop and wait for it."""
+        """Close what was opened on the loop, then stop it and wait for it."""
 
         async def cancel_all() -> None:
             tasks = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
@@ -139,6 +181,8 @@ class _Loop:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
 
+        with contextlib.suppress(TagidError, OSError):
+            self.run(opened.aclose(), 10, "closing")
         if not self._loop.is_closed():
             with contextlib.suppress(TagidError):
                 self.run(cancel_all(), _WRITE_S, "ending")
@@ -151,36 +195,59 @@ class _Inbox:
     """Bytes passed from the loop's thread to the driver's thread."""
 
     def __init__(self) -> None:
-        self._data = bytearray()
-        self._changed = threading.Condition()
+        self._pieces: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._error: TagidError | None = None
-
-    def put(self, data: bytes) -> None:
-        with self._changed:
-            self._data += data
-            self._changed.notify_all()
+        self.put = self._pieces.put
 
     def fail(self, error: TagidError) -> None:
-        with self._changed:
-            self._error = self._error or error
-            self._changed.notify_all()
+        self._error = self._error or error
+        self.put(b"")  # wakes the driver
 
     def raise_failure(self) -> None:
         if self._error is not None:
             raise self._error
 
     def take(self, timeout: float) -> bytes:
-        with self._changed:
-            if not self._data and self._error is None:
-                self._changed.wait(timeout)
-            data = bytes(self._data)
-            self._data.clear()
-            if not data:
-                self.raise_failure()
-            return data
+        data = b""
+        with contextlib.suppress(queue.Empty):
+            data = self._pieces.get(timeout=0 if self._error is not None else timeout)
+            while True:
+                data += self._pieces.get_nowait()
+        if not data:
+            self.raise_failure()
+        return data
 
 
-class BridgeLink:
+class _BleLink(ByteLink):
+    """A link over Bluetooth; it is open when its creation returns.
+
+    Args:
+        address: of the device.
+    """
+
+    def __init__(self, address: BleAddress) -> None:
+        self._address = address
+        self._inbox = _Inbox()
+        self._stack = AsyncExitStack()
+        self._loop = _Loop(self._inbox.fail)
+        try:
+            self._loop.run(self._open(), _OPEN_S, f"connecting to {address.target}")
+        except BaseException:
+            self._loop.close(self._stack)
+            raise
+
+    @abstractmethod
+    async def _open(self) -> None:
+        """Find the device and connect."""
+
+    def __repr__(self) -> str:
+        return self._address.target
+
+    def read(self, timeout: float) -> bytes:
+        return self._inbox.take(timeout)
+
+
+class BridgeLink(_BleLink):
     """The robot behind a bridge.
 
     Args:
@@ -192,29 +259,16 @@ class BridgeLink:
     """
 
     def __init__(self, address: BleAddress, on_event: Callable[[Event], None] = lambda event: None) -> None:
-        require("bleak", "motion", "Bluetooth")
-        self._address = address
         self._on_event = on_event
-        self._inbox = _Inbox()
-        self._armed = False
-        self._relaxed = False
-        self._guard = Guarded()
-        self._stack = AsyncExitStack()
-        self._loop = _Loop(self._inbox.fail)
-        try:
-            self.bridge = self._loop.run(self._open(), _OPEN_S, f"connecting to {address.target}")
-        except BaseException:
-            self._loop.close(self._stack)
-            raise
+        self._armed = self._relaxed = False
+        self.bridge: Bridge
+        super().__init__(address)
 
-    def __repr__(self) -> str:
-        return self._address.target
-
-    async def _open(self) -> Bridge:
+    async def _open(self) -> None:
         backends = await self._stack.enter_async_context(backends_of(self._address))
         heard = await find(self._address.target, self._address.seconds, backends)
         self._aliases = (heard.name, heard.address)
-        return await self._stack.enter_async_context(
+        self.bridge = await self._stack.enter_async_context(
             Bridge(
                 heard,
                 on_bytes=self._inbox.put,
@@ -252,7 +306,6 @@ class BridgeLink:
         )
 
     def write(self, data: bytes) -> None:
-        """Send to the robot."""
         self._inbox.raise_failure()
         if not self._armed and not self._relaxed:
             # The first byte would arm the bridge with its short default timeout.
@@ -260,27 +313,19 @@ class BridgeLink:
             self._relaxed = True
         self._loop.run(self.bridge.write(data), _WRITE_S, f"writing to {self!r}")
 
-    def read(self, timeout: float) -> bytes:
-        """Bytes received from the robot."""
-        return self._inbox.take(timeout)
-
     def arm(self, timeout_s: float) -> None:
         """Arm the bridge's dead-man; only writes reset it, so a driver that hangs also stops the robot.
 
         The helper process stops nothing here; it only receives the request of `tagid motion stop`.
         """
-        self._guard.start(Watch(self._address.target, _GUARD_S, aliases=self._aliases))
+        self._guard(Watch(self._address.target, _GUARD_S, aliases=self._aliases))
         self.request(Op.ARM, round(timeout_s * 1000))
         self._armed = True
-
-    def beat(self) -> None:
-        """Check whether another process wants the robot to stop."""
-        self._guard.beat()
 
     def disarm(self) -> None:
         """The robot is stopped in Passive mode: end the dead-man."""
         self._armed = self._relaxed = False
-        self._guard.release()
+        super().disarm()
         self.request(Op.DISARM)
 
     def wake(self) -> None:
@@ -289,15 +334,14 @@ class BridgeLink:
             self.request(Op.BRC, _WAKE_MS, 1, 0)
 
     def close(self) -> None:
-        """Close the link; if the bridge is still armed, it then stops the robot."""
-        self._guard.release()
+        self._release()
         if self._relaxed and not self._armed:
             with contextlib.suppress(TagidError):
                 self.disarm()
         self._loop.close(self._stack)
 
 
-class CharacteristicLink:
+class CharacteristicLink(_BleLink):
     """A device whose serial line is one characteristic, used for writes and notifications.
 
     Args:
@@ -310,24 +354,11 @@ class CharacteristicLink:
     """
 
     def __init__(self, address: BleAddress, service: str, characteristic: str, url: str) -> None:
-        require("bleak", "motion", "Bluetooth")
-        self._url = url
-        self._guard = Guarded()
-        self._address, self._service, self._characteristic = address, service, characteristic
-        self._inbox = _Inbox()
-        self._stack = AsyncExitStack()
-        self._loop = _Loop(self._inbox.fail)
+        self._service, self._characteristic, self._url = service, characteristic, url
         self._closing = False
-        try:
-            self._client = self._loop.run(self._open(), _OPEN_S, f"connecting to {address.target}")
-        except BaseException:
-            self._loop.close(self._stack)
-            raise
+        super().__init__(address)
 
-    def __repr__(self) -> str:
-        return self._address.target
-
-    async def _open(self) -> Any:
+    async def _open(self) -> None:
         from bleak import BleakClient
 
         backends = await self._stack.enter_async_context(backends_of(self._address))
@@ -352,13 +383,14 @@ class CharacteristicLink:
             )
         device = discovered.result()
         with bluetooth_errors(f"connecting to {self._address.target}"):
-            client = BleakClient(device, self._lost, backend=backends.client)
-            await unless_busy(client.connect)
-            self._stack.push_async_callback(client.disconnect)
-            if self._service not in {service.uuid.lower() for service in client.services}:
+            self._client = BleakClient(device, self._lost, backend=backends.client)
+            await unless_busy(self._client.connect)
+            self._stack.push_async_callback(self._client.disconnect)
+            if self._service not in {service.uuid.lower() for service in self._client.services}:
                 raise DeviceError(f"{self._address.target} is another device", "Choose another name.")
-            await client.start_notify(self._characteristic, lambda _, data: self._inbox.put(bytes(data)))
-        return client
+            await self._client.start_notify(
+                self._characteristic, lambda _, data: self._inbox.put(bytes(data))
+            )
 
     def _lost(self, _: Any) -> None:
         if not self._closing:
@@ -367,7 +399,6 @@ class CharacteristicLink:
             )
 
     def write(self, data: bytes) -> None:
-        """Send."""
         self._inbox.raise_failure()
 
         async def send() -> None:
@@ -376,30 +407,22 @@ class CharacteristicLink:
 
         self._loop.run(send(), _WRITE_S, f"writing to {self!r}")
 
-    def read(self, timeout: float) -> bytes:
-        """Bytes received so far."""
-        return self._inbox.take(timeout)
-
     def arm(self, timeout_s: float) -> None:
         """Start the helper that stops the table if this process dies; the table itself has no dead-man."""
-        stop = processes.python("tagid.motion.emergency")
-        limit = max(timeout_s, _GUARD_S)
-        names, url = self._aliases, f"{self._url}\n"
-        self._guard.start(Watch(self._address.target, limit, command=stop, command_input=url, aliases=names))
-
-    def beat(self) -> None:
-        """Tell the helper that this process is alive."""
-        self._guard.beat()
-
-    def disarm(self) -> None:
-        """End the helper."""
-        self._guard.release()
+        self._guard(
+            Watch(
+                self._address.target,
+                max(timeout_s, _GUARD_S),
+                command=processes.python("tagid.motion.emergency"),
+                command_input=f"{self._url}\n",
+                aliases=self._aliases,
+            )
+        )
 
     def wake(self) -> None:
         """Does nothing: the device does not sleep."""
 
     def close(self) -> None:
-        """Close the link; a helper that was not ended by `disarm` then connects and stops the table."""
         self._closing = True
         self._loop.close(self._stack)
-        self._guard.release(farewell=False)
+        self._release(farewell=False)

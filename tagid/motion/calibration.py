@@ -6,10 +6,10 @@ The effective wheel base depends on tyres and floor by a few per cent, so it is 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from tagid.config import data_folder
 from tagid.errors import ConfigError, DataError, FileFormatError
@@ -67,13 +67,7 @@ def wheel_base_from(resolved: ResolvedMotion) -> tuple[str, Calibration]:
     return robot, Calibration(base * turn / (2 * math.pi), max(sigma / turn, _LEAST_SIGMA), turns)
 
 
-def calibrations_path() -> Path:
-    """Folder of the calibration files."""
-    return data_folder() / _FILE
-
-
-def _load() -> dict[str, Calibration]:
-    path = calibrations_path()
+def _load(path: Path) -> dict[str, Calibration]:
     try:
         tables = read_toml(path, _MAX_BYTES, missing_ok=True)
         return {name: Calibration(**table) for name, table in tables.items()}
@@ -102,29 +96,26 @@ def recall_reversed(device: str) -> bool:
 
 def remember_reversed(device: str, is_reversed: bool) -> Path:
     """Store the direction of a device; return the file. Raises StorageError, ConfigError."""
-    import tomli_w
-
     path = data_folder() / _DIRECTIONS
-    reversals = _directions(path)  # a damaged file is reported, not overwritten
-    make_folder(path.parent)
-    write_bytes(path, tomli_w.dumps({**reversals, device: is_reversed}).encode())
-    return path
+    return _write(path, {**_directions(path), device: is_reversed})  # a damaged file is not overwritten
 
 
 def recall(robot: str) -> Calibration | None:
     """The stored calibration of a robot; None if there is none. Raises ConfigError, StorageError."""
-    return _load().get(robot)
+    return _load(data_folder() / _FILE).get(robot)
 
 
 def remember(robot: str, calibration: Calibration) -> Path:
     """Store a robot's calibration; return the file. Raises StorageError."""
+    path = data_folder() / _FILE
+    stamp = datetime.now(UTC).isoformat(timespec="seconds")
+    known = {**_load(path), robot: replace(calibration, date_utc=stamp)}
+    return _write(path, {name: asdict(entry) for name, entry in sorted(known.items())})
+
+
+def _write(path: Path, document: dict[str, Any]) -> Path:
     import tomli_w
 
-    known = _load()
-    stamp = datetime.now(UTC).isoformat(timespec="seconds")
-    known[robot] = Calibration(**{**asdict(calibration), "date_utc": stamp})
-    path = calibrations_path()
     make_folder(path.parent)
-    text = tomli_w.dumps({name: asdict(entry) for name, entry in sorted(known.items())})
-    write_bytes(path, text.encode())
+    write_bytes(path, tomli_w.dumps(document).encode())
     return path

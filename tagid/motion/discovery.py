@@ -15,18 +15,17 @@ from tagid.motion.bridge.find import bluetooth_errors, scanning
 from tagid.motion.bridge.protocol import NUS
 
 _ADAPTERS: Final = {
-    (0x1A86, 0x7523): "CH340 adapter: a Comxim table, or a robot's cable",
-    (0x0403, 0x6001): "FTDI adapter: a robot's cable",
-    (0x0403, 0x6015): "FTDI adapter: a robot's cable",
-    (0x10C4, 0xEA60): "CP210x adapter: a robot's cable, or an ESP32 board",
-    (0x303A, 0x1001): "ESP32 board on USB: a bridge to provision, not a robot",
-    (0x1027, 0x0005): "P440 radar, not a robot",
-    (0x1027, 0x0003): "P410 radar, not a robot",
+    (0x1A86, 0x7523): ("comxim+serial", "CH340 adapter: a Comxim table, or a robot's cable"),
+    (0x0403, 0x6001): ("roomba+serial", "FTDI adapter: a robot's cable"),
+    (0x0403, 0x6015): ("roomba+serial", "FTDI adapter: a robot's cable"),
+    (0x10C4, 0xEA60): ("roomba+serial", "CP210x adapter: a robot's cable, or an ESP32 board"),
+    (0x303A, 0x1001): ("", "ESP32 board on USB: a bridge to provision, not a robot"),
+    (0x1027, 0x0005): ("", "P440 radar, not a robot"),
+    (0x1027, 0x0003): ("", "P410 radar, not a robot"),
 }
-_NOT_A_ROBOT: Final = frozenset({(0x303A, 0x1001), (0x1027, 0x0005), (0x1027, 0x0003)})
+"""Scheme of the URL and probable type by USB vendor and product; "" if it is not a motion device."""
 _OPEN_S: Final = 60.0
 """Longest time to open and close a controller, s."""
-_ON_BOARD: Final = "serial port of this computer: a robot's cable, if one is connected"
 REVOPOINT: Final = "REVO_DUAL_AXIS_TABLE"
 """Advertised name of the dual-axis table."""
 
@@ -54,14 +53,12 @@ def serial_devices() -> list[MotionDevice]:
 
     devices = []
     for port in sorted(list_ports.comports(), key=lambda port: (port.vid is None, port.device)):
-        kind = (port.vid, port.pid)
+        scheme, what = "roomba+serial", port.description or "USB adapter"
         if port.vid is None:
-            what = _ON_BOARD
-        else:
-            what = _ADAPTERS.get((port.vid, port.pid or 0), port.description or "USB adapter")
-        scheme = "comxim+serial" if kind == (0x1A86, 0x7523) else "roomba+serial"
-        url = "" if kind in _NOT_A_ROBOT else f"{scheme}://{port.device}"
-        devices.append(MotionDevice(url, what, port.device))
+            what = "serial port of this computer: a robot's cable, if one is connected"
+        elif (port.vid, port.pid) in _ADAPTERS:
+            scheme, what = _ADAPTERS[port.vid, port.pid]
+        devices.append(MotionDevice(scheme and f"{scheme}://{port.device}", what, port.device))
     return devices
 
 

@@ -1,6 +1,6 @@
 """Base class of commanded devices: a thread that polls and monitors, and always ends with a halt.
 
-A driver adds four steps (begin, poll, halt, close); halt is run whatever error occurs in them.
+A driver adds three steps (begin, poll, halt); halt is run whatever error occurs in them.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from tagid.errors import DataError, DeviceError, DeviceRejectedError, TagidError
 from tagid.metadata import Track
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.guardian import ask_to_stop
+from tagid.motion.links import ByteLink
 from tagid.workers import Worker
 
 _JOIN_S: Final = 5.0
@@ -53,6 +54,8 @@ class DrivenMotion(ABC):
     """What the user does if the program can no longer stop it; follows "It may still be turning: "."""
     warning = ""
     """Conditions without an automatic stop, for the prompt before motion; "" if it always stops."""
+    _link: ByteLink | None = None
+    """The link while it is open."""
 
     def __init__(
         self,
@@ -63,10 +66,6 @@ class DrivenMotion(ABC):
         turns: float | None = None,
         max_seconds: float = 300.0,
     ) -> None:
-        if turns is not None and not 0 < turns <= 20:
-            raise UsageError(f"{turns} turns are requested of {name}", "Give more than 0 and up to 20.")
-        if not 0 < max_seconds <= 3600:
-            raise UsageError(f"max_seconds is {max_seconds}", "Give more than 0 and up to 3600 seconds.")
         self.name, self.direction, self.nominal_s = name, direction, nominal_s
         self.scale_sigma, self.max_seconds = scale_sigma, max_seconds
         # Three sigma more, so that a turn is complete even if the device overestimates its angle.
@@ -90,9 +89,11 @@ class DrivenMotion(ABC):
     def _halt(self) -> None:
         """Stop and verify it; no effect if nothing moves or nothing is open."""
 
-    @abstractmethod
     def _close(self) -> None:
         """Close the link."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
@@ -171,8 +172,10 @@ class DrivenMotion(ABC):
         """On any error the wheels must stop and the recording must be notified."""
         try:
             self._error = self._reported(error)
-            if isinstance(error, PausedError):
-                self._lose_angle()
+            if isinstance(error, PausedError) and self._readings:
+                # The angle since the last reading is unknown: its uncertainty is uniform over a turn.
+                with self._lock:
+                    self._readings.append((hostclock.now_ns(), self._readings[-1][1], math.pi))
         finally:
             self._safely_halt()
 
@@ -181,11 +184,13 @@ class DrivenMotion(ABC):
             return error
         return DeviceError(f"{self.name}: {type(error).__name__}: {error}")
 
-    def _lose_angle(self) -> None:
-        """The angle since the last reading is unknown: its uncertainty is uniform over a turn."""
-        with self._lock:
-            if self._readings:
-                self._readings.append((hostclock.now_ns(), self._readings[-1][1], math.pi))
+    def _paused(self, seconds: float) -> PausedError:
+        """The error for a pause of this program."""
+        return PausedError(
+            f"this program was paused for {seconds:.1f} s; {self.name} was stopped and its angle is lost "
+            "from then on",
+            "Record again; keep this computer awake and less busy.",
+        )
 
     def _safely_halt(self) -> None:
         try:
@@ -206,7 +211,7 @@ class DrivenMotion(ABC):
     def check(self) -> None:
         """Raise the error that stopped the motion."""
         worker = self._worker
-        ended = worker is not None and not worker.alive
+        ended = worker is not None and not worker.alive  # asked first: the thread keeps its error, then ends
         if self._error is not None:
             raise self._error
         if ended and not self._stopping.is_set():

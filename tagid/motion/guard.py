@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -21,7 +22,10 @@ BOOT_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 OWNER_S = 1.0
 """Time that a driver has to stop the device by itself on request, before the command is started."""
 COMMAND_S = 120.0
+PAUSES_S = (0.0, 0.03, 0.12)
+"""Pauses before the three stops: the first may complete a truncated command."""
 LOOK_S = 0.1
+REMEDY = "It may still be turning: switch it off."
 LOG_WARNING = 12
 """A user's message (8) that is a warning (4)."""
 
@@ -57,33 +61,36 @@ def peer(line: socket.socket) -> tuple[int, int]:
     return pid, uid
 
 
-class Parameters(NamedTuple):
-    """Parameters of the guardian, see `tagid.motion.guardian.Watch`; as JSON on its standard input.
+class Watch(NamedTuple):
+    """Parameters of a guardian; it gets them as JSON.
 
     Attributes:
-        name, limit_s, port, command, command_input, remedy: as there.
-        halt: as there, hexadecimal.
-        pauses_s: before each of the stops, s.
+        name: of the device (port or address) in messages.
+        limit_s: longest time between two heartbeats, s.
+        port: file descriptor of the open port, which the guardian shares; -1 for none.
+        halt: bytes that stop the device, hexadecimal; written three times.
+        command: words of a command that stops the device if there is no port to share; () for none.
+        command_input: its standard input, which no other user can read.
+        aliases: all other names under which `ask_to_stop` finds the guardian.
         sockets: names of the abstract sockets on which a stop is requested.
         errors: file descriptor of the driver's standard error; -1 for none.
     """
 
     name: str
     limit_s: float
-    port: int
-    halt: str
-    command: list[str]
-    command_input: str
-    remedy: str
-    pauses_s: list[float]
-    sockets: list[str]
-    errors: int
+    port: int = -1
+    halt: str = ""
+    command: Sequence[str] = ()
+    command_input: str = ""
+    aliases: Sequence[str] = ()
+    sockets: Sequence[str] = ()
+    errors: int = -1
 
 
 class Guard:
     """Watches one driver."""
 
-    def __init__(self, watch: Parameters) -> None:
+    def __init__(self, watch: Watch) -> None:
         self.watch = watch
         self.servers: list[socket.socket] = []
         for name in watch.sockets:
@@ -151,7 +158,7 @@ class Guard:
     def stop(self, owner_s: float) -> None:
         """Write the halt bytes three times, or start the command after `owner_s`."""
         failure: OSError | None = None
-        for pause in self.watch.pauses_s:
+        for pause in PAUSES_S:
             time.sleep(pause)
             if self.watch.port >= 0:
                 try:
@@ -161,7 +168,7 @@ class Guard:
                     failure = error
         if failure is not None:
             self.answer(b"failed")
-            say(f"cannot stop {self.watch.name} ({failure}). {self.watch.remedy}")
+            say(f"cannot stop {self.watch.name} ({failure}). {REMEDY}")
         if not self.watch.command:
             self.answer(b"stopped")
         elif self.command is None and self.command_at is None:
@@ -198,7 +205,7 @@ class Guard:
         self.command = None
         self.answer(b"failed" if code else b"stopped")
         if code:
-            say(f"{self.watch.name} could not be stopped. {self.watch.remedy}")
+            say(f"{self.watch.name} could not be stopped. {REMEDY}")
 
     def end_command(self) -> None:
         """The driver has stopped the device: the command must not interfere with what follows."""
@@ -217,7 +224,7 @@ def main() -> None:
         if not data:
             sys.exit(1)
         text += data
-    watch = Parameters(**json.loads(text))
+    watch = Watch(**json.loads(text))
     if watch.errors >= 0:
         os.dup2(watch.errors, 2)
         os.close(watch.errors)

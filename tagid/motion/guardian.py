@@ -23,8 +23,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -33,11 +32,10 @@ from tagid import processes
 from tagid.errors import DeviceError
 from tagid.motion import guard
 from tagid.motion.device import MotionStoppedError, PausedError
+from tagid.motion.guard import Watch
 from tagid.ports import holders
 from tagid.workers import Worker
 
-PAUSES_S: Final = (0.0, 0.03, 0.12)
-"""Pauses before the three stops: the first may complete a truncated command."""
 _START_S: Final = 5.0
 _DEAF_S: Final = 1.0
 """A guardian that answers no heartbeat for this time is considered dead."""
@@ -49,32 +47,7 @@ _COMMAND_S: Final = guard.OWNER_S + guard.COMMAND_S + 5.0
 _SOCKETS: Final = Path("/proc/net/unix")
 _FAREWELL: Final = b"x"
 _BEAT: Final = b"."
-_ECHO, _TRIPPED, _ASKED = b"e", b"t", b"a"
-
-
-@dataclass(frozen=True)
-class Watch:
-    """Parameters of a guardian.
-
-    Attributes:
-        name: of the device (port or address) in messages.
-        limit_s: longest time between two heartbeats, s.
-        port: file descriptor of the open port, which the guardian shares; -1 for none.
-        halt: bytes that stop the device, written three times.
-        command: words of a command that stops the device if there is no port to share; () for none.
-        command_input: its standard input, which no other user can read.
-        remedy: what the user does if the guardian cannot stop the device.
-        aliases: all other names under which `ask_to_stop` finds the guardian.
-    """
-
-    name: str
-    limit_s: float
-    port: int = -1
-    halt: bytes = b""
-    command: Sequence[str] = ()
-    command_input: str = ""
-    remedy: str = "It may still be turning: switch it off."
-    aliases: Sequence[str] = ()
+_TRIPPED, _ASKED = b"t", b"a"
 
 
 class Guardian:
@@ -84,12 +57,7 @@ class Guardian:
     """
 
     def __init__(self, watch: Watch) -> None:
-        self._name = watch.name
-        self._limit_s = watch.limit_s
-        self._commands = bool(watch.command)
-        self._process: subprocess.Popen[bytes] | None = None
-        if os.name != "posix":
-            return
+        self._watch = watch
         stops = watch.port >= 0 or bool(watch.command)
         self._process = (_start(watch, scope=True) if stops else None) or _start(watch, scope=False)
         if self._process is None:
@@ -120,20 +88,20 @@ class Guardian:
                     break
         if _ASKED in marks:
             raise MotionStoppedError(
-                f"{self._name} was stopped by another process", "`tagid motion stop` requested it."
+                f"{self._watch.name} was stopped by another process", "`tagid motion stop` requested it."
             )
         if _TRIPPED in marks:
             raise PausedError(
-                f"this program was paused for more than {self._limit_s:g} s and {self._name} was stopped; "
-                "its angle is lost from then on",
+                f"this program was paused for more than {self._watch.limit_s:g} s and {self._watch.name} was "
+                "stopped; its angle is lost from then on",
                 "Record again; keep this computer awake and less busy.",
             )
         now = time.monotonic()
         if marks:
             self._heard = now
-        if process.poll() is not None or now - self._heard > max(_DEAF_S, self._limit_s):
+        if process.poll() is not None or now - self._heard > max(_DEAF_S, self._watch.limit_s):
             raise DeviceError(
-                f"the helper process that monitors {self._name} has ended, so the motion was stopped",
+                f"the helper process that monitors {self._watch.name} has ended, so the motion was stopped",
                 "Record again; do not end processes of tagid while it drives.",
             )
         with contextlib.suppress(OSError):
@@ -154,7 +122,7 @@ class Guardian:
         try:
             process.wait(timeout=2)
         except subprocess.TimeoutExpired:
-            if self._commands and not farewell:
+            if self._watch.command and not farewell:
                 # It waits for the command that stops the device, and tells how that ended.
                 with contextlib.suppress(RuntimeError):
                     Worker(partial(_reap, process), "guardian").start()
@@ -167,29 +135,6 @@ def _reap(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-class Guarded:
-    """The guardian of a link: None until the link is armed, and after its release."""
-
-    def __init__(self) -> None:
-        self._guardian: Guardian | None = None
-
-    def start(self, watch: Watch) -> None:
-        """Start the guardian unless it is running. Raises DeviceError if it does not start."""
-        if self._guardian is None:
-            self._guardian = Guardian(watch)
-
-    def beat(self) -> None:
-        """Send a heartbeat to the guardian; raises the errors of `Guardian.beat`."""
-        if self._guardian is not None:
-            self._guardian.beat()
-
-    def release(self, farewell: bool = True) -> None:
-        """End the guardian; without a farewell message it stops the device first."""
-        guardian, self._guardian = self._guardian, None
-        if guardian is not None:
-            guardian.release(farewell)
-
-
 def _start(watch: Watch, scope: bool) -> subprocess.Popen[bytes] | None:
     """The guardian's process once it watches; None if it does not start in time."""
     errors = -1
@@ -197,18 +142,8 @@ def _start(watch: Watch, scope: bool) -> subprocess.Popen[bytes] | None:
         errors = os.dup(2)
     names = {_socket_name(name) for name in (watch.name, *watch.aliases) if name}
     linux = sys.platform.startswith("linux")
-    parameters = guard.Parameters(
-        name=watch.name,
-        limit_s=watch.limit_s,
-        port=watch.port,
-        halt=watch.halt.hex(),
-        command=list(watch.command),
-        command_input=watch.command_input,
-        remedy=watch.remedy,
-        pauses_s=list(PAUSES_S),
-        sockets=[f"{name}-{secrets.token_hex(8)}" for name in names] if linux else [],
-        errors=errors,
-    )
+    sockets = [f"{name}-{secrets.token_hex(8)}" for name in names] if linux else []
+    watch = watch._replace(sockets=sockets, errors=errors)
     try:
         process = processes.start_alone(
             Path(guard.__file__),
@@ -231,7 +166,7 @@ def _start(watch: Watch, scope: bool) -> subprocess.Popen[bytes] | None:
     assert process.stdin is not None and process.stdout is not None and process.stderr is not None
     os.set_blocking(process.stdin.fileno(), False)
     with contextlib.suppress(OSError):
-        os.write(process.stdin.fileno(), json.dumps(parameters._asdict()).encode() + b"\n")
+        os.write(process.stdin.fileno(), json.dumps(watch._asdict()).encode() + b"\n")
     ready, _, _ = select.select([process.stdout], [], [], _SCOPE_S if scope else _START_S)
     if ready and os.read(process.stdout.fileno(), 1) == b"r":
         process.stderr.close()  # it writes to this process's own

@@ -1,15 +1,15 @@
-"""Byte links to robots and tables: a serial port here, Bluetooth in `ble`; independent of the messages.
-
-A driver uses ByteLink and does not distinguish a cable from a bridge.
-"""
+"""Byte links to robots and tables: a serial port here, Bluetooth in `ble`; independent of the messages."""
 
 from __future__ import annotations
 
 import errno
-from typing import Final, Protocol
+import time
+from abc import ABC, abstractmethod
+from typing import Final
 
-from tagid.errors import DeviceGoneError, DeviceTimeoutError, MissingExtraError
-from tagid.motion.guardian import Guarded, Watch
+from tagid.errors import DeviceGoneError, DeviceTimeoutError
+from tagid.motion.guard import Watch
+from tagid.motion.guardian import Guardian
 from tagid.ports import open_port
 
 _WRITE_TIMEOUT_S: Final = 1.0
@@ -17,77 +17,79 @@ WAKE_S: Final = 1.0
 """Width of the pulse on BRC that wakes a robot."""
 
 
-class ByteLink(Protocol):
-    """Carries bytes in both directions."""
+class ByteLink(ABC):
+    """Carries bytes in both directions; a helper process may watch the program that drives."""
 
+    _guardian: Guardian | None = None
+
+    @abstractmethod
     def write(self, data: bytes) -> None:
         """Send; may be called from any thread. Raises DeviceError if the link is down."""
-        ...
 
+    @abstractmethod
     def read(self, timeout: float) -> bytes:
         """Received bytes, waiting up to `timeout` s for the first one; b"" if none arrived.
 
         Raises DeviceError if the link is down.
         """
-        ...
 
+    @abstractmethod
     def arm(self, timeout_s: float) -> None:
         """From now on stop the robot automatically if nothing is written for this time, or the link ends."""
-        ...
 
     def beat(self) -> None:
         """Send a heartbeat to the emergency stop; call it several times within the armed time.
 
         Raises MotionStoppedError if it has stopped the device, DeviceError if it has ended.
         """
-        ...
+        if self._guardian is not None:
+            self._guardian.beat()
 
     def disarm(self) -> None:
         """Undo `arm`, once the robot is stopped."""
-        ...
+        self._release()
 
+    @abstractmethod
     def wake(self) -> None:
         """Wake a sleeping robot (a low pulse on its BRC pin), if the link can."""
-        ...
 
+    @abstractmethod
     def close(self) -> None:
-        """Close the link; no effect if it is already closed."""
-        ...
+        """Close the link; if it is armed, the device is stopped. No effect if it is already closed."""
+
+    def _guard(self, watch: Watch) -> None:
+        """Start the guardian unless it is running. Raises DeviceError if it does not start."""
+        if self._guardian is None:
+            self._guardian = Guardian(watch)
+
+    def _release(self, farewell: bool = True) -> None:
+        """End the guardian; without a farewell message it stops the device first."""
+        guardian, self._guardian = self._guardian, None
+        if guardian is not None:
+            guardian.release(farewell)
 
 
-def require(module: str, extra: str, what: str) -> None:
-    """Raise MissingExtraError if a package of an extra is not installed."""
-    import importlib.util
-
-    if importlib.util.find_spec(module) is None:
-        raise MissingExtraError(
-            f"{what} needs {module}, which is not installed", f"Install it: pip install 'tagid[{extra}]'."
-        )
-
-
-class SerialLink:
+class SerialLink(ByteLink):
     """A serial port, 8N1.
 
     Args:
         port: device path or name.
         baud: baud rate.
-        halt: bytes that a helper process writes if this process dies or hangs while armed; b"" for no helper.
+        halt: bytes that a helper process writes if this process dies or hangs while armed.
 
     Raises:
         DeviceGoneError, DeviceError, PortInUseError: see `tagid.ports.open_port`.
     """
 
-    def __init__(self, port: str, baud: int = 115200, halt: bytes = b"") -> None:
-        self.port, self.baud = port, baud
+    def __init__(self, port: str, baud: int, halt: bytes) -> None:
+        self.port = port
         self._halt = halt
         self._serial = open_port(port, baud, _WRITE_TIMEOUT_S, "`tagid motion find` lists the ports")
-        self._guard = Guarded()
 
     def __repr__(self) -> str:
         return self.port
 
     def write(self, data: bytes) -> None:
-        """Send all of the data."""
         import serial
 
         try:
@@ -98,7 +100,6 @@ class SerialLink:
             raise self._lost(error) from error
 
     def read(self, timeout: float) -> bytes:
-        """Received bytes."""
         try:
             self._serial.timeout = timeout
             data = bytes(self._serial.read(1))
@@ -112,24 +113,13 @@ class SerialLink:
 
     def arm(self, timeout_s: float) -> None:
         """Start the helper that stops the device if this process dies or hangs; it needs an intact cable."""
-        if self._halt:
-            self._guard.start(Watch(self.port, timeout_s, self._serial.fileno(), self._halt))
-
-    def beat(self) -> None:
-        """Send a heartbeat to the helper."""
-        self._guard.beat()
-
-    def disarm(self) -> None:
-        """End the helper."""
-        self._guard.release()
+        self._guard(Watch(self.port, timeout_s, self._serial.fileno(), self._halt.hex()))
 
     def wake(self) -> None:
         """A pulse on RTS, to which robot adapters connect BRC; no effect on a port without RTS.
 
         It lasts a second (Create 2 OI specification): three pulses of 50 to 500 ms would change the rate.
         """
-        import time
-
         try:
             self._serial.rts = True
             time.sleep(WAKE_S)
@@ -139,11 +129,6 @@ class SerialLink:
             if error.errno not in (errno.ENOTTY, errno.EINVAL):
                 raise self._lost(error) from error
 
-    def set_baud(self, baud: int) -> None:
-        """Change the baud rate of this side."""
-        self._serial.baudrate = self.baud = baud
-
     def close(self) -> None:
-        """Close the port; a helper that was not ended by `disarm` stops the device now."""
-        self._guard.release(farewell=False)
+        self._release(farewell=False)
         self._serial.close()

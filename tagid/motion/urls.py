@@ -6,7 +6,6 @@ devices without a link are here.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
@@ -70,7 +69,7 @@ class Options(Query):
         """The target as a device file, by the same name from every folder. Raises UsageError without one."""
         if not self.target:
             raise self.wrong("has no port")
-        return str(Path(self.target).absolute()) if os.name == "posix" else self.target
+        return str(Path(self.target).absolute())
 
     def direction(self) -> int:
         """The option `direction`: +1 for ccw (the default), -1 for cw."""
@@ -129,11 +128,6 @@ def parse_motion_url(url: str | MotionUrl) -> Options:
     return Options(url.public, parts.scheme, unquote(parts.netloc + parts.path), given, passkey)
 
 
-def schemes() -> dict[str, metadata.EntryPoint]:
-    """Devices of the entry-point table, by URL scheme."""
-    return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINTS)}
-
-
 def open_motion(url: str | MotionUrl, stopping: bool = False) -> Motion:
     """The motion device of a URL; nothing is connected.
 
@@ -158,7 +152,7 @@ def open_motion(url: str | MotionUrl, stopping: bool = False) -> Motion:
         return _free(Options(options.url, "free", "", {k: v for k, v in options.given.items() if k in known}))
     if options.scheme == "free" and not options.target:
         return _free(options)
-    entry = schemes().get(options.scheme)
+    entry = next(iter(metadata.entry_points(group=ENTRY_POINTS, name=options.scheme)), None)
     if entry is None:
         raise options.wrong("is unknown")
     factory = cast(Callable[[Options], Motion], entry.load())
@@ -171,6 +165,6 @@ def _free(options: Options) -> FreeTurntable:
     rpm = options.number("rpm", None, 0.0, 1000.0)
     seconds = options.number("max_seconds", 120.0, 0.0, 3600.0)
     marker = options.number("marker", 0, 0, 1)
-    table = FreeTurntable(rpm, options.direction(), seconds or 0.0, marker=bool(marker))
+    table = FreeTurntable(rpm, options.direction(), seconds, marker=bool(marker))
     options.done()
     return table

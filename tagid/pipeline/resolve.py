@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.angles.period import NOMINAL_TOLERANCE
 from tagid.angles.standstill import Still, find_standstill
-from tagid.angles.views import average_into_views, select_views
+from tagid.angles.views import average_into_views, first_turn
 from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion, Standstill
@@ -61,7 +61,7 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
     known = has_angles(capture)
     if motion is None and known:
         return capture
-    from tagid.angles.measured import measured_angles
+    from tagid.angles.align import measured_angles
     from tagid.motion.urls import open_motion
 
     device = open_motion(motion or "free")
@@ -161,7 +161,7 @@ def one_turn(capture: Capture, max_views: int) -> Capture:
     if capture.angles_rad is None:
         every = -(-capture.views // max_views)
         return capture if every == 1 else capture.select(slice(None, None, every))
-    inside = select_views(capture.angles_rad)
+    inside = first_turn(capture.angles_rad)
     if not len(inside):
         raise DataError(
             "no views lie within one turn",

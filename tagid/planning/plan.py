@@ -18,7 +18,7 @@ from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import plan_window
 from tagid.signal import changing_power
 from tagid.simulate.acquisition import Acquisition, RangeWindow
-from tagid.simulate.budget import LinkBudget, Term, effective_length_m, rcs_dbsm
+from tagid.simulate.budget import LinkBudget, effective_length_m, rcs_dbsm
 from tagid.simulate.presets import scene_on_body
 from tagid.simulate.render import PulseTable, antennas, echo_levels, render_bodies
 from tagid.simulate.scatterers import Octahedron, unit_of
@@ -95,7 +95,6 @@ class Plan:
             m; None without a body.
         rates: measured rates of the reader under such conditions.
         if_enrolled: the same if the untagged body were enrolled; None without a body, or where it is.
-        terms: every number of the link budget.
     """
 
     setup: Setup
@@ -112,7 +111,6 @@ class Plan:
     moved_m: float | None
     rates: Expected
     if_enrolled: Expected | None
-    terms: tuple[Term, ...]
 
 
 def plan(setup: Setup) -> Plan:
@@ -135,7 +133,8 @@ def plan(setup: Setup) -> Plan:
     views = min(scans, views_needed(setup.extent_m, SPEED_OF_LIGHT / CENTER_FREQUENCY_HZ))
     view = sample + 10 * float(np.log10(scans / views))
     strongest = sample + max(0.0, body_db or 0.0)
-    body = _class_of(setup.body)
+    # Of a handle there are rates on cups only.
+    body = "cup-handle" if "handle" in setup.body.parts else setup.body.kind
     return Plan(
         setup,
         rcs_dbsm(length),
@@ -153,7 +152,6 @@ def plan(setup: Setup) -> Plan:
         None
         if setup.enrolled or body == "none"
         else _rates(replace(setup, enrolled=True), body, views, view),
-        setup.budget.terms(),
     )
 
 
@@ -175,13 +173,6 @@ def moved_distance_m(body_db: float) -> float:
     """
     wavenumber = 2 * np.pi * CENTER_FREQUENCY_HZ / SPEED_OF_LIGHT
     return float(10 ** (-body_db / 20) / (np.sqrt(2) * wavenumber))
-
-
-def _class_of(body: BodySpec) -> str:
-    """The body in the tables that is closest to a given body; of a handle there are rates on cups only."""
-    if "handle" in body.parts:
-        return "cup-handle"
-    return body.kind
 
 
 @lru_cache(maxsize=64)

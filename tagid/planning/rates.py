@@ -74,14 +74,8 @@ class Expected:
 
 @lru_cache(maxsize=1)
 def _table() -> tuple[tuple[Measured, ...], dict[str, str]]:
-    text = (resources.files("tagid.planning") / "rates.json").read_text("utf-8")
-    data = json.loads(text)
+    data = json.loads((resources.files("tagid.planning") / "rates.json").read_text("utf-8"))
     return tuple(Measured(**row) for row in data["rows"]), dict(data["sources"])
-
-
-def known_bodies() -> list[str]:
-    """Bodies with measured rates."""
-    return sorted({row.body for row in _table()[0]})
 
 
 def expected(body: str, views: int, snr_db: float, *, enrolled: bool = False) -> Expected:
@@ -91,18 +85,18 @@ def expected(body: str, views: int, snr_db: float, *, enrolled: bool = False) ->
     views the rates are linear in their logarithm. The interval is that of the row with the fewest scenes.
 
     Args:
-        body: one of `known_bodies`.
+        body: of a row of the table.
         views: views per turn.
         snr_db: per reflector in one sample of one view, dB.
         enrolled: whether the untagged body is enrolled.
 
     Raises UsageError for a body without a table.
     """
-    rows, sources = _table()
-    rows = tuple(row for row in rows if row.body == body and row.enrolled == enrolled)
+    measured, sources = _table()
+    rows = tuple(row for row in measured if row.body == body and row.enrolled == enrolled)
     if not rows:
-        known = "enrolled " * enrolled + body
-        raise UsageError(f"no rates were measured on a {known!r}", f"Use {', '.join(known_bodies())}.")
+        known = ", ".join(sorted({row.body for row in measured}))
+        raise UsageError(f"no rates were measured on a {'enrolled ' * enrolled + body!r}", f"Use {known}.")
     numbers = sorted({row.views for row in rows})
     note = ""
     if views > numbers[-1]:

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from firmware_tools.virtual.process import BoardProcess
+from tagid.angles.align import measured_angles
 from tagid.angles.clock import fit_clock
-from tagid.angles.measured import measured_angles
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import TagidError
@@ -25,8 +25,8 @@ from tagid.metadata import Track
 from tagid.motion.device import Motion
 from tagid.motion.emulation.body import Body, BodySettings
 from tagid.motion.emulation.gatt import GattPort
-from tagid.motion.emulation.host import RoombaHost
 from tagid.motion.emulation.pty import PtyPort
+from tagid.motion.emulation.roomba import RoombaHost
 from tagid.motion.emulation.table import ComximCore, RevopointCore, TurningTable
 from tagid.motion.roomba.device import step_period_s
 from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, SpinOdometry

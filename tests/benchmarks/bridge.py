@@ -22,6 +22,7 @@ from tagid.motion.bridge.find import Backends, find
 from tagid.motion.bridge.protocol import Op
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
+from tests.firmware.conftest import DrivingBridge
 
 CONFIG = {"name": "bench", "passkey": "482913", "uart_tx": 4, "uart_rx": 5}
 DRIVE = bytes((128, 131, 145, 0, 100, 0xFF, 0x9C))
@@ -100,7 +101,7 @@ async def measure(interval_ms: float, seed: int, short: bool) -> dict[str, float
             def on_bytes(data: bytes) -> None:
                 arrived.append((time.perf_counter(), len(data)))
 
-            async with Bridge(
+            async with DrivingBridge(
                 heard, on_bytes=on_bytes, passkey=CONFIG["passkey"], backends=backends
             ) as bridge:
                 echoes = []

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import select
 import time
 import tty
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, suppress
 from typing import Any
 
 import pytest
 
-from firmware_tools.cli.app import app
+from firmware_tools.cli import app
 from firmware_tools.virtual.backend import open_backend
 from firmware_tools.virtual.process import BoardProcess
 from tagid.cli.frame import serve
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, find
+from tagid.motion.bridge.protocol import COMMAND, Op, encode
 
 collect_ignore = ["vm/scenario.py"]  # runs in MicroPython
 
@@ -108,13 +110,45 @@ def board(wire: Wire) -> Iterator[BoardProcess]:
         yield process
 
 
+class DrivingBridge(Bridge):
+    """A bridge whose dead-man is kept from tripping by heartbeats, four in its timeout."""
+
+    heart: asyncio.Task[None] | None = None
+
+    async def arm(self, timeout_ms: int = 0) -> None:
+        """Arm the dead-man and start the heartbeats."""
+        self.stop_heart()
+        taken = int.from_bytes((await self.request(Op.ARM, timeout_ms))[:2], "little")
+        self.heart = asyncio.get_running_loop().create_task(self.beat(taken / 1000 / 4))
+
+    async def beat(self, every: float) -> None:
+        with suppress(Exception):  # the link is lost
+            while True:
+                await asyncio.sleep(every)
+                await self._client.write_gatt_char(COMMAND, encode(Op.HEARTBEAT, 0), response=True)
+
+    def stop_heart(self) -> None:
+        if self.heart is not None:
+            self.heart.cancel()
+
+    async def disarm(self) -> None:
+        """Stop the heartbeats and disarm the dead-man; the robot must already be stopped and in Passive."""
+        self.stop_heart()
+        await self.request(Op.DISARM)
+
+    async def close(self) -> None:
+        self.stop_heart()
+        await super().close()
+
+
 @asynccontextmanager
 async def host(
     board: BoardProcess, passkey: str | None = PASSKEY, secure: bool = True, **callbacks: Any
-) -> AsyncIterator[Bridge]:
+) -> AsyncIterator[DrivingBridge]:
     """A host that found and paired with the bridge."""
     async with open_backend(board.hci, passkey, secure=secure) as pair:
         backends = Backends(*pair)
         heard = await find(board.address, 20.0, backends)
-        async with Bridge(heard, passkey=passkey, backends=backends, timeout=20.0, **callbacks) as bridge:
+        bridge = DrivingBridge(heard, passkey=passkey, backends=backends, timeout=20.0, **callbacks)
+        async with bridge:
             yield bridge

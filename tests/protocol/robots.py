@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from tagid.motion.emulation.roomba import RoombaHost
 from tagid.motion.roomba.device import Roomba
 
 
@@ -14,3 +15,14 @@ def turned(motion: Roomba, radians: float) -> None:
         motion.check()
         assert time.monotonic() < deadline
         time.sleep(0.005)
+
+
+def comes_to_rest(host: RoombaHost, timeout_s: float) -> bool:
+    """Whether the wheels stop within a time."""
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        with host.port.lock:
+            if not host.core.body.moving:
+                return True
+        time.sleep(0.002)
+    return False

@@ -218,7 +218,7 @@ def guarded() -> Iterator[tuple[str, int]]:
     """A guarded port: its name, and a pipe from which its halt bytes can be read."""
     read, write = os.pipe()
     name = f"/dev/ttyTEST{os.getpid()}"
-    guard = Guardian(Watch(name, 30.0, write, b"halt", aliases=("robot-7", "C0:FF:EE:00:00:01", "")))
+    guard = Guardian(Watch(name, 30.0, write, b"halt".hex(), aliases=("robot-7", "C0:FF:EE:00:00:01", "")))
     yield name, read
     guard.release()
     assert ask_to_stop(name) is False
@@ -292,7 +292,7 @@ while True: line.accept()[0].sendall(b"stopped")
 
 def test_a_held_port_without_a_guardian_is_told_with_its_holder(home: dict[str, str]) -> None:
     with emulated(home, "comxim") as (there, _):
-        port = SerialLink(there["url"].partition("://")[2])
+        port = SerialLink(there["url"].partition("://")[2], 115200, b"")
         stop = subprocess.run(
             [*TAGID, "motion", "stop", there["url"]], env=home, capture_output=True, text=True, timeout=60
         )
@@ -324,7 +324,7 @@ def test_the_guardian_gets_a_scope_of_its_own_where_there_is_one(
     monkeypatch.setenv("PATH", f"{program.parent}:{os.environ['PATH']}")
     read, write = os.pipe()
     began = time.monotonic()
-    guard = Guardian(Watch("one", 30.0, write, b"halt"))
+    guard = Guardian(Watch("one", 30.0, write, b"halt".hex()))
     assert time.monotonic() - began < 10
     words = (tmp_path / "words").read_text().split()
     assert "--scope" in words and ("--user" in words) == (os.getuid() != 0)
@@ -338,9 +338,9 @@ def test_the_guardian_gets_a_scope_of_its_own_where_there_is_one(
 
 def test_a_guardian_left_without_a_farewell_writes_three_halts(home: dict[str, str]) -> None:
     read, write = os.pipe()
-    Guardian(Watch("one", 30.0, write, b"halt")).release(farewell=False)
+    Guardian(Watch("one", 30.0, write, b"halt".hex())).release(farewell=False)
     assert halts_in(read) == b"halt" * 3
-    Guardian(Watch("two", 30.0, write, b"halt")).release()
+    Guardian(Watch("two", 30.0, write, b"halt".hex())).release()
     os.close(write)
     assert os.read(read, 100) == b""
     os.close(read)

@@ -13,12 +13,12 @@ import pytest
 
 pytest.importorskip("bumble", reason="needs bumble: pip install ./firmware_tools")
 
-from robots import turned
+from robots import comes_to_rest, turned
 
 from firmware_tools.virtual.process import BoardProcess
 from tagid.errors import DeviceError, DeviceGoneError
 from tagid.motion.emulation.body import BodySettings
-from tagid.motion.emulation.host import RoombaHost, wait_until_still
+from tagid.motion.emulation.roomba import RoombaHost
 from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.tables.index import IndexTable
@@ -84,7 +84,7 @@ def test_it_turns_and_is_left_in_passive(host: RoombaHost, board: BoardProcess) 
     truth = host.core.body.heading_at(time.monotonic() - ago) - before
     # A reading is up to a connection interval old when it arrives.
     assert motion.turned_rad == pytest.approx(truth, abs=np.radians(8))
-    assert wait_until_still(host, 2) is not None
+    assert comes_to_rest(host, 2)
     assert host.core.mode is Mode.PASSIVE
     assert motion.track().info["bytes_dropped"] == 0
 
@@ -135,7 +135,7 @@ def test_links_cut_at_random_moments(
         cutter.ended.set()
         cutter.join(20)
         assert error.value.exit_code == 4, error.value
-        assert wait_until_still(host, 5) is not None
+        assert comes_to_rest(host, 5)
         if cutter.cut_s is None:
             # A busy machine was there first (late heartbeats trip the dead-man): not one of the cuts.
             continue

@@ -17,8 +17,10 @@ pytest.importorskip("bleak", reason="needs bleak")
 if shutil.which("dbus-daemon") is None:
     pytest.skip("needs dbus-daemon (apt install dbus)", allow_module_level=True)
 
+from robots import comes_to_rest
+
 from tagid.errors import DeviceError
-from tagid.motion.emulation.host import RoombaHost, wait_until_still
+from tagid.motion.emulation.roomba import RoombaHost
 from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.urls import open_motion
@@ -81,7 +83,7 @@ def test_a_robot_turns_over_bluez_after_pairing_by_passkey(bus: None) -> None:
             assert time.monotonic() < deadline
             time.sleep(0.01)
         motion.stop()
-        assert wait_until_still(host, 2) is not None
+        assert comes_to_rest(host, 2)
         assert host.core.mode is Mode.PASSIVE and host.core.body.heading_rad > 0.25
 
 

@@ -8,17 +8,17 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import serial
-from robots import turned
+from robots import comes_to_rest, turned
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, PortInUseError
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.emulation.body import BodySettings
-from tagid.motion.emulation.host import RoombaHost, happen, wait_until_still
-from tagid.motion.emulation.roomba import World
+from tagid.motion.emulation.roomba import RoombaHost, World, happen
 from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.urls import open_motion
@@ -70,7 +70,7 @@ def test_it_turns_the_way_it_was_told_and_says_how_far(host: RoombaHost, directi
     motion.stop()
     assert np.sign(host.core.body.heading_rad) == (1 if direction == "ccw" else -1)
     assert motion.turned_rad == pytest.approx(truth_at_last_reading(host, motion), abs=np.radians(5))
-    assert host.core.mode is Mode.PASSIVE and wait_until_still(host, 2) is not None
+    assert host.core.mode is Mode.PASSIVE and comes_to_rest(host, 2)
     track = motion.track()
     assert np.all(np.diff(track.host_time_ns) >= 0) and track.sigma_rad.max() < np.radians(1)
     assert np.median(np.abs(np.diff(track.angles_rad))) == pytest.approx(np.radians(41.7) * 0.015, rel=0.2)
@@ -98,7 +98,7 @@ def test_what_happens_to_it_ends_the_recording_with_its_cause(
     with pytest.raises(MotionStoppedError, match=cause) as error:
         record(radar, motion, plan, path, _watch())
     assert error.value.exit_code == 4 and str(path) in error.value.remedy
-    assert host.core.mode is Mode.PASSIVE and wait_until_still(host, 2) is not None
+    assert host.core.mode is Mode.PASSIVE and comes_to_rest(host, 2)
     kept = read_any(path)
     assert not kept.complete
     assert kept.angles_rad is not None and np.ptp(kept.angles_rad) > 0.02
@@ -114,7 +114,12 @@ def test_a_cable_that_falls_silent_is_told_within_half_a_second(host: RoombaHost
     motion = robot_at(host)
     motion.start()
     turned(motion, 0.1)
-    host.port.cut()
+    with host.port.lock:  # no more bytes pass, while the robot keeps running
+        host.port._core = SimpleNamespace(
+            baud=115200,
+            handle=lambda data, now_s: b"",
+            advance=lambda now_s: host.core.advance(now_s) and b"",
+        )
     cut = time.monotonic()
     with pytest.raises(DeviceTimeoutError, match="link is lost"):
         while time.monotonic() < cut + 5:
@@ -196,7 +201,7 @@ def test_ports_that_cannot_be_opened(host: RoombaHost, tmp_path: Path) -> None:
     with pytest.raises(PortInUseError, match="another program"):
         robot_at(host).start()
     motion.stop()
-    assert wait_until_still(host, 2) is not None
+    assert comes_to_rest(host, 2)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may open every port")
@@ -246,7 +251,7 @@ def test_a_drive_command_after_the_farewell_goes_nowhere(host: RoombaHost) -> No
     resumed.set()
     with contextlib.suppress(DeviceError):  # how long the thread was held decides whether it has an error
         motion.stop()
-    assert wait_until_still(host, 2) is not None
+    assert comes_to_rest(host, 2)
     assert host.core.mode is Mode.PASSIVE
 
 
@@ -265,7 +270,7 @@ def test_a_program_that_is_paused_while_it_reads_does_not_blame_the_link(host: R
         turned(motion, 3.0)
     with contextlib.suppress(DeviceError):
         motion.stop()
-    assert wait_until_still(host, 2) is not None
+    assert comes_to_rest(host, 2)
 
 
 def test_a_radar_that_fails_leaves_a_robot_that_stands(host: RoombaHost, tmp_path: Path) -> None:
@@ -282,5 +287,5 @@ def test_a_radar_that_fails_leaves_a_robot_that_stands(host: RoombaHost, tmp_pat
     with pytest.raises(DeviceError) as error:
         record(radar, motion, plan, tmp_path / "scan.tagid.h5", _watch())
     assert "radar" in error.value.message
-    assert wait_until_still(host, 2) is not None
+    assert comes_to_rest(host, 2)
     assert host.core.mode is Mode.PASSIVE

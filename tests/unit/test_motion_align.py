@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagid.angles.align import align, even_times, lower_edge
+from tagid.angles.align import align, even_times, lower_edge, measured_angles, turn_in_own_angle
 from tagid.angles.clock import fit_clock
-from tagid.angles.measured import measured_angles, turn_in_own_angle
 from tagid.angles.period import find_period
 from tagid.errors import ConfigError, DataError
 from tagid.metadata import ResolvedMotion, Track

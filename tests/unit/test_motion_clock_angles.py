@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tagid.angles.clock import fit_clock
-from tagid.angles.views import average_into_views, select_views
+from tagid.angles.views import average_into_views, first_turn
 from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.motion.turntable import FreeTurntable
@@ -182,39 +180,20 @@ def test_impossible_stamps_are_refused(times: list[float], ids: list[int] | None
         fit_clock(np.array(times), None if ids is None else np.array(ids))
 
 
-@given(
-    views=st.integers(4, 90),
-    turns=st.floats(1.0, 2.5),
-    scans=st.integers(100, 400),
-    direction=st.sampled_from([1, -1]),
-)
-def test_selected_views_are_even_and_within_one_turn(
-    views: int, turns: float, scans: int, direction: int
-) -> None:
-    angles = direction * np.arange(round(scans * turns)) * 2 * np.pi / scans
-    picked = select_views(angles, views)
-    turned = np.abs(angles[picked])
-    assert len(picked) == views
-    assert turned.max() < 2 * np.pi
-    np.testing.assert_allclose(turned, np.arange(views) * 2 * np.pi / views, atol=0.5001 * 2 * np.pi / scans)
-
-
-def test_selection_drops_the_overlap_and_takes_a_step() -> None:
-    angles = np.arange(468) * 2 * np.pi / 360
-    assert np.array_equal(select_views(angles), np.arange(360))
-    assert np.array_equal(select_views(angles, step_rad=np.deg2rad(10)), np.arange(0, 360, 10))
-    assert len(select_views(angles[:90], 36)) == 9  # a quarter of a turn
-    with pytest.raises(UsageError):
-        select_views(angles, 0)
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_first_turn_is_without_the_overlap(direction: int) -> None:
+    angles = direction * np.arange(468) * 2 * np.pi / 360
+    assert np.array_equal(first_turn(angles), np.arange(360))
+    assert np.array_equal(first_turn(angles[:90]), np.arange(90))
 
 
 @pytest.mark.parametrize("first", [90, 200])
 def test_selection_keeps_every_view_of_a_turn_in_any_order(first: int) -> None:
     wrapped = np.deg2rad((np.arange(360) + first) % 360)
-    assert len(select_views(wrapped)) == 360
-    assert len(select_views(-wrapped)) == 360
+    assert len(first_turn(wrapped)) == 360
+    assert len(first_turn(-wrapped)) == 360
     shuffled = np.random.default_rng(first).permutation(wrapped)
-    assert len(select_views(shuffled)) == 360
+    assert len(first_turn(shuffled)) == 360
 
 
 def test_averaging_lowers_noise_and_keeps_the_echo() -> None:
@@ -310,5 +289,6 @@ def test_urls_that_do_not_work_say_what_does(url: str) -> None:
 
 
 def test_turntable_refuses_nonsense() -> None:
-    with pytest.raises(UsageError):
-        FreeTurntable(direction=2)
+    for wrong in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(UsageError):
+            FreeTurntable(wrong)

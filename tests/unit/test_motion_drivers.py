@@ -8,8 +8,8 @@ import time
 import numpy as np
 import pytest
 
+from tagid.angles.align import measured_angles
 from tagid.angles.clock import fit_clock
-from tagid.angles.measured import measured_angles
 from tagid.angles.period import MIN_TURNS
 from tagid.metadata import ResolvedMotion, Track
 from tagid.motion.calibration import wheel_base_from

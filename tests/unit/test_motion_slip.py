@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tagid.angles.align import measured_angles
 from tagid.angles.clock import fit_clock
-from tagid.angles.measured import measured_angles
 from tagid.motion.calibration import Calibration, remember
 from tagid.motion.device import Track
 from tagid.motion.emulation.body import Body, BodySettings

@@ -1,14 +1,10 @@
-"""The client of one bridge: bytes to and from the robot, commands with answers, and heartbeats.
-
-It is asynchronous because bleak is; heartbeats are sent automatically while the bridge is armed.
-"""
+"""The client of one bridge: bytes to and from the robot, and commands with answers; asynchronous as bleak."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Final, Self
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, DeviceTimeoutError
@@ -34,8 +30,6 @@ from tagid.motion.bridge.protocol import (
 )
 
 _TRUST_S, _TRUST_LOOKS = 1.0, 20
-_HEARTBEATS: Final = 4
-"""Heartbeats per dead-man timeout: three may be late."""
 _MEANING: Final[dict[int, tuple[str, str]]] = {
     Status.UNKNOWN: ("does not know this command", "Its firmware is older: `tagid-firmware verify`."),
     Status.BAD_ARGUMENT: ("reports that the argument is out of range", "See docs/bridge.md for the bounds."),
@@ -63,7 +57,7 @@ class Bridge:
         on_event: called with every unsolicited event.
         on_lost: called once when the link ends without `close`.
         passkey: six digits for pairing; None if the bridge is open or already paired.
-        backends: bleak backends, or None for the platform's.
+        backends: bleak backends.
         timeout: timeout for one answer, s.
     """
 
@@ -75,7 +69,7 @@ class Bridge:
         on_event: Callable[[Event], None] = lambda event: None,
         on_lost: Callable[[], None] = lambda: None,
         passkey: str | None = None,
-        backends: Backends | None = None,
+        backends: Backends,
         timeout: float = 5.0,
     ) -> None:
         from bleak import BleakClient
@@ -86,10 +80,10 @@ class Bridge:
         self._timeout = timeout
         self._seq = 0
         self._waiting: dict[tuple[int, int], asyncio.Future[Reply]] = {}
-        self._heart: asyncio.Task[None] | None = None
         self._closing = False
-        backend = (backends or Backends()).client
-        self._client = BleakClient(heard.device, lambda _: self._lost(), timeout=timeout, backend=backend)
+        self._client = BleakClient(
+            heard.device, lambda _: self._lost(), timeout=timeout, backend=backends.client
+        )
         self.info: BridgeInfo
 
     def __repr__(self) -> str:
@@ -110,9 +104,7 @@ class Bridge:
             raise
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *error: object) -> None:
         await self.close()
 
     async def _open(self) -> None:
@@ -137,18 +129,16 @@ class Bridge:
     async def _pair(self) -> None:
         if Flag.PASSKEY not in self.info.flags or Flag.TRUSTED in self.info.flags:
             return
+        from bleak.exc import BleakError
+
         from tagid.motion.bridge.pairing import answering
 
         try:
             async with answering(self._passkey):
                 await self._client.pair()
-        except Exception as error:
-            from bleak.exc import BleakError
-
-            if not isinstance(error, (BleakError, NotImplementedError, TimeoutError)):
-                raise
-            if isinstance(error, NotImplementedError):  # macOS pairs on the first protected write
-                return
+        except NotImplementedError:  # macOS pairs on the first protected write
+            return
+        except (BleakError, TimeoutError) as error:
             raise DeviceRejectedError(
                 f"{self!r} refused the pairing",
                 "Give its pass-key, the six digits on its label. After a wrong one it waits, longer each "
@@ -187,7 +177,6 @@ class Bridge:
                     DeviceGoneError(f"the link to {self!r} is lost", "Move it closer; check its power.")
                 )
         self._waiting.clear()
-        self._stop_heart()
         if not self._closing:
             self._closing = True
             self._on_lost()
@@ -211,9 +200,9 @@ class Bridge:
     async def ask(self, op: Op, *arguments: int, data: bytes = b"", timeout: float | None = None) -> Reply:
         """The answer, whatever its status."""
         self._seq = (self._seq + 1) & 0xFF
-        future: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
-        self._waiting[int(op), self._seq] = future
         key = int(op), self._seq
+        future: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
+        self._waiting[key] = future
         try:
             with bluetooth_errors(f"sending {op.name} to {self!r}"):
                 await self._client.write_gatt_char(
@@ -244,33 +233,8 @@ class Bridge:
                 f"{self!r}: {error}", "Its firmware is another version: `tagid-firmware verify`."
             ) from error
 
-    async def arm(self, timeout_ms: int = 0) -> int:
-        """Arm the dead-man and start the heartbeats; return the timeout in force, ms."""
-        self._stop_heart()
-        taken = int.from_bytes((await self.request(Op.ARM, timeout_ms))[:2], "little")
-        self._heart = asyncio.get_running_loop().create_task(self._beat(taken / 1000 / _HEARTBEATS))
-        return taken
-
-    async def disarm(self) -> None:
-        """Stop the heartbeats and disarm the dead-man; the robot must already be stopped and in Passive."""
-        self._stop_heart()
-        await self.request(Op.DISARM)
-
-    async def _beat(self, every: float) -> None:
-        with contextlib.suppress(Exception):  # a lost link is reported by on_lost, a trip by its event
-            while True:
-                await asyncio.sleep(every)
-                self._seq = (self._seq + 1) & 0xFF
-                await self._client.write_gatt_char(COMMAND, encode(Op.HEARTBEAT, self._seq), response=True)
-
-    def _stop_heart(self) -> None:
-        if self._heart is not None:
-            self._heart.cancel()
-            self._heart = None
-
     async def close(self) -> None:
         """Close the link; an armed bridge then stops the robot."""
         self._closing = True
-        self._stop_heart()
         with contextlib.suppress(Exception):
             await self._client.disconnect()

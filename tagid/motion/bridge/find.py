@@ -122,13 +122,13 @@ async def unless_busy(action: Callable[[], Awaitable[None]]) -> None:
 
 @asynccontextmanager
 async def scanning(
-    seen: Callable[[BLEDevice, AdvertisementData], None], backends: Backends | None, doing: str
+    seen: Callable[[BLEDevice, AdvertisementData], None], backends: Backends, doing: str
 ) -> AsyncIterator[None]:
     """Call `seen` for every advertisement while the block runs. Raises the errors of `bluetooth_errors`."""
     from bleak import BleakScanner
 
     with bluetooth_errors(doing):
-        scanner = BleakScanner(seen, backend=(backends or Backends()).scanner)
+        scanner = BleakScanner(seen, backend=backends.scanner)
         async with asyncio.timeout(_START_S):
             await unless_busy(scanner.start)
         try:
@@ -138,21 +138,7 @@ async def scanning(
                 await scanner.stop()
 
 
-async def listen(seconds: float, backends: Backends | None = None) -> list[Heard]:
-    """Every device with the serial service found within `seconds`, strongest first."""
-    heard: dict[str, Heard] = {}
-
-    def seen(device: BLEDevice, advertisement: Any) -> None:
-        if NUS in [item.lower() for item in advertisement.service_uuids]:
-            name = advertisement.local_name or device.name or ""
-            heard[device.address] = Heard(name, device.address, advertisement.rssi, device)
-
-    async with scanning(seen, backends, "listening for bridges"):
-        await asyncio.sleep(seconds)
-    return sorted(heard.values(), key=lambda item: -item.rssi)
-
-
-async def find(wanted: str, seconds: float = 5.0, backends: Backends | None = None) -> Heard:
+async def find(wanted: str, seconds: float, backends: Backends) -> Heard:
     """The one device with that name or address.
 
     A search by name always lasts the full time, because only then is the name known to be unique; a search by

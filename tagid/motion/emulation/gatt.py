@@ -1,7 +1,4 @@
-"""An emulated device whose serial line is one Bluetooth characteristic, on its own virtual controller.
-
-A host reaches it with hci=tcp-client:...; bumble provides both controllers.
-"""
+"""An emulated device whose serial line is one Bluetooth characteristic, on its own virtual controller."""
 
 from __future__ import annotations
 
@@ -11,9 +8,8 @@ import time
 from typing import Any, Final
 
 from tagid.errors import DeviceTimeoutError
+from tagid.motion.ble import virtual_bluetooth
 from tagid.motion.emulation.pty import SerialCore, raise_failure
-from tagid.motion.links import require
-from tagid.motion.virtual import virtual_bluetooth
 from tagid.workers import Worker
 
 _START_S: Final = 20.0
@@ -34,11 +30,12 @@ class GattPort:
         lock: held while the core is used; hold it to inspect the core.
         worker: its thread.
 
-    Raises MissingExtraError without bumble, DeviceError at the end of the block if the thread has died.
+    Raises MissingExtraError without the firmware tools, DeviceError at the end of the block if the thread
+    has died.
     """
 
     def __init__(self, core: SerialCore, name: str, service: str, characteristic: str) -> None:
-        require("bumble", "virtual", "an emulated Bluetooth table")
+        self._air_parts = virtual_bluetooth("air")
         self._core, self._name = core, name
         self._uuids = service, characteristic
         self.lock = threading.Lock()
@@ -69,11 +66,9 @@ class GattPort:
         from bumble.gatt import Characteristic, CharacteristicValue, Service
         from bumble.host import Host
 
-        air_parts = virtual_bluetooth("air")
-
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        air = air_parts.Air(0.0, 2.0)
-        controller = air_parts.make_controller("table", air)
+        air = self._air_parts.Air(0.0, 2.0)
+        controller = self._air_parts.make_controller("table", air)
         host = Host()
         host.controller = controller
         device = Device(name=self._name, address=hci.Address("F0:F1:F2:F3:F4:02"), host=host)
@@ -93,7 +88,7 @@ class GattPort:
             advertising_interval_min=_INTERVAL_MS,
             advertising_interval_max=_INTERVAL_MS,
         )
-        server = air_parts.HciServer(air, controller)
+        server = self._air_parts.HciServer(air, controller)
         port = await server.start("127.0.0.1", 0)
         self.hci = f"tcp-client:127.0.0.1:{port}"
         self._ready.set()

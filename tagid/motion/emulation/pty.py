@@ -28,18 +28,13 @@ _BAUDS: Final = {
 class SerialCore(Protocol):
     """A device behind a serial port; times are of time.monotonic()."""
 
-    @property
-    def baud(self) -> int:
-        """Baud rate of the device."""
-        ...
+    baud: int
 
     def handle(self, data: bytes, now_s: float) -> bytes:
         """Process received bytes; return the bytes it sends."""
-        ...
 
     def advance(self, now_s: float) -> bytes:
         """Advance the time; return the bytes it sends unprompted."""
-        ...
 
 
 def garbled(data: bytes) -> bytes:
@@ -61,7 +56,6 @@ class PtyPort:
     Args:
         core: the device.
         link: path of a symbolic link to the port; None for none.
-        enforce_baud: garble data sent at another baud rate than the core's.
 
     Attributes:
         path: the port to open.
@@ -71,9 +65,8 @@ class PtyPort:
     Raises DeviceError at the end of the block if the thread has died.
     """
 
-    def __init__(self, core: SerialCore, link: Path | None = None, enforce_baud: bool = True) -> None:
+    def __init__(self, core: SerialCore, link: Path | None = None) -> None:
         self._core = core
-        self._enforce = enforce_baud
         self._master, slave = os.openpty()
         attributes = termios.tcgetattr(slave)
         attributes[0] = attributes[1] = attributes[3] = 0  # raw: no echo, no translation
@@ -90,7 +83,6 @@ class PtyPort:
             link.symlink_to(self.path)
         self.lock = threading.Lock()
         self._stop = threading.Event()
-        self._cut = threading.Event()
         self.worker = Worker(self._serve, "pty-port")
 
     def __enter__(self) -> PtyPort:
@@ -107,14 +99,8 @@ class PtyPort:
             self._link.unlink(missing_ok=True)
         raise_failure(self.worker)
 
-    def cut(self) -> None:
-        """Cut the cable: no more bytes pass, while the device keeps running."""
-        self._cut.set()
-
-    def wrong_rate(self) -> bool:
+    def _wrong_rate(self) -> bool:
         """Whether the client chose another baud rate than the device's."""
-        if not self._enforce:
-            return False
         try:
             chosen = termios.tcgetattr(self._master)[4]
         except termios.error:
@@ -129,14 +115,12 @@ class PtyPort:
             except OSError:
                 data = b""
                 self._stop.wait(_TICK_S)
-            if self._cut.is_set():
-                data = b""
-            wrong = self.wrong_rate()
+            wrong = self._wrong_rate()
             with self.lock:
                 now = time.monotonic()
                 out = self._core.handle(garbled(data) if wrong else data, now) if data else b""
                 out += self._core.advance(now)
-            if out and not self._cut.is_set():
+            if out:
                 # A client that does not read loses bytes, as at a real port.
                 with contextlib.suppress(OSError):
                     os.write(self._master, garbled(out) if wrong else out)

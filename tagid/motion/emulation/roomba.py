@@ -6,11 +6,17 @@ It answers like a Create 2, for other clients as well (iRobot, "Create 2 Open In
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
+from tagid.errors import UsageError
 from tagid.motion.emulation.body import Body, BodySettings
+from tagid.motion.emulation.pty import PtyPort
+from tagid.motion.emulation.truth import TruthServer
 from tagid.motion.roomba import messages as oi
 from tagid.motion.roomba.messages import Mode, Op, Packet
 from tagid.motion.roomba.odometry import WHEEL_BASE_MM
@@ -26,6 +32,13 @@ _DATA_BYTES: Final = {
 _COUNTED: Final = {140: (1, 2), 148: (0, 1), 149: (0, 1)}
 """Commands with a count: its offset in the data, and the bytes per counted item."""
 _CLEANING: Final = (134, 135, 136, 143)
+EVENTS: Final = {
+    "bump": ("bump", 1),
+    "wheel-drop": ("wheel_drop", 2),
+    "cliff": ("cliff", True),
+    "charger": ("on_charger", True),
+}
+"""What changes in the robot's world at an event."""
 
 
 @dataclass
@@ -51,20 +64,9 @@ class World:
     mode_offset: int = 0
 
 
-@dataclass
-class _State:
-    mode: Mode = Mode.OFF
-    asleep: bool = False
-    baud: int = 115200
-    streamed: tuple[int, ...] = ()
-    streaming: bool = False
-    next_frame_s: float = 0.0
-    used_s: float = 0.0
-    starts_at_s: float | None = None
-    buffer: bytearray = field(default_factory=bytearray)
-    speeds: tuple[int, int] = (0, 0)
-    reported_mm: tuple[float, float] = (0.0, 0.0)
-    """Distance and wheel difference already reported in packets 19 and 20."""
+def happen(world: World, event: str) -> None:
+    """Trigger one of EVENTS."""
+    setattr(world, *EVENTS[event])
 
 
 class RoombaCore:
@@ -76,6 +78,12 @@ class RoombaCore:
         now_s: time at the start.
         baud: initial baud rate of its port.
         asleep: whether it has to be woken by a pulse on BRC.
+
+    Attributes:
+        mode: the true mode.
+        asleep: whether it ignores all commands until woken.
+        baud: baud rate of its port.
+        event: one of EVENTS, and after how many seconds of turning it happens; None for none.
     """
 
     def __init__(
@@ -88,66 +96,62 @@ class RoombaCore:
     ) -> None:
         self.body = Body(body, now_s)
         self.world = world or World()
-        self._now = now_s
-        self._state = _State(baud=baud, asleep=asleep, used_s=now_s)
-        self.ignored = 0
-        """Bytes that were not a command."""
-
-    @property
-    def mode(self) -> Mode:
-        """The true mode."""
-        return self._state.mode
-
-    @property
-    def asleep(self) -> bool:
-        """Whether it is asleep: ignores all commands until woken."""
-        return self._state.asleep
-
-    @property
-    def baud(self) -> int:
-        """The baud rate of its port."""
-        return self._state.baud
+        self.mode, self.asleep, self.baud = Mode.OFF, asleep, baud
+        self.event: tuple[str, float] | None = None
+        self._turning_since_s: float | None = None
+        self._now = self._used_s = now_s
+        self._starts_at_s: float | None = None
+        self._buffer = bytearray()
+        self._streamed: tuple[int, ...] = ()
+        self._streaming, self._next_frame_s = False, 0.0
+        self._speeds = (0, 0)
+        self._reported_mm = (0.0, 0.0)
+        """Distance and wheel difference already reported in packets 19 and 20."""
 
     def pulse_brc(self) -> None:
         """A low pulse on BRC: wakes a sleeping robot, and keeps an awake one from falling asleep."""
-        self._state.asleep = False
-        self._state.used_s = self._now
+        self.asleep = False
+        self._used_s = self._now
 
     def handle(self, data: bytes, now_s: float) -> bytes:
         """Process received bytes; return what the robot has sent by then, in order."""
         out = self.advance(now_s)
-        state = self._state
-        if state.asleep or state.starts_at_s is not None or not data:
+        if self.asleep or self._starts_at_s is not None or not data:
             return out
-        state.used_s = self._now
-        state.buffer += data
+        self._used_s = self._now
+        self._buffer += data
         while (command := self._next_command()) is not None:
             out += self._obey(*command)
         return out
 
     def advance(self, now_s: float) -> bytes:
         """Advance the time; return what the robot sends unprompted."""
+        if self._turning_since_s is None and self.body.moving:
+            self._turning_since_s = now_s
+        if self._turning_since_s is not None and self.event is not None:
+            what, after_s = self.event
+            if now_s - self._turning_since_s >= after_s:
+                happen(self.world, what)
         out = b""
-        state = self._state
         while True:
-            due = state.next_frame_s if state.streaming and state.streamed else None
+            due = self._next_frame_s if self._streaming and self._streamed else None
             if due is None or due > now_s:
                 break
             self._move_to(max(due, self._now))
-            state.next_frame_s += oi.FRAME_S
+            self._next_frame_s += oi.FRAME_S
             out += self._fit_frame()
         self._move_to(now_s)
-        if state.starts_at_s is not None and self._now >= state.starts_at_s:
-            state.starts_at_s = None
+        if self._starts_at_s is not None and self._now >= self._starts_at_s:
+            self._starts_at_s = None
             out += _BANNER
-        if state.mode is Mode.PASSIVE and self._now - state.used_s > SLEEP_AFTER_S and not state.streaming:
-            state.asleep, state.mode = True, Mode.OFF
+        if self.mode is Mode.PASSIVE and self._now - self._used_s > SLEEP_AFTER_S and not self._streaming:
+            self.asleep, self.mode = True, Mode.OFF
         return out
 
     def _fit_frame(self) -> bytes:
-        frame = oi.stream_frame(self._state.streamed, self._sensors(self._state.streamed))
+        frame = oi.stream_frame(self._streamed, self._sensors(self._streamed))
         # Data that does not fit into 15 ms at this rate is truncated, as on the real line.
-        return frame[: int(self._state.baud / 10 * oi.FRAME_S)]
+        return frame[: int(self.baud / 10 * oi.FRAME_S)]
 
     def _move_to(self, now_s: float) -> None:
         if now_s <= self._now:
@@ -155,25 +159,25 @@ class RoombaCore:
         self._now = now_s
         self.body.advance(now_s)
         w = self.world
-        if self._state.mode is Mode.SAFE and (w.wheel_drop or w.cliff or w.on_charger):
+        if self.mode is Mode.SAFE and (w.wheel_drop or w.cliff or w.on_charger):
             self._enter(Mode.PASSIVE)
-        if self._state.mode is Mode.FULL and w.on_charger and not self.body.moving:
+        if self.mode is Mode.FULL and w.on_charger and not self.body.moving:
             self._enter(Mode.PASSIVE)
 
     def _enter(self, mode: Mode) -> None:
         """Every change of mode stops the wheels."""
-        if mode not in (Mode.SAFE, Mode.FULL) or self._state.mode not in (Mode.SAFE, Mode.FULL):
+        if mode not in (Mode.SAFE, Mode.FULL) or self.mode not in (Mode.SAFE, Mode.FULL):
             self._drive(0, 0)
-        self._state.mode = mode
+        self.mode = mode
         if mode is Mode.OFF:
-            self._state.streaming = False
+            self._streaming = False
 
     def _drive(self, right: int, left: int) -> None:
-        self._state.speeds = (right, left)
+        self._speeds = (right, left)
         self.body.drive(right, left)
 
     def _next_command(self) -> tuple[int, bytes] | None:
-        buffer = self._state.buffer
+        buffer = self._buffer
         while buffer:
             opcode = buffer[0]
             size = _DATA_BYTES.get(opcode)
@@ -184,7 +188,6 @@ class RoombaCore:
                 size = place + 1 + item_bytes * buffer[place + 1]
             if size is None:
                 del buffer[0]
-                self.ignored += 1
                 continue
             if len(buffer) < size + 1:
                 return None
@@ -194,40 +197,39 @@ class RoombaCore:
         return None
 
     def _obey(self, opcode: int, data: bytes) -> bytes:
-        state = self._state
         if opcode == Op.RESET:
             self._enter(Mode.OFF)
-            state.starts_at_s = self._now + _RESET_S
-            state.buffer.clear()
+            self._starts_at_s = self._now + _RESET_S
+            self._buffer.clear()
             return b""
         if opcode == Op.START:
             self._enter(Mode.PASSIVE)
             return b""
-        if state.mode is Mode.OFF:
+        if self.mode is Mode.OFF:
             return b""
         if opcode == Op.STOP:
             self._enter(Mode.OFF)
         elif opcode == Op.BAUD and data[0] < len(oi.BAUD_CODES):
-            state.baud = oi.BAUD_CODES[data[0]]
+            self.baud = oi.BAUD_CODES[data[0]]
         elif opcode in (Op.SAFE, 130, Op.FULL):
             self._enter(Mode.FULL if opcode == Op.FULL else Mode.SAFE)
         elif opcode == 133:
             self._enter(Mode.PASSIVE)
-            state.asleep, state.mode, state.streaming = True, Mode.OFF, False
+            self.asleep, self.mode, self._streaming = True, Mode.OFF, False
         elif opcode in _CLEANING:
             self._enter(Mode.PASSIVE)
-        elif opcode in (Op.DRIVE, Op.DRIVE_DIRECT, 146) and state.mode in (Mode.SAFE, Mode.FULL):
+        elif opcode in (Op.DRIVE, Op.DRIVE_DIRECT, 146) and self.mode in (Mode.SAFE, Mode.FULL):
             self._drive(*_wheel_speeds(opcode, data))
         elif opcode == Op.SENSORS:
             return self._answer([data[0]])
         elif opcode == Op.QUERY_LIST:
             return self._answer(data[1:])
         elif opcode == Op.STREAM:
-            state.streamed = tuple(p for p in data[1:] if p in oi.PACKETS or p in oi.GROUPS)
-            state.streaming, state.next_frame_s = bool(state.streamed), self._now + oi.FRAME_S
+            self._streamed = tuple(p for p in data[1:] if p in oi.PACKETS or p in oi.GROUPS)
+            self._streaming, self._next_frame_s = bool(self._streamed), self._now + oi.FRAME_S
         elif opcode == Op.PAUSE_STREAM:
-            state.streaming = bool(data[0]) and bool(state.streamed)
-            state.next_frame_s = self._now + oi.FRAME_S
+            self._streaming = bool(data[0]) and bool(self._streamed)
+            self._next_frame_s = self._now + oi.FRAME_S
         return b""
 
     def _answer(self, packets: bytes | list[int]) -> bytes:
@@ -243,18 +245,18 @@ class RoombaCore:
         asked = {single for packet in packets for single in oi.members(packet)}
         left, right = self.body.ways_mm()
         way, difference = (left + right) / 2, right - left
-        reported_way, reported_difference = self._state.reported_mm
+        reported_way, reported_difference = self._reported_mm
         degree_mm = math.radians(1) * WHEEL_BASE_MM
         distance = max(-32768, min(32767, math.trunc(way - reported_way)))
         angle = max(-32768, min(32767, math.trunc((difference - reported_difference) / degree_mm)))
-        self._state.reported_mm = (
+        self._reported_mm = (
             reported_way + distance if oi.Packet.DISTANCE in asked else reported_way,
             reported_difference + angle * degree_mm if oi.Packet.ANGLE in asked else reported_difference,
         )
         return {oi.Packet.DISTANCE: distance, oi.Packet.ANGLE: angle}
 
     def _sensors(self, packets: Iterable[int]) -> dict[int, int]:
-        w, state = self.world, self._state
+        w = self.world
         left, right = self.body.encoders()
         return {
             Packet.BUMPS_AND_DROPS: (w.bump & 3) | (w.wheel_drop & 3) << 2,
@@ -266,14 +268,73 @@ class RoombaCore:
             Packet.CHARGE: w.charge,
             Packet.CAPACITY: w.capacity,
             Packet.CHARGER: 2 if w.on_charger else 0,
-            Packet.MODE: state.mode + w.mode_offset & 0xFF,
+            Packet.MODE: self.mode + w.mode_offset & 0xFF,
             Packet.LEFT_ENCODER: left,
             Packet.RIGHT_ENCODER: right,
-            38: len(state.streamed),
-            41: state.speeds[0],
-            42: state.speeds[1],
+            38: len(self._streamed),
+            41: self._speeds[0],
+            42: self._speeds[1],
             **self._since_reported(packets),
         }
+
+
+class RoombaHost:
+    """A running robot; a context manager.
+
+    Args:
+        body, world, baud, asleep: see RoombaCore.
+        event: WHAT@SECONDS; None for no event.
+        truth_port: UDP port of the true angle; 0 selects any free port.
+        link: a symbolic link to create for the serial port.
+
+    Attributes:
+        core: the robot; inspect it while holding port.lock.
+        port: its serial port.
+        truth: provides `angle_rad`, `moving` and `still_since_s` (time.monotonic()).
+
+    Raises UsageError for an event that is not valid.
+    """
+
+    def __init__(
+        self,
+        body: BodySettings | None = None,
+        world: World | None = None,
+        baud: int = 115200,
+        asleep: bool = False,
+        event: str | None = None,
+        truth_port: int = 0,
+        link: Path | None = None,
+    ) -> None:
+        self.core = RoombaCore(body, world, time.monotonic(), baud, asleep)
+        if event is not None:
+            what, _, after = event.partition("@")
+            try:
+                self.core.event = what, float(after or 0)
+            except ValueError:
+                what = ""
+            if what not in EVENTS:
+                raise UsageError(f"the event is {event!r}", f"Give {', '.join(EVENTS)} with @SECONDS.")
+        self.port = PtyPort(self.core, link)
+        self.truth = TruthServer(self._state, truth_port)
+        self._stack = ExitStack()
+
+    def _state(self, moment_s: float) -> dict[str, float | int | bool]:
+        with self.port.lock:
+            body = self.core.body
+            return {
+                "angle_rad": body.heading_at(moment_s),
+                "moving": body.moving,
+                "still_since_s": body.still_since_s,
+                "mode": int(self.core.mode),
+            }
+
+    def __enter__(self) -> RoombaHost:
+        self._stack.enter_context(self.port)
+        self._stack.enter_context(self.truth)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
 
 
 def _wheel_speeds(opcode: int, data: bytes) -> tuple[int, int]:

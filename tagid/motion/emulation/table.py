@@ -4,18 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from bisect import bisect_right
 from collections import deque
 from enum import Enum
 from typing import Final
 
 from tagid.errors import UsageError
-
-
-def check_rate_error(rate_error: float) -> None:
-    """Raises UsageError unless a table with this relative error of its speed turns forwards."""
-    if not abs(rate_error) < 1:
-        raise UsageError(f"the rate error is {rate_error}", "Give less than 1, e.g. 0.02 for 2 %.")
 
 
 class TurningTable:
@@ -47,8 +40,8 @@ class TurningTable:
     def state(self, moment_s: float) -> dict[str, float | int | bool]:
         """True angle at a given time, and whether it turns."""
         corners = list(self._corners)
-        place = bisect_right([corner[0] for corner in corners], moment_s) - 1
-        since, angle, speed = corners[max(place, 0)]
+        earlier = (corner for corner in reversed(corners) if corner[0] <= moment_s)
+        since, angle, speed = next(earlier, corners[0])
         return {
             "angle_rad": math.radians(angle + speed * max(0.0, moment_s - since)),
             "moving": bool(self.speed_deg_s),
@@ -69,12 +62,44 @@ class Steps(Enum):
     NONE = "never"
 
 
-class ComximCore:
-    """An emulated table; times are seconds of one clock.
+class _TableCore:
+    """An emulated table; its commands end in a semicolon. Times are seconds of one clock.
 
     Args:
         rate_error: relative amount by which it turns slower than commanded.
         now_s: time at the start.
+    """
+
+    def __init__(self, rate_error: float, now_s: float) -> None:
+        if not abs(rate_error) < 1:
+            raise UsageError(f"the rate error is {rate_error}", "Give less than 1, e.g. 0.02 for 2 %.")
+        self.table = TurningTable(now_s)
+        self._rate_error = rate_error
+        self._buffer = ""
+
+    def handle(self, data: bytes, now_s: float) -> bytes:
+        """Process received bytes; return the answers."""
+        out = self.advance(now_s)
+        self._buffer = (self._buffer + data.decode("ascii", "ignore"))[-256:]
+        while ";" in self._buffer:
+            text, self._buffer = self._buffer.split(";", 1)
+            out += self._answer(text)
+        return out
+
+    def advance(self, now_s: float) -> bytes:
+        """Advance the time; return the bytes it sends unprompted."""
+        self.table.advance(now_s)
+        return b""
+
+    def _answer(self, text: str) -> bytes:
+        """Obey a command, without its semicolon."""
+        raise NotImplementedError
+
+
+class ComximCore(_TableCore):
+    """An emulated table; see `_TableCore` for other arguments.
+
+    Args:
         fail: error code in its answer to a command to turn; None for none.
         backwards: whether its motor turns opposite to the manufacturer's documents.
         steps: when it takes a command to turn by an angle.
@@ -93,36 +118,27 @@ class ComximCore:
         backwards: bool = False,
         steps: Steps = Steps.ALWAYS,
     ) -> None:
-        check_rate_error(rate_error)
-        self.table = TurningTable(now_s)
-        self._rate_error = rate_error
+        super().__init__(rate_error, now_s)
         self._fail = fail
         self.steps = steps
         self._sense = -1 if backwards else 1
         self._speed, self._way, self._ack, self._events = 1, -1, False, False
-        self._buffer = ""
         self.ends_at: float | None = None
-
-    def handle(self, data: bytes, now_s: float) -> bytes:
-        """Process received bytes; return the answers."""
-        out = self.advance(now_s)
-        self._buffer = (self._buffer + data.decode("ascii", "ignore"))[-256:]
-        while ";" in self._buffer:
-            text, self._buffer = self._buffer.split(";", 1)
-            command = _COMMAND.search(text)
-            out += self._obey(command[1], command[2]) if command else _error(_UNKNOWN)
-        return out
 
     def advance(self, now_s: float) -> bytes:
         """Advance the time; the end of a step is reported as an event."""
-        self.table.advance(now_s)
+        super().advance(now_s)
         if self.ends_at is not None and now_s >= self.ends_at:
             self.ends_at = None
             self.table.turn(0.0)
             return b"CR+EVENT=TB_END;" if self._events else b""
         return b""
 
-    def _obey(self, name: str, arguments: str) -> bytes:
+    def _answer(self, text: str) -> bytes:
+        command = _COMMAND.search(text)
+        if command is None:
+            return _error(_UNKNOWN)
+        name, arguments = command.groups()
         try:
             values = [float(part) for part in arguments.split(",") if part]
         except ValueError:
@@ -169,46 +185,23 @@ _TEXT: Final = re.compile(r"\+(CT|QT),([A-Z]+)(?:=(-?[0-9.]+))?")
 _NO_COMMAND, _NO_VALUE = "001", "007"
 
 
-class RevopointCore:
-    """An emulated table; times are seconds of one clock.
-
-    Args:
-        rate_error: relative amount by which it turns slower than commanded.
-        now_s: time at the start.
-    """
+class RevopointCore(_TableCore):
+    """An emulated dual-axis table; see `_TableCore`."""
 
     baud = 0
 
     def __init__(self, rate_error: float = 0.02, now_s: float = 0.0) -> None:
-        check_rate_error(rate_error)
-        self.table = TurningTable(now_s)
-        self._rate_error = rate_error
+        super().__init__(rate_error, now_s)
         self._period_s = 35.0
-        self._buffer = ""
 
-    def advance(self, now_s: float) -> bytes:
-        """Advance the time; the table sends nothing unprompted."""
-        self.table.advance(now_s)
-        return b""
-
-    def handle(self, data: bytes, now_s: float) -> bytes:
-        """Process received bytes; return the answers."""
-        self.advance(now_s)
-        self._buffer = (self._buffer + data.decode("ascii", "ignore"))[-256:]
-        out = b""
-        while ";" in self._buffer:
-            text, self._buffer = self._buffer.split(";", 1)
-            out += self._answer(text).encode()
-        return out
-
-    def _answer(self, text: str) -> str:
+    def _answer(self, text: str) -> bytes:
         command = _TEXT.search(text)
         if command is None:
-            return f"+FAIL,ERR={_NO_COMMAND};"
+            return f"+FAIL,ERR={_NO_COMMAND};".encode()
         kind, name, value = command[1], command[2], command[3]
         number = float(value) if value and re.fullmatch(r"-?\d+(\.\d+)?", value) else None
         if kind == "QT" and name == "CHANGEANGLE":
-            return f"+DATA={self.table.angle_deg % 360:.2f};"
+            return f"+DATA={self.table.angle_deg % 360:.2f};".encode()
         if kind == "CT" and name == "TURNSPEED" and number is not None and 17.5 <= number <= 90:
             self._period_s = number
         elif kind == "CT" and name == "TURNCONTINUE" and number in (1, -1):
@@ -217,5 +210,5 @@ class RevopointCore:
         elif kind == "CT" and name == "STOP":
             self.table.turn(0.0)
         else:
-            return f"+FAIL,ERR={_NO_VALUE if kind == 'CT' else _NO_COMMAND};"
-        return "+OK;"
+            return f"+FAIL,ERR={_NO_VALUE if kind == 'CT' else _NO_COMMAND};".encode()
+        return b"+OK;"

@@ -20,6 +20,7 @@ from tagid.workers import Worker
 _LONGEST: Final = 512
 _TRIES: Final = 3
 _WAIT_S: Final = 0.5
+_LOOK_S: Final = 0.1
 
 
 class TruthServer:
@@ -36,7 +37,7 @@ class TruthServer:
     def __init__(self, state: Callable[[float], dict[str, float | int | bool]], port: int = 0) -> None:
         self._state = state
         self._socket = bind_udp("127.0.0.1", port)
-        self._socket.settimeout(_WAIT_S)
+        self._socket.settimeout(_LOOK_S)
         self._stop = threading.Event()
         self.worker = Worker(self._serve, "true-angle")
         self.address = f"127.0.0.1:{self._socket.getsockname()[1]}"
@@ -47,9 +48,6 @@ class TruthServer:
 
     def __exit__(self, *error: object) -> None:
         self._stop.set()
-        host, _, port = self.address.rpartition(":")
-        with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as waker:
-            waker.sendto(b"", (host, int(port)))
         self.worker.join(5)
         self._socket.close()
 
@@ -57,11 +55,8 @@ class TruthServer:
         while not self._stop.is_set():
             try:
                 asked, sender = self._socket.recvfrom(_LONGEST)
-            except TimeoutError:
-                continue
-            try:
                 moment = float(json.loads(asked)["at"])
-            except (ValueError, KeyError, TypeError):
+            except (TimeoutError, ValueError, KeyError, TypeError):
                 continue
             with contextlib.suppress(OSError):
                 self._socket.sendto(json.dumps(self._state(moment)).encode(), sender)

@@ -16,7 +16,6 @@ from tagid.errors import DeviceError, DeviceRejectedError, DeviceTimeoutError
 from tagid.motion.links import ByteLink
 from tagid.motion.roomba import messages as oi
 from tagid.motion.roomba.messages import Mode, Op, Packet
-from tagid.motion.roomba.stream import StreamDecoder
 
 _ANSWER_S: Final = 0.4
 _SETTLE_S: Final = 0.05
@@ -33,8 +32,64 @@ _STATUS: Final = (
     Packet.BUMPS_AND_DROPS,
 )
 
-FAREWELL: Final = oi.HALT + oi.pause_stream(False) + oi.simple(Op.START)
+_FRAME: Final = 19
+"""First byte of a stream frame."""
+FAREWELL: Final = oi.HALT + oi.command(Op.PAUSE_STREAM, 0) + oi.command(Op.START)
 """Wheels to zero, stream off, Passive mode: the final state of the robot."""
+
+
+class StreamDecoder:
+    """Extracts stream frames from a byte stream: invalid data is skipped byte by byte until a frame fits.
+
+    A robot that wakes up prints text, connecting a plug causes noise, and a bridge may lose data.
+
+    Args:
+        packets: ids in a valid frame; a frame with other ids is noise with a matching checksum (probability
+            1 in 256 per byte).
+
+    Attributes:
+        dropped: bytes outside any frame.
+    """
+
+    def __init__(self, packets: Sequence[int]) -> None:
+        self._packets = packets
+        body_size = sum(1 + oi.packet_size(packet) for packet in packets)
+        self._start = bytes((_FRAME, body_size))
+        self._size = body_size + 3
+        self._buffer = b""
+        self.dropped = 0
+
+    def feed(self, data: bytes) -> list[dict[int, int]]:
+        """The frames that are complete, oldest first, as {packet: value}."""
+        buffer = self._buffer + data
+        frames: list[dict[int, int]] = []
+        at = 0
+        while at < len(buffer):
+            frame = buffer[at : at + self._size]
+            if len(frame) < self._size and self._start.startswith(frame[:2]):
+                break  # the rest of it may follow
+            values = self._parse(frame)
+            if values is None:
+                at += 1
+                self.dropped += 1
+            else:
+                at += self._size
+                frames.append(values)
+        self._buffer = buffer[at:]
+        return frames
+
+    def _parse(self, frame: bytes) -> dict[int, int] | None:
+        if not frame.startswith(self._start) or sum(frame) & 0xFF:
+            return None
+        values: dict[int, int] = {}
+        at = len(self._start)
+        for packet in self._packets:
+            end = at + 1 + oi.packet_size(packet)
+            if frame[at] != packet:
+                return None
+            values |= oi.unpack_packet(packet, frame[at + 1 : end])
+            at = end
+        return values
 
 
 @dataclass(frozen=True)
@@ -66,7 +121,7 @@ class OpenInterface:
     def __init__(self, link: ByteLink) -> None:
         self.link = link
         self.mode_offset = 0
-        self.decoder = StreamDecoder()
+        self.decoder = StreamDecoder(())
 
     def wake(self) -> RobotStatus:
         """Put the robot into Passive mode, waking it if needed, and read its status.
@@ -78,7 +133,7 @@ class OpenInterface:
         """
         for attempt in range(4):
             # The stream may still be on from a session that was cut off; its frames are not answers.
-            self.link.write(oi.simple(Op.START) + oi.pause_stream(False))
+            self.link.write(oi.command(Op.START) + oi.command(Op.PAUSE_STREAM, 0))
             self._drain()
             with contextlib.suppress(DeviceTimeoutError, DeviceRejectedError):
                 return self.status()
@@ -94,7 +149,6 @@ class OpenInterface:
         """Read the status; the robot must be in Passive mode."""
         values = self.query(_STATUS)
         offset = values[Packet.MODE] - Mode.PASSIVE
-        temperature = values[Packet.TEMPERATURE]
         if offset not in (-1, 0, 1) or not 5_000 <= values[Packet.VOLTAGE] <= 30_000:
             raise DeviceRejectedError(
                 f"the robot at {self.link} sends invalid answers",
@@ -107,7 +161,7 @@ class OpenInterface:
             bool(values[Packet.CHARGER] & 3) or values[Packet.CHARGING_STATE] in (1, 2, 3),
             values[Packet.VOLTAGE] * 1e-3,
             values[Packet.CURRENT] * 1e-3,
-            temperature,
+            values[Packet.TEMPERATURE],
             values[Packet.CHARGE] / capacity if capacity else None,
             bool(values[Packet.BUMPS_AND_DROPS] & 0b1100),
             offset,
@@ -119,7 +173,7 @@ class OpenInterface:
         Raises DeviceTimeoutError if the answer does not come or has the wrong length.
         """
         sizes = [oi.packet_size(packet) for packet in packets]
-        self.link.write(oi.query(packets))
+        self.link.write(oi.command(Op.QUERY_LIST, len(packets), *packets))
         answer = b""
         deadline = time.monotonic() + _ANSWER_S
         while len(answer) < sum(sizes) and (remaining_s := deadline - time.monotonic()) > 0:
@@ -140,7 +194,7 @@ class OpenInterface:
 
     def safe(self) -> None:
         """Enter Safe mode and verify it. Raises DeviceRejectedError with the likely cause."""
-        self.link.write(oi.simple(Op.SAFE))
+        self.link.write(oi.command(Op.SAFE))
         time.sleep(_SETTLE_S)
         mode = self.query([Packet.MODE])[Packet.MODE] - self.mode_offset
         if mode != Mode.SAFE:
@@ -152,7 +206,7 @@ class OpenInterface:
     def stream(self, packets: Sequence[int]) -> None:
         """Start the stream; read it with `frames`."""
         self.decoder = StreamDecoder(packets)
-        self.link.write(oi.stream(packets))
+        self.link.write(oi.command(Op.STREAM, len(packets), *packets))
 
     def frames(self, timeout: float) -> list[tuple[int, dict[int, int]]]:
         """Stream frames received, as (host time ns, values)."""

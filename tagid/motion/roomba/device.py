@@ -9,17 +9,16 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, Final
 
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
-from tagid.motion.device import MotionStoppedError, PausedError
+from tagid.motion.device import MotionStoppedError
 from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.links import ByteLink
-from tagid.motion.roomba.client import FAREWELL, OpenInterface, RobotStatus
+from tagid.motion.roomba.client import FAREWELL, OpenInterface, RobotStatus, StreamDecoder
 from tagid.motion.roomba.messages import FRAME_S, Mode, Packet
-from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, WHEEL_BASE_MM, SpinOdometry
-from tagid.motion.roomba.stream import StreamDecoder
+from tagid.motion.roomba.odometry import WHEEL_BASE_MM, SpinOdometry
 
 SPEED_STEP_MM_S: Final = 28.5
 """Step of the wheels' speed (seen on Create 2 robots): 13.9 deg/s per step when turning in place."""
@@ -60,11 +59,12 @@ def step_period_s(step: int, wheel_base_mm: float = WHEEL_BASE_MM) -> float:
     return math.pi * wheel_base_mm / (step * SPEED_STEP_MM_S)
 
 
-@dataclass(frozen=True)
-class RoombaSettings:
-    """Motion settings of a robot.
+class Roomba(DrivenMotion):
+    """A robot on the floor with the object on top.
 
-    Attributes:
+    Args:
+        open_link: opens the link; called by `start` and `describe`.
+        name: name of the robot in messages.
         step: speed step, 1..3.
         direction: +1 counter-clockwise from above, -1 clockwise.
         wheel_base_mm: effective wheel base.
@@ -75,70 +75,52 @@ class RoombaSettings:
         max_seconds: maximum duration of the motion, s.
     """
 
-    step: int = 2
-    direction: int = 1
-    wheel_base_mm: float = WHEEL_BASE_MM
-    scale_sigma: float = NOMINAL_SCALE_SIGMA
-    calibrated: bool = False
-    fast: bool = True
-    turns: float | None = None
-    max_seconds: float = 300.0
-
-
-class Roomba(DrivenMotion):
-    """A robot on the floor with the object on top.
-
-    Args:
-        open_link: opens the link; called by `start` and `inspect`.
-        settings: motion settings.
-        name: name of the robot in messages.
-    """
-
     kind = "roomba"
     stops_by = "lift it; a dropped wheel stops it, its buttons do not"
     warning = "If its cable is disconnected nothing stops it: then lift it, because its buttons do not work"
 
     def __init__(
-        self, open_link: Callable[[], ByteLink], settings: RoombaSettings | None = None, name: str = "robot"
+        self,
+        open_link: Callable[[], ByteLink],
+        name: str,
+        *,
+        step: int,
+        direction: int,
+        wheel_base_mm: float,
+        scale_sigma: float,
+        calibrated: bool,
+        fast: bool,
+        turns: float | None,
+        max_seconds: float,
     ) -> None:
-        s = settings or RoombaSettings()
-        super().__init__(
-            f"the robot at {name}",
-            s.direction,
-            step_period_s(s.step, s.wheel_base_mm),
-            s.scale_sigma,
-            s.turns,
-            s.max_seconds,
-        )
-        self.settings = s
+        nominal_s = step_period_s(step, wheel_base_mm)
+        super().__init__(f"the robot at {name}", direction, nominal_s, scale_sigma, turns, max_seconds)
         self.target = name
+        self._step, self._wheel_base_mm, self._calibrated, self._fast = step, wheel_base_mm, calibrated, fast
         self.first_angle_s: float | None = None
         """Seconds from `start` to the first angle."""
         self._open_link = open_link
-        self._oi: OpenInterface | None = None
+        self._oi: OpenInterface
         self._decoder: StreamDecoder | None = None
         self._driven = False
         self._driving = threading.Lock()
         """Held while a drive command is written; none may follow the stop sequence."""
 
-    def inspect(self) -> RobotStatus:
-        """Wake the robot and read its status without moving it; then release the link."""
-        try:
-            return self._interface().wake()
-        finally:
-            self._close()
-
     def describe(self) -> dict[str, Any]:
         """Battery, charger, predicted motion, and the calibration of its wheel base."""
-        status, s = self.inspect(), self.settings
+        try:
+            status = self._interface().wake()
+        finally:
+            self._close()
+        periods_s = [step_period_s(step, self._wheel_base_mm) for step in range(1, MAX_STEP + 1)]
         return {
             "robot": self.target,
             **asdict(status),
             "mode": status.mode.name.lower(),
-            "wheel_base_mm": s.wheel_base_mm,
-            "wheel_base_sigma": s.scale_sigma,
-            "calibrated": s.calibrated,
-            "seconds_a_turn": [round(step_period_s(n, s.wheel_base_mm), 2) for n in range(1, MAX_STEP + 1)],
+            "wheel_base_mm": self._wheel_base_mm,
+            "wheel_base_sigma": self.scale_sigma,
+            "calibrated": self._calibrated,
+            "seconds_a_turn": [round(period_s, 2) for period_s in periods_s],
         }
 
     def _connect_and_halt(self) -> None:
@@ -149,28 +131,27 @@ class Roomba(DrivenMotion):
         oi.leave()
 
     def _interface(self) -> OpenInterface:
-        if self._oi is None:
-            self._oi = OpenInterface(self._open_link())
+        if self._link is None:
+            self._link = self._open_link()
+            self._oi = OpenInterface(self._link)
         return self._oi
 
     def _begin(self) -> None:
         asked = time.monotonic()
-        s = self.settings
         oi = self._interface()
         self._fit_to_turn(oi.wake())
         oi.link.arm(DEAD_MAN_S)
         self._driven = True
         oi.safe()
-        oi.stream(WATCHED_FAST if s.fast else WATCHED)
+        oi.stream(WATCHED_FAST if self._fast else WATCHED)
         self._decoder = oi.decoder
-        self._odometry = SpinOdometry(s.direction, s.wheel_base_mm)
+        self._odometry = SpinOdometry(self.direction, self._wheel_base_mm)
         self._fed = self._heard = self._moved = self._looked = time.monotonic()
         self._counts = (0, 0)
-        first = self._poll()
-        while not first:
-            first = self._poll()
+        while not (first := self._poll()):
+            pass
         self._readings = first
-        self._spin(round(s.step * SPEED_STEP_MM_S))
+        self._spin(round(self._step * SPEED_STEP_MM_S))
         self.first_angle_s = time.monotonic() - asked
 
     def _fit_to_turn(self, status: RobotStatus) -> None:
@@ -193,11 +174,7 @@ class Roomba(DrivenMotion):
         now = time.monotonic()
         away = now - self._looked
         if away > DEAD_MAN_S:
-            raise PausedError(
-                f"this program was paused for {away:.1f} s; {self.name} was stopped and its angle is lost "
-                "from then on",
-                "Record again; keep this computer awake and less busy.",
-            )
+            raise self._paused(away)
         if away > _STARVED_S:
             # This process did not read the link; the robot was not silent.
             self._heard += away
@@ -205,7 +182,7 @@ class Roomba(DrivenMotion):
         self._looked = now
         if now - self._fed >= _FEED_S:
             # Repeated regularly: these writes keep the dead-man from stopping the wheels.
-            self._spin(round(self.settings.step * SPEED_STEP_MM_S) if self._readings else 0)
+            self._spin(round(self._step * SPEED_STEP_MM_S) if self._readings else 0)
             self._fed = now
         readings: list[AngleReading] = []
         for stamp, values in oi.frames(0.02):
@@ -255,7 +232,7 @@ class Roomba(DrivenMotion):
                 raise MotionStoppedError(f"{self.name} {cause} and was stopped", remedy)
 
     def _halt(self) -> None:
-        if self._oi is None or not self._driven:
+        if self._link is None or not self._driven:
             return
         with self._driving:
             self._driven = False
@@ -269,18 +246,12 @@ class Roomba(DrivenMotion):
             if self._driven:
                 self._interface().spin(self.direction, speed_mm_s)
 
-    def _close(self) -> None:
-        oi, self._oi = self._oi, None
-        if oi is not None:
-            oi.link.close()
-
     def _facts(self) -> dict[str, Any]:
-        s = self.settings
         return {
             "robot": self.target,
-            "wheel_base_mm": s.wheel_base_mm,
-            "calibrated": s.calibrated,
-            "step": s.step,
+            "wheel_base_mm": self._wheel_base_mm,
+            "calibrated": self._calibrated,
+            "step": self._step,
             "step_s": FRAME_S,
             "bytes_dropped": self._decoder.dropped if self._decoder else 0,
             "first_angle_s": self.first_angle_s,

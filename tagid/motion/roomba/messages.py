@@ -112,9 +112,13 @@ def unpack_packet(packet: int, data: bytes) -> dict[int, int]:
     return dict(zip(members(packet), struct.unpack(code, data), strict=True))
 
 
-def simple(op: Op) -> bytes:
-    """A command without data."""
-    return bytes([op])
+def command(op: Op, *data: int) -> bytes:
+    """A command with its data bytes.
+
+    >>> command(Op.STREAM, 2, 29, 13).hex(" ")
+    '94 02 1d 0d'
+    """
+    return bytes([op, *data])
 
 
 def drive_direct(right_mm_s: int, left_mm_s: int) -> bytes:
@@ -131,23 +135,6 @@ def drive_direct(right_mm_s: int, left_mm_s: int) -> bytes:
 
 HALT: Final = drive_direct(0, 0)
 """Wheels to zero."""
-
-
-def query(packets: Iterable[int]) -> bytes:
-    """Query packets once."""
-    ids = bytes(packets)
-    return bytes([Op.QUERY_LIST, len(ids)]) + ids
-
-
-def stream(packets: Iterable[int]) -> bytes:
-    """Stream packets every 15 ms."""
-    ids = bytes(packets)
-    return bytes([Op.STREAM, len(ids)]) + ids
-
-
-def pause_stream(on: bool) -> bytes:
-    """Pause or resume the stream."""
-    return bytes([Op.PAUSE_STREAM, int(on)])
 
 
 def stream_frame(packets: Iterable[int], values: Mapping[int, int]) -> bytes:

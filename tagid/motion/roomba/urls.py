@@ -1,21 +1,19 @@
-"""`roomba+serial://PORT` and `roomba+ble://NAME-OR-ADDRESS`: creates a robot from a URL.
-
-Options are parsed and checked here, before anything is opened.
-"""
+"""`roomba+serial://PORT` and `roomba+ble://NAME-OR-ADDRESS`: creates a robot from a URL."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from tagid.motion.calibration import recall
 from tagid.motion.links import ByteLink, SerialLink
-from tagid.motion.roomba.device import HALT, MAX_STEP, Roomba, RoombaSettings, step_period_s
+from tagid.motion.roomba.device import HALT, MAX_STEP, Roomba, step_period_s
 from tagid.motion.roomba.messages import BAUD_CODES
 from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, SLIP_SIGMA, WHEEL_BASE_MM
 from tagid.motion.urls import Options
 
 
-def _settings(options: Options, robot: str, fast: bool) -> RoombaSettings:
+def _robot(options: Options, open_link: Callable[[], ByteLink], robot: str, fast: bool) -> Roomba:
     step = options.number("step", None, 1, MAX_STEP)
     rpm = options.number("rpm", None, 0.1, 60 / step_period_s(MAX_STEP) + 0.5)
     if step is not None and rpm is not None:
@@ -32,7 +30,9 @@ def _settings(options: Options, robot: str, fast: bool) -> RoombaSettings:
         base, sigma = known.wheel_base_mm, math.hypot(known.sigma, SLIP_SIGMA)
     else:
         sigma = NOMINAL_SCALE_SIGMA
-    return RoombaSettings(
+    return Roomba(
+        open_link,
+        robot,
         step=int(step or 2),
         direction=options.direction(),
         wheel_base_mm=base or WHEEL_BASE_MM,
@@ -40,31 +40,25 @@ def _settings(options: Options, robot: str, fast: bool) -> RoombaSettings:
         calibrated=known is not None,
         fast=fast,
         turns=options.number("turns", None, 0.01, 20),
-        max_seconds=options.number("max_seconds", 300.0, 1, 3600) or 300.0,
+        max_seconds=options.number("max_seconds", 300.0, 1, 3600),
     )
 
 
 def open_serial(options: Options) -> Roomba:
     """A robot on a cable. Options: baud, step or rpm, direction, base_mm, turns, max_seconds."""
     port = options.port()
-    baud = int(options.number("baud", 115200, 300, 115200) or 115200)
+    baud = int(options.number("baud", 115200, 300, 115200))
     if baud not in BAUD_CODES:
         raise options.wrong(f"baud is {baud}, expected 115200 or 19200")
-    settings = _settings(options, port, fast=baud == 115200)
-
-    def link() -> ByteLink:
-        return SerialLink(port, baud, HALT)
-
-    return Roomba(link, settings, port)
+    return _robot(options, lambda: SerialLink(port, baud, HALT), port, fast=baud == 115200)
 
 
 def open_ble(options: Options) -> Roomba:
     """A robot behind the Bluetooth bridge. Options as on a cable without baud, plus passkey, hci, wait."""
-    from tagid.motion.ble import BridgeLink
-    from tagid.motion.ble_urls import ble_address
+    from tagid.motion.ble import BridgeLink, ble_address
 
     address = ble_address(options)
-    robot = Roomba(lambda: BridgeLink(address), _settings(options, address.target, fast=True), address.target)
+    robot = _robot(options, lambda: BridgeLink(address), address.target, fast=True)
     robot.stops_by = "its bridge stops it within half a second; if it continues to turn, lift it"
     robot.warning = ""
     return robot

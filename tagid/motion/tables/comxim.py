@@ -83,7 +83,7 @@ class Comxim(PolledTable):
         self.link().write(f"CT+{text};".encode())
         self.answer("OK", 2.0)
 
-    def _ask_angle(self) -> float | None:
+    def _ask_angle(self) -> float:
         self.link().write(b"CT+GETOFFSETANGLE();")
         text = self.answer("OffsetAngle")
         match = _ANGLE.search(text)
@@ -101,13 +101,12 @@ class Comxim(PolledTable):
 def open_serial(options: Options) -> Comxim:
     """Options: speed (1 and higher, higher is slower), period (s per turn), direction, reversed, turns."""
     port = options.port()
-    speed = int(options.number("speed", 1, 1, 1000) or 1)
-    period = options.number("period", SECONDS_A_TURN * speed, 1, 3600) or SECONDS_A_TURN
+    speed = int(options.number("speed", 1, 1, 1000))
     table = Comxim(
         lambda: SerialLink(port, BAUD, STOP),
         port,
         options.direction(),
-        period,
+        options.number("period", SECONDS_A_TURN * speed, 1, 3600),
         options.number("turns", None, 0.01, 20),
     )
     table.speed = speed

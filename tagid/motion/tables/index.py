@@ -14,9 +14,8 @@ from typing import Any, Final
 
 from tagid import hostclock
 from tagid.errors import DeviceRejectedError
-from tagid.motion.ble import BleAddress, BridgeLink
-from tagid.motion.ble_urls import ble_address
-from tagid.motion.bridge import Event, IndexPulse, Op
+from tagid.motion.ble import BleAddress, BridgeLink, ble_address
+from tagid.motion.bridge.protocol import Event, IndexPulse, Op
 from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.urls import Options
 
@@ -37,6 +36,7 @@ class IndexTable(DrivenMotion):
     """
 
     kind = "index"
+    _link: BridgeLink | None = None
     moves = False
     stops_by = "switch the table off"
 
@@ -44,7 +44,6 @@ class IndexTable(DrivenMotion):
         # Two pulses are exactly one turn; the angle outside them continues at the same speed.
         super().__init__(f"the index sensor at {address.target}", direction, nominal_s, 0.001, turns or 1.0)
         self._open_link: Callable[[], BridgeLink] = lambda: BridgeLink(address, self._event)
-        self._link: BridgeLink | None = None
         self._pulses: list[IndexPulse] = []
         self._new = threading.Condition()
         self._offset_ns: int | None = None
@@ -83,12 +82,10 @@ class IndexTable(DrivenMotion):
         with self._new:
             if len(self._pulses) < 2:
                 self._new.wait(_LOOK_S)
-            if len(self._pulses) < 2:
-                pulses: list[IndexPulse] = []
-            else:
-                pulses = self._pulses[:2]
+            pulses = self._pulses[:2]
+            if len(pulses) == 2:
                 del self._pulses[0]
-        if not pulses:
+        if len(pulses) < 2:
             if time.monotonic() - self._heard > _LONGEST_TURN_S:
                 raise DeviceRejectedError(
                     f"{self.name} sent no pulse for {_LONGEST_TURN_S:.0f} s",
@@ -104,14 +101,8 @@ class IndexTable(DrivenMotion):
         share = [n / steps for n in range(0 if begin == 0 else 1, steps + 1)]
         # Half the best round trip, at this turn's speed.
         sigma = self._round_trip_ns / math.sqrt(12) / max(second - first, 1) * missed * 2 * math.pi
-        return [
-            (
-                round(first + s * (second - first)),
-                self.direction * 2 * math.pi * (begin + s * missed),
-                sigma,
-            )
-            for s in share
-        ]
+        turn = self.direction * 2 * math.pi
+        return [(round(first + s * (second - first)), turn * (begin + s * missed), sigma) for s in share]
 
     def _halt(self) -> None:
         """Does nothing: the table is not commanded."""
@@ -121,26 +112,17 @@ class IndexTable(DrivenMotion):
         try:
             self._link = self._open_link()
             info = self._link.bridge.info
-            return {
-                "device": self.name,
-                "firmware": info.version,
-                "chip": info.chip,
-                "flags": str(info.flags),
-            }
+            facts = {"firmware": info.version, "chip": info.chip, "flags": str(info.flags)}
+            return {"device": self.name, **facts}
         finally:
             self._close()
 
     def _facts(self) -> dict[str, Any]:
         return {"runs_on": True, "pulses": self._turned + 1}
 
-    def _close(self) -> None:
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
-
 
 def open_ble(options: Options) -> IndexTable:
     """Options: rpm (nominal), direction, turns, passkey, hci, wait."""
     address = ble_address(options)
-    rpm = options.number("rpm", 2.0, 0.1, 60) or 2.0
+    rpm = options.number("rpm", 2.0, 0.1, 60)
     return IndexTable(address, options.direction(), 60 / rpm, options.number("turns", None, 0.01, 20))

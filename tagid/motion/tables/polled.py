@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from tagid import hostclock
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
-from tagid.motion.device import MotionStoppedError, PausedError
+from tagid.motion.device import MotionStoppedError
 from tagid.motion.driven import AngleReading, DrivenMotion
 from tagid.motion.links import ByteLink
 
@@ -29,6 +29,7 @@ _SLOW_S: Final = 0.06
 _PATIENCE_S: Final = 0.5
 """An answer slower than _SLOW_S is discarded, unless none was faster for this time."""
 _LONGEST_ANSWER: Final = 512
+_RESOLUTION_RAD: Final = math.radians(0.1)
 
 
 class PolledTable(DrivenMotion):
@@ -40,10 +41,7 @@ class PolledTable(DrivenMotion):
         direction: +1 counter-clockwise from above, -1 clockwise.
         nominal_s: seconds per turn as set; real rates differ.
         turns: turns to record; None for one plus the overlap.
-        resolution_rad: resolution of its angle.
     """
-
-    resolution_rad = math.radians(0.1)
 
     def __init__(
         self,
@@ -57,7 +55,6 @@ class PolledTable(DrivenMotion):
         self.target = name
         self.reversed = False
         self._open_link = open_link
-        self._link: ByteLink | None = None
         self._running = False
         self._buffer = b""
         self._last_deg: float | None = None
@@ -75,8 +72,8 @@ class PolledTable(DrivenMotion):
         """Command it to turn, with its speed and direction."""
 
     @abstractmethod
-    def _ask_angle(self) -> float | None:
-        """Its angle, degrees; None if it currently reports none."""
+    def _ask_angle(self) -> float:
+        """Its angle, degrees."""
 
     @abstractmethod
     def _tell_stop(self) -> None:
@@ -101,7 +98,14 @@ class PolledTable(DrivenMotion):
                 part, self._buffer = self._buffer.split(b";", 1)
                 # The degree sign of some tables is not UTF-8; only ASCII is needed.
                 text = part.decode("ascii", "ignore").strip()
-                self.refuse(text)
+                if "ERR=" in text or "FAIL" in text:
+                    # The guardian's halt may have caused this answer.
+                    self._beat()
+                    code = text.rpartition("=")[2].strip()
+                    raise DeviceRejectedError(
+                        f"{self.name} reports error {code}",
+                        "Switch it off and on; see its manual for the code.",
+                    )
                 if wanted in text:
                     return text
             remaining_s = deadline - time.monotonic()
@@ -124,34 +128,19 @@ class PolledTable(DrivenMotion):
             self._beat()
         self._buffer = b""
 
-    def refuse(self, text: str) -> None:
-        """Raise DeviceRejectedError if an answer is an error."""
-        for mark in ("ERR=", "FAIL"):
-            if mark in text:
-                # The guardian's halt may have caused this answer.
-                self._beat()
-                code = text.rpartition("=")[2].strip()
-                raise DeviceRejectedError(
-                    f"{self.name} reports error {code}", "Switch it off and on; see its manual for the code."
-                )
-
     def _begin(self) -> None:
         self._last_deg, self._turned_deg = None, 0.0
         self.link().arm(GUARD_S)
         self._running = True
         self._set_going()
-        self._looked = time.monotonic()
-        self._moved = time.monotonic()
+        self._looked = self._moved = time.monotonic()
 
     def _poll(self) -> list[AngleReading]:
         time.sleep(POLL_S)
         self._beat()
-        if time.monotonic() - self._looked > PAUSE_S:
-            raise PausedError(
-                f"this program was paused for {time.monotonic() - self._looked:.1f} s; {self.name} was "
-                "stopped and its angle is lost from then on",
-                "Record again; keep this computer awake and less busy.",
-            )
+        away_s = time.monotonic() - self._looked
+        if away_s > PAUSE_S:
+            raise self._paused(away_s)
         self._looked = time.monotonic()
         if time.monotonic() - self._moved > _STALL_S:
             raise MotionStoppedError(
@@ -161,10 +150,7 @@ class PolledTable(DrivenMotion):
         asked = hostclock.now_ns()
         degrees = self._ask_angle()
         answered = hostclock.now_ns()
-        if degrees is None:
-            return []
-        late = (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._last_answer_s < _PATIENCE_S
-        if late:
+        if (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._last_answer_s < _PATIENCE_S:
             # The time within that interval at which the table sampled its angle is unknown.
             return []
         self._last_answer_s = time.monotonic()
@@ -175,7 +161,7 @@ class PolledTable(DrivenMotion):
             self._turned_deg += step
         self._last_deg = degrees
         spread = 0.5 * (answered - asked) * 1e-9 * 2 * math.pi / self.nominal_s / math.sqrt(3)
-        sigma = math.hypot(self.resolution_rad / math.sqrt(12), spread)
+        sigma = math.hypot(_RESOLUTION_RAD / math.sqrt(12), spread)
         # The sign that tables report is not documented consistently; the commanded direction is used.
         angle = self.direction * math.radians(abs(self._turned_deg))
         return [((asked + answered) // 2, angle, sigma)]
@@ -198,11 +184,6 @@ class PolledTable(DrivenMotion):
             return {"device": self.name, "kind": self.kind, "angle_deg": self._ask_angle()}
         finally:
             self._close()
-
-    def _close(self) -> None:
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
 
     def _facts(self) -> dict[str, Any]:
         return {"stamp_sigma_s": 0.005, "table": self.target, "reversed": self.reversed}

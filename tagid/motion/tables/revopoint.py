@@ -9,8 +9,7 @@ import re
 from typing import Final
 
 from tagid.errors import DeviceRejectedError
-from tagid.motion.ble import CharacteristicLink
-from tagid.motion.ble_urls import ble_address
+from tagid.motion.ble import CharacteristicLink, ble_address
 from tagid.motion.discovery import REVOPOINT
 from tagid.motion.tables.polled import PolledTable
 from tagid.motion.urls import Options
@@ -25,7 +24,6 @@ class Revopoint(PolledTable):
     """A dual-axis table; see PolledTable."""
 
     kind = "revopoint"
-    stops_by = "switch it off"
     warning = "If Bluetooth is lost, or this program hangs, it may not stop: then switch it off"
 
     def _set_going(self) -> None:
@@ -38,7 +36,7 @@ class Revopoint(PolledTable):
         self.link().write(f"+CT,{text};".encode())
         self.answer("+OK")
 
-    def _ask_angle(self) -> float | None:
+    def _ask_angle(self) -> float:
         self.link().write(b"+QT,CHANGEANGLE;")
         text = self.answer("+DATA")
         match = _ANGLE.search(text)
@@ -57,7 +55,7 @@ def open_ble(options: Options) -> Revopoint:
         lambda: CharacteristicLink(address, SERVICE, CHARACTERISTIC, options.url),
         address.target,
         options.direction(),
-        options.number("period", 30.0, FASTEST_S, SLOWEST_S) or 30.0,
+        options.number("period", 30.0, FASTEST_S, SLOWEST_S),
         options.number("turns", None, 0.01, 20),
     )
     table.reversed = options.reversed(address.target)
