@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 
 from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
@@ -23,7 +25,7 @@ from tagid.station.errors import (
     reported,
 )
 from tagid.station.security import MOST_BODY_BYTES, Refusal
-from tagid.station.station import HISTORY_LIMIT
+from tagid.station.station import HISTORY_LIMIT, Station
 from tagid.storage.history import Filter
 
 _MOST_DIGITS = 18
@@ -160,6 +162,75 @@ def _whole(text: str) -> int | None:
 def number_in(request: Request) -> int:
     """The number in the path of a request."""
     return int(request.path_params["number"])
+
+
+Handler = Callable[[Station, Request], Awaitable[Response | bytes | wire.Json]]
+"""Answers a request; bytes and JSON values are the content of a response."""
+
+
+@dataclass(frozen=True)
+class Operation:
+    """A method of a path: who handles its requests, and how /api/v1/openapi.json describes it.
+
+    Attributes:
+        method, path, summary: as named; the path is that of a route.
+        asked: schema of the body, or its media type; empty without a body.
+        status: of a response that is no refusal.
+        answer: schema of its content, or its media type.
+        parameters: besides those in the path.
+        refused: statuses of refusals.
+        handler: of its requests.
+    """
+
+    method: str
+    path: str
+    summary: str
+    asked: str
+    status: int
+    answer: str
+    parameters: tuple[wire.Json, ...]
+    refused: tuple[int, ...]
+    handler: Handler
+
+    async def respond(self, station: Station, request: Request) -> Response:
+        """The response to a request."""
+        content = await self.handler(station, request)
+        if isinstance(content, bytes):
+            return Response(content, self.status, media_type=self.answer)
+        return content if isinstance(content, Response) else as_json(content, self.status)
+
+
+class Operations(list[Operation]):
+    """The operations of a module, added by the decorators of their handlers."""
+
+    def get(
+        self, path: str, summary: str, answer: str, *parameters: wire.Json, missing: bool = False
+    ) -> Callable[[Handler], Handler]:
+        """Adds a GET, of what may be missing."""
+        refused = (401, 404) if missing else (401,)
+        return partial(self._add, ("GET", path, summary, "", 200, answer, parameters, refused))
+
+    def post(
+        self,
+        path: str,
+        summary: str,
+        asked: str,
+        status: int,
+        answer: str,
+        *parameters: wire.Json,
+        refused: tuple[int, ...] = (),
+    ) -> Callable[[Handler], Handler]:
+        """Adds a POST, with the statuses of refusals that not every POST has."""
+        codes = (400, 401, 403, 409, *refused, 503, 507)
+        return partial(self._add, ("POST", path, summary, asked, status, answer, parameters, codes))
+
+    def _add(
+        self,
+        facts: tuple[str, str, str, str, int, str, tuple[wire.Json, ...], tuple[int, ...]],
+        handler: Handler,
+    ) -> Handler:
+        self.append(Operation(*facts, handler))
+        return handler
 
 
 def as_json(value: wire.Json, status: int = 200) -> Response:
