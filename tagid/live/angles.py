@@ -27,7 +27,6 @@ from tagid.pipeline.turn import resolve_turn
 from tagid.radar.assembler import Scan
 
 if TYPE_CHECKING:
-    from tagid.radar.assembler import Scan
     from tagid.recording.session import Session
 
 _FEWEST_FITTED = 8
@@ -46,6 +45,9 @@ class LiveAngles:
 
     Args:
         motion: the device that rotates the object.
+
+    Attributes:
+        stopped: where the object stopped, in words, if the scans show it at a nominal speed; else empty.
     """
 
     def __init__(self, motion: Motion) -> None:
@@ -55,16 +57,11 @@ class LiveAngles:
         self._tried = False
         self._still: Still | None = None
         self._next_look_s = 0.0
-        self._stopped = ""
+        self.stopped = ""
 
     def learn(self, period_s: float) -> None:
         """Use a period that was found in the scans, s per turn."""
         self._period_s, self._from_data = period_s, True
-
-    @property
-    def stopped(self) -> str:
-        """Where the object stopped, in words, if the scans show it at a nominal speed; else empty."""
-        return self._stopped
 
     def of(self, scans: Sequence[Scan]) -> NDArray[np.float64] | None:
         """(scans,) angle relative to the first scan, rad; None while unknown."""
@@ -101,7 +98,7 @@ class LiveAngles:
             last = still.stop == len(samples)
             still = Still(still.first * every, len(scans) if last else still.stop * every)
         self._still = still
-        self._stopped = "" if still is None else stopped_words(standstill_facts(still, times, turns))
+        self.stopped = "" if still is None else stopped_words(standstill_facts(still, times, turns))
 
     def _search(self, scans: Sequence[Scan], times: NDArray[np.float64]) -> None:
         """Correct a nominal speed once the scans cover more than one turn.

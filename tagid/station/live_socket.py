@@ -10,7 +10,6 @@ from typing import Any
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from tagid._version import __version__
 from tagid.errors import UsageError
 from tagid.station import wire
 from tagid.station.errors import BusyError
@@ -149,14 +148,7 @@ class LiveSocket:
             await _close(socket, 1008)
             return
         client = Client(key)
-        hello = {"type": "hello", "key": key, "version": __version__, "palette": wire.palette()}
-        client.unsent["hello"] = wire.to_text(
-            {
-                **hello,
-                "demo": bool(self._station.source.demo),
-                "objects": wire.demo_objects(self._station),
-            }
-        )
+        client.unsent["hello"] = wire.to_text(wire.hello(self._station, key))
         self._hub.add(client)
         tasks = [
             asyncio.create_task(self._send(socket, client)),

@@ -70,6 +70,9 @@ class Run(BackgroundRun):
     Attributes:
         number, motion: as given.
         file: name of the file that is read; empty for a scan.
+        remark: on files that could not be written; empty if none.
+        residuals: the picture of what competing hypotheses leave of the echo; None if there is none.
+        device_failed: whether the radar or the motion failed.
     """
 
     file = ""
@@ -84,9 +87,9 @@ class Run(BackgroundRun):
             motion, enrolled.layouts, enrolled.signatures, enrolled.version, self._setup.imaging
         )
         self._view = LiveView(self._needs)
-        self._remark = ""
-        self._residuals: Path | None = None
-        self._device_failed = False
+        self.remark = ""
+        self.residuals: Path | None = None
+        self.device_failed = False
         super().__init__(f"station-scan-{number}")
 
     @property
@@ -95,27 +98,12 @@ class Run(BackgroundRun):
         return self._view.state
 
     @property
-    def remark(self) -> str:
-        """Remark on files that could not be written; empty if none."""
-        return self._remark
-
-    @property
-    def residuals(self) -> Path | None:
-        """The picture of what competing hypotheses leave of the echo; None if there is none."""
-        return self._residuals
-
-    @property
-    def device_failed(self) -> bool:
-        """Whether the radar or the motion failed."""
-        return self._device_failed
-
-    @property
     def silent_s(self) -> float:
         """Seconds for which the recording has waited for its next scan; 0 while it does not wait."""
         return self._view.silent_s
 
     def _fail(self, error: BaseException) -> None:
-        self._device_failed = isinstance(error, DeviceError)
+        self.device_failed = isinstance(error, DeviceError)
         self._view.fail(reported(error))
 
     def _draw(self, answer: Answer, path: Path) -> tuple[Drawn | None, list[str]]:
@@ -127,7 +115,7 @@ class Run(BackgroundRun):
         except TagidError as error:
             return None, [f"no picture: {error.message}"]
         if residuals_beside(png).is_file():
-            self._residuals = residuals_beside(png)
+            self.residuals = residuals_beside(png)
         return drawn, []
 
 
@@ -185,7 +173,7 @@ class ScanRun(Run):
                 remarks += failed
             radar = {"radar": self._place.radar_url(), "motion": self._plan.motion}
             remarks += self._place.remember(COMMAND, [answer.to_dict()], radar)
-            self._remark = "; ".join(remarks)
+            self.remark = "; ".join(remarks)
             if answer.error is not None:
                 # The recording is stored; only the reading failed.
                 raise answer.error
@@ -200,12 +188,5 @@ class ScanRun(Run):
         def gap(gap: ScanGap) -> None:
             view.note(f"the radar was disconnected for {gap.seconds:.1f} s; the recording continues")
 
-        def resolve(capture: Capture, motion: str) -> Capture:
-            return resolve_turn(capture, motion)
-
-        return Watch(
-            gap=gap,
-            resolve=view.resolving(resolve),
-            began=view.began,
-            stop=self._stop.is_set,
-        )
+        resolve = view.resolving(resolve_turn)
+        return Watch(gap=gap, resolve=resolve, began=view.began, stop=self._stop.is_set)

@@ -82,17 +82,15 @@ class Settings:
 
     Args:
         radar: held while radars are asked.
+
+    Attributes:
+        searches: the newest result of each search.
     """
 
     def __init__(self, radar: threading.Lock) -> None:
         self._radar = radar
         self._lock = threading.Lock()
-        self._found: dict[Kind, Search] = {}
-
-    @property
-    def found(self) -> Mapping[Kind, Search]:
-        """The newest result of each search."""
-        return dict(self._found)
+        self.searches: dict[Kind, Search] = {}
 
     def find(self, kind: Kind, config: Config) -> Search:
         """Search for devices as `tagid radar find` and `tagid motion find` do; takes some seconds.
@@ -101,7 +99,7 @@ class Settings:
         """
         with self._alone("a search is running"):
             search = self._radars(config) if kind == "radar" else _motions()
-            self._found[kind] = search
+            self.searches[kind] = search
             return search
 
     def change(self, changes: Mapping[str, Any], config: Config) -> None:
@@ -167,7 +165,7 @@ class Settings:
             raise UsageError(f"the speed is {rpm} rpm", f"Give more than 0 and at most {_MOST_RPM:g} rpm.")
 
     def _was_found(self, kind: Kind, url: str) -> bool:
-        return any(device.url == url for device in self._found.get(kind, Search()).devices)
+        return any(device.url == url for device in self.searches.get(kind, Search()).devices)
 
     def _radars(self, config: Config) -> Search:
         with self._radar:

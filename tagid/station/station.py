@@ -21,7 +21,7 @@ from tagid.files import read_bytes
 from tagid.metadata import ObjectInfo
 from tagid.operate.turn import picture_of, residuals_beside
 from tagid.operate.workplace import TURN_S, Workplace, open_registry
-from tagid.station.commissioning import CommissioningRun, results_page, results_picture
+from tagid.station.commissioning import CommissioningRun
 from tagid.station.demo import DemoObject
 from tagid.station.enrolling import Enrolling, Subject
 from tagid.station.errors import (
@@ -124,6 +124,11 @@ class Station:
         enrolling: the enrollment.
         reports: the reports.
         settings: the settings of the page.
+        scan: the newest scan, or reading of a file; None before the first one.
+        profile: the newest range profile; None before the first one.
+        commissioning: the newest step of the commissioning; None before the first one of this station.
+        health: the newest health check.
+        failure: why the station ended on its own; None if it did not.
     """
 
     def __init__(self, source: Source, check: Callable[..., list[Finding]] = examine) -> None:
@@ -135,46 +140,21 @@ class Station:
         self._radar = threading.Lock()
         self.settings = Settings(self._radar)
         self._starting = threading.Lock()
-        self._scan: Run | None = None
-        self._profile: ProfileRun | None = None
-        self._commissioning: CommissioningRun | None = None
+        self.scan: Run | None = None
+        self.profile: ProfileRun | None = None
+        self.commissioning: CommissioningRun | None = None
         self._count = 0
-        self._health = Health()
+        self.health = Health()
         self._checker: Worker | None = None
         self._health_due = 0.0
         self._failed_seen = 0
         self._over = threading.Event()
-        self._failure: TagidError | None = None
+        self.failure: TagidError | None = None
         self._interlock = Worker(
             self._watch_operator,
             "station-interlock",
             lambda error: self.fail("the operator interlock", error),
         )
-
-    @property
-    def scan(self) -> Run | None:
-        """The newest scan, or reading of a file; None before the first one."""
-        return self._scan
-
-    @property
-    def profile(self) -> ProfileRun | None:
-        """The newest range profile; None before the first one."""
-        return self._profile
-
-    @property
-    def commissioning(self) -> CommissioningRun | None:
-        """The newest step of the commissioning; None before the first one of this station."""
-        return self._commissioning
-
-    @property
-    def health(self) -> Health:
-        """The newest health check."""
-        return self._health
-
-    @property
-    def failure(self) -> TagidError | None:
-        """Why the station ended on its own; None if it did not."""
-        return self._failure
 
     def begin(self) -> None:
         """Start the interlock. Raises OverloadedError."""
@@ -182,8 +162,8 @@ class Station:
 
     def fail(self, part: str, error: BaseException) -> None:
         """End the station because a part of it died: the motion stops, and nothing is started any more."""
-        if self._failure is None:
-            self._failure = TagidError(
+        if self.failure is None:
+            self.failure = TagidError(
                 f"{part} died: {type(error).__name__}: {error}", "Start the station again."
             )
         self._over.set()
@@ -218,10 +198,10 @@ class Station:
         Raises as `start`, and EnrolmentError if the enrollment takes no capture.
         """
         with self._starting:
-            expected = self.enrolling.expect()
+            note, add = self.enrolling.expect()
             # The last object of a demonstration is the one that is not enrolled.
             demo_object = self.source.demo[-1].name if self.source.demo else ""
-            return self._start(key, expected.note, demo_object, expected.add)
+            return self._start(key, note, demo_object, add)
 
     def start_replay(self, key: str | None, number: int) -> int:
         """Show the capture of an entry of the history as if it was recorded now; returns its number.
@@ -263,14 +243,21 @@ class Station:
                 "Start it on the page, or send the key of an open WebSocket connection.",
             )
         if run.motion.moves and not self._interlock.alive:
-            raise InterlockError("the station is ending", "Start it again.")
+            raise _ending()
         return self._begin(run)
 
-    def _check_idle(self) -> None:
-        """Raise BusyError while a scan is running."""
-        if self._scan is not None and self._scan.running:
+    @property
+    def _scanning(self) -> bool:
+        return self.scan is not None and self.scan.running
+
+    def _check_scan(self) -> None:
+        if self._scanning:
             raise BusyError("a scan is running", "Wait for its end, or stop it.")
-        if self._commissioning is not None and self._commissioning.running:
+
+    def _check_idle(self) -> None:
+        """Raise BusyError while a scan or a step of the commissioning is running."""
+        self._check_scan()
+        if self.commissioning is not None and self.commissioning.running:
             raise BusyError("a step of the commissioning is running", "Wait for its end, or stop it.")
 
     def check_free(self, key: str | None) -> None:
@@ -281,14 +268,14 @@ class Station:
     def _check_open(self) -> None:
         """Raise InterlockError while the station is ending."""
         if self._over.is_set():
-            raise InterlockError("the station is ending", "Start it again.")
+            raise _ending()
 
     def _begin(self, run: Run) -> int:
         """Start a run; returns its number. Raises InterlockError, OverloadedError."""
         self._check_open()
         self.stop_profile()
         run.start()
-        self._count, self._scan = run.number, run
+        self._count, self.scan = run.number, run
         if self._over.is_set():  # since it was asked above
             run.stop()
         return run.number
@@ -301,16 +288,16 @@ class Station:
         with self._starting:
             self.check_free(key)
             self._check_open()
-            if self._profile is not None and self._profile.running:
+            if self.profile is not None and self.profile.running:
                 return
             run = ProfileRun(self.source.of_object("", self._count), self._radar)
             run.start()
-            self._profile = run
+            self.profile = run
 
     def stop_profile(self) -> None:
         """End the range profile; every connection may."""
-        if self._profile is not None:
-            self._profile.stop()
+        if self.profile is not None:
+            self.profile.stop()
 
     def start_commissioning(self, key: str | None, step: Step, tape: TapeChanges) -> None:
         """Begin a step of the commissioning.
@@ -323,23 +310,12 @@ class Station:
             run = CommissioningRun(self.source.of_object("", self._count), step, tape, self._radar)
             self.stop_profile()
             run.start()
-            self._commissioning = run
-
-    def commissioning_page(self) -> bytes:
-        """The results so far as a PDF.
-
-        Raises NoSuchItemError before the first one; StorageError, ConfigError.
-        """
-        return results_page(self.source.place().config)
-
-    def commissioning_picture(self, step: str, number: int) -> bytes:
-        """A picture of a step's report as SVG. Raises NoSuchItemError, StorageError, ConfigError."""
-        return results_picture(self.source.place().config, step, number)
+            self.commissioning = run
 
     def stop_commissioning(self) -> None:
         """End the running step of the commissioning; every connection may."""
-        if self._commissioning is not None:
-            self._commissioning.stop()
+        if self.commissioning is not None:
+            self.commissioning.stop()
 
     def find_devices(self, key: str | None, kind: Kind) -> Search:
         """Search for radars, or robots and tables. Raises as `start_profile` and `Settings.find`."""
@@ -388,39 +364,34 @@ class Station:
         files = {entry.id: Path(entry.file) for entry in self.history(Filter(numbers=entries))}
         selected = set(entries)
         missing = sum(files.get(number) not in captures for number in selected)
-        folder = place.folder()
-        left_out = (
-            f"{missing} of {len(selected)} left out: their captures are not among the scans in {folder}"
-        )
-        left_out = left_out if missing else ""
+        where = f"their captures are not among the scans in {place.folder()}"
+        left_out = f"{missing} of {len(selected)} left out: {where}" if missing else ""
         return self.reports.start(captures, left_out, place)
 
     def stop(self) -> None:
         """Stop the running scan; every connection may. Its capture is kept."""
-        if self._scan is not None:
-            self._scan.stop()
+        if self.scan is not None:
+            self.scan.stop()
 
     def take_over(self, key: str) -> bool:
         """Give the lock to a connection; not from a connected operator while a scan is running."""
-        busy = self._scan is not None and self._scan.running
-        return self.operators.take(key, force=not busy)
+        return self.operators.take(key, force=not self._scanning)
 
     def release(self, key: str) -> None:
         """Release the lock of a connection. Raises BusyError while a scan is running."""
-        if self._scan is not None and self._scan.running:
-            raise BusyError("a scan is running", "Wait for its end, or stop it.")
+        self._check_scan()
         self.operators.release(key)
 
     def tick(self) -> None:
         """Begin a health check when one is due; called a few times per second."""
         now = time.monotonic()
-        idle = (self._scan is None or not self._scan.running) and not self._measuring
+        idle = not self._scanning and not self._measuring
         waiting = self._checker is None or not self._checker.alive
-        if idle and self._scan is not None and self._scan.device_failed and self._failed_seen != self._count:
+        if idle and self.scan is not None and self.scan.device_failed and self._failed_seen != self._count:
             self._failed_seen, self._health_due = self._count, now
         due = self.operators.connected and idle and waiting and not self._over.is_set()
         if due and now >= self._health_due:
-            self._health_due = now + (MISSING_EVERY_S if self._health.wiring else HEALTH_EVERY_S)
+            self._health_due = now + (MISSING_EVERY_S if self.health.wiring else HEALTH_EVERY_S)
             self._checker = Worker(self._examine, "station-health", self._unchecked)
             try:
                 begin(self._checker)
@@ -430,20 +401,20 @@ class Station:
     @property
     def _measuring(self) -> bool:
         """Whether the range profile or the commissioning uses the radar."""
-        return any(run is not None and run.running for run in (self._profile, self._commissioning))
+        return any(run is not None and run.running for run in (self.profile, self.commissioning))
 
     def _unchecked(self, error: BaseException) -> None:
         """Show why there is no health check; the next one is due as usual."""
         problem = reported(error)
         text = f"the health check failed: {problem.message}"
         finding = Finding("health check", "problem", text, problem.remedy)
-        self._health = replace(self._health, findings=(finding,), checked_at=time.monotonic())
+        self.health = replace(self.health, findings=(finding,), checked_at=time.monotonic())
 
     def _watch_operator(self) -> None:
         """The interlock: stop a motion without an operator. Its thread does nothing else."""
         while not self._over.wait(INTERLOCK_S):
             lost = self.operators.expire() or not self.operators.taken
-            run = self._scan
+            run = self.scan
             if lost and run is not None and run.running and run.motion.moves:
                 run.stop()
 
@@ -456,14 +427,14 @@ class Station:
                 findings = tuple(self._check(config))
             except TagidError as error:
                 findings = (Finding("configuration", "problem", error.message, error.remedy),)
-        before, run = self._health, self._scan
+        before, run = self.health, self.scan
         health = Health(findings, time.monotonic(), None, before.recovered)
         if health.radar is False:
             health = replace(health, wiring=wiring(url))
             self._health_due = min(self._health_due, time.monotonic() + MISSING_EVERY_S)
         elif health.radar and before.wiring is not None and run is not None and run.device_failed:
             health = replace(health, recovered=run.number)
-        self._health = health
+        self.health = health
 
     def history(self, wanted: Filter) -> list[HistoryEntry]:
         """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError, UsageError."""
@@ -496,7 +467,7 @@ class Station:
 
     def scan_residuals(self) -> bytes:
         """The same of the newest scan. Raises NoSuchItemError."""
-        path = None if self._scan is None else self._scan.residuals
+        path = None if self.scan is None else self.scan.residuals
         if path is None:
             raise NoSuchItemError("the newest scan has no picture of its hypotheses")
         return _residuals(path)
@@ -538,13 +509,17 @@ class Station:
         self.stop_commissioning()
         self._interlock.join(_STOP_S)
         self.reports.close(_STOP_S)
-        if self._scan is not None:
-            self._scan.join(_STOP_S)
-        for measuring in (self._profile, self._commissioning):
+        if self.scan is not None:
+            self.scan.join(_STOP_S)
+        for measuring in (self.profile, self.commissioning):
             if measuring is not None:
                 measuring.join(_STOP_S)
         if self._checker is not None:
             self._checker.join(_STOP_S)
+
+
+def _ending() -> InterlockError:
+    return InterlockError("the station is ending", "Start it again.")
 
 
 def _residuals(path: Path) -> bytes:

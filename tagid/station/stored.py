@@ -12,7 +12,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from tagid.capture import Capture
 from tagid.config import Config, ConfigValue
 from tagid.errors import CaptureInterrupted, StorageError, TagidError, UsageError
 from tagid.files import storage_error
@@ -108,7 +107,7 @@ class ReceivedRun(Run):
                 raise answer.error
             picture, remarks = self._draw(answer, self._path)
             remarks += [*answer.remarks, *self._place.remember(COMMAND, [answer.to_dict()], {})]
-            self._remark = "; ".join(remarks)
+            self.remark = "; ".join(remarks)
         if picture is not None and answer.prepared is not None:
             capture = answer.prepared.given
             ranges = float(capture.ranges_m[0]), float(capture.ranges_m[-1])
@@ -149,7 +148,7 @@ class ReplayRun(Run):
         self._rate = max(1.0, seconds / REPLAY_S)
         self._given = capture
         residuals = residuals_beside(picture_of(path))
-        self._residuals = residuals if residuals.is_file() else None
+        self.residuals = residuals if residuals.is_file() else None
 
     def _run(self) -> None:
         with self._view:
@@ -165,7 +164,7 @@ class ReplayRun(Run):
             answer = read(self._setup, self._path, watcher=self._view)
             if answer.error is not None:
                 raise answer.error
-            self._remark = "; ".join(answer.remarks)
+            self.remark = "; ".join(answer.remarks)
             drawn = draw(answer, None)
         self._view.show(drawn.result.image)
 
@@ -183,11 +182,7 @@ class ReplayRun(Run):
             motion="free",
         )
         view = self._view
-
-        def resolve(capture: Capture, motion: str) -> Capture:
-            return resolve_turn(capture, motion)
-
-        watch = Watch(resolve=view.resolving(resolve), began=view.began, stop=self._stop.is_set)
+        watch = Watch(resolve=view.resolving(resolve_turn), began=view.began, stop=self._stop.is_set)
         record_turn(place, plan, self.motion, watch)
 
 

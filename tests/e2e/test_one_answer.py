@@ -154,7 +154,7 @@ def test_a_station_and_a_program_answer_as_identify_does(
     assert plain(answer.to_dict()) == identified(tagid, answer.file) and not answer.notes
     station = Station(StationSource(lambda: Workplace(settings)), lambda config: [])
     station.start(None, "")
-    run = station._scan
+    run = station.scan
     assert isinstance(run, ScanRun)
     run.join(120)
     newest = station.history(Filter(limit=1))[0]
