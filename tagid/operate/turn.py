@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -133,7 +133,7 @@ class Answer:
             "recorded_utc": self.recorded_utc,
             "recording_note": note,
             **self.identification.to_dict(),
-            "truth": None if self.truth is None else self.truth.to_dict(),
+            "truth": None if self.truth is None else asdict(self.truth),
         }
         return {**document, "votes": [_vote(answer) for answer in self.alone]} if self.alone else document
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -32,11 +33,7 @@ class Hub:
     def __init__(self, station: Station) -> None:
         self._station = station
         self._clients: set[Client] = set()
-
-    @property
-    def count(self) -> int:
-        """Number of connections."""
-        return len(self._clients)
+        self._seen: dict[str, tuple[object, ...]] = {}
 
     def add(self, client: Client) -> None:
         """Send the complete state to a new connection."""
@@ -55,37 +52,30 @@ class Hub:
 
     async def run(self) -> None:
         """Poll for new states until cancelled."""
-        shown: tuple[int, int, bool] | None = None
-        work: tuple[object, ...] = ()
-        measured: tuple[object, ...] = ()
-        stepped: tuple[object, ...] = ()
-        status_at = 0.0
-        loop = asyncio.get_running_loop()
+        station, status_at = self._station, 0.0
         while True:
             await asyncio.sleep(FRAME_S)
-            self._station.tick()
-            run = self._station.scan
-            now = loop.time()
-            seen = None if run is None else (run.number, run.state.frame, run.running)
-            if run is not None and seen != shown and self._clients:
+            station.tick()
+            run, now = station.scan, asyncio.get_running_loop().time()
+            new = run is not None and self._changed("frame", run.number, run.state.frame, run.running)
+            if run is not None and new and self._clients:
                 self._send_all("frame", wire.frame(run))
-            report = self._station.reports.newest
+            report = station.reports.newest
             done = None if report is None else (report.number, report.done, report.running)
-            before, work = work, (self._station.enrolling.state, done)
-            if now >= status_at or work != before or (shown and seen and shown[2] != seen[2]):
+            running = run is not None and run.running
+            if self._changed("status", station.enrolling.state, done, running) or now >= status_at:
                 status_at = now + _STATUS_S
                 self.refresh()
-            shown = seen
-            run_profile = self._station.profile
-            if run_profile is not None:
-                before, measured = measured, (run_profile, run_profile.profile, run_profile.running)
-                if measured != before:
-                    self._send_all("profile", {"type": "profile", **wire.profile(run_profile)})
-            step = self._station.commissioning
-            if step is not None:
-                before, stepped = stepped, (step, step.progress, step.running)
-                if stepped != before:
-                    self._send_all("commissioning", {"type": "commissioning", **wire.step_progress(step)})
+            profile, step = station.profile, station.commissioning
+            if profile is not None and self._changed("profile", profile, profile.profile, profile.running):
+                self._send_all("profile", {"type": "profile", **wire.profile(profile)})
+            if step is not None and self._changed("commissioning", step, step.progress, step.running):
+                self._send_all("commissioning", {"type": "commissioning", **wire.step_progress(step)})
+
+    def _changed(self, kind: str, *state: object) -> bool:
+        """Whether the state of a kind of message is another than at the last call."""
+        before, self._seen[kind] = self._seen.get(kind), state
+        return before != state
 
     def _send_all(self, kind: str, message: wire.Json) -> None:
         text = wire.to_text(message)
@@ -98,6 +88,7 @@ class Hub:
         client.news.set()
 
 
+@dataclass(eq=False)
 class Client:
     """One WebSocket connection.
 
@@ -107,10 +98,9 @@ class Client:
         news: set when there is something to send.
     """
 
-    def __init__(self, key: str) -> None:
-        self.key = key
-        self.unsent: dict[str, str] = {}
-        self.news = asyncio.Event()
+    key: str
+    unsent: dict[str, str] = field(default_factory=dict)
+    news: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class LiveSocket:

@@ -219,12 +219,9 @@ class Guard:
         page = not socket and path == "/" and scope["method"] == "GET"
         origins = headers.get("origin", [])
         own_page = headers.get(OWN_HEADER) == ["1"]
-        if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
-            return Refusal(
-                403, "wrong_origin", "another page sent this request", "Open the station's own page."
-            )
+        foreign = any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins)
         site = headers.get("sec-fetch-site", ["none"])
-        if site not in (["same-origin"], ["none"]) and not page:
+        if foreign or (site not in (["same-origin"], ["none"]) and not page):
             return Refusal(
                 403, "wrong_origin", "another page sent this request", "Open the station's own page."
             )

@@ -85,6 +85,7 @@ INTERLOCK_S = 0.1
 MAX_CONNECTIONS = 32
 """Maximum number of WebSocket connections."""
 _PICTURE_BYTES = 4 << 20
+_NO_RESIDUALS = "there is no picture of the hypotheses"
 _STOP_S = 30.0
 _NOTE_LENGTH = 200
 
@@ -456,21 +457,17 @@ class Station:
 
     def picture(self, number: int) -> bytes:
         """The picture of an entry of the history, PNG. Raises NoSuchItemError."""
-        try:
-            return read_bytes(picture_of(self._capture(number)), _PICTURE_BYTES)
-        except StorageError as error:
-            raise NoSuchItemError(f"there is no picture of entry {number}") from error
+        return _png(picture_of(self._capture(number)), f"there is no picture of entry {number}")
 
     def residuals(self, number: int) -> bytes:
         """The picture of what the hypotheses leave of an entry's echo, PNG. Raises NoSuchItemError."""
-        return _residuals(residuals_beside(picture_of(self._capture(number))))
+        return _png(residuals_beside(picture_of(self._capture(number))), _NO_RESIDUALS)
 
     def scan_residuals(self) -> bytes:
         """The same of the newest scan. Raises NoSuchItemError."""
-        path = None if self.scan is None else self.scan.residuals
-        if path is None:
+        if self.scan is None or self.scan.residuals is None:
             raise NoSuchItemError("the newest scan has no picture of its hypotheses")
-        return _residuals(path)
+        return _png(self.scan.residuals, _NO_RESIDUALS)
 
     def capture(self, number: int) -> Path:
         """The capture file of an entry of the history. Raises NoSuchItemError."""
@@ -522,11 +519,11 @@ def _ending() -> InterlockError:
     return InterlockError("the station is ending", "Start it again.")
 
 
-def _residuals(path: Path) -> bytes:
+def _png(path: Path, missing: str) -> bytes:
     try:
         return read_bytes(path, _PICTURE_BYTES)
     except StorageError as error:
-        raise NoSuchItemError("there is no picture of the hypotheses") from error
+        raise NoSuchItemError(missing) from error
 
 
 def _own_file(entry: HistoryEntry, folder: Path) -> Path | None:
