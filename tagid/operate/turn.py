@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from tagid.capture import Capture
 from tagid.constants import CAPTURE_SUFFIX
@@ -31,6 +31,7 @@ from tagid.types import Progress
 
 if TYPE_CHECKING:
     from tagid.enrolling.registry import RegistryContents
+    from tagid.live.engine import LiveView
     from tagid.motion.device import Motion
     from tagid.operate.workplace import Workplace
     from tagid.pipeline.reconstruct import Reconstruction
@@ -38,16 +39,6 @@ if TYPE_CHECKING:
     from tagid.recording.recorder import Watch
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.layouts.layout import Layout
-
-
-class Watcher(Protocol):
-    """Receives an answer before its causes are known, such as a live view."""
-
-    def settle(self, prepared: Capture, answer: Identification) -> None:
-        """Called with the answer, and the prepared capture that it was read from."""
-
-    def explain(self, answer: Identification) -> None:
-        """Called with the same answer and its likely causes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +219,7 @@ def _identified(
     layouts: Sequence[Layout],
     registry_version: int | None,
     signatures: Sequence[Signature],
-    watcher: Watcher | None = None,
+    watcher: LiveView | None = None,
 ) -> Identification:
     """As `identify`; a watcher is shown the answer before the search for causes, which takes longer."""
     given = prepared.given
@@ -264,7 +255,7 @@ def read(
     setup: ReadingSetup,
     source: Path | Capture,
     file: Path | str | None = None,
-    watcher: Watcher | None = None,
+    watcher: LiveView | None = None,
 ) -> Answer:
     """Load a recording and name its object.
 

@@ -16,9 +16,8 @@ from rich.text import Text
 from tagid.errors import visible
 from tagid.live.state import LiveState, Phase
 from tagid.reading.preview import LayoutEvidence
-from tagid.report.blocks import LEVELS, raster
 from tagid.report.colours import to_decibels
-from tagid.report.preview import resample
+from tagid.report.preview import LEVELS, raster, resample
 
 MOST_COLUMNS, MOST_LINES = 640, 200
 """Largest part of a terminal that is drawn, in characters: a 4K screen in a small font has 640 by 135."""

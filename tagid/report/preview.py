@@ -1,23 +1,33 @@
-"""The image drawn with characters in the terminal, for use over ssh without graphics.
+"""Rasters drawn with characters in the terminal, for use over ssh without graphics.
 
-Two pixels share a cell by a half block in 24-bit colour; without colour, ten characters represent lightness.
+Two pixels share a cell by a half block in colour; without colour, ten characters represent lightness. What is
+redrawn many times per second has few colours, and equal neighbours share one escape sequence, because the
+terminal may be behind a slow connection.
 """
 
 from __future__ import annotations
 
+from functools import cache
+from itertools import pairwise
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.segment import Segment
+from rich.style import Style
 from rich.text import Text
 
 from tagid.errors import UsageError
-from tagid.report.colours import colourise, to_decibels
+from tagid.report.colours import colourise, to_decibels, viridis
 from tagid.report.picture import checked_magnitude
 
 _DEPTH_DB = 30.0
 """Pixels further below the brightest one are darkest."""
 _RAMP = " .:-=+*#%@"
 _LARGEST_WIDTH = 400
+LEVELS: Final = 16
+_COLOURS: Final = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in viridis(LEVELS).tolist()]
 
 
 def colour_wanted(console: Console) -> bool:
@@ -108,3 +118,38 @@ def _scale(coloured: bool) -> Text:
 
 def _rgb(colour: NDArray[np.uint8]) -> str:
     return f"#{colour[0]:02x}{colour[1]:02x}{colour[2]:02x}"
+
+
+class Blocks:
+    """Coloured half blocks for rich, as segments: texts with a thousand styles are too slow to draw.
+
+    Args:
+        levels: (2 * lines, columns) of 0..LEVELS - 1.
+    """
+
+    def __init__(self, levels: NDArray[np.intp]) -> None:
+        self._levels = levels
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        columns = self._levels.shape[1]
+        for upper, lower in zip(self._levels[::2], self._levels[1::2], strict=True):
+            edges = np.flatnonzero((np.diff(upper) != 0) | (np.diff(lower) != 0)) + 1
+            for first, last in pairwise([0, *edges.tolist(), columns]):
+                yield Segment("▀" * (last - first), _style(int(upper[first]), int(lower[first])))
+            yield Segment.line()
+
+
+def raster(levels: NDArray[np.intp], colour: bool) -> RenderableType:
+    """Levels (rows, columns) of 0..LEVELS - 1 as text, the first row on top.
+
+    With colours two rows share a line, so their number is even; without, each row is a line.
+    """
+    if colour:
+        return Blocks(levels)
+    ramp = levels * (len(_RAMP) - 1) // (LEVELS - 1)
+    return Text("\n".join("".join(_RAMP[i] for i in row) for row in ramp.tolist()), no_wrap=True)
+
+
+@cache
+def _style(upper: int, lower: int) -> Style:
+    return Style.parse(f"{_COLOURS[upper]} on {_COLOURS[lower]}")

@@ -14,9 +14,8 @@ from rich.text import Text
 
 from tagid.radar.status import WARM_C
 from tagid.recording.monitoring import Snapshot
-from tagid.report.blocks import LEVELS, raster
 from tagid.report.colours import to_decibels
-from tagid.report.preview import resample
+from tagid.report.preview import LEVELS, raster, resample
 
 DEPTH_DB: Final = 40.0
 _HEAD_LINES: Final = 4

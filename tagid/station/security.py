@@ -21,11 +21,18 @@ from typing import TYPE_CHECKING
 from tagid.errors import UsageError
 from tagid.result import Problem
 from tagid.station.errors import GuessesError
-from tagid.station.page import PAGE_FILES
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+_SCRIPTS = ("theme", "station", "pictures", "enrol", "history", "settings", "profile", "drop", "commission")
+PAGE_FILES = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/station.css": ("station.css", "text/css; charset=utf-8"),
+    "/station.svg": ("station.svg", "image/svg+xml"),
+    **{f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8") for name in _SCRIPTS},
+}
+"""Path of a request -> file of the page and its media type; no file path is derived from a request."""
 COOKIE = "tagid_station"
 OWN_HEADER = "tagid-station"
 """Sent with each POST and by WebSocket clients other than browsers: another page cannot send it without a

@@ -18,9 +18,8 @@ from tagid.errors import TagidError
 from tagid.station import wire
 from tagid.station.live_socket import Hub, LiveSocket
 from tagid.station.openapi import OPERATIONS, document
-from tagid.station.page import PAGE_FILES
 from tagid.station.requests import on_error, on_gone, on_missing
-from tagid.station.security import Guard, Guesses, Pairing
+from tagid.station.security import PAGE_FILES, Guard, Guesses, Pairing
 from tagid.station.station import Station
 
 
