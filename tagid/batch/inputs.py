@@ -74,13 +74,9 @@ def is_url(text: str) -> bool:
 
 
 def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
-    """The items in files, folders (recursively) and URLs.
+    """The items in files, folders (recursively) and URLs, without those in the folder `outside`.
 
     A file that is named explicitly is an item regardless of its content.
-
-    Args:
-        words: paths or URLs.
-        outside: a folder whose contents are excluded, e.g. the report's own.
 
     Raises:
         StorageError: a path does not exist, or a folder cannot be listed.
@@ -202,9 +198,8 @@ def _nothing(words: Sequence[str], seen: Collected) -> DataError:
 def filesystem(url: str) -> tuple[Any, str]:
     """The fsspec file system of a URL and the path on it.
 
-    Raises:
-        MissingExtraError: fsspec, or a package it needs for this kind of URL, is not installed.
-        StorageError: the URL is invalid.
+    Raises MissingExtraError if fsspec, or a package it needs for this kind of URL, is not installed;
+    StorageError if the URL is invalid.
     """
     try:
         from fsspec.core import url_to_fs

@@ -110,9 +110,8 @@ def run_batch(plan: BatchPlan, job: Job, runner: Runner, hooks: Hooks | None = N
 class GrowingLines:
     """A new, empty file to which whole lines are added, so that it may be read while it grows.
 
-    Raises:
-        StorageError: it cannot be written.
-        DiskFullError: no space left; the file then ends with the line before.
+    Raises StorageError if it cannot be written, DiskFullError without space; it then ends with the line
+    before.
     """
 
     def __init__(self, path: Path) -> None:

@@ -36,17 +36,12 @@ _FILE = "json_extract(record, '$.file')"
 
 
 class Spool:
-    """Results of one report, by position among its items.
+    """Results of one report, by position among its items; only one process may have it open.
 
-    Only one process may have it open.
+    A fresh one discards earlier contents.
 
-    Args:
-        path: the file.
-        fresh: discard earlier contents.
-
-    Raises:
-        StorageError: not a working file of tagid, in use by another report, or not writable.
-        DiskFullError: no space left.
+    Raises StorageError for a file that is no working file of tagid, is used by another report, or cannot be
+    written; DiskFullError.
     """
 
     def __init__(self, path: Path, fresh: bool) -> None:

@@ -43,9 +43,6 @@ fraction of a second."""
 class LiveAngles:
     """Angles of the scans so far: measured, from the nominal speed, or from the period in the scans.
 
-    Args:
-        motion: the device that rotates the object.
-
     Attributes:
         stopped: where the object stopped, in words, if the scans show it at a nominal speed; else empty.
     """
@@ -182,12 +179,7 @@ class GrowingSpeed:
         self._known = False
 
     def period_s(self, session: Session, scans: Sequence[Scan]) -> float | None:
-        """A new estimate of the period, s; None if there is none or no search is due.
-
-        Args:
-            session: the recording.
-            scans: all of its scans so far.
-        """
+        """A new estimate of the period from all scans so far, s; None without one, or if no search is due."""
         if len(scans) < _FEWEST:
             return None
         seconds = (scans[-1].radar_time_ms - scans[0].radar_time_ms) * 1e-3

@@ -43,16 +43,7 @@ _CHUNK = 8
 
 
 class GrowingViews:
-    """The views so far; each is added to the image once.
-
-    Args:
-        grid: of the image.
-        layouts: the enrolled ones; may be none.
-        imaging: settings of imaging and reading.
-
-    Attributes:
-        capture: the views so far; None before there is one.
-    """
+    """The views so far (`capture`; None before the first one); each is added to the image once."""
 
     def __init__(self, grid: ImageGrid, layouts: Sequence[Layout], imaging: ImagingSettings) -> None:
         self._grid, self._layouts, self._imaging = grid, layouts, imaging

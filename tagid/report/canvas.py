@@ -110,8 +110,6 @@ class Canvas:
     def save(self, path: Path) -> None:
         """Write the PNG atomically: a reader sees the old file or the complete new one.
 
-        Raises:
-            DiskFullError: the disk is full.
-            StorageError: the folder is missing or cannot be written.
+        Raises StorageError, DiskFullError.
         """
         write_bytes(path, self.png())

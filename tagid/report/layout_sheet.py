@@ -194,12 +194,9 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
 def template(
     layout: Layout, surface_radius_m: float | None = None, paper: str | None = None
 ) -> list[Drawing]:
-    """The drawings of a layout: the plan, and the strip if it can be unrolled; a card is flat.
+    """The drawings of a layout: the plan, and the strip if it can be unrolled (see `strip`); a card is flat.
 
-    Args:
-        layout: to be printed.
-        surface_radius_m: see `strip`.
-        paper: cut the strip into bands that fit on it in portrait; None does not cut it.
+    The strip is cut into bands that fit on the paper in portrait, if one is given.
     """
     if layout.name == TEST_CARD or np.linalg.norm(layout.positions, axis=1).min() < 0.01:
         return [plan(layout)]

@@ -37,14 +37,7 @@ def bounded(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def draw(state: LiveState, title: str, size: tuple[int, int], colour: bool) -> RenderableType:
-    """The whole screen.
-
-    Args:
-        state: what to show.
-        title: first line.
-        size: columns and lines of the terminal.
-        colour: coloured half blocks, or characters.
-    """
+    """The whole screen of so many columns and lines: coloured half blocks, or characters; the title first."""
     columns, lines = bounded(size)
     columns, lines = max(columns - 1, 30), max(lines, 10)
     head = Text(no_wrap=True, overflow="crop")

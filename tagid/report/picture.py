@@ -92,14 +92,9 @@ def draw_image(
 
 
 def thumbnail(png: bytes, side: int = 96) -> bytes:
-    """The image of a picture of `draw_image` without axes and letters, as a small PNG.
+    """The image of a picture of `draw_image` without axes and letters, a PNG of at most `side` px per side.
 
-    Args:
-        png: the picture.
-        side: longest side of the result, px.
-
-    Raises:
-        DataError: this is no such picture.
+    Raises DataError if this is no such picture.
     """
     try:
         with Image.open(io.BytesIO(png), formats=("PNG",)) as picture:

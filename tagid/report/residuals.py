@@ -20,15 +20,9 @@ _TOP, _HEIGHT, _GAP = 60, 150, 70
 
 
 def draw_residuals(residuals: Residuals, hypotheses: Sequence[Explanation], path: Path) -> None:
-    """Writes a PNG: the echo that changes over the views, and what is left of it by each hypothesis.
+    """Writes a PNG, atomically: the echo that changes over the views, and what each hypothesis leaves of it.
 
-    Args:
-        residuals: of the first hypotheses.
-        hypotheses: best first.
-        path: the PNG; written atomically.
-
-    Raises:
-        StorageError, DiskFullError: the file cannot be written.
+    The hypotheses are those of the residuals, best first. Raises StorageError, DiskFullError.
     """
     titles = ["recorded, without what stands still"]
     titles += [

@@ -35,17 +35,11 @@ LEVELS = 32
 def draw_pictures(
     capture: Capture, result: Reconstruction, answer: Identification, layout: Layout | None
 ) -> Thumbnails:
-    """Image and sinogram of an identified capture, and what the page draws around them.
+    """Image and sinogram of a prepared, identified capture, and what the page draws around them.
 
     The drawing holds the imaging method; the image's width and centre, and the places of the named layout's
     reflectors, m; the dynamic range of both pictures' colours, dB; and the sinogram's number of views, first
     and last range, m, and angle, degrees (None without angles).
-
-    Args:
-        capture: prepared, as it was identified.
-        result: its image.
-        answer: its identification.
-        layout: the layout of the answer; None if there is none.
     """
     image = _png(to_decibels(_fitted(np.abs(result.image.values), IMAGE_SIDE), IMAGE_DB)[::-1], IMAGE_DB)
     sinogram = _png(_sinogram(capture), SINOGRAM_DB)

@@ -59,14 +59,8 @@ def results_picture(config: Config, step: str, number: int) -> bytes:
 class CommissioningRun(BackgroundRun):
     """One step, and those after it for which nobody has to do anything.
 
-    Args:
-        place: settings of radar and motion.
-        step: the first step.
-        tape: what the person measured by tape now.
-        radar: held while the radar is used.
-
-    Attributes:
-        progress: the newest state.
+    The tape is what the person measured now; `radar` is held while the radar is used; `progress` is the
+    newest state.
 
     Raises:
         UsageError: a distance is out of range, or the step would move a device, which no page can stop.

@@ -47,12 +47,7 @@ _TRIAL = ((0.1, 0.0), (-0.1, 0.0))
 
 @dataclass(frozen=True)
 class Subject:
-    """What is enrolled.
-
-    Attributes:
-        name: of the new entry.
-        kind: "helmet", "container" or "other".
-        label: description shown with the name; may be empty.
+    """What is enrolled: name, kind ("helmet", "container" or "other") and a description, which may be empty.
 
     Raises UsageError for an invalid name, kind or label.
     """
@@ -77,8 +72,7 @@ class Taken:
         number: counts the captures of the enrollment.
         path: its file.
         answer: how it was read: an object that is not enrolled is unknown.
-        sighted: its reflectors; None if they cannot be determined.
-        error: why not.
+        sighted: its reflectors; None if they cannot be determined, and why not in `error`.
     """
 
     number: int
@@ -90,13 +84,7 @@ class Taken:
 
 @dataclass(frozen=True)
 class Stored:
-    """An enrolled object.
-
-    Attributes:
-        name: of the entry.
-        registry_version: registry version after it was stored.
-        has_layout: whether reflector positions were stored, so that a template can be printed.
-    """
+    """An enrolled object, the registry version after that, and whether it has positions for a template."""
 
     name: str
     registry_version: int
@@ -129,15 +117,7 @@ class EnrolmentState:
 
 
 class Enrolling:
-    """The enrollment of one object after another.
-
-    Args:
-        registry: opens the registry.
-        imaging: settings of measuring. Raises ConfigError.
-
-    Attributes:
-        state: the newest state.
-    """
+    """The enrollment of one object after another; `state` is the newest state."""
 
     def __init__(self, registry: Callable[[], Registry], imaging: Callable[[], ImagingSettings]) -> None:
         self._registry = registry
@@ -222,10 +202,7 @@ class Enrolling:
             self._measure()
 
     def store(self, force: bool = False) -> Stored:
-        """Enroll the object.
-
-        Args:
-            force: enroll it despite a conflict, and replace an entry of the same name.
+        """Enroll the object; by force despite a conflict, and in place of an entry of the same name.
 
         Raises:
             EnrolmentError: something disagrees, or captures are missing.

@@ -24,11 +24,7 @@ _SEND_S = 10.0
 
 
 class Hub:
-    """Sends new states to every connection; each has at most one unsent frame and one unsent status.
-
-    Args:
-        station: the station to show.
-    """
+    """Sends new states to every connection; each has at most one unsent frame and one unsent status."""
 
     def __init__(self, station: Station) -> None:
         self._station = station
@@ -94,8 +90,7 @@ class Client:
 
     Attributes:
         key: of its operator's lock.
-        unsent: the newest unsent text of each kind.
-        news: set when there is something to send.
+        unsent: the newest unsent text of each kind; `news` is set when there is one.
     """
 
     key: str
@@ -104,12 +99,7 @@ class Client:
 
 
 class LiveSocket:
-    """The WebSocket connections.
-
-    Args:
-        station: the station to show and operate.
-        hub: sends the states.
-    """
+    """The WebSocket connections."""
 
     def __init__(self, station: Station, hub: Hub) -> None:
         self._station, self._hub = station, hub

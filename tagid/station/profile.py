@@ -60,12 +60,7 @@ class Profile:
 class ProfileRun(BackgroundRun):
     """Receives scans that are not stored; the radar keeps its window until the next scan sets its own.
 
-    Args:
-        place: settings of the radar.
-        radar: held while the radar is used.
-
-    Attributes:
-        profile: the newest state.
+    The lock `radar` is held while the radar is used; `profile` is the newest state.
 
     Raises ConfigError if no radar is configured.
     """

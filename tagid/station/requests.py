@@ -173,13 +173,11 @@ class Operation:
     """A method of a path: who handles its requests, and how /api/v1/openapi.json describes it.
 
     Attributes:
-        method, path, summary: as named; the path is that of a route.
+        path: that of a route.
         asked: schema of the body, or its media type; empty without a body.
-        status: of a response that is no refusal.
-        answer: schema of its content, or its media type.
+        status, answer: of a response that is no refusal, with the schema of its content, or its media type.
         parameters: besides those in the path.
         refused: statuses of refusals.
-        handler: of its requests.
     """
 
     method: str
@@ -250,11 +248,9 @@ def refused(status: int, code: str, message: str, remedy: str) -> Response:
 
 
 def refusal_of(error: Exception, place: str) -> Refusal:
-    """The status of an exception and what its client is shown.
+    """The status of an exception of a handler and what its client is shown.
 
-    Args:
-        error: what a handler raised; a fault of the program is logged.
-        place: path of the request, for the log.
+    A fault of the program is logged, with the path of the request.
     """
     shown = reported(error)
     if isinstance(shown, UnexpectedError):

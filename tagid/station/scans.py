@@ -62,13 +62,9 @@ def radar_alone(radar: threading.Lock, stop: threading.Event) -> Iterator[None]:
 class Run(BackgroundRun):
     """A running or finished scan, or the reading of a file.
 
-    Args:
-        number: counts the station's scans.
-        place: settings, registry, history and folder.
-        motion: the device that rotates the object, for the live view.
-
     Attributes:
-        number, motion: as given.
+        number: counts the station's scans.
+        motion: the device that rotates the object, for the live view.
         file: name of the file that is read; empty for a scan.
         remark: on files that could not be written; empty if none.
         residuals: the picture of what competing hypotheses leave of the echo; None if there is none.
@@ -120,16 +116,12 @@ class Run(BackgroundRun):
 
 
 class ScanRun(Run):
-    """A scan of the object on the table.
+    """A scan of the object on the table, which may end as soon as the answer is certain.
 
     Args:
-        number: counts the station's scans.
-        place: settings, registry, history and folder.
-        plan: of the recording.
         radar: held while the radar is used, so that a health check does not disturb the scan.
         then: called on the scan's thread with the capture's file, the capture with angles, and its answer, if
             neither the recording nor the reading failed.
-        until_sure: whether the scan ends as soon as the answer is certain.
 
     Raises ConfigError if the answer cannot be certain before the end, because the angle is not known.
     """

@@ -152,12 +152,7 @@ def _digest(token: str) -> bytes:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Reason for refusing a request.
-
-    Attributes:
-        status: HTTP status.
-        code, message, remedy: as in every error of the API.
-    """
+    """Reason for refusing a request: an HTTP status, and the rest as in every error of the API."""
 
     status: int
     code: str
@@ -173,11 +168,7 @@ class Refusal:
 class Guard:
     """ASGI middleware: refuses disallowed requests, and adds the security headers to every response.
 
-    Args:
-        app: the application behind it.
-        host: address it listens on.
-        port: port it listens on; 0 accepts any port, for tests of the application only.
-        pairing: None on a loopback address, where no token is required.
+    It knows the address that it listens on. Without pairing, on a loopback address, no token is required.
     """
 
     def __init__(self, app: ASGIApp, host: str, port: int, pairing: Pairing | None) -> None:

@@ -36,12 +36,9 @@ _MOST_RPM = 60.0
 
 @dataclass(frozen=True)
 class Device:
-    """A device that a search found.
+    """A device that a search found: the setting's value, empty if it is none, what it is, and its problem.
 
-    Attributes:
-        url: value of the setting; empty for a device that is none.
-        text: what it is.
-        problem: why it did not answer, with the remedy; empty if it did, or was not asked.
+    The problem, with its remedy, is why it did not answer; empty if it did, or was not asked.
     """
 
     url: str
@@ -51,12 +48,7 @@ class Device:
 
 @dataclass(frozen=True)
 class Search:
-    """The result of a search.
-
-    Attributes:
-        devices: the devices.
-        note: what could not be searched, or where to look if nothing was found; may be empty.
-    """
+    """The devices of a search, and what could not be searched, or where to look if nothing was found."""
 
     devices: tuple[Device, ...] = ()
     note: str = ""
@@ -64,13 +56,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Shown:
-    """A setting.
-
-    Attributes:
-        name: of the setting.
-        value: without a pass-key; None if it is not set.
-        fixed: why the page cannot change it; empty if it can.
-    """
+    """A setting: its value without a pass-key, and why the page cannot change it; empty if it can."""
 
     name: str
     value: str | float | None
@@ -78,13 +64,9 @@ class Shown:
 
 
 class Settings:
-    """The settings of the page and the search for devices; thread-safe.
+    """The settings of the page and the newest result of each search for devices; thread-safe.
 
-    Args:
-        radar: held while radars are asked.
-
-    Attributes:
-        searches: the newest result of each search.
+    The lock `radar` is held while radars are asked.
     """
 
     def __init__(self, radar: threading.Lock) -> None:
@@ -103,11 +85,7 @@ class Settings:
             return search
 
     def change(self, changes: Mapping[str, Any], config: Config) -> None:
-        """Write settings to the configuration file; all of them, or none.
-
-        Args:
-            changes: text or number by name, of `NAMES`.
-            config: the present configuration.
+        """Write settings, text or number by name, to the configuration file; all of them, or none.
 
         Raises:
             UsageError: the page may not set this, a device that it may not choose, or a value out of range.

@@ -60,11 +60,9 @@ class Source:
     demo: tuple[DemoObject, ...] = ()
 
     def of_object(self, name: str, number: int) -> Workplace:
-        """The workplace of a scan.
+        """The workplace of a scan, by its number.
 
-        Args:
-            name: an object of the demonstration; empty for the first, or with a real radar.
-            number: of the scan.
+        The name is that of an object of the demonstration; empty for the first, or with a real radar.
 
         Raises UsageError for an unknown object, and as `place`.
         """
@@ -115,20 +113,11 @@ class Health:
 class Station:
     """The station.
 
-    Args:
-        source: source of the settings.
-        check: the health check.
-
     Attributes:
-        source: as given.
         operators: connections and the lock.
-        enrolling: the enrollment.
-        reports: the reports.
-        settings: the settings of the page.
         scan: the newest scan, or reading of a file; None before the first one.
         profile: the newest range profile; None before the first one.
         commissioning: the newest step of the commissioning; None before the first one of this station.
-        health: the newest health check.
         failure: why the station ended on its own; None if it did not.
     """
 
@@ -178,17 +167,15 @@ class Station:
     def start(self, key: str | None, note: str = "", demo_object: str = "") -> int:
         """Start a scan; returns its number.
 
-        Args:
-            key: of the requesting browser; None for a script without a connection.
-            note: text stored with the capture.
-            demo_object: name of the object of a demonstration; empty for the first one.
+        The key is that of the requesting browser, None for a script without a connection. The note is stored
+        with the capture. The object is one of a demonstration; empty for the first one.
 
         Raises:
             BusyError: a scan is running.
             NotOperatorError: another browser operates, or the scan moves a device and the key has no lock.
             InterlockError: the scan would move a device, and nothing would stop it.
             OverloadedError: the system allows no further thread.
-            ConfigError, UsageError, StorageError: see `Source.setup`.
+            ConfigError, UsageError, StorageError: see `Source.place`.
         """
         with self._starting:
             return self._start(key, note, demo_object)
@@ -215,12 +202,10 @@ class Station:
             return self._begin(ReplayRun(self._count + 1, self.source.place(), path))
 
     def identify_received(self, path: Path) -> int:
-        """Identify a file that a browser sent; returns its number.
+        """Identify a file in the station's folder that a browser sent; returns its number.
 
-        Args:
-            path: the file, in the station's folder; removed if it cannot be read.
-
-        Raises BusyError, OverloadedError, and as `Source.place`; the file is then removed, too.
+        The file is removed if it cannot be read, and with BusyError, OverloadedError, and what
+        `Source.place` raises.
         """
         try:
             with self._starting:
@@ -333,11 +318,8 @@ class Station:
             self._health_due = 0.0
 
     def operate(self, key: str | None) -> None:
-        """Take the lock for a browser if it is free.
-
-        Args:
-            key: of the requesting browser; None for a script without a connection, which may act while no
-                browser operates.
+        """Take the lock for a browser if it is free; a script without a connection (None) may act while it
+        is.
 
         Raises NotOperatorError if another browser operates.
         """

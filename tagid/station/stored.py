@@ -38,9 +38,7 @@ _LONGEST_NAME = 80
 def received_path(folder: Path, name: str) -> Path:
     """A new path in a folder for a file that a browser sends.
 
-    Args:
-        folder: of the station.
-        name: as the browser gives it; only letters, digits, dots and hyphens of its last part are used.
+    Only letters, digits, dots and hyphens of the last part of its name are used.
 
     >>> received_path(Path("/nowhere"), "../../my scan.tagid.h5").name
     'received-my-scan.tagid.h5'
@@ -57,9 +55,8 @@ def received_path(folder: Path, name: str) -> Path:
 async def receive(pieces: AsyncIterator[bytes], folder: Path, name: str) -> Path:
     """Store a file that a browser sends; returns its path, which is new.
 
-    Raises:
-        UsageError: it is empty or too large, or has ended early.
-        StorageError: the disk is nearly full, or the file cannot be written.
+    Raises UsageError if it is empty or too large; StorageError if the disk is nearly full, or cannot be
+    written.
     """
     if shutil.disk_usage(folder).free < MOST_UPLOAD_BYTES + LEAST_FREE_BYTES:
         raise StorageError(f"the disk of {folder} is nearly full", "Free some space.")
@@ -84,13 +81,7 @@ async def receive(pieces: AsyncIterator[bytes], folder: Path, name: str) -> Path
 
 
 class ReceivedRun(Run):
-    """The identification of a file that a browser sent; a file that cannot be read is removed.
-
-    Args:
-        number: counts the station's scans.
-        place: settings, registry and history.
-        path: the file, in the station's folder.
-    """
+    """The identification of a file that a browser sent; a file that cannot be read is removed."""
 
     def __init__(self, number: int, place: Workplace, path: Path) -> None:
         super().__init__(number, place, FreeTurntable())
@@ -121,14 +112,7 @@ class ReplayRun(Run):
     The scans are replayed through the recording of a scan into a temporary folder. The answer is that of the
     stored file.
 
-    Args:
-        number: counts the station's scans.
-        place: settings and registry.
-        path: the capture.
-
-    Raises:
-        StorageError, FileFormatError: the capture cannot be read.
-        UsageError: it does not hold what a replay needs.
+    Raises StorageError, FileFormatError if it cannot be read; UsageError if it lacks what a replay needs.
     """
 
     def __init__(self, number: int, place: Workplace, path: Path) -> None:

@@ -24,13 +24,7 @@ from tagid.station.station import Station
 
 
 def build(station: Station, host: str, port: int, pairing: Pairing | None) -> Guard:
-    """The guarded application.
-
-    Args:
-        station: the station to show and operate.
-        host, port: where it listens.
-        pairing: None on a loopback address.
-    """
+    """The guarded application, which listens at an address; without pairing on a loopback address."""
     hub = Hub(station)
     folder = resources.files("tagid.station") / "page_files"
     files = {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in PAGE_FILES.items()}
