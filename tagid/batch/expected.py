@@ -37,10 +37,6 @@ class Expectations:
     path: str
     by_location: Mapping[str, str]
 
-    def of(self, source: Source) -> str | None:
-        """The expected answer for an input, or None if the manifest does not name it."""
-        return self.by_location.get(source.location)
-
 
 def read_manifest(
     path: Path, sources: Sequence[Source], layouts: Iterable[str], *, may_come: bool = False

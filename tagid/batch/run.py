@@ -216,8 +216,8 @@ class _Run:
 
     def _judged(self, record: ItemRecord, position: int) -> ItemRecord:
         """The record with its expected answer and, once all are written, the item that it copies."""
-        expectations = self._plan.expectations
-        expected = None if expectations is None else expectations.of(self._sources[position])
+        expectations = self._plan.expectations.by_location if self._plan.expectations else {}
+        expected = expectations.get(self._sources[position].location)
         return record.judged(expected, self._copies.get(position))
 
     def _items(self) -> Iterator[StoredItem]:

@@ -66,9 +66,7 @@ function stepRow(step) {
   return row;
 }
 
-function lastStep() {
-  return stepping ? stepping.step : null;
-}
+const lastStep = () => (stepping ? stepping.step : null);
 
 // The buttons and the bar, without drawing the results again.
 function showStepState() {
