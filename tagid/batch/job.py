@@ -25,9 +25,8 @@ class Job:
     """Settings of a batch.
 
     Attributes:
-        setup: settings of loading, imaging and reading, and the enrolled layouts, bodies and objects; the
-            imaging method also renders the page's pictures.
-        pictures: whether to render the page's pictures.
+        setup: all that an answer depends on; its imaging method also renders the page's pictures.
+        pictures: whether to render them.
         known: sha256 of contents whose answer is kept from an earlier run with the same fingerprint.
     """
 

@@ -78,8 +78,7 @@ class Finished:
 
     Attributes:
         summary: content of summary.json.
-        exit_code: exit code of the command, also for an interrupted run.
-        interrupted: whether the user stopped it.
+        exit_code: of the command, also for a run that the user interrupted.
         reused: number of answers reused from an earlier run.
         remarks: what is not stored in the history, and why.
     """

@@ -31,13 +31,14 @@ if TYPE_CHECKING:
 
 _FEWEST_FITTED = 8
 _FEWEST_SEARCHED = 40
+"""Scans from which on a period is searched."""
 _SEARCHED_TURNS = MIN_TURNS + 0.02
 """Turns at the nominal speed after which the period is estimated."""
 _LOOK_S, _LOOK_SHARE = 1.0, 0.05
 """Least time between two searches for a standstill, s, and their largest share of the time."""
 _MOST_SEARCHED = 1000
-"""Maximum number of scans of the search and of the alignment; more are decimated, to keep them within a
-fraction of a second."""
+"""Maximum number of scans of a search and of the alignment; more are decimated. A search that finds a period
+takes 0.15 s then."""
 
 
 class LiveAngles:
@@ -156,9 +157,6 @@ def _times_s(scans: Sequence[Scan]) -> NDArray[np.float64]:
     return np.asarray((stamps - stamps[0]) * 1e-3)
 
 
-_FEWEST = 40
-_MOST = 1000
-"""Maximum number of scans of a search; more are decimated. A search that finds a period takes 0.15 s then."""
 _LONGER, _LONGER_KNOWN = 1.02, 1.25
 """Growth of the recording after which the period is searched again, before and after it is known."""
 _ALIKE = 0.02
@@ -180,13 +178,13 @@ class GrowingSpeed:
 
     def period_s(self, session: Session, scans: Sequence[Scan]) -> float | None:
         """A new estimate of the period from all scans so far, s; None without one, or if no search is due."""
-        if len(scans) < _FEWEST:
+        if len(scans) < _FEWEST_SEARCHED:
             return None
         seconds = (scans[-1].radar_time_ms - scans[0].radar_time_ms) * 1e-3
         if seconds < self._searched_s * (_LONGER_KNOWN if self._known else _LONGER):
             return None
         self._searched_s = seconds
-        some = scans[:: -(-len(scans) // _MOST)]
+        some = scans[:: -(-len(scans) // _MOST_SEARCHED)]
         stamps = np.array([scan.radar_time_ms for scan in some], dtype=np.float64)
         try:
             capture = replace(capture_so_far(session, some), radar_time_ms=stamps)

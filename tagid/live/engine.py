@@ -49,13 +49,7 @@ _JOIN_S = 30.0
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Inputs of the live view other than the scans.
-
-    Attributes:
-        motion: the device that rotates the object.
-        layouts, signatures, registry_version: the contents of the registry.
-        imaging: settings of imaging and reading.
-    """
+    """Inputs of the live view other than the scans: the motion, the registry's contents, and the settings."""
 
     motion: Motion
     layouts: Sequence[Layout] = ()
@@ -65,16 +59,10 @@ class LiveSettings:
 
 
 class LiveView:
-    """Computes states from scans; use it as a context manager.
+    """Computes states from scans, the newest in `state`; use it as a context manager.
 
-    States are made on a worker thread; a second one reads the tag as soon as a turn is complete.
-
-    Args:
-        settings: inputs other than the scans.
-        tell: called on a worker thread with every new state; it must not block for long.
-
-    Attributes:
-        state: the newest state.
+    States are made on a worker thread; a second one reads the tag as soon as a turn is complete. On these
+    threads `tell` is called with every new state; it must not block for long.
     """
 
     def __init__(

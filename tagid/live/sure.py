@@ -54,9 +54,7 @@ def check_angle_known(motion: Motion, motion_url: str | MotionUrl) -> None:
 class EarlyEnding:
     """Reads a recording at the looks and decides whether it may end; use it as a context manager.
 
-    Args:
-        settings: registry, motion and false-accept probability.
-        calibration: None for the package's own.
+    Without a calibration the package's own serves.
 
     Attributes:
         remark: why this scan cannot end early, for the user; empty if it can.

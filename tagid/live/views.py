@@ -14,7 +14,7 @@ from tagid.angles.views import average_into_views
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
 from tagid.geometry import ImageGrid
-from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
+from tagid.imaging.preprocess import preprocess
 from tagid.imaging.types import Image
 from tagid.live.image import GrowingImage
 from tagid.metadata import RadarInfo
@@ -117,10 +117,8 @@ class GrowingViews:
             flags=None,
         )
         newest = self.capture.select(slice(-len(groups), None))
-        self._image.add(preprocess(newest, settings=self._settings("none", matched=True)))
-
-    def _settings(self, background: Background, matched: bool) -> PreprocessSettings:
-        return replace(self._imaging.preprocessing(matched), background=background)
+        settings = replace(self._imaging.preprocessing(matched_filter=True), background="none")
+        self._image.add(preprocess(newest, settings=settings))
 
     def image(self) -> Image | None:
         """The image of the views; None before two of them."""

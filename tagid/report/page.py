@@ -39,12 +39,8 @@ _NOT_SHOWN = (
 
 @dataclass(frozen=True)
 class PageSettings:
-    """Settings of the page.
-
-    Attributes:
-        title: title of the page.
-        megabytes: size limit of all pictures together.
-        note: a remark on the selection of the items; empty for none.
+    """Title of the page, size limit of all pictures together, MB, and a remark on the selection of the
+    items.
     """
 
     title: str = "Radar tag identification"

@@ -221,12 +221,9 @@ def _utc(time: str | None) -> str:
 
 @dataclass(frozen=True)
 class Thumbnails:
-    """The pictures of one item.
+    """The pictures of one item, PNG, and what the page draws around them; empty if there are none.
 
-    Attributes:
-        image, sinogram: PNG; empty if there is none.
-        drawing: what the page draws around them, plain JSON values as `draw_pictures` makes them; empty
-            without pictures.
+    The drawing holds plain JSON values as `draw_pictures` makes them.
     """
 
     image: bytes = b""
@@ -236,13 +233,8 @@ class Thumbnails:
 
 @dataclass(frozen=True)
 class StoredItem:
-    """One item as the report's working file holds it.
-
-    Attributes:
-        position: among the inputs, from 0.
-        record: its record.
-        drawing: of its pictures, see `Thumbnails`.
-        picture_bytes: size of its pictures; 0 if it has none.
+    """One item as the report's working file holds it: its position among the inputs, from 0, its record, the
+    drawing of its `Thumbnails`, and their size, bytes; 0 if it has none.
     """
 
     position: int

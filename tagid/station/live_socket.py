@@ -53,7 +53,7 @@ class Hub:
             await asyncio.sleep(FRAME_S)
             station.tick()
             run, now = station.scan, asyncio.get_running_loop().time()
-            new = run is not None and self._changed("frame", run.number, run.state.frame, run.running)
+            new = run is not None and self._changed("frame", run.number, run.view.state.frame, run.running)
             if run is not None and new and self._clients:
                 self._send_all("frame", wire.frame(run))
             report = station.reports.newest

@@ -12,7 +12,6 @@ from pathlib import Path
 from tagid.capture import Capture
 from tagid.errors import CaptureInterrupted, DeviceError, TagidError
 from tagid.live.engine import LiveSettings, LiveView
-from tagid.live.state import LiveState
 from tagid.live.sure import EarlyEnding, check_angle_known
 from tagid.metadata import ScanGap
 from tagid.motion.device import Motion
@@ -65,6 +64,7 @@ class Run(BackgroundRun):
     Attributes:
         number: counts the station's scans.
         motion: the device that rotates the object, for the live view.
+        view: with the state of the recording.
         file: name of the file that is read; empty for a scan.
         remark: on files that could not be written; empty if none.
         residuals: the picture of what competing hypotheses leave of the echo; None if there is none.
@@ -82,25 +82,15 @@ class Run(BackgroundRun):
         self._needs = LiveSettings(
             motion, enrolled.layouts, enrolled.signatures, enrolled.version, self._setup.imaging
         )
-        self._view = LiveView(self._needs)
+        self.view = LiveView(self._needs)
         self.remark = ""
         self.residuals: Path | None = None
         self.device_failed = False
         super().__init__(f"station-scan-{number}")
 
-    @property
-    def state(self) -> LiveState:
-        """The newest state."""
-        return self._view.state
-
-    @property
-    def silent_s(self) -> float:
-        """Seconds for which the recording has waited for its next scan; 0 while it does not wait."""
-        return self._view.silent_s
-
     def _fail(self, error: BaseException) -> None:
         self.device_failed = isinstance(error, DeviceError)
-        self._view.fail(reported(error))
+        self.view.fail(reported(error))
 
     def _draw(self, answer: Answer, path: Path) -> tuple[Drawn | None, list[str]]:
         """The image with its picture and that of the residuals beside the capture, and what failed."""
@@ -146,7 +136,7 @@ class ScanRun(Run):
 
     def _run(self) -> None:
         picture: Drawn | None = None
-        with self._view:
+        with self.view:
             remarks = []
             with radar_alone(self._radar, self._stop), ExitStack() as ending:
                 watch = self._watch()
@@ -156,9 +146,9 @@ class ScanRun(Run):
                 recorded = record_turn(self._place, self._plan, self.motion, watch)
             if early is not None:
                 if words := ending_words(recorded.capture.radar.ended):
-                    self._view.note(f"ended {words}")
+                    self.view.note(f"ended {words}")
                 remarks += [early.remark] if early.remark else []
-            answer = read(self._setup, recorded.capture, recorded.path, self._view)
+            answer = read(self._setup, recorded.capture, recorded.path, self.view)
             remarks += answer.remarks
             if answer.error is None:
                 picture, failed = self._draw(answer, recorded.path)
@@ -170,12 +160,12 @@ class ScanRun(Run):
                 # The recording is stored; only the reading failed.
                 raise answer.error
         if picture is not None:
-            self._view.show(picture.result.image)
+            self.view.show(picture.result.image)
         if self._then is not None and answer.prepared is not None:
             self._then(recorded.path, answer.prepared.given, answer.identification)
 
     def _watch(self) -> Watch:
-        view = self._view
+        view = self.view
 
         def gap(gap: ScanGap) -> None:
             view.note(f"the radar was disconnected for {gap.seconds:.1f} s; the recording continues")

@@ -23,7 +23,7 @@ from tagid.operate.turn import picture_of, residuals_beside
 from tagid.operate.workplace import TURN_S, Workplace, open_registry
 from tagid.station.commissioning import CommissioningRun
 from tagid.station.demo import DemoObject
-from tagid.station.enrolling import Enrolling, Subject
+from tagid.station.enrolling import Enrolling
 from tagid.station.errors import (
     BusyError,
     InterlockError,
@@ -41,7 +41,6 @@ from tagid.station.settings import Kind, Search, Settings
 from tagid.station.stored import ReceivedRun, ReplayRun
 from tagid.station.wiring import Wiring, wiring
 from tagid.storage.history import FILE_NAME, Filter, History, HistoryEntry
-from tagid.tags.layouts.layout import Layout
 from tagid.workers import Worker
 
 
@@ -158,11 +157,6 @@ class Station:
             )
         self._over.set()
         self.stop()
-
-    @property
-    def full(self) -> bool:
-        """Whether no other WebSocket connection is accepted."""
-        return self.operators.connected >= MAX_CONNECTIONS
 
     def start(self, key: str | None, note: str = "", demo_object: str = "") -> int:
         """Start a scan; returns its number.
@@ -330,11 +324,6 @@ class Station:
                 "another browser operates the station", "Take over there, or wait until it is closed."
             )
 
-    def describe(self, key: str | None, subject: Subject) -> None:
-        """Begin an enrollment, or change the name of the current one. Raises as `Enrolling.describe`."""
-        self.operate(key)
-        self.enrolling.describe(subject)
-
     def start_report(self, key: str | None, entries: tuple[int, ...]) -> ReportRun:
         """Begin a report over entries of the history.
 
@@ -475,10 +464,6 @@ class Station:
         if path is None:
             raise NoSuchItemError(f"the station has no capture of entry {number}")
         return path
-
-    def layouts(self) -> list[Layout]:
-        """The enrolled layouts. Raises RegistryError."""
-        return open_registry().layouts()
 
     def close(self) -> None:
         """Stop a running scan and a running report, and wait for their ends; no health check follows."""

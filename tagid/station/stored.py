@@ -90,9 +90,9 @@ class ReceivedRun(Run):
         self._path = path
 
     def _run(self) -> None:
-        with self._view:
-            self._view.reading()
-            answer = read(self._setup, self._path, watcher=self._view)
+        with self.view:
+            self.view.reading()
+            answer = read(self._setup, self._path, watcher=self.view)
             if answer.error is not None:
                 self._path.unlink(missing_ok=True)
                 raise answer.error
@@ -103,7 +103,7 @@ class ReceivedRun(Run):
             capture = answer.prepared.given
             ranges = float(capture.ranges_m[0]), float(capture.ranges_m[-1])
             rows = changing_envelope(capture).astype(np.float32)
-            self._view.show(picture.result.image, Sinogram(rows, ranges))
+            self.view.show(picture.result.image, Sinogram(rows, ranges))
 
 
 class ReplayRun(Run):
@@ -135,7 +135,7 @@ class ReplayRun(Run):
         self.residuals = residuals if residuals.is_file() else None
 
     def _run(self) -> None:
-        with self._view:
+        with self.view:
             with tempfile.TemporaryDirectory(prefix="tagid-replay-") as folder:
                 try:
                     self._replay(Path(folder))
@@ -145,12 +145,12 @@ class ReplayRun(Run):
                     # A recording that ends within a turn; what it shows is read below.
                     if self._stop.is_set():
                         raise
-            answer = read(self._setup, self._path, watcher=self._view)
+            answer = read(self._setup, self._path, watcher=self.view)
             if answer.error is not None:
                 raise answer.error
             self.remark = "; ".join(answer.remarks)
             drawn = draw(answer, None)
-        self._view.show(drawn.result.image)
+        self.view.show(drawn.result.image)
 
     def _replay(self, folder: Path) -> None:
         capture = self._given
@@ -165,7 +165,7 @@ class ReplayRun(Run):
             max_seconds=self._seconds + 1.0,
             motion="free",
         )
-        view = self._view
+        view = self.view
         watch = Watch(resolve=view.resolving(resolve_turn), began=view.began, stop=self._stop.is_set)
         record_turn(place, plan, self.motion, watch)
 

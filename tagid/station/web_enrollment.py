@@ -9,6 +9,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from tagid.errors import UsageError
+from tagid.operate.workplace import open_registry
 from tagid.pipeline.enrollment import LayoutProposal
 from tagid.report import layout_sheet
 from tagid.report.drafting import PAPERS_MM
@@ -46,7 +47,9 @@ async def state(station: Station, request: Request) -> wire.Json:
 async def describe(station: Station, request: Request) -> wire.Json:
     asked = await body(request)
     words = text_of(asked, "name", None), text_of(asked, "kind", "other"), text_of(asked, "label")
-    await run_in_threadpool(station.describe, key_of(asked), Subject(*words))
+    key, subject = key_of(asked), Subject(*words)
+    station.operate(key)
+    await run_in_threadpool(station.enrolling.describe, subject)
     return wire.enrolment(station.enrolling.state)
 
 
@@ -108,7 +111,7 @@ async def own_template(station: Station, request: Request) -> Response:
 
 @API.get("/api/v1/layouts", "The enrolled layouts", "Layouts")
 async def layouts(station: Station, request: Request) -> wire.Json:
-    enrolled = await run_in_threadpool(station.layouts)
+    enrolled = await run_in_threadpool(open_registry().layouts)
     names = ("name", "kind", "label", "size")
     return {"items": [{name: getattr(entry, name) for name in names} for entry in enrolled]}
 
@@ -123,7 +126,7 @@ async def layouts(station: Station, request: Request) -> wire.Json:
 async def template(station: Station, request: Request) -> Response:
     """The name is compared, never used as a path."""
     name = request.path_params["name"]
-    for entry in await run_in_threadpool(station.layouts):
+    for entry in await run_in_threadpool(open_registry().layouts):
         if entry.name == name:
             return await _pdf(request, entry)
     raise NoSuchItemError("there is no layout of that name", "See /api/v1/layouts.")

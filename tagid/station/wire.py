@@ -30,7 +30,7 @@ from tagid.station.profile import ProfileRun
 from tagid.station.reports import ReportRun
 from tagid.station.scans import Run
 from tagid.station.settings import DEVICE_KINDS, shown_settings
-from tagid.station.station import Health, Station
+from tagid.station.station import MAX_CONNECTIONS, Health, Station
 
 IMAGE_DB = 25.0
 SINOGRAM_DB = 30.0
@@ -59,7 +59,7 @@ def status(station: Station) -> Json:
         "demo": bool(station.source.demo),
         "operated": station.operators.taken,
         "connections": station.operators.connected,
-        "full": station.full,
+        "full": station.operators.connected >= MAX_CONNECTIONS,
         "scan": None if run is None else scan(run),
         "health": health(station.health),
         "enrolment": enrolment(station.enrolling.state),
@@ -82,7 +82,7 @@ def hello(station: Station, key: str) -> Json:
 
 def scan(run: Run) -> Json:
     """A scan and its result so far."""
-    state = run.state
+    state = run.view.state
     return {
         "number": run.number,
         "running": run.running,
@@ -95,7 +95,7 @@ def scan(run: Run) -> Json:
         "turn_share": state.turn_share,
         "views": state.views,
         "snr_db": None if state.snr_db is None else round(state.snr_db, 1),
-        "silent_s": round(run.silent_s, 1),
+        "silent_s": round(run.view.silent_s, 1),
         "note": state.note,
         "remark": run.remark,
         "file": run.file,
@@ -149,7 +149,7 @@ def pictures(state: LiveState) -> Json:
 
 def frame(run: Run) -> Json:
     """A scan's state with its pictures, as sent to the page several times per second."""
-    return {"type": "frame", "scan": scan(run), **pictures(run.state)}
+    return {"type": "frame", "scan": scan(run), **pictures(run.view.state)}
 
 
 def profile(run: ProfileRun) -> Json:

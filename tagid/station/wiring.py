@@ -16,12 +16,9 @@ Cable = Literal["ethernet", "usb", "uart", "none"]
 
 @dataclass(frozen=True)
 class Wiring:
-    """Instructions for connecting the radar.
+    """What to check to connect the radar of a URL, in this order.
 
-    Attributes:
-        cable: the cable of the configured URL; "none" if no radar is configured, or an emulated one.
-        url: the configured URL; empty if there is none.
-        steps: what to check, in this order.
+    The cable is "none" if no radar is configured, or an emulated one; the URL is empty if there is none.
     """
 
     cable: Cable

@@ -158,7 +158,7 @@ def test_a_station_and_a_program_answer_as_identify_does(
     assert isinstance(run, ScanRun)
     run.join(120)
     newest = station.history(Filter(limit=1))[0]
-    shown = run.state.answer
+    shown = run.view.state.answer
     assert shown is not None and newest.status == shown.status
     assert plain(shown.to_dict()) == plain(identified(tagid, newest.file), *OF_THE_FILE)
 
