@@ -36,13 +36,9 @@ _T = TypeVar("_T")
 def run_cluster(tasks: Tasks, job: Job, address: str, verbose: bool = False) -> Results:
     """Process all tasks on a cluster and yield each result as it arrives; close the iterator to stop.
 
-    At most `AHEAD` tasks per worker thread are taken from `tasks` before their results are yielded.
-
-    Args:
-        tasks: the items; workers must be able to open the files under the same absolute paths or URLs.
-        job: settings, sent once to each worker.
-        address: address of the scheduler, e.g. tcp://10.0.0.1:8786.
-        verbose: show Dask's own log.
+    At most `AHEAD` tasks per worker thread are taken before their results are yielded. Workers must be able
+    to open the files under the same absolute paths or URLs. The address is that of the scheduler, e.g.
+    tcp://10.0.0.1:8786; `verbose` shows Dask's own log.
 
     Raises:
         MissingExtraError: `distributed` is not installed.

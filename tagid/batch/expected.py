@@ -11,7 +11,7 @@ import io
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +36,6 @@ class Expectations:
 
     path: str
     by_location: Mapping[str, str]
-
-    def of(self, source: Source) -> str | None:
-        """The expected answer for an input, or None if the manifest does not name it."""
-        return self.by_location.get(source.location)
 
 
 def read_manifest(
@@ -144,28 +140,18 @@ class _Finder:
         return name if is_url(name) else os.path.normpath(self._folders[0] / name)
 
 
-@dataclass(frozen=True)
-class Miss:
-    """An item whose answer was not the expected one, and the reason it gave."""
-
-    file: str
-    expected: str
-    answer: str
-    reason: str
-
-
 @dataclass
 class Comparison:
     """Running comparison of answers with expectations.
 
     Attributes:
         counts: number of items by (expected, answer).
-        misses: the items whose answer was not the expected one.
+        misses: file, expected and given answer, and its reason, of the items with another answer.
         not_expected: number of items that the manifest does not name.
     """
 
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
-    misses: list[Miss] = field(default_factory=list)
+    misses: list[dict[str, str]] = field(default_factory=list)
     not_expected: int = 0
     _seen: set[tuple[str, str, str]] = field(default_factory=set)
 
@@ -181,7 +167,14 @@ class Comparison:
             self._seen.add(content)
         self.counts[record.expected, record.answer] += 1
         if not record.correct:
-            self.misses.append(Miss(record.file, record.expected, record.answer, record.reason))
+            self.misses.append(
+                {
+                    "file": record.file,
+                    "expected": record.expected,
+                    "answer": record.answer,
+                    "reason": record.reason,
+                }
+            )
 
     def to_dict(self) -> dict[str, Any]:
         """Accuracy with its 95 % interval (Wilson 1927), confusion matrix and misses, plain JSON values."""
@@ -202,7 +195,7 @@ class Comparison:
                 "answers": columns,
                 "counts": [[self.counts[row, column] for column in columns] for row in rows],
             },
-            "misses": [asdict(miss) for miss in self.misses],
+            "misses": self.misses,
         }
 
 

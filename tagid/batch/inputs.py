@@ -73,13 +73,9 @@ def is_url(text: str) -> bool:
 
 
 def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
-    """The items in files, folders (recursively) and URLs.
+    """The items in files, folders (recursively) and URLs, without those in the folder `outside`.
 
     A file that is named explicitly is an item regardless of its content.
-
-    Args:
-        words: paths or URLs.
-        outside: a folder whose contents are excluded, e.g. the report's own.
 
     Raises:
         StorageError: a path does not exist, or a folder cannot be listed.
@@ -113,10 +109,11 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
                 recording.append(displayable(str(file)))
             else:
                 passed_over.append(displayable(str(file)))
-    if not sources:
-        raise _nothing(words, passed_over, recording, unreadable, dangling)
     lists = map(tuple, (passed_over, recording, unreadable, dangling))
-    return Collected(tuple(sources.values()), *lists)
+    collected = Collected(tuple(sources.values()), *lists)
+    if not sources:
+        raise _nothing(words, collected)
+    return collected
 
 
 def files_below(
@@ -185,20 +182,14 @@ def _journal_under_way(path: Path) -> bool:
     return path.name.lower().endswith(".journal") and being_recorded(path)
 
 
-def _nothing(
-    words: Sequence[str],
-    passed_over: Sequence[str],
-    recording: Sequence[str],
-    unreadable: Sequence[str],
-    dangling: Sequence[str],
-) -> DataError:
+def _nothing(words: Sequence[str], seen: Collected) -> DataError:
     where = ", ".join(displayable(word) for word in words[:3])
-    seen = f"; not recordings: {counted(len(passed_over), 'other file')}" if passed_over else ""
-    under_way = f"; {recording[0]} is still being recorded" if recording else ""
-    closed = f"; could not open {unreadable[0]}" if unreadable else ""
-    links = f"; {dangling[0]}: a link to a file that does not exist" if dangling else ""
+    others = f"; not recordings: {counted(len(seen.passed_over), 'other file')}" if seen.passed_over else ""
+    under_way = f"; {seen.being_recorded[0]} is still being recorded" if seen.being_recorded else ""
+    closed = f"; could not open {seen.unreadable[0]}" if seen.unreadable else ""
+    links = f"; {seen.dangling[0]}: a link to a file that does not exist" if seen.dangling else ""
     return DataError(
-        f"no captures in {where}{seen}{under_way}{closed}{links}",
+        f"no captures in {where}{others}{under_way}{closed}{links}",
         f"Captures end in {', '.join(SUFFIXES)}; a file with any other name must be named explicitly.",
     )
 
@@ -206,9 +197,8 @@ def _nothing(
 def filesystem(url: str) -> tuple[Any, str]:
     """The fsspec file system of a URL and the path on it.
 
-    Raises:
-        MissingExtraError: fsspec, or a package it needs for this kind of URL, is not installed.
-        StorageError: the URL is invalid.
+    Raises MissingExtraError if fsspec, or a package it needs for this kind of URL, is not installed;
+    StorageError if the URL is invalid.
     """
     try:
         from fsspec.core import url_to_fs

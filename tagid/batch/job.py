@@ -25,9 +25,8 @@ class Job:
     """Settings of a batch.
 
     Attributes:
-        setup: settings of loading, imaging and reading, and the enrolled layouts, bodies and objects; the
-            imaging method also renders the page's pictures.
-        pictures: whether to render the page's pictures.
+        setup: all that an answer depends on; its imaging method also renders the page's pictures.
+        pictures: whether to render them.
         known: sha256 of contents whose answer is kept from an earlier run with the same fingerprint.
     """
 
@@ -67,13 +66,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Answered:
-    """An item that was processed.
-
-    Attributes:
-        record: its identification, or why there is none.
-        pictures: its small pictures.
-        cpu_s: processor time used, s.
-    """
+    """An item that was processed: its record, its small pictures, and the processor time used, s."""
 
     record: ItemRecord
     pictures: Thumbnails = field(default_factory=Thumbnails)
@@ -82,11 +75,8 @@ class Answered:
 
 @dataclass(frozen=True)
 class Known:
-    """An item whose answer an earlier run has left.
-
-    Attributes:
-        content_sha256: hex sha256 of its file.
-        cpu_s: processor time used, s.
+    """An item whose answer an earlier run has left: sha256 of its file in hex, and the processor time used,
+    s.
     """
 
     content_sha256: str

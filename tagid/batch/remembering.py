@@ -21,12 +21,8 @@ _BATCH = 500
 class Remembering:
     """Writes the answers of a batch into the history. Errors are kept for `remarks`: the report goes on.
 
-    An answer that could not be stored stays in the report's working file; `reconcile` stores it later. Of all
-    calls, only the first that finds the history locked waits for it.
-
-    Args:
-        path: of the history; None stores nothing.
-        job: settings of the batch.
+    An answer that could not be stored stays in the report's working file; `reconcile` stores it later. Of
+    all calls, only the first that finds the history locked waits for it. Without a path nothing is stored.
     """
 
     def __init__(self, path: Path | None, job: Job) -> None:

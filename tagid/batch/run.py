@@ -5,6 +5,7 @@ The run may be stopped or killed at any moment; results so far are kept and the 
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -21,7 +22,6 @@ from tagid.batch.remembering import Remembering
 from tagid.batch.spool import FILE_NAME, Spool
 from tagid.batch.tally import SUMMARY_VERSION, Tally
 from tagid.batch.watch import FolderWatch
-from tagid.report.lines import GrowingLines
 from tagid.report.page import PageSettings, write_page
 from tagid.report.records import ItemRecord, StoredItem
 from tagid.report.tables import write_csv, write_json, write_jsonl, write_junit
@@ -78,8 +78,7 @@ class Finished:
 
     Attributes:
         summary: content of summary.json.
-        exit_code: exit code of the command, also for an interrupted run.
-        interrupted: whether the user stopped it.
+        exit_code: of the command, also for a run that the user interrupted.
         reused: number of answers reused from an earlier run.
         remarks: what is not stored in the history, and why.
     """
@@ -105,6 +104,38 @@ def run_batch(plan: BatchPlan, job: Job, runner: Runner, hooks: Hooks | None = N
     files.make_folder(plan.out)
     with Spool(plan.out / FILE_NAME, fresh=not plan.resume) as spool:
         return _Run(plan, job, spool, hooks).go(runner)
+
+
+class GrowingLines:
+    """A new, empty file to which whole lines are added, so that it may be read while it grows.
+
+    Raises StorageError if it cannot be written, DiskFullError without space; it then ends with the line
+    before.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._descriptor = files.open_in_place(path, os.O_APPEND | os.O_TRUNC)
+
+    def reopen(self) -> None:
+        """Append to the path again, after the file was closed and replaced."""
+        self._descriptor = files.open_in_place(self._path, os.O_APPEND)
+
+    def add(self, line: str) -> None:
+        """Add a line, atomically."""
+        with interrupts.deferred():
+            end = os.fstat(self._descriptor).st_size
+            try:
+                files.write_all(self._descriptor, line.encode())
+            except OSError as error:
+                os.ftruncate(self._descriptor, end)
+                raise files.storage_error(error, self._path, "adding a result") from error
+
+    def close(self) -> None:
+        """Close the file; it is kept."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
 
 
 class _Run:
@@ -184,15 +215,16 @@ class _Run:
 
     def _judged(self, record: ItemRecord, position: int) -> ItemRecord:
         """The record with its expected answer and, once all are written, the item that it copies."""
-        expectations = self._plan.expectations
-        expected = None if expectations is None else expectations.of(self._sources[position])
+        expectations = self._plan.expectations.by_location if self._plan.expectations else {}
+        expected = expectations.get(self._sources[position].location)
         return record.judged(expected, self._copies.get(position))
 
-    def _judged_item(self, item: StoredItem) -> ItemRecord:
-        return self._judged(item.record, item.position)
+    def _items(self) -> Iterator[StoredItem]:
+        for item in self._spool.items():
+            yield replace(item, record=self._judged(item.record, item.position))
 
     def _records(self) -> Iterator[ItemRecord]:
-        return map(self._judged_item, self._spool.items())
+        return (item.record for item in self._items())
 
     def _due(self, done: int) -> bool:
         """Whether a watched folder's report should be rewritten."""
@@ -212,7 +244,7 @@ class _Run:
         write_csv(out / "items.csv", self._records())
         write_jsonl(out / "items.jsonl", self._records())
         write_junit(out / "junit.xml", self._records(), summary)
-        write_page(out / "report.html", self._spool, self._judged_item, summary, self._plan.page)
+        write_page(out / "report.html", self._items, self._spool.pictures, summary, self._plan.page)
         # The last file written proves that the others exist.
         write_json(out / "summary.json", summary)
         self._written = (time.monotonic(), time.monotonic() - began)

@@ -7,6 +7,7 @@ stopped or killed can be resumed.
 from __future__ import annotations
 
 import contextlib
+import json
 import sqlite3
 from collections.abc import Generator, Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from pathlib import Path
 from tagid import files, interrupts
 from tagid.batch.job import Known, Outcome
 from tagid.errors import StorageError
-from tagid.report.records import Drawing, ItemRecord, StoredItem, Thumbnails, drawing_json
+from tagid.report.records import ItemRecord, StoredItem
 from tagid.storage.database import Schema, check_objects, clear_errors
 
 FILE_NAME = ".tagid-report.sqlite"
@@ -35,17 +36,12 @@ _FILE = "json_extract(record, '$.file')"
 
 
 class Spool:
-    """Results of one report, by position among its items.
+    """Results of one report, by position among its items; only one process may have it open.
 
-    Only one process may have it open.
+    A fresh one discards earlier contents.
 
-    Args:
-        path: the file.
-        fresh: discard earlier contents.
-
-    Raises:
-        StorageError: not a working file of tagid, in use by another report, or not writable.
-        DiskFullError: no space left.
+    Raises StorageError for a file that is no working file of tagid, is used by another report, or cannot be
+    written; DiskFullError.
     """
 
     def __init__(self, path: Path, fresh: bool) -> None:
@@ -131,24 +127,14 @@ class Spool:
                 )
                 values = (outcome.content_sha256, job)
                 same = self._db.execute(f"{query} AND {_FILE} = ?", (*values, name)).fetchone()
-                text, drawing, image, sinogram = same or self._db.execute(query, values).fetchone()
+                text, *drawn = same or self._db.execute(query, values).fetchone()
                 record = ItemRecord.from_json(text).renamed(name)
             else:
                 record, pictures = outcome.record, outcome.pictures
-                drawing, image, sinogram = drawing_json(pictures.drawing), pictures.image, pictures.sinogram
+                drawn = [json.dumps(pictures.drawing), pictures.image, pictures.sinogram]
             self._db.execute(
                 "INSERT OR REPLACE INTO item VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                (
-                    position,
-                    name,
-                    record.content_sha256,
-                    job,
-                    record.status,
-                    record.to_json(),
-                    drawing,
-                    image,
-                    sinogram,
-                ),
+                (position, name, record.content_sha256, job, record.status, record.to_json(), *drawn),
             )
         return record
 
@@ -160,19 +146,13 @@ class Spool:
                 " FROM item ORDER BY position"
             )
             for position, record, drawing, size in self._db.execute(query):
-                yield StoredItem(position, ItemRecord.from_json(record), Drawing.from_json(drawing), size)
+                yield StoredItem(position, ItemRecord.from_json(record), json.loads(drawing), size)
 
-    def pictures(self, position: int) -> Thumbnails:
-        """The pictures of one item."""
+    def pictures(self, position: int) -> tuple[bytes, bytes]:
+        """Image and sinogram of one item, PNG; empty if it has none."""
         with clear_errors(self.path, _SCHEMA):
-            query = "SELECT image, sinogram, drawing FROM item WHERE position = ?"
-            image, sinogram, drawing = self._db.execute(query, (position,)).fetchone()
-            return Thumbnails(image, sinogram, Drawing.from_json(drawing))
-
-    def count(self) -> int:
-        """Number of finished items."""
-        with clear_errors(self.path, _SCHEMA):
-            return int(self._db.execute("SELECT COUNT(*) FROM item").fetchone()[0])
+            query = "SELECT image, sinogram FROM item WHERE position = ?"
+            return self._db.execute(query, (position,)).fetchone()  # type: ignore[no-any-return]
 
     def copies(self) -> dict[int, str]:
         """Position of each item whose content and status an earlier one has -> name of the earliest."""

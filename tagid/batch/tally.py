@@ -17,14 +17,6 @@ from tagid.storage.history import STATUSES
 SUMMARY_VERSION = 1
 
 
-@dataclass(frozen=True)
-class _Copy:
-    """One of the files that hold a capture."""
-
-    file: str
-    content_sha256: str | None
-
-
 @dataclass
 class Tally:
     """Counts over the records of a report.
@@ -37,7 +29,7 @@ class Tally:
         verdicts: number of test cases with a "failure" or an "error".
         items_s: processing time of all items, s.
         comparison: comparison with the manifest; None without one.
-        copies: files by the UUID of their capture.
+        copies: file and sha256 of its content, by the UUID of the capture.
     """
 
     items: int = 0
@@ -48,7 +40,7 @@ class Tally:
     verdicts: Counter[str] = field(default_factory=Counter)
     items_s: float = 0.0
     comparison: Comparison | None = None
-    copies: dict[str, list[_Copy]] = field(default_factory=dict)
+    copies: dict[str, list[tuple[str, str | None]]] = field(default_factory=dict)
 
     def add(self, record: ItemRecord) -> None:
         """Count one record."""
@@ -67,7 +59,7 @@ class Tally:
         if self.comparison is not None:
             self.comparison.add(record)
         if record.capture_uuid:
-            copy = _Copy(record.file, record.content_sha256)
+            copy = record.file, record.content_sha256
             self.copies.setdefault(record.capture_uuid, []).append(copy)
 
     def duplicates(self) -> list[dict[str, Any]]:
@@ -75,8 +67,8 @@ class Tally:
         return [
             {
                 "capture_uuid": uuid,
-                "files": [copy.file for copy in copies],
-                "same_content": len({copy.content_sha256 for copy in copies}) == 1,
+                "files": [file for file, _ in copies],
+                "same_content": len({content for _, content in copies}) == 1,
             }
             for uuid, copies in self.copies.items()
             if len(copies) > 1

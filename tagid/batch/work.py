@@ -13,8 +13,8 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from tagid import files
 from tagid.batch.inputs import Source, filesystem
@@ -35,24 +35,18 @@ RECORD_VERSION = 1
 _CHUNK = 1 << 20
 
 
-@dataclass(frozen=True)
-class Content:
-    """What a file holds.
+class Content(NamedTuple):
+    """What a file holds: its sha256 in hex, and its size, bytes."""
 
-    Attributes:
-        sha256: in hex.
-        size_bytes: its size, bytes.
-    """
-
-    sha256: str
-    size_bytes: int
+    sha256: str | None = None
+    size_bytes: int | None = None
 
 
 def work(source: Source, job: Job) -> Outcome:
     """Identify one item; the content of its file never causes an exception."""
     watch = Stopwatch()
     began = time.process_time()
-    content: Content | None = None
+    content = Content()
     pictures = Thumbnails()
     try:
         with local_copy(source) as path:
@@ -85,15 +79,13 @@ def unexpected(source: Source, error: BaseException) -> TagidError:
     )
 
 
-def make_record(
-    source: Source, answer: Answer, seconds: dict[str, float], content: Content | None
-) -> ItemRecord:
-    """An item's record: its answer, with file, content (None: unreadable), s per stage and time."""
+def make_record(source: Source, answer: Answer, seconds: dict[str, float], content: Content) -> ItemRecord:
+    """An item's record: its answer, with file, content, s per stage and time."""
     document = {
         "schema": "tagid.report.item",
         "schema_version": RECORD_VERSION,
-        "content_sha256": content.sha256 if content else None,
-        "size_bytes": content.size_bytes if content else None,
+        "content_sha256": content.sha256,
+        "size_bytes": content.size_bytes,
         **answer.to_dict(),
         "file": source.name,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
@@ -104,7 +96,7 @@ def make_record(
 
 def failed_record(source: Source, error: TagidError) -> ItemRecord:
     """The record of an item that no worker could complete."""
-    return make_record(source, _failed(source, error), {}, None)
+    return make_record(source, _failed(source, error), {}, Content())
 
 
 def content_of(path: Path) -> Content:

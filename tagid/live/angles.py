@@ -27,25 +27,25 @@ from tagid.pipeline.turn import resolve_turn
 from tagid.radar.assembler import Scan
 
 if TYPE_CHECKING:
-    from tagid.radar.assembler import Scan
     from tagid.recording.session import Session
 
 _FEWEST_FITTED = 8
 _FEWEST_SEARCHED = 40
+"""Scans from which on a period is searched."""
 _SEARCHED_TURNS = MIN_TURNS + 0.02
 """Turns at the nominal speed after which the period is estimated."""
 _LOOK_S, _LOOK_SHARE = 1.0, 0.05
 """Least time between two searches for a standstill, s, and their largest share of the time."""
 _MOST_SEARCHED = 1000
-"""Maximum number of scans of the search and of the alignment; more are decimated, to keep them within a
-fraction of a second."""
+"""Maximum number of scans of a search and of the alignment; more are decimated. A search that finds a period
+takes 0.15 s then."""
 
 
 class LiveAngles:
     """Angles of the scans so far: measured, from the nominal speed, or from the period in the scans.
 
-    Args:
-        motion: the device that rotates the object.
+    Attributes:
+        stopped: where the object stopped, in words, if the scans show it at a nominal speed; else empty.
     """
 
     def __init__(self, motion: Motion) -> None:
@@ -55,16 +55,11 @@ class LiveAngles:
         self._tried = False
         self._still: Still | None = None
         self._next_look_s = 0.0
-        self._stopped = ""
+        self.stopped = ""
 
     def learn(self, period_s: float) -> None:
         """Use a period that was found in the scans, s per turn."""
         self._period_s, self._from_data = period_s, True
-
-    @property
-    def stopped(self) -> str:
-        """Where the object stopped, in words, if the scans show it at a nominal speed; else empty."""
-        return self._stopped
 
     def of(self, scans: Sequence[Scan]) -> NDArray[np.float64] | None:
         """(scans,) angle relative to the first scan, rad; None while unknown."""
@@ -101,7 +96,7 @@ class LiveAngles:
             last = still.stop == len(samples)
             still = Still(still.first * every, len(scans) if last else still.stop * every)
         self._still = still
-        self._stopped = "" if still is None else stopped_words(standstill_facts(still, times, turns))
+        self.stopped = "" if still is None else stopped_words(standstill_facts(still, times, turns))
 
     def _search(self, scans: Sequence[Scan], times: NDArray[np.float64]) -> None:
         """Correct a nominal speed once the scans cover more than one turn.
@@ -162,9 +157,6 @@ def _times_s(scans: Sequence[Scan]) -> NDArray[np.float64]:
     return np.asarray((stamps - stamps[0]) * 1e-3)
 
 
-_FEWEST = 40
-_MOST = 1000
-"""Maximum number of scans of a search; more are decimated. A search that finds a period takes 0.15 s then."""
 _LONGER, _LONGER_KNOWN = 1.02, 1.25
 """Growth of the recording after which the period is searched again, before and after it is known."""
 _ALIKE = 0.02
@@ -185,19 +177,14 @@ class GrowingSpeed:
         self._known = False
 
     def period_s(self, session: Session, scans: Sequence[Scan]) -> float | None:
-        """A new estimate of the period, s; None if there is none or no search is due.
-
-        Args:
-            session: the recording.
-            scans: all of its scans so far.
-        """
-        if len(scans) < _FEWEST:
+        """A new estimate of the period from all scans so far, s; None without one, or if no search is due."""
+        if len(scans) < _FEWEST_SEARCHED:
             return None
         seconds = (scans[-1].radar_time_ms - scans[0].radar_time_ms) * 1e-3
         if seconds < self._searched_s * (_LONGER_KNOWN if self._known else _LONGER):
             return None
         self._searched_s = seconds
-        some = scans[:: -(-len(scans) // _MOST)]
+        some = scans[:: -(-len(scans) // _MOST_SEARCHED)]
         stamps = np.array([scan.radar_time_ms for scan in some], dtype=np.float64)
         try:
             capture = replace(capture_so_far(session, some), radar_time_ms=stamps)

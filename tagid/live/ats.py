@@ -23,11 +23,7 @@ STEPS, LAST_STEPS = 15, 60
 
 
 class GrowingAts:
-    """A field that is fitted to all views so far, piece by piece.
-
-    Args:
-        grid: of the image.
-        imaging: settings; `ats` for the fit. Its prior is not adapted here.
+    """A field that is fitted to all views so far, piece by piece; its prior is not adapted.
 
     Attributes:
         views: number of views of the last fit.
@@ -46,14 +42,9 @@ class GrowingAts:
         return views >= self.views + PIECE_VIEWS
 
     def go_on(self, capture: Capture, last: bool = False) -> Image:
-        """Fit the field to these views, beginning with its last state, and return the image.
+        """The image of all views so far, which have angles: the fit goes on from its last state.
 
-        Args:
-            capture: all views so far, with angles.
-            last: whether it is the whole turn.
-
-        Raises:
-            DataError: the scans cannot be imaged.
+        The last one is of the whole turn. Raises DataError if the scans cannot be imaged.
         """
         imaging = self._imaging
         scans = preprocess(capture, settings=imaging.preprocessing(matched_filter=False))

@@ -49,13 +49,7 @@ _JOIN_S = 30.0
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Inputs of the live view other than the scans.
-
-    Attributes:
-        motion: the device that rotates the object.
-        layouts, signatures, registry_version: the contents of the registry.
-        imaging: settings of imaging and reading.
-    """
+    """Inputs of the live view other than the scans: the motion, the registry's contents, and the settings."""
 
     motion: Motion
     layouts: Sequence[Layout] = ()
@@ -65,13 +59,10 @@ class LiveSettings:
 
 
 class LiveView:
-    """Computes states from scans; use it as a context manager.
+    """Computes states from scans, the newest in `state`; use it as a context manager.
 
-    States are made on a worker thread; a second one reads the tag as soon as a turn is complete.
-
-    Args:
-        settings: inputs other than the scans.
-        tell: called on a worker thread with every new state; it must not block for long.
+    States are made on a worker thread; a second one reads the tag as soon as a turn is complete. On these
+    threads `tell` is called with every new state; it must not block for long.
     """
 
     def __init__(
@@ -83,7 +74,7 @@ class LiveView:
         self._hurry = threading.Event()
         self._stream: ScanStream | None = None
         self._stored: Capture | None = None
-        self._state = LiveState()
+        self.state = LiveState()
         self._answer_at: float | None = None
         self._no_image = False
         self._stopped = ""
@@ -105,11 +96,6 @@ class LiveView:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def state(self) -> LiveState:
-        """The newest state."""
-        return self._state
 
     @property
     def silent_s(self) -> float:
@@ -149,7 +135,7 @@ class LiveView:
 
     def show(self, image: Image, sinogram: Sinogram | None = None) -> None:
         """Replace the image of the growing views by that of the whole recording; also a sinogram."""
-        self._publish(image=image, sinogram=sinogram or self._state.sinogram)
+        self._publish(image=image, sinogram=sinogram or self.state.sinogram)
 
     def reading(self) -> None:
         """Show that a stored recording is being read."""
@@ -183,23 +169,23 @@ class LiveView:
     def _publish(self, *, after: Phase | None = None, **changes: object) -> None:
         """Publish the next state; with `after` only if the newest one is of this phase."""
         with self._lock:
-            if after not in (None, self._state.phase):
+            if after not in (None, self.state.phase):
                 return
             state = self._change(changes)
         self._tell(state)
 
     def _change(self, changes: dict[str, object]) -> LiveState:
         """The next state; the lock is held."""
-        frame = self._state.frame + 1
-        self._state = replace(self._state, frame=frame, **changes)  # type: ignore[arg-type]
-        return self._state
+        frame = self.state.frame + 1
+        self.state = replace(self.state, frame=frame, **changes)  # type: ignore[arg-type]
+        return self.state
 
     def _answered_ahead(self, answer: Identification) -> None:
         """Publish the answer of the scans so far, unless that of the stored capture is available."""
         with self._lock:
-            if self._state.final:
+            if self.state.final:
                 return
-            before = self._state.answer
+            before = self.state.answer
             if before is None or not _same(before, answer):
                 self._answer_at = time.monotonic()
             state = self._change({"answer": answer})
@@ -208,7 +194,7 @@ class LiveView:
     def _answered(self, answer: Identification) -> None:
         """Publish the answer of the stored capture."""
         with self._lock:
-            before = self._state.answer
+            before = self.state.answer
             if before is None or self._answer_at is None or not _same(before, answer):
                 self._answer_at = time.monotonic()
             newest_s = None if self._stream is None else self._stream.newest_s
@@ -288,7 +274,7 @@ class LiveView:
             return
         # Also where all scans were shown: angles may have become known since.
         angles = self._angles.of(scans)
-        turned = self._state.turned_rad if angles is None else float(np.abs(angles).max())
+        turned = self.state.turned_rad if angles is None else float(np.abs(angles).max())
         self._publish(**_recorded(stream.session, scans), turned_rad=turned)
 
     def _fit_ahead(self, stream: ScanStream) -> None:

@@ -18,15 +18,12 @@ from tagid.imaging.types import BasebandScans, Image
 
 
 class GrowingImage:
-    """The backprojection of all views added so far, without their mean.
+    """The backprojection of all views added so far, without their mean, in the plane z = 0.
 
-    With P_v the backprojection of view v and z_v its scan, the image is
-    1/V sum_v P_v (z_v - m) = 1/V (sum_v P_v z_v - (sum_v P_v) m), m the mean of all z_v. Both sums grow by
-    one term per view; the second is a matrix (pixels, bins). A constant scan cancels in the image, so the
-    first scan is subtracted from all, which keeps static clutter out of the rounding.
-
-    Args:
-        grid: pixels, in the plane z = 0.
+    With P_v the backprojection of view v and z_v its scan, the image is 1/V sum_v P_v (z_v - m) = 1/V (sum_v
+    P_v z_v - (sum_v P_v) m), m the mean of all z_v. Both sums grow by one term per view; the second is a
+    matrix (pixels, bins). A constant scan cancels in the image, so the first scan is subtracted from all,
+    which keeps static clutter out of the rounding.
     """
 
     def __init__(self, grid: ImageGrid) -> None:
@@ -40,13 +37,10 @@ class GrowingImage:
         self._scan_sum = np.zeros(0, dtype=np.complex128)
 
     def add(self, scans: BasebandScans) -> None:
-        """Add views of one recording.
+        """Add views of one recording, from `preprocess` with the matched filter and without background
+        removal.
 
-        Args:
-            scans: from `preprocess` with the matched filter and without background removal.
-
-        Raises:
-            DataError: the ranges of the scans differ from those of the first ones.
+        Raises DataError if their ranges differ from those of the first ones.
         """
         first = self._first
         if first is None:

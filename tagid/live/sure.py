@@ -54,18 +54,21 @@ def check_angle_known(motion: Motion, motion_url: str | MotionUrl) -> None:
 class EarlyEnding:
     """Reads a recording at the looks and decides whether it may end; use it as a context manager.
 
-    Args:
-        settings: registry, motion and false-accept probability.
-        calibration: None for the package's own.
+    Without a calibration the package's own serves.
+
+    Attributes:
+        remark: why this scan cannot end early, for the user; empty if it can.
+        considered: number of scans considered so far.
+        looks: the looks so far.
     """
 
     def __init__(self, settings: LiveSettings, calibration: EndingCalibration | None = None) -> None:
         self._settings = settings
         self._calibration = calibration or EndingCalibration.shipped()
         self._angles = LiveAngles(settings.motion)
-        self._remark = self._why_not()
-        self._considered = 0
-        self._looks: list[Look] = []
+        self.remark = self._why_not()
+        self.considered = 0
+        self.looks: list[Look] = []
         self._ending: Ending | None = None
         self._worker: Worker | None = None
 
@@ -75,11 +78,6 @@ class EarlyEnding:
     def __exit__(self, *_: object) -> None:
         if self._worker is not None:
             self._worker.join(_JOIN_S)
-
-    @property
-    def remark(self) -> str:
-        """Why this scan cannot end early, for the user; empty if it can."""
-        return self._remark
 
     def _why_not(self) -> str:
         known, false_accept = self._settings, self._settings.imaging.false_accept
@@ -96,16 +94,6 @@ class EarlyEnding:
                 f"tags.false_accept = {false_accept:g}"
             )
         return ""
-
-    @property
-    def looks(self) -> Sequence[Look]:
-        """The looks so far."""
-        return tuple(self._looks)
-
-    @property
-    def considered(self) -> int:
-        """Number of scans considered so far."""
-        return self._considered
 
     def watching(self, watch: Watch) -> Watch:
         """The callbacks of a recording with those of the early ending added."""
@@ -128,34 +116,34 @@ class EarlyEnding:
 
     def _failed(self, error: BaseException) -> None:
         """Without a decision the whole turn is recorded."""
-        self._remark = f"{_WHOLE}: reading ahead stopped (unexpected {type(error).__name__})"
+        self.remark = f"{_WHOLE}: reading ahead stopped (unexpected {type(error).__name__})"
 
     def _work(self, stream: ScanStream) -> None:
-        while stream.wait(self._considered) and self._ending is None and not self._remark:
+        while stream.wait(self.considered) and self._ending is None and not self.remark:
             scans = stream.since()
             try:
                 self._consider(stream, scans)
             except TagidError as error:
                 # More scans may allow what these did not.
                 logging.getLogger("tagid").debug("early ending: %s", error.message)
-            self._considered = len(scans)
+            self.considered = len(scans)
 
     def _consider(self, stream: ScanStream, scans: Sequence[Scan]) -> None:
         """Take the looks that are due with the scans so far."""
         track = self._settings.motion.track()
         if track is not None and float(track.info.get("scale_sigma", 0.0)) > MOST_SCALE_SIGMA:
-            self._remark = f"{_WHOLE}: the angle of the device is not calibrated (`tagid motion calibrate`)"
+            self.remark = f"{_WHOLE}: the angle of the device is not calibrated (`tagid motion calibrate`)"
             return
         angles = self._angles.of(scans)
         if angles is None:
             return
         turned = float(np.abs(angles - angles[0]).max())
-        while len(self._looks) < len(LOOKS) and self._ending is None and not stream.ended:
-            share = LOOKS[len(self._looks)]
+        while len(self.looks) < len(LOOKS) and self._ending is None and not stream.ended:
+            share = LOOKS[len(self.looks)]
             if turned <= 2 * np.pi * share:
                 return
             capture = replace(capture_so_far(stream.session, scans), angles_rad=angles)
-            self._looks.append(self._look(capture, share))
+            self.looks.append(self._look(capture, share))
             self._ending = self._decided()
 
     def _look(self, capture: Capture, share: float) -> Look:
@@ -168,11 +156,11 @@ class EarlyEnding:
 
     def _decided(self) -> Ending | None:
         """Why the looks so far are enough; None if they are not."""
-        name, _ = agreed(self._looks)
+        name, _ = agreed(self.looks)
         if name is None:
             return None
-        newest = self._looks[-1]
-        bound = self._calibration.bound(self._looks, self._settings.imaging.false_accept)
+        newest = self.looks[-1]
+        bound = self._calibration.bound(self.looks, self._settings.imaging.false_accept)
         if not (bound.reachable and bound.kept):
             return None
         return Ending(SURE, newest.share, name, bound.p_value, bound.objects)

@@ -14,7 +14,7 @@ from tagid.angles.views import average_into_views
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
 from tagid.geometry import ImageGrid
-from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
+from tagid.imaging.preprocess import preprocess
 from tagid.imaging.types import Image
 from tagid.live.image import GrowingImage
 from tagid.metadata import RadarInfo
@@ -43,13 +43,7 @@ _CHUNK = 8
 
 
 class GrowingViews:
-    """The views so far; each is added to the image once.
-
-    Args:
-        grid: of the image.
-        layouts: the enrolled ones; may be none.
-        imaging: settings of imaging and reading.
-    """
+    """The views so far (`capture`; None before the first one); each is added to the image once."""
 
     def __init__(self, grid: ImageGrid, layouts: Sequence[Layout], imaging: ImagingSettings) -> None:
         self._grid, self._layouts, self._imaging = grid, layouts, imaging
@@ -65,17 +59,12 @@ class GrowingViews:
         self._open: list[int] = []
         self._samples: list[NDArray[np.float32]] = []
         self._angles: list[float] = []
-        self._capture: Capture | None = None
+        self.capture: Capture | None = None
 
     @property
     def count(self) -> int:
         """Number of views."""
         return self._image.views
-
-    @property
-    def capture(self) -> Capture | None:
-        """The views so far; None before there is one."""
-        return self._capture
 
     def update(
         self, scans: Capture, angles_rad: NDArray[np.float64], hurry: Callable[[], bool] = lambda: False
@@ -117,7 +106,7 @@ class GrowingViews:
     def _add(self, scans: Capture, angles_rad: NDArray[np.float64], groups: list[list[int]]) -> None:
         self._samples += [scans.samples[group].mean(axis=0).astype(np.float32) for group in groups]
         self._angles += [float(angles_rad[group].mean()) for group in groups]
-        self._capture = replace(
+        self.capture = replace(
             scans,
             samples=np.stack(self._samples),
             angles_rad=np.array(self._angles, dtype=np.float64),
@@ -127,11 +116,9 @@ class GrowingViews:
             scan_id=None,
             flags=None,
         )
-        newest = self._capture.select(slice(-len(groups), None))
-        self._image.add(preprocess(newest, settings=self._settings("none", matched=True)))
-
-    def _settings(self, background: Background, matched: bool) -> PreprocessSettings:
-        return replace(self._imaging.preprocessing(matched), background=background)
+        newest = self.capture.select(slice(-len(groups), None))
+        settings = replace(self._imaging.preprocessing(matched_filter=True), background="none")
+        self._image.add(preprocess(newest, settings=settings))
 
     def image(self) -> Image | None:
         """The image of the views; None before two of them."""
@@ -140,10 +127,10 @@ class GrowingViews:
     def evidence(self) -> tuple[LayoutEvidence, ...]:
         """The evidence for each layout, recomputed within its share of the time."""
         now = time.monotonic()
-        if self._capture is None or self._capture.views == self._judged_views or now < self._judge_at:
+        if self.capture is None or self.capture.views == self._judged_views or now < self._judge_at:
             return self._judged
-        self._judged_views = self._capture.views
-        part = average_into_views(self._capture, EVIDENCE_VIEWS)
+        self._judged_views = self.capture.views
+        part = average_into_views(self.capture, EVIDENCE_VIEWS)
         self._judged = evidence_of(part, self._layouts, self._imaging)
         done = time.monotonic()
         self._judge_at = done + (done - now) * (1 / _EVIDENCE_SHARE - 1)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,10 +31,6 @@ class Comparison:
     rotation_error_deg: float | None = None
     centre_error_m: float | None = None
     instead: str | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain JSON values."""
-        return asdict(self)
 
 
 def compare(capture: Capture, answer: Identification, layouts: Sequence[Layout]) -> Comparison | None:

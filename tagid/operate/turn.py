@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from tagid.capture import Capture
 from tagid.constants import CAPTURE_SUFFIX
@@ -31,6 +31,7 @@ from tagid.types import Progress
 
 if TYPE_CHECKING:
     from tagid.enrolling.registry import RegistryContents
+    from tagid.live.engine import LiveView
     from tagid.motion.device import Motion
     from tagid.operate.workplace import Workplace
     from tagid.pipeline.reconstruct import Reconstruction
@@ -38,16 +39,6 @@ if TYPE_CHECKING:
     from tagid.recording.recorder import Watch
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.layouts.layout import Layout
-
-
-class Watcher(Protocol):
-    """Receives an answer before its causes are known, such as a live view."""
-
-    def settle(self, prepared: Capture, answer: Identification) -> None:
-        """Called with the answer, and the prepared capture that it was read from."""
-
-    def explain(self, answer: Identification) -> None:
-        """Called with the same answer and its likely causes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +58,7 @@ class ReadingSetup:
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A recorded revolution.
-
-    Attributes:
-        capture: the recording.
-        path: its file.
-    """
+    """A recorded revolution, and its file."""
 
     capture: Capture
     path: Path
@@ -133,7 +119,7 @@ class Answer:
             "recorded_utc": self.recorded_utc,
             "recording_note": note,
             **self.identification.to_dict(),
-            "truth": None if self.truth is None else self.truth.to_dict(),
+            "truth": None if self.truth is None else asdict(self.truth),
         }
         return {**document, "votes": [_vote(answer) for answer in self.alone]} if self.alone else document
 
@@ -159,15 +145,8 @@ def record_turn(
 ) -> Recorded:
     """Record one revolution into the next free file of the workplace's folder.
 
-    Args:
-        place: settings of radar and motion, and the folder.
-        plan: the plan of the recording.
-        motion: the device that rotates the object; None: that of the settings.
-        watch: callbacks; unless it has `resolve`, the angles are determined from the scans.
-        radar_url: URL of the radar; None: that of the settings.
-
-    Returns:
-        The recording and its file.
+    Motion and radar are those of the settings, unless others are given. Unless `watch` has `resolve`, the
+    angles are determined from the scans.
 
     Raises:
         UsageError: the URL of radar or motion is malformed.
@@ -228,7 +207,7 @@ def _identified(
     layouts: Sequence[Layout],
     registry_version: int | None,
     signatures: Sequence[Signature],
-    watcher: Watcher | None = None,
+    watcher: LiveView | None = None,
 ) -> Identification:
     """As `identify`; a watcher is shown the answer before the search for causes, which takes longer."""
     given = prepared.given
@@ -264,18 +243,15 @@ def read(
     setup: ReadingSetup,
     source: Path | Capture,
     file: Path | str | None = None,
-    watcher: Watcher | None = None,
+    watcher: LiveView | None = None,
 ) -> Answer:
-    """Load a recording and name its object.
+    """Load a recording and name its object; status "failed" if it cannot be read.
 
     Args:
         setup: all that the answer depends on besides the recording.
         source: the recording's file, or a capture in memory.
         file: name of the recording in document and errors; None: that of `source`.
-        watcher: receives the answer before the search for causes.
-
-    Returns:
-        The answer; one of status "failed" for a recording that cannot be read.
+        watcher: shows the answer before the search for causes.
     """
     name = displayable(str(source if file is None and isinstance(source, Path) else file or ""))
     watch = Stopwatch()
@@ -310,11 +286,7 @@ def _recorded(source: Path | Capture, capture: Capture, read_at: datetime) -> st
 def failed(error: TagidError, name: str, path: str = "", uuid: str | None = None) -> Answer:
     """The answer of a recording that could not be read; its error names the recording.
 
-    Args:
-        error: the error that prevented reading.
-        name: name of the recording.
-        path: path of the recording in the error, if it differs from the name, e.g. a temporary copy.
-        uuid: identifier of the capture, if it has been read.
+    The error may name it by another path, e.g. of a temporary copy; `uuid` is known if the capture was read.
     """
     message = error.message.replace(path, name) if path else error.message
     problem = Problem(error.code, message if name in message else f"{name}: {message}", error.remedy)
@@ -324,21 +296,12 @@ def failed(error: TagidError, name: str, path: str = "", uuid: str | None = None
 def read_jointly(
     setup: ReadingSetup, sources: Sequence[Path | Capture], files: Sequence[Path] | None = None
 ) -> Answer:
-    """One joint answer from recordings of one object.
+    """One joint answer from recordings of one object, files or captures; `alone` holds the answer of each.
 
-    If nothing is named, the likely causes are those of the recordings.
+    If nothing is named, the likely causes are those of the recordings. Their names are those of `sources`,
+    unless `files` are given.
 
-    Args:
-        setup: all that the answer depends on besides the recordings.
-        sources: files or captures in memory.
-        files: names of the recordings; None: those of `sources`.
-
-    Returns:
-        The joint answer; `alone` holds the answer of each recording.
-
-    Raises:
-        DataError, FileFormatError, StorageError: a recording cannot be read.
-        UsageError: no recording is given.
+    Raises DataError, FileFormatError, StorageError if one cannot be read; UsageError if none is given.
     """
     if not sources:
         raise UsageError("there is no recording to identify", "Give at least one.")
@@ -397,12 +360,7 @@ def _distinct(captures: Sequence[Capture]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """The image of a recording.
-
-    Attributes:
-        result: the image.
-        body_subtracted: whether the echo of a body was subtracted from it.
-    """
+    """The image of a recording, and whether the echo of a body was subtracted from it."""
 
     result: Reconstruction
     body_subtracted: bool
@@ -411,16 +369,9 @@ class Drawn:
 def draw(
     answer: Answer, png: Path | None, subtract_body: bool = True, progress: Progress | None = None
 ) -> Drawn:
-    """Image a recording and write the picture with its name and reflectors.
+    """Image one recording and write the picture with its name and reflectors, if there is a path for it.
 
-    Args:
-        answer: the answer of one recording.
-        png: the picture to write; None writes none.
-        subtract_body: subtract the echo of the body that the reader found.
-        progress: called with the progress of the reconstruction.
-
-    Returns:
-        The image.
+    The echo of the body that the reader found is subtracted on request.
 
     Raises:
         TagidError: the error of an answer that failed.
@@ -443,15 +394,9 @@ def draw(
 
 
 def draw_image_of(result: Reconstruction, answer: Identification | None, png: Path) -> None:
-    """Write the picture of an image, with the reflectors of an answer.
+    """Write the picture of an image; an answer's name is its title, and its reflectors are marked.
 
-    Args:
-        result: the image.
-        answer: its name is the title, its reflectors are marked; None for neither.
-        png: the picture to write.
-
-    Raises:
-        StorageError: the picture cannot be written.
+    Raises StorageError.
     """
     from tagid.report.picture import Marker, draw_image
 

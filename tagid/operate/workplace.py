@@ -87,23 +87,15 @@ class Workplace:
         return open_registry()
 
     def folder(self) -> Path:
-        """The folder of the captures and pictures; created if it is missing.
-
-        Raises:
-            StorageError: it cannot be created.
-        """
+        """The folder of the captures and pictures; created if it is missing. Raises StorageError."""
         folder = Path(self.config["storage.folder"] or ".")
         make_folder(folder)
         return folder
 
     def imaging(self, focus: bool = True) -> ImagingSettings:
-        """The settings of imaging and reading.
+        """The settings of imaging and reading, with or without a search for the axis distance.
 
-        Args:
-            focus: whether imaging searches for the axis distance.
-
-        Raises:
-            UsageError: the setting `imaging.ats` is malformed.
+        Raises UsageError if the setting `imaging.ats` is malformed.
         """
         from tagid.imaging.ats.settings import AtsSettings, parse_settings
         from tagid.pipeline.settings import ImagingSettings, TagPriors
@@ -145,9 +137,6 @@ class Workplace:
     def setup(self, as_recorded: bool = False) -> ReadingSetup:
         """All that an answer depends on besides the recording, with the registry's contents at this moment.
 
-        Args:
-            as_recorded: as for `loading`.
-
         Raises:
             ConfigError, StorageError, FileFormatError, UsageError: as `loading` and `imaging`.
             RegistryError: the registry cannot be read.
@@ -166,11 +155,7 @@ class Workplace:
         return () if installed_profile(data_folder()) else (NOT_COMMISSIONED,)
 
     def radar_url(self) -> str:
-        """The URL of the configured radar.
-
-        Raises:
-            ConfigError: no radar is configured.
-        """
+        """The URL of the configured radar. Raises ConfigError if none is configured."""
         return radar_url(self.config)
 
     def plan(
@@ -229,15 +214,9 @@ class Workplace:
     def remember(
         self, command: str, items: Sequence[dict[str, Any]], settings: Mapping[str, Any]
     ) -> tuple[str, ...]:
-        """Store answers in the history.
+        """Store answer documents (`Answer.to_dict`) of a command in the history, with their settings.
 
-        Args:
-            command: name of the command that made them.
-            items: the answer documents (`Answer.to_dict`).
-            settings: the settings that they were made with, as plain JSON values.
-
-        Returns:
-            Why they could not be stored; empty if they were. No error, because the answers are valid.
+        Returns why they could not be stored; empty if they were. No error, because the answers are valid.
         """
         from tagid.storage.history import FILE_NAME, History
 
@@ -253,14 +232,10 @@ class Workplace:
     def identify(self, source: Path | str | Capture) -> Answer:
         """Name the object of a recording, as `tagid identify` does, and store the answer in the history.
 
-        Args:
-            source: a file in any supported format, or a capture in memory.
+        The source is a file in any supported format, or a capture in memory. The status of the answer is
+        "failed", with the error, if it cannot be read.
 
-        Returns:
-            The answer; its status is "failed", with the error, if the recording cannot be read.
-
-        Raises:
-            ConfigError, StorageError, FileFormatError, UsageError, RegistryError: as `setup`.
+        Raises ConfigError, StorageError, FileFormatError, UsageError, RegistryError: as `setup`.
         """
         from tagid.operate.turn import read
 
@@ -269,13 +244,8 @@ class Workplace:
     def identify_together(self, sources: Iterable[Path | str | Capture]) -> Answer:
         """One joint answer from recordings of one object, as `tagid identify --vote` gives it.
 
-        The answer is stored in the history.
-
-        Args:
-            sources: files in any supported format, or captures in memory.
-
-        Returns:
-            The joint answer; `alone` holds the answer of each recording.
+        The sources are files in any supported format, or captures in memory. The answer is stored in the
+        history; `alone` holds the answer of each recording.
 
         Raises:
             DataError, FileFormatError, StorageError: a recording cannot be read.

@@ -55,10 +55,8 @@ class Axes:
     """A frame on a canvas.
 
     Attributes:
-        canvas: the sheet.
         box: (left, top, right, bottom) of the frame, px.
-        x: (left, right) limits in physical units.
-        y: (bottom, top) limits in physical units.
+        x, y: its (left, right) and (bottom, top) limits in physical units.
     """
 
     canvas: Canvas
@@ -118,30 +116,24 @@ class Axes:
         if len(points) > 1:
             self.canvas.line(points, colour, width)
 
-    def band(self, low: float, high: float, colour: RGB = BAND) -> None:
+    def band(self, low: float, high: float) -> None:
         """Shades the part of the frame between two x values."""
         low, high = max(low, min(self.x)), min(high, max(self.x))
         if high > low:
             left, right = self.place(low, self.y[0])[0], self.place(high, self.y[0])[0]
-            self.canvas.rectangle((left, self.box[1], right, self.box[3]), colour)
-
-    def raster(self, colours: NDArray[np.uint8], smooth: bool = False) -> None:
-        """Fills the frame with colours (rows, columns, 3), first row on top."""
-        self.canvas.raster(self.box, colours, smooth)
+            self.canvas.rectangle((left, self.box[1], right, self.box[3]), BAND)
 
 
-def colour_bar(
-    canvas: Canvas, box: tuple[float, float, float, float], dynamic_range_db: float, label: str = "dB"
-) -> None:
+def colour_bar(canvas: Canvas, box: tuple[float, float, float, float], dynamic_range_db: float) -> None:
     """A bar from -dynamic_range_db to 0 dB with ticks on its right, within (left, top, right, bottom) px."""
     left, top, right, bottom = box
     axes = Axes(canvas, box, (0, 1), (-dynamic_range_db, 0))
     ramp = np.linspace(0, -dynamic_range_db, 256)[:, None]
-    axes.raster(colourise(ramp, dynamic_range_db))
+    canvas.raster(box, colourise(ramp, dynamic_range_db))
     canvas.line([(left, top), (right, top), (right, bottom), (left, bottom), (left, top)], INK, 1.5)
     ticks = nice_ticks(-dynamic_range_db, 0, 8)
     for tick, text in zip(ticks, tick_labels(ticks), strict=True):
         px = axes.place(0, tick)[1]
         canvas.line([(right, px), (right + 7, px)])
         canvas.text((right + 11, px), text, TICK_SIZE, anchor="lm")
-    canvas.text((left, top - 12), label, LABEL_SIZE, anchor="ls")
+    canvas.text((left, top - 12), "dB", LABEL_SIZE, anchor="ls")

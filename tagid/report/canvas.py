@@ -61,7 +61,7 @@ class Canvas:
             stroke_fill=halo,
         )
 
-    def text_upwards(self, at: Point, text: str, size: int = 22, colour: RGB = INK) -> None:
+    def text_upwards(self, at: Point, text: str, size: int) -> None:
         """Text turned to read upwards, its middle at a point."""
         width = int(self.text_width(text, size) + 2)
         sheet = Image.new("L", (width * OVERSAMPLING, 2 * size * OVERSAMPLING), 0)
@@ -72,7 +72,7 @@ class Canvas:
             round(at[0] * OVERSAMPLING - turned.width / 2),
             round(at[1] * OVERSAMPLING - turned.height / 2),
         )
-        self._image.paste(colour, corner, turned)
+        self._image.paste(INK, corner, turned)
 
     def text_width(self, text: str, size: int = 22) -> float:
         """Width of a line of text, px."""
@@ -110,8 +110,6 @@ class Canvas:
     def save(self, path: Path) -> None:
         """Write the PNG atomically: a reader sees the old file or the complete new one.
 
-        Raises:
-            DiskFullError: the disk is full.
-            StorageError: the folder is missing or cannot be written.
+        Raises StorageError, DiskFullError.
         """
         write_bytes(path, self.png())

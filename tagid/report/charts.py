@@ -117,7 +117,7 @@ def _draw_sinogram(canvas: Canvas, capture: Capture, curves: RecordingCurves, ti
     interval = (position[-1] - position[0]) / max(len(position) - 1, 1) or 1.0
     slow = (float(position[0] - interval / 2), float(position[-1] + interval / 2))
     axes = Axes(canvas, _SINOGRAM, _span(curves.range_m, capture.range_step_m), slow)
-    axes.raster(colours[::-1])
+    canvas.raster(_SINOGRAM, colours[::-1])
     axes.frame("range, one way (m)", label, title)
     bar = (_RIGHT + 22, _SINOGRAM[1], _RIGHT + 44, _SINOGRAM[3])
     colour_bar(canvas, bar, depth_db)

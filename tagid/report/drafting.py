@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 
 from PIL import Image, ImageDraw, ImageFont
@@ -56,6 +56,19 @@ class Text:
 
 
 Mark = Line | Circle | Text
+
+
+def moved(mark: Mark, x: float, y: float) -> Mark:
+    """The same mark elsewhere, by so many mm."""
+
+    def there(point: tuple[float, float]) -> tuple[float, float]:
+        return point[0] + x, point[1] + y
+
+    if isinstance(mark, Line):
+        return replace(mark, start=there(mark.start), end=there(mark.end))
+    if isinstance(mark, Circle):
+        return replace(mark, centre=there(mark.centre))
+    return replace(mark, at=there(mark.at))
 
 
 @dataclass

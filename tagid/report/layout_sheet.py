@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tagid.counting import counted
 from tagid.errors import UsageError
-from tagid.report.drafting import Circle, Drawing, Line, Text, room
+from tagid.report.drafting import Circle, Drawing, Line, Text, moved, room
 from tagid.tags.layouts.design import REFLECTOR_M
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.layouts.test_card import NAME as TEST_CARD
@@ -194,12 +194,9 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
 def template(
     layout: Layout, surface_radius_m: float | None = None, paper: str | None = None
 ) -> list[Drawing]:
-    """The drawings of a layout: the plan, and the strip if it can be unrolled; a card is flat.
+    """The drawings of a layout: the plan, and the strip if it can be unrolled (see `strip`); a card is flat.
 
-    Args:
-        layout: to be printed.
-        surface_radius_m: see `strip`.
-        paper: cut the strip into bands that fit on it in portrait; None does not cut it.
+    The strip is cut into bands that fit on the paper in portrait, if one is given.
     """
     if layout.name == TEST_CARD or np.linalg.norm(layout.positions, axis=1).min() < 0.01:
         return [plan(layout)]
@@ -247,12 +244,8 @@ def _between(sheet: Drawing, left: float, right: float, number: int) -> Drawing:
             if left <= x1 <= right if x1 == x2 else x1 < right and x2 > left:
                 held = max(x1, left) + shift, min(x2, right) + shift
                 part.add(Line((held[0], y1), (held[1], y2), mark.width, mark.dashed))
-        elif isinstance(mark, Circle):
-            if left <= mark.centre[0] < right:
-                at = mark.centre[0] + shift, mark.centre[1]
-                part.add(Circle(at, mark.radius, mark.width, mark.dashed, mark.filled))
-        elif left <= mark.at[0] < right:
-            part.add(Text((mark.at[0] + shift, mark.at[1]), mark.text, mark.size, mark.anchor))
+        elif left <= (mark.centre if isinstance(mark, Circle) else mark.at)[0] < right:
+            part.add(moved(mark, shift, 0.0))
     for x, first in ((left, number - 1), (right, number)):
         if 0 < x < sheet.width:
             letter = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[first % 26]
@@ -268,15 +261,7 @@ def stacked(drawings: list[Drawing]) -> Drawing:
     bottom = sheet.height
     for drawing in drawings:
         bottom -= drawing.height
-        for mark in drawing.marks:
-            if isinstance(mark, Line):
-                start, end = ((x, y + bottom) for x, y in (mark.start, mark.end))
-                sheet.add(Line(start, end, mark.width, mark.dashed))
-            elif isinstance(mark, Circle):
-                x, y = mark.centre
-                sheet.add(Circle((x, y + bottom), mark.radius, mark.width, mark.dashed, mark.filled))
-            else:
-                sheet.add(Text((mark.at[0], mark.at[1] + bottom), mark.text, mark.size, mark.anchor))
+        sheet.add(*(moved(mark, 0.0, bottom) for mark in drawing.marks))
     return sheet
 
 

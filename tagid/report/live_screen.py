@@ -16,9 +16,8 @@ from rich.text import Text
 from tagid.errors import visible
 from tagid.live.state import LiveState, Phase
 from tagid.reading.preview import LayoutEvidence
-from tagid.report.blocks import LEVELS, raster
 from tagid.report.colours import to_decibels
-from tagid.report.preview import resample
+from tagid.report.preview import LEVELS, raster, resample
 
 MOST_COLUMNS, MOST_LINES = 640, 200
 """Largest part of a terminal that is drawn, in characters: a 4K screen in a small font has 640 by 135."""
@@ -38,14 +37,7 @@ def bounded(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def draw(state: LiveState, title: str, size: tuple[int, int], colour: bool) -> RenderableType:
-    """The whole screen.
-
-    Args:
-        state: what to show.
-        title: first line.
-        size: columns and lines of the terminal.
-        colour: coloured half blocks, or characters.
-    """
+    """The whole screen of so many columns and lines: coloured half blocks, or characters; the title first."""
     columns, lines = bounded(size)
     columns, lines = max(columns - 1, 30), max(lines, 10)
     head = Text(no_wrap=True, overflow="crop")

@@ -8,22 +8,20 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from tagid.counting import counted
 from tagid.errors import UsageError
 from tagid.files import replacing_text
-from tagid.report.records import CAVEATS, ItemRecord, StoredItem, Thumbnails, qualified
+from tagid.report.records import CAVEATS, ItemRecord, StoredItem, qualified
 from tagid.report.thumbnails import smaller
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-Judge = Callable[[StoredItem], ItemRecord]
-"""Gives the record of an item with its expected answer."""
 SMALL_SIDE = 32
 SMALL_BYTES = 900
 """Approximate size of a picture reduced to `SMALL_SIDE` px."""
@@ -41,12 +39,8 @@ _NOT_SHOWN = (
 
 @dataclass(frozen=True)
 class PageSettings:
-    """Settings of the page.
-
-    Attributes:
-        title: title of the page.
-        megabytes: size limit of all pictures together.
-        note: a remark on the selection of the items; empty for none.
+    """Title of the page, size limit of all pictures together, MB, and a remark on the selection of the
+    items.
     """
 
     title: str = "Radar tag identification"
@@ -58,31 +52,19 @@ class PageSettings:
             raise UsageError(f"the picture limit of the page is {self.megabytes} MB", "Give 0 to 1000 MB.")
 
 
-class Items(Protocol):
-    """Source of records and pictures, e.g. `tagid.batch.spool.Spool`."""
-
-    def items(self) -> Iterator[StoredItem]:
-        """All items in the order of the inputs."""
-        ...
-
-    def pictures(self, position: int) -> Thumbnails:
-        """The pictures of one item."""
-        ...
+Items = Callable[[], Iterator[StoredItem]]
+Pictures = Callable[[int], tuple[bytes, bytes]]
 
 
 def write_page(
-    path: Path,
-    items: Items,
-    judged: Judge,
-    summary: Mapping[str, Any],
-    settings: PageSettings,
+    path: Path, items: Items, pictures: Pictures, summary: Mapping[str, Any], settings: PageSettings
 ) -> None:
     """Write report.html atomically.
 
     Args:
         path: the file.
-        items: records with their pictures.
-        judged: the record of an item with its expected answer.
+        items: gives all items in the order of the inputs, their records with expected answers; called often.
+        pictures: gives image and sinogram, PNG, of the item at a position.
         summary: content of summary.json.
         settings: of the page.
 
@@ -103,7 +85,7 @@ def write_page(
         environment.filters |= {"name": _name, "words": _words}
         template = environment.get_template("report.html.j2")
         style, script = ((place / name).read_text("utf-8") for name in ("page.css", "page.js"))
-    content = _Content(items, judged, settings)
+    content = _Content(items, pictures, settings)
     pieces = template.generate(
         summary=summary,
         settings=settings,
@@ -124,9 +106,9 @@ def write_page(
 class _Content:
     """The generators used by the template."""
 
-    def __init__(self, items: Items, judged: Judge, settings: PageSettings) -> None:
-        self._items, self._judged = items, judged
-        self._size = _allot(items, judged, settings.megabytes)
+    def __init__(self, items: Items, pictures: Pictures, settings: PageSettings) -> None:
+        self._items, self._pictures = items, pictures
+        self._size = _allot(items, settings.megabytes)
         self.left_out = sum(1 for size in self._size.values() if size == 0)
         self.small = sum(1 for size in self._size.values() if size == 1)
 
@@ -134,8 +116,8 @@ class _Content:
         """The table's cells of each item, in the order that page.js expects."""
         from jinja2.utils import htmlsafe_json_dumps
 
-        for item in self._items.items():
-            r = self._judged(item)
+        for item in self._items():
+            r = item.record
             who = item.position, r.file, r.status, r.layout or "", r.label
             bound = r.p_value if r.status == "identified" else None
             worth = round(r.score, 4), r.coverage, bound, r.caveats, r.copy_of or ""
@@ -148,11 +130,9 @@ class _Content:
         """The details of each item: its record, what qualifies it in words, and drawing data."""
         from jinja2.utils import htmlsafe_json_dumps
 
-        for item in self._items.items():
-            drawing = {} if item.drawing is None else asdict(item.drawing)
-            record = self._judged(item)
-            more = {"drawing": drawing, "explained": record.explained()}
-            shown = {name: value for name, value in record.document.items() if name not in _NOT_SHOWN}
+        for item in self._items():
+            more = {"drawing": item.drawing, "explained": item.record.explained()}
+            shown = {name: value for name, value in item.record.document.items() if name not in _NOT_SHOWN}
             yield item.position, htmlsafe_json_dumps({**shown, **more})
 
     def pictures(self) -> Iterator[tuple[int, str, str]]:
@@ -160,20 +140,17 @@ class _Content:
         for position, size in self._size.items():
             if size == 0:
                 continue
-            full = self._items.pictures(position)
-            image, sinogram = full.image, full.sinogram
+            image, sinogram = self._pictures(position)
             if size == 1:
                 image, sinogram = smaller(image, SMALL_SIDE), b""
             yield position, base64.b64encode(image).decode(), base64.b64encode(sinogram).decode()
 
 
-def _allot(items: Items, judged: Judge, megabytes: float) -> dict[int, int]:
+def _allot(items: Items, megabytes: float) -> dict[int, int]:
     """Position -> 2 full pictures, 1 a small one, 0 none, by expected interest; only those that
     have pictures."""
     wanted = sorted(
-        (_interest(judged(item)), item.position, item.picture_bytes)
-        for item in items.items()
-        if item.picture_bytes
+        (_interest(item.record), item.position, item.picture_bytes) for item in items() if item.picture_bytes
     )
     budget = megabytes * 1e6
     total = sum(size * _BASE64 for _, _, size in wanted)

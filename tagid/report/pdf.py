@@ -29,13 +29,9 @@ _MIDDLE = 0.35
 
 
 def to_pdf(drawings: Sequence[Drawing], paper: str) -> bytes:
-    """The drawings at 1:1 on as many sheets of paper as they need.
+    """The drawings at 1:1, each from a new sheet of paper on, on as many sheets as they need.
 
-    Args:
-        drawings: each begins on a new sheet.
-        paper: "a4", "a3" or "letter".
-
-    Raises UsageError for another paper, or more than MAX_PAGES sheets.
+    Raises UsageError for an unknown paper, or more than MAX_PAGES sheets.
     """
     cut = [(drawing, *page_tiles(drawing, paper)) for drawing in drawings]
     if sum(len(tiles) for _, tiles, _ in cut) > MAX_PAGES:

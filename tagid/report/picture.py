@@ -75,7 +75,7 @@ def draw_image(
     x, y = centre_m
     axes = Axes(canvas, box, (x - half_x, x + half_x), (y - half_y, y + half_y))
     # Smoothing is cosmetic; large pixels are drawn as squares.
-    axes.raster(colourise(decibels, dynamic_range_db), smooth=scale < 12)
+    canvas.raster(box, colourise(decibels, dynamic_range_db), smooth=scale < 12)
     marked = [marker for marker in (Marker(*given) for given in reflectors) if _is_inside(axes, marker)]
     bounded = len(outline) > 2 and all(_is_inside(axes, Marker(*corner)) for corner in outline)
     if bounded:
@@ -92,14 +92,9 @@ def draw_image(
 
 
 def thumbnail(png: bytes, side: int = 96) -> bytes:
-    """The image of a picture of `draw_image` without axes and letters, as a small PNG.
+    """The image of a picture of `draw_image` without axes and letters, a PNG of at most `side` px per side.
 
-    Args:
-        png: the picture.
-        side: longest side of the result, px.
-
-    Raises:
-        DataError: this is no such picture.
+    Raises DataError if this is no such picture.
     """
     try:
         with Image.open(io.BytesIO(png), formats=("PNG",)) as picture:

@@ -69,13 +69,9 @@ def found_table(radars: Sequence[FoundRadar]) -> Table:
 def _duration(seconds: float) -> str:
     minutes, rest = divmod(int(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return (
-        f"{hours} h {minutes} min {rest} s"
-        if hours
-        else f"{minutes} min {rest} s"
-        if minutes
-        else f"{seconds:.1f} s"
-    )
+    if not hours:
+        return f"{minutes} min {rest} s" if minutes else f"{seconds:.1f} s"
+    return f"{hours} h {minutes} min {rest} s"
 
 
 _MEANING = {

@@ -8,26 +8,31 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 from tagid.pipeline.identify import WHOLE_TURN
 
+_T = TypeVar("_T")
 CAVEATS = {"part_of_a_turn": "part of a turn", "no_bound": "no bound"}
 """Marks of an answer that is worth less than its status says, in words."""
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Why an item is not a passed test case.
-
-    Attributes:
-        kind: "error" if the item could not be read, else "failure".
-        reason: one sentence.
-    """
+class Verdict(NamedTuple):
+    """Why an item is not a passed test case, an error if it could not be read; the reason in one sentence."""
 
     kind: Literal["error", "failure"]
     reason: str
+
+
+class _Member(Generic[_T]):
+    """A member of a record's document; None where the document lacks it."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, record: ItemRecord, owner: type) -> _T:
+        return record.document.get(self._name)  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
@@ -36,9 +41,36 @@ class ItemRecord:
 
     Attributes:
         document: plain JSON values in the order in which they are written.
+        file: name of the file, as in the inputs.
+        content_sha256: hex sha256 of the file; None if it could not be read.
+        capture_uuid: UUID of the capture; None if it could not be read.
+        status: "identified", "unknown", "ambiguous", "no_tag" or "failed".
+        layout: name of the layout; None unless identified.
+        label: readable name of the object; empty if there is none.
+        score, margin: of the answer, as in the contract's Identification.
+        reason: why the object was not named; empty if it was.
+        coverage: share of a turn from which the object was seen, 0 to 1; None if unknown.
+        recorded_utc: time of the recording, ISO 8601; None if the file does not tell it.
+        expected: the manifest's answer; None if it does not name the file, or before `judged`.
+        correct: whether the answer is the expected one; None if nothing is expected.
+        copy_of: name of an earlier item with the same content; None if there is none, or before `judged`.
     """
 
     document: Mapping[str, Any]
+    file = _Member[str]()
+    content_sha256 = _Member[str | None]()
+    capture_uuid = _Member[str | None]()
+    status = _Member[str]()
+    layout = _Member[str | None]()
+    label = _Member[str]()
+    score = _Member[float]()
+    margin = _Member[float]()
+    reason = _Member[str]()
+    coverage = _Member[float | None]()
+    recorded_utc = _Member[str | None]()
+    expected = _Member[str | None]()
+    correct = _Member[bool | None]()
+    copy_of = _Member[str | None]()
 
     @classmethod
     def from_json(cls, text: str) -> ItemRecord:
@@ -50,53 +82,9 @@ class ItemRecord:
         return json.dumps(dict(self.document), allow_nan=False)
 
     @property
-    def file(self) -> str:
-        """Name of the file, as in the inputs."""
-        return str(self.document["file"])
-
-    @property
-    def content_sha256(self) -> str | None:
-        """Hex sha256 of the file; None if it could not be read."""
-        value: str | None = self.document["content_sha256"]
-        return value
-
-    @property
-    def capture_uuid(self) -> str | None:
-        """UUID of the capture; None if it could not be read."""
-        value: str | None = self.document["capture_uuid"]
-        return value
-
-    @property
-    def status(self) -> str:
-        """ "identified", "unknown", "ambiguous", "no_tag" or "failed"."""
-        return str(self.document["status"])
-
-    @property
-    def layout(self) -> str | None:
-        """Name of the layout; None unless identified."""
-        value: str | None = self.document["layout"]
-        return value
-
-    @property
-    def label(self) -> str:
-        """Readable name of the object; empty if there is none."""
-        return str(self.document["label"])
-
-    @property
     def answer(self) -> str:
         """The answer as one word: the layout if identified, else the status."""
         return str(self.layout if self.status == "identified" else self.status)
-
-    @property
-    def reason(self) -> str:
-        """Why the object was not named; empty if it was."""
-        return str(self.document["reason"])
-
-    @property
-    def coverage(self) -> float | None:
-        """Share of a turn from which the object was seen, 0 to 1; None if unknown."""
-        value: float | None = self.document.get("coverage")
-        return value
 
     @property
     def p_value(self) -> float | None:
@@ -131,21 +119,9 @@ class ItemRecord:
         return [remedy for remedy in remedies if remedy]
 
     @property
-    def recorded_utc(self) -> str | None:
-        """Time of the recording, ISO 8601; None if the file does not tell it."""
-        value: str | None = self.document.get("recorded_utc")
-        return value
-
-    @property
     def recording_note(self) -> str:
         """The operator's note of the recording; empty if there is none."""
         return str(self.document.get("recording_note") or "")
-
-    @property
-    def copy_of(self) -> str | None:
-        """Name of an earlier item with the same content; None if there is none, or before `judged`."""
-        value: str | None = self.document.get("copy_of")
-        return value
 
     @property
     def why(self) -> str:
@@ -185,59 +161,13 @@ class ItemRecord:
         return "no bound: answers of this kind are not calibrated"
 
     @property
-    def score(self) -> float:
-        """Score of the answer, as in the contract's Identification."""
-        return float(self.document["score"])
-
-    @property
-    def margin(self) -> float:
-        """Margin of the answer, as in the contract's Identification."""
-        return float(self.document["margin"])
-
-    @property
-    def centre_m(self) -> tuple[float | None, float | None]:
-        """Centre of the tag, m; None where nothing was named."""
-        x, y = self.document["centre_m"] or (None, None)
-        return x, y
-
-    @property
-    def reflectors(self) -> int:
-        """Number of reflectors found."""
-        return len(self.document["reflectors"])
-
-    @property
-    def error_code(self) -> str | None:
-        """Code of the error of a failed item; None for others."""
-        return self._error().get("code")
-
-    @property
-    def error_remedy(self) -> str | None:
-        """Remedy for the error of a failed item; None for others."""
-        return self._error().get("remedy")
-
-    @property
-    def expected(self) -> str | None:
-        """The manifest's answer; None if it does not name the file, or before `judged`."""
-        value: str | None = self.document.get("expected")
-        return value
-
-    @property
-    def correct(self) -> bool | None:
-        """Whether the answer is the expected one; None if nothing is expected."""
-        value: bool | None = self.document.get("correct")
-        return value
-
-    @property
     def total_s(self) -> float:
         """Seconds of all stages."""
         return round(float(sum(self.document["seconds"].values())), 4)
 
-    def stage_s(self, stage: str) -> float | None:
-        """Seconds of one stage; None if the item did not reach it."""
-        value: float | None = self.document["seconds"].get(stage)
-        return value
-
-    def _error(self) -> Mapping[str, str]:
+    @property
+    def error(self) -> Mapping[str, str]:
+        """The error of a failed item, {code, message, remedy}; empty for others."""
         return self.document.get("error") or {}
 
     def judged(self, expected: str | None, copy_of: str | None = None) -> ItemRecord:
@@ -248,7 +178,7 @@ class ItemRecord:
 
     def renamed(self, name: str) -> ItemRecord:
         """The record of the same content in a file of another name, which its error then names, too."""
-        error = self._error()
+        error = self.error
         if not error:
             return ItemRecord({**self.document, "file": name})
         error = {**error, "message": error["message"].replace(self.file, name)}
@@ -290,68 +220,24 @@ def _utc(time: str | None) -> str:
 
 
 @dataclass(frozen=True)
-class Drawing:
-    """What the page draws around the pictures of an item.
-
-    Attributes:
-        method: imaging method of the image.
-        extent_m: width of the image.
-        centre_m: its centre (x, y).
-        image_db, sinogram_db: dynamic range of the colours.
-        layout_m: (reflectors, 2) places of the named layout's reflectors; empty if nothing is named.
-        range_m: first and last range of the sinogram.
-        angle_deg: first and last angle of the sinogram; None without angles.
-        views: number of views.
-    """
-
-    method: str
-    extent_m: float
-    centre_m: list[float]
-    image_db: float
-    layout_m: list[list[float]]
-    range_m: list[float]
-    angle_deg: list[float] | None
-    views: int
-    sinogram_db: float
-
-    @classmethod
-    def from_json(cls, text: str) -> Drawing | None:
-        """A drawing from the text of `drawing_json`."""
-        values = json.loads(text)
-        return cls(**values) if values else None
-
-
-def drawing_json(drawing: Drawing | None) -> str:
-    """A drawing as JSON; an empty object if there are no pictures."""
-    return json.dumps({} if drawing is None else asdict(drawing))
-
-
-@dataclass(frozen=True)
 class Thumbnails:
-    """The pictures of one item.
+    """The pictures of one item, PNG, and what the page draws around them; empty if there are none.
 
-    Attributes:
-        image, sinogram: PNG; empty if there is none.
-        drawing: what the page draws around them; None if there are none.
+    The drawing holds plain JSON values as `draw_pictures` makes them.
     """
 
     image: bytes = b""
     sinogram: bytes = b""
-    drawing: Drawing | None = None
+    drawing: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class StoredItem:
-    """One item as the report's working file holds it.
-
-    Attributes:
-        position: among the inputs, from 0.
-        record: its record.
-        drawing: what the page draws around its pictures; None if it has none.
-        picture_bytes: size of its pictures; 0 if it has none.
+    """One item as the report's working file holds it: its position among the inputs, from 0, its record, the
+    drawing of its `Thumbnails`, and their size, bytes; 0 if it has none.
     """
 
     position: int
     record: ItemRecord
-    drawing: Drawing | None
+    drawing: Mapping[str, Any]
     picture_bytes: int

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections import Counter
 from dataclasses import dataclass
 from importlib import resources
 from itertools import pairwise
@@ -68,33 +69,17 @@ def to_stl(size_m: float) -> bytes:
     return b"".join(parts)
 
 
-@dataclass(frozen=True, eq=False)
-class Net:
-    """The octahedron unfolded in the plane.
-
-    Attributes:
-        points: (10, 2) mm.
-        triangles: eight triples of points, each sharing an edge with an earlier one.
-        tabs: edges (start, end) that carry a glue tab on their right-hand side.
-    """
-
-    points: Floats
-    triangles: tuple[tuple[int, int, int], ...]
-    tabs: tuple[tuple[int, int], ...]
-
-    @property
-    def edges(self) -> dict[tuple[int, int], int]:
-        """Edges (lower, higher point) and how many triangles have them: 2 fold, 1 cut."""
-        counts: dict[tuple[int, int], int] = {}
-        for triangle in self.triangles:
-            for i in range(3):
-                a, b = sorted((triangle[i], triangle[(i + 1) % 3]))
-                counts[a, b] = counts.get((a, b), 0) + 1
-        return counts
+_BAND = (triangle for i in range(3) for triangle in ((i, i + 1, 4 + i), (4 + i, i + 1, 5 + i)))
+TRIANGLES = (*_BAND, (5, 6, 8), (1, 9, 2))
+"""Points of the net's triangles, each sharing an edge with an earlier one."""
+EDGES = Counter((min(a, b), max(a, b)) for t in TRIANGLES for a, b in pairwise((*t, t[0])))
+"""Edges (lower, higher point) and how many triangles have them: 2 fold, 1 cut."""
+TABS = ((3, 7), (6, 8), (8, 5), (1, 9), (9, 2))
+"""Edges (start, end) that carry a glue tab on their right-hand side."""
 
 
-def net(size_m: float) -> Net:
-    """A band of six triangles, with a triangle above and one below its middle.
+def net(size_m: float) -> Floats:
+    """(10, 2) mm: the octahedron unfolded, a band of six triangles with one above and one below its middle.
 
     Points 0 to 3 are the band's lower corners, 4 to 7 its upper ones, 8 the tip above, 9 the tip below.
     """
@@ -102,31 +87,27 @@ def net(size_m: float) -> Net:
     edge = size_m * 1e3 / np.sqrt(2)
     height = edge * np.sqrt(3) / 2
     points = [(i * edge, 0.0) for i in range(4)] + [((i + 0.5) * edge, height) for i in range(4)]
-    points += [(2 * edge, 2 * height), (1.5 * edge, -height)]
-    band = [t for i in range(3) for t in ((i, i + 1, 4 + i), (4 + i, i + 1, 5 + i))]
-    triangles = (*band, (5, 6, 8), (1, 9, 2))
-    tabs = ((3, 7), (6, 8), (8, 5), (1, 9), (9, 2))
-    return Net(np.array(points), triangles, tabs)
+    return np.array([*points, (2 * edge, 2 * height), (1.5 * edge, -height)])
 
 
 def sheet(size_m: float) -> Drawing:
     """The net at 1:1 with a 100 mm scale bar, and a drawing that shows the definition of the size."""
     flat = net(size_m)
-    low, high = flat.points.min(axis=0), flat.points.max(axis=0)
+    low, high = flat.min(axis=0), flat.max(axis=0)
     room = TAB_MM + _EDGE_MM
     width = max(float(high[0] - low[0]) + 2 * room, 190.0)
     size = size_m * 1e3
     drawing = Drawing(width, float(high[1] - low[1]) + 2 * room + _FOOT_MM + size)
     shift = np.array([room - low[0], _FOOT_MM + size + room - low[1]])
-    points = flat.points + shift
+    points = flat + shift
 
     def point(index: int) -> tuple[float, float]:
         return float(points[index][0]), float(points[index][1])
 
-    tabbed = {tuple(sorted(edge)) for edge in flat.tabs}
-    for (a, b), count in flat.edges.items():
+    tabbed = {tuple(sorted(edge)) for edge in TABS}
+    for (a, b), count in EDGES.items():
         drawing.add(Line(point(a), point(b), 0.3, dashed=count == 2 or (a, b) in tabbed))
-    for start, end in flat.tabs:
+    for start, end in TABS:
         corners = _tab(points[start], points[end])
         drawing.add(*(Line(*pair, 0.3) for pair in pairwise(corners)))
     _dimension(drawing, (30.0, 34.0), size)

@@ -20,15 +20,9 @@ _TOP, _HEIGHT, _GAP = 60, 150, 70
 
 
 def draw_residuals(residuals: Residuals, hypotheses: Sequence[Explanation], path: Path) -> None:
-    """Writes a PNG: the echo that changes over the views, and what is left of it by each hypothesis.
+    """Writes a PNG, atomically: the echo that changes over the views, and what each hypothesis leaves of it.
 
-    Args:
-        residuals: of the first hypotheses.
-        hypotheses: best first.
-        path: the PNG; written atomically.
-
-    Raises:
-        StorageError, DiskFullError: the file cannot be written.
+    The hypotheses are those of the residuals, best first. Raises StorageError, DiskFullError.
     """
     titles = ["recorded, without what stands still"]
     titles += [
@@ -44,7 +38,7 @@ def draw_residuals(residuals: Residuals, hypotheses: Sequence[Explanation], path
         low, high = float(residuals.range_m[0]), float(residuals.range_m[-1])
         axes = Axes(canvas, box, (0.0, 360.0), (low, high))
         decibels = to_decibels(_evenly(residuals, profiles), DEPTH_DB, reference)[::-1]
-        axes.raster(colourise(decibels, DEPTH_DB), smooth=False)
+        canvas.raster(box, colourise(decibels, DEPTH_DB))
         last = i == len(rows) - 1
         axes.frame("angle (deg)" if last else "", "range (m)" if i == 0 else "")
         canvas.text((_LEFT, top - 12), fit_text(canvas, title, _WIDTH - _LEFT - 30, 20), 20, anchor="ls")

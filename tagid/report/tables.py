@@ -33,15 +33,16 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 def _cells(record: ItemRecord) -> list[object]:
     """A record's values of `CSV_COLUMNS`; unknown ones are None."""
-    x, y = record.centre_m
+    x, y = record.document["centre_m"] or (None, None)
+    seconds = record.document["seconds"]
     derived = {
         "centre_x_m": x,
         "centre_y_m": y,
-        "reflectors": record.reflectors,
-        "error_code": record.error_code,
-        "error_remedy": record.error_remedy,
+        "reflectors": len(record.document["reflectors"]),
+        "error_code": record.error.get("code"),
+        "error_remedy": record.error.get("remedy"),
         "total_s": record.total_s,
-        **{f"{stage}_s": record.stage_s(stage) for stage in STAGES},
+        **{f"{stage}_s": seconds.get(stage) for stage in STAGES},
         "bound_p_value": record.p_value,
         "caveats": "; ".join(CAVEATS[name] for name in record.caveats),
         "note": record.note,
@@ -107,7 +108,7 @@ def _case(file: TextIO, record: ItemRecord) -> None:
         return
     file.write(">")
     if verdict is not None:
-        code = record.error_code or record.status
+        code = record.error.get("code", record.status)
         file.write(f"<{verdict.kind} type={_quoted(code)} message={_quoted(verdict.reason)}/>")
     if lines:
         file.write(f"<system-out>{escape(_allowed(chr(10).join(lines)))}</system-out>")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import math
 from functools import cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,14 @@ from tagid.pipeline.reconstruct import Reconstruction
 from tagid.recording.curves import changing_envelope
 from tagid.report.charts import resample_views
 from tagid.report.colours import to_decibels, viridis
-from tagid.report.records import Drawing, Thumbnails
+from tagid.report.records import Thumbnails
 from tagid.tags.layouts.layout import Layout
 
 IMAGE_SIDE = 96
 """Pixels of an image's side: 5 mm for the usual 0.5 m, a quarter of the method's resolution."""
 SINOGRAM_ROWS, SINOGRAM_COLUMNS = 72, 128
 IMAGE_DB, SINOGRAM_DB = 30.0, 30.0
+_Value = TypeVar("_Value", bound=np.generic)
 LEVELS = 32
 """Colours in a picture, about 1 dB apart: more would only enlarge files with noise."""
 
@@ -33,15 +35,13 @@ LEVELS = 32
 def draw_pictures(
     capture: Capture, result: Reconstruction, answer: Identification, layout: Layout | None
 ) -> Thumbnails:
-    """Image and sinogram of an identified capture.
+    """Image and sinogram of a prepared, identified capture, and what the page draws around them.
 
-    Args:
-        capture: prepared, as it was identified.
-        result: its image.
-        answer: its identification.
-        layout: the layout of the answer; None if there is none.
+    The drawing holds the imaging method; the image's width and centre, and the places of the named layout's
+    reflectors, m; the dynamic range of both pictures' colours, dB; and the sinogram's number of views, first
+    and last range, m, and angle, degrees (None without angles).
     """
-    image = _png(to_decibels(_fitted(np.abs(result.image.values)), IMAGE_DB)[::-1], IMAGE_DB)
+    image = _png(to_decibels(_fitted(np.abs(result.image.values), IMAGE_SIDE), IMAGE_DB)[::-1], IMAGE_DB)
     sinogram = _png(_sinogram(capture), SINOGRAM_DB)
     reading = answer.reading
     placed: list[list[float]] = []
@@ -50,35 +50,31 @@ def draw_pictures(
         placed = [[round(float(x), 5), round(float(y), 5)] for x, y in points]
     angles = capture.angles_rad
     ranges = capture.ranges_m
-    drawing = Drawing(
-        method=result.method,
-        extent_m=result.image.grid.extent,
-        centre_m=[round(float(value), 5) for value in result.image.centre_m],
-        image_db=IMAGE_DB,
-        layout_m=placed,
-        range_m=[round(float(ranges[0]), 4), round(float(ranges[-1]), 4)],
-        angle_deg=None if angles is None else [round(math.degrees(float(angles[i])), 1) for i in (0, -1)],
-        views=capture.views,
-        sinogram_db=SINOGRAM_DB,
-    )
+    drawing = {
+        "method": result.method,
+        "extent_m": result.image.grid.extent,
+        "centre_m": [round(float(value), 5) for value in result.image.centre_m],
+        "image_db": IMAGE_DB,
+        "layout_m": placed,
+        "range_m": [round(float(ranges[0]), 4), round(float(ranges[-1]), 4)],
+        "angle_deg": None if angles is None else [round(math.degrees(float(angles[i])), 1) for i in (0, -1)],
+        "views": capture.views,
+        "sinogram_db": SINOGRAM_DB,
+    }
     return Thumbnails(image, sinogram, drawing)
 
 
 def smaller(png: bytes, side: int) -> bytes:
     """A picture of this module reduced to at most `side` px, in the same colours."""
     with Image.open(io.BytesIO(png)) as picture:
-        levels = np.asarray(picture)
-    step = -(-max(levels.shape) // side)
-    rows, columns = (n // step * step for n in levels.shape)
-    blocks = levels[:rows, :columns].reshape(rows // step, step, columns // step, step)
-    return _encode(blocks.max(axis=(1, 3)))
+        return _encode(_fitted(np.asarray(picture), side))
 
 
-def _fitted(magnitude: NDArray[np.floating]) -> NDArray[np.floating]:
-    """At most `IMAGE_SIDE` pixels per side; the largest of each block, so that no point is lost."""
-    step = -(-max(magnitude.shape) // IMAGE_SIDE)
-    rows, columns = (n // step * step for n in magnitude.shape)
-    blocks = magnitude[:rows, :columns].reshape(rows // step, step, columns // step, step)
+def _fitted(values: NDArray[_Value], side: int) -> NDArray[_Value]:
+    """At most so many pixels per side; the largest of each block, so that no point is lost."""
+    step = -(-max(values.shape) // side)
+    rows, columns = (n // step * step for n in values.shape)
+    blocks = values[:rows, :columns].reshape(rows // step, step, columns // step, step)
     return np.asarray(blocks.max(axis=(1, 3)))
 
 

@@ -59,7 +59,7 @@ def draw_projections(
         box = (left, _TOP, left + (x[1] - x[0]) * scale, _TOP + (y[1] - y[0]) * scale)
         axes = Axes(canvas, box, x, y)
         decibels = to_decibels(plane, dynamic_range_db, top)
-        axes.raster(colourise(decibels[::-1], dynamic_range_db), smooth=True)
+        canvas.raster(box, colourise(decibels[::-1], dynamic_range_db), smooth=True)
         axes.frame(x_label, y_label, name)
     right = _LEFT + 3 * (_SIDE + _GAP) - _GAP + 20
     colour_bar(canvas, (right, _TOP, right + 26, _TOP + _SIDE), dynamic_range_db)

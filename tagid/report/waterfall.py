@@ -14,9 +14,8 @@ from rich.text import Text
 
 from tagid.radar.status import WARM_C
 from tagid.recording.monitoring import Snapshot
-from tagid.report.blocks import LEVELS, raster
 from tagid.report.colours import to_decibels
-from tagid.report.preview import resample
+from tagid.report.preview import LEVELS, raster, resample
 
 DEPTH_DB: Final = 40.0
 _HEAD_LINES: Final = 4
@@ -24,14 +23,7 @@ _SILENT_S: Final = 2.0
 
 
 def draw(snapshot: Snapshot, title: str, size: tuple[int, int], colour: bool) -> RenderableType:
-    """The whole screen.
-
-    Args:
-        snapshot: what to show.
-        title: first line, e.g. the radar's URL.
-        size: columns and lines of the terminal.
-        colour: coloured half blocks, or characters.
-    """
+    """The whole screen of so many columns and lines: coloured half blocks, or characters; the title first."""
     columns, lines = max(size[0] - 1, 20), max(size[1], 8)
     text = Text(no_wrap=True, overflow="crop", end="")
     text.append(title[:columns], style="bold").append("\n")

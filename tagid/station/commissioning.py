@@ -7,13 +7,12 @@ from dataclasses import dataclass, fields
 
 from tagid.commissioning.bench import Bench, Tape, TapeChanges
 from tagid.commissioning.pictures import to_svg
-from tagid.commissioning.rows import StepReport
-from tagid.commissioning.steps import Step, goes_on, next_step, reports_by_title, run_step
+from tagid.commissioning.steps import Step, goes_on, reports_by_title, run_step
 from tagid.config import Config, data_folder
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
 from tagid.motion.urls import open_motion
 from tagid.operate.workplace import Workplace
-from tagid.rig import RigProfile, installed_profile
+from tagid.rig import installed_profile
 from tagid.station.background import BackgroundRun
 from tagid.station.errors import NoSuchItemError, reported
 from tagid.station.scans import radar_alone
@@ -27,39 +26,16 @@ class StepProgress:
     """How far a step is.
 
     Attributes:
-        step: its name.
+        step: its name; None before the first one.
         share: 0 to 1; 0 where the step does not tell.
         remark: what it does.
         error: why it ended without a report; None if it did not.
     """
 
-    step: str
+    step: str | None
     share: float = 0.0
     remark: str = ""
     error: TagidError | None = None
-
-
-@dataclass(frozen=True)
-class Commissioning:
-    """All steps as they are stored.
-
-    Attributes:
-        reports: of the steps that were done, by their names.
-        following: name of the first step that did not pass.
-        tape: what was measured by tape.
-        profile: the profile of the rig; None until the last step has passed.
-    """
-
-    reports: dict[str, StepReport]
-    following: str
-    tape: Tape
-    profile: RigProfile | None
-
-    @classmethod
-    def stored(cls, config: Config) -> Commissioning:
-        """The state in the data folder. Raises StorageError, ConfigError."""
-        bench = Bench(config, {})
-        return cls(bench.reports(), next_step(bench).name, bench.tape, installed_profile(data_folder()))
 
 
 def results_page(config: Config) -> bytes:
@@ -83,11 +59,8 @@ def results_picture(config: Config, step: str, number: int) -> bytes:
 class CommissioningRun(BackgroundRun):
     """One step, and those after it for which nobody has to do anything.
 
-    Args:
-        place: settings of radar and motion.
-        step: the first step.
-        tape: what the person measured by tape now.
-        radar: held while the radar is used.
+    The tape is what the person measured now; `radar` is held while the radar is used; `progress` is the
+    newest state.
 
     Raises:
         UsageError: a distance is out of range, or the step would move a device, which no page can stop.
@@ -102,26 +75,21 @@ class CommissioningRun(BackgroundRun):
                 f"Stand beside it and do this step with `tagid commission --step {step.name}`.",
             )
         self._step, self._radar = step, radar
-        self._progress = StepProgress(step.name)
+        self.progress = StepProgress(step.name)
         self._bench = Bench(place.config, tape, progress=self._advance, stop=self._stop.is_set)
-
-    @property
-    def progress(self) -> StepProgress:
-        """The newest state."""
-        return self._progress
 
     def _advance(self, done: float, total: float, remark: str) -> None:
         if self._stop.is_set():
             raise CaptureInterrupted("stopped before the end of the step; earlier results are kept")
-        self._progress = StepProgress(self._step.name, done / total, remark)
+        self.progress = StepProgress(self._step.name, done / total, remark)
 
     def _run(self) -> None:
         with radar_alone(self._radar, self._stop):
             step: Step | None = self._step
             while step is not None:
-                self._step, self._progress = step, StepProgress(step.name)
+                self._step, self.progress = step, StepProgress(step.name)
                 run_step(step, self._bench)
                 step = goes_on(step, self._bench)
 
     def _fail(self, error: BaseException) -> None:
-        self._progress = StepProgress(self._step.name, error=reported(error))
+        self.progress = StepProgress(self._step.name, error=reported(error))

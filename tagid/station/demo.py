@@ -23,7 +23,6 @@ class DemoObject:
     """An object on the table of the demonstration.
 
     Attributes:
-        name: of the object.
         words: as the page offers it.
         radar: URL of its emulated radar.
         moves: whether it lies in another pose in each scan.
@@ -47,12 +46,7 @@ class DemoObject:
 
 
 def demo_objects(scene: str, settings: Mapping[str, Any]) -> tuple[DemoObject, ...]:
-    """The object of a demonstration and another one that is not enrolled.
-
-    Args:
-        scene: of the first object.
-        settings: of the demonstration.
-    """
+    """The object of a demonstration with these settings, and another one that is not enrolled."""
     new = f"emulator://demo-object?file={quote(str(_NEW_FILE))}&reflector=octahedron&rpm=6&rate=1"
     return (
         DemoObject(scene, f"{scene} (the demonstration's own)", str(settings["radar.url"])),

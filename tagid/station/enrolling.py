@@ -47,12 +47,7 @@ _TRIAL = ((0.1, 0.0), (-0.1, 0.0))
 
 @dataclass(frozen=True)
 class Subject:
-    """What is enrolled.
-
-    Attributes:
-        name: of the new entry.
-        kind: "helmet", "container" or "other".
-        label: description shown with the name; may be empty.
+    """What is enrolled: name, kind ("helmet", "container" or "other") and a description, which may be empty.
 
     Raises UsageError for an invalid name, kind or label.
     """
@@ -77,8 +72,7 @@ class Taken:
         number: counts the captures of the enrollment.
         path: its file.
         answer: how it was read: an object that is not enrolled is unknown.
-        sighted: its reflectors; None if they cannot be determined.
-        error: why not.
+        sighted: its reflectors; None if they cannot be determined, and why not in `error`.
     """
 
     number: int
@@ -88,31 +82,12 @@ class Taken:
     error: TagidError | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Expected:
-    """A capture of the enrollment that is to be recorded.
-
-    Attributes:
-        note: text stored with it.
-        add: called with its file, the capture with angles, and its answer.
-    """
-
-    note: str
-    add: Callable[[Path, Capture, Identification], None]
-
-
 @dataclass(frozen=True)
 class Stored:
-    """An enrolled object.
-
-    Attributes:
-        name: of the entry.
-        version: registry version after it was stored.
-        has_layout: whether reflector positions were stored, so that a template can be printed.
-    """
+    """An enrolled object, the registry version after that, and whether it has positions for a template."""
 
     name: str
-    version: int
+    registry_version: int
     has_layout: bool
 
 
@@ -142,25 +117,15 @@ class EnrolmentState:
 
 
 class Enrolling:
-    """The enrollment of one object after another.
-
-    Args:
-        registry: opens the registry.
-        imaging: settings of measuring. Raises ConfigError.
-    """
+    """The enrollment of one object after another; `state` is the newest state."""
 
     def __init__(self, registry: Callable[[], Registry], imaging: Callable[[], ImagingSettings]) -> None:
         self._registry = registry
         self._imaging = imaging
         self._lock = threading.Lock()
-        self._state = EnrolmentState()
+        self.state = EnrolmentState()
         self._count = 0
         self._begun = 0
-
-    @property
-    def state(self) -> EnrolmentState:
-        """The newest state."""
-        return self._state
 
     def describe(self, subject: Subject) -> None:
         """Begin an enrollment, or change the name, kind or label of the current one.
@@ -179,19 +144,22 @@ class Enrolling:
             if before.subject is None:
                 self._count = 0
                 self._begun += 1
-                self._state = EnrolmentState(subject)
+                self.state = EnrolmentState(subject)
             else:
-                self._state = replace(before, subject=subject, proposal=None)
+                self.state = replace(before, subject=subject, proposal=None)
                 self._measure()
 
     def cancel(self) -> None:
         """End the enrollment; the files of its captures are kept. Raises EnrolmentError while measuring."""
         with self._alone():
-            self._state = EnrolmentState()
+            self.state = EnrolmentState()
 
-    def expect(self) -> Expected:
-        """The next capture, before it is recorded. Raises EnrolmentError if no capture can be added."""
-        state = self._state
+    def expect(self) -> tuple[str, Callable[[Path, Capture, Identification], None]]:
+        """The note of the next capture, and what to call with its file, itself with angles, and its answer.
+
+        Raises EnrolmentError if no capture can be added.
+        """
+        state = self.state
         if state.subject is None:
             raise EnrolmentError("no enrollment was begun", "Enter the name of the object first.")
         if state.measuring:
@@ -199,7 +167,7 @@ class Enrolling:
         if len(state.captures) >= MOST:
             raise EnrolmentError(f"there are {MOST} captures already", "Remove one that disagrees.")
         note = f"enrolling {state.subject.name}, capture {self._count + 1}"
-        return Expected(note, partial(self._add, self._begun))
+        return note, partial(self._add, self._begun)
 
     def _add(self, begun: int, path: Path, capture: Capture, answer: Identification) -> None:
         """Add a recorded capture with its angles, and measure; errors become the state's trouble.
@@ -210,9 +178,9 @@ class Enrolling:
             if before.subject is None or begun != self._begun:
                 return
             self._count += 1
-            self._state = replace(before, measuring=True)
+            self.state = replace(before, measuring=True)
             taken = self._sighted(Prepared(f"capture {self._count}", capture), path, answer)
-            self._state = replace(self._state, captures=(*before.captures, taken))
+            self.state = replace(self.state, captures=(*before.captures, taken))
             self._measure()
 
     def _sighted(self, prepared: Prepared, path: Path, answer: Identification) -> Taken:
@@ -230,14 +198,11 @@ class Enrolling:
             kept = tuple(capture for capture in before.captures if capture.number != number)
             if len(kept) == len(before.captures):
                 raise EnrolmentError(f"there is no capture {number}", "Reload the page.")
-            self._state = replace(before, captures=kept)
+            self.state = replace(before, captures=kept)
             self._measure()
 
     def store(self, force: bool = False) -> Stored:
-        """Enroll the object.
-
-        Args:
-            force: enroll it despite a conflict, and replace an entry of the same name.
+        """Enroll the object; by force despite a conflict, and in place of an entry of the same name.
 
         Raises:
             EnrolmentError: something disagrees, or captures are missing.
@@ -259,7 +224,7 @@ class Enrolling:
             else:
                 version = proposal.store(self._registry(), source, force)
             done = Stored(before.subject.name, version, isinstance(proposal, LayoutProposal))
-            self._state = EnrolmentState(stored=done)
+            self.state = EnrolmentState(stored=done)
             return done
 
     def undo(self) -> None:
@@ -276,18 +241,18 @@ class Enrolling:
                 "the registry was changed since",
                 f"Remove the entry with `tagid layouts remove {done.name}`.",
             )
-            if registry.version != done.version:
+            if registry.version != done.registry_version:
                 raise changed
             if done.name not in registry.undo().removed:
                 # Another program changed the registry at this moment: restore what was just undone.
                 registry.redo()
                 raise changed
-            self._state = EnrolmentState(undone=done.name)
+            self.state = EnrolmentState(undone=done.name)
 
     def _measure(self) -> None:
         """Measure the captures and compare the result with the registry; the lock is held."""
-        state = self._state
-        self._state = replace(state, measuring=True, trouble=None, measured=None, proposal=None)
+        state = self.state
+        self.state = replace(state, measuring=True, trouble=None, measured=None, proposal=None)
         result = replace(state, measuring=False, trouble=None, measured=None, proposal=None)
         try:
             result = self._measured(result)
@@ -297,7 +262,7 @@ class Enrolling:
             logging.getLogger("tagid").debug("measuring", exc_info=True)
             result = replace(result, trouble=reported(error))
         finally:
-            self._state = result
+            self.state = result
 
     def _measured(self, state: EnrolmentState) -> EnrolmentState:
         subject = state.subject
@@ -330,10 +295,10 @@ class Enrolling:
         if not self._lock.acquire(blocking=wait):
             raise _busy()
         try:
-            yield self._state
+            yield self.state
         finally:
-            if self._state.measuring:
-                self._state = replace(self._state, measuring=False)
+            if self.state.measuring:
+                self.state = replace(self.state, measuring=False)
             self._lock.release()
 
 

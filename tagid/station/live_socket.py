@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from tagid._version import __version__
 from tagid.errors import UsageError
 from tagid.station import wire
 from tagid.station.errors import BusyError
@@ -24,20 +24,12 @@ _SEND_S = 10.0
 
 
 class Hub:
-    """Sends new states to every connection; each has at most one unsent frame and one unsent status.
-
-    Args:
-        station: the station to show.
-    """
+    """Sends new states to every connection; each has at most one unsent frame and one unsent status."""
 
     def __init__(self, station: Station) -> None:
         self._station = station
         self._clients: set[Client] = set()
-
-    @property
-    def count(self) -> int:
-        """Number of connections."""
-        return len(self._clients)
+        self._seen: dict[str, tuple[object, ...]] = {}
 
     def add(self, client: Client) -> None:
         """Send the complete state to a new connection."""
@@ -56,37 +48,30 @@ class Hub:
 
     async def run(self) -> None:
         """Poll for new states until cancelled."""
-        shown: tuple[int, int, bool] | None = None
-        work: tuple[object, ...] = ()
-        measured: tuple[object, ...] = ()
-        stepped: tuple[object, ...] = ()
-        status_at = 0.0
-        loop = asyncio.get_running_loop()
+        station, status_at = self._station, 0.0
         while True:
             await asyncio.sleep(FRAME_S)
-            self._station.tick()
-            run = self._station.scan
-            now = loop.time()
-            seen = None if run is None else (run.number, run.state.frame, run.running)
-            if run is not None and seen != shown and self._clients:
+            station.tick()
+            run, now = station.scan, asyncio.get_running_loop().time()
+            new = run is not None and self._changed("frame", run.number, run.view.state.frame, run.running)
+            if run is not None and new and self._clients:
                 self._send_all("frame", wire.frame(run))
-            report = self._station.reports.newest
+            report = station.reports.newest
             done = None if report is None else (report.number, report.done, report.running)
-            before, work = work, (self._station.enrolling.state, done)
-            if now >= status_at or work != before or (shown and seen and shown[2] != seen[2]):
+            running = run is not None and run.running
+            if self._changed("status", station.enrolling.state, done, running) or now >= status_at:
                 status_at = now + _STATUS_S
                 self.refresh()
-            shown = seen
-            run_profile = self._station.profile
-            if run_profile is not None:
-                before, measured = measured, (run_profile, run_profile.profile, run_profile.running)
-                if measured != before:
-                    self._send_all("profile", {"type": "profile", **wire.profile(run_profile)})
-            step = self._station.commissioning
-            if step is not None:
-                before, stepped = stepped, (step, step.progress, step.running)
-                if stepped != before:
-                    self._send_all("commissioning", {"type": "commissioning", **wire.step_progress(step)})
+            profile, step = station.profile, station.commissioning
+            if profile is not None and self._changed("profile", profile, profile.profile, profile.running):
+                self._send_all("profile", {"type": "profile", **wire.profile(profile)})
+            if step is not None and self._changed("commissioning", step, step.progress, step.running):
+                self._send_all("commissioning", {"type": "commissioning", **wire.step_progress(step)})
+
+    def _changed(self, kind: str, *state: object) -> bool:
+        """Whether the state of a kind of message is another than at the last call."""
+        before, self._seen[kind] = self._seen.get(kind), state
+        return before != state
 
     def _send_all(self, kind: str, message: wire.Json) -> None:
         text = wire.to_text(message)
@@ -99,28 +84,22 @@ class Hub:
         client.news.set()
 
 
+@dataclass(eq=False)
 class Client:
     """One WebSocket connection.
 
     Attributes:
         key: of its operator's lock.
-        unsent: the newest unsent text of each kind.
-        news: set when there is something to send.
+        unsent: the newest unsent text of each kind; `news` is set when there is one.
     """
 
-    def __init__(self, key: str) -> None:
-        self.key = key
-        self.unsent: dict[str, str] = {}
-        self.news = asyncio.Event()
+    key: str
+    unsent: dict[str, str] = field(default_factory=dict)
+    news: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class LiveSocket:
-    """The WebSocket connections.
-
-    Args:
-        station: the station to show and operate.
-        hub: sends the states.
-    """
+    """The WebSocket connections."""
 
     def __init__(self, station: Station, hub: Hub) -> None:
         self._station, self._hub = station, hub
@@ -149,14 +128,7 @@ class LiveSocket:
             await _close(socket, 1008)
             return
         client = Client(key)
-        hello = {"type": "hello", "key": key, "version": __version__, "palette": wire.palette()}
-        client.unsent["hello"] = wire.to_text(
-            {
-                **hello,
-                "demo": bool(self._station.source.demo),
-                "objects": wire.demo_objects(self._station),
-            }
-        )
+        client.unsent["hello"] = wire.to_text(wire.hello(self._station, key))
         self._hub.add(client)
         tasks = [
             asyncio.create_task(self._send(socket, client)),

@@ -39,7 +39,6 @@ class Profile:
     """The echo over range.
 
     Attributes:
-        number: counts its states.
         range_m: one-way range of the first and the last bin, m.
         echo_db: (bins,) envelope over one count, dB; empty before the first scan.
         moving_db: the same of what changes.
@@ -49,7 +48,6 @@ class Profile:
         error: why it ended; None if it did not, or ended as requested.
     """
 
-    number: int = 0
     range_m: tuple[float, float] = (0.0, 0.0)
     echo_db: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     moving_db: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
@@ -62,9 +60,7 @@ class Profile:
 class ProfileRun(BackgroundRun):
     """Receives scans that are not stored; the radar keeps its window until the next scan sets its own.
 
-    Args:
-        place: settings of the radar.
-        radar: held while the radar is used.
+    The lock `radar` is held while the radar is used; `profile` is the newest state.
 
     Raises ConfigError if no radar is configured.
     """
@@ -76,17 +72,12 @@ class ProfileRun(BackgroundRun):
         axis = config["motion.axis_distance_m"]
         half = config["imaging.extent_m"] / 2
         ends = None if axis is None else (max(axis - half, 0.0), axis + half)
-        self._profile = Profile(axis_m=axis, object_m=ends)
+        self.profile = Profile(axis_m=axis, object_m=ends)
         super().__init__("station-profile")
-
-    @property
-    def profile(self) -> Profile:
-        """The newest state."""
-        return self._profile
 
     def _fail(self, error: BaseException) -> None:
         if not self._stop.is_set():
-            self._profile = replace(self._profile, error=reported(error))
+            self.profile = replace(self.profile, error=reported(error))
 
     def _run(self) -> None:
         config = self._place.config
@@ -102,7 +93,7 @@ class ProfileRun(BackgroundRun):
     def _window(self, base: RadarConfig) -> RadarConfig:
         config = self._place.config
         delay = config["radar.cable_delay_ps"]
-        stop_m = max(_FAR_M, (self._profile.axis_m or 0.0) + _BEHIND_M)
+        stop_m = max(_FAR_M, (self.profile.axis_m or 0.0) + _BEHIND_M)
         return replace(
             base.configured(config),
             scan_start_ps=round(delay),
@@ -125,9 +116,8 @@ class ProfileRun(BackgroundRun):
             if now >= due:
                 due = now + _EVERY_S
                 seen = every.snapshot()
-                self._profile = replace(
-                    self._profile,
-                    number=self._profile.number + 1,
+                self.profile = replace(
+                    self.profile,
                     range_m=seen.range_m,
                     echo_db=_decibels(seen.rows),
                     moving_db=_decibels(moving.snapshot().rows),

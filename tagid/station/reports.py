@@ -26,19 +26,12 @@ _PAGE_MEGABYTES = 8.0
 
 
 class ReportRun(BackgroundRun):
-    """A running or finished report.
-
-    Args:
-        number: counts the station's reports.
-        folder: where it is written; new.
-        captures: files to identify.
-        left_out: what the selection held in addition, and why it is left out; empty if nothing.
-        job: settings of the batch.
+    """A running or finished report in a new folder.
 
     Attributes:
-        number, folder, left_out: as given.
-        total: number of captures.
-        done: number of finished captures.
+        number: counts the station's reports.
+        left_out: what the selection held in addition, and why it is left out; empty if nothing.
+        total, done: number of captures, and of finished ones.
         error: why it failed; None if it did not.
         complete: whether all its files are written.
     """

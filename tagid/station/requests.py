@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
@@ -23,7 +25,7 @@ from tagid.station.errors import (
     reported,
 )
 from tagid.station.security import MOST_BODY_BYTES, Refusal
-from tagid.station.station import HISTORY_LIMIT
+from tagid.station.station import HISTORY_LIMIT, Station
 from tagid.storage.history import Filter
 
 _MOST_DIGITS = 18
@@ -62,11 +64,7 @@ register_url_convertor("number", _Number())
 
 
 Body = Mapping[str, object]
-"""A JSON object that a client sent: whoever reads a value of it must see first what it is.
-
-msgspec would decode and check in one step, but its 696 KB and 11 ms at every start replace 20 lines here, and
-its messages would have to be put into these words.
-"""
+"""A JSON object that a client sent: whoever reads a value of it must see first what it is."""
 
 
 async def body(request: Request) -> Body:
@@ -162,6 +160,72 @@ def number_in(request: Request) -> int:
     return int(request.path_params["number"])
 
 
+Handler = Callable[[Station, Request], Awaitable[Response | bytes | wire.Json]]
+"""Answers a request; bytes and JSON values are the content of a response."""
+
+
+@dataclass(frozen=True)
+class Operation:
+    """A method of a path: who handles its requests, and how /api/v1/openapi.json describes it.
+
+    Attributes:
+        path: that of a route.
+        asked: schema of the body, or its media type; empty without a body.
+        status, answer: of a response that is no refusal, with the schema of its content, or its media type.
+        parameters: besides those in the path.
+        refused: statuses of refusals.
+    """
+
+    handler: Handler
+    method: str
+    path: str
+    summary: str
+    asked: str
+    status: int
+    answer: str
+    parameters: tuple[wire.Json, ...]
+    refused: tuple[int, ...]
+
+    async def respond(self, station: Station, request: Request) -> Response:
+        """The response to a request."""
+        content = await self.handler(station, request)
+        if isinstance(content, bytes):
+            return Response(content, self.status, media_type=self.answer)
+        return content if isinstance(content, Response) else as_json(content, self.status)
+
+
+class Operations(list[Operation]):
+    """The operations of a module, added by the decorators of their handlers."""
+
+    def get(
+        self, path: str, summary: str, answer: str, *parameters: wire.Json, missing: bool = False
+    ) -> Callable[[Handler], Handler]:
+        """Adds a GET, of what may be missing."""
+        refused = (401, 404) if missing else (401,)
+        return self._adding("GET", path, summary, "", 200, answer, parameters, refused)
+
+    def post(
+        self,
+        path: str,
+        summary: str,
+        asked: str,
+        status: int,
+        answer: str,
+        *parameters: wire.Json,
+        refused: tuple[int, ...] = (),
+    ) -> Callable[[Handler], Handler]:
+        """Adds a POST, with the statuses of refusals that not every POST has."""
+        codes = (400, 401, 403, 409, *refused, 503, 507)
+        return self._adding("POST", path, summary, asked, status, answer, parameters, codes)
+
+    def _adding(self, *facts: Any) -> Callable[[Handler], Handler]:
+        def add(handler: Handler) -> Handler:
+            self.append(Operation(handler, *facts))
+            return handler
+
+        return add
+
+
 def as_json(value: wire.Json, status: int = 200) -> Response:
     """A JSON response; numbers that are not finite become null."""
     return Response(wire.to_text(value), status, media_type="application/json")
@@ -179,11 +243,9 @@ def refused(status: int, code: str, message: str, remedy: str) -> Response:
 
 
 def refusal_of(error: Exception, place: str) -> Refusal:
-    """The status of an exception and what its client is shown.
+    """The status of an exception of a handler and what its client is shown.
 
-    Args:
-        error: what a handler raised; a fault of the program is logged.
-        place: path of the request, for the log.
+    A fault of the program is logged, with the path of the request.
     """
     shown = reported(error)
     if isinstance(shown, UnexpectedError):

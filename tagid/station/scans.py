@@ -12,7 +12,6 @@ from pathlib import Path
 from tagid.capture import Capture
 from tagid.errors import CaptureInterrupted, DeviceError, TagidError
 from tagid.live.engine import LiveSettings, LiveView
-from tagid.live.state import LiveState
 from tagid.live.sure import EarlyEnding, check_angle_known
 from tagid.metadata import ScanGap
 from tagid.motion.device import Motion
@@ -62,14 +61,14 @@ def radar_alone(radar: threading.Lock, stop: threading.Event) -> Iterator[None]:
 class Run(BackgroundRun):
     """A running or finished scan, or the reading of a file.
 
-    Args:
-        number: counts the station's scans.
-        place: settings, registry, history and folder.
-        motion: the device that rotates the object, for the live view.
-
     Attributes:
-        number, motion: as given.
+        number: counts the station's scans.
+        motion: the device that rotates the object, for the live view.
+        view: with the state of the recording.
         file: name of the file that is read; empty for a scan.
+        remark: on files that could not be written; empty if none.
+        residuals: the picture of what competing hypotheses leave of the echo; None if there is none.
+        device_failed: whether the radar or the motion failed.
     """
 
     file = ""
@@ -83,40 +82,15 @@ class Run(BackgroundRun):
         self._needs = LiveSettings(
             motion, enrolled.layouts, enrolled.signatures, enrolled.version, self._setup.imaging
         )
-        self._view = LiveView(self._needs)
-        self._remark = ""
-        self._residuals: Path | None = None
-        self._device_failed = False
+        self.view = LiveView(self._needs)
+        self.remark = ""
+        self.residuals: Path | None = None
+        self.device_failed = False
         super().__init__(f"station-scan-{number}")
 
-    @property
-    def state(self) -> LiveState:
-        """The newest state."""
-        return self._view.state
-
-    @property
-    def remark(self) -> str:
-        """Remark on files that could not be written; empty if none."""
-        return self._remark
-
-    @property
-    def residuals(self) -> Path | None:
-        """The picture of what competing hypotheses leave of the echo; None if there is none."""
-        return self._residuals
-
-    @property
-    def device_failed(self) -> bool:
-        """Whether the radar or the motion failed."""
-        return self._device_failed
-
-    @property
-    def silent_s(self) -> float:
-        """Seconds for which the recording has waited for its next scan; 0 while it does not wait."""
-        return self._view.silent_s
-
     def _fail(self, error: BaseException) -> None:
-        self._device_failed = isinstance(error, DeviceError)
-        self._view.fail(reported(error))
+        self.device_failed = isinstance(error, DeviceError)
+        self.view.fail(reported(error))
 
     def _draw(self, answer: Answer, path: Path) -> tuple[Drawn | None, list[str]]:
         """The image with its picture and that of the residuals beside the capture, and what failed."""
@@ -127,21 +101,17 @@ class Run(BackgroundRun):
         except TagidError as error:
             return None, [f"no picture: {error.message}"]
         if residuals_beside(png).is_file():
-            self._residuals = residuals_beside(png)
+            self.residuals = residuals_beside(png)
         return drawn, []
 
 
 class ScanRun(Run):
-    """A scan of the object on the table.
+    """A scan of the object on the table, which may end as soon as the answer is certain.
 
     Args:
-        number: counts the station's scans.
-        place: settings, registry, history and folder.
-        plan: of the recording.
         radar: held while the radar is used, so that a health check does not disturb the scan.
         then: called on the scan's thread with the capture's file, the capture with angles, and its answer, if
             neither the recording nor the reading failed.
-        until_sure: whether the scan ends as soon as the answer is certain.
 
     Raises ConfigError if the answer cannot be certain before the end, because the angle is not known.
     """
@@ -166,7 +136,7 @@ class ScanRun(Run):
 
     def _run(self) -> None:
         picture: Drawn | None = None
-        with self._view:
+        with self.view:
             remarks = []
             with radar_alone(self._radar, self._stop), ExitStack() as ending:
                 watch = self._watch()
@@ -176,36 +146,29 @@ class ScanRun(Run):
                 recorded = record_turn(self._place, self._plan, self.motion, watch)
             if early is not None:
                 if words := ending_words(recorded.capture.radar.ended):
-                    self._view.note(f"ended {words}")
+                    self.view.note(f"ended {words}")
                 remarks += [early.remark] if early.remark else []
-            answer = read(self._setup, recorded.capture, recorded.path, self._view)
+            answer = read(self._setup, recorded.capture, recorded.path, self.view)
             remarks += answer.remarks
             if answer.error is None:
                 picture, failed = self._draw(answer, recorded.path)
                 remarks += failed
             radar = {"radar": self._place.radar_url(), "motion": self._plan.motion}
             remarks += self._place.remember(COMMAND, [answer.to_dict()], radar)
-            self._remark = "; ".join(remarks)
+            self.remark = "; ".join(remarks)
             if answer.error is not None:
                 # The recording is stored; only the reading failed.
                 raise answer.error
         if picture is not None:
-            self._view.show(picture.result.image)
+            self.view.show(picture.result.image)
         if self._then is not None and answer.prepared is not None:
             self._then(recorded.path, answer.prepared.given, answer.identification)
 
     def _watch(self) -> Watch:
-        view = self._view
+        view = self.view
 
         def gap(gap: ScanGap) -> None:
             view.note(f"the radar was disconnected for {gap.seconds:.1f} s; the recording continues")
 
-        def resolve(capture: Capture, motion: str) -> Capture:
-            return resolve_turn(capture, motion)
-
-        return Watch(
-            gap=gap,
-            resolve=view.resolving(resolve),
-            began=view.began,
-            stop=self._stop.is_set,
-        )
+        resolve = view.resolving(resolve_turn)
+        return Watch(gap=gap, resolve=resolve, began=view.began, stop=self._stop.is_set)

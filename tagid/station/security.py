@@ -21,11 +21,18 @@ from typing import TYPE_CHECKING
 from tagid.errors import UsageError
 from tagid.result import Problem
 from tagid.station.errors import GuessesError
-from tagid.station.page import PAGE_FILES
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+_SCRIPTS = ("theme", "station", "pictures", "enrol", "history", "settings", "profile", "drop", "commission")
+PAGE_FILES = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/station.css": ("station.css", "text/css; charset=utf-8"),
+    "/station.svg": ("station.svg", "image/svg+xml"),
+    **{f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8") for name in _SCRIPTS},
+}
+"""Path of a request -> file of the page and its media type; no file path is derived from a request."""
 COOKIE = "tagid_station"
 OWN_HEADER = "tagid-station"
 """Sent with each POST and by WebSocket clients other than browsers: another page cannot send it without a
@@ -145,12 +152,7 @@ def _digest(token: str) -> bytes:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Reason for refusing a request.
-
-    Attributes:
-        status: HTTP status.
-        code, message, remedy: as in every error of the API.
-    """
+    """Reason for refusing a request: an HTTP status, and the rest as in every error of the API."""
 
     status: int
     code: str
@@ -166,11 +168,7 @@ class Refusal:
 class Guard:
     """ASGI middleware: refuses disallowed requests, and adds the security headers to every response.
 
-    Args:
-        app: the application behind it.
-        host: address it listens on.
-        port: port it listens on; 0 accepts any port, for tests of the application only.
-        pairing: None on a loopback address, where no token is required.
+    It knows the address that it listens on. Without pairing, on a loopback address, no token is required.
     """
 
     def __init__(self, app: ASGIApp, host: str, port: int, pairing: Pairing | None) -> None:
@@ -219,12 +217,9 @@ class Guard:
         page = not socket and path == "/" and scope["method"] == "GET"
         origins = headers.get("origin", [])
         own_page = headers.get(OWN_HEADER) == ["1"]
-        if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
-            return Refusal(
-                403, "wrong_origin", "another page sent this request", "Open the station's own page."
-            )
+        foreign = any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins)
         site = headers.get("sec-fetch-site", ["none"])
-        if site not in (["same-origin"], ["none"]) and not page:
+        if foreign or (site not in (["same-origin"], ["none"]) and not page):
             return Refusal(
                 403, "wrong_origin", "another page sent this request", "Open the station's own page."
             )

@@ -31,14 +31,11 @@ LARGE_BYTES = 1 << 18
 
 
 def return_large_blocks() -> bool:
-    """Have the C library return every freed block of LARGE_BYTES or more to the system at once.
+    """Have the C library return every freed block of LARGE_BYTES or more to the system at once, if it can.
 
-    By default glibc raises this limit to the size of the largest block freed so far, up to 32 MB (mallopt(3),
-    M_MMAP_THRESHOLD). The arrays of a scan, some MB each, then lie between small objects that stay, and the
-    process grows by steps of several MB.
-
-    Returns:
-        Whether the C library has such a limit.
+    By default glibc raises this limit to the size of the largest block freed so far, up to 32 MB
+    (mallopt(3), M_MMAP_THRESHOLD). The arrays of a scan, some MB each, then lie between small objects that
+    stay, and the process grows by steps of several MB.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
@@ -254,8 +251,7 @@ class StationSocket(WSProtocol):
 class SocketState:
     """Whether the system still has a connection; asked on any thread, also while the event loop is busy.
 
-    Args:
-        connection: the socket; it stays open until `end`.
+    The socket stays open until `end`.
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -288,19 +284,12 @@ class _WebServer(uvicorn.Server):
 
 
 class Server:
-    """The server in a separate thread; use it as a context manager.
+    """The server in a separate thread, at `url`; use it as a context manager.
 
-    Args:
-        station: the station to serve.
-        host, port: where to listen; port 0: any free port.
-        announce: shows a pairing code; None on a loopback address.
+    Port 0 stands for any free port; `announce` shows a pairing code, and is None on a loopback address.
 
-    Attributes:
-        url: address of the page.
-
-    Raises:
-        PortInUseError: another program listens there. UsageError: the address is not of this computer,
-            or the process may open too few files.
+    Raises PortInUseError if another program listens there; UsageError if the address is not of this
+    computer, or the process may open too few files.
     """
 
     def __init__(

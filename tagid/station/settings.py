@@ -36,12 +36,9 @@ _MOST_RPM = 60.0
 
 @dataclass(frozen=True)
 class Device:
-    """A device that a search found.
+    """A device that a search found: the setting's value, empty if it is none, what it is, and its problem.
 
-    Attributes:
-        url: value of the setting; empty for a device that is none.
-        text: what it is.
-        problem: why it did not answer, with the remedy; empty if it did, or was not asked.
+    The problem, with its remedy, is why it did not answer; empty if it did, or was not asked.
     """
 
     url: str
@@ -51,12 +48,7 @@ class Device:
 
 @dataclass(frozen=True)
 class Search:
-    """The result of a search.
-
-    Attributes:
-        devices: the devices.
-        note: what could not be searched, or where to look if nothing was found; may be empty.
-    """
+    """The devices of a search, and what could not be searched, or where to look if nothing was found."""
 
     devices: tuple[Device, ...] = ()
     note: str = ""
@@ -64,13 +56,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Shown:
-    """A setting.
-
-    Attributes:
-        name: of the setting.
-        value: without a pass-key; None if it is not set.
-        fixed: why the page cannot change it; empty if it can.
-    """
+    """A setting: its value without a pass-key, and why the page cannot change it; empty if it can."""
 
     name: str
     value: str | float | None
@@ -78,21 +64,15 @@ class Shown:
 
 
 class Settings:
-    """The settings of the page and the search for devices; thread-safe.
+    """The settings of the page and the newest result of each search for devices; thread-safe.
 
-    Args:
-        radar: held while radars are asked.
+    The lock `radar` is held while radars are asked.
     """
 
     def __init__(self, radar: threading.Lock) -> None:
         self._radar = radar
         self._lock = threading.Lock()
-        self._found: dict[Kind, Search] = {}
-
-    @property
-    def found(self) -> Mapping[Kind, Search]:
-        """The newest result of each search."""
-        return dict(self._found)
+        self.searches: dict[Kind, Search] = {}
 
     def find(self, kind: Kind, config: Config) -> Search:
         """Search for devices as `tagid radar find` and `tagid motion find` do; takes some seconds.
@@ -101,15 +81,11 @@ class Settings:
         """
         with self._alone("a search is running"):
             search = self._radars(config) if kind == "radar" else _motions()
-            self._found[kind] = search
+            self.searches[kind] = search
             return search
 
     def change(self, changes: Mapping[str, Any], config: Config) -> None:
-        """Write settings to the configuration file; all of them, or none.
-
-        Args:
-            changes: text or number by name, of `NAMES`.
-            config: the present configuration.
+        """Write settings, text or number by name, to the configuration file; all of them, or none.
 
         Raises:
             UsageError: the page may not set this, a device that it may not choose, or a value out of range.
@@ -167,7 +143,7 @@ class Settings:
             raise UsageError(f"the speed is {rpm} rpm", f"Give more than 0 and at most {_MOST_RPM:g} rpm.")
 
     def _was_found(self, kind: Kind, url: str) -> bool:
-        return any(device.url == url for device in self._found.get(kind, Search()).devices)
+        return any(device.url == url for device in self.searches.get(kind, Search()).devices)
 
     def _radars(self, config: Config) -> Search:
         with self._radar:

@@ -21,9 +21,9 @@ from tagid.files import read_bytes
 from tagid.metadata import ObjectInfo
 from tagid.operate.turn import picture_of, residuals_beside
 from tagid.operate.workplace import TURN_S, Workplace, open_registry
-from tagid.station.commissioning import CommissioningRun, results_page, results_picture
+from tagid.station.commissioning import CommissioningRun
 from tagid.station.demo import DemoObject
-from tagid.station.enrolling import Enrolling, Subject
+from tagid.station.enrolling import Enrolling
 from tagid.station.errors import (
     BusyError,
     InterlockError,
@@ -41,7 +41,6 @@ from tagid.station.settings import Kind, Search, Settings
 from tagid.station.stored import ReceivedRun, ReplayRun
 from tagid.station.wiring import Wiring, wiring
 from tagid.storage.history import FILE_NAME, Filter, History, HistoryEntry
-from tagid.tags.layouts.layout import Layout
 from tagid.workers import Worker
 
 
@@ -60,11 +59,9 @@ class Source:
     demo: tuple[DemoObject, ...] = ()
 
     def of_object(self, name: str, number: int) -> Workplace:
-        """The workplace of a scan.
+        """The workplace of a scan, by its number.
 
-        Args:
-            name: an object of the demonstration; empty for the first, or with a real radar.
-            number: of the scan.
+        The name is that of an object of the demonstration; empty for the first, or with a real radar.
 
         Raises UsageError for an unknown object, and as `place`.
         """
@@ -85,6 +82,7 @@ INTERLOCK_S = 0.1
 MAX_CONNECTIONS = 32
 """Maximum number of WebSocket connections."""
 _PICTURE_BYTES = 4 << 20
+_NO_RESIDUALS = "there is no picture of the hypotheses"
 _STOP_S = 30.0
 _NOTE_LENGTH = 200
 
@@ -114,16 +112,12 @@ class Health:
 class Station:
     """The station.
 
-    Args:
-        source: source of the settings.
-        check: the health check.
-
     Attributes:
-        source: as given.
         operators: connections and the lock.
-        enrolling: the enrollment.
-        reports: the reports.
-        settings: the settings of the page.
+        scan: the newest scan, or reading of a file; None before the first one.
+        profile: the newest range profile; None before the first one.
+        commissioning: the newest step of the commissioning; None before the first one of this station.
+        failure: why the station ended on its own; None if it did not.
     """
 
     def __init__(self, source: Source, check: Callable[..., list[Finding]] = examine) -> None:
@@ -135,46 +129,21 @@ class Station:
         self._radar = threading.Lock()
         self.settings = Settings(self._radar)
         self._starting = threading.Lock()
-        self._scan: Run | None = None
-        self._profile: ProfileRun | None = None
-        self._commissioning: CommissioningRun | None = None
+        self.scan: Run | None = None
+        self.profile: ProfileRun | None = None
+        self.commissioning: CommissioningRun | None = None
         self._count = 0
-        self._health = Health()
+        self.health = Health()
         self._checker: Worker | None = None
         self._health_due = 0.0
         self._failed_seen = 0
         self._over = threading.Event()
-        self._failure: TagidError | None = None
+        self.failure: TagidError | None = None
         self._interlock = Worker(
             self._watch_operator,
             "station-interlock",
             lambda error: self.fail("the operator interlock", error),
         )
-
-    @property
-    def scan(self) -> Run | None:
-        """The newest scan, or reading of a file; None before the first one."""
-        return self._scan
-
-    @property
-    def profile(self) -> ProfileRun | None:
-        """The newest range profile; None before the first one."""
-        return self._profile
-
-    @property
-    def commissioning(self) -> CommissioningRun | None:
-        """The newest step of the commissioning; None before the first one of this station."""
-        return self._commissioning
-
-    @property
-    def health(self) -> Health:
-        """The newest health check."""
-        return self._health
-
-    @property
-    def failure(self) -> TagidError | None:
-        """Why the station ended on its own; None if it did not."""
-        return self._failure
 
     def begin(self) -> None:
         """Start the interlock. Raises OverloadedError."""
@@ -182,32 +151,25 @@ class Station:
 
     def fail(self, part: str, error: BaseException) -> None:
         """End the station because a part of it died: the motion stops, and nothing is started any more."""
-        if self._failure is None:
-            self._failure = TagidError(
+        if self.failure is None:
+            self.failure = TagidError(
                 f"{part} died: {type(error).__name__}: {error}", "Start the station again."
             )
         self._over.set()
         self.stop()
 
-    @property
-    def full(self) -> bool:
-        """Whether no other WebSocket connection is accepted."""
-        return self.operators.connected >= MAX_CONNECTIONS
-
     def start(self, key: str | None, note: str = "", demo_object: str = "") -> int:
         """Start a scan; returns its number.
 
-        Args:
-            key: of the requesting browser; None for a script without a connection.
-            note: text stored with the capture.
-            demo_object: name of the object of a demonstration; empty for the first one.
+        The key is that of the requesting browser, None for a script without a connection. The note is stored
+        with the capture. The object is one of a demonstration; empty for the first one.
 
         Raises:
             BusyError: a scan is running.
             NotOperatorError: another browser operates, or the scan moves a device and the key has no lock.
             InterlockError: the scan would move a device, and nothing would stop it.
             OverloadedError: the system allows no further thread.
-            ConfigError, UsageError, StorageError: see `Source.setup`.
+            ConfigError, UsageError, StorageError: see `Source.place`.
         """
         with self._starting:
             return self._start(key, note, demo_object)
@@ -218,10 +180,10 @@ class Station:
         Raises as `start`, and EnrolmentError if the enrollment takes no capture.
         """
         with self._starting:
-            expected = self.enrolling.expect()
+            note, add = self.enrolling.expect()
             # The last object of a demonstration is the one that is not enrolled.
             demo_object = self.source.demo[-1].name if self.source.demo else ""
-            return self._start(key, expected.note, demo_object, expected.add)
+            return self._start(key, note, demo_object, add)
 
     def start_replay(self, key: str | None, number: int) -> int:
         """Show the capture of an entry of the history as if it was recorded now; returns its number.
@@ -234,12 +196,10 @@ class Station:
             return self._begin(ReplayRun(self._count + 1, self.source.place(), path))
 
     def identify_received(self, path: Path) -> int:
-        """Identify a file that a browser sent; returns its number.
+        """Identify a file in the station's folder that a browser sent; returns its number.
 
-        Args:
-            path: the file, in the station's folder; removed if it cannot be read.
-
-        Raises BusyError, OverloadedError, and as `Source.place`; the file is then removed, too.
+        The file is removed if it cannot be read, and with BusyError, OverloadedError, and what
+        `Source.place` raises.
         """
         try:
             with self._starting:
@@ -263,14 +223,21 @@ class Station:
                 "Start it on the page, or send the key of an open WebSocket connection.",
             )
         if run.motion.moves and not self._interlock.alive:
-            raise InterlockError("the station is ending", "Start it again.")
+            raise _ending()
         return self._begin(run)
 
-    def _check_idle(self) -> None:
-        """Raise BusyError while a scan is running."""
-        if self._scan is not None and self._scan.running:
+    @property
+    def _scanning(self) -> bool:
+        return self.scan is not None and self.scan.running
+
+    def _check_scan(self) -> None:
+        if self._scanning:
             raise BusyError("a scan is running", "Wait for its end, or stop it.")
-        if self._commissioning is not None and self._commissioning.running:
+
+    def _check_idle(self) -> None:
+        """Raise BusyError while a scan or a step of the commissioning is running."""
+        self._check_scan()
+        if self.commissioning is not None and self.commissioning.running:
             raise BusyError("a step of the commissioning is running", "Wait for its end, or stop it.")
 
     def check_free(self, key: str | None) -> None:
@@ -281,14 +248,14 @@ class Station:
     def _check_open(self) -> None:
         """Raise InterlockError while the station is ending."""
         if self._over.is_set():
-            raise InterlockError("the station is ending", "Start it again.")
+            raise _ending()
 
     def _begin(self, run: Run) -> int:
         """Start a run; returns its number. Raises InterlockError, OverloadedError."""
         self._check_open()
         self.stop_profile()
         run.start()
-        self._count, self._scan = run.number, run
+        self._count, self.scan = run.number, run
         if self._over.is_set():  # since it was asked above
             run.stop()
         return run.number
@@ -301,16 +268,16 @@ class Station:
         with self._starting:
             self.check_free(key)
             self._check_open()
-            if self._profile is not None and self._profile.running:
+            if self.profile is not None and self.profile.running:
                 return
             run = ProfileRun(self.source.of_object("", self._count), self._radar)
             run.start()
-            self._profile = run
+            self.profile = run
 
     def stop_profile(self) -> None:
         """End the range profile; every connection may."""
-        if self._profile is not None:
-            self._profile.stop()
+        if self.profile is not None:
+            self.profile.stop()
 
     def start_commissioning(self, key: str | None, step: Step, tape: TapeChanges) -> None:
         """Begin a step of the commissioning.
@@ -323,23 +290,12 @@ class Station:
             run = CommissioningRun(self.source.of_object("", self._count), step, tape, self._radar)
             self.stop_profile()
             run.start()
-            self._commissioning = run
-
-    def commissioning_page(self) -> bytes:
-        """The results so far as a PDF.
-
-        Raises NoSuchItemError before the first one; StorageError, ConfigError.
-        """
-        return results_page(self.source.place().config)
-
-    def commissioning_picture(self, step: str, number: int) -> bytes:
-        """A picture of a step's report as SVG. Raises NoSuchItemError, StorageError, ConfigError."""
-        return results_picture(self.source.place().config, step, number)
+            self.commissioning = run
 
     def stop_commissioning(self) -> None:
         """End the running step of the commissioning; every connection may."""
-        if self._commissioning is not None:
-            self._commissioning.stop()
+        if self.commissioning is not None:
+            self.commissioning.stop()
 
     def find_devices(self, key: str | None, kind: Kind) -> Search:
         """Search for radars, or robots and tables. Raises as `start_profile` and `Settings.find`."""
@@ -356,11 +312,8 @@ class Station:
             self._health_due = 0.0
 
     def operate(self, key: str | None) -> None:
-        """Take the lock for a browser if it is free.
-
-        Args:
-            key: of the requesting browser; None for a script without a connection, which may act while no
-                browser operates.
+        """Take the lock for a browser if it is free; a script without a connection (None) may act while it
+        is.
 
         Raises NotOperatorError if another browser operates.
         """
@@ -370,11 +323,6 @@ class Station:
             raise NotOperatorError(
                 "another browser operates the station", "Take over there, or wait until it is closed."
             )
-
-    def describe(self, key: str | None, subject: Subject) -> None:
-        """Begin an enrollment, or change the name of the current one. Raises as `Enrolling.describe`."""
-        self.operate(key)
-        self.enrolling.describe(subject)
 
     def start_report(self, key: str | None, entries: tuple[int, ...]) -> ReportRun:
         """Begin a report over entries of the history.
@@ -388,39 +336,34 @@ class Station:
         files = {entry.id: Path(entry.file) for entry in self.history(Filter(numbers=entries))}
         selected = set(entries)
         missing = sum(files.get(number) not in captures for number in selected)
-        folder = place.folder()
-        left_out = (
-            f"{missing} of {len(selected)} left out: their captures are not among the scans in {folder}"
-        )
-        left_out = left_out if missing else ""
+        where = f"their captures are not among the scans in {place.folder()}"
+        left_out = f"{missing} of {len(selected)} left out: {where}" if missing else ""
         return self.reports.start(captures, left_out, place)
 
     def stop(self) -> None:
         """Stop the running scan; every connection may. Its capture is kept."""
-        if self._scan is not None:
-            self._scan.stop()
+        if self.scan is not None:
+            self.scan.stop()
 
     def take_over(self, key: str) -> bool:
         """Give the lock to a connection; not from a connected operator while a scan is running."""
-        busy = self._scan is not None and self._scan.running
-        return self.operators.take(key, force=not busy)
+        return self.operators.take(key, force=not self._scanning)
 
     def release(self, key: str) -> None:
         """Release the lock of a connection. Raises BusyError while a scan is running."""
-        if self._scan is not None and self._scan.running:
-            raise BusyError("a scan is running", "Wait for its end, or stop it.")
+        self._check_scan()
         self.operators.release(key)
 
     def tick(self) -> None:
         """Begin a health check when one is due; called a few times per second."""
         now = time.monotonic()
-        idle = (self._scan is None or not self._scan.running) and not self._measuring
+        idle = not self._scanning and not self._measuring
         waiting = self._checker is None or not self._checker.alive
-        if idle and self._scan is not None and self._scan.device_failed and self._failed_seen != self._count:
+        if idle and self.scan is not None and self.scan.device_failed and self._failed_seen != self._count:
             self._failed_seen, self._health_due = self._count, now
         due = self.operators.connected and idle and waiting and not self._over.is_set()
         if due and now >= self._health_due:
-            self._health_due = now + (MISSING_EVERY_S if self._health.wiring else HEALTH_EVERY_S)
+            self._health_due = now + (MISSING_EVERY_S if self.health.wiring else HEALTH_EVERY_S)
             self._checker = Worker(self._examine, "station-health", self._unchecked)
             try:
                 begin(self._checker)
@@ -430,20 +373,20 @@ class Station:
     @property
     def _measuring(self) -> bool:
         """Whether the range profile or the commissioning uses the radar."""
-        return any(run is not None and run.running for run in (self._profile, self._commissioning))
+        return any(run is not None and run.running for run in (self.profile, self.commissioning))
 
     def _unchecked(self, error: BaseException) -> None:
         """Show why there is no health check; the next one is due as usual."""
         problem = reported(error)
         text = f"the health check failed: {problem.message}"
         finding = Finding("health check", "problem", text, problem.remedy)
-        self._health = replace(self._health, findings=(finding,), checked_at=time.monotonic())
+        self.health = replace(self.health, findings=(finding,), checked_at=time.monotonic())
 
     def _watch_operator(self) -> None:
         """The interlock: stop a motion without an operator. Its thread does nothing else."""
         while not self._over.wait(INTERLOCK_S):
             lost = self.operators.expire() or not self.operators.taken
-            run = self._scan
+            run = self.scan
             if lost and run is not None and run.running and run.motion.moves:
                 run.stop()
 
@@ -456,14 +399,14 @@ class Station:
                 findings = tuple(self._check(config))
             except TagidError as error:
                 findings = (Finding("configuration", "problem", error.message, error.remedy),)
-        before, run = self._health, self._scan
+        before, run = self.health, self.scan
         health = Health(findings, time.monotonic(), None, before.recovered)
         if health.radar is False:
             health = replace(health, wiring=wiring(url))
             self._health_due = min(self._health_due, time.monotonic() + MISSING_EVERY_S)
         elif health.radar and before.wiring is not None and run is not None and run.device_failed:
             health = replace(health, recovered=run.number)
-        self._health = health
+        self.health = health
 
     def history(self, wanted: Filter) -> list[HistoryEntry]:
         """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError, UsageError."""
@@ -485,21 +428,17 @@ class Station:
 
     def picture(self, number: int) -> bytes:
         """The picture of an entry of the history, PNG. Raises NoSuchItemError."""
-        try:
-            return read_bytes(picture_of(self._capture(number)), _PICTURE_BYTES)
-        except StorageError as error:
-            raise NoSuchItemError(f"there is no picture of entry {number}") from error
+        return _png(picture_of(self._capture(number)), f"there is no picture of entry {number}")
 
     def residuals(self, number: int) -> bytes:
         """The picture of what the hypotheses leave of an entry's echo, PNG. Raises NoSuchItemError."""
-        return _residuals(residuals_beside(picture_of(self._capture(number))))
+        return _png(residuals_beside(picture_of(self._capture(number))), _NO_RESIDUALS)
 
     def scan_residuals(self) -> bytes:
         """The same of the newest scan. Raises NoSuchItemError."""
-        path = None if self._scan is None else self._scan.residuals
-        if path is None:
+        if self.scan is None or self.scan.residuals is None:
             raise NoSuchItemError("the newest scan has no picture of its hypotheses")
-        return _residuals(path)
+        return _png(self.scan.residuals, _NO_RESIDUALS)
 
     def capture(self, number: int) -> Path:
         """The capture file of an entry of the history. Raises NoSuchItemError."""
@@ -526,10 +465,6 @@ class Station:
             raise NoSuchItemError(f"the station has no capture of entry {number}")
         return path
 
-    def layouts(self) -> list[Layout]:
-        """The enrolled layouts. Raises RegistryError."""
-        return open_registry().layouts()
-
     def close(self) -> None:
         """Stop a running scan and a running report, and wait for their ends; no health check follows."""
         self._over.set()
@@ -538,20 +473,24 @@ class Station:
         self.stop_commissioning()
         self._interlock.join(_STOP_S)
         self.reports.close(_STOP_S)
-        if self._scan is not None:
-            self._scan.join(_STOP_S)
-        for measuring in (self._profile, self._commissioning):
+        if self.scan is not None:
+            self.scan.join(_STOP_S)
+        for measuring in (self.profile, self.commissioning):
             if measuring is not None:
                 measuring.join(_STOP_S)
         if self._checker is not None:
             self._checker.join(_STOP_S)
 
 
-def _residuals(path: Path) -> bytes:
+def _ending() -> InterlockError:
+    return InterlockError("the station is ending", "Start it again.")
+
+
+def _png(path: Path, missing: str) -> bytes:
     try:
         return read_bytes(path, _PICTURE_BYTES)
     except StorageError as error:
-        raise NoSuchItemError("there is no picture of the hypotheses") from error
+        raise NoSuchItemError(missing) from error
 
 
 def _own_file(entry: HistoryEntry, folder: Path) -> Path | None:

@@ -12,7 +12,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from tagid.capture import Capture
 from tagid.config import Config, ConfigValue
 from tagid.errors import CaptureInterrupted, StorageError, TagidError, UsageError
 from tagid.files import storage_error
@@ -39,9 +38,7 @@ _LONGEST_NAME = 80
 def received_path(folder: Path, name: str) -> Path:
     """A new path in a folder for a file that a browser sends.
 
-    Args:
-        folder: of the station.
-        name: as the browser gives it; only letters, digits, dots and hyphens of its last part are used.
+    Only letters, digits, dots and hyphens of the last part of its name are used.
 
     >>> received_path(Path("/nowhere"), "../../my scan.tagid.h5").name
     'received-my-scan.tagid.h5'
@@ -58,9 +55,8 @@ def received_path(folder: Path, name: str) -> Path:
 async def receive(pieces: AsyncIterator[bytes], folder: Path, name: str) -> Path:
     """Store a file that a browser sends; returns its path, which is new.
 
-    Raises:
-        UsageError: it is empty or too large, or has ended early.
-        StorageError: the disk is nearly full, or the file cannot be written.
+    Raises UsageError if it is empty or too large; StorageError if the disk is nearly full, or cannot be
+    written.
     """
     if shutil.disk_usage(folder).free < MOST_UPLOAD_BYTES + LEAST_FREE_BYTES:
         raise StorageError(f"the disk of {folder} is nearly full", "Free some space.")
@@ -85,13 +81,7 @@ async def receive(pieces: AsyncIterator[bytes], folder: Path, name: str) -> Path
 
 
 class ReceivedRun(Run):
-    """The identification of a file that a browser sent; a file that cannot be read is removed.
-
-    Args:
-        number: counts the station's scans.
-        place: settings, registry and history.
-        path: the file, in the station's folder.
-    """
+    """The identification of a file that a browser sent; a file that cannot be read is removed."""
 
     def __init__(self, number: int, place: Workplace, path: Path) -> None:
         super().__init__(number, place, FreeTurntable())
@@ -100,20 +90,20 @@ class ReceivedRun(Run):
         self._path = path
 
     def _run(self) -> None:
-        with self._view:
-            self._view.reading()
-            answer = read(self._setup, self._path, watcher=self._view)
+        with self.view:
+            self.view.reading()
+            answer = read(self._setup, self._path, watcher=self.view)
             if answer.error is not None:
                 self._path.unlink(missing_ok=True)
                 raise answer.error
             picture, remarks = self._draw(answer, self._path)
             remarks += [*answer.remarks, *self._place.remember(COMMAND, [answer.to_dict()], {})]
-            self._remark = "; ".join(remarks)
+            self.remark = "; ".join(remarks)
         if picture is not None and answer.prepared is not None:
             capture = answer.prepared.given
             ranges = float(capture.ranges_m[0]), float(capture.ranges_m[-1])
             rows = changing_envelope(capture).astype(np.float32)
-            self._view.show(picture.result.image, Sinogram(rows, ranges))
+            self.view.show(picture.result.image, Sinogram(rows, ranges))
 
 
 class ReplayRun(Run):
@@ -122,14 +112,7 @@ class ReplayRun(Run):
     The scans are replayed through the recording of a scan into a temporary folder. The answer is that of the
     stored file.
 
-    Args:
-        number: counts the station's scans.
-        place: settings and registry.
-        path: the capture.
-
-    Raises:
-        StorageError, FileFormatError: the capture cannot be read.
-        UsageError: it does not hold what a replay needs.
+    Raises StorageError, FileFormatError if it cannot be read; UsageError if it lacks what a replay needs.
     """
 
     def __init__(self, number: int, place: Workplace, path: Path) -> None:
@@ -149,10 +132,10 @@ class ReplayRun(Run):
         self._rate = max(1.0, seconds / REPLAY_S)
         self._given = capture
         residuals = residuals_beside(picture_of(path))
-        self._residuals = residuals if residuals.is_file() else None
+        self.residuals = residuals if residuals.is_file() else None
 
     def _run(self) -> None:
-        with self._view:
+        with self.view:
             with tempfile.TemporaryDirectory(prefix="tagid-replay-") as folder:
                 try:
                     self._replay(Path(folder))
@@ -162,12 +145,12 @@ class ReplayRun(Run):
                     # A recording that ends within a turn; what it shows is read below.
                     if self._stop.is_set():
                         raise
-            answer = read(self._setup, self._path, watcher=self._view)
+            answer = read(self._setup, self._path, watcher=self.view)
             if answer.error is not None:
                 raise answer.error
-            self._remark = "; ".join(answer.remarks)
+            self.remark = "; ".join(answer.remarks)
             drawn = draw(answer, None)
-        self._view.show(drawn.result.image)
+        self.view.show(drawn.result.image)
 
     def _replay(self, folder: Path) -> None:
         capture = self._given
@@ -182,12 +165,8 @@ class ReplayRun(Run):
             max_seconds=self._seconds + 1.0,
             motion="free",
         )
-        view = self._view
-
-        def resolve(capture: Capture, motion: str) -> Capture:
-            return resolve_turn(capture, motion)
-
-        watch = Watch(resolve=view.resolving(resolve), began=view.began, stop=self._stop.is_set)
+        view = self.view
+        watch = Watch(resolve=view.resolving(resolve_turn), began=view.began, stop=self._stop.is_set)
         record_turn(place, plan, self.motion, watch)
 
 

@@ -10,25 +10,16 @@ from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
-from starlette.routing import BaseRoute, Route
+from starlette.responses import FileResponse, Response, StreamingResponse
 from starlette.types import Send
 
 from tagid.report.picture import thumbnail
 from tagid.station import wire
 from tagid.station.errors import NoSuchItemError
 from tagid.station.reports import MEDIA, ReportRun
-from tagid.station.requests import (
-    as_json,
-    attached,
-    body,
-    entries_of,
-    filter_of,
-    key_of,
-    number_in,
-)
+from tagid.station.requests import Operations, attached, body, entries_of, filter_of, key_of, number_in
 from tagid.station.station import Station
-from tagid.storage.history import Filter, HistoryEntry, csv_text
+from tagid.storage.history import HistoryEntry, csv_text
 
 REPORT_POLICY = (
     "sandbox allow-scripts; default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
@@ -37,128 +28,145 @@ REPORT_POLICY = (
 """Content policy of a report's page. The sandbox gives it an origin of its own, so that it can neither read
 the station's page nor call its API; the page's own policy allows only its own script and style, by hash."""
 _CHUNK = 1 << 18
+API = Operations()
+_HISTORY = "/api/v1/history"
+_ENTRY = f"{_HISTORY}/{{number:number}}"
+_REPORT = "/api/v1/reports/{number:number}"
+_FILTERS: tuple[wire.Json, ...] = (
+    *(
+        {"name": name, "in": "query", "schema": {"type": "string"}}
+        for name in ("status", "layout", "file", "since", "until")
+    ),
+    {"name": "limit", "in": "query", "schema": {"type": "integer"}},
+    {
+        "name": "entries",
+        "in": "query",
+        "schema": {"type": "string"},
+        "description": "Numbers of entries, separated by commas.",
+    },
+)
 
 
-class HistoryHandlers:
-    """The history and reports.
-
-    Args:
-        station: whose history it is.
-    """
-
-    def __init__(self, station: Station) -> None:
-        self._station = station
-
-    def routes(self) -> list[BaseRoute]:
-        """The routes of the handlers."""
-        report = "/api/v1/reports/{number:number}"
-        return [
-            Route("/api/v1/history", self.history, methods=["GET"]),
-            Route("/api/v1/history.csv", self.history_csv, methods=["GET"]),
-            Route("/api/v1/history.json", self.history_json, methods=["GET"]),
-            Route("/api/v1/history/captures.zip", self.captures, methods=["GET"]),
-            Route("/api/v1/history/{number:number}/picture", self.picture, methods=["GET"]),
-            Route("/api/v1/history/{number:number}/thumbnail", self.thumbnail, methods=["GET"]),
-            Route("/api/v1/history/{number:number}/residuals", self.residuals, methods=["GET"]),
-            Route("/api/v1/history/{number:number}/capture", self.capture, methods=["GET"]),
-            Route("/api/v1/history/{number:number}/replay", self.replay, methods=["POST"]),
-            Route("/api/v1/reports", self.start, methods=["POST"]),
-            Route("/api/v1/reports/stop", self.stop, methods=["POST"]),
-            Route(report, self.state, methods=["GET"]),
-            *(Route(f"{report}/{name}", self.file, name=name, methods=["GET"]) for name in MEDIA),
+@API.get(_HISTORY, "Identifications, newest first", "History", *_FILTERS)
+async def history(station: Station, request: Request) -> wire.Json:
+    entries = await _entries(station, request)
+    available = await run_in_threadpool(station.available, entries)
+    names = ("has_capture", "has_picture", "has_residuals")
+    return {
+        "items": [
+            entry.to_json() | dict(zip(names, given, strict=True))
+            for entry, given in zip(entries, available, strict=True)
         ]
+    }
 
-    async def history(self, request: Request) -> Response:
-        entries = await self._entries(request)
-        return as_json(await run_in_threadpool(self._listed, entries))
 
-    async def history_csv(self, request: Request) -> Response:
-        text = csv_text(await self._entries(request))
-        return attached(text, "text/csv; charset=utf-8", "tagid-history.csv")
+@API.get(f"{_HISTORY}.csv", "The same as a table", "text/csv", *_FILTERS)
+async def history_csv(station: Station, request: Request) -> Response:
+    text = csv_text(await _entries(station, request))
+    return attached(text, "text/csv; charset=utf-8", "tagid-history.csv")
 
-    async def history_json(self, request: Request) -> Response:
-        text = wire.to_text(_items(await self._entries(request)))
-        return attached(text, "application/json", "tagid-history.json")
 
-    async def picture(self, request: Request) -> Response:
-        content = await run_in_threadpool(self._station.picture, number_in(request))
-        return Response(content, media_type="image/png")
+@API.get(f"{_HISTORY}.json", "The same as a JSON file", "application/json", *_FILTERS)
+async def history_json(station: Station, request: Request) -> Response:
+    text = wire.to_text(_items(await _entries(station, request)))
+    return attached(text, "application/json", "tagid-history.json")
 
-    async def thumbnail(self, request: Request) -> Response:
-        content = await run_in_threadpool(lambda: thumbnail(self._station.picture(number_in(request))))
-        return Response(content, media_type="image/png")
 
-    async def residuals(self, request: Request) -> Response:
-        content = await run_in_threadpool(self._station.residuals, number_in(request))
-        return Response(content, media_type="image/png")
+@API.get(
+    f"{_HISTORY}/captures.zip",
+    "The captures of the same entries with their table",
+    "application/zip",
+    *_FILTERS,
+    missing=True,
+)
+async def captures(station: Station, request: Request) -> Response:
+    entries = await _entries(station, request)
+    paths = await run_in_threadpool(station.captures, tuple(entry.id for entry in entries))
+    if not paths:
+        raise NoSuchItemError("none of the captures is on this computer", "Select others.")
+    headers = {"content-disposition": 'attachment; filename="tagid-captures.zip"'}
+    return _Stream(archive(paths, entries), headers)
 
-    async def replay(self, request: Request) -> Response:
-        key = key_of(await body(request))
-        number = await run_in_threadpool(self._station.start_replay, key, number_in(request))
-        return JSONResponse({"number": number}, status_code=202)
 
-    async def capture(self, request: Request) -> Response:
-        path = await run_in_threadpool(self._station.capture, number_in(request))
-        return FileResponse(path, media_type="application/x-hdf5", filename=path.name)
+@API.get(f"{_ENTRY}/picture", "The picture of an identification", "image/png", missing=True)
+async def picture(station: Station, request: Request) -> bytes:
+    return await run_in_threadpool(station.picture, number_in(request))
 
-    async def captures(self, request: Request) -> Response:
-        """The captures of a selection with the list of their answers, as one archive."""
-        entries = await self._entries(request)
-        numbers = tuple(entry.id for entry in entries)
-        paths = await run_in_threadpool(self._station.captures, numbers)
-        if not paths:
-            raise NoSuchItemError("none of the captures is on this computer", "Select others.")
-        headers = {"content-disposition": 'attachment; filename="tagid-captures.zip"'}
-        return _Stream(archive(paths, entries), headers)
 
-    async def start(self, request: Request) -> Response:
-        asked = await body(request)
-        entries = entries_of(asked.get("entries"))
-        run = await run_in_threadpool(self._station.start_report, key_of(asked), entries)
-        return JSONResponse({"number": run.number, "left_out": run.left_out}, status_code=202)
+@API.get(f"{_ENTRY}/thumbnail", "The same, small and without axes", "image/png", missing=True)
+async def small_picture(station: Station, request: Request) -> bytes:
+    return await run_in_threadpool(lambda: thumbnail(station.picture(number_in(request))))
 
-    async def stop(self, request: Request) -> Response:
-        self._station.operate(key_of(await body(request)))
-        if (run := self._station.reports.newest) is not None:
-            run.stop()
-        return JSONResponse({}, status_code=202)
 
-    async def state(self, request: Request) -> Response:
-        return as_json(wire.report(self._run(request)))
+@API.get(f"{_ENTRY}/residuals", "What its hypotheses leave of the echo, a picture", "image/png", missing=True)
+async def residuals(station: Station, request: Request) -> bytes:
+    return await run_in_threadpool(station.residuals, number_in(request))
 
-    async def file(self, request: Request) -> Response:
-        """A file of a report: its name is a constant of the route."""
-        run = self._run(request)
-        name = Path(request.url.path).name
-        if not run.complete or name not in MEDIA:
-            raise NoSuchItemError("the report is not complete", "Wait for its end.")
-        path = run.folder / name
-        if not path.is_file():
-            raise NoSuchItemError("the report was removed")
-        if name == "report.html":
-            headers = {"content-security-policy": REPORT_POLICY}
-            return FileResponse(path, media_type=MEDIA[name], headers=headers)
-        return FileResponse(path, media_type=MEDIA[name], filename=f"report-{run.number}-{name}")
 
-    def _run(self, request: Request) -> ReportRun:
-        run = self._station.reports.get(number_in(request))
-        if run is None:
-            raise NoSuchItemError("there is no such report", "Begin one with POST /api/v1/reports.")
-        return run
+@API.get(f"{_ENTRY}/capture", "The capture of an identification", "application/x-hdf5", missing=True)
+async def capture(station: Station, request: Request) -> Response:
+    path = await run_in_threadpool(station.capture, number_in(request))
+    return FileResponse(path, media_type="application/x-hdf5", filename=path.name)
 
-    def _listed(self, entries: list[HistoryEntry]) -> wire.Json:
-        """Entries with whether their capture and pictures can be requested."""
-        available = self._station.available(entries)
-        return {
-            "items": [
-                entry.to_json() | {"has_capture": capture, "has_picture": picture, "has_residuals": residuals}
-                for entry, (capture, picture, residuals) in zip(entries, available, strict=True)
-            ]
-        }
 
-    async def _entries(self, request: Request) -> list[HistoryEntry]:
-        wanted: Filter = filter_of(request)
-        return await run_in_threadpool(self._station.history, wanted)
+@API.post(f"{_ENTRY}/replay", "Show a capture as if it was recorded now", "Keyed", 202, "Started")
+async def replay(station: Station, request: Request) -> wire.Json:
+    key = key_of(await body(request))
+    return {"number": await run_in_threadpool(station.start_replay, key, number_in(request))}
+
+
+@API.post(
+    "/api/v1/reports", "Begin a report over entries of the history", "ReportStart", 202, "ReportStarted"
+)
+async def start(station: Station, request: Request) -> wire.Json:
+    asked = await body(request)
+    entries = entries_of(asked.get("entries"))
+    run = await run_in_threadpool(station.start_report, key_of(asked), entries)
+    return {"number": run.number, "left_out": run.left_out}
+
+
+@API.post("/api/v1/reports/stop", "Stop the report; finished captures are in it", "Keyed", 202, "Empty")
+async def stop(station: Station, request: Request) -> wire.Json:
+    station.operate(key_of(await body(request)))
+    if (run := station.reports.newest) is not None:
+        run.stop()
+    return {}
+
+
+@API.get(_REPORT, "Progress of a report", "Report", missing=True)
+async def state(station: Station, request: Request) -> wire.Json:
+    return wire.report(_run(station, request))
+
+
+async def file(station: Station, request: Request) -> Response:
+    """A file of a report: its name is a constant of the route."""
+    run = _run(station, request)
+    name = Path(request.url.path).name
+    if not run.complete or name not in MEDIA:
+        raise NoSuchItemError("the report is not complete", "Wait for its end.")
+    path = run.folder / name
+    if not path.is_file():
+        raise NoSuchItemError("the report was removed")
+    if name == "report.html":
+        headers = {"content-security-policy": REPORT_POLICY}
+        return FileResponse(path, media_type=MEDIA[name], headers=headers)
+    return FileResponse(path, media_type=MEDIA[name], filename=f"report-{run.number}-{name}")
+
+
+for _name, _media in MEDIA.items():
+    _summary = f"{_name} of a complete report"
+    API.get(f"{_REPORT}/{_name}", _summary, _media.partition(";")[0], missing=True)(file)
+
+
+def _run(station: Station, request: Request) -> ReportRun:
+    run = station.reports.get(number_in(request))
+    if run is None:
+        raise NoSuchItemError("there is no such report", "Begin one with POST /api/v1/reports.")
+    return run
+
+
+async def _entries(station: Station, request: Request) -> list[HistoryEntry]:
+    return await run_in_threadpool(station.history, filter_of(request))
 
 
 class _Stream(StreamingResponse):

@@ -11,8 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid._version import __version__
+from tagid.commissioning.bench import Bench
 from tagid.commissioning.rows import Level, StepReport
-from tagid.commissioning.steps import STEPS
+from tagid.commissioning.steps import STEPS, next_step
+from tagid.config import data_folder
 from tagid.errors import TagidError
 from tagid.live.state import LiveState
 from tagid.pipeline.answer import Identification
@@ -20,13 +23,14 @@ from tagid.pipeline.enrollment import LayoutProposal, Measured, SignatureProposa
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.preview import resample
 from tagid.result import Problem, reworded, reworded_document
-from tagid.station.commissioning import Commissioning, CommissioningRun
+from tagid.rig import installed_profile
+from tagid.station.commissioning import CommissioningRun, StepProgress
 from tagid.station.enrolling import NEEDED, EnrolmentState, Taken
 from tagid.station.profile import ProfileRun
 from tagid.station.reports import ReportRun
 from tagid.station.scans import Run
-from tagid.station.settings import DEVICE_KINDS, Search, shown_settings
-from tagid.station.station import Health, Station
+from tagid.station.settings import DEVICE_KINDS, shown_settings
+from tagid.station.station import MAX_CONNECTIONS, Health, Station
 
 IMAGE_DB = 25.0
 SINOGRAM_DB = 30.0
@@ -55,7 +59,7 @@ def status(station: Station) -> Json:
         "demo": bool(station.source.demo),
         "operated": station.operators.taken,
         "connections": station.operators.connected,
-        "full": station.full,
+        "full": station.operators.connected >= MAX_CONNECTIONS,
         "scan": None if run is None else scan(run),
         "health": health(station.health),
         "enrolment": enrolment(station.enrolling.state),
@@ -63,14 +67,22 @@ def status(station: Station) -> Json:
     }
 
 
-def demo_objects(station: Station) -> list[Json]:
-    """The objects of a demonstration; empty with a real radar."""
-    return [{"name": demo_object.name, "words": demo_object.words} for demo_object in station.source.demo]
+def hello(station: Station, key: str) -> Json:
+    """What a new connection learns first: its key, and what does not change."""
+    objects = [{"name": item.name, "words": item.words} for item in station.source.demo]
+    return {
+        "type": "hello",
+        "key": key,
+        "version": __version__,
+        "palette": base64.b64encode(viridis(256).tobytes()).decode(),
+        "demo": bool(station.source.demo),
+        "objects": objects,
+    }
 
 
 def scan(run: Run) -> Json:
     """A scan and its result so far."""
-    state = run.state
+    state = run.view.state
     return {
         "number": run.number,
         "running": run.running,
@@ -83,17 +95,13 @@ def scan(run: Run) -> Json:
         "turn_share": state.turn_share,
         "views": state.views,
         "snr_db": None if state.snr_db is None else round(state.snr_db, 1),
-        "silent_s": round(run.silent_s, 1),
+        "silent_s": round(run.view.silent_s, 1),
         "note": state.note,
         "remark": run.remark,
         "file": run.file,
         "has_residuals": run.residuals is not None,
         "evidence": [
-            {
-                "layout": item.layout,
-                "log_evidence": round(item.log_evidence, 1),
-                "lead": round(item.lead, 1),
-            }
+            {"layout": item.layout, "log_evidence": round(item.log_evidence, 1), "lead": round(item.lead, 1)}
             for item in state.evidence
         ],
         "answer": None if state.answer is None else answer(state.answer),
@@ -141,7 +149,7 @@ def pictures(state: LiveState) -> Json:
 
 def frame(run: Run) -> Json:
     """A scan's state with its pictures, as sent to the page several times per second."""
-    return {"type": "frame", "scan": scan(run), **pictures(run.state)}
+    return {"type": "frame", "scan": scan(run), **pictures(run.view.state)}
 
 
 def profile(run: ProfileRun) -> Json:
@@ -155,38 +163,39 @@ def profile(run: ProfileRun) -> Json:
         "axis_m": shown.axis_m,
         "object_m": None if shown.object_m is None else list(shown.object_m),
         "scans": shown.scans,
-        "error": None if shown.error is None else error_entry(shown.error),
+        "error": error_entry(shown.error),
     }
 
 
 def step_progress(run: CommissioningRun | None) -> Json:
     """How far a step of the commissioning is."""
-    shown = None if run is None else run.progress
+    shown = StepProgress(None) if run is None else run.progress
     return {
         "running": run is not None and run.running,
-        "step": None if shown is None else shown.step,
-        "share": 0.0 if shown is None else round(shown.share, 3),
-        "remark": "" if shown is None else shown.remark,
-        "error": None if shown is None or shown.error is None else error_entry(shown.error),
+        "step": shown.step,
+        "share": round(shown.share, 3),
+        "remark": shown.remark,
+        "error": error_entry(shown.error),
     }
 
 
 def commissioning(station: Station) -> Json:
     """All steps of the commissioning. Raises ConfigError, StorageError."""
-    state = Commissioning.stored(station.source.place().config)
+    bench = Bench(station.source.place().config, {})
+    reports, profile = bench.reports(), installed_profile(data_folder())
     return {
         "steps": [
             {
                 "name": step.name,
                 "title": step.title,
                 "prepare": step.prepare,
-                "report": _step_report(state.reports.get(step.name)),
+                "report": _step_report(reports.get(step.name)),
             }
             for step in STEPS
         ],
-        "next": state.following,
-        "tape": asdict(state.tape),
-        "profile": None if state.profile is None else state.profile.day,
+        "next": next_step(bench).name,
+        "tape": asdict(bench.tape),
+        "profile": None if profile is None else profile.day,
         "progress": step_progress(station.commissioning),
     }
 
@@ -210,60 +219,34 @@ def _step_report(report: StepReport | None) -> Json | None:
 
 def settings(station: Station) -> Json:
     """The settings of the page, and what the last searches found. Raises ConfigError, StorageError."""
-    shown = shown_settings(station.source.place().config)
-    searches = station.settings.found
+    searches = station.settings.searches
     return {
-        "items": [
-            {"name": setting.name, "value": setting.value, "fixed": setting.fixed} for setting in shown
-        ],
-        "found": {kind: _search(searches[kind]) if kind in searches else None for kind in DEVICE_KINDS},
+        "items": [asdict(setting) for setting in shown_settings(station.source.place().config)],
+        "found": {kind: asdict(searches[kind]) if kind in searches else None for kind in DEVICE_KINDS},
     }
-
-
-def _search(search: Search) -> Json:
-    devices = [
-        {"url": device.url, "text": device.text, "problem": device.problem} for device in search.devices
-    ]
-    return {"devices": devices, "note": search.note}
 
 
 def health(state: Health) -> Json:
     """The last health check."""
     return {
         "checked": state.checked_at is not None,
-        "findings": [
-            {
-                "topic": finding.topic,
-                "level": finding.level,
-                "text": finding.text,
-                "remedy": finding.remedy,
-                "answers": finding.answers,
-            }
-            for finding in state.findings
-        ],
+        "findings": [asdict(finding) for finding in state.findings],
         "recovered_scan": state.recovered,
-        "wiring": None
-        if state.wiring is None
-        else {"cable": state.wiring.cable, "url": state.wiring.url, "steps": list(state.wiring.steps)},
+        "wiring": None if state.wiring is None else asdict(state.wiring),
     }
 
 
 def enrolment(state: EnrolmentState) -> Json:
     """The enrollment."""
-    subject, stored = state.subject, state.stored
     return {
-        "subject": None
-        if subject is None
-        else {"name": subject.name, "kind": subject.kind, "label": subject.label},
+        "subject": None if state.subject is None else asdict(state.subject),
         "needed": NEEDED,
         "captures": [_taken(capture) for capture in state.captures],
         "measuring": state.measuring,
-        "trouble": None if state.trouble is None else error_entry(state.trouble),
+        "trouble": error_entry(state.trouble),
         "remarks": _remarks(state),
         "proposal": None if state.proposal is None else proposal(state.proposal, state.measured),
-        "stored": None
-        if stored is None
-        else {"name": stored.name, "registry_version": stored.version, "has_layout": stored.has_layout},
+        "stored": None if state.stored is None else asdict(state.stored),
         "undone": state.undone,
     }
 
@@ -284,50 +267,36 @@ def _taken(taken: Taken) -> Json:
         "reflectors": None if taken.sighted is None else len(taken.sighted.sighting.positions),
         "status": taken.answer.status,
         "layout": None if reading is None else reading.layout,
-        "error": None if taken.error is None else error_entry(taken.error),
+        "error": error_entry(taken.error),
     }
 
 
 def proposal(proposed: LayoutProposal | SignatureProposal, measured: Measured | None) -> Json:
     """What an enrollment would store, compared with its neighbours."""
-    can_store = proposed.taken is None and proposed.conflict is None
-    if isinstance(proposed, SignatureProposal):
-        return {
-            "ready": can_store,
-            "reflectors": [],
-            "spread_m": [],
-            "signature": True,
-            "confusion_rate": None,
-            "reference": None,
-            "nearest": [
-                {
-                    "name": likeness.second,
-                    "worst_m": None,
-                    "difference": likeness.difference,
-                    "confusable": likeness.alike,
-                }
-                for likeness in proposed.likenesses[:_NEAREST]
-            ],
-        }
-    estimate = None if measured is None else measured.estimate
-    layout, outlook = proposed.layout, proposed.outlook
-    return {
-        "ready": can_store,
-        "reflectors": [{"x_m": float(x), "y_m": float(y)} for x, y in layout.positions],
-        "spread_m": [] if estimate is None else [float(value) for value in estimate.spread_m],
-        "signature": proposed.signature is not None,
-        "confusion_rate": outlook.unresolved,
-        "reference": {"views": outlook.conditions.views, "snr_db": outlook.conditions.snr_db},
-        "nearest": [
-            {
-                "name": neighbour.name,
-                "worst_m": neighbour.distance.worst_m,
-                "difference": None,
-                "confusable": neighbour.confusable,
-            }
-            for neighbour in outlook.neighbours[:_NEAREST]
-        ],
+    shown: Json = {
+        "ready": proposed.taken is None and proposed.conflict is None,
+        "reflectors": [],
+        "spread_m": [],
+        "signature": True,
+        "confusion_rate": None,
+        "reference": None,
     }
+    nearest: list[tuple[str, float | None, float | None, bool]]
+    if isinstance(proposed, SignatureProposal):
+        nearest = [(item.second, None, item.difference, item.alike) for item in proposed.likenesses]
+    else:
+        estimate = None if measured is None else measured.estimate
+        outlook, conditions = proposed.outlook, proposed.outlook.conditions
+        shown |= {
+            "reflectors": [{"x_m": float(x), "y_m": float(y)} for x, y in proposed.layout.positions],
+            "spread_m": [] if estimate is None else [float(value) for value in estimate.spread_m],
+            "signature": proposed.signature is not None,
+            "confusion_rate": outlook.unresolved,
+            "reference": {"views": conditions.views, "snr_db": conditions.snr_db},
+        }
+        nearest = [(item.name, item.distance.worst_m, None, item.confusable) for item in outlook.neighbours]
+    names = ("name", "worst_m", "difference", "confusable")
+    return {**shown, "nearest": [dict(zip(names, item, strict=True)) for item in nearest[:_NEAREST]]}
 
 
 def report(run: ReportRun) -> Json:
@@ -340,18 +309,13 @@ def report(run: ReportRun) -> Json:
         "complete": run.complete,
         "folder": str(run.folder),
         "left_out": run.left_out,
-        "error": None if run.error is None else error_entry(run.error),
+        "error": error_entry(run.error),
     }
 
 
-def error_entry(error: TagidError) -> Json:
-    """An error: code, message and remedy."""
-    return Problem.of(error).to_json()
-
-
-def palette() -> str:
-    """(256, 3) uint8 colours of the levels, in base64."""
-    return base64.b64encode(viridis(256).tobytes()).decode()
+def error_entry(error: TagidError | None) -> Json | None:
+    """An error: code, message and remedy; null if there is none."""
+    return None if error is None else Problem.of(error).to_json()
 
 
 def to_text(value: Json) -> str:

@@ -32,10 +32,8 @@ def picture_grid(
         y = top + i * (side + 46)
         for j, values in enumerate(line):
             x = remaining + j * (side + gap)
-            axes = Axes(
-                canvas, (x, y, x + side, y + side), (-extent / 2, extent / 2), (-extent / 2, extent / 2)
-            )
-            axes.raster(colourise(to_decibels(np.abs(values), DYNAMIC_RANGE_DB)[::-1], DYNAMIC_RANGE_DB))
+            decibels = to_decibels(np.abs(values), DYNAMIC_RANGE_DB)[::-1]
+            canvas.raster((x, y, x + side, y + side), colourise(decibels, DYNAMIC_RANGE_DB))
             canvas.line([(x, y), (x + side, y), (x + side, y + side), (x, y + side), (x, y)], INK, 1)
         for k, word in enumerate(_wrap(rows[i], 12)):
             canvas.text((8, y + 14 + 20 * k), word, 16)

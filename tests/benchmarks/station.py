@@ -224,7 +224,7 @@ def scan_once(station: Station, place: Path) -> None:
     station.start(None)
     assert station.scan is not None
     station.scan.join(300)
-    state = station.scan.state
+    state = station.scan.view.state
     named = state.answer is not None and state.answer.status == "identified"
     assert named, state.answer or state.note
     for path in place.iterdir():

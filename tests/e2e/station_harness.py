@@ -21,7 +21,7 @@ import pytest
 
 from tagid.doctor import Finding
 from tagid.operate.workplace import Workplace
-from tagid.station import server, web
+from tagid.station import server, web_scans
 from tagid.station.security import UPLOAD_PATH
 from tagid.station.server import Server
 from tagid.station.station import Source, Station
@@ -159,7 +159,7 @@ def stations(place: Path, patch: pytest.MonkeyPatch) -> Iterator[Callable[..., S
     """For a fixture: a function that starts stations; afterwards none of their threads may be left."""
     patch.setenv("TAGID_DATA", str(place / "data"))
     patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
-    patch.setattr(web, "GUESS_S", 0.0)
+    patch.setattr(web_scans, "GUESS_S", 0.0)
     patch.setattr(server, "PING_S", 120.0)  # clients here answer a ping when they next read
     (place / "out").mkdir()
     open_ones: list[Server] = []

@@ -154,11 +154,11 @@ def test_a_station_and_a_program_answer_as_identify_does(
     assert plain(answer.to_dict()) == identified(tagid, answer.file) and not answer.notes
     station = Station(StationSource(lambda: Workplace(settings)), lambda config: [])
     station.start(None, "")
-    run = station._scan
+    run = station.scan
     assert isinstance(run, ScanRun)
     run.join(120)
     newest = station.history(Filter(limit=1))[0]
-    shown = run.state.answer
+    shown = run.view.state.answer
     assert shown is not None and newest.status == shown.status
     assert plain(shown.to_dict()) == plain(identified(tagid, newest.file), *OF_THE_FILE)
 

@@ -28,7 +28,7 @@ from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
 from tagid.operate.workplace import Workplace
 from tagid.pipeline.answer import Identification
-from tagid.station import operators, scans, server, web, wire
+from tagid.station import operators, scans, server, web_scans, wire
 from tagid.station.errors import InterlockError
 from tagid.station.openapi import document
 from tagid.station.requests import refusal_of
@@ -253,7 +253,7 @@ def test_a_device_needs_a_token_on_every_request_and_gets_it_with_the_code(serve
 def test_all_guesses_have_one_limit_and_a_right_code_its_turn(serve, monkeypatch: pytest.MonkeyPatch) -> None:
     codes: list[str] = []
     station = serve(announce=codes.append)
-    monkeypatch.setattr(web, "GUESS_S", 0.1)
+    monkeypatch.setattr(web_scans, "GUESS_S", 0.1)
     client, stop, wrong = asks(station, **OWN), threading.Event(), [0] * 10
     began = time.monotonic()
 
@@ -300,7 +300,7 @@ def test_guessers_of_many_addresses_do_not_end_the_code_of_one_that_has_a_single
     monkeypatch.setattr(server, "MAX_SOCKETS", 10)
     codes: list[str] = []
     first, stop = serve(announce=codes.append), threading.Event()
-    monkeypatch.setattr(web, "GUESS_S", 0.1)
+    monkeypatch.setattr(web_scans, "GUESS_S", 0.1)
 
     def pair(address: str, code: str) -> int:
         client = HTTPConnection("127.0.0.1", first.port, timeout=WAIT_S, source_address=(address, 0))

@@ -317,14 +317,15 @@ def test_a_disk_that_fills_up_leaves_the_old_page(make_report, captures: Path, t
     page = tmp_path / "report" / "report.html"
     before = page.read_bytes()
     code = (
-        "import resource, sys\nfrom pathlib import Path\nfrom tagid.batch.spool import Spool\n"
-        "from tagid.errors import DiskFullError\nfrom tagid.report.page import PageSettings, write_page\n"
+        "import resource, sys\nfrom dataclasses import replace\nfrom pathlib import Path\n"
+        "from tagid.batch.spool import Spool\nfrom tagid.errors import DiskFullError\n"
+        "from tagid.report.page import PageSettings, write_page\n"
         "import json\nout = Path(sys.argv[1])\n"
         "with Spool(out / '.tagid-report.sqlite', fresh=False) as spool:\n"
         f"    resource.setrlimit(resource.RLIMIT_FSIZE, ({len(before) // 2},) * 2)\n"
         "    summary = json.loads((out / 'summary.json').read_text())\n"
-        "    try: write_page(out / 'report.html', spool,"
-        " lambda item: item.record.judged(None), summary, PageSettings('new'))\n"
+        "    items = lambda: (replace(item, record=item.record.judged(None)) for item in spool.items())\n"
+        "    try: write_page(out / 'report.html', items, spool.pictures, summary, PageSettings('new'))\n"
         "    except DiskFullError as error: print(error)\n"
     )
     done = subprocess.run(

@@ -19,7 +19,7 @@ from tagid.batch.expected import read_manifest
 from tagid.batch.inputs import collect
 from tagid.batch.run import BatchPlan, run_batch
 from tagid.report.page import PageSettings, write_page
-from tagid.report.records import Drawing, ItemRecord, StoredItem, Thumbnails
+from tagid.report.records import ItemRecord, StoredItem
 
 pytest.importorskip("selenium.webdriver")
 from selenium.webdriver.common.by import By
@@ -244,26 +244,26 @@ def test_thousands_of_items_stay_responsive(show, tmp_path: Path, report: Path) 
     """5000 objects: a page of bounded size, few elements in the table, and work in well under a second."""
     with (report / "items.jsonl").open() as file:
         models = [{**json.loads(line), "expected": None, "correct": None} for line in file]
-    drawing = Drawing("bp", 0.5, [0, 0], 30.0, [], [0, 1], None, 12, 30.0)
+    drawing = {"method": "bp", "extent_m": 0.5, "centre_m": [0, 0], "image_db": 30.0, "layout_m": []}
+    drawing |= {"range_m": [0, 1], "angle_deg": None, "views": 12, "sinogram_db": 30.0}
     raster = io.BytesIO()
     noise = np.random.default_rng(0).integers(0, 32, (96, 96), dtype=np.uint8)
     Image.fromarray(noise).convert("P").save(raster, "PNG")
     count = 5000
 
-    class Many:
-        def items(self) -> Iterator[StoredItem]:
-            for number in range(count):
-                model = models[number % len(models)]
-                record = ItemRecord({**model, "file": f"object {number}", "score": number / count})
-                yield StoredItem(number, record, drawing, 2 * len(raster.getvalue()))
+    def many() -> Iterator[StoredItem]:
+        for number in range(count):
+            model = models[number % len(models)]
+            record = ItemRecord({**model, "file": f"object {number}", "score": number / count})
+            yield StoredItem(number, record, drawing, 2 * len(raster.getvalue()))
 
-        def pictures(self, position: int) -> Thumbnails:
-            return Thumbnails(raster.getvalue(), raster.getvalue(), drawing)
+    def pictures(position: int) -> tuple[bytes, bytes]:
+        return raster.getvalue(), raster.getvalue()
 
     summary = {**json.loads((report / "summary.json").read_text()), "expected": None}
     out = tmp_path / "many"
     out.mkdir()
-    write_page(out / "report.html", Many(), lambda item: item.record, summary, PageSettings(megabytes=4.0))
+    write_page(out / "report.html", many, pictures, summary, PageSettings(megabytes=4.0))
     assert (out / "report.html").stat().st_size < 4e6 + count * 3000
     page = show(out)
     assert page.find_element(By.ID, "count").text == "5000 files"

@@ -49,7 +49,7 @@ from pathlib import Path
 from tagid.batch.spool import Spool
 from tagid.errors import TagidError
 from tagid.recording.session import start_journal
-from tagid.report.lines import GrowingLines
+from tagid.batch.run import GrowingLines
 from tagid.storage.history import History
 from tagid.enrolling.registry import Registry
 for kind, name in (

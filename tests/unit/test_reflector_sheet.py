@@ -11,7 +11,17 @@ import pytest
 
 from tagid.errors import UsageError
 from tagid.report.drafting import Line
-from tagid.report.reflector_sheet import check_size, cross_section, net, sheet, solid, to_stl
+from tagid.report.reflector_sheet import (
+    EDGES,
+    TABS,
+    TRIANGLES,
+    check_size,
+    cross_section,
+    net,
+    sheet,
+    solid,
+    to_stl,
+)
 from tagid.simulate.response import Ring
 from tagid.simulate.scatterers import Octahedron
 from train.fullwave import Sweep, shapes, solve_response
@@ -54,12 +64,12 @@ def folded(points: np.ndarray, triangles: tuple[tuple[int, int, int], ...]) -> n
 def test_the_net_folds_to_an_octahedron_of_the_size(size_m: float) -> None:
     single = net(size_m)
     edge = size_m * 1e3 / np.sqrt(2)
-    lengths = [np.linalg.norm(single.points[a] - single.points[b]) for a, b in single.edges]
-    assert np.allclose(lengths, edge) and sorted(single.edges.values()).count(2) == 7
+    lengths = [np.linalg.norm(single[a] - single[b]) for a, b in EDGES]
+    assert np.allclose(lengths, edge) and sorted(EDGES.values()).count(2) == 7
     # Of the ten free edges, five pairs are glued: one tab each.
-    free = {pair for pair, count in single.edges.items() if count == 1}
-    assert len(free) == 10 and len(single.tabs) == 5 and {tuple(sorted(t)) for t in single.tabs} < free
-    faces = folded(single.points, single.triangles)
+    free = {pair for pair, count in EDGES.items() if count == 1}
+    assert len(free) == 10 and len(TABS) == 5 and {tuple(sorted(t)) for t in TABS} < free
+    faces = folded(single, TRIANGLES)
     corners = faces.reshape(-1, 3)
     tips = corners[[0]]
     for corner in corners:
@@ -71,8 +81,8 @@ def test_the_net_folds_to_an_octahedron_of_the_size(size_m: float) -> None:
     middles = faces.mean(axis=1)
     assert len({tuple(np.round(m, 3)) for m in middles}) == 8  # no face lies on another
     # A seam's two edges come together: a tab's edge coincides with another free edge.
-    tips_of = {i: faces[n][list(t).index(i)] for n, t in enumerate(single.triangles) for i in t}
-    for start, end in single.tabs:
+    tips_of = {i: faces[n][list(t).index(i)] for n, t in enumerate(TRIANGLES) for i in t}
+    for start, end in TABS:
         pair = {tuple(np.round(tips_of[start], 6)), tuple(np.round(tips_of[end], 6))}
         twins = [f for f in free if {tuple(np.round(tips_of[i], 6)) for i in f} == pair]
         assert len(twins) == 2

@@ -67,25 +67,6 @@ def test_a_console_without_colours_gets_characters() -> None:
     assert not colour_wanted(latin)
 
 
-@pytest.mark.parametrize(
-    ("variables", "blocks"),
-    [
-        ({"TERM": "xterm-256color"}, True),
-        ({"TERM": "xterm-256color", "NO_COLOR": "1"}, False),
-        ({"TERM": "dumb"}, False),
-        ({}, False),
-    ],
-)
-def test_the_environment_decides_where_nothing_is_said(
-    monkeypatch: pytest.MonkeyPatch, variables: dict[str, str], blocks: bool
-) -> None:
-    for name in ("TERM", "NO_COLOR"):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value)
-    assert ("▀" in preview(point(1, 1), 0.5).plain) == blocks
-
-
 def test_resample_takes_the_largest_and_repeats_upwards() -> None:
     values = np.array([[1.0, 5.0, 2.0], [0.0, 0.0, 7.0]])
     assert resample(values, 1, 1).tolist() == [[7.0]]
@@ -103,6 +84,6 @@ def test_no_line_is_wider_than_asked() -> None:
 
 def test_nonsense_is_refused() -> None:
     with pytest.raises(UsageError):
-        preview(np.ones((3, 3)), 0.5, width=3)
+        preview(np.ones((3, 3)), 0.5, width=3, colour=False)
     with pytest.raises(DataError):
-        preview(np.full((3, 3), np.inf), 0.5)
+        preview(np.full((3, 3), np.inf), 0.5, colour=False)

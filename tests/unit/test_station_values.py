@@ -56,7 +56,7 @@ def test_a_scan_is_described_in_degrees_with_rounded_evidence(
     place = Workplace({"radar.url": "emulator://empty", "motion.url": "free?rpm=2", "imaging.method": "bp"})
     run = ScanRun(3, place, RecordingPlan(None, 1.0), threading.Lock())
     evidence = LayoutEvidence("b", 30.04, 12.04), LayoutEvidence("c", 18.0, -12.04)
-    run._view._publish(phase=Phase.TURNING, turned_rad=2.5 * np.pi, evidence=evidence)
+    run.view._publish(phase=Phase.TURNING, turned_rad=2.5 * np.pi, evidence=evidence)
     described = wire.scan(run)
     assert (described["turned_deg"], described["turn_share"]) == (450.0, 1.0)
     assert described["evidence"] == [
@@ -73,13 +73,13 @@ def test_only_a_radar_that_the_recording_waits_for_is_silent(
     run = ScanRun(1, place, RecordingPlan(None, 1.0), threading.Lock())
     stream = ScanStream(cast(Session, None))
     run._watch().began(stream)
-    assert run.silent_s == 0, "before the first scan"
+    assert run.view.silent_s == 0, "before the first scan"
     stream.append(cast(Scan, None))
-    assert run.silent_s == 0, "the recording searches its scans for a turn, and may end with them"
+    assert run.view.silent_s == 0, "the recording searches its scans for a turn, and may end with them"
     stream.await_next()
-    assert run.silent_s > 0
+    assert run.view.silent_s > 0
     stream.end()
-    assert run.silent_s == 0
+    assert run.view.silent_s == 0
     for error, failed in ((DeviceError("no answer", ""), True), (DataError("no tag", ""), False)):
         run._fail(error)
         assert run.device_failed == failed, "only a device that failed is checked at once"

@@ -196,7 +196,7 @@ def test_an_angle_of_uncertain_scale_ends_no_scan(tmp_path: Path) -> None:
         watch = ending.watching(Watch())
         plan = RecordingPlan(config, 1.0, motion=URL, scans=150)
         capture = record(open_radar("emulator://helmet-120?rpm=30&seed=2"), motion, plan, path, watch)
-    assert capture.radar.ended == Ending("limit") and ending.looks == ()
+    assert capture.radar.ended == Ending("limit") and ending.looks == []
     assert "not calibrated" in ending.remark
 
 

@@ -2,18 +2,13 @@
 (() => {
   const byId = (id) => document.getElementById(id);
   // Everything from outside goes into the page as text, never as markup.
-  const make = (tag, attributes = {}, ...children) => {
-    const node = document.createElement(tag);
+  const maker = (space) => (tag, attributes = {}, ...children) => {
+    const node = document.createElementNS(space, tag);
     for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
     node.append(...children);
     return node;
   };
-  const draw = (tag, attributes = {}, ...children) => {
-    const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
-    for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
-    node.append(...children);
-    return node;
-  };
+  const make = maker("http://www.w3.org/1999/xhtml"), draw = maker("http://www.w3.org/2000/svg");
   const [POSITION, FILE, STATUS, LAYOUT, LABEL, SCORE, TURN, BOUND, CAVEATS, COPY, RECORDED, NOTE, WHY, REMEDY, EXPECTED,
     CORRECT, PICTURE] = Array(17).keys();
   const rows = JSON.parse(byId("row-data").textContent);

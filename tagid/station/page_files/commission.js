@@ -34,11 +34,9 @@ function stepRow(step) {
   const state = report ? (report.passed ? "passed" : "failed") : "open";
   const row = element("li", undefined, state);
   const head = element("p", undefined, "row");
-  const button = element("button", report ? "Repeat" : "Start");
-  button.type = "button";
+  const act = report ? "Repeat" : "Start";
+  const button = actButton(act, `${act}: ${step.title}`, () => runStep(step.name));
   button.dataset.step = step.name;
-  button.setAttribute("aria-label", `${report ? "Repeat" : "Start"}: ${step.title}`);
-  button.addEventListener("click", () => runStep(step.name));
   if (step.name === commissioning.next) row.setAttribute("aria-current", "step");
   head.append(element("b", step.title), element("span", state, `state ${state}`), button);
   row.append(head);
@@ -68,9 +66,7 @@ function stepRow(step) {
   return row;
 }
 
-function lastStep() {
-  return stepping ? stepping.step : null;
-}
+const lastStep = () => (stepping ? stepping.step : null);
 
 // The buttons and the bar, without drawing the results again.
 function showStepState() {

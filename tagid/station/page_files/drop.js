@@ -28,23 +28,21 @@ async function sendCapture(file) {
 }
 
 let over = 0;  // elements of the page that the dragged file is over
-const dragsFile = (event) => event.dataTransfer && [...event.dataTransfer.types].includes("Files");
-document.addEventListener("dragenter", (event) => {
-  if (!dragsFile(event)) return;
-  over += 1;
-  $("drop").hidden = false;
-});
-document.addEventListener("dragleave", (event) => {
-  if (!dragsFile(event)) return;
-  over = Math.max(over - 1, 0);
+function onDrag(kind, act) {
+  document.addEventListener(kind, (event) => {
+    if (event.dataTransfer && [...event.dataTransfer.types].includes("Files")) act(event);
+  });
+}
+function setOver(elements) {
+  over = Math.max(elements, 0);
   $("drop").hidden = over === 0;
-});
-document.addEventListener("dragover", (event) => { if (dragsFile(event)) event.preventDefault(); });
-document.addEventListener("drop", (event) => {
-  if (!dragsFile(event)) return;
+}
+onDrag("dragenter", () => setOver(over + 1));
+onDrag("dragleave", () => setOver(over - 1));
+onDrag("dragover", (event) => event.preventDefault());
+onDrag("drop", (event) => {
   event.preventDefault();
-  over = 0;
-  $("drop").hidden = true;
+  setOver(0);
   if (event.dataTransfer.files.length) sendCapture(event.dataTransfer.files[0]);
 });
 $("file-button").addEventListener("click", () => $("file").click());

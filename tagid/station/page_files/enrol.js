@@ -20,10 +20,7 @@ function showEnrolment() {
   const { subject, captures, needed, measuring, trouble, proposal, stored } = enrolment;
   if (document.activeElement !== document.body) recordHeld = document.activeElement === $("capture");
   const step = proposal && proposal.ready ? "check" : subject ? "record" : stored ? "done" : "name";
-  for (const name of ["name", "record", "check", "done"]) {
-    if (name === step) $(`step-${name}`).setAttribute("aria-current", "step");
-    else $(`step-${name}`).removeAttribute("aria-current");
-  }
+  for (const name of ["name", "record", "check", "done"]) setCurrent($(`step-${name}`), "step", name === step);
   $("done-part").hidden = Boolean(subject) || !(stored || enrolment.undone);
   if (stored) {
     setText("done-text", `${stored.name} is enrolled. The next scan of it shows its name.`);
@@ -46,12 +43,6 @@ function showEnrolment() {
   fill("trouble", JSON.stringify(trouble) + captures.length, words);
   fill("remarks", JSON.stringify(enrolment.remarks), enrolment.remarks.map((one) => element("li", one)));
   if (proposal) showProposal(subject, captures, proposal);
-}
-
-function fill(id, shown, nodes) {
-  if ($(id).dataset.shown === shown) return;
-  $(id).dataset.shown = shown;
-  $(id).replaceChildren(...nodes);
 }
 
 function showSubject(subject) {
@@ -93,11 +84,9 @@ function showCaptures(captures, needed, measuring) {
     const seen = one.error ? one.error.message : `${one.reflectors} reflectors`;
     const known = one.status === "identified" ? `, read as ${one.layout}: is it enrolled already?` : "";
     row.append(element("b", `Capture ${one.number}`), element("span", `${seen}${known}`, one.error || known ? "what bad" : "what"));
-    const button = element("button", "Remove");
-    button.type = "button";
-    button.setAttribute("aria-label", `Remove capture ${one.number}`);
+    const drop = () => post("enrolment/drop", { number: one.number }).then(received);
+    const button = actButton("Remove", `Remove capture ${one.number}`, drop);
     button.disabled = !mayAct() || measuring || running;
-    button.addEventListener("click", () => post("enrolment/drop", { number: one.number }).then(received));
     row.append(button);
     return row;
   }));
@@ -125,19 +114,13 @@ function showProposal(subject, captures, proposal) {
 
 // Seen from above, x to the right and y up, as in layout files; 1 unit is what fits the outermost on 90.
 function drawn(reflectors) {
-  const make = (tag, values, text) => {
-    const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
-    for (const [name, value] of Object.entries(values)) node.setAttribute(name, String(value));
-    if (text) node.textContent = text;
-    return node;
-  };
   const scale = 90 / Math.max(0.01, ...reflectors.map((one) => Math.hypot(one.x_m, one.y_m)));
   const nodes = [
-    make("line", { class: "axis", x1: -105, x2: 105, y1: 0, y2: 0 }), make("line", { class: "axis", x1: 0, x2: 0, y1: -105, y2: 105 }),
+    svgElement("line", { class: "axis", x1: -105, x2: 105, y1: 0, y2: 0 }), svgElement("line", { class: "axis", x1: 0, x2: 0, y1: -105, y2: 105 }),
   ];
   reflectors.forEach((one, i) => {
-    nodes.push(make("circle", { class: "spot", cx: scale * one.x_m, cy: -scale * one.y_m, r: 9 }));
-    nodes.push(make("text", { x: scale * one.x_m, y: 3 - scale * one.y_m }, String(i + 1)));
+    nodes.push(svgElement("circle", { class: "spot", cx: scale * one.x_m, cy: -scale * one.y_m, r: 9 }));
+    nodes.push(svgElement("text", { x: scale * one.x_m, y: 3 - scale * one.y_m }, String(i + 1)));
   });
   return nodes;
 }

@@ -30,8 +30,7 @@ function historyRow(one) {
   const row = element("li");
   const when = new Date(one.time_utc);
   const time = Number.isNaN(when.getTime()) ? one.time_utc : when.toLocaleString();
-  const scanned = one.command === "station" || one.command === "scan";
-  if (scanned) {
+  if (scanned(one)) {
     const label = element("label", undefined, "check");
     const box = element("input");
     box.type = "checkbox";
@@ -59,17 +58,11 @@ function historyRow(one) {
   if (one.label) who.append(element("span", ` ${one.label}`, "label"));
   about.append(who, element("span", time, "more"));
   const acts = element("span", undefined, "acts");
-  const button = (text, words, act) => {
-    const made = element("button", text);
-    made.type = "button";
-    made.setAttribute("aria-label", `${words} ${nameOf(one)}, ${time}`);
-    made.addEventListener("click", act);
-    acts.append(made);
-  };
+  const button = (text, words, act) => acts.append(actButton(text, `${words} ${nameOf(one)}, ${time}`, act));
   const path = `api/v1/history/${one.id}`;
   if (one.has_picture) button("Picture", "Picture of", () => showViewer(`${path}/picture`, nameOf(one), one));
   if (one.has_residuals) button("Hypotheses", "Hypotheses of", () => showViewer(`${path}/residuals`, "What the hypotheses leave of the echo", one));
-  if (one.has_capture && scanned) button("Replay", "Replay", () => replay(one));
+  if (one.has_capture && scanned(one)) button("Replay", "Replay", () => replay(one));
   // A capture that is not in this folder is named with its own.
   const file = one.has_capture ? fileName(one) : one.file;
   const why = one.status === "identified" ? "" : one.reason;
@@ -79,6 +72,10 @@ function historyRow(one) {
   }
   row.append(about, acts);
   return row;
+}
+
+function scanned(one) {
+  return one.command === "station" || one.command === "scan";
 }
 
 function fileName(one) {
@@ -150,7 +147,7 @@ for (const id of ["f-status", "f-layout", "f-since"]) $(id).addEventListener("ch
 $("select-all").addEventListener("change", () => {
   const all = $("select-all").checked;
   picked.clear();
-  if (all) rows.filter((one) => one.command === "station" || one.command === "scan").forEach((one) => picked.add(one.id));
+  if (all) rows.filter(scanned).forEach((one) => picked.add(one.id));
   $("history").replaceChildren(...rows.map(historyRow));
   showSelection();
 });

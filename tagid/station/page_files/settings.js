@@ -29,11 +29,7 @@ function choices(search, choose) {
   const rows = search.devices.map((one) => {
     const row = element("li");
     row.append(element("b", one.url), element("span", one.problem ? `${one.text}: ${one.problem}` : one.text, one.problem ? "what bad" : "what"));
-    const button = element("button", "Use it");
-    button.type = "button";
-    button.setAttribute("aria-label", `Use ${one.url}`);
-    button.addEventListener("click", () => choose(one.url));
-    row.append(button);
+    row.append(actButton("Use it", `Use ${one.url}`, () => choose(one.url)));
     return row;
   });
   return search.note ? [...rows, element("li", search.note)] : rows;
@@ -44,11 +40,7 @@ function showMotions(value) {
   const search = settings.found.motion;
   const devices = search ? search.devices.map((one) => [one.url, `${one.url}, ${one.text}`]) : [];
   if (!free && !devices.some(([url]) => url === value)) devices.push([value, value]);
-  $("s-motion").replaceChildren(...[["free", "turns by itself"], ...devices].map(([url, words]) => {
-    const option = element("option", words);
-    option.value = url;
-    return option;
-  }));
+  $("s-motion").replaceChildren(...[["free", "turns by itself"], ...devices].map(([url, words]) => choice(url, words)));
   $("s-motion").value = free ? "free" : value;
   $("s-rpm").value = free && free[1] ? free[1] : "";
 }

@@ -29,10 +29,7 @@ function showView() {
   for (const part of document.querySelectorAll("[data-views]")) {
     part.hidden = !part.dataset.views.split(" ").includes(view) || (part.id === "wiring" && !part.dataset.wanted);
   }
-  for (const link of document.querySelectorAll("nav a")) {
-    if (link.hash === `#view-${view}`) link.setAttribute("aria-current", "page");
-    else link.removeAttribute("aria-current");
-  }
+  for (const link of document.querySelectorAll("nav a")) setCurrent(link, "page", link.hash === `#view-${view}`);
   if (view === "history") loadHistory();
   if (view === "enrol") loadLayouts();
   if (view === "settings") loadSettings();
@@ -57,6 +54,41 @@ function element(tag, text, kind) {
   if (text !== undefined) node.textContent = text;
   if (kind) node.className = kind;
   return node;
+}
+
+function svgElement(tag, values, text) {
+  const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(values)) node.setAttribute(name, String(value));
+  if (text) node.textContent = text;
+  return node;
+}
+
+// A button that acts, with other words for who hears it.
+function actButton(text, words, act) {
+  const button = element("button", text);
+  button.type = "button";
+  button.setAttribute("aria-label", words);
+  button.addEventListener("click", act);
+  return button;
+}
+
+function choice(value, words) {
+  const option = element("option", words);
+  option.value = value;
+  return option;
+}
+
+// Marks one of several as the present one, for eyes and ears.
+function setCurrent(node, kind, current) {
+  if (current) node.setAttribute("aria-current", kind);
+  else node.removeAttribute("aria-current");
+}
+
+// New content, only where it differs: what is replaced loses the keyboard.
+function fill(id, shown, nodes) {
+  if ($(id).dataset.shown === shown) return;
+  $(id).dataset.shown = shown;
+  $(id).replaceChildren(...nodes);
 }
 
 function setText(id, text) {
@@ -212,13 +244,8 @@ function showEvidence(scan) {
 }
 
 function layoutBar(one, best) {
-  return {
-    name: one.layout,
-    share: Math.max(one.log_evidence, 0) / Math.max(best.log_evidence, 1),
-    needed: null,
-    number: nats(one.lead),
-    enough: false,
-  };
+  const share = Math.max(one.log_evidence, 0) / Math.max(best.log_evidence, 1);
+  return { name: one.layout, share, needed: null, number: nats(one.lead), enough: false };
 }
 
 function nats(value) {
@@ -244,17 +271,8 @@ function showBars(items) {
     if (!row) {
       row = element("li");
       row.append(element("span", "", "name"), element("span", "", "bar"), element("span", "", "number"));
-      const drawing = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-      drawing.setAttribute("viewBox", "0 0 100 10");
-      drawing.setAttribute("preserveAspectRatio", "none");
-      drawing.setAttribute("aria-hidden", "true");
-      const fill = document.createElementNS("http://www.w3.org/2000/svg", "rect");
-      fill.setAttribute("class", "fill");
-      fill.setAttribute("height", "10");
-      const need = document.createElementNS("http://www.w3.org/2000/svg", "line");
-      need.setAttribute("class", "need");
-      need.setAttribute("y2", "10");
-      drawing.append(fill, need);
+      const drawing = svgElement("svg", { viewBox: "0 0 100 10", preserveAspectRatio: "none", "aria-hidden": true });
+      drawing.append(svgElement("rect", { class: "fill", height: 10 }), svgElement("line", { class: "need", y2: 10 }));
       row.children[1].append(drawing);
       list.append(row);
     }
@@ -271,9 +289,6 @@ function showBars(items) {
 
 function showHealth() {
   if (!health.checked) return;
-  const text = JSON.stringify(health.findings);
-  if ($("health").dataset.shown === text) return;
-  $("health").dataset.shown = text;
   const order = { problem: 0, warning: 1, ok: 2 };
   const rows = [...health.findings].sort((a, b) => order[a.level] - order[b.level]).map((one) => {
     const row = element("li", undefined, one.level);
@@ -282,8 +297,9 @@ function showHealth() {
     return row;
   });
   const fine = rows.filter((row) => row.className === "ok");
-  $("health").replaceChildren(...rows.filter((row) => row.className !== "ok"));
-  $("health-fine").replaceChildren(...fine);
+  const text = JSON.stringify(health.findings);
+  fill("health", text, rows.filter((row) => row.className !== "ok"));
+  fill("health-fine", text, fine);
   setText("health-count", `${fine.length} of ${rows.length} checks passed`);
   showAlert();
 }
@@ -305,10 +321,7 @@ function showWiring(wiring) {
   const names = { ethernet: "network cable", usb: "USB cable", uart: "serial adapter", none: "which cable?" };
   setText("wiring-name", names[wiring.cable]);
   setText("wiring-found", radarText(wiring));
-  const list = $("wiring-steps");
-  if (list.dataset.shown === wiring.steps.join("\n")) return;
-  list.dataset.shown = wiring.steps.join("\n");
-  list.replaceChildren(...wiring.steps.map((one) => element("li", one)));
+  fill("wiring-steps", wiring.steps.join("\n"), wiring.steps.map((one) => element("li", one)));
 }
 
 function receive(message) {
@@ -318,11 +331,7 @@ function receive(message) {
     setText("mode", message.demo ? "demonstration: the radar is emulated" : "");
     $("object-row").hidden = message.objects.length === 0;
     if (!$("object").options.length) {
-      $("object").replaceChildren(...message.objects.map((one) => {
-        const option = element("option", one.words);
-        option.value = one.name;
-        return option;
-      }));
+      $("object").replaceChildren(...message.objects.map((one) => choice(one.name, one.words)));
     }
   } else if (message.type === "operator") {
     mine = message.you;
@@ -387,7 +396,6 @@ function showProblem(error) {
   setText("problem", error ? `${error.message}. ${error.remedy}` : "");
 }
 
-// A request that changes something; the answer, or null after showing the refusal.
 // The answer to a request; null where there is none, which is shown.
 async function ask(path, options = { cache: "no-store" }) {
   try {
