@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 @group_command("bodies")
 def bodies(
-    terminal: Terminal,
-    remove: Annotated[str | None, typer.Option("--remove", hidden=True)] = None,
+    terminal: Terminal, remove: Annotated[str | None, typer.Option("--remove", hidden=True)] = None
 ) -> Result:
     """List, draw and check enrolled bodies and objects; without a command, list them.
 

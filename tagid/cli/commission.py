@@ -37,10 +37,7 @@ class _TapeOptions:
         ),
     ] = None
     distance: Annotated[
-        float | None,
-        typer.Option(
-            "--distance", help="Antennas to the target in a straight line, metres.", show_default=False
-        ),
+        float | None, typer.Option("--distance", help="Antennas to the target in a straight line, metres.")
     ] = None
     tape_error: Annotated[
         float | None,
@@ -72,15 +69,13 @@ def commission(
     ] = 30.0,
     scans: Annotated[int, typer.Option("--scans", min=32, max=5000, help="Scans of room and target.")] = 200,
     page: Annotated[
-        Path | None,
-        typer.Option("--page", help="Write the results as a page (.html or .pdf).", show_default=False),
+        Path | None, typer.Option("--page", help="Write the results as a page (.html or .pdf).")
     ] = None,
     bundle: Annotated[
         Path | None,
         typer.Option(
             "--bundle",
             help="Do no step; write what was recorded as an archive without names and times (.zip).",
-            show_default=False,
         ),
     ] = None,
     yes: consent.Yes = False,

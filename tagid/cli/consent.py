@@ -68,10 +68,7 @@ def read_line() -> str:
     return line.decode(sys.stdin.encoding, "replace").rstrip("\r\n")
 
 
-Yes = Annotated[
-    bool,
-    typer.Option("--yes", "-y", help="Move the robot or table without confirmation.", show_default=False),
-]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Move the robot or table without confirmation.")]
 
 
 def warning_of(motion: object) -> str:

@@ -48,14 +48,11 @@ class _SceneOptions(SceneOptions):
     antenna_height_file: Annotated[
         Path | None,
         typer.Option(
-            "--antenna-height-file",
-            help="File with the antenna's height in metres, read before every scan.",
-            show_default=False,
+            "--antenna-height-file", help="File with the antenna's height in metres, read before every scan."
         ),
     ] = None
     budget: Annotated[
-        bool,
-        typer.Option("--budget", help="Noise from the radar equation of `tagid plan`; replaces --snr."),
+        bool, typer.Option("--budget", help="Noise from the radar equation of `tagid plan`; replaces --snr.")
     ] = False
     cable_delay: Annotated[
         float,
@@ -107,8 +104,7 @@ def p440(
     scene: _SceneOptions,
     faulty: _FaultOptions,
     truth: Annotated[
-        Path | None,
-        typer.Option("--truth", help="File for the true pose, to be read by scan --truth."),
+        Path | None, typer.Option("--truth", help="File for the true pose, to be read by scan --truth.")
     ] = None,
     replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Repeat the recording endlessly.")] = False,
@@ -120,8 +116,7 @@ def p440(
         typer.Option("--status-bytes", min=0, max=1000, help="Status size: 64, or 32 as in old firmware."),
     ] = 64,
     sleep_bytes: Annotated[
-        int,
-        typer.Option("--sleep-bytes", min=0, max=1000, help="Size of the sleep confirmation: 12 or 8."),
+        int, typer.Option("--sleep-bytes", min=0, max=1000, help="Size of the sleep confirmation: 12 or 8.")
     ] = 12,
     server: Annotated[
         bool, typer.Option("--server", help="Also act as the vendor's server program.")

@@ -60,15 +60,11 @@ def roomba(
     slip: Annotated[
         float,
         typer.Option(
-            "--slip",
-            min=-1,
-            max=1,
-            help="Slip: share of the wheel travel that does not rotate the robot.",
+            "--slip", min=-1, max=1, help="Slip: share of the wheel travel that does not rotate the robot."
         ),
     ] = 0.01,
     slip_noise: Annotated[
-        float,
-        typer.Option("--slip-noise", min=0, max=1, help="Standard deviation of the slip's variation."),
+        float, typer.Option("--slip-noise", min=0, max=1, help="Standard deviation of the slip's variation.")
     ] = 0.002,
     encoder_noise: Annotated[float, typer.Option("--encoder-noise", min=0, max=10000, help="Counts.")] = 0.5,
     first_count: Annotated[
@@ -151,11 +147,7 @@ def comxim(
 
 
 @command("emulate revopoint")
-def revopoint(
-    terminal: Terminal,
-    rate_error: _RateError = 0.02,
-    truth: _Truth = 0,
-) -> Result:
+def revopoint(terminal: Terminal, rate_error: _RateError = 0.02, truth: _Truth = 0) -> Result:
     """Emulate a Revopoint dual-axis table on a virtual Bluetooth controller until stopped.
 
     Example: tagid emulate revopoint

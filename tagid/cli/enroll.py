@@ -46,59 +46,36 @@ class Given:
 def enroll(
     terminal: Terminal,
     name: Annotated[
-        str | None,
-        typer.Argument(help="Name of the new entry; a file contains its own.", show_default=False),
+        str | None, typer.Argument(help="Name of the new entry; a file contains its own.")
     ] = None,
     more: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Captures of the real object, same as --capture.", show_default=False),
+        list[Path] | None, typer.Argument(help="Captures of the real object, same as --capture.")
     ] = None,
     points: Annotated[
         list[str] | None,
         typer.Option(
-            "--point",
-            help="A reflector as X,Y in metres from the axis; repeat for each reflector.",
-            show_default=False,
+            "--point", help="A reflector as X,Y in metres from the axis; repeat for each reflector."
         ),
     ] = None,
-    file: Annotated[
-        Path | None, typer.Option("--file", help="One layout in TOML or JSON.", show_default=False)
-    ] = None,
+    file: Annotated[Path | None, typer.Option("--file", help="One layout in TOML or JSON.")] = None,
     captures: Annotated[
         list[Path] | None,
         typer.Option(
             "--capture",
             help="A capture of the real object; give three or more, and turn and move the object between "
             "them.",
-            show_default=False,
         ),
     ] = None,
     body: Annotated[
-        bool,
-        typer.Option(
-            "--body",
-            help="The captures show an untagged body: tags on it can then be read.",
-            show_default=False,
-        ),
+        bool, typer.Option("--body", help="The captures show an untagged body: tags on it can then be read.")
     ] = False,
     sigma: Annotated[
         float | None,
-        typer.Option(
-            "--sigma",
-            parser=METRES,
-            help="Standard deviation of the --point coordinates, metres.",
-            show_default=False,
-        ),
+        typer.Option("--sigma", parser=METRES, help="Standard deviation of the --point coordinates, metres."),
     ] = None,
-    kind: Annotated[
-        str | None, typer.Option("--kind", help="helmet, container or other.", show_default=False)
-    ] = None,
-    label: Annotated[
-        str | None, typer.Option("--label", help="Description shown with the name.", show_default=False)
-    ] = None,
-    notes: Annotated[
-        str | None, typer.Option("--notes", help="Text stored with the layout.", show_default=False)
-    ] = None,
+    kind: Annotated[str | None, typer.Option("--kind", help="helmet, container or other.")] = None,
+    label: Annotated[str | None, typer.Option("--label", help="Description shown with the name.")] = None,
+    notes: Annotated[str | None, typer.Option("--notes", help="Text stored with the layout.")] = None,
     motion: options.MotionUrl = None,
     axis_distance: options.AxisDistance = None,
     force: Annotated[
@@ -178,11 +155,7 @@ def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Co
     with terminal.progress("signature", total=len(captures) + 1) as advance:
         done = count(1)
         return signature(
-            name,
-            "body",
-            captures,
-            place.imaging(),
-            lambda what: advance(next(done), Path(what).name),
+            name, "body", captures, place.imaging(), lambda what: advance(next(done), Path(what).name)
         )
 
 

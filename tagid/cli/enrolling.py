@@ -28,10 +28,8 @@ if TYPE_CHECKING:
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.layouts.layout import Layout
 
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Store without confirmation.", show_default=False)]
-DryRun = Annotated[
-    bool, typer.Option("--dry-run", help="Show the outcome but store nothing.", show_default=False)
-]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Store without confirmation.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Show the outcome but store nothing.")]
 SHOWN = 6
 """Neighbours listed in text output; JSON has them all."""
 

@@ -31,9 +31,7 @@ class HistoryOutput(StrEnum):
 def history(
     terminal: Terminal,
     action: Annotated[str, typer.Argument(help="list or export.")] = "list",
-    file: Annotated[
-        Path | None, typer.Argument(help="For export: a .parquet or .csv file.", show_default=False)
-    ] = None,
+    file: Annotated[Path | None, typer.Argument(help="For export: a .parquet or .csv file.")] = None,
     status: Annotated[
         str | None, typer.Option("--status", help="identified, unknown, ambiguous, no_tag, failed.")
     ] = None,

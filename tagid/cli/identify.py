@@ -31,8 +31,7 @@ def identify(
     preview: options.Preview = False,
     png: options.PngFile = None,
     vote: Annotated[
-        bool,
-        typer.Option("--vote", help="All files show the same object: give one joint answer."),
+        bool, typer.Option("--vote", help="All files show the same object: give one joint answer.")
     ] = False,
     explain: Annotated[
         bool,

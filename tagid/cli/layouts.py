@@ -341,8 +341,7 @@ def import_(
 def undo(
     terminal: Terminal,
     to: Annotated[
-        int | None,
-        typer.Option("--to", help="The version to restore; default: undo the last change."),
+        int | None, typer.Option("--to", help="The version to restore; default: undo the last change.")
     ] = None,
     yes: enrolling.Yes = False,
 ) -> Result:

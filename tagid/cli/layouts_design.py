@@ -33,8 +33,7 @@ class TargetOptions:
     target: Annotated[str, typer.Option("--object", help="helmet, mug or container.")] = "helmet"
     slots: Annotated[int, typer.Option("--slots", help="Equal angular steps around the object.")] = 12
     rows: Annotated[
-        int | None,
-        typer.Option("--rows", help="Number of the object's rows to use; default 1.", show_default=False),
+        int | None, typer.Option("--rows", help="Number of the object's rows to use; default 1.")
     ] = None
     radius: Annotated[
         list[float] | None,
@@ -53,7 +52,6 @@ class TargetOptions:
             parser=METRES,
             help="Minimum reflector spacing, metres; default of design: 0.07, or less if the count needs it; "
             "of capacity: 0.04.",
-            show_default=False,
         ),
     ] = None
     mirror: Annotated[
@@ -61,7 +59,6 @@ class TargetOptions:
         typer.Option(
             "--mirror/--no-mirror",
             help="Count mirror images as two layouts; default: follows tags.direction.",
-            show_default=False,
         ),
     ] = None
     seed: Annotated[
@@ -76,7 +73,6 @@ class TargetOptions:
             "--heights",
             metavar="H,H,...",
             help="Antenna heights of every scan, metres; default: motion.antenna_heights.",
-            show_default=False,
         ),
     ] = None
 
@@ -126,12 +122,9 @@ def design(
     count: Annotated[int, typer.Option("--count", min=1, max=10000, help="Number of layouts.")] = 10,
     alone: Annotated[bool, typer.Option("--alone", help="Ignore the enrolled layouts.")] = False,
     prefix: Annotated[
-        str | None,
-        typer.Option("--prefix", help="Prefix of the names, e.g. mug-r3s12.", show_default=False),
+        str | None, typer.Option("--prefix", help="Prefix of the names, e.g. mug-r3s12.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Write the layouts as TOML.", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Write the layouts as TOML.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     enroll: Annotated[bool, typer.Option("--enroll", help="Enroll all layouts, or none.")] = False,
     yes: enrolling.Yes = False,

@@ -27,12 +27,7 @@ if TYPE_CHECKING:
     from tagid.tags.layouts.layout import Layout
 
 Url = Annotated[
-    MotionUrl | None,
-    typer.Argument(
-        help="Another way to give --motion.",
-        parser=MotionUrl,
-        metavar="[URL]",
-    ),
+    MotionUrl | None, typer.Argument(help="Another way to give --motion.", parser=MotionUrl, metavar="[URL]")
 ]
 
 
@@ -212,8 +207,7 @@ def calibrate(
         bool, typer.Option("--direction", help="Determine a table's direction instead; needs --layout.")
     ] = False,
     layout: Annotated[
-        str | None,
-        typer.Option("--layout", help="Enrolled layout on the table; not its own mirror image."),
+        str | None, typer.Option("--layout", help="Enrolled layout on the table; not its own mirror image.")
     ] = None,
     yes: Yes = False,
 ) -> Result:

@@ -19,40 +19,26 @@ from tagid.query import parse_point
 if TYPE_CHECKING:
     from tagid.simulate import SceneSpec
 
-Captures = Annotated[
-    list[Path], typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.", show_default=False)
-]
-CaptureFile = Annotated[
-    Path, typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.", show_default=False)
-]
+Captures = Annotated[list[Path], typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.")]
+CaptureFile = Annotated[Path, typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.")]
 RadarUrl = Annotated[
-    str | None,
-    typer.Option("--radar", help="The radar: udp://HOST, serial:///dev/ttyACM0, replay://FILE."),
+    str | None, typer.Option("--radar", help="The radar: udp://HOST, serial:///dev/ttyACM0, replay://FILE.")
 ]
 MotionUrl = Annotated[
     secret.MotionUrl | None,
     typer.Option(
         "--motion",
         help="Device that rotates the object, e.g. free?rpm=2.",
-        show_default=False,
         parser=secret.MotionUrl,
         metavar="TEXT",
     ),
 ]
 AxisDistance = Annotated[
-    float | None,
-    typer.Option(
-        "--axis-distance", parser=METRES, help="Radar to rotation axis, metres.", show_default=False
-    ),
+    float | None, typer.Option("--axis-distance", parser=METRES, help="Radar to rotation axis, metres.")
 ]
 AntennaHeight = Annotated[
     float | None,
-    typer.Option(
-        "--antenna-height",
-        parser=METRES,
-        help="Antenna above the reflectors' plane, metres.",
-        show_default=False,
-    ),
+    typer.Option("--antenna-height", parser=METRES, help="Antenna above the reflectors' plane, metres."),
 ]
 AntennaSeparation = Annotated[
     float | None,
@@ -65,37 +51,19 @@ AntennaSeparation = Annotated[
 ]
 CableDelay = Annotated[
     float | None,
-    typer.Option(
-        "--cable-delay",
-        parser=PICOSECONDS,
-        help="Cable and antenna delay, two-way picoseconds.",
-        show_default=False,
-    ),
+    typer.Option("--cable-delay", parser=PICOSECONDS, help="Cable and antenna delay, two-way picoseconds."),
 ]
 Node = Annotated[
     int | None,
-    typer.Option(
-        "--node",
-        min=0,
-        max=4294967295,
-        help="Node id of the radar to read from a log of several.",
-        show_default=False,
-    ),
+    typer.Option("--node", min=0, max=4294967295, help="Node id of the radar to read from a log of several."),
 ]
 Method = Annotated[
     str | None,
-    typer.Option(
-        "--method",
-        help="bp, bp-raw, range-doppler, polar, sparse, omp, ats or auto (ats).",
-    ),
+    typer.Option("--method", help="bp, bp-raw, range-doppler, polar, sparse, omp, ats or auto (ats)."),
 ]
 Pulse = Annotated[
     str | None,
-    typer.Option(
-        "--pulse",
-        help="auto (the capture's or nominal), nominal, or estimate (from the scans).",
-        show_default=False,
-    ),
+    typer.Option("--pulse", help="auto (the capture's or nominal), nominal, or estimate (from the scans)."),
 ]
 Preset = Annotated[
     str, typer.Option("--preset", help="Variant of ats: field, or paper (as published, slow).")
@@ -105,7 +73,6 @@ Centre = Annotated[
     typer.Option(
         "--centre",
         help="Centre of the image or volume as X,Y in metres, for captures with antenna positions.",
-        show_default=False,
     ),
 ]
 DelaySearch = Annotated[
@@ -115,7 +82,6 @@ DelaySearch = Annotated[
         parser=METRES,
         help="Half-width of the path-delay search (m), for captures with antenna positions. "
         "Default: 13 wavelengths, 1 m for a P440.",
-        show_default=False,
     ),
 ]
 AxisSearch = Annotated[
@@ -125,16 +91,11 @@ AxisSearch = Annotated[
         parser=METRES,
         help="Half-width of the axis-distance search (m), for turntables. "
         "Default: half a wavelength, 0.04 m for a P440; at most two.",
-        show_default=False,
     ),
 ]
 Side = Annotated[
     str | None,
-    typer.Option(
-        "--side",
-        help="A point X,Y in metres on the side of a straight path to be imaged.",
-        show_default=False,
-    ),
+    typer.Option("--side", help="A point X,Y in metres on the side of a straight path to be imaged."),
 ]
 WaveSpeed = Annotated[
     float | None,
@@ -144,41 +105,27 @@ WaveSpeed = Annotated[
         max=3.1e08,
         help="Speed of the wave in the medium (m/s): 345 for sound in air, 1.06e8 at a permittivity of 8. "
         "Default: value in the file, or vacuum.",
-        show_default=False,
     ),
 ]
 Extent = Annotated[
-    float | None,
-    typer.Option(
-        "--extent", parser=METRES, help="Width and height of the image, metres.", show_default=False
-    ),
+    float | None, typer.Option("--extent", parser=METRES, help="Width and height of the image, metres.")
 ]
-Pixels = Annotated[int | None, typer.Option("--pixels", help="Pixels per side.", show_default=False)]
+Pixels = Annotated[int | None, typer.Option("--pixels", help="Pixels per side.")]
 Background = Annotated[
     str, typer.Option("--background", help="Static background to remove: mean, median, reference, none.")
 ]
 Preview = Annotated[bool, typer.Option("--preview", help="Draw the image in the terminal.")]
-PngFile = Annotated[
-    Path | None, typer.Option("--png", help="Write the image as a picture.", show_default=False)
-]
+PngFile = Annotated[Path | None, typer.Option("--png", help="Write the image as a picture.")]
 Body = Annotated[
     str | None,
     typer.Option(
-        "--body",
-        help="Body that carries the tag: can:35mm, cup:40mm,handle, helmet, box:120mm or none.",
-        show_default=False,
+        "--body", help="Body that carries the tag: can:35mm, cup:40mm,handle, helmet, box:120mm or none."
     ),
 ]
-Reflector = Annotated[
-    str | None,
-    typer.Option("--reflector", help="Reflectors of the tag: octahedron:20mm.", show_default=False),
-]
+Reflector = Annotated[str | None, typer.Option("--reflector", help="Reflectors of the tag: octahedron:20mm.")]
 Seed = Annotated[int, typer.Option("--seed", help="Random seed.", min=0)]
 LayoutFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--file", help="File with further layouts, e.g. from layouts design --out.", show_default=False
-    ),
+    Path | None, typer.Option("--file", help="File with further layouts, e.g. from layouts design --out.")
 ]
 
 
@@ -269,8 +216,7 @@ class SceneOptions:
         typer.Option("--snr-reference", help="With --response: response whose peak --snr refers to."),
     ] = None
     snr_reference_body: Annotated[
-        Path | None,
-        typer.Option("--snr-reference-body", help="Response subtracted from --snr-reference."),
+        Path | None, typer.Option("--snr-reference-body", help="Response subtracted from --snr-reference.")
     ] = None
     body: options.Body = None
     reflector: options.Reflector = None
@@ -293,8 +239,7 @@ class SceneOptions:
         float, typer.Option("--axis-distance", parser=METRES, help="Radar to axis, metres.")
     ] = 1.0
     snr: Annotated[
-        float,
-        typer.Option("--snr", help="Peak of the strongest reflector over the noise of one sample, dB."),
+        float, typer.Option("--snr", help="Peak of the strongest reflector over the noise of one sample, dB.")
     ] = 20.0
     seed: Annotated[
         int,
@@ -309,7 +254,6 @@ class SceneOptions:
         typer.Option(
             "--rig",
             help="Profile of a commissioned rig, or realistic?seed=N: sets how the scene is recorded.",
-            show_default=False,
         ),
     ] = None
 

@@ -12,10 +12,7 @@ from tagid.files import is_read_only, storage_error
 
 
 def check_new(
-    path: Path,
-    force: bool,
-    how: str = "Choose another name, or add --force.",
-    inputs: Sequence[Path] = (),
+    path: Path, force: bool, how: str = "Choose another name, or add --force.", inputs: Sequence[Path] = ()
 ) -> None:
     """Check a file that replaces another only where the user says so, and never one that is read.
 
@@ -114,6 +111,5 @@ def _check_folder(path: Path) -> None:
         if is_read_only(folder):
             raise storage_error(OSError(errno.EROFS, "Read-only file system"), path, "writing")
         raise StorageError(
-            f"{path}: no permission to write into {folder}",
-            "Check the permissions, or choose another.",
+            f"{path}: no permission to write into {folder}", "Check the permissions, or choose another."
         )

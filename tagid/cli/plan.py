@@ -36,21 +36,14 @@ def plan(
             "--distance",
             parser=METRES,
             help="Antennas to rotation axis, metres (default: the setting, or 1).",
-            show_default=False,
         ),
     ] = None,
     pii: Annotated[
         int | None,
-        typer.Option(
-            "--integration",
-            "--pii",
-            help="Integration index (default: radar.integration).",
-            show_default=False,
-        ),
+        typer.Option("--integration", "--pii", help="Integration index (default: radar.integration)."),
     ] = None,
     gain: Annotated[
-        int | None,
-        typer.Option("--gain", help="Transmit gain, 0 to 63 (default: radar.gain).", show_default=False),
+        int | None, typer.Option("--gain", help="Transmit gain, 0 to 63 (default: radar.gain).")
     ] = None,
     rpm: Annotated[float, typer.Option("--rpm", help="Turns per minute.")] = 2.0,
     layout: Annotated[str, typer.Option("--layout", "--layouts", help="Layout of the tag.")] = "container-90",
@@ -60,11 +53,7 @@ def plan(
     ] = False,
     want: Annotated[
         float | None,
-        typer.Option(
-            "--want",
-            help="Required identification rate, e.g. 0.99: find settings that reach it.",
-            show_default=False,
-        ),
+        typer.Option("--want", help="Required identification rate, e.g. 0.99: find settings that reach it."),
     ] = None,
 ) -> Result:
     """Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named.
@@ -273,10 +262,7 @@ def _rows(planned: Plan, snr: float) -> list[tuple[str, str]]:
     ]
     if planned.moved_m is not None:
         rows.append(
-            (
-                "",
-                f"beyond {planned.moved_m * 1e3:.1f} mm the echo of the moving body exceeds a reflector's",
-            )
+            ("", f"beyond {planned.moved_m * 1e3:.1f} mm the echo of the moving body exceeds a reflector's")
         )
     rows += _rates_rows("expected, body enrolled" if setup.enrolled else "expected", planned.rates)
     if planned.if_enrolled is not None:
@@ -287,10 +273,7 @@ def _rows(planned: Plan, snr: float) -> list[tuple[str, str]]:
 def _rates_rows(name: str, rates: Expected) -> list[tuple[str, str]]:
     return [
         (name, f"named {rates.named}, refused {rates.refused}, wrong {rates.wrong}"),
-        (
-            "",
-            f"simulated: {rates.source}; {rates.scenes} scenes" + (f"; {rates.note}" if rates.note else ""),
-        ),
+        ("", f"simulated: {rates.source}; {rates.scenes} scenes" + (f"; {rates.note}" if rates.note else "")),
     ]
 
 

@@ -31,10 +31,7 @@ Seconds = Annotated[
 Interval = Annotated[
     int,
     typer.Option(
-        "--interval-us",
-        min=0,
-        max=4294967295,
-        help="Microseconds between scans; 0: as fast as possible.",
+        "--interval-us", min=0, max=4294967295, help="Microseconds between scans; 0: as fast as possible."
     ),
 ]
 
@@ -247,9 +244,7 @@ def _holds(asked: dict[str, int], taken: RadarConfig) -> bool:
 def record(
     terminal: Terminal,
     radar: options.RadarUrl = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Capture to write.", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Capture to write.")] = None,
     save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the capture.")] = None,
     scans: Annotated[
         int | None,

@@ -45,8 +45,7 @@ def calibrate(
         ),
     ] = 0.005,
     step: Annotated[
-        str | None,
-        typer.Option("--step", help="empty, target, or both with a pause to place the target."),
+        str | None, typer.Option("--step", help="empty, target, or both with a pause to place the target.")
     ] = None,
     scans: Annotated[
         int, typer.Option("--scans", min=-2147483648, max=2147483648, help="Scans per step.")

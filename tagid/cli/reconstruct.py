@@ -37,7 +37,6 @@ class _MethodOptions:
         typer.Option(
             "--calibrate",
             help="Parameters that ats estimates with the scene: any of axis,wobble,gain,static.",
-            show_default=False,
         ),
     ] = None
     ats: Annotated[
@@ -46,7 +45,6 @@ class _MethodOptions:
             "--ats",
             metavar="KEY=VALUE",
             help="A setting of ats: robust=3, aspect_harmonics=2, occlusion=0.3, steps=200 and more.",
-            show_default=False,
         ),
     ] = None
 
@@ -66,10 +64,7 @@ class _PictureOptions:
 class _ImageOptions:
     """How the scans become the image."""
 
-    focus: Annotated[
-        bool,
-        typer.Option(help="Estimate the axis distance, or the path delay."),
-    ] = True
+    focus: Annotated[bool, typer.Option(help="Estimate the axis distance, or the path delay.")] = True
     preset: options.Preset = "field"
     pulse: options.Pulse = None
     centre: options.Centre = None
@@ -82,13 +77,11 @@ class _ImageOptions:
         bool, typer.Option(help="Show sparse images at the resolution of the data, not as single pixels.")
     ] = True
     subtract_body: Annotated[
-        bool,
-        typer.Option("--subtract-body", help="Subtract the echo of the body that `identify` finds."),
+        bool, typer.Option("--subtract-body", help="Subtract the echo of the body that `identify` finds.")
     ] = False
     seed: options.Seed = 0
     outside: Annotated[
-        bool,
-        typer.Option(help="Search echoes from outside the image; sparse and ats subtract them."),
+        bool, typer.Option(help="Search echoes from outside the image; sparse and ats subtract them.")
     ] = True
 
 
@@ -194,8 +187,7 @@ def _check_combined(how: _MethodOptions, wanted: _ImageOptions, volume: VolumeOp
     """Raises UsageError: options that have no effect together."""
     if not volume.volume and volume.given:
         raise UsageError(
-            "--heights, --levels, --vti, --ply, --surface and --webp apply to volumes only",
-            "Add --volume.",
+            "--heights, --levels, --vti, --ply, --surface and --webp apply to volumes only", "Add --volume."
         )
     if not wanted.focus and (wanted.axis_search is not None or wanted.delay_search is not None):
         raise UsageError("--axis-search and --delay-search have no effect with --no-focus", "Omit them.")

@@ -30,8 +30,7 @@ _SHOWN_ERRORS = 10
 def report(
     terminal: Terminal,
     inputs: Annotated[
-        list[str] | None,
-        typer.Argument(help="Folders, files or URLs of captures.", show_default=False, metavar="INPUT..."),
+        list[str] | None, typer.Argument(help="Folders, files or URLs of captures.", metavar="INPUT...")
     ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder for the report.")] = Path("report"),
     expect: Annotated[

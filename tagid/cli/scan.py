@@ -65,8 +65,7 @@ def scan(
     until_sure: Annotated[
         bool,
         typer.Option(
-            "--until-sure",
-            help="End scan and motion once a bare tag of three reflectors or more is certain.",
+            "--until-sure", help="End scan and motion once a bare tag of three reflectors or more is certain."
         ),
     ] = False,
     note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a name.")] = "",
@@ -80,8 +79,7 @@ def scan(
         int, typer.Option("--repeat", help="Number of revolutions to record for one joint answer.")
     ] = 1,
     truth: Annotated[
-        Path | None,
-        typer.Option("--truth", help="File of emulate --truth, stored in the capture.", show_default=False),
+        Path | None, typer.Option("--truth", help="File of emulate --truth, stored in the capture.")
     ] = None,
     heights: Annotated[
         str | None,
@@ -89,7 +87,6 @@ def scan(
             "--heights",
             metavar="H,H,...",
             help="Record one revolution from each antenna height, metres, and join them.",
-            show_default=False,
         ),
     ] = None,
     yes: Yes = False,
@@ -142,12 +139,7 @@ def scan(
 
 
 def _scans(
-    terminal: Terminal,
-    place: Workplace,
-    limits: Limits,
-    about: ObjectInfo,
-    view: View,
-    repeat: int,
+    terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInfo, view: View, repeat: int
 ) -> Result:
     """One revolution, or several with a joint answer; captures recorded before a failure are kept."""
     from tagid.cli.identify import vote_on

@@ -97,11 +97,7 @@ def show(
         "period_note": summary.period_note,
         "strongest": None
         if strongest is None
-        else {
-            "bin": strongest.bin,
-            "range_m": strongest.range_m,
-            "spread_bins": strongest.spread_bins,
-        },
+        else {"bin": strongest.bin, "range_m": strongest.range_m, "spread_bins": strongest.spread_bins},
         "complete": capture.complete,
         "ended": None if capture.radar.ended is None else capture.radar.ended.to_json(),
         "plan": None

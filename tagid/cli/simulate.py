@@ -27,11 +27,7 @@ PULSES = ("nominal", "random")
 class _SceneOptions(SceneOptions):
     scene: Annotated[
         str | None,
-        typer.Option(
-            "--scene",
-            help="An enrolled layout, points-3, can, box, empty ...; or --response.",
-            show_default=False,
-        ),
+        typer.Option("--scene", help="An enrolled layout, points-3, can, box, empty ...; or --response."),
     ] = None
     unlike: Annotated[
         float, typer.Option("--unlike", help="Spread of the reflectors' strengths, 0 to 20 dB.")
@@ -61,8 +57,7 @@ class _RecordingOptions:
         float, typer.Option("--noise-colour", help="Share of noise in the radar's band, 0 to 1.")
     ] = 0.0
     interference: Annotated[
-        float | None,
-        typer.Option("--interference", help="Narrow-band tone, dB above the noise.", show_default=False),
+        float | None, typer.Option("--interference", help="Narrow-band tone, dB above the noise.")
     ] = None
     pulse: Annotated[str, typer.Option("--pulse", help="nominal, or random (not stated in the capture).")] = (
         "nominal"
@@ -77,7 +72,6 @@ class _RecordingOptions:
             "--object-seed",
             help="Random seed of object and room alone, to record one object with different --seed.",
             min=0,
-            show_default=False,
         ),
     ] = None
 
@@ -88,9 +82,7 @@ def simulate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write.")],
     scene: _SceneOptions,
     recording: _RecordingOptions,
-    scene_name: Annotated[
-        str | None, typer.Argument(help="Another way to give --scene.", show_default=False)
-    ] = None,
+    scene_name: Annotated[str | None, typer.Argument(help="Another way to give --scene.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> Result:
     """Simulate a capture of a rotating scene, or of an object with a response file.

@@ -16,7 +16,7 @@ from tagid.counting import counted
 from tagid.errors import StorageError, UsageError
 from tagid.result import Result
 
-_Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
+_Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write.")]
 _Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
 
 

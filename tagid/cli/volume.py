@@ -31,8 +31,7 @@ def join(
     axis_distance: options.AxisDistance = None,
     antenna_separation: options.AntennaSeparation = None,
     align: Annotated[
-        bool,
-        typer.Option("--align", help="Estimate the rotation of each capture relative to the first."),
+        bool, typer.Option("--align", help="Estimate the rotation of each capture relative to the first.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> Result:
@@ -85,38 +84,26 @@ class VolumeOptions:
     """The volume of `tagid reconstruct --volume` and the files that it is written to."""
 
     volume: Annotated[
-        bool,
-        typer.Option("--volume", help="Reconstruct a volume from several antenna heights (see `join`)."),
+        bool, typer.Option("--volume", help="Reconstruct a volume from several antenna heights (see `join`).")
     ] = False
     heights: Annotated[
         str | None,
         typer.Option(
-            "--heights",
-            metavar="LOW,HIGH",
-            help="Lowest and highest height of the volume, metres.",
-            show_default=False,
+            "--heights", metavar="LOW,HIGH", help="Lowest and highest height of the volume, metres."
         ),
     ] = None
-    levels: Annotated[
-        int | None,
-        typer.Option("--levels", help="Number of height levels of the volume.", show_default=False),
-    ] = None
-    vti: Annotated[
-        Path | None, typer.Option("--vti", help="Write the volume as VTK image data.", show_default=False)
-    ] = None
+    levels: Annotated[int | None, typer.Option("--levels", help="Number of height levels of the volume.")] = (
+        None
+    )
+    vti: Annotated[Path | None, typer.Option("--vti", help="Write the volume as VTK image data.")] = None
     ply: Annotated[
-        Path | None,
-        typer.Option("--ply", help="Write the bright points of the volume as PLY.", show_default=False),
+        Path | None, typer.Option("--ply", help="Write the bright points of the volume as PLY.")
     ] = None
     surface: Annotated[
-        Path | None,
-        typer.Option(
-            "--surface", help="Write the surface of the volume as PLY triangles.", show_default=False
-        ),
+        Path | None, typer.Option("--surface", help="Write the surface of the volume as PLY triangles.")
     ] = None
     webp: Annotated[
-        Path | None,
-        typer.Option("--webp", help="Write an animation of the rotating volume.", show_default=False),
+        Path | None, typer.Option("--webp", help="Write an animation of the rotating volume.")
     ] = None
 
     @property
