@@ -66,7 +66,7 @@ COMMANDS = {
     "reconstruct": CommandEntry("Reconstruct an image from a capture."),
     "join": CommandEntry(
         "Join captures of one object from several antenna heights into one capture with antenna positions.",
-        ("volume",),
+        ("transfer",),
     ),
     "show": CommandEntry(
         "Draw range profile, scans over time and spectrum of a recording, and print its statistics."
@@ -87,12 +87,10 @@ COMMANDS = {
         ("layouts", "layouts_design"),
     ),
     "bodies": CommandEntry("List, draw and check enrolled bodies and objects; without a command, list them."),
-    "emulate": CommandEntry(
-        "Emulate a device on a real network, serial or Bluetooth interface.", ("emulate", "emulate_motion")
-    ),
+    "emulate": CommandEntry("Emulate a device on a real network, serial or Bluetooth interface."),
     "radar": CommandEntry(
         "Find, query, configure, monitor and calibrate the radar, and record scans.",
-        ("radar", "radar_monitor", "radar_calibrate"),
+        ("radar", "radar_calibrate"),
     ),
     "motion": CommandEntry("Find, query, rotate, stop and calibrate robots and turntables."),
 }

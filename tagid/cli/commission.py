@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,12 +10,12 @@ import typer
 
 from tagid.cli import consent, options
 from tagid.cli.frame import Terminal, command
+from tagid.cli.imaging import share_of
 from tagid.cli.outputs import check_drawing
 from tagid.config import Config, data_folder, load_config, radar_url
 from tagid.constants import RIG_FILE
 from tagid.errors import EXIT_FAILED, EXIT_OK, CaptureInterrupted, TagidError, UsageError
 from tagid.result import Result
-from tagid.types import Progress
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -92,9 +91,9 @@ def commission(
     from tagid.commissioning.bench import Bench
     from tagid.commissioning.steps import STEPS, next_step, run_step, step_named
 
-    if step is not None and step not in {known.name for known in STEPS}:
-        names = ", ".join(known.name for known in STEPS)
-        raise UsageError(f"--step is {step[:40]!r}", f"Give one of {names}.")
+    names = [known.name for known in STEPS]
+    if step is not None and step not in names:
+        raise UsageError(f"--step is {step[:40]!r}", f"Give one of {', '.join(names)}.")
     check_drawing("--page", page, (".html", ".pdf"))
     check_drawing("--bundle", bundle, (".zip",))
     aside = _set_aside()
@@ -120,18 +119,18 @@ def commission(
         for chosen_step in chosen:
             _prepare(chosen_step, config, yes, ask=step is None)
             with terminal.progress(chosen_step.name, 1.0) as advance:
-                bench.progress = _progress(advance)
+                bench.progress = share_of(advance)
                 done.append(run_step(chosen_step, bench))
             terminal.show(_drawn(done[-1]))
             if not done[-1].passed:
                 break
     except TagidError as error:
         ended = error
-    written = _page(page, bench)
+    written, profile = _page(page, bench), data_folder() / RIG_FILE
     data = {
         "steps": [report.to_json() for report in done],
         "next": next_step(bench).name,
-        "profile": _profile_path(),
+        "profile": str(profile) if profile.exists() else None,
         "page": written,
     }
     drawn = None if written is None else Text(f"written  {written}")
@@ -161,11 +160,6 @@ def _bundled(path: Path, bench: Bench, page: Path | None) -> Result:
     )
 
 
-def _progress(advance: Callable[[float, str], None]) -> Progress:
-    """The progress of a step on a line of the terminal that goes to 1."""
-    return lambda now, total, remark: advance(now / total, remark)
-
-
 def _prepare(step: Step, config: Config, yes: bool, ask: bool) -> None:
     """Tell the person what to do first, and wait. Raises UsageError, CaptureInterrupted."""
     if step.turns:
@@ -179,11 +173,6 @@ def _prepare(step: Step, config: Config, yes: bool, ask: bool) -> None:
         )
     if not consent.confirm(f"{step.prepare}. Ready?", default=True):
         raise CaptureInterrupted("stopped before the step; what was measured is kept")
-
-
-def _profile_path() -> str | None:
-    path = data_folder() / RIG_FILE
-    return str(path) if path.exists() else None
 
 
 def _page(page: Path | None, bench: Bench) -> str | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
+from math import log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ import typer
 
 from tagid.cli import enrolling, options
 from tagid.cli.frame import Terminal, command
-from tagid.cli.units import METRES
+from tagid.cli.options import METRES
 from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import RegistryError, UsageError
@@ -25,21 +26,6 @@ if TYPE_CHECKING:
     from tagid.pipeline.enrollment import LayoutProposal, Measured
     from tagid.tags.bodies.joint import Joint
     from tagid.tags.layouts.layout import Layout
-
-
-@dataclass(frozen=True)
-class Given:
-    """Command-line options of an entry other than its positions.
-
-    Attributes:
-        name: of the entry.
-        label: description; None keeps that of a file.
-        wish: see `enrolling.Wish`.
-    """
-
-    name: str
-    label: str | None
-    wish: enrolling.Wish
 
 
 @command("enroll")
@@ -124,26 +110,26 @@ def enroll(
     config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})
     origin = "" if points else f", file {file.name}" if file else f", {len(captures)} captures"
     source = f"tagid enroll{origin}"
-    given = Given(str(name), label, enrolling.Wish(force, yes, dry_run))
+    wish = enrolling.Wish(force, yes, dry_run)
     if body:
         if kind is not None or notes is not None:
             raise UsageError("--kind and --notes apply to layouts only", "Omit them with --body.")
-        joint = _body_signature(terminal, given.name, captures, config)
-        return _enrol_signature(terminal, given, joint, source, ())
+        joint = _body_signature(terminal, str(name), captures, config)
+        return _enrol_signature(terminal, joint, label, source, wish, ())
     measured = None
     if file is not None:
         layout = _from_file(file)
     elif captures:
-        measured = _measure(terminal, given.name, captures, config)
+        measured = _measure(terminal, str(name), captures, config)
         if measured.estimate is None:
             assert measured.joint is not None
-            return _enrol_signature(terminal, given, measured.joint, source, measured.remarks)
+            return _enrol_signature(terminal, measured.joint, label, source, wish, measured.remarks)
         layout = measured.estimate.layout
     else:
-        layout = _from_points(given.name, points or [], sigma)
+        layout = _from_points(str(name), points or [], sigma)
     fields = {"name": name, "kind": kind, "label": label, "notes": notes}
     layout = replace(layout, **{key: value for key, value in fields.items() if value is not None})  # type: ignore[arg-type]
-    return _enrol_layout(terminal, layout, measured, source, given.wish)
+    return _enrol_layout(terminal, layout, measured, source, wish)
 
 
 def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Joint:
@@ -196,12 +182,17 @@ def _enrol_layout(
         return _result(proposal, measured, None, False, conflict)
     question = f"Enroll {layout.name} ({counted(layout.size, 'reflector')})?"
     shown = enrolling.agree(terminal, _shown(proposal, measured), question, wish.yes)
-    done = proposal.store(registry, source, wish.force)
-    return _result(done.proposal, measured, done.version, shown)
+    stored, version = proposal.store(registry, source, wish.force)
+    return _result(stored, measured, version, shown)
 
 
 def _enrol_signature(
-    terminal: Terminal, given: Given, joint: Joint, source: str, remarks: tuple[str, ...]
+    terminal: Terminal,
+    joint: Joint,
+    label: str | None,
+    source: str,
+    wish: enrolling.Wish,
+    remarks: tuple[str, ...],
 ) -> Result:
     """Show the quality of a signature (body, or object without positions), ask, and store it."""
     from rich.console import Group
@@ -212,9 +203,9 @@ def _enrol_signature(
     from tagid.tags.bodies.likeness import least_tag
 
     registry = open_registry()
-    signature = replace(joint.signature, label=given.label or "")
+    signature = replace(joint.signature, label=label or "")
     proposal = propose_signature(registry.contents(), signature)
-    if proposal.taken is not None and not given.wish.force:
+    if proposal.taken is not None and not wish.force:
         raise proposal.taken
     lines = joint_words(joint)
     lines += [
@@ -223,9 +214,8 @@ def _enrol_signature(
     ]
     notes = list(remarks)
     if signature.kind == "body":
-        lines.append(
-            f"  a tag on it must return more than {10 * _log10(least_tag(signature)):.0f} dB of its echo"
-        )
+        least_db = 10 * log10(max(least_tag(signature), 1e-12))
+        lines.append(f"  a tag on it must return more than {least_db:.0f} dB of its echo")
         if proposal.alike:
             alike = ", ".join(proposal.alike)
             notes.append(f"it is similar to {alike}: a tag on one may be read as on the other")
@@ -238,22 +228,16 @@ def _enrol_signature(
         "registry_version": proposal.version,
     }
     error = proposal.conflict
-    if error is not None and not given.wish.force:
+    if error is not None and not wish.force:
         return Result.from_error("enroll", error, data, shown, tuple(notes))
-    if given.wish.dry_run:
+    if wish.dry_run:
         human = Group(shown, Text(f"{signature.name} not stored"))
         return Result("enroll", data, human, messages=tuple(notes))
-    asked = enrolling.agree(terminal, shown, f"Enroll the {signature.kind} {signature.name}?", given.wish.yes)
-    data["registry_version"] = proposal.store(registry, source, given.wish.force)
+    asked = enrolling.agree(terminal, shown, f"Enroll the {signature.kind} {signature.name}?", wish.yes)
+    data["registry_version"] = proposal.store(registry, source, wish.force)
     data["stored"] = True
     line = Text(f"{signature.kind} {signature.name} enrolled, registry version {data['registry_version']}")
     return Result("enroll", data, line if asked else Group(shown, line), messages=tuple(notes))
-
-
-def _log10(value: float) -> float:
-    from math import log10
-
-    return log10(max(value, 1e-12))
 
 
 def _shown(proposal: LayoutProposal, measured: Measured | None) -> Group:

@@ -10,6 +10,7 @@ import functools
 import importlib
 import inspect
 import io
+import json
 import logging
 import math
 import os
@@ -422,6 +423,23 @@ class _Harmless(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """The line; its line feeds are kept."""
         return visible(super().format(record))
+
+
+def announce(
+    terminal: Terminal, name: str, facts: dict[str, Any], before: Sequence[str], after: Sequence[str] = ()
+) -> None:
+    """Print immediately where a command listens, `url` of its facts: the user needs it while it runs.
+
+    As JSON it is one line; as text the URL is on a line of its own on stdout, the lines before and after it
+    on stderr.
+    """
+    as_json = terminal.output is Output.json
+    shown = not (as_json or terminal.quiet)
+    for line in before if shown else ():
+        typer.echo(line, err=True)
+    typer.echo(json.dumps(Result(name, facts).envelope()) if as_json else str(facts["url"]))
+    for line in after if shown else ():
+        typer.echo(line, err=True)
 
 
 def to_copy(urls: Sequence[str], command: str) -> Text:

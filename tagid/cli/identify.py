@@ -23,23 +23,30 @@ if TYPE_CHECKING:
     from tagid.operate.workplace import Workplace
 
 
-@command("identify")
-def identify(
-    terminal: Terminal,
-    files: options.Captures,
-    setup: options.RecordedOptions,
-    preview: options.Preview = False,
-    png: options.PngFile = None,
+@dataclass(frozen=True)
+class _ViewOptions:
+    """What is shown of an answer."""
+
+    preview: options.Preview = False
+    png: options.PngFile = None
     vote: Annotated[
         bool, typer.Option("--vote", help="All files show the same object: give one joint answer.")
-    ] = False,
+    ] = False
     explain: Annotated[
         bool,
         typer.Option(
             "--explain",
             help="Also show the hypotheses that competed, as bars; with --png also what they leave.",
         ),
-    ] = False,
+    ] = False
+
+
+@command("identify")
+def identify(
+    terminal: Terminal,
+    files: options.Captures,
+    setup: options.RecordedOptions,
+    view: _ViewOptions,
 ) -> Result:
     """Name the object in one or more captures.
 
@@ -47,38 +54,23 @@ def identify(
     """
     from tagid.operate.workplace import Workplace
 
-    if vote and (preview or png):
+    if view.vote and (view.preview or view.png):
         raise UsageError("--vote does not draw an image", "Omit --preview and --png.")
-    if len(files) > 1 and (preview or png):
+    if len(files) > 1 and (view.preview or view.png):
         raise UsageError(
             f"--preview and --png draw one recording, and {len(files)} are given",
             "Omit them, or identify the files one by one.",
         )
-    check_drawing("--png", png, (".png",), files)
+    check_drawing("--png", view.png, (".png",), files)
     overrides = setup.settings()
     place = Workplace(overrides, setup.background)
-    if vote:
-        return vote_on(terminal, place, files, "identify", explain=explain)
-    return run(terminal, place, files, View(preview, png, explain), _given(overrides))
+    if view.vote:
+        return vote_on(terminal, place, files, "identify", explain=view.explain)
+    return _run(terminal, place, files, view, _given(overrides))
 
 
-@dataclass(frozen=True)
-class View:
-    """Drawing options.
-
-    Attributes:
-        preview: whether to draw the image in the terminal.
-        png: file for the image; None for none.
-        explain: whether to show the hypotheses that competed.
-    """
-
-    preview: bool
-    png: Path | None
-    explain: bool = False
-
-
-def run(
-    terminal: Terminal, place: Workplace, files: list[Path], view: View, given: dict[str, object]
+def _run(
+    terminal: Terminal, place: Workplace, files: list[Path], view: _ViewOptions, given: dict[str, object]
 ) -> Result:
     """Identify each file; a file that fails becomes a failed item; the others continue."""
     from rich.console import Group

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tagid.cli import enrolling
 from tagid.cli.enrolling import rate_in_words
 from tagid.cli.frame import Terminal, command, group_command
+from tagid.cli.options import METRES
 from tagid.cli.outputs import check_drawing, check_new
-from tagid.cli.units import METRES
 from tagid.counting import counted
-from tagid.errors import LayoutConflictError, UsageError
+from tagid.errors import FileFormatError, LayoutConflictError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -37,9 +37,7 @@ def layouts(
     """
     if remove:  # until 0.3: `layouts remove`
         return _removed("layouts", remove)
-    if history:
-        return _history()
-    return _list()
+    return _history() if history else _list()
 
 
 @command("layouts remove")
@@ -77,29 +75,11 @@ def _history() -> Result:
     # Long names and sources continue on the next line, nothing is cut.
     table.add_column("name", overflow="fold")
     table.add_column("source", overflow="fold")
-    rows: list[dict[str, Any]] = []
-    for version in registry.history():
-        time = version.time_utc[:19].replace("T", " ")
-        table.add_row(
-            str(version.version),
-            str(version.command),
-            time,
-            version.action,
-            version.kind,
-            version.name,
-            version.source,
-        )
-        rows.append(
-            {
-                "version": version.version,
-                "command": version.command,
-                "time_utc": version.time_utc,
-                "action": version.action,
-                "kind": version.kind,
-                "name": version.name,
-                "source": version.source,
-            }
-        )
+    names = ("version", "command", "time_utc", "action", "kind", "name", "source")
+    rows = [{name: getattr(change, name) for name in names} for change in registry.history()]
+    for row in rows:
+        time = row["time_utc"][:19].replace("T", " ")
+        table.add_row(*map(str, (row | {"time_utc": time}).values()))
     return Result("layouts", {"registry_version": registry.version, "history": rows}, table)
 
 
@@ -288,7 +268,6 @@ def import_(
     """
     from rich.text import Text
 
-    from tagid.errors import FileFormatError
     from tagid.operate.workplace import open_registry
     from tagid.tags.bodies.signature_file import to_bytes
 
@@ -408,7 +387,6 @@ def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
 
 def _check_signatures(new: dict[tuple[str, str], Signature], contents: RegistryContents) -> None:
     """Raise LayoutConflictError if another body or object has the name of a new one."""
-    from tagid.errors import LayoutConflictError
     from tagid.tags.bodies.signature_file import to_bytes
 
     for signature in contents.signatures:
@@ -440,7 +418,6 @@ def check(terminal: Terminal) -> Result:
     """
     from rich.text import Text
 
-    from tagid.cli.enrolling import direction_known, height_weight
     from tagid.enrolling.enrollment import neighbour
     from tagid.operate.workplace import open_registry
     from tagid.reading.alike import Conditions
@@ -452,7 +429,7 @@ def check(terminal: Terminal) -> Result:
     remarks = [
         f"version {c.version} ({c.action} {c.name}) cannot be read, so it cannot be restored" for c in lost
     ]
-    known, weight = direction_known(), height_weight()
+    known, weight = enrolling.direction_known(), enrolling.height_weight()
     conditions = Conditions(height_weight=weight)
     pairs, nested = [], []
     for a, b in combinations(enrolled, 2):
@@ -502,15 +479,9 @@ def check(terminal: Terminal) -> Result:
             "reflectors. But if the larger one loses a reflector, the smaller one may be named; avoid "
             "such pairs on objects that could be mixed up."
         )
-    if not pairs and not nested:
-        return Result(
-            "layouts check",
-            data,
-            messages=tuple(remarks),
-            human=Text(f"{len(enrolled)} layouts, no two with the same number of reflectors"),
-        )
     if not bad:
-        return Result("layouts check", data, table, messages=tuple(remarks))
+        alone = Text(f"{len(enrolled)} layouts, no two with the same number of reflectors")
+        return Result("layouts check", data, table if pairs or nested else alone, messages=tuple(remarks))
     error = LayoutConflictError(
         f"{counted(len(bad), 'pair')} of layouts could be confused: they leave more readings "
         "without a name than enrolling allows",

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tagid.cli import enrolling
 from tagid.cli.frame import Terminal, command
+from tagid.cli.options import METRES, MILLIMETRES
 from tagid.cli.outputs import check_new
-from tagid.cli.units import METRES, MILLIMETRES
 from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import UsageError
@@ -379,11 +379,11 @@ def reflector(
     for path in made:
         suffix = path.suffix.lower()
         if suffix == ".stl":
-            write_bytes(path, sheets.to_stl(size_m))
-        elif suffix == ".svg":
-            write_bytes(path, to_svg(sheets.sheet(size_m)))
+            content = sheets.to_stl(size_m)
         else:
-            write_bytes(path, to_pdf([sheets.sheet(size_m)], paper))
+            net = sheets.sheet(size_m)
+            content = to_svg(net) if suffix == ".svg" else to_pdf([net], paper)
+        write_bytes(path, content)
     edge = size / 2**0.5
     lines: list[RenderableType] = [Text(f"octahedron, size {size:g} mm from tip to tip, edge {edge:.1f} mm")]
     solved = sheets.cross_section(size_m) if responses else None
@@ -394,24 +394,20 @@ def reflector(
         lines += [_table(solved), Text(f"source: {solved.source}")]
     written = [str(path) for path in (*made, *responses)]
     lines += [Text(f"written  {path}") for path in written]
-    data = {
+    data: dict[str, Any] = {
         "kind": kind,
         "size_mm": size,
         "edge_mm": edge,
         "written": written,
-        "rcs_dbsm": None if solved is None else _levels(solved),
+        "rcs_dbsm": None,
     }
+    if solved is not None:
+        levels = ("frequency_hz", "aspect_deg", "vertical", "horizontal")
+        data["rcs_dbsm"] = {
+            "source": solved.source,
+            **{name: getattr(solved, name).tolist() for name in levels},
+        }
     return Result("layouts reflector", data, Group(*lines))
-
-
-def _levels(solved: CrossSection) -> dict[str, object]:
-    return {
-        "source": solved.source,
-        "frequency_hz": solved.frequency_hz.tolist(),
-        "aspect_deg": solved.aspect_deg.tolist(),
-        "vertical": solved.vertical.tolist(),
-        "horizontal": solved.horizontal.tolist(),
-    }
 
 
 def _table(solved: CrossSection) -> RenderableType:

@@ -13,7 +13,7 @@ import typer
 from tagid.cli import options
 from tagid.cli.consent import Yes, agree, agree_to
 from tagid.cli.frame import Terminal, command
-from tagid.cli.units import SECONDS
+from tagid.cli.options import SECONDS
 from tagid.config import Config, load_config
 from tagid.counting import meant
 from tagid.errors import EXIT_DEVICE, EXIT_OK, DataError, TagidError, UsageError

@@ -1,8 +1,8 @@
-"""Options that several commands take, declared once."""
+"""Options that several commands take, declared once, and types of options that take a number in a unit."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,13 +11,34 @@ from urllib.parse import quote
 import typer
 
 from tagid import secret
-from tagid.cli import options
-from tagid.cli.units import METRES, PICOSECONDS
 from tagid.errors import UsageError
-from tagid.query import parse_point
+from tagid.query import UNITS, parse_point, quantity
 
 if TYPE_CHECKING:
     from tagid.simulate import SceneSpec
+
+
+def _in(unit: str) -> Callable[[str | float], float]:
+    """The parser of an option whose value is in a unit; the help shows it as a float."""
+
+    def number(text: str | float) -> float:
+        try:
+            return quantity(text, unit) if isinstance(text, str) else text
+        except ValueError:
+            raise typer.BadParameter(
+                f"{str(text)[:40]!r} is not a number, in {unit} or with its unit: {', '.join(UNITS[unit])}."
+            ) from None
+
+    number.__name__ = "float"
+    return number
+
+
+METRES = _in("m")
+MILLIMETRES = _in("mm")
+SECONDS = _in("s")
+PICOSECONDS = _in("ps")
+NANOSECONDS = _in("ns")
+
 
 Captures = Annotated[list[Path], typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.")]
 CaptureFile = Annotated[Path, typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.")]
@@ -61,59 +82,6 @@ Method = Annotated[
     str | None,
     typer.Option("--method", help="bp, bp-raw, range-doppler, polar, sparse, omp, ats or auto (ats)."),
 ]
-Pulse = Annotated[
-    str | None,
-    typer.Option("--pulse", help="auto (the capture's or nominal), nominal, or estimate (from the scans)."),
-]
-Preset = Annotated[
-    str, typer.Option("--preset", help="Variant of ats: field, or paper (as published, slow).")
-]
-Centre = Annotated[
-    str | None,
-    typer.Option(
-        "--centre",
-        help="Centre of the image or volume as X,Y in metres, for captures with antenna positions.",
-    ),
-]
-DelaySearch = Annotated[
-    float | None,
-    typer.Option(
-        "--delay-search",
-        parser=METRES,
-        help="Half-width of the path-delay search (m), for captures with antenna positions. "
-        "Default: 13 wavelengths, 1 m for a P440.",
-    ),
-]
-AxisSearch = Annotated[
-    float | None,
-    typer.Option(
-        "--axis-search",
-        parser=METRES,
-        help="Half-width of the axis-distance search (m), for turntables. "
-        "Default: half a wavelength, 0.04 m for a P440; at most two.",
-    ),
-]
-Side = Annotated[
-    str | None,
-    typer.Option("--side", help="A point X,Y in metres on the side of a straight path to be imaged."),
-]
-WaveSpeed = Annotated[
-    float | None,
-    typer.Option(
-        "--wave-speed",
-        min=1,
-        max=3.1e08,
-        help="Speed of the wave in the medium (m/s): 345 for sound in air, 1.06e8 at a permittivity of 8. "
-        "Default: value in the file, or vacuum.",
-    ),
-]
-Extent = Annotated[
-    float | None, typer.Option("--extent", parser=METRES, help="Width and height of the image, metres.")
-]
-Pixels = Annotated[int | None, typer.Option("--pixels", help="Pixels per side.")]
-Background = Annotated[
-    str, typer.Option("--background", help="Static background to remove: mean, median, reference, none.")
-]
 Preview = Annotated[bool, typer.Option("--preview", help="Draw the image in the terminal.")]
 PngFile = Annotated[Path | None, typer.Option("--png", help="Write the image as a picture.")]
 Body = Annotated[
@@ -133,10 +101,10 @@ LayoutFile = Annotated[
 class SetupOptions:
     """How the object stood and turned before the radar, where a command line says it."""
 
-    motion: options.MotionUrl = None
-    axis_distance: options.AxisDistance = None
-    antenna_height: options.AntennaHeight = None
-    antenna_separation: options.AntennaSeparation = None
+    motion: MotionUrl = None
+    axis_distance: AxisDistance = None
+    antenna_height: AntennaHeight = None
+    antenna_separation: AntennaSeparation = None
 
     def settings(self) -> dict[str, Any]:
         """The options as settings, by their configuration names."""
@@ -152,20 +120,9 @@ class SetupOptions:
 class RecordedOptions(SetupOptions):
     """The same of a recording, and the background in it."""
 
-    background: options.Background = "mean"
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of a recording, besides the end of the revolution.
-
-    Attributes:
-        scans: number of scans; None to record a full revolution.
-        max_seconds: longest duration, s.
-    """
-
-    scans: int | None
-    max_seconds: float
+    background: Annotated[
+        str, typer.Option("--background", help="Static background to remove: mean, median, reference, none.")
+    ] = "mean"
 
 
 def demo_settings(scene: str, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -201,7 +158,7 @@ def demo_settings(scene: str, given: Mapping[str, Any]) -> dict[str, Any]:
 class SceneOptions:
     """The options that both commands share, by the names of `SceneSpec`."""
 
-    file: options.LayoutFile = None
+    file: LayoutFile = None
     response: Annotated[
         Path | None,
         typer.Option(
@@ -218,8 +175,8 @@ class SceneOptions:
     snr_reference_body: Annotated[
         Path | None, typer.Option("--snr-reference-body", help="Response subtracted from --snr-reference.")
     ] = None
-    body: options.Body = None
-    reflector: options.Reflector = None
+    body: Body = None
+    reflector: Reflector = None
     elevation: Annotated[
         str,
         typer.Option(
@@ -262,3 +219,11 @@ class SceneOptions:
         from tagid.simulate import SceneSpec
 
         return SceneSpec(**{**vars(self), "centre": parse_point("--centre", self.centre), **changed})
+
+
+def parse_bind(bind: str, example: str) -> tuple[str, int]:
+    """Host and port of --bind. Raises UsageError, with an example of what it takes."""
+    host, _, port = bind.rpartition(":")
+    if not host or not (port.isascii() and port.isdecimal()) or int(port) > 65535:
+        raise UsageError(f"--bind is {bind!r}", f"Give HOST:PORT, e.g. {example}.")
+    return host.removeprefix("[").removesuffix("]"), int(port)

@@ -12,8 +12,8 @@ import typer
 from tagid.cli import options
 from tagid.cli.consent import agree_to_replace, can_ask, read_line
 from tagid.cli.frame import Terminal, command
+from tagid.cli.options import METRES, NANOSECONDS
 from tagid.cli.radar import open_configured
-from tagid.cli.units import METRES, NANOSECONDS
 from tagid.config import Config, data_folder, load_config, radar_url
 from tagid.constants import BACKGROUND_FILE, SPEED_OF_LIGHT
 from tagid.errors import DataError, StorageError, UsageError

@@ -11,7 +11,7 @@ import typer
 from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command
-from tagid.cli.units import SECONDS
+from tagid.cli.options import SECONDS
 from tagid.config import Config, load_config
 from tagid.counting import counted
 from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, StorageError, UsageError, visible

@@ -7,14 +7,13 @@ end.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tagid import interrupts
 from tagid.cli.consent import can_ask, confirm
 from tagid.cli.frame import Terminal
-from tagid.cli.options import Limits
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.counting import counted
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
@@ -25,11 +24,8 @@ from tagid.result import Problem, Result
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from tagid.capture import Capture
-    from tagid.metadata import ObjectInfo
     from tagid.operate.turn import Recorded
     from tagid.operate.workplace import Workplace
-    from tagid.pipeline.alignment import Alignment
     from tagid.recording.plan import RecordingPlan
 
 MAX_HEIGHTS = 100
@@ -106,8 +102,7 @@ class Lift:
 def scan_heights(
     terminal: Terminal,
     place: Workplace,
-    limits: Limits,
-    about: ObjectInfo,
+    planned: Callable[[], RecordingPlan],
     heights: tuple[float, ...],
     lift: Lift,
 ) -> Result:
@@ -116,14 +111,14 @@ def scan_heights(
     Recordings that are complete stay on disk whatever happens later; the error then names them.
 
     Args:
-        terminal, place, limits: of the command.
-        about: description of the object, stored in every capture.
+        terminal, place: of the command.
+        planned: gives the plan of a recording.
         heights: of the antenna above the object's plane, m.
         lift: how the antenna is moved.
     """
     turns: list[Recorded] = []
     try:
-        plan = place.plan(limits.scans, limits.max_seconds, about)
+        plan = planned()
         for number, height_m in enumerate(heights, start=1):
             url = lift.raise_to(height_m, f"Height {number} of {len(heights)}", place.radar_url())
             turns.append(_record(terminal, place, replace(plan, antenna_height_m=height_m), url))
@@ -158,6 +153,8 @@ def _joined(
     from tagid.pipeline.alignment import aligned
     from tagid.pipeline.join import join
     from tagid.pipeline.prepared import LoadDefault, load_capture
+    from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
+    from tagid.report.volume_picture import draw_projections
     from tagid.storage.hdf5 import write_capture
 
     setup = place.setup(as_recorded=True)
@@ -174,11 +171,23 @@ def _joined(
     files: dict[str, str | None] = {"capture": str(path), "png": None}
     drawn: list[RenderableType] = [imaging.describe(answer, "", terminal.verbose > 0)]
     try:
-        _draw(terminal, place, joined, png)
+        settings = VolumeSettings("bp", place.config["imaging.extent_m"], PICTURE_PIXELS, held_out=False)
+        with terminal.progress("volume", total=1.0) as advance:
+            volume = reconstruct_volume(joined, settings, imaging.share_of(advance)).volume
+        draw_projections(volume.values, volume.grid.square.axis, volume.grid.heights, png, "BP volume")
         files["png"] = str(png)
     except TagidError as error:
         drawn.append(Text(f"no picture: {error.message}"))
-    rows = [_facts(*row) for row in zip(heights, turns, alignments, strict=True)]
+    rows = [
+        {
+            "height_m": height_m,
+            "file": str(turn.path),
+            "views": turn.capture.views,
+            "rotation_deg": alignment.rotation_deg,
+            "likeness": alignment.likeness,
+        }
+        for height_m, turn, alignment in zip(heights, turns, alignments, strict=True)
+    ]
     for row in rows if terminal.verbose else ():
         turned = f"rotated {row['rotation_deg']:+.2f} deg"
         drawn.append(Text(f"{row['height_m']:.3f} m  {row['views']} scans, {turned}  {row['file']}"))
@@ -196,29 +205,6 @@ def _joined(
         messages=(*dict.fromkeys((*losses, *answer.remarks)), *place.without_profile(answer), *kept),
         errors=() if answer.error is None else (Problem.of(answer.error),),
     )
-
-
-def _draw(terminal: Terminal, place: Workplace, joined: Capture, png: Path) -> None:
-    """Write the three maximum projections of the backprojected volume."""
-    from tagid.cli.imaging import share_of
-    from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
-    from tagid.report.volume_picture import draw_projections
-
-    settings = VolumeSettings("bp", place.config["imaging.extent_m"], PICTURE_PIXELS, held_out=False)
-    with terminal.progress("volume", total=1.0) as advance:
-        made = reconstruct_volume(joined, settings, share_of(advance))
-    grid = made.volume.grid
-    draw_projections(made.volume.values, grid.square.axis, grid.heights, png, "BP volume")
-
-
-def _facts(height_m: float, turn: Recorded, alignment: Alignment) -> dict[str, Any]:
-    return {
-        "height_m": height_m,
-        "file": str(turn.path),
-        "views": turn.capture.views,
-        "rotation_deg": alignment.rotation_deg,
-        "likeness": alignment.likeness,
-    }
 
 
 def _kept(turns: list[Recorded]) -> str:

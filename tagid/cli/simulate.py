@@ -10,9 +10,8 @@ import typer
 
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
-from tagid.cli.options import SceneOptions
+from tagid.cli.options import METRES, SceneOptions
 from tagid.cli.outputs import check_new
-from tagid.cli.units import METRES
 from tagid.counting import counted
 from tagid.errors import DataError, UsageError
 from tagid.result import Result
@@ -92,7 +91,7 @@ def simulate(
     import numpy as np
     from rich.text import Text
 
-    from tagid.enrolling.lookup import only_layout
+    from tagid.enrolling.layout_file import only_layout
     from tagid.simulate import Interference, NoiseShape, simulate_capture
     from tagid.storage.exporters import export
 

@@ -1,4 +1,4 @@
-"""`tagid import`, `export` and `recover`: convert captures, and rebuild them from a journal."""
+"""`tagid import`, `export`, `recover` and `join`: convert, rebuild and join captures."""
 
 from __future__ import annotations
 
@@ -167,3 +167,60 @@ def _target(source: Path, out: Path | None, suffix: str, force: bool) -> Path:
         out = source.with_name(stem + suffix)
     check_new(out, force, "Choose another name with --out, or add --force.", [source])
     return out
+
+
+@command("join")
+def join(
+    terminal: Terminal,
+    files: options.Captures,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Capture or NPZ file to write.")],
+    motion: options.MotionUrl = None,
+    axis_distance: options.AxisDistance = None,
+    antenna_separation: options.AntennaSeparation = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Estimate the rotation of each capture relative to the first.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+) -> Result:
+    """Join captures of one object from several antenna heights into one capture with antenna positions.
+
+    Every capture must state its own antenna height, and the same object angle for the same pose. The
+    angles of a recording begin at its first scan; --align refers them to the first capture's pose.
+
+    Example: tagid join low.tagid.h5 middle.tagid.h5 high.tagid.h5 --out all.tagid.h5
+    """
+    from rich.text import Text
+
+    from tagid.pipeline.join import heights_of
+    from tagid.pipeline.join import join as joined_of
+    from tagid.pipeline.prepared import LoadSettings, load_capture
+    from tagid.storage.exporters import export
+
+    check_new(out, force, inputs=files)
+    config = load_config(
+        {
+            "motion.url": motion,
+            "motion.axis_distance_m": axis_distance,
+            "motion.antenna_separation_m": antenna_separation,
+        }
+    )
+    loading = LoadSettings.of(config)
+    captures = [load_capture(file, loading) for file in files]
+    turns: list[float] | None = None
+    if align:
+        from tagid.pipeline.alignment import aligned
+
+        captures, rotations = aligned(captures)
+        turns = [rotation.rotation_deg for rotation in rotations]
+    joined = joined_of(captures)
+    levels = heights_of(joined)
+    positions = joined.aperture().positions
+    heights = [float(positions[views, 2].mean()) for views in levels]
+    export(joined, out)
+    data = {"path": str(out), "views": joined.views, "bins": joined.bins, "heights_m": heights}
+    data |= {} if turns is None else {"rotations_deg": turns}
+    words = ", ".join(f"{height:.3f}" for height in heights[:8]) + (" ..." if len(heights) > 8 else "")
+    line = f"{out}: {joined.views} views from {len(heights)} antenna heights ({words} m)"
+    if turns is not None:
+        line += f", rotated by {', '.join(f'{turn:+.2f}' for turn in turns[:8])} deg"
+    return Result("join", data, Text(line))

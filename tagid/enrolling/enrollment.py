@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.enrolling.registry import Registry
 from tagid.errors import LayoutConflictError, RegistryError
 from tagid.proportion import percent
 from tagid.reading.alike import Apart, Conditions, told_apart
@@ -32,26 +33,6 @@ MOST_NEAR = 3
 """Neighbours whose evidence is compared, the nearest ones."""
 _TRIES = 20
 _T = TypeVar("_T")
-
-
-class LayoutStore(Protocol):
-    """The part of a registry that enrollment needs."""
-
-    def snapshot(self) -> tuple[int, list[Layout]]:
-        """The registry's version and the layouts enrolled at that version."""
-        ...
-
-    def add_all(
-        self,
-        layouts: Sequence[Layout],
-        source: str,
-        *,
-        replace: bool = True,
-        since: int | None = None,
-        signatures: Sequence[Signature] = (),
-    ) -> int | None:
-        """Enroll several, all or none; return the new version, or None if it is no longer `since`."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -235,21 +216,8 @@ def _variance_along(covariance: NDArray[np.float64] | None, along: NDArray[np.fl
     return 0.0 if covariance is None else float(np.einsum("ki,kij,kj->", along, covariance, along))
 
 
-@dataclass(frozen=True)
-class Enrollment:
-    """Result of enrolling a layout.
-
-    Attributes:
-        outlook: the layout as enrolled, compared with its neighbours.
-        version: registry version after the change.
-    """
-
-    outlook: Outlook
-    version: int
-
-
 def enroll(
-    store: LayoutStore,
+    registry: Registry,
     layout: Layout,
     source: str,
     *,
@@ -257,11 +225,13 @@ def enroll(
     direction_known: bool = True,
     height_weight: float = 0.0,
     signatures: Sequence[Signature] = (),
-) -> Enrollment:
-    """Add a layout to the store unless it could be confused with another.
+) -> tuple[Outlook, int]:
+    """Add a layout to the registry unless it could be confused with another.
+
+    Returns the layout as enrolled, compared with its neighbours, and the registry version after the change.
 
     Args:
-        store: the registry.
+        registry: where to store.
         layout: new layout.
         source: origin of the layout, for the history.
         force: enroll it despite a conflict, and replace one of the same name.
@@ -274,16 +244,16 @@ def enroll(
         RegistryError: the name is taken.
     """
 
-    def compared() -> Enrollment | None:
-        version, known = store.snapshot()
+    def compared() -> tuple[Outlook, int] | None:
+        version, known = registry.snapshot()
         comparison = outlook(
             layout, known, direction_known=direction_known, height_weight=height_weight, version=version
         )
         conflict = comparison.conflict()
         if conflict and not force:
             raise conflict
-        done = store.add_all([layout], source, replace=force, since=version, signatures=signatures)
-        return None if done is None else Enrollment(comparison, done)
+        done = registry.add_all([layout], source, replace=force, since=version, signatures=signatures)
+        return None if done is None else (comparison, done)
 
     return undisturbed(compared)
 
@@ -325,7 +295,7 @@ def family_outlooks(
 
 
 def merge(
-    store: LayoutStore,
+    registry: Registry,
     layouts: Sequence[Layout],
     source: str,
     *,
@@ -335,10 +305,10 @@ def merge(
     checked: int | None = None,
     signatures: Sequence[Signature] = (),
 ) -> int:
-    """Add several layouts to the store, all or none; identical entries are left unchanged.
+    """Add several layouts to the registry, all or none; identical entries are left unchanged.
 
     Args:
-        store: the registry.
+        registry: where to store.
         layouts: with unique names.
         source: origin of the layouts, for the history.
         force: replace layouts of the same names, and accept layouts that could be confused.
@@ -352,14 +322,14 @@ def merge(
     """
 
     def compared() -> int | None:
-        version, enrolled = store.snapshot()
+        version, enrolled = registry.snapshot()
         if not force and version != checked:
             outlooks = family_outlooks(
                 layouts, enrolled, direction_known=direction_known, height_weight=height_weight
             )
             if error := refusal(outlooks, enrolled):
                 raise error
-        return store.add_all(layouts, source, since=version, signatures=signatures)
+        return registry.add_all(layouts, source, since=version, signatures=signatures)
 
     return undisturbed(compared)
 

@@ -51,8 +51,10 @@ class LayoutProposal:
         """The error if the layout could be confused with another."""
         return self.outlook.conflict()
 
-    def store(self, registry: Registry, source: str, force: bool = False) -> StoredLayout:
+    def store(self, registry: Registry, source: str, force: bool = False) -> tuple[LayoutProposal, int]:
         """Enroll it, after comparing it with the registry as it is now.
+
+        Returns the proposal compared with the registry at that moment, and the new registry version.
 
         Args:
             registry: where to store it.
@@ -64,7 +66,7 @@ class LayoutProposal:
         from tagid.enrolling.enrollment import enroll
 
         signatures = () if self.signature is None else (self.signature,)
-        done = enroll(
+        outlook, version = enroll(
             registry,
             self.layout,
             source,
@@ -73,20 +75,7 @@ class LayoutProposal:
             height_weight=self.height_weight,
             signatures=signatures,
         )
-        return StoredLayout(replace(self, outlook=done.outlook), done.version)
-
-
-@dataclass(frozen=True, eq=False)
-class StoredLayout:
-    """An enrolled layout.
-
-    Attributes:
-        proposal: as stored, compared with the registry at that moment.
-        version: registry version after the change.
-    """
-
-    proposal: LayoutProposal
-    version: int
+        return replace(self, outlook=outlook), version
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,13 +174,10 @@ def propose_signature(contents: RegistryContents, signature: Signature) -> Signa
     from tagid.enrolling.registry import taken
     from tagid.tags.bodies.likeness import compare
 
-    compared = signature
-    others = [
-        other for other in contents.signatures if other.kind == compared.kind and other.name != compared.name
-    ]
-    pairs = sorted((compare(compared, other) for other in others), key=lambda pair: pair.difference)
-    error = taken((compared.kind, compared.name), _keys(contents))
-    return SignatureProposal(compared, tuple(pairs), contents.version, error)
+    kind, name = signature.kind, signature.name
+    others = [other for other in contents.signatures if other.kind == kind and other.name != name]
+    pairs = sorted((compare(signature, other) for other in others), key=lambda pair: pair.difference)
+    return SignatureProposal(signature, tuple(pairs), contents.version, taken((kind, name), _keys(contents)))
 
 
 def _keys(contents: RegistryContents) -> set[Key]:

@@ -255,7 +255,7 @@ class Enrolling:
                 raise error
             source = f"station, {len(before.captures)} captures"
             if isinstance(proposal, LayoutProposal):
-                version = proposal.store(self._registry(), source, force).version
+                _, version = proposal.store(self._registry(), source, force)
             else:
                 version = proposal.store(self._registry(), source, force)
             done = Stored(before.subject.name, version, isinstance(proposal, LayoutProposal))

@@ -195,12 +195,12 @@ def test_enrolment_refuses_what_could_be_confused(tmp_path: Path) -> None:
     with pytest.raises(LayoutConflictError, match="helmet-120"):
         enroll(registry, Layout("near", near), "numbers")
     assert registry.version == 4
-    forced = enroll(registry, Layout("near", near), "numbers", force=True)
-    assert forced.outlook.confusable == ("helmet-120",)
-    assert registry.version == forced.version == 5
-    fine = enroll(registry, Layout("fine", SCALENE), "numbers")
-    assert not fine.outlook.confusable
-    assert {n.name for n in fine.outlook.neighbours} == {*builtin_layouts(), "near"}
+    forced, version = enroll(registry, Layout("near", near), "numbers", force=True)
+    assert forced.confusable == ("helmet-120",)
+    assert registry.version == version == 5
+    fine, _ = enroll(registry, Layout("fine", SCALENE), "numbers")
+    assert not fine.confusable
+    assert {n.name for n in fine.neighbours} == {*builtin_layouts(), "near"}
 
 
 def test_of_two_that_enrol_alike_layouts_at_once_only_one_does(tmp_path: Path) -> None:
