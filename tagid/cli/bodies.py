@@ -16,6 +16,7 @@ from tagid.errors import LayoutConflictError
 from tagid.result import Result
 
 if TYPE_CHECKING:
+    from tagid.result import Drawn
     from tagid.tags.bodies.signature import Signature
 
 
@@ -27,7 +28,6 @@ def bodies(
 
     Example: tagid bodies
     """
-    from rich.text import Text
 
     from tagid.operate.workplace import open_registry
     from tagid.report.table import Table
@@ -55,7 +55,7 @@ def bodies(
         "registry_version": contents.version,
         "signatures": [_facts(signature) for signature in contents.signatures],
     }
-    empty = Text("nothing is enrolled; see `tagid enroll --body NAME FILES`")
+    empty = "nothing is enrolled; see `tagid enroll --body NAME FILES`"
     return Result("bodies", data, table if contents.signatures else empty)
 
 
@@ -74,12 +74,11 @@ def remove(
 
 
 def _removed(command: str, name: str) -> Result:
-    from rich.text import Text
 
     from tagid.operate.workplace import open_registry
 
     version = open_registry().remove_signature("body", name, "tagid bodies remove")
-    line = Text(f"{name} removed; its history is kept (registry version {version})")
+    line = f"{name} removed; its history is kept (registry version {version})"
     return Result(command, {"removed": name, "registry_version": version}, line)
 
 
@@ -96,7 +95,6 @@ def show(
 
     Example: tagid bodies show mug --png mug.png
     """
-    from rich.text import Text
 
     from tagid.files import write_bytes
     from tagid.operate.workplace import open_registry
@@ -118,7 +116,7 @@ def show(
     ]
     lines += [f"written  {png}"] if png else []
     data = {"signature": facts, "png": str(png) if png else None}
-    return Result("bodies show", data, Text("\n".join(lines)))
+    return Result("bodies show", data, "\n".join(lines))
 
 
 @command("bodies check")
@@ -127,8 +125,6 @@ def check(terminal: Terminal) -> Result:
 
     Example: tagid bodies check
     """
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.operate.workplace import open_registry
     from tagid.report.table import Table
@@ -143,7 +139,7 @@ def check(terminal: Terminal) -> Result:
         table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.difference * 100:.1f}", remark)
     of_kind = [signature for signature in contents.signatures if signature.kind == "body"]
     lines = [
-        Text(f"{body.name}: a tag must return more than {_db(_facts(body)['least_tag'])} dB of its echo")
+        f"{body.name}: a tag must return more than {_db(_facts(body)['least_tag'])} dB of its echo"
         for body in of_kind
     ]
     data = {
@@ -160,7 +156,7 @@ def check(terminal: Terminal) -> Result:
         f"the bodies {p.first} and {p.second} are similar: a tag on one may be read as on the other"
         for p in same
     )
-    human = Group(table, *lines)
+    human: list[Drawn] = [table, *lines]
     if not bad:
         return Result("bodies check", data, human, messages=notes)
     error = LayoutConflictError(

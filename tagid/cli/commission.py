@@ -18,11 +18,10 @@ from tagid.errors import EXIT_FAILED, EXIT_OK, CaptureInterrupted, TagidError, U
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from tagid.commissioning.bench import Bench, TapeChanges
     from tagid.commissioning.rows import StepReport
     from tagid.commissioning.steps import Step
+    from tagid.result import Drawn
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,6 @@ def commission(
     Example: tagid commission --axis-distance 1.0 --antenna-height 0.05 --distance 1.0
     Example: tagid commission --step target --target corner:20cm --distance 1.5 --page rig.html
     """
-    from rich.text import Text
 
     from tagid.commissioning.bench import Bench
     from tagid.commissioning.steps import STEPS, next_step, run_step, step_named
@@ -133,7 +131,7 @@ def commission(
         "profile": str(profile) if profile.exists() else None,
         "page": written,
     }
-    drawn = None if written is None else Text(f"written  {written}")
+    drawn = None if written is None else f"written  {written}"
     if ended is not None:
         return Result.from_error("commission", ended, data, drawn, aside)
     passed = all(report.passed for report in done)
@@ -149,15 +147,12 @@ def _set_aside() -> tuple[str, ...]:
 
 
 def _bundled(path: Path, bench: Bench, page: Path | None) -> Result:
-    from rich.text import Text
 
     from tagid.commissioning.bundle import write_bundle
 
     names = write_bundle(bench, path)
     written = _page(page, bench)
-    return Result(
-        "commission", {"bundle": str(path), "files": names, "page": written}, Text(f"written  {path}")
-    )
+    return Result("commission", {"bundle": str(path), "files": names, "page": written}, f"written  {path}")
 
 
 def _prepare(step: Step, config: Config, yes: bool, ask: bool) -> None:
@@ -186,7 +181,7 @@ def _page(page: Path | None, bench: Bench) -> str | None:
     return str(page)
 
 
-def _drawn(report: StepReport) -> RenderableType:
+def _drawn(report: StepReport) -> Drawn:
     from rich.text import Text
 
     styles = {"pass": "green", "note": "dim", "fail": "bold red"}

@@ -35,7 +35,6 @@ def config(
 
     Example: tagid config set radar.url udp://192.168.1.100
     """
-    from rich.text import Text
 
     for word in (action, name, value):
         if word is not None and word.startswith("-") and not word[1:2].isdigit():
@@ -53,10 +52,10 @@ def config(
         in_its_unit = isinstance(parsed, float) and value is not None and value[-1:].isalpha()
         shown = str(parsed) if isinstance(parsed, Secret) or in_its_unit else value
         text = f"{name} = {shown}" if value is not None else f"{name} reset to its default"
-        return Result("config", {"path": str(path), name: shown}, Text(f"{text} ({path})"))
+        return Result("config", {"path": str(path), name: shown}, f"{text} ({path})")
     loaded = load_config()
     if action == "path":
-        return Result("config", {"path": str(loaded.path)}, Text(str(loaded.path)))
+        return Result("config", {"path": str(loaded.path)}, str(loaded.path))
     if action not in ("show", "list"):
         actions = ("show", "set", "unset", "path")
         raise UsageError(f"unknown action {action!r}", f"{meant(action, actions)}Use {', '.join(actions)}.")

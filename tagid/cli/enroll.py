@@ -20,10 +20,9 @@ from tagid.query import parse_point
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from rich.console import Group, RenderableType
-
     from tagid.config import Config
     from tagid.pipeline.enrollment import LayoutProposal, Measured
+    from tagid.result import Drawn
     from tagid.tags.bodies.joint import Joint
     from tagid.tags.layouts.layout import Layout
 
@@ -195,8 +194,6 @@ def _enrol_signature(
     remarks: tuple[str, ...],
 ) -> Result:
     """Show the quality of a signature (body, or object without positions), ask, and store it."""
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.operate.workplace import open_registry
     from tagid.pipeline.enrollment import joint_data, joint_words, propose_signature
@@ -219,7 +216,6 @@ def _enrol_signature(
         if proposal.alike:
             alike = ", ".join(proposal.alike)
             notes.append(f"it is similar to {alike}: a tag on one may be read as on the other")
-    shown = Group(*(Text(line) for line in lines))
     data: dict[str, Any] = {
         "layout": None,
         "signature": joint_data(joint),
@@ -229,40 +225,38 @@ def _enrol_signature(
     }
     error = proposal.conflict
     if error is not None and not wish.force:
-        return Result.from_error("enroll", error, data, shown, tuple(notes))
+        return Result.from_error("enroll", error, data, lines, tuple(notes))
     if wish.dry_run:
-        human = Group(shown, Text(f"{signature.name} not stored"))
+        human = [lines, f"{signature.name} not stored"]
         return Result("enroll", data, human, messages=tuple(notes))
-    asked = enrolling.agree(terminal, shown, f"Enroll the {signature.kind} {signature.name}?", wish.yes)
+    asked = enrolling.agree(terminal, lines, f"Enroll the {signature.kind} {signature.name}?", wish.yes)
     data["registry_version"] = proposal.store(registry, source, wish.force)
     data["stored"] = True
-    line = Text(f"{signature.kind} {signature.name} enrolled, registry version {data['registry_version']}")
-    return Result("enroll", data, line if asked else Group(shown, line), messages=tuple(notes))
+    line = f"{signature.kind} {signature.name} enrolled, registry version {data['registry_version']}"
+    return Result("enroll", data, line if asked else [lines, line], messages=tuple(notes))
 
 
-def _shown(proposal: LayoutProposal, measured: Measured | None) -> Group:
+def _shown(proposal: LayoutProposal, measured: Measured | None) -> Drawn:
     """Text shown before the confirmation."""
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.pipeline.enrollment import joint_words
     from tagid.report.layout_sheet import in_terminal
 
     layout = proposal.layout
-    lines: list[RenderableType] = [Text(in_terminal(layout, 33))]
+    lines: list[Drawn] = [in_terminal(layout, 33)]
     for number, (x, y) in enumerate(layout.positions, 1):
         spread = "" if layout.covariance is None else "  +- " + _sigmas(layout, number - 1)
-        lines.append(Text(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{spread}"))
+        lines.append(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{spread}")
     if measured is not None and measured.estimate is not None:
         estimate = measured.estimate
         count = len(estimate.rotations_deg)
         known = f"which scatter by up to {max(estimate.spread_m) * 1e3:.1f} mm"
-        lines.append(Text("measured on " + counted(count, "capture") + (f", {known}" if count > 1 else "")))
+        lines.append("measured on " + counted(count, "capture") + (f", {known}" if count > 1 else ""))
         if estimate.mirrored:
-            lines.append(Text(f"taken as mirror images: {', '.join(estimate.mirrored)}"))
+            lines.append(f"taken as mirror images: {', '.join(estimate.mirrored)}")
     if measured is not None and measured.joint is not None:
-        lines += [Text(line) for line in joint_words(measured.joint)]
-    return Group(*lines, enrolling.neighbours(proposal.outlook))
+        lines += joint_words(measured.joint)
+    return [*lines, enrolling.neighbours(proposal.outlook)]
 
 
 def _sigmas(layout: Layout, index: int) -> str:
@@ -278,8 +272,6 @@ def _result(
     shown: bool,
     error: RegistryError | None = None,
 ) -> Result:
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.pipeline.enrollment import joint_data
 
@@ -306,10 +298,10 @@ def _result(
         "rotations_deg": None if estimate is None else list(estimate.rotations_deg),
         "mirrored": None if estimate is None else list(estimate.mirrored),
     }
-    line = Text(f"{layout.name} not stored")
+    line = f"{layout.name} not stored"
     if version is not None:
-        line = Text(f"{layout.name} enrolled: {layout.size} reflectors, registry version {version}")
-    human = line if shown else Group(_shown(proposal, measured), line)
+        line = f"{layout.name} enrolled: {layout.size} reflectors, registry version {version}"
+    human = line if shown else [_shown(proposal, measured), line]
     if error is not None:
         return Result.from_error("enroll", error, data, human, tuple(messages))
     return Result("enroll", data, human, messages=tuple(messages))

@@ -42,8 +42,9 @@ from tagid.errors import (
 from tagid.result import Result, render
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
     from rich.text import Text
+
+    from tagid.result import Drawn
 
 
 class Output(StrEnum):
@@ -87,7 +88,7 @@ class Terminal:
             if total is not None:
                 bars.update(task, completed=total)
 
-    def show(self, human: RenderableType) -> None:
+    def show(self, human: Drawn) -> None:
         """Print a part of the answer before the command ends; nothing where that is JSON.
 
         Raises OSError.

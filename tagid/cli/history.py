@@ -72,7 +72,6 @@ def history(
 
 
 def _export(store: History, file: Path | None, wanted: Filter) -> Result:
-    from rich.text import Text
 
     from tagid.files import resolved
     from tagid.storage.history import export, is_export
@@ -82,7 +81,7 @@ def _export(store: History, file: Path | None, wanted: Filter) -> Result:
     file = resolved(file)
     check_own(file, is_export, "an export of the history")
     rows = export(store, wanted, file)
-    return Result("history", {"path": str(file), "rows": rows}, Text(f"{rows} identifications in {file}"))
+    return Result("history", {"path": str(file), "rows": rows}, f"{rows} identifications in {file}")
 
 
 def _list(terminal: Terminal, store: History, wanted: Filter) -> Result:

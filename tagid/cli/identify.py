@@ -17,10 +17,9 @@ from tagid.result import Result
 from tagid.secret import MotionUrl
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from tagid.operate.turn import Answer
     from tagid.operate.workplace import Workplace
+    from tagid.result import Drawn
 
 
 @dataclass(frozen=True)
@@ -73,14 +72,13 @@ def _run(
     terminal: Terminal, place: Workplace, files: list[Path], view: _ViewOptions, given: dict[str, object]
 ) -> Result:
     """Identify each file; a file that fails becomes a failed item; the others continue."""
-    from rich.console import Group
 
     from tagid.cli import imaging
     from tagid.operate.turn import draw, draw_residuals_of, failed, read, residuals_beside
 
     setup = place.setup()
     answers: list[Answer] = []
-    drawn: list[RenderableType] = []
+    drawn: list[Drawn] = []
     written: str | None = None
     for path in files:
         answer = read(setup, path)
@@ -114,7 +112,7 @@ def _run(
     return Result(
         "identify",
         {"items": items, "png": written},
-        Group(*drawn) if drawn else None,
+        drawn or None,
         exit_code=code,
         messages=(*remarks, *notes),
         errors=tuple(problem for answer in errors if (problem := answer.identification.error)),
@@ -141,18 +139,16 @@ def vote_on(
     )
 
 
-def _joint_text(answer: Answer, verbose: bool, explain: bool) -> RenderableType:
+def _joint_text(answer: Answer, verbose: bool, explain: bool) -> Drawn:
     """The joint answer as text, with one line per recording."""
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.cli import imaging
     from tagid.counting import counted
     from tagid.operate.words import headline
 
-    lines = [Text(f"  {alone.file}: {headline(alone.identification)}") for alone in answer.alone]
+    lines = [f"  {alone.file}: {headline(alone.identification)}" for alone in answer.alone]
     source = f"from {counted(len(answer.alone), 'recording')}"
-    return Group(imaging.describe(answer, source, verbose, explain), *lines)
+    return [imaging.describe(answer, source, verbose, explain), *lines]
 
 
 def _given(overrides: Mapping[str, object]) -> dict[str, object]:

@@ -21,6 +21,7 @@ from tagid.result import Result
 if TYPE_CHECKING:
     from tagid.enrolling.layout_file import Entries
     from tagid.enrolling.registry import Registry, RegistryContents, Restored
+    from tagid.result import Drawn
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.layouts.layout import Layout
 
@@ -55,12 +56,11 @@ def remove(
 
 
 def _removed(command: str, name: str) -> Result:
-    from rich.text import Text
 
     from tagid.operate.workplace import open_registry
 
     version = open_registry().remove(name, "tagid layouts remove")
-    line = Text(f"{name} removed; its history is kept (registry version {version})")
+    line = f"{name} removed; its history is kept (registry version {version})"
     return Result(command, {"removed": name, "registry_version": version}, line)
 
 
@@ -133,7 +133,6 @@ def show(
 
     Example: tagid layouts show helmet-120 --template helmet-120.pdf
     """
-    from rich.console import Group
     from rich.text import Text
 
     from tagid.enrolling.layout_file import read_layouts
@@ -171,12 +170,12 @@ def show(
             whole = layout_sheet.stacked(layout_sheet.template(layout, surface_radius))
             write_bytes(template, to_svg(whole))
         written.append(str(template))
-    lines = [Text(layout_sheet.in_terminal(layout)), Text(f"{layout.name}  {layout.label}", "bold")]
+    lines: list[Drawn] = [layout_sheet.in_terminal(layout), Text(f"{layout.name}  {layout.label}", "bold")]
     for number, ((x, y), h) in enumerate(zip(layout.positions, layout.heights, strict=True), 1):  # type: ignore[arg-type]
         high = f"  height {h * 1e3:6.1f}" if any(layout.heights) else ""  # type: ignore[arg-type]
-        lines.append(Text(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{high}"))
-    lines += [Text(f"written  {path}") for path in written]
-    return Result("layouts show", {"layout": layout.to_dict(), "written": written}, Group(*lines))
+        lines.append(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{high}")
+    lines += [f"written  {path}" for path in written]
+    return Result("layouts show", {"layout": layout.to_dict(), "written": written}, lines)
 
 
 @command("layouts sheet")
@@ -190,7 +189,6 @@ def sheet(
 
     Example: tagid layouts sheet tags.pdf
     """
-    from rich.text import Text
 
     from tagid.files import write_bytes
     from tagid.operate.workplace import open_registry
@@ -208,7 +206,7 @@ def sheet(
         drawings += layout_sheet.template(layout, None, paper)
     write_bytes(file, to_pdf(drawings, paper))
     data = {"path": str(file), "layouts": [layout.name for layout in layouts]}
-    return Result("layouts sheet", data, Text(f"{counted(len(layouts), 'layout')} in {file}"))
+    return Result("layouts sheet", data, f"{counted(len(layouts), 'layout')} in {file}")
 
 
 @command("layouts export")
@@ -224,7 +222,6 @@ def export(
 
     Example: tagid layouts export tags.toml
     """
-    from rich.text import Text
 
     from tagid.enrolling.layout_file import write_layouts
     from tagid.files import resolved
@@ -246,7 +243,7 @@ def export(
         "signatures": [{"kind": signature.kind, "name": signature.name} for signature in signatures],
     }
     line = f"{_count(layouts, signatures)} written to {file}"
-    return Result("layouts export", data, Text(line))
+    return Result("layouts export", data, line)
 
 
 @command("layouts import")
@@ -266,7 +263,6 @@ def import_(
 
     Example: tagid layouts import tags.toml
     """
-    from rich.text import Text
 
     from tagid.operate.workplace import open_registry
     from tagid.tags.bodies.signature_file import to_bytes
@@ -313,7 +309,7 @@ def import_(
         "stored": stored.version is not None,
         **stored.data,
     }
-    return stored.result("layouts import", data, [Text(line)])
+    return stored.result("layouts import", data, [line])
 
 
 @command("layouts undo")
@@ -347,7 +343,6 @@ def redo(terminal: Terminal) -> Result:
 
 def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Result:
     """The registry after an undo or redo, with what changed."""
-    from rich.text import Text
 
     from tagid.operate.workplace import open_registry
 
@@ -373,7 +368,7 @@ def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Res
         "layouts": [layout.name for layout in contents.layouts],
         "signatures": [{"kind": signature.kind, "name": signature.name} for signature in contents.signatures],
     }
-    return Result(name, data, Text("\n".join(lines)))
+    return Result(name, data, "\n".join(lines))
 
 
 def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
@@ -416,7 +411,6 @@ def check(terminal: Terminal) -> Result:
 
     Example: tagid layouts check
     """
-    from rich.text import Text
 
     from tagid.enrolling.enrollment import neighbour
     from tagid.operate.workplace import open_registry
@@ -480,7 +474,7 @@ def check(terminal: Terminal) -> Result:
             "such pairs on objects that could be mixed up."
         )
     if not bad:
-        alone = Text(f"{len(enrolled)} layouts, no two with the same number of reflectors")
+        alone = f"{len(enrolled)} layouts, no two with the same number of reflectors"
         return Result("layouts check", data, table if pairs or nested else alone, messages=tuple(remarks))
     error = LayoutConflictError(
         f"{counted(len(bad), 'pair')} of layouts could be confused: they leave more readings "

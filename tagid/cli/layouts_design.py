@@ -18,9 +18,8 @@ from tagid.errors import UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from tagid.report.reflector_sheet import CrossSection
+    from tagid.result import Drawn
     from tagid.tags.layouts.design import DesignRules, Family
     from tagid.tags.layouts.layout import Layout
     from tagid.tags.layouts.objects import TaggedObject
@@ -211,8 +210,6 @@ def _designed(
     terminal: Terminal, family: Family, asked: _Asked, out: Path | None, wish: enrolling.Wish
 ) -> Result:
     import numpy as np
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.enrolling.enrollment import family_outlooks, refusal
     from tagid.enrolling.layout_file import write_layouts
@@ -252,18 +249,18 @@ def _designed(
         )
     worst = max(outlooks, key=lambda outlook: outlook.unresolved)
     least = f"{family.distance_m * 1e3:.1f} mm"
-    lines: list[RenderableType] = [
-        Text(
+    lines: list[Drawn] = [
+        (
             f"{counted(len(family.layouts), 'layout')} of {family.candidates} that fit, reflectors at least "
             f"{family.ghost_m * 1e3:.0f} mm apart; "
             + (f"the two most alike differ by {least}, turned to match" if len(family.layouts) > 1 else "")
             + ("" if family.proven else " (a better set may exist)")
         )
     ]
-    lines.append(Text(f"{worst.layout.name}: {enrolling.about(worst)}"))
+    lines.append(f"{worst.layout.name}: {enrolling.about(worst)}")
     if out is not None:
         how = "they cannot be enrolled" if refused else f"enroll them: tagid layouts import {out}"
-        lines.append(Text(f"written to {out}; {how}"))
+        lines.append(f"written to {out}; {how}")
     data = {
         "layouts": [layout.to_dict() for layout in family.layouts],
         "distance_m": None if family.distance_m == float("inf") else family.distance_m,
@@ -280,15 +277,13 @@ def _designed(
     }
     lines.append(table)
     if stored is None:
-        return Result("layouts design", data, Group(*lines), messages=tuple(messages))
+        return Result("layouts design", data, lines, messages=tuple(messages))
     if stored.version is not None:
-        lines.append(Text(f"enrolled, registry version {stored.version}"))
+        lines.append(f"enrolled, registry version {stored.version}")
     return stored.result("layouts design", data, lines, messages)
 
 
 def _capacity(target: TaggedObject, rules: list[DesignRules], error_rate: float) -> Result:
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.enrolling.capacity import capacity
     from tagid.reading.alike import Conditions
@@ -318,14 +313,14 @@ def _capacity(target: TaggedObject, rules: list[DesignRules], error_rate: float)
             for c in capacities
         ]
     radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in target.rows)
-    line = Text(
+    line = (
         f"{target.label or target.name} (radius {radii}), {rules[0].slots} slots: identities, where "
         f"at most {error_rate:g} of readings leave no name (and their minimum distance)"
     )
     return Result(
         "layouts capacity",
         {"object": target.name, "error_rate": error_rate, "rows": rows},
-        Group(line, table),
+        [line, table],
     )
 
 
@@ -356,8 +351,6 @@ def reflector(
 
     Example: tagid layouts reflector --size 40 --out r.stl --out r.pdf --rcs r.csv --rcs r.png
     """
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.files import write_bytes
     from tagid.report import reflector_sheet as sheets
@@ -385,15 +378,15 @@ def reflector(
             content = to_svg(net) if suffix == ".svg" else to_pdf([net], paper)
         write_bytes(path, content)
     edge = size / 2**0.5
-    lines: list[RenderableType] = [Text(f"octahedron, size {size:g} mm from tip to tip, edge {edge:.1f} mm")]
+    lines: list[Drawn] = [f"octahedron, size {size:g} mm from tip to tip, edge {edge:.1f} mm"]
     solved = sheets.cross_section(size_m) if responses else None
     if solved is not None:
         for path in responses:
             content = sheets.to_csv(solved).encode() if path.suffix == ".csv" else sheets.to_png(solved)
             write_bytes(path, content)
-        lines += [_table(solved), Text(f"source: {solved.source}")]
+        lines += [_table(solved), f"source: {solved.source}"]
     written = [str(path) for path in (*made, *responses)]
-    lines += [Text(f"written  {path}") for path in written]
+    lines += [f"written  {path}" for path in written]
     data: dict[str, Any] = {
         "kind": kind,
         "size_mm": size,
@@ -407,10 +400,10 @@ def reflector(
             "source": solved.source,
             **{name: getattr(solved, name).tolist() for name in levels},
         }
-    return Result("layouts reflector", data, Group(*lines))
+    return Result("layouts reflector", data, lines)
 
 
-def _table(solved: CrossSection) -> RenderableType:
+def _table(solved: CrossSection) -> Drawn:
     from tagid.report.table import Table
 
     table = Table("GHz", "vertical dBsm", "horizontal dBsm, towards a tip", "at 45 degrees", box=None)

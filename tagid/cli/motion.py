@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tagid.capture import Capture
     from tagid.motion.driven import DrivenMotion
     from tagid.report.table import Table
+    from tagid.result import Drawn
     from tagid.tags.layouts.layout import Layout
 
 Url = Annotated[
@@ -80,7 +81,6 @@ def find(
 
     Example: tagid motion find
     """
-    from rich.console import Group
 
     from tagid.cli.frame import to_copy
     from tagid.motion.discovery import bluetooth_devices, serial_devices
@@ -114,7 +114,7 @@ def find(
         )
     urls = to_copy([device.url for device in devices if device.url], "tagid motion info --motion {}")
     data = {"devices": [asdict(device) for device in devices]}
-    human = Group(table, urls) if devices else None
+    human: Drawn | None = [table, urls] if devices else None
     code = EXIT_OK if devices else EXIT_DEVICE
     return Result("motion find", data, human, exit_code=code, messages=notes, errors=errors)
 
@@ -185,11 +185,10 @@ def stop(terminal: Terminal, url: Url = None, motion: options.MotionUrl = None) 
 
     Example: tagid motion stop --motion roomba+ble://tagid-bridge
     """
-    from rich.text import Text
 
     device = driven(_one_url(url, motion), stopping=True)
     device.halt_now()
-    return Result("motion stop", {"stopped": True}, Text(f"{device.name} has stopped"))
+    return Result("motion stop", {"stopped": True}, f"{device.name} has stopped")
 
 
 @command("motion calibrate")
@@ -219,7 +218,6 @@ def calibrate(
 
     Example: tagid motion calibrate --motion roomba+serial:///dev/ttyUSB1 --axis-distance 1.0
     """
-    from rich.text import Text
 
     from tagid.motion.calibration import remember, wheel_base_from
     from tagid.storage.importers import read_any
@@ -250,12 +248,11 @@ def calibrate(
     path = remember(robot, base)
     data = {"robot": robot, "wheel_base_mm": base.wheel_base_mm, "sigma": base.sigma, "path": str(path)}
     text = f"{robot}: effective wheel base {base.wheel_base_mm:.2f} mm, +- {base.sigma:.2%}"
-    return Result("motion calibrate", data, Text(text))
+    return Result("motion calibrate", data, text)
 
 
 def _direction(capture: Capture, name: str) -> Result:
     """Whether the capture's table rotated in the stated direction; stored for commanded tables."""
-    from rich.text import Text
 
     from tagid.metadata import ResolvedMotion
     from tagid.motion.calibration import remember_reversed
@@ -283,9 +280,7 @@ def _direction(capture: Capture, name: str) -> Result:
     measured = "opposite to" if other else "in"
     text = f"{device or 'the table'} was stated to rotate {way} and rotated {measured} that direction; "
     data = {"device": device, "told": way, "other_way": other, "reversed": is_reversed}
-    return Result(
-        "motion calibrate", {**data, "path": None if path is None else str(path)}, Text(text + lesson)
-    )
+    return Result("motion calibrate", {**data, "path": None if path is None else str(path)}, text + lesson)
 
 
 def _record(terminal: Terminal, config: Config, turns: float) -> Capture:

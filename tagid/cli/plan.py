@@ -17,10 +17,9 @@ from tagid.errors import UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from tagid.planning.plan import Plan, Setup, Wanted
     from tagid.planning.rates import Expected
+    from tagid.result import Drawn
 
 
 @command("plan")
@@ -182,10 +181,7 @@ def _doubt(planned: Plan, wanted: Wanted, want: float) -> str:
     )
 
 
-def _drawn(
-    planned: Plan, snr: float, wanted: Wanted | None, want: float | None, doubt: str
-) -> RenderableType:
-    from rich.console import Group
+def _drawn(planned: Plan, snr: float, wanted: Wanted | None, want: float | None, doubt: str) -> Drawn:
     from rich.text import Text
 
     from tagid.report.table import Table
@@ -202,7 +198,7 @@ def _drawn(
     budget = [
         (term.name, f"{term.value:.4g} {term.unit}", Text(term.source, style="dim")) for term in planned.terms
     ]
-    parts: list[RenderableType] = [Text("link budget", "bold"), table(budget)]
+    parts: list[Drawn] = [Text("link budget", "bold"), table(budget)]
     parts += [Text("recording", "bold"), table(_rows(planned, snr))]
     if wanted is not None and want is not None:
         parts += [
@@ -211,7 +207,7 @@ def _drawn(
         ]
         if doubt:
             parts.append(Text(doubt, "yellow"))
-    return Group(*parts)
+    return parts
 
 
 def _rows(planned: Plan, snr: float) -> list[tuple[str, str]]:

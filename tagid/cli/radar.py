@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from tagid.radar.settings import RadarConfig
     from tagid.recording.long_recording import RecordingState
     from tagid.recording.monitoring import Monitor
+    from tagid.result import Drawn
 
 
 Seconds = Annotated[
@@ -62,7 +63,6 @@ def find(
 
     Example: tagid radar find
     """
-    from rich.console import Group
 
     from tagid.cli.frame import to_copy
     from tagid.radar.discovery import WHERE_TO_LOOK, addresses_from, discover
@@ -82,7 +82,7 @@ def find(
         errors = (Problem("device", message, WHERE_TO_LOOK),)
     answering = [radar.url for radar in radars.radars if radar.status]
     urls = to_copy(answering, "tagid config set radar.url {}")
-    human = Group(found_table(radars.radars), urls) if radars.radars else None
+    human: Drawn | None = [found_table(radars.radars), urls] if radars.radars else None
     code = EXIT_OK if answering else EXIT_DEVICE
     return Result("radar find", data, human, exit_code=code, errors=errors, completed=len(answering))
 
@@ -257,7 +257,6 @@ def record(
 
     Example: tagid radar record --seconds 3600 --save-dir /data/today
     """
-    from rich.text import Text
 
     from tagid.metadata import ObjectInfo
     from tagid.operate.words import notes
@@ -323,7 +322,7 @@ def record(
         "stopped_by_user": asked_to_stop(),
     }
     code = EXIT_OK if written.complete else EXIT_INTERRUPTED
-    return Result("radar record", data, Text(text), exit_code=code, messages=tuple(notes(written.radar)))
+    return Result("radar record", data, text, exit_code=code, messages=tuple(notes(written.radar)))
 
 
 def _check_seconds(seconds: float | None) -> None:
@@ -343,7 +342,6 @@ def reboot(
 
     Example: tagid radar reboot --radar udp://192.168.1.100
     """
-    from rich.text import Text
 
     if not 1 <= wait <= 600:
         raise UsageError(f"--wait is {wait}", "Give 1 to 600 seconds.")
@@ -354,7 +352,7 @@ def reboot(
     took = time.monotonic() - started
     url = radar_url(config)
     data = {"url": url, "seconds": round(took, 3), "config": asdict(taken)}
-    return Result("radar reboot", data, Text(f"{url} responds again after {took:.1f} s"))
+    return Result("radar reboot", data, f"{url} responds again after {took:.1f} s")
 
 
 _REFRESHES = 24
@@ -415,7 +413,6 @@ def _watch(
 ) -> Result:
     from rich.console import Console
     from rich.live import Live
-    from rich.text import Text
 
     from tagid.recording.monitoring import Monitor
 
@@ -450,7 +447,7 @@ def _watch(
         "frames_per_second": screen.rate_hz,
     }
     text = f"{last.scans} scans in {last.seconds:.1f} s, {last.lost} lost, {last.strongest}"
-    return Result("radar monitor", data, Text(text))
+    return Result("radar monitor", data, text)
 
 
 def _receive(device: P440, view: Monitor, seconds: float | None, interval_us: int) -> None:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from tagid.imaging.volume import Volume
     from tagid.pipeline.settings import ImagingSettings
     from tagid.pipeline.volume import VolumeSettings
+    from tagid.result import Drawn
 
 
 @dataclass(frozen=True)
@@ -209,8 +210,6 @@ def reconstruct(
 
     Example: tagid reconstruct helmet.tagid.h5 --method sparse --png helmet.png
     """
-    from rich.console import Group, RenderableType
-    from rich.text import Text
 
     from tagid.cli import imaging
     from tagid.imaging.autofocus import BEYOND_SEARCH
@@ -259,23 +258,19 @@ def reconstruct(
         write_image(picture.out, result.image)
     if picture.png:
         draw_image_of(result, None, picture.png)
-    lines: list[RenderableType] = []
+    lines: list[Drawn] = []
     if picture.preview:
         lines.append(imaging.in_terminal(result))
     took = sum(result.seconds.values())
     distance = result.image.settings["axis_distance_m"]
     where = "" if distance is None else f", axis at {distance:.3f} m"
-    lines.append(Text(f"{result.method} image of {counted(result.views, 'view')} in {took:.2f} s{where}"))
-    lines += [Text(line) for line in learned_words(result)]
+    lines.append(f"{result.method} image of {counted(result.views, 'view')} in {took:.2f} s{where}")
+    lines += learned_words(result)
     if result.focus is not None and result.focus.reason == BEYOND_SEARCH:
-        lines.append(
-            Text("--axis-search METRES searches farther; --antenna-height METRES raises the antenna")
-        )
+        lines.append("--axis-search METRES searches farther; --antenna-height METRES raises the antenna")
     if wanted.subtract_body:
-        lines.append(Text(SUBTRACTED[subtracted]))
-    lines += [
-        Text(f"{name} {path}") for name, path in (("image", picture.out), ("picture", picture.png)) if path
-    ]
+        lines.append(SUBTRACTED[subtracted])
+    lines += [f"{name} {path}" for name, path in (("image", picture.out), ("picture", picture.png)) if path]
     data = {
         "method": result.method,
         "image": str(picture.out) if picture.out else None,
@@ -290,7 +285,7 @@ def reconstruct(
     remarks = tuple(note for note in intake_remarks(prepared.given) if note not in shown)
     if unseen:
         remarks += ("the image was not stored: give --out, --png or --preview",)
-    return Result("reconstruct", data, Group(*lines), messages=remarks)
+    return Result("reconstruct", data, lines, messages=remarks)
 
 
 def _check_combined(how: _MethodOptions, wanted: _ImageOptions, volume: _VolumeOptions) -> None:
@@ -362,8 +357,6 @@ def _volume(terminal: Terminal, capture: Capture, settings: VolumeSettings, file
         settings: of the volume.
         files: to write, by kind, checked.
     """
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.imaging.facts import facts_of
     from tagid.operate.words import held_out_words, outside_words
@@ -398,7 +391,7 @@ def _volume(terminal: Terminal, capture: Capture, settings: VolumeSettings, file
         "files": {kind: str(path) for kind, path in files.items()},
         "seconds": made.seconds,
     }
-    return Result("reconstruct", data, Group(*(Text(line) for line in lines)))
+    return Result("reconstruct", data, lines)
 
 
 def _write_volume(volume: Volume, files: dict[str, Path]) -> None:

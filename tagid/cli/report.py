@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from tagid.batch.local import Runner
     from tagid.batch.run import BatchPlan, Finished
     from tagid.report.records import ItemRecord
+    from tagid.result import Drawn
 
 _SHOWN_ERRORS = 10
 
@@ -275,18 +276,18 @@ def _result(terminal: Terminal, plan: BatchPlan, finished: Finished, remarks: li
         code = EXIT_INTERRUPTED
     counts = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in summary["by_status"].items() if n)
     captures = counted(summary["captures"], "capture")
-    lines_out = [Text.assemble((f"{captures}: ", "bold"), counts or "none")]
+    lines_out: list[Drawn] = [Text.assemble((f"{captures}: ", "bold"), counts or "none")]
     if words := qualified(summary):
         lines_out.append(Text(words, "yellow"))
     if summary["expected"]:
         e = summary["expected"]
         accuracy = "-" if e["accuracy"] is None else f"{e['accuracy']:.1%}"
-        lines_out.append(Text(f"as expected: {e['correct']} of {e['items']} ({accuracy})"))
-    lines_out.append(Text(f"report       {files['report.html']}"))
+        lines_out.append(f"as expected: {e['correct']} of {e['items']} ({accuracy})")
+    lines_out.append(f"report       {files['report.html']}")
     return Result(
         "report",
         data,
-        Text("\n").join(lines_out),
+        lines_out,
         exit_code=code,
         messages=tuple(messages),
         errors=tuple(errors),

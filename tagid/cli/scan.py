@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from tagid.operate.workplace import Workplace
     from tagid.recording.plan import RecordingPlan
     from tagid.recording.recorder import Watch
+    from tagid.result import Drawn
 
 MAX_REPEAT = 100
 
@@ -154,8 +155,6 @@ def _scan(
     terminal: Terminal, place: Workplace, planned: Callable[[], RecordingPlan], view: _ViewOptions
 ) -> Result:
     """Record one revolution, name the object, draw it, and store the answer."""
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.cli import imaging
     from tagid.operate.turn import draw, failed, picture_of
@@ -169,7 +168,7 @@ def _scan(
     resolved, ended = capture.motion.resolved, capture.radar.ended
     png = picture_of(path)
     npz = png.with_suffix(".image.npz")
-    drawn: list[RenderableType] = []
+    drawn: list[Drawn] = []
     details: list[str] = []
     files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
     errors: tuple[Problem, ...] = ()
@@ -197,12 +196,12 @@ def _scan(
     else:
         code = imaging.exit_code_of([answer.identification])
         drawn.insert(0, imaging.describe(answer, "", terminal.verbose > 0))
-    drawn.append(Text(f"  saved {imaging.saved(files)}"))
+    drawn.append(f"  saved {imaging.saved(files)}")
     if line := turn_line(resolved):
         details.append(f"turn: {line}")
     if ended is not None:
         details.append(f"ended: {ending_words(ended)}")
-    drawn += [Text(f"  {line}") for line in details if terminal.verbose]
+    drawn += [f"  {line}" for line in details if terminal.verbose]
     facts = {
         "views": capture.views,
         "bins": capture.bins,
@@ -220,7 +219,7 @@ def _scan(
     return Result(
         "scan",
         {"items": items, **facts},
-        Group(*drawn),
+        drawn,
         exit_code=code,
         messages=(*answer.remarks, *messages, *place.without_profile(answer), *kept),
         errors=errors,

@@ -22,11 +22,10 @@ from tagid.query import quantity
 from tagid.result import Problem, Result
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from tagid.operate.turn import Recorded
     from tagid.operate.workplace import Workplace
     from tagid.recording.plan import RecordingPlan
+    from tagid.result import Drawn
 
 MAX_HEIGHTS = 100
 MAX_HEIGHT_M = 10.0
@@ -145,8 +144,6 @@ def _joined(
     terminal: Terminal, place: Workplace, turns: list[Recorded], heights: tuple[float, ...]
 ) -> Result:
     """Join the recordings, then read and draw the joined capture."""
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.cli import imaging
     from tagid.operate.turn import read
@@ -169,7 +166,7 @@ def _joined(
     write_capture(path, joined)
     answer = read(replace(setup, loading=loading), joined, path)
     files: dict[str, str | None] = {"capture": str(path), "png": None}
-    drawn: list[RenderableType] = [imaging.describe(answer, "", terminal.verbose > 0)]
+    drawn: list[Drawn] = [imaging.describe(answer, "", terminal.verbose > 0)]
     try:
         settings = VolumeSettings("bp", place.config["imaging.extent_m"], PICTURE_PIXELS, held_out=False)
         with terminal.progress("volume", total=1.0) as advance:
@@ -177,7 +174,7 @@ def _joined(
         draw_projections(volume.values, volume.grid.square.axis, volume.grid.heights, png, "BP volume")
         files["png"] = str(png)
     except TagidError as error:
-        drawn.append(Text(f"no picture: {error.message}"))
+        drawn.append(f"no picture: {error.message}")
     rows = [
         {
             "height_m": height_m,
@@ -190,8 +187,8 @@ def _joined(
     ]
     for row in rows if terminal.verbose else ():
         turned = f"rotated {row['rotation_deg']:+.2f} deg"
-        drawn.append(Text(f"{row['height_m']:.3f} m  {row['views']} scans, {turned}  {row['file']}"))
-    drawn.append(Text(f"  saved {imaging.saved(files)}"))
+        drawn.append(f"{row['height_m']:.3f} m  {row['views']} scans, {turned}  {row['file']}")
+    drawn.append(f"  saved {imaging.saved(files)}")
     items = [answer.to_dict()]
     kept = place.remember(
         "scan", items, {"radar": place.radar_url(), "motion": place.config["motion.url"].public}
@@ -200,7 +197,7 @@ def _joined(
     return Result(
         "scan",
         {"items": items, "heights": rows, "files": files, "views": joined.views},
-        Group(*drawn),
+        drawn,
         exit_code=imaging.exit_code_of([answer.identification]),
         messages=(*dict.fromkeys((*losses, *answer.remarks)), *place.without_profile(answer), *kept),
         errors=() if answer.error is None else (Problem.of(answer.error),),

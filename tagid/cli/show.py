@@ -48,8 +48,6 @@ def show(
     Example: tagid show helmet.tagid.h5
     Example: tagid show helmet.tagid.h5 --reflector octahedron:40mm --layout helmet-120
     """
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.operate.words import ending_words
     from tagid.pipeline.prepared import LoadSettings, intake_remarks, load_capture
@@ -113,7 +111,7 @@ def show(
     messages = intake_remarks(capture) + loading.against_the_rig(capture)
     if summary.every > 1:
         messages += (f"SNR, period and picture are from every {summary.every}th scan",)
-    return Result("show", data, Group(table, Text(f"picture {target}")), messages=messages)
+    return Result("show", data, [table, f"picture {target}"], messages=messages)
 
 
 def _not_compared(capture: Capture, summary: RecordingSummary) -> str:

@@ -89,7 +89,6 @@ def simulate(
     Example: tagid simulate --scene container-90 --body can:35mm,handle --centre 0.004,0 --out can.tagid.h5
     """
     import numpy as np
-    from rich.text import Text
 
     from tagid.enrolling.layout_file import only_layout
     from tagid.simulate import Interference, NoiseShape, simulate_capture
@@ -113,9 +112,7 @@ def simulate(
     )
     capture, truth = simulate_capture(shown, acquisition, scene.seed)
     export(capture, out)
-    line = Text(
-        f"{out}: {shown.name}, {counted(capture.views, 'scan')} of {capture.bins} samples, {truth.snr}"
-    )
+    line = f"{out}: {shown.name}, {counted(capture.views, 'scan')} of {capture.bins} samples, {truth.snr}"
     data = {
         "path": str(out),
         "scene": shown.name,

@@ -42,7 +42,6 @@ def import_(
 
     Example: tagid import scan08.out --out scan08.tagid.h5
     """
-    from rich.text import Text
 
     from tagid.pipeline.prepared import LoadSettings, intake_remarks, load_capture
     from tagid.storage.hdf5 import write_capture
@@ -62,7 +61,7 @@ def import_(
         )
     capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
     write_capture(target, capture)
-    line = Text(f"{target}: {counted(capture.views, 'scan')} of {capture.bins} samples")
+    line = f"{target}: {counted(capture.views, 'scan')} of {capture.bins} samples"
     data = {
         "path": str(target),
         "views": capture.views,
@@ -88,7 +87,6 @@ def export(
 
     Example: tagid export helmet.tagid.h5 --out helmet.mat
     """
-    from rich.text import Text
 
     from tagid.storage.exporters import export as write
     from tagid.storage.importers import read_any, remarks
@@ -97,7 +95,7 @@ def export(
     capture = read_any(file, node=node)
     write(capture, target)
     data = {"path": str(target), "views": capture.views, "bins": capture.bins}
-    return Result("export", data, Text(f"{target} written"), messages=remarks(capture))
+    return Result("export", data, f"{target} written", messages=remarks(capture))
 
 
 @command("recover")
@@ -111,7 +109,6 @@ def recover(
 
     Example: tagid recover scan-20260102-101112.tagid.journal
     """
-    from rich.text import Text
 
     from tagid.recording.long_recording import part_path
     from tagid.storage.journal import being_recorded, open_journal
@@ -143,7 +140,7 @@ def recover(
         "complete": written.complete,
         "bytes_dropped": dropped,
     }
-    return Result("recover", data, Text("\n".join(lines)), messages=messages if dropped else ())
+    return Result("recover", data, "\n".join(lines), messages=messages if dropped else ())
 
 
 def _add_measured_angles(journal: Path, target: Path) -> None:
@@ -189,7 +186,6 @@ def join(
 
     Example: tagid join low.tagid.h5 middle.tagid.h5 high.tagid.h5 --out all.tagid.h5
     """
-    from rich.text import Text
 
     from tagid.pipeline.join import heights_of
     from tagid.pipeline.join import join as joined_of
@@ -223,4 +219,4 @@ def join(
     line = f"{out}: {joined.views} views from {len(heights)} antenna heights ({words} m)"
     if turns is not None:
         line += f", rotated by {', '.join(f'{turn:+.2f}' for turn in turns[:8])} deg"
-    return Result("join", data, Text(line))
+    return Result("join", data, line)
