@@ -172,8 +172,7 @@ def _enrol_layout(
     from tagid.pipeline.enrollment import propose_layout
 
     registry = open_registry()
-    known, weight = enrolling.direction_known(), enrolling.height_weight()
-    proposal = propose_layout(registry.contents(), layout, measured, known, weight)
+    proposal = propose_layout(registry.contents(), layout, measured, enrolling.basis())
     if proposal.taken is not None and not wish.force:
         raise proposal.taken
     conflict = None if wish.force else proposal.conflict

@@ -21,7 +21,7 @@ from tagid.query import quantity
 from tagid.result import Redrawn, Result
 
 if TYPE_CHECKING:
-    from tagid.enrolling.enrollment import Outlook
+    from tagid.enrolling.enrollment import Basis, Outlook
     from tagid.enrolling.registry import Registry
     from tagid.result import Drawn
     from tagid.tags.bodies.signature import Signature
@@ -53,11 +53,13 @@ def parse_antenna_heights(text: str) -> tuple[float, ...]:
         ) from None
 
 
-def height_weight() -> float:
-    """How much the heights of reflectors distinguish layouts with the configured antenna heights."""
-    from tagid.tags.layouts.codebook import height_weight as weight
+def basis() -> Basis:
+    """What readings with the configured antenna heights and direction tell layouts apart by."""
+    from tagid.enrolling.enrollment import Basis
+    from tagid.tags.layouts.codebook import height_weight
 
-    return weight(antenna_heights(), load_config({})["motion.axis_distance_m"] or 1.0)
+    weight = height_weight(antenna_heights(), load_config({})["motion.axis_distance_m"] or 1.0)
+    return Basis(direction_known(), weight)
 
 
 def about(outlook: Outlook) -> str:
@@ -214,9 +216,9 @@ def store_family(
 
     from tagid.enrolling.enrollment import family_outlooks, merge, refusal
 
-    known, weight = direction_known(), height_weight()
+    by = basis()
     seen, enrolled = registry.snapshot()
-    outlooks = family_outlooks(layouts, enrolled, direction_known=known, height_weight=weight)
+    outlooks = family_outlooks(layouts, enrolled, by)
     shown = family_neighbours(outlooks) if outlooks else "no layouts, signatures only"
     data = {"confusion": [{"layout": outlook.layout.name, **as_data(outlook)} for outlook in outlooks]}
     error = None if wish.force else refusal(outlooks, enrolled)
@@ -231,8 +233,7 @@ def store_family(
         layouts,
         source,
         force=wish.force,
-        direction_known=known,
-        height_weight=weight,
+        basis=by,
         checked=seen,
         signatures=signatures,
     )

@@ -423,11 +423,11 @@ def check(terminal: Terminal) -> Result:
     remarks = [
         f"version {c.version} ({c.action} {c.name}) cannot be read, so it cannot be restored" for c in lost
     ]
-    known, weight = enrolling.direction_known(), enrolling.height_weight()
-    conditions = Conditions(height_weight=weight)
+    basis = enrolling.basis()
+    conditions = Conditions(height_weight=basis.height_weight)
     pairs, nested = [], []
     for a, b in combinations(enrolled, 2):
-        pair = neighbour(a, b, known, weight)
+        pair = neighbour(a, b, basis)
         if a.size == b.size:
             pairs.append((a.name, pair.compared(a, b, conditions)))
         elif pair.distance.nested:

@@ -218,8 +218,7 @@ def _designed(
     from tagid.tags.layouts.design import GHOST_M
 
     messages = []
-    known, weight = enrolling.direction_known(), enrolling.height_weight()
-    outlooks = family_outlooks(family.layouts, asked.beside, direction_known=known, height_weight=weight)
+    outlooks = family_outlooks(family.layouts, asked.beside, enrolling.basis())
     refused = refusal(outlooks, asked.beside)
     remedy = "" if refused is None else asked.remedy()
     if refused is not None:

@@ -36,6 +36,19 @@ _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
+class Basis:
+    """What readings tell layouts apart by.
+
+    Attributes:
+        direction_known: whether the direction of rotation is known; if not, mirror images are equivalent.
+        height_weight: what heights of reflectors count, see `codebook.height_weight`; 0: nothing.
+    """
+
+    direction_known: bool = True
+    height_weight: float = 0.0
+
+
+@dataclass(frozen=True)
 class Neighbour:
     """An enrolled layout compared with a new one.
 
@@ -134,33 +147,17 @@ class Outlook:
         )
 
 
-def outlook(
-    layout: Layout,
-    others: Sequence[Layout],
-    *,
-    direction_known: bool = True,
-    height_weight: float = 0.0,
-    version: int = 0,
-) -> Outlook:
+def outlook(layout: Layout, others: Sequence[Layout], basis: Basis = Basis(), version: int = 0) -> Outlook:
     """Distance between a layout and every other, and how far a reading tells it from the nearest.
 
-    Args:
-        layout: new layout.
-        others: layouts to compare with; one of the same name is ignored.
-        direction_known: whether the direction of rotation is known; if not, mirror images are equivalent.
-        height_weight: what heights of reflectors count, see `codebook.height_weight`; 0: nothing.
-        version: registry version to store in the result.
+    Another one of the same name is ignored; `version` is the registry's, for the result.
 
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
     layout.check_room()
-    conditions = Conditions(height_weight=height_weight)
+    conditions = Conditions(height_weight=basis.height_weight)
     neighbours = _by_nearness(
-        [
-            neighbour(layout, other, direction_known, height_weight)
-            for other in others
-            if other.name != layout.name
-        ]
+        [neighbour(layout, other, basis) for other in others if other.name != layout.name]
     )
     enrolled = {other.name: other for other in others}
     near = [
@@ -175,14 +172,12 @@ def _by_nearness(neighbours: Sequence[Neighbour]) -> tuple[Neighbour, ...]:
     return tuple(sorted(neighbours, key=lambda n: (not np.isfinite(n.distance.worst_m), n.nearness_m)))
 
 
-def neighbour(
-    layout: Layout, other: Layout, direction_known: bool = True, height_weight: float = 0.0
-) -> Neighbour:
+def neighbour(layout: Layout, other: Layout, basis: Basis) -> Neighbour:
     """Distance of two layouts; of the nearer mirror image if the direction is unknown."""
-    straight = _neighbour(layout, other, False, height_weight)
-    if direction_known:
+    straight = _neighbour(layout, other, False, basis.height_weight)
+    if basis.direction_known:
         return straight
-    image = _neighbour(layout.mirrored(), other, True, height_weight)
+    image = _neighbour(layout.mirrored(), other, True, basis.height_weight)
     return image if image.nearness_m < straight.nearness_m - 1e-9 else straight
 
 
@@ -222,8 +217,7 @@ def enroll(
     source: str,
     *,
     force: bool = False,
-    direction_known: bool = True,
-    height_weight: float = 0.0,
+    basis: Basis = Basis(),
     signatures: Sequence[Signature] = (),
 ) -> tuple[Outlook, int]:
     """Add a layout to the registry unless it could be confused with another.
@@ -235,8 +229,7 @@ def enroll(
         layout: new layout.
         source: origin of the layout, for the history.
         force: enroll it despite a conflict, and replace one of the same name.
-        direction_known: whether the direction of rotation is known.
-        height_weight: as of `outlook`.
+        basis: of the comparison.
         signatures: signatures of the same object, stored with it.
 
     Raises:
@@ -246,9 +239,7 @@ def enroll(
 
     def compared() -> tuple[Outlook, int] | None:
         version, known = registry.snapshot()
-        comparison = outlook(
-            layout, known, direction_known=direction_known, height_weight=height_weight, version=version
-        )
+        comparison = outlook(layout, known, basis, version)
         conflict = comparison.conflict()
         if conflict and not force:
             raise conflict
@@ -261,10 +252,7 @@ def enroll(
 def family_outlooks(
     layouts: Sequence[Layout],
     known: Sequence[Layout],
-    *,
-    direction_known: bool = True,
-    height_weight: float = 0.0,
-    version: int = 0,
+    basis: Basis = Basis(),
 ) -> list[Outlook]:
     """The outlook of several layouts to be enrolled together, compared with each other and those enrolled.
 
@@ -272,16 +260,7 @@ def family_outlooks(
     """
     names = {layout.name for layout in layouts}
     fixed = [layout for layout in known if layout.name not in names]
-    outlooks = [
-        outlook(
-            layout,
-            [*fixed, *layouts[:i]],
-            direction_known=direction_known,
-            height_weight=height_weight,
-            version=version,
-        )
-        for i, layout in enumerate(layouts)
-    ]
+    outlooks = [outlook(layout, [*fixed, *layouts[:i]], basis) for i, layout in enumerate(layouts)]
     # Each layout was compared with the earlier ones only; mirror those comparisons.
     seen: dict[str, list[Neighbour]] = {layout.name: [] for layout in layouts}
     for prospect in outlooks:
@@ -300,8 +279,7 @@ def merge(
     source: str,
     *,
     force: bool = False,
-    direction_known: bool = True,
-    height_weight: float = 0.0,
+    basis: Basis = Basis(),
     checked: int | None = None,
     signatures: Sequence[Signature] = (),
 ) -> int:
@@ -312,8 +290,7 @@ def merge(
         layouts: with unique names.
         source: origin of the layouts, for the history.
         force: replace layouts of the same names, and accept layouts that could be confused.
-        direction_known: whether the direction of rotation is known.
-        height_weight: as of `outlook`.
+        basis: of the comparison.
         checked: registry version for which `refusal` found nothing.
         signatures: stored with the layouts.
 
@@ -323,12 +300,9 @@ def merge(
 
     def compared() -> int | None:
         version, enrolled = registry.snapshot()
-        if not force and version != checked:
-            outlooks = family_outlooks(
-                layouts, enrolled, direction_known=direction_known, height_weight=height_weight
-            )
-            if error := refusal(outlooks, enrolled):
-                raise error
+        again = not force and version != checked
+        if again and (error := refusal(family_outlooks(layouts, enrolled, basis), enrolled)):
+            raise error
         return registry.add_all(layouts, source, since=version, signatures=signatures)
 
     return undisturbed(compared)

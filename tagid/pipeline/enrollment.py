@@ -18,7 +18,7 @@ from tagid.pipeline.settings import ImagingSettings
 if TYPE_CHECKING:
     from tagid.capture import Capture
     from tagid.enrolling.averaging import LayoutEstimate, Sighting
-    from tagid.enrolling.enrollment import Outlook
+    from tagid.enrolling.enrollment import Basis, Outlook
     from tagid.enrolling.registry import Key, Registry, RegistryContents
     from tagid.tags.bodies.joint import Joint
     from tagid.tags.bodies.likeness import Likeness
@@ -35,16 +35,14 @@ class LayoutProposal:
         signature: of the same object; None if there is none.
         outlook: the layout compared with its neighbours.
         taken: the error if the name is already enrolled.
-        direction_known: whether the direction of rotation is known.
-        height_weight: see `tags.layouts.codebook.height_weight`; 0: heights do not distinguish layouts.
+        basis: of the comparison.
     """
 
     layout: Layout
     signature: Signature | None
     outlook: Outlook
     taken: RegistryError | None
-    direction_known: bool
-    height_weight: float = 0.0
+    basis: Basis
 
     @property
     def conflict(self) -> LayoutConflictError | None:
@@ -71,8 +69,7 @@ class LayoutProposal:
             self.layout,
             source,
             force=force,
-            direction_known=self.direction_known,
-            height_weight=self.height_weight,
+            basis=self.basis,
             signatures=signatures,
         )
         return replace(self, outlook=outlook), version
@@ -138,8 +135,7 @@ def propose_layout(
     contents: RegistryContents,
     layout: Layout,
     measured: Measured | None,
-    direction_known: bool,
-    height_weight: float = 0.0,
+    basis: Basis,
 ) -> LayoutProposal:
     """A layout compared with the enrolled ones.
 
@@ -147,26 +143,19 @@ def propose_layout(
         contents: of the registry.
         layout: new layout.
         measured: the captures it was measured on; None for given positions.
-        direction_known: whether the direction of rotation is known.
-        height_weight: as of `LayoutProposal`.
+        basis: of the comparison.
 
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
     from tagid.enrolling.enrollment import outlook
     from tagid.enrolling.registry import taken
 
-    outlook_of = outlook(
-        layout,
-        contents.layouts,
-        direction_known=direction_known,
-        height_weight=height_weight,
-        version=contents.version,
-    )
+    outlook_of = outlook(layout, contents.layouts, basis, contents.version)
     error = taken(("layout", layout.name), _keys(contents))
     own = None
     if measured is not None and measured.joint is not None:
         own = replace(measured.joint.signature, name=layout.name, label=layout.label[:200])
-    return LayoutProposal(layout, own, outlook_of, error, direction_known, height_weight)
+    return LayoutProposal(layout, own, outlook_of, error, basis)
 
 
 def propose_signature(contents: RegistryContents, signature: Signature) -> SignatureProposal:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tagid.enrolling import registry as registry_module
-from tagid.enrolling.enrollment import enroll, merge, outlook
+from tagid.enrolling.enrollment import Basis, enroll, merge, outlook
 from tagid.enrolling.layout_file import read_layouts, write_layouts
 from tagid.enrolling.registry import Registry
 from tagid.errors import FileFormatError, LayoutConflictError, RegistryError, UsageError
@@ -245,7 +245,7 @@ def test_a_layout_known_too_badly_is_refused() -> None:
     assert conflict is not None and "positions known to 6.0 mm" in conflict.message
     mirrored = Layout("flip", SCALENE * [1, -1])
     assert outlook(mirrored, [Layout("old", SCALENE)]).conflict() is None
-    image = outlook(mirrored, [Layout("old", SCALENE)], direction_known=False).conflict()
+    image = outlook(mirrored, [Layout("old", SCALENE)], Basis(direction_known=False)).conflict()
     assert image is not None and "mirror image of old" in image.message
 
 
