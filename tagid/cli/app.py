@@ -80,7 +80,7 @@ COMMANDS = {
         "Create a capture file from the journal of an interrupted recording.", ("transfer",)
     ),
     "simulate": CommandEntry("Simulate a capture of a rotating scene, or of an object with a response file."),
-    "doctor": CommandEntry("Check ports, radar, disk, layouts and versions."),
+    "doctor": CommandEntry("Check ports, radar, disk, layouts and versions.", ("config",)),
     "config": CommandEntry("Show or change the stored settings."),
     "layouts": CommandEntry(
         "List, design, draw, exchange and check layouts; without a command, list the enrolled ones.",

@@ -170,7 +170,44 @@ def capacity(
 
     Example: tagid layouts capacity --object mug --error-rate 0.001
     """
-    return _capacity(target.object(), [target.rules(k) for k in (2, 3, 4)], error_rate)
+    from tagid.enrolling.capacity import capacity as of_object
+    from tagid.reading.alike import Conditions
+    from tagid.report.table import Table
+
+    chosen, rules = target.object(), [target.rules(reflectors) for reflectors in (2, 3, 4)]
+    table = Table(box=None)
+    for head in ("recording", *(f"{r.reflectors} reflectors" for r in rules)):
+        table.add_column(head, no_wrap=True)
+    rows = []
+    for views, snr_db in ((36, 20.0), (36, 10.0), (36, 0.0), (12, 10.0)):
+        conditions = Conditions(views, snr_db, rules[0].height_weight)
+        capacities = [of_object(chosen, rule, error_rate, conditions) for rule in rules]
+        cells = [
+            f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "")
+            for c in capacities
+        ]
+        table.add_row(f"{views} views {snr_db:g} dB", *cells)
+        rows += [
+            {
+                "views": views,
+                "snr_db": snr_db,
+                "reflectors": c.reflectors,
+                "identities": c.identities,
+                "distance_m": c.distance_m if c.identities > 1 else None,
+                "error_rate": c.error_rate,
+            }
+            for c in capacities
+        ]
+    radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in chosen.rows)
+    line = (
+        f"{chosen.label or chosen.name} (radius {radii}), {rules[0].slots} slots: identities, where "
+        f"at most {error_rate:g} of readings leave no name (and their minimum distance)"
+    )
+    return Result(
+        "layouts capacity",
+        {"object": chosen.name, "error_rate": error_rate, "rows": rows},
+        [line, table],
+    )
 
 
 @dataclass(frozen=True)
@@ -280,47 +317,6 @@ def _designed(
     if stored.version is not None:
         lines.append(f"enrolled, registry version {stored.version}")
     return stored.result("layouts design", data, lines, messages)
-
-
-def _capacity(target: TaggedObject, rules: list[DesignRules], error_rate: float) -> Result:
-
-    from tagid.enrolling.capacity import capacity
-    from tagid.reading.alike import Conditions
-    from tagid.report.table import Table
-
-    table = Table(box=None)
-    for head in ("recording", *(f"{r.reflectors} reflectors" for r in rules)):
-        table.add_column(head, no_wrap=True)
-    rows = []
-    for views, snr_db in ((36, 20.0), (36, 10.0), (36, 0.0), (12, 10.0)):
-        conditions = Conditions(views, snr_db, rules[0].height_weight)
-        capacities = [capacity(target, rule, error_rate, conditions) for rule in rules]
-        cells = [
-            f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "")
-            for c in capacities
-        ]
-        table.add_row(f"{views} views {snr_db:g} dB", *cells)
-        rows += [
-            {
-                "views": views,
-                "snr_db": snr_db,
-                "reflectors": c.reflectors,
-                "identities": c.identities,
-                "distance_m": c.distance_m if c.identities > 1 else None,
-                "error_rate": c.error_rate,
-            }
-            for c in capacities
-        ]
-    radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in target.rows)
-    line = (
-        f"{target.label or target.name} (radius {radii}), {rules[0].slots} slots: identities, where "
-        f"at most {error_rate:g} of readings leave no name (and their minimum distance)"
-    )
-    return Result(
-        "layouts capacity",
-        {"object": target.name, "error_rate": error_rate, "rows": rows},
-        [line, table],
-    )
 
 
 KINDS = ("octahedron",)

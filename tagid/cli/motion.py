@@ -268,7 +268,7 @@ def _direction(capture: Capture, name: str) -> Result:
     capture = prepare(capture)
     resolved = capture.motion.resolved or ResolvedMotion()
     way = "clockwise" if resolved.direction == -1 else "counter-clockwise"
-    other = turned_the_other_way(capture, layouts[name])
+    other = _turned_the_other_way(capture, layouts[name])
     device, path = resolved.table, None
     is_reversed = other != bool(resolved.reversed)
     if device is not None:
@@ -304,32 +304,22 @@ _LEAST_DIFFERENCE_M: Final = 5e-3
 """Smallest resolvable RMS distance between a layout and its mirror image: a few position errors."""
 
 
-def chirality_m(layout: Layout) -> float:
-    """RMS distance of a layout from its mirror image after the best rotation, shift and pairing, m."""
-    from tagid.tags.layouts.codebook import best_pairing
+def _turned_the_other_way(capture: Capture, layout: Layout) -> bool:
+    """Whether the object rotated opposite to its prepared capture's angles: its mirror image is read.
 
-    return best_pairing(layout.mirrored().positions, layout.positions, 0.2).rms_m
-
-
-def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
-    """Whether the object rotated opposite to its capture's angles (its mirror image is read).
-
-    Args:
-        capture: prepared, with angles in the commanded direction.
-        layout: the object on the table.
-
-    Raises:
-        UsageError: the layout is its own mirror image. DataError: neither it nor its mirror image is read.
+    Raises UsageError, DataError.
     """
     from tagid.pipeline.identify import identify
     from tagid.pipeline.settings import ImagingSettings
+    from tagid.tags.layouts.codebook import best_pairing
 
-    if layout.size > 7 or chirality_m(layout) < _LEAST_DIFFERENCE_M:
+    image = layout.mirrored()
+    if layout.size > 7 or best_pairing(image.positions, layout.positions, 0.2).rms_m < _LEAST_DIFFERENCE_M:
         raise UsageError(
             f"layout {layout.name} is its own mirror image (or has more than 7 reflectors)",
             "Use an object whose reflectors do not form a symmetric pattern.",
         )
-    mirror = replace(layout.mirrored(), name=f"{layout.name}-mirrored")
+    mirror = replace(image, name=f"{layout.name}-mirrored")
     answer = identify(capture, [layout, mirror], ImagingSettings(direction_known=True))
     read = answer.reading.layout if answer.status == "identified" and answer.reading is not None else None
     if read not in (layout.name, mirror.name):

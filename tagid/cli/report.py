@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +14,7 @@ from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command
 from tagid.cli.options import SECONDS
-from tagid.config import Config, load_config
+from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, StorageError, UsageError, visible
 from tagid.result import Problem, Result
@@ -69,8 +71,11 @@ def report(
 
     Example: tagid report captures/ --out report --expect manifest.csv
     """
+    from tagid.batch.expected import read_manifest
     from tagid.batch.inputs import Collected, collect, is_url
+    from tagid.batch.job import Job
     from tagid.batch.run import BatchPlan
+    from tagid.operate.workplace import Workplace
     from tagid.report.page import PageSettings
 
     if not inputs and watch is None:
@@ -85,17 +90,17 @@ def report(
     page = PageSettings(title or PageSettings.title, page_megabytes)
     runner = _runner(terminal, jobs, dask)
     collected = collect(inputs, out) if inputs else Collected(())
-    job = _job(config, setup.background, pictures)
+    job = Job.of(Workplace(config, setup.background).setup(), pictures)
     plan = BatchPlan(collected, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
     if expect is not None:
-        plan = _expecting(plan, expect, job)
+        names = [layout.name for layout in job.setup.enrolled.layouts]
+        expected = read_manifest(expect, collected.sources, names, may_come=watch is not None)
+        plan = replace(plan, expectations=expected)
     remarks = _check_earlier(plan, force)
     return _run(terminal, plan, job, runner, remarks)
 
 
 def _runner(terminal: Terminal, jobs: int, dask: str | None) -> Runner:
-    from functools import partial
-
     from tagid.batch.local import cores, run_local
 
     if dask is not None:
@@ -105,13 +110,6 @@ def _runner(terminal: Terminal, jobs: int, dask: str | None) -> Runner:
     if not 0 <= jobs <= 1024:
         raise UsageError(f"--jobs is {jobs}", "Give 1 to 1024, or 0 for every core.")
     return partial(run_local, workers=jobs or cores())
-
-
-def _job(config: Config, background: str, pictures: bool) -> Job:
-    from tagid.batch.job import Job
-    from tagid.operate.workplace import Workplace
-
-    return Job.of(Workplace(config, background).setup(), pictures)
 
 
 def _watch(folder: Path | None, out: Path, idle_stop: float | None) -> Any:
@@ -130,17 +128,6 @@ def _watch(folder: Path | None, out: Path, idle_stop: float | None) -> Any:
     return FolderWatch(folder, out, idle_stop_s=idle_stop)
 
 
-def _expecting(plan: BatchPlan, manifest: Path, job: Job) -> BatchPlan:
-    from dataclasses import replace
-
-    from tagid.batch.expected import read_manifest
-
-    names = [layout.name for layout in job.setup.enrolled.layouts]
-    may_come = plan.watch is not None
-    expectations = read_manifest(manifest, plan.inputs.sources, names, may_come=may_come)
-    return replace(plan, expectations=expectations)
-
-
 def _check_earlier(plan: BatchPlan, force: bool) -> list[str]:
     """Agree to replace an earlier report in the folder, unless this run continues it.
 
@@ -154,7 +141,8 @@ def _check_earlier(plan: BatchPlan, force: bool) -> list[str]:
     from tagid.cli.consent import agree_to_replace
 
     out = plan.out
-    present = [name for name in (*FILES, FILE_NAME) if _is_plain_file(out / name)]
+    paths = {name: out / name for name in (*FILES, FILE_NAME)}
+    present = [name for name, path in paths.items() if path.is_file() and not path.is_symlink()]
     if not present:
         return []
     if FILE_NAME not in present:
@@ -177,10 +165,6 @@ def _check_earlier(plan: BatchPlan, force: bool) -> list[str]:
         )
     gone = len(missing) - len(not_inputs)
     return [f"no longer in its place: {counted(gone, 'capture')} of the earlier report"] if gone else []
-
-
-def _is_plain_file(path: Path) -> bool:
-    return path.is_file() and not path.is_symlink()
 
 
 def _missing(names: list[str], plan: BatchPlan) -> list[str]:

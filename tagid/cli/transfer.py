@@ -110,9 +110,11 @@ def recover(
     Example: tagid recover scan-20260102-101112.tagid.journal
     """
 
+    from tagid.pipeline.resolve import with_measured_angles
     from tagid.recording.long_recording import part_path
+    from tagid.storage.hdf5 import write_capture
     from tagid.storage.journal import being_recorded, open_journal
-    from tagid.storage.journal_capture import write_captures
+    from tagid.storage.journal_capture import read_journal_capture, write_captures
 
     if being_recorded(journal):
         raise StorageError(
@@ -125,7 +127,9 @@ def recover(
     target = _target(journal, out, CAPTURE_SUFFIX, force)
     written = write_captures(journal, lambda part: part_path(target, part))
     if written.has_track and len(written.paths) == 1:
-        _add_measured_angles(journal, target)
+        capture = read_journal_capture(journal)
+        if capture.motion.track is not None:
+            write_capture(target, with_measured_angles(capture))
     state = "complete" if written.complete else "cut short"
     lines = [
         f"{counted(written.views, 'scan')} recovered, the recording was {state}",
@@ -141,17 +145,6 @@ def recover(
         "bytes_dropped": dropped,
     }
     return Result("recover", data, "\n".join(lines), messages=messages if dropped else ())
-
-
-def _add_measured_angles(journal: Path, target: Path) -> None:
-    """Rewrite the capture with its angles, if measured by the motion device."""
-    from tagid.pipeline.resolve import with_measured_angles
-    from tagid.storage.hdf5 import write_capture
-    from tagid.storage.journal_capture import read_journal_capture
-
-    capture = read_journal_capture(journal)
-    if capture.motion.track is not None:
-        write_capture(target, with_measured_angles(capture))
 
 
 def _target(source: Path, out: Path | None, suffix: str, force: bool) -> Path:

@@ -202,7 +202,7 @@ def _clipping(bench: Bench, capture: Capture) -> Row:
 
 def _integration(bench: Bench) -> Row:
     """The least integration with which a reflector of 40 mm stands out of a view."""
-    length = bench.target.scatterer.scattering_length(np.array([CENTER_FREQUENCY_HZ]))
+    length = bench.target.scattering_length(np.array([CENTER_FREQUENCY_HZ]))
     gain, now = bench.config["radar.gain"], bench.config["radar.integration"]
     for index in _INDICES:
         budget = LinkBudget(transmit_gain=gain, integration=index)

@@ -200,7 +200,7 @@ def _gain(
     """Echo received over that of the link budget with its assumed losses, and the budget's SNR, dB."""
     config = bench.config
     budget = LinkBudget(transmit_gain=config["radar.gain"], integration=config["radar.integration"])
-    planned = budget.snr_db(effective_length_m(bench.target.scatterer), distance)
+    planned = budget.snr_db(effective_length_m(bench.target), distance)
     air = capture.ranges_m > distance
     peak = float(np.abs(analytic(scan[None].astype(np.float32)))[0][air].max())
     usual = noise_counts(config["radar.integration"])

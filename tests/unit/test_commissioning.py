@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
+from tagid.commissioning.result import verdict, write_result
 
 from tagid.capture import Capture
 from tagid.commissioning import card as card_step
@@ -16,7 +17,6 @@ from tagid.commissioning.bench import Bench, reported
 from tagid.commissioning.page import write_page
 from tagid.commissioning.pictures import Picture, to_svg
 from tagid.commissioning.pulse import echo_pulse
-from tagid.commissioning.result import verdict, write_result
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.commissioning.steps import STEPS, goes_on, next_step, run_step, step_named
 from tagid.commissioning.targets import parse_target
@@ -168,9 +168,9 @@ def test_the_delay_of_a_target_is_taken_out_of_the_pulse(text: str) -> None:
     t = (np.arange(600) - 250.3) * SAMPLE_STEP_S
     length = 4096
     frequency = np.fft.rfftfreq(length, SAMPLE_STEP_S)
-    response = target.scatterer.scattering_length(
-        np.maximum(frequency, 1e9)
-    ) / target.scatterer.scattering_length(np.array([4e9]))
+    response = target.scattering_length(np.maximum(frequency, 1e9)) / target.scattering_length(
+        np.array([4e9])
+    )
     # The solved scattering lengths have the phase of exp(-j omega t).
     spectrum = np.fft.rfft(pulse_at(nominal_pulse(), t).real, length) * np.conj(response)
     echo = echo_pulse(
