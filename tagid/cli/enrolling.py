@@ -75,7 +75,7 @@ def about(outlook: Outlook) -> str:
     )
 
 
-def neighbours(outlook: Outlook, shown: int = SHOWN) -> Drawn:
+def neighbours(outlook: Outlook) -> Drawn:
     """The nearest enrolled layouts to one, as a table."""
 
     from tagid.report.table import Table
@@ -85,7 +85,7 @@ def neighbours(outlook: Outlook, shown: int = SHOWN) -> Drawn:
     table = Table(box=None)
     for head in ("nearest enrolled", "worst mm", "RMS mm", "not told apart", "remark"):
         table.add_column(head, no_wrap=head != "remark")
-    for neighbour in outlook.neighbours[: max(shown, len(outlook.confusable))]:
+    for neighbour in outlook.neighbours[: max(SHOWN, len(outlook.confusable))]:
         distance = neighbour.distance
         same = distance.worst_m < float("inf")
         remark = "different number of reflectors" if not same else ""

@@ -16,15 +16,8 @@ def check_new(
 ) -> None:
     """Check a file that replaces another only where the user says so, and never one that is read.
 
-    Args:
-        path: file to write.
-        force: whether an existing file may be overwritten.
-        how: what to do about an existing file.
-        inputs: files that the command reads.
-
-    Raises:
-        UsageError: one of the inputs. StorageError: a file that may not be overwritten, or nothing can be
-            written there.
+    Raises UsageError for one of the inputs, StorageError where a file may not be overwritten, with the remedy
+    `how`, or nothing can be written.
     """
     if _is_file(path):
         _check_other(path, inputs, str(path))
@@ -59,9 +52,8 @@ def check_drawing(
         suffixes: of its kind, in lower case, e.g. ".png".
         inputs: files that the command reads.
 
-    Raises:
-        UsageError: another suffix, or one of the inputs. StorageError: a folder, an NPZ file that is not an
-            image, or nothing can be written there.
+    Raises UsageError for another suffix or one of the inputs, StorageError for a folder, an NPZ file that is
+    not an image, or where nothing can be written.
     """
     from tagid.storage.image import is_image
 

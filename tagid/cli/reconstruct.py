@@ -350,13 +350,7 @@ def _settings(
 
 
 def _volume(terminal: Terminal, capture: Capture, settings: VolumeSettings, files: dict[str, Path]) -> Result:
-    """Reconstruct a volume and write it.
-
-    Args:
-        capture: loaded.
-        settings: of the volume.
-        files: to write, by kind, checked.
-    """
+    """Reconstruct a volume and write it to files, by kind, which were checked."""
 
     from tagid.imaging.facts import facts_of
     from tagid.operate.words import held_out_words, outside_words

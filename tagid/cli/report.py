@@ -131,9 +131,7 @@ def _watch(folder: Path | None, out: Path, idle_stop: float | None) -> Any:
 def _check_earlier(plan: BatchPlan, force: bool) -> list[str]:
     """Agree to replace an earlier report in the folder, unless this run continues it.
 
-    Returns remarks on captures of the earlier report that are gone from their places.
-
-    Raises as `consent.agree_to_replace` does, StorageError for a working file that cannot be read.
+    Returns remarks on its captures that are gone. Raises as `consent.agree_to_replace`, and StorageError.
     """
     from tagid.batch.inputs import is_url
     from tagid.batch.run import FILES

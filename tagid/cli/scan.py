@@ -231,8 +231,7 @@ def _record_and_read(
 ) -> tuple[Recorded, Answer, dict[str, Any] | None, tuple[str, ...]]:
     """Record one revolution and name the object, under a progress line or the live view.
 
-    Returns the recording, its answer, figures of the live view if there was one, and remarks of the early
-    ending.
+    Returns the recording, its answer, figures of the live view, and remarks of an early ending.
     """
     from tagid.live.engine import LiveSettings
     from tagid.live.sure import EarlyEnding, check_angle_known
@@ -286,13 +285,7 @@ _JOIN_S = 5.0
 
 @dataclass
 class _LiveScan:
-    """A scan with a live view.
-
-    Attributes:
-        view: processes the scans.
-        frames: frames drawn.
-        first_s, last_s: when the first and the last one were drawn, s.
-    """
+    """A scan with a live view; counts the frames drawn, and keeps the times of the first and the last, s."""
 
     view: LiveView
     frames: int = 0
@@ -316,13 +309,7 @@ class _LiveScan:
 
 @contextmanager
 def _live_scan(terminal: Terminal, settings: LiveSettings, title: str) -> Iterator[_LiveScan]:
-    """A live view that is drawn while the block runs, where stderr is a terminal.
-
-    Args:
-        terminal: of the command.
-        settings: see there.
-        title: first line of the screen.
-    """
+    """A live view that is drawn while the block runs, where stderr is a terminal."""
     from rich.console import Console, ConsoleDimensions
     from rich.live import Live
 

@@ -105,15 +105,9 @@ def scan_heights(
     heights: tuple[float, ...],
     lift: Lift,
 ) -> Result:
-    """Record one revolution from each height, join them, draw the volume and name the object.
+    """Record one revolution from each height, m, join them, draw the volume and name the object.
 
     Recordings that are complete stay on disk whatever happens later; the error then names them.
-
-    Args:
-        terminal, place: of the command.
-        planned: gives the plan of a recording.
-        heights: of the antenna above the object's plane, m.
-        lift: how the antenna is moved.
     """
     turns: list[Recorded] = []
     try:

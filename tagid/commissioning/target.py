@@ -137,11 +137,7 @@ def _delay(estimate: DelayEstimate, echo: EchoPulse) -> Measured:
 
 
 def _delay_row(delay: Measured, before: Measured | None) -> Row:
-    """The path delay; an unusual one is taken when it is measured again.
-
-    Args:
-        before: what the step measured last time.
-    """
+    """The path delay; an unusual one is taken when it is measured as `before`."""
     row = partial(Row, "path delay", value=delay.value, sigma=delay.sigma, unit="ps")
     if delay.sigma > _DELAY_BUDGET_PS:
         return row(Level.FAIL, text="too uncertain", advice="Measure the distance to 5 mm.", code="delay")

@@ -84,14 +84,9 @@ def measure_turning(bench: Bench) -> StepReport:
 
 
 def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, recording: str) -> StepReport:
-    """The report of a recording of the test card. Raises DataError, ConfigError.
+    """The report of a recording of two turns of the test card, expected to take so many seconds each.
 
-    Args:
-        bench: with the results of the earlier steps.
-        motion: the device that turned the card.
-        capture: two turns of it.
-        nominal_s: seconds per turn as expected.
-        recording: name of the recording's file.
+    Raises DataError, ConfigError.
     """
     turning = turning_period(capture)
     evenness = _evenness(capture, nominal_s)

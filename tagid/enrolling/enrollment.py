@@ -222,15 +222,8 @@ def enroll(
 ) -> tuple[Outlook, int]:
     """Add a layout to the registry unless it could be confused with another.
 
-    Returns the layout as enrolled, compared with its neighbours, and the registry version after the change.
-
-    Args:
-        registry: where to store.
-        layout: new layout.
-        source: origin of the layout, for the history.
-        force: enroll it despite a conflict, and replace one of the same name.
-        basis: of the comparison.
-        signatures: signatures of the same object, stored with it.
+    With `force` it is enrolled nevertheless, and replaces one of the same name; signatures of the same object
+    are stored with it. Returns it compared with its neighbours, and the new registry version.
 
     Raises:
         LayoutConflictError: it is too close to an enrolled layout.
@@ -286,16 +279,12 @@ def merge(
     """Add several layouts to the registry, all or none; identical entries are left unchanged.
 
     Args:
-        registry: where to store.
+        registry, source, basis, signatures: as of `enroll`.
         layouts: with unique names.
-        source: origin of the layouts, for the history.
         force: replace layouts of the same names, and accept layouts that could be confused.
-        basis: of the comparison.
         checked: registry version for which `refusal` found nothing.
-        signatures: stored with the layouts.
 
-    Raises:
-        LayoutConflictError: a name is taken by a different layout, or two layouts could be confused.
+    Raises LayoutConflictError: a name is taken by a different layout, or two layouts could be confused.
     """
 
     def compared() -> int | None:
@@ -311,10 +300,8 @@ def merge(
 def undisturbed(compared: Callable[[], _T | None]) -> _T:
     """Repeat a comparison with the registry and the change that depends on it until nothing comes between.
 
-    Args:
-        compared: reads, compares, and stores with `since`; None if the registry has changed meanwhile.
-
-    Raises RegistryError if other processes keep changing the registry.
+    It stores with `since`, and gives None where the registry has changed meanwhile. Raises RegistryError if
+    other processes keep changing it.
     """
     for _ in range(_TRIES):
         done = compared()

@@ -52,12 +52,8 @@ class LayoutProposal:
     def store(self, registry: Registry, source: str, force: bool = False) -> tuple[LayoutProposal, int]:
         """Enroll it, after comparing it with the registry as it is now.
 
-        Returns the proposal compared with the registry at that moment, and the new registry version.
-
-        Args:
-            registry: where to store it.
-            source: origin of the layout, for the history.
-            force: store it despite a conflict, and replace an entry of the same name.
+        With `force` it is stored despite a conflict, and replaces an entry of the same name; `source` is its
+        origin, for the history. Returns the proposal compared again, and the new registry version.
 
         Raises LayoutConflictError, RegistryError.
         """
@@ -108,15 +104,7 @@ class SignatureProposal:
         )
 
     def store(self, registry: Registry, source: str, force: bool = False) -> int:
-        """Enroll it, after comparing it with the registry as it is now; returns the new registry version.
-
-        Args:
-            registry: where to store it.
-            source: origin of the signature, for the history.
-            force: store it despite a conflict, and replace an entry of the same name.
-
-        Raises LayoutConflictError, RegistryError.
-        """
+        """As `LayoutProposal.store`; returns the new registry version."""
         from tagid.enrolling.enrollment import undisturbed
 
         def compared() -> int | None:
@@ -137,13 +125,7 @@ def propose_layout(
     measured: Measured | None,
     basis: Basis,
 ) -> LayoutProposal:
-    """A layout compared with the enrolled ones.
-
-    Args:
-        contents: of the registry.
-        layout: new layout.
-        measured: the captures it was measured on; None for given positions.
-        basis: of the comparison.
+    """A layout, given or measured, compared with the enrolled ones.
 
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
@@ -256,13 +238,7 @@ def measure(
     imaging: ImagingSettings,
     progress: Remark = lambda what: None,
 ) -> Measured:
-    """Positions and signature of a tagged object.
-
-    Args:
-        name: of the object.
-        captures: of the same object, repositioned between them.
-        imaging: settings of imaging and reading.
-        progress: called after each capture of the signature.
+    """Positions and signature of a tagged object that was repositioned between its captures.
 
     Raises DataError, with both reasons, if neither positions nor a signature could be determined.
     """

@@ -141,12 +141,8 @@ def ended_answer(
     """The answer of a capture that ended early, with the bound of the whole procedure.
 
     The recording goes on for some scans while a look is read; a name that these contradict is withdrawn.
-
-    Args:
-        answer: of the captured part of the turn.
-        ending: of its recording; the answer is returned unchanged unless it is that of an early ending.
-        false_accept: of the whole scan.
-        calibration: None for the package's own.
+    Other answers are returned unchanged. `false_accept` is that of the whole scan, `calibration` None for the
+    package's own.
     """
     reading = answer.reading
     if ending is None or ending.reason != SURE or reading is None:
@@ -168,12 +164,7 @@ def ended_answer(
 
 
 def reader_settings(settings: ImagingSettings, spent: float = 0.0) -> ReaderSettings:
-    """Settings of the reader.
-
-    Args:
-        settings: of imaging and reading.
-        spent: share of the false-accept probability that was used before, by readings of parts of the turn.
-    """
+    """Settings of the reader; a share of its false-accept probability was spent on parts of the turn."""
     from tagid.reading.columns import Priors
     from tagid.reading.reader import ReaderSettings
 

@@ -194,7 +194,7 @@ def held(capture: Capture, resolved_capture: Capture, table: Motion) -> Capture 
 
     Args:
         capture: as recorded.
-        found: the same with angles, as if it had turned throughout.
+        resolved_capture: the same with angles, as if it had turned throughout.
         table: the motion of these angles: a stated speed, or measured.
     """
     resolved, angles = resolved_capture.motion.resolved, resolved_capture.angles_rad
@@ -283,13 +283,7 @@ def _moving(still: Still, count: int) -> NDArray[np.bool_]:
 def standstill_facts(
     still: Still, times: NDArray[np.float64], turns: NDArray[np.float64] | None
 ) -> Standstill:
-    """A standstill as it is stored.
-
-    Args:
-        still: its scans.
-        times: (scans,) s.
-        turns: (scans,) turns since the first scan; None where the speed is not known.
-    """
+    """A standstill as it is stored, from the (scans,) times, s, and turns, None without a speed."""
     turned_deg = None if turns is None else 360 * float(turns[still.first])
     goes_on = still.stop < len(times)
     seconds = float(times[min(still.stop, len(times) - 1)] - times[still.first])

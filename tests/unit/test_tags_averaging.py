@@ -84,7 +84,7 @@ def test_turns_are_told_and_the_outermost_reflector_lies_on_x() -> None:
         Sighting(f"c{i}", Layout("x", SCALENE).placed(t, np.zeros(2)), np.tile(1e-8 * np.eye(2), (3, 1, 1)))
         for i, t in enumerate(turns)
     ]
-    estimate = average(captures, "x", "helmet", "L")
+    estimate = average(captures, "x")
     assert estimate.layout.positions[np.argmax(np.linalg.norm(estimate.layout.positions, axis=1))][
         1
     ] == pytest.approx(0, abs=1e-6)
