@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -22,13 +22,14 @@ if TYPE_CHECKING:
     from tagid.result import Drawn
 
 
-@command("plan")
-def plan(
-    terminal: Terminal,
+@dataclass(frozen=True)
+class PlanOptions:
+    """Tag, radar and table of a recording."""
+
     reflector: Annotated[
         str, typer.Option("--reflector", help="Reflectors of the tag, size from tip to tip.")
-    ] = "octahedron:40mm",
-    body: options.Body = None,
+    ] = "octahedron:40mm"
+    body: options.Body = None
     distance: Annotated[
         float | None,
         typer.Option(
@@ -36,20 +37,57 @@ def plan(
             parser=METRES,
             help="Antennas to rotation axis, metres (default: the setting, or 1).",
         ),
-    ] = None,
+    ] = None
     pii: Annotated[
         int | None,
         typer.Option("--integration", "--pii", help="Integration index (default: radar.integration)."),
-    ] = None,
+    ] = None
     gain: Annotated[
         int | None, typer.Option("--gain", help="Transmit gain, 0 to 63 (default: radar.gain).")
-    ] = None,
-    rpm: Annotated[float, typer.Option("--rpm", help="Turns per minute.")] = 2.0,
-    layout: Annotated[str, typer.Option("--layout", "--layouts", help="Layout of the tag.")] = "container-90",
-    file: options.LayoutFile = None,
+    ] = None
+    rpm: Annotated[float, typer.Option("--rpm", help="Turns per minute.")] = 2.0
+    layout: Annotated[str, typer.Option("--layout", "--layouts", help="Layout of the tag.")] = "container-90"
+    file: options.LayoutFile = None
     enrolled: Annotated[
         bool, typer.Option("--enrolled", help="The untagged body is enrolled (tagid enroll --body).")
-    ] = False,
+    ] = False
+
+    def setup(self) -> Setup:
+        """The setup, with the rest from the configuration. Raises UsageError, ConfigError."""
+        from tagid.config import data_folder
+        from tagid.enrolling.layout_file import named_layouts
+        from tagid.planning.plan import Setup
+        from tagid.rig import installed_profile
+        from tagid.simulate.budget import LinkBudget
+        from tagid.simulate.specification import parse_body, parse_reflector
+
+        config = load_config(
+            {"motion.axis_distance_m": self.distance, "radar.integration": self.pii, "radar.gain": self.gain}
+        )
+        layouts = named_layouts(self.file, data_folder() / "registry.sqlite")
+        if self.layout not in layouts:
+            raise UsageError(
+                f"no layout is named {self.layout[:80]!r}",
+                f"{meant(self.layout, layouts)}Use {', '.join(sorted(layouts))}.",
+            )
+        rig = installed_profile(data_folder())
+        return Setup(
+            layouts[self.layout],
+            parse_reflector(self.reflector),
+            parse_body(self.body or "none"),
+            config["motion.axis_distance_m"] or 1.0,
+            self.rpm,
+            LinkBudget.on(rig, config["radar.gain"], config["radar.integration"]),
+            config["imaging.extent_m"],
+            self.enrolled,
+            None if rig is None else rig.pulse,
+        )
+
+
+@command("plan")
+def plan(
+    terminal: Terminal,
+    asked: PlanOptions,
     want: Annotated[
         float | None,
         typer.Option("--want", help="Required identification rate, e.g. 0.99: find settings that reach it."),
@@ -65,7 +103,7 @@ def plan(
     from tagid.planning.plan import invert, planned_snr_db
     from tagid.planning.plan import plan as work_out
 
-    setup = setup_from(reflector, body, distance, pii, layout, file, gain=gain, rpm=rpm, enrolled=enrolled)
+    setup = asked.setup()
     planned = work_out(setup)
     wanted = None if want is None else invert(setup, want)
     snr = planned_snr_db(setup)
@@ -76,49 +114,6 @@ def plan(
         data["wanted"] = {name: change and _data(change) for name, change in changes.items()}
         data["wanted_remark"] = doubt = _doubt(planned, wanted, want)
     return Result("plan", data, _drawn(planned, snr, wanted, want, doubt))
-
-
-def setup_from(
-    reflector: str,
-    body: str | None,
-    distance_m: float | None,
-    integration: int | None,
-    layout: str,
-    file: Path | None,
-    *,
-    gain: int | None = None,
-    rpm: float = 2.0,
-    enrolled: bool = False,
-) -> Setup:
-    """The setup of options; None for values from the configuration. Raises UsageError, ConfigError."""
-    from tagid.config import data_folder
-    from tagid.enrolling.layout_file import named_layouts
-    from tagid.planning.plan import Setup
-    from tagid.rig import installed_profile
-    from tagid.simulate.budget import LinkBudget
-    from tagid.simulate.specification import parse_body, parse_reflector
-
-    config = load_config(
-        {"motion.axis_distance_m": distance_m, "radar.integration": integration, "radar.gain": gain}
-    )
-    layouts = named_layouts(file, data_folder() / "registry.sqlite")
-    if layout not in layouts:
-        raise UsageError(
-            f"no layout is named {layout[:80]!r}",
-            f"{meant(layout, layouts)}Use {', '.join(sorted(layouts))}.",
-        )
-    rig = installed_profile(data_folder())
-    return Setup(
-        layouts[layout],
-        parse_reflector(reflector),
-        parse_body(body or "none"),
-        config["motion.axis_distance_m"] or 1.0,
-        rpm,
-        LinkBudget.on(rig, config["radar.gain"], config["radar.integration"]),
-        config["imaging.extent_m"],
-        enrolled,
-        None if rig is None else rig.pulse,
-    )
 
 
 def _data(planned: Plan) -> dict[str, Any]:

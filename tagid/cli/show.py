@@ -68,12 +68,12 @@ def show(
     compared = None
     distance_m, noise, snr_db = capture.axis_distance_m, summary.noise, summary.snr_db
     if reflector is not None and distance_m is not None and noise is not None and snr_db is not None:
-        from tagid.cli.plan import setup_from
+        from tagid.cli.plan import PlanOptions
         from tagid.planning.plan import gap
 
         radar = capture.radar.config
         index = None if radar is None else radar.base_integration_index
-        planned = setup_from(reflector, body, distance_m, index, layout, layout_file)
+        planned = PlanOptions(reflector, body, distance_m, index, layout=layout, file=layout_file).setup()
         compared = gap(capture, noise, snr_db, planned)
     rows = _rows(summary)
     if why := ending_words(capture.radar.ended):
