@@ -69,11 +69,6 @@ def read_line() -> str:
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Move the robot or table without confirmation.")]
 
 
-def warning_of(motion: object) -> str:
-    """Events that do not stop a device automatically; "" if every event does."""
-    return str(getattr(motion, "warning", ""))
-
-
 def agree(what: str, yes: bool, warning: str = "") -> None:
     """Return if the device may move; the warning, of what does not stop it, is shown even with --yes.
 
@@ -102,7 +97,7 @@ def agree_to(motion_url: MotionUrl, yes: bool) -> None:
         agree(
             f"{motion_url} will rotate {way}, {motion.nominal_s:.0f} s per revolution",
             yes,
-            warning_of(motion),
+            str(getattr(motion, "warning", "")),
         )
 
 

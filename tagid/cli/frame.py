@@ -97,16 +97,6 @@ class Terminal:
             render(Result("", human=human), self.output, self.quiet)
 
 
-_COMMON = {
-    "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress bar and no remarks.")],
-    "verbose": Annotated[
-        int, typer.Option("--verbose", "-v", count=True, help="Log more; -vv: debug messages.")
-    ],
-}
-_DEFAULTS: dict[str, Any] = {"quiet": False, "verbose": 0}
-_OUTPUT_HELP = "Text, or one JSON document."
-
-
 @dataclass(frozen=True)
 class Command:
     """A command as a module declares it.
@@ -162,7 +152,7 @@ def command(
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         run = _with_common_options(name, function, formats)
         declared = Command(name, run, _help_of(function), negative_arguments=negative_arguments)
-        _declare(declared, function)
+        _COMMANDS.setdefault(function.__module__, []).append(declared)
         return function
 
     return decorate
@@ -185,14 +175,11 @@ def group_command(name: str) -> Callable[[Callable[..., Result]], Callable[..., 
         parameters = [bound, *inspect.signature(run).parameters.values()]
         unless_named.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         unless_named.__annotations__ = {"context": typer.Context, **run.__annotations__}
-        _declare(Command(name, unless_named, _help_of(function), is_group=True), function)
+        declared = Command(name, unless_named, _help_of(function), is_group=True)
+        _COMMANDS.setdefault(function.__module__, []).append(declared)
         return function
 
     return decorate
-
-
-def _declare(declared: Command, function: Callable[..., Result]) -> None:
-    _COMMANDS.setdefault(function.__module__, []).append(declared)
 
 
 def _help_of(function: Callable[..., Any]) -> str:
@@ -210,14 +197,18 @@ def _with_common_options(
     unwrapped = [option for p in parameters for option in _options_of(p, hints[p.name])]
     values = {p.name: hints[p.name] for p in parameters if is_dataclass(hints[p.name])}
     declared = {parameter.name: _declared(parameter) for parameter in unwrapped}
-    output = Annotated[formats, typer.Option("--output", help=_OUTPUT_HELP)]  # type: ignore[valid-type]
+    added = {
+        "output": (formats("human"), formats, typer.Option("--output", help="Text, or one JSON document.")),
+        "quiet": (False, bool, typer.Option("--quiet", "-q", help="Show no progress bar and no remarks.")),
+        "verbose": (
+            0, int, typer.Option("--verbose", "-v", count=True, help="Log more; -vv: debug messages.")
+        ),
+    }  # fmt: skip
     common = [
         inspect.Parameter(
-            "output", inspect.Parameter.KEYWORD_ONLY, default=formats("human"), annotation=output
+            key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
         )
-    ] + [
-        inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS[key], annotation=kind)
-        for key, kind in _COMMON.items()
+        for key, (default, kind, option) in added.items()
     ]
 
     @functools.wraps(function)

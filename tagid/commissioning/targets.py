@@ -7,13 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from tagid.constants import CENTER_FREQUENCY_HZ, SPEED_OF_LIGHT
+from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import UsageError
-from tagid.signal import peak_place
 from tagid.simulate.scatterers import Octahedron
 from tagid.simulate.specification import parse_length
 from tagid.types import Complex, Floats
-from tagid.waveform import analytic_pulse, nominal_pulse
 
 LEVEL_SIGMA_DB: Final = 1.0
 """Standard error of the echo of a target that was made by hand and pointed by eye (assumed)."""
@@ -78,22 +76,6 @@ class Target:
             k = 2 * np.pi * frequency_hz / SPEED_OF_LIGHT
             length = CAN_HEIGHT_M * np.sqrt(k * self.size_m / (4 * np.pi))
         return np.asarray(length, dtype=np.complex128)
-
-    def delay_ps(self) -> float:
-        """How much later its echo peaks than that of a point where the tape ends, two-way, ps.
-
-        Behind the filter matched to the nominal pulse, as `tagid.recording.calibration.estimate_delay`.
-        """
-        pulse = nominal_pulse()
-        fine = 4 * len(pulse.samples)
-        spectrum = np.fft.fft(analytic_pulse(pulse), fine)
-        frequency = np.fft.fftfreq(fine, pulse.step)
-        length = np.zeros(fine, dtype=np.complex128)
-        band = np.abs(frequency - CENTER_FREQUENCY_HZ) < CENTER_FREQUENCY_HZ / 2
-        # The scattering length turns the phase of exp(-j 2 pi f t) backwards.
-        length[band] = self.scattering_length(frequency[band])
-        echo = np.fft.fftshift(np.abs(np.fft.ifft(np.abs(spectrum) ** 2 * length)))
-        return float((peak_place(echo) - fine // 2) * pulse.step * 1e12)
 
     def __str__(self) -> str:
         return f"{self.kind}:{round(self.size_m * 1e3, 1):g}mm"

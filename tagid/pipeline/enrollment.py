@@ -175,15 +175,9 @@ class Prepared:
 
 
 @dataclass(frozen=True, eq=False)
-class Sighted:
-    """A prepared capture with the reflectors that it shows.
+class Sighted(Prepared):
+    """A prepared capture with the strong reflectors that it shows."""
 
-    Attributes:
-        prepared: the capture.
-        sighting: its strong reflectors.
-    """
-
-    prepared: Prepared
     sighting: Sighting
 
 
@@ -229,7 +223,8 @@ def sight(prepared: Prepared, imaging: ImagingSettings) -> Sighted:
     """The reflectors that a capture shows. Raises DataError as `sight_reflectors` does."""
     from tagid.pipeline.identify import sight_reflectors
 
-    return Sighted(prepared, sight_reflectors(prepared.capture, prepared.name, imaging))
+    name, capture = prepared.name, prepared.capture
+    return Sighted(name, capture, sight_reflectors(capture, name, imaging))
 
 
 def measure(
@@ -264,7 +259,7 @@ def measure(
             )
         return Measured(estimate, None, f"no signature: it needs {CAPTURES} captures", unmoved)
     try:
-        joint = signature(name, "object", [capture.prepared for capture in captures], imaging, progress)
+        joint = signature(name, "object", captures, imaging, progress)
     except DataError as error:
         if positions is not None:
             raise DataError(
@@ -289,7 +284,7 @@ def _doubt(captures: Sequence[Sighted], imaging: ImagingSettings) -> str:
     from tagid.pipeline.identify import aspect_spectra
 
     try:
-        spectra = [aspect_spectra(capture.prepared.capture, imaging) for capture in captures]
+        spectra = [aspect_spectra(capture.capture, imaging) for capture in captures]
     except DataError:  # free antenna positions, or fewer views than a signature needs
         return ""
     return trusted([capture.sighting for capture in captures], spectra)

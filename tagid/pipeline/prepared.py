@@ -5,6 +5,7 @@ Imaging, reading and the network share its baseband scans and pulse.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -185,14 +186,20 @@ class PreparedCapture:
 
         with self.watch.stage("pulse"):
             grid = ImageGrid(settings.extent_m, settings.pixels)
-
-            def report(done: int, total: int) -> None:
-                if progress is not None:
-                    progress(done, total, "estimating the pulse")
-
+            report = remarked(progress, "estimating the pulse")
             estimate = estimate_pulse(self.given, grid, settings.background, settings.focus_m, report)
         self._estimate = estimate
         return replace(self.given, pulse=estimate.pulse)
+
+
+def remarked(progress: Progress | None, remark: str) -> Callable[[int, int], None]:
+    """Passes (done, total) on with a remark."""
+
+    def report(done: int, total: int) -> None:
+        if progress is not None:
+            progress(done, total, remark)
+
+    return report
 
 
 def as_prepared(capture: Capture | PreparedCapture, settings: ImagingSettings | None) -> PreparedCapture:

@@ -29,7 +29,7 @@ from tagid.imaging.pulsefit import PulseEstimate
 from tagid.imaging.region import Region, choose_region
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans, Image
-from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved
+from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved, remarked
 from tagid.pipeline.settings import MOST_FREE_PIXELS, ImagingSettings, Stopwatch
 from tagid.types import Progress
 
@@ -178,7 +178,7 @@ def reconstruct(
     warnings = [closure_warning(unfiltered)]
     if settings.outside and settings.preset != "paper" and (tell_outside or sparse):
         with watch.stage("outside"):
-            remark = _remark(progress, "echoes outside the image")
+            remark = remarked(progress, "echoes outside the image")
             outside = find_outside(unfiltered, grid, remark, subtracts=sparse)
             if sparse and not views_searched(unfiltered, grid, sparse):
                 warnings.append(NOT_SEARCHED)
@@ -187,7 +187,7 @@ def reconstruct(
     with watch.stage("image"):
         image = make_image(imaged, grid, method, settings.seed, settings.preset, progress, settings.ats)
     with watch.stage("held out"):
-        remark = _remark(progress, "held-out views")
+        remark = remarked(progress, "held-out views")
         predicted = _held_out(prepared, scans, grid, method, settings, image, subtracted, remark)
     with watch.stage("image"):
         sharp = METHODS[method].sparse and Prior.of(image.settings).iterations is None
@@ -291,16 +291,6 @@ def _facts(
         facts |= {"centre_m": list(region.centre_m), "extent_m": region.grid.extent}
     facts["pulse"] = _pulse_facts(prepared)
     return facts
-
-
-def _remark(progress: Progress | None, remark: str) -> Callable[[int, int], None]:
-    """Passes (done, total) on with a remark."""
-
-    def report(done: int, total: int) -> None:
-        if progress is not None:
-            progress(done, total, remark)
-
-    return report
 
 
 def _unfiltered(prepared: PreparedCapture, scans: BasebandScans, method: str) -> BasebandScans:

@@ -36,6 +36,7 @@ from tagid.simulate.spec import SceneSpec
 from tagid.tags.layouts.layout import rotation_matrix
 from tagid.tags.layouts.test_card import test_card
 from tagid.waveform import nominal_pulse, pulse_at
+from tests.target_delay import delay_ps
 
 
 def bench(tmp_path: Path, scene: str, rig: str = "realistic?seed=3", **tape: object) -> Bench:
@@ -174,9 +175,9 @@ def test_the_delay_of_a_target_is_taken_out_of_the_pulse(text: str) -> None:
     # The solved scattering lengths have the phase of exp(-j omega t).
     spectrum = np.fft.rfft(pulse_at(nominal_pulse(), t).real, length) * np.conj(response)
     echo = echo_pulse(
-        np.fft.irfft(spectrum, length)[:600] * 5000, 250.3 + target.delay_ps() * 1e-12 / SAMPLE_STEP_S, target
+        np.fft.irfft(spectrum, length)[:600] * 5000, 250.3 + delay_ps(target) * 1e-12 / SAMPLE_STEP_S, target
     )
-    assert echo.delay_ps == pytest.approx(target.delay_ps(), abs=2)
+    assert echo.delay_ps == pytest.approx(delay_ps(target), abs=2)
     middle = len(echo.pulse.samples) // 2
     assert abs(int(np.argmax(echo.pulse.samples)) - middle) <= 1
 
