@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 
 
 @group_command("bodies")
-def bodies(
-    terminal: Terminal, remove: Annotated[str | None, typer.Option("--remove", hidden=True)] = None
-) -> Result:
+def bodies(terminal: Terminal, remove: Annotated[str | None, typer.Option(hidden=True)] = None) -> Result:
     """List, draw and check enrolled bodies and objects; without a command, list them.
 
     Example: tagid bodies
@@ -89,7 +87,7 @@ def show(
     of_object: Annotated[
         bool, typer.Option("--object", help="The signature of the tagged object of that name.")
     ] = False,
-    png: Annotated[Path | None, typer.Option("--png", help="Write a polar plot of the echo.")] = None,
+    png: Annotated[Path | None, typer.Option(help="Write a polar plot of the echo.")] = None,
 ) -> Result:
     """Show a body's or object's signature.
 

@@ -29,19 +29,15 @@ class _TapeOptions:
     target: Annotated[
         str | None,
         typer.Option(
-            "--target",
             help="Reference target: octahedron:40mm, corner:20cm, sphere:10cm or can:33mm.",
             show_default="octahedron:40mm",
         ),
     ] = None
     distance: Annotated[
-        float | None, typer.Option("--distance", help="Antennas to the target in a straight line, metres.")
+        float | None, typer.Option(help="Antennas to the target in a straight line, metres.")
     ] = None
     tape_error: Annotated[
-        float | None,
-        typer.Option(
-            "--tape-error", help="Standard error of the tape measure, metres.", show_default="0.005"
-        ),
+        float | None, typer.Option(help="Standard error of the tape measure, metres.", show_default="0.005")
     ] = None
     axis_distance: options.AxisDistance = None
     antenna_height: options.AntennaHeight = None
@@ -55,7 +51,6 @@ def commission(
     step: Annotated[
         str | None,
         typer.Option(
-            "--step",
             help="Do or repeat this step alone: link, room, target, turning, card or result.",
             show_default="all, from the first not passed",
         ),
@@ -63,17 +58,14 @@ def commission(
     radar: options.RadarUrl = None,
     motion: options.MotionUrl = None,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=1, max=600, help="How long the link is watched, seconds.")
+        float, typer.Option(min=1, max=600, help="How long the link is watched, seconds.")
     ] = 30.0,
-    scans: Annotated[int, typer.Option("--scans", min=32, max=5000, help="Scans of room and target.")] = 200,
-    page: Annotated[
-        Path | None, typer.Option("--page", help="Write the results as a page (.html or .pdf).")
-    ] = None,
+    scans: Annotated[int, typer.Option(min=32, max=5000, help="Scans of room and target.")] = 200,
+    page: Annotated[Path | None, typer.Option(help="Write the results as a page (.html or .pdf).")] = None,
     bundle: Annotated[
         Path | None,
         typer.Option(
-            "--bundle",
-            help="Do no step; write what was recorded as an archive without names and times (.zip).",
+            help="Do no step; write what was recorded as an archive without names and times (.zip)."
         ),
     ] = None,
     yes: consent.Yes = False,

@@ -37,66 +37,47 @@ WITH_REPLAY = ("seed", "rpm", "axis_distance", "snr")
 class _SceneOptions(SceneOptions):
     scene: Annotated[
         str | None,
-        typer.Option(
-            "--scene", help="An enrolled layout, points-3, can, empty ...", show_default=DEFAULT_SCENE
-        ),
+        typer.Option(help="An enrolled layout, points-3, can, empty ...", show_default=DEFAULT_SCENE),
     ] = None
-    rpm: Annotated[
-        float, typer.Option("--rpm", min=-10000, max=10000, help="Speed of the emulated table, rpm.")
-    ] = 2.0
+    rpm: Annotated[float, typer.Option(min=-10000, max=10000, help="Speed of the emulated table, rpm.")] = 2.0
     turned_by: Annotated[
-        str | None,
-        typer.Option("--turned-by", help="HOST:PORT of an emulated robot that rotates the object."),
+        str | None, typer.Option(help="HOST:PORT of an emulated robot that rotates the object.")
     ] = None
     antenna_height_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--antenna-height-file", help="File with the antenna's height in metres, read before every scan."
-        ),
+        Path | None, typer.Option(help="File with the antenna's height in metres, read before every scan.")
     ] = None
     budget: Annotated[
         bool, typer.Option("--budget", help="Noise from the radar equation of `tagid plan`; replaces --snr.")
     ] = False
     cable_delay: Annotated[
-        float,
-        typer.Option(
-            "--cable-delay", parser=PICOSECONDS, min=-1e07, max=1e07, help="Delay of the emulated cables, ps."
-        ),
+        float, typer.Option(parser=PICOSECONDS, min=-1e07, max=1e07, help="Delay of the emulated cables, ps.")
     ] = 0.0
 
 
 @dataclass(frozen=True)
 class _WireOptions:
-    bind: Annotated[str, typer.Option("--bind", help="HOST:PORT to listen on; port 0: any free port.")] = (
+    bind: Annotated[str, typer.Option(help="HOST:PORT to listen on; port 0: any free port.")] = (
         "127.0.0.1:21210"
     )
     serial: Annotated[bool, typer.Option("--serial", help="Use a serial port instead of UDP.")] = False
-    framing: Annotated[str, typer.Option("--framing", help="Framing on the serial port: usb or uart.")] = (
-        "usb"
+    framing: Annotated[str, typer.Option(help="Framing on the serial port: usb or uart.")] = "usb"
+    baud: Annotated[int, typer.Option(min=0, max=10000000, help="Baud rate of the uart; 0: unlimited.")] = (
+        115200
     )
-    baud: Annotated[
-        int, typer.Option("--baud", min=0, max=10000000, help="Baud rate of the uart; 0: unlimited.")
-    ] = 115200
-    link: Annotated[Path | None, typer.Option("--link", help="Symbolic link to create for the port.")] = None
+    link: Annotated[Path | None, typer.Option(help="Symbolic link to create for the port.")] = None
 
 
 @dataclass(frozen=True)
 class _FaultOptions:
     lose: Annotated[
         float | None,
-        typer.Option(
-            "--lose", min=0, max=1, help="Share of packets lost.", show_default="0, or that of --rig"
-        ),
+        typer.Option(min=0, max=1, help="Share of packets lost.", show_default="0, or that of --rig"),
     ] = None
-    duplicate: Annotated[
-        float, typer.Option("--duplicate", min=0, max=1, help="Share of packets sent twice.")
-    ] = 0.0
-    reorder: Annotated[float, typer.Option("--reorder", min=0, max=1, help="Share of packets reordered.")] = (
-        0.0
-    )
-    delay: Annotated[float, typer.Option("--delay", min=0, max=1, help="Share of packets delayed.")] = 0.0
+    duplicate: Annotated[float, typer.Option(min=0, max=1, help="Share of packets sent twice.")] = 0.0
+    reorder: Annotated[float, typer.Option(min=0, max=1, help="Share of packets reordered.")] = 0.0
+    delay: Annotated[float, typer.Option(min=0, max=1, help="Share of packets delayed.")] = 0.0
     delay_ms: Annotated[
-        float, typer.Option("--delay-ms", min=0, max=60000, help="Delay of those packets, milliseconds.")
+        float, typer.Option(min=0, max=60000, help="Delay of those packets, milliseconds.")
     ] = 20.0
 
 
@@ -107,19 +88,16 @@ def p440(
     scene: _SceneOptions,
     faulty: _FaultOptions,
     truth: Annotated[
-        Path | None, typer.Option("--truth", help="File for the true pose, to be read by scan --truth.")
+        Path | None, typer.Option(help="File for the true pose, to be read by scan --truth.")
     ] = None,
-    replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
+    replay: Annotated[str | None, typer.Option(help="Replay a recording instead.")] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Repeat the recording endlessly.")] = False,
-    rate: Annotated[
-        float, typer.Option("--rate", min=0, max=1e06, help="Time factor; 0: as fast as possible.")
-    ] = 1.0,
+    rate: Annotated[float, typer.Option(min=0, max=1e06, help="Time factor; 0: as fast as possible.")] = 1.0,
     status_bytes: Annotated[
-        int,
-        typer.Option("--status-bytes", min=0, max=1000, help="Status size: 64, or 32 as in old firmware."),
+        int, typer.Option(min=0, max=1000, help="Status size: 64, or 32 as in old firmware.")
     ] = 64,
     sleep_bytes: Annotated[
-        int, typer.Option("--sleep-bytes", min=0, max=1000, help="Size of the sleep confirmation: 12 or 8.")
+        int, typer.Option(min=0, max=1000, help="Size of the sleep confirmation: 12 or 8.")
     ] = 12,
     server: Annotated[
         bool, typer.Option("--server", help="Also act as the vendor's server program.")
@@ -229,44 +207,35 @@ def roomba(
     terminal: Terminal,
     pty: Annotated[bool, typer.Option("--pty", help="On a pseudo-terminal (the default).")] = False,
     ble: Annotated[bool, typer.Option("--ble", help="Behind an emulated Bluetooth bridge.")] = False,
-    link: Annotated[Path | None, typer.Option("--link", help="Symbolic link to create for the port.")] = None,
-    name: Annotated[str, typer.Option("--name", help="Name of the bridge.")] = "tagid-bridge",
+    link: Annotated[Path | None, typer.Option(help="Symbolic link to create for the port.")] = None,
+    name: Annotated[str, typer.Option(help="Name of the bridge.")] = "tagid-bridge",
     passkey: Annotated[
-        str | None, typer.Option("--passkey", help="Pass-key, six digits; omit for an open bridge.")
+        str | None, typer.Option(help="Pass-key, six digits; omit for an open bridge.")
     ] = None,
-    baud: Annotated[int, typer.Option("--baud", min=0, max=10000000, help="Baud rate of the port.")] = 115200,
+    baud: Annotated[int, typer.Option(min=0, max=10000000, help="Baud rate of the port.")] = 115200,
     wheel_base: Annotated[
-        float,
-        typer.Option("--wheel-base", parser=MILLIMETRES, min=1, max=100000, help="True wheel base, mm."),
+        float, typer.Option(parser=MILLIMETRES, min=1, max=100000, help="True wheel base, mm.")
     ] = 243.0,
     slip: Annotated[
         float,
-        typer.Option(
-            "--slip", min=-1, max=1, help="Slip: share of the wheel travel that does not rotate the robot."
-        ),
+        typer.Option(min=-1, max=1, help="Slip: share of the wheel travel that does not rotate the robot."),
     ] = 0.01,
     slip_noise: Annotated[
-        float, typer.Option("--slip-noise", min=0, max=1, help="Standard deviation of the slip's variation.")
+        float, typer.Option(min=0, max=1, help="Standard deviation of the slip's variation.")
     ] = 0.002,
-    encoder_noise: Annotated[float, typer.Option("--encoder-noise", min=0, max=10000, help="Counts.")] = 0.5,
+    encoder_noise: Annotated[float, typer.Option(min=0, max=10000, help="Counts.")] = 0.5,
     first_count: Annotated[
-        int, typer.Option("--first-count", min=-2147483648, max=2147483648, help="Initial encoder count.")
+        int, typer.Option(min=-2147483648, max=2147483648, help="Initial encoder count.")
     ] = 32_000,
-    mode_offset: Annotated[
-        int, typer.Option("--mode-offset", min=-255, max=255, help="Value added to packet 35.")
-    ] = 0,
-    charge: Annotated[
-        int, typer.Option("--charge", min=-100, max=1000, help="Battery charge, per cent.")
-    ] = 90,
+    mode_offset: Annotated[int, typer.Option(min=-255, max=255, help="Value added to packet 35.")] = 0,
+    charge: Annotated[int, typer.Option(min=-100, max=1000, help="Battery charge, per cent.")] = 90,
     on_charger: Annotated[
         bool, typer.Option("--on-charger", help="The robot is on its charging base.")
     ] = False,
     asleep: Annotated[bool, typer.Option("--asleep", help="The robot sleeps; BRC wakes it.")] = False,
     event: Annotated[
         str | None,
-        typer.Option(
-            "--event", help="bump, wheel-drop, cliff or charger @SECONDS after it starts to rotate."
-        ),
+        typer.Option(help="bump, wheel-drop, cliff or charger @SECONDS after it starts to rotate."),
     ] = None,
     truth: _Truth = 0,
     seed: options.Seed = 0,
@@ -306,10 +275,10 @@ def roomba(
 @command("emulate comxim")
 def comxim(
     terminal: Terminal,
-    link: Annotated[Path | None, typer.Option("--link", help="Symbolic link to create for the port.")] = None,
+    link: Annotated[Path | None, typer.Option(help="Symbolic link to create for the port.")] = None,
     rate_error: _RateError = 0.03,
     fail: Annotated[
-        int | None, typer.Option("--fail", min=0, max=2147483648, help="Error code returned by CT+RUN.")
+        int | None, typer.Option(min=0, max=2147483648, help="Error code returned by CT+RUN.")
     ] = None,
     truth: _Truth = 0,
 ) -> Result:

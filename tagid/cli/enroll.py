@@ -42,7 +42,7 @@ def enroll(
             "--point", help="A reflector as X,Y in metres from the axis; repeat for each reflector."
         ),
     ] = None,
-    file: Annotated[Path | None, typer.Option("--file", help="One layout in TOML or JSON.")] = None,
+    file: Annotated[Path | None, typer.Option(help="One layout in TOML or JSON.")] = None,
     captures: Annotated[
         list[Path] | None,
         typer.Option(
@@ -56,11 +56,11 @@ def enroll(
     ] = False,
     sigma: Annotated[
         float | None,
-        typer.Option("--sigma", parser=METRES, help="Standard deviation of the --point coordinates, metres."),
+        typer.Option(parser=METRES, help="Standard deviation of the --point coordinates, metres."),
     ] = None,
-    kind: Annotated[str | None, typer.Option("--kind", help="helmet, container or other.")] = None,
-    label: Annotated[str | None, typer.Option("--label", help="Description shown with the name.")] = None,
-    notes: Annotated[str | None, typer.Option("--notes", help="Text stored with the layout.")] = None,
+    kind: Annotated[str | None, typer.Option(help="helmet, container or other.")] = None,
+    label: Annotated[str | None, typer.Option(help="Description shown with the name.")] = None,
+    notes: Annotated[str | None, typer.Option(help="Text stored with the layout.")] = None,
     motion: options.MotionUrl = None,
     axis_distance: options.AxisDistance = None,
     force: Annotated[

@@ -229,13 +229,7 @@ def store_family(
     more = f" and {len(signatures)} signatures" if signatures else ""
     asked = agree(terminal, shown, f"Enroll {len(layouts)} layouts{more}?", wish.yes)
     version = merge(
-        registry,
-        layouts,
-        source,
-        force=wish.force,
-        basis=by,
-        checked=seen,
-        signatures=signatures,
+        registry, layouts, source, force=wish.force, basis=by, checked=seen, signatures=signatures
     )
     return Stored(version, data, None if asked else shown)
 

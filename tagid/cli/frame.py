@@ -144,7 +144,8 @@ def command(
 ) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Declare a function `(terminal, ...) -> Result` as a command with the common options added.
 
-    A parameter whose type is a dataclass stands for options declared as its fields.
+    A parameter whose type is a dataclass stands for options declared as its fields. An option that names
+    itself no other has the name of its parameter.
     `formats` are the choices of --output: "human", "json" and, if the result has one, "csv". For
     `negative_arguments` see `Command`.
     """

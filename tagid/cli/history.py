@@ -33,25 +33,21 @@ def history(
     action: Annotated[str, typer.Argument(help="list or export.")] = "list",
     file: Annotated[Path | None, typer.Argument(help="For export: a .parquet or .csv file.")] = None,
     status: Annotated[
-        str | None, typer.Option("--status", help="identified, unknown, ambiguous, no_tag, failed.")
+        str | None, typer.Option(help="identified, unknown, ambiguous, no_tag, failed.")
     ] = None,
-    layout: Annotated[str | None, typer.Option("--layout", help="Name of a layout.")] = None,
-    uuid: Annotated[str | None, typer.Option("--uuid", help="UUID of a capture.")] = None,
+    layout: Annotated[str | None, typer.Option(help="Name of a layout.")] = None,
+    uuid: Annotated[str | None, typer.Option(help="UUID of a capture.")] = None,
     part: Annotated[str | None, typer.Option("--file", help="Part of the file name.")] = None,
     made_by: Annotated[
         str | None, typer.Option("--command", help="Command: scan, identify, report, station or python.")
     ] = None,
     since: Annotated[
-        str | None, typer.Option("--since", help="Only entries at or after this date or time, UTC.")
+        str | None, typer.Option(help="Only entries at or after this date or time, UTC.")
     ] = None,
-    until: Annotated[
-        str | None, typer.Option("--until", help="Only entries before this date or time, UTC.")
-    ] = None,
+    until: Annotated[str | None, typer.Option(help="Only entries before this date or time, UTC.")] = None,
     limit: Annotated[
         int | None,
-        typer.Option(
-            "--limit", help="Number of newest entries to show; default: 20 on a terminal, otherwise all."
-        ),
+        typer.Option(help="Number of newest entries to show; default: 20 on a terminal, otherwise all."),
     ] = None,
 ) -> Result:
     """List the identifications made on this computer, newest first, or export them.

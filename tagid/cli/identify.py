@@ -42,10 +42,7 @@ class _ViewOptions:
 
 @command("identify")
 def identify(
-    terminal: Terminal,
-    files: options.Captures,
-    setup: options.RecordedOptions,
-    view: _ViewOptions,
+    terminal: Terminal, files: options.Captures, setup: options.RecordedOptions, view: _ViewOptions
 ) -> Result:
     """Name the object in one or more captures.
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 def layouts(
     terminal: Terminal,
     history: Annotated[bool, typer.Option("--history", help="List all changes.")] = False,
-    remove: Annotated[str | None, typer.Option("--remove", hidden=True)] = None,
+    remove: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> Result:
     """List, design, draw, exchange and check layouts; without a command, list the enrolled ones.
 
@@ -112,21 +112,15 @@ def show(
     terminal: Terminal,
     name: Annotated[str, typer.Argument(help="Name of the layout.")],
     file: Annotated[
-        Path | None, typer.Option("--file", help="Read it from this TOML file instead of the registry.")
+        Path | None, typer.Option(help="Read it from this TOML file instead of the registry.")
     ] = None,
-    png: Annotated[Path | None, typer.Option("--png", help="Write the plan with dimensions.")] = None,
-    svg: Annotated[Path | None, typer.Option("--svg", help="Write the plan with dimensions.")] = None,
-    template: Annotated[
-        Path | None, typer.Option("--template", help="Write a 1:1 template, .pdf or .svg.")
-    ] = None,
-    paper: Annotated[str, typer.Option("--paper", help="Paper of a PDF template: a4, a3, letter.")] = "a4",
+    png: Annotated[Path | None, typer.Option(help="Write the plan with dimensions.")] = None,
+    svg: Annotated[Path | None, typer.Option(help="Write the plan with dimensions.")] = None,
+    template: Annotated[Path | None, typer.Option(help="Write a 1:1 template, .pdf or .svg.")] = None,
+    paper: Annotated[str, typer.Option(help="Paper of a PDF template: a4, a3, letter.")] = "a4",
     surface_radius: Annotated[
         float | None,
-        typer.Option(
-            "--surface-radius",
-            parser=METRES,
-            help="Radius of the surface that the strip wraps around, metres.",
-        ),
+        typer.Option(parser=METRES, help="Radius of the surface that the strip wraps around, metres."),
     ] = None,
 ) -> Result:
     """Draw a layout, or the test card of `tagid commission` (test-card).
@@ -183,7 +177,7 @@ def sheet(
     terminal: Terminal,
     file: Annotated[Path, typer.Argument(help="PDF file to write.")],
     names: Annotated[list[str] | None, typer.Argument(help="Layouts; default: all.")] = None,
-    paper: Annotated[str, typer.Option("--paper", help="Paper: a4, a3, letter.")] = "a4",
+    paper: Annotated[str, typer.Option(help="Paper: a4, a3, letter.")] = "a4",
 ) -> Result:
     """Write one PDF with picture, name and 1:1 template of every enrolled layout.
 
@@ -316,7 +310,7 @@ def import_(
 def undo(
     terminal: Terminal,
     to: Annotated[
-        int | None, typer.Option("--to", help="The version to restore; default: undo the last change.")
+        int | None, typer.Option(help="The version to restore; default: undo the last change.")
     ] = None,
     yes: enrolling.Yes = False,
 ) -> Result:

@@ -30,24 +30,18 @@ class TargetOptions:
     """The object that layouts are for and the rules of their design, as options."""
 
     target: Annotated[str, typer.Option("--object", help="helmet, mug or container.")] = "helmet"
-    slots: Annotated[int, typer.Option("--slots", help="Equal angular steps around the object.")] = 12
-    rows: Annotated[
-        int | None, typer.Option("--rows", help="Number of the object's rows to use; default 1.")
-    ] = None
+    slots: Annotated[int, typer.Option(help="Equal angular steps around the object.")] = 12
+    rows: Annotated[int | None, typer.Option(help="Number of the object's rows to use; default 1.")] = None
     radius: Annotated[
         list[float] | None,
-        typer.Option(
-            "--radius", parser=METRES, help="Custom object: radius of a row in metres; repeat for each row."
-        ),
+        typer.Option(parser=METRES, help="Custom object: radius of a row in metres; repeat for each row."),
     ] = None
     height: Annotated[
-        list[float] | None,
-        typer.Option("--height", parser=METRES, help="Height of each --radius row, metres."),
+        list[float] | None, typer.Option(parser=METRES, help="Height of each --radius row, metres.")
     ] = None
     spacing: Annotated[
         float | None,
         typer.Option(
-            "--spacing",
             parser=METRES,
             help="Minimum reflector spacing, metres; default of design: 0.07, or less if the count needs it; "
             "of capacity: 0.04.",
@@ -61,17 +55,12 @@ class TargetOptions:
         ),
     ] = None
     seed: Annotated[
-        int,
-        typer.Option(
-            "--seed", min=0, max=9223372036854775807, help="Random seed of the search for the best set."
-        ),
+        int, typer.Option(min=0, max=9223372036854775807, help="Random seed of the search for the best set.")
     ] = 0
     heights: Annotated[
         str | None,
         typer.Option(
-            "--heights",
-            metavar="H,H,...",
-            help="Antenna heights of every scan, metres; default: motion.antenna_heights.",
+            metavar="H,H,...", help="Antenna heights of every scan, metres; default: motion.antenna_heights."
         ),
     ] = None
 
@@ -117,13 +106,11 @@ class TargetOptions:
 def design(
     terminal: Terminal,
     target: TargetOptions,
-    reflectors: Annotated[int, typer.Option("--reflectors", help="Reflectors per layout.")] = 3,
-    count: Annotated[int, typer.Option("--count", min=1, max=10000, help="Number of layouts.")] = 10,
+    reflectors: Annotated[int, typer.Option(help="Reflectors per layout.")] = 3,
+    count: Annotated[int, typer.Option(min=1, max=10000, help="Number of layouts.")] = 10,
     alone: Annotated[bool, typer.Option("--alone", help="Ignore the enrolled layouts.")] = False,
-    prefix: Annotated[
-        str | None, typer.Option("--prefix", help="Prefix of the names, e.g. mug-r3s12.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Write the layouts as TOML.")] = None,
+    prefix: Annotated[str | None, typer.Option(help="Prefix of the names, e.g. mug-r3s12.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the layouts as TOML.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     enroll: Annotated[bool, typer.Option("--enroll", help="Enroll all layouts, or none.")] = False,
     yes: enrolling.Yes = False,
@@ -162,9 +149,7 @@ def design(
 def capacity(
     terminal: Terminal,
     target: TargetOptions,
-    error_rate: Annotated[
-        float, typer.Option("--error-rate", help="Share of readings that may have no name.")
-    ] = 0.001,
+    error_rate: Annotated[float, typer.Option(help="Share of readings that may have no name.")] = 0.001,
 ) -> Result:
     """Compute how many identities an object can carry at a given error rate.
 
@@ -204,9 +189,7 @@ def capacity(
         f"at most {error_rate:g} of readings leave no name (and their minimum distance)"
     )
     return Result(
-        "layouts capacity",
-        {"object": chosen.name, "error_rate": error_rate, "rows": rows},
-        [line, table],
+        "layouts capacity", {"object": chosen.name, "error_rate": error_rate, "rows": rows}, [line, table]
     )
 
 
@@ -327,19 +310,17 @@ _TOLD = (".csv", ".png")
 @command("layouts reflector")
 def reflector(
     terminal: Terminal,
-    kind: Annotated[str, typer.Option("--kind", help="octahedron.")] = "octahedron",
-    size: Annotated[
-        float, typer.Option("--size", parser=MILLIMETRES, help="From tip to tip, millimetres.")
-    ] = 40.0,
+    kind: Annotated[str, typer.Option(help="octahedron.")] = "octahedron",
+    size: Annotated[float, typer.Option(parser=MILLIMETRES, help="From tip to tip, millimetres.")] = 40.0,
     out: Annotated[
         list[Path] | None,
         typer.Option("--out", "-o", help="A .stl solid, or a .svg or .pdf net; repeatable."),
     ] = None,
     rcs: Annotated[
         list[Path] | None,
-        typer.Option("--rcs", help="Compute its radar cross-section: .csv table, .png plot; repeatable."),
+        typer.Option(help="Compute its radar cross-section: .csv table, .png plot; repeatable."),
     ] = None,
-    paper: Annotated[str, typer.Option("--paper", help="Paper of a PDF: a4, a3, letter.")] = "a4",
+    paper: Annotated[str, typer.Option(help="Paper of a PDF: a4, a3, letter.")] = "a4",
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
 ) -> Result:
     """Create files for a reflector: a solid for a 3-D printer and foil, or a net to cut and fold at 1:1.

@@ -73,9 +73,9 @@ def facts_table(facts: dict[str, Any]) -> Table:
 @command("motion find")
 def find(
     terminal: Terminal,
-    seconds: Annotated[float, typer.Option("--seconds", parser=SECONDS, help="Listening time, s.")] = 4.0,
+    seconds: Annotated[float, typer.Option(parser=SECONDS, help="Listening time, s.")] = 4.0,
     bluetooth: Annotated[bool, typer.Option("--ble/--no-ble", help="Scan for Bluetooth devices.")] = True,
-    hci: Annotated[str | None, typer.Option("--hci", help="Another Bluetooth controller.")] = None,
+    hci: Annotated[str | None, typer.Option(help="Another Bluetooth controller.")] = None,
 ) -> Result:
     """Find robots and tables, without sending anything to them.
 
@@ -138,7 +138,7 @@ def spin(
     terminal: Terminal,
     url: Url = None,
     motion: options.MotionUrl = None,
-    turns: Annotated[float, typer.Option("--turns", help="Number of revolutions, 0.01 to 20.")] = 1.0,
+    turns: Annotated[float, typer.Option(help="Number of revolutions, 0.01 to 20.")] = 1.0,
     yes: Yes = False,
 ) -> Result:
     """Rotate by a number of revolutions and stop.
@@ -200,13 +200,13 @@ def calibrate(
     radar: options.RadarUrl = None,
     motion: options.MotionUrl = None,
     axis_distance: options.AxisDistance = None,
-    turns: Annotated[float, typer.Option("--turns", help="Revolutions to record, 1.5 to 10.")] = 2.3,
-    save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the capture.")] = None,
+    turns: Annotated[float, typer.Option(help="Revolutions to record, 1.5 to 10.")] = 2.3,
+    save_dir: Annotated[Path | None, typer.Option(help="Folder for the capture.")] = None,
     direction: Annotated[
         bool, typer.Option("--direction", help="Determine a table's direction instead; needs --layout.")
     ] = False,
     layout: Annotated[
-        str | None, typer.Option("--layout", help="Enrolled layout on the table; not its own mirror image.")
+        str | None, typer.Option(help="Enrolled layout on the table; not its own mirror image.")
     ] = None,
     yes: Yes = False,
 ) -> Result:

@@ -121,7 +121,7 @@ class RecordedOptions(SetupOptions):
     """The same of a recording, and the background in it."""
 
     background: Annotated[
-        str, typer.Option("--background", help="Static background to remove: mean, median, reference, none.")
+        str, typer.Option(help="Static background to remove: mean, median, reference, none.")
     ] = "mean"
 
 
@@ -160,57 +160,42 @@ class SceneOptions:
 
     file: LayoutFile = None
     response: Annotated[
-        Path | None,
-        typer.Option(
-            "--response", help="Response file of the object, instead of a scene (docs/responses.md)."
-        ),
+        Path | None, typer.Option(help="Response file of the object, instead of a scene (docs/responses.md).")
     ] = None
-    polarisation: Annotated[
-        str | None, typer.Option("--polarisation", help="With --response: V (default) or H.")
-    ] = None
+    polarisation: Annotated[str | None, typer.Option(help="With --response: V (default) or H.")] = None
     snr_reference: Annotated[
-        Path | None,
-        typer.Option("--snr-reference", help="With --response: response whose peak --snr refers to."),
+        Path | None, typer.Option(help="With --response: response whose peak --snr refers to.")
     ] = None
     snr_reference_body: Annotated[
-        Path | None, typer.Option("--snr-reference-body", help="Response subtracted from --snr-reference.")
+        Path | None, typer.Option(help="Response subtracted from --snr-reference.")
     ] = None
     body: Body = None
     reflector: Reflector = None
     elevation: Annotated[
         str,
-        typer.Option(
-            "--elevation",
-            help="Height of the tag above the stated plane, e.g. 50mm; not stored in the capture.",
-        ),
+        typer.Option(help="Height of the tag above the stated plane, e.g. 50mm; not stored in the capture."),
     ] = "0m"
     centre: Annotated[
-        str, typer.Option("--centre", help="Offset of the object from the axis, X,Y in metres; up to 0.25.")
+        str, typer.Option(help="Offset of the object from the axis, X,Y in metres; up to 0.25.")
     ] = "0,0"
     rotation: Annotated[
-        float,
-        typer.Option("--rotation", min=-1e06, max=1e06, help="Rotation of the object at the start, degrees."),
+        float, typer.Option(min=-1e06, max=1e06, help="Rotation of the object at the start, degrees.")
     ] = 0.0
-    wobble: Annotated[float, typer.Option("--wobble", help="Variation of the speed; 0.01 is 1 %.")] = 0.0
-    axis_distance: Annotated[
-        float, typer.Option("--axis-distance", parser=METRES, help="Radar to axis, metres.")
-    ] = 1.0
+    wobble: Annotated[float, typer.Option(help="Variation of the speed; 0.01 is 1 %.")] = 0.0
+    axis_distance: Annotated[float, typer.Option(parser=METRES, help="Radar to axis, metres.")] = 1.0
     snr: Annotated[
-        float, typer.Option("--snr", help="Peak of the strongest reflector over the noise of one sample, dB.")
+        float, typer.Option(help="Peak of the strongest reflector over the noise of one sample, dB.")
     ] = 20.0
     seed: Annotated[
         int,
         typer.Option(
-            "--seed",
-            help="Random seed of the recording and of the object: also where a handle or seam is.",
-            min=0,
+            help="Random seed of the recording and of the object: also where a handle or seam is.", min=0
         ),
     ] = 0
     rig: Annotated[
         str | None,
         typer.Option(
-            "--rig",
-            help="Profile of a commissioned rig, or realistic?seed=N: sets how the scene is recorded.",
+            help="Profile of a commissioned rig, or realistic?seed=N: sets how the scene is recorded."
         ),
     ] = None
 

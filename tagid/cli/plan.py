@@ -26,26 +26,20 @@ if TYPE_CHECKING:
 class PlanOptions:
     """Tag, radar and table of a recording."""
 
-    reflector: Annotated[
-        str, typer.Option("--reflector", help="Reflectors of the tag, size from tip to tip.")
-    ] = "octahedron:40mm"
+    reflector: Annotated[str, typer.Option(help="Reflectors of the tag, size from tip to tip.")] = (
+        "octahedron:40mm"
+    )
     body: options.Body = None
     distance: Annotated[
         float | None,
-        typer.Option(
-            "--distance",
-            parser=METRES,
-            help="Antennas to rotation axis, metres (default: the setting, or 1).",
-        ),
+        typer.Option(parser=METRES, help="Antennas to rotation axis, metres (default: the setting, or 1)."),
     ] = None
     pii: Annotated[
         int | None,
         typer.Option("--integration", "--pii", help="Integration index (default: radar.integration)."),
     ] = None
-    gain: Annotated[
-        int | None, typer.Option("--gain", help="Transmit gain, 0 to 63 (default: radar.gain).")
-    ] = None
-    rpm: Annotated[float, typer.Option("--rpm", help="Turns per minute.")] = 2.0
+    gain: Annotated[int | None, typer.Option(help="Transmit gain, 0 to 63 (default: radar.gain).")] = None
+    rpm: Annotated[float, typer.Option(help="Turns per minute.")] = 2.0
     layout: Annotated[str, typer.Option("--layout", "--layouts", help="Layout of the tag.")] = "container-90"
     file: options.LayoutFile = None
     enrolled: Annotated[
@@ -90,7 +84,7 @@ def plan(
     asked: PlanOptions,
     want: Annotated[
         float | None,
-        typer.Option("--want", help="Required identification rate, e.g. 0.99: find settings that reach it."),
+        typer.Option(help="Required identification rate, e.g. 0.99: find settings that reach it."),
     ] = None,
 ) -> Result:
     """Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named.

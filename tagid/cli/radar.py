@@ -51,12 +51,10 @@ def open_configured(config: Config) -> P440:
 def find(
     terminal: Terminal,
     address: Annotated[
-        list[str] | None,
-        typer.Option("--address", help="Query HOST[:PORT] instead of radar.addresses; repeatable."),
+        list[str] | None, typer.Option(help="Query HOST[:PORT] instead of radar.addresses; repeatable.")
     ] = None,
     ask: Annotated[
-        list[str] | None,
-        typer.Option("--ask", help="Also query this radar URL, e.g. of a UART adapter; repeatable."),
+        list[str] | None, typer.Option(help="Also query this radar URL, e.g. of a UART adapter; repeatable.")
     ] = None,
 ) -> Result:
     """Find radars on serial ports and at the configured addresses; takes up to 3 seconds.
@@ -110,35 +108,22 @@ def config(
     start: Annotated[
         float | None,
         typer.Option(
-            "--start",
-            parser=METRES,
-            min=-10000,
-            max=10000,
-            help="Start of the window, metres from the antennas.",
+            parser=METRES, min=-10000, max=10000, help="Start of the window, metres from the antennas."
         ),
     ] = None,
     stop: Annotated[
         float | None,
         typer.Option(
-            "--stop",
-            parser=METRES,
-            min=-10000,
-            max=10000,
-            help="End of the window, metres from the antennas.",
+            parser=METRES, min=-10000, max=10000, help="End of the window, metres from the antennas."
         ),
     ] = None,
     start_ps: Annotated[
         int | None,
         typer.Option(
-            "--start-ps",
-            min=-2147483648,
-            max=2147483647,
-            help="The same in two-way picoseconds, including cables.",
+            min=-2147483648, max=2147483647, help="The same in two-way picoseconds, including cables."
         ),
     ] = None,
-    stop_ps: Annotated[
-        int | None, typer.Option("--stop-ps", min=-2147483648, max=2147483647, help="The same.")
-    ] = None,
+    stop_ps: Annotated[int | None, typer.Option(min=-2147483648, max=2147483647, help="The same.")] = None,
     integration: Annotated[
         int | None,
         typer.Option(
@@ -149,19 +134,12 @@ def config(
             help="Integration index, 6 to 15: 2^n pulses per sample.",
         ),
     ] = None,
-    gain: Annotated[
-        int | None, typer.Option("--gain", min=-1000, max=1000, help="Transmit gain, 0 to 63.")
-    ] = None,
+    gain: Annotated[int | None, typer.Option(min=-1000, max=1000, help="Transmit gain, 0 to 63.")] = None,
     antenna_mode: Annotated[
-        int | None,
-        typer.Option("--antenna-mode", min=-1000, max=1000, help="0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA."),
+        int | None, typer.Option(min=-1000, max=1000, help="0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA.")
     ] = None,
-    code_channel: Annotated[
-        int | None, typer.Option("--code-channel", min=-1000, max=1000, help="0 to 10.")
-    ] = None,
-    node_id: Annotated[
-        int | None, typer.Option("--node-id", min=0, max=4294967295, help="Node id of the radar.")
-    ] = None,
+    code_channel: Annotated[int | None, typer.Option(min=-1000, max=1000, help="0 to 10.")] = None,
+    node_id: Annotated[int | None, typer.Option(min=0, max=4294967295, help="Node id of the radar.")] = None,
     save: Annotated[bool, typer.Option("--save", help="Store the settings in the radar's flash.")] = False,
     cable_delay: options.CableDelay = None,
 ) -> Result:
@@ -240,10 +218,9 @@ def record(
     terminal: Terminal,
     radar: options.RadarUrl = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Capture to write.")] = None,
-    save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the capture.")] = None,
+    save_dir: Annotated[Path | None, typer.Option(help="Folder for the capture.")] = None,
     scans: Annotated[
-        int | None,
-        typer.Option("--scans", min=-2147483648, max=2147483648, help="Stop after this number of scans."),
+        int | None, typer.Option(min=-2147483648, max=2147483648, help="Stop after this number of scans.")
     ] = None,
     seconds: Seconds = None,
     interval_us: Interval = 0,
@@ -251,7 +228,7 @@ def record(
     antenna_height: options.AntennaHeight = None,
     antenna_separation: options.AntennaSeparation = None,
     cable_delay: options.CableDelay = None,
-    note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a place.")] = "",
+    note: Annotated[str, typer.Option(help="Text stored in the capture, e.g. a place.")] = "",
 ) -> Result:
     """Record scans with the radar's current settings, without imaging, until a limit or Ctrl-C.
 
@@ -335,7 +312,7 @@ def reboot(
     terminal: Terminal,
     radar: options.RadarUrl = None,
     wait: Annotated[
-        float, typer.Option("--wait", parser=SECONDS, help="Longest time to wait for a response, s.")
+        float, typer.Option(parser=SECONDS, help="Longest time to wait for a response, s.")
     ] = 20.0,
 ) -> Result:
     """Restart the radar and wait until it responds (7 s on Ethernet, 11 s otherwise).

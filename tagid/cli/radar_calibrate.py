@@ -35,25 +35,17 @@ class _Asked:
 
     distance: Annotated[
         float | None,
-        typer.Option(
-            "--distance", parser=METRES, help="Measured distance from the antennas to the target, metres."
-        ),
+        typer.Option(parser=METRES, help="Measured distance from the antennas to the target, metres."),
     ] = None
     tape_error: Annotated[
-        float,
-        typer.Option(
-            "--tape-error", parser=METRES, min=0, max=10, help="Standard deviation of this distance, metres."
-        ),
+        float, typer.Option(parser=METRES, min=0, max=10, help="Standard deviation of this distance, metres.")
     ] = 0.005
     step: Annotated[
-        str | None, typer.Option("--step", help="empty, target, or both with a pause to place the target.")
+        str | None, typer.Option(help="empty, target, or both with a pause to place the target.")
     ] = None
-    scans: Annotated[
-        int, typer.Option("--scans", min=-2147483648, max=2147483648, help="Scans per step.")
-    ] = 200
+    scans: Annotated[int, typer.Option(min=-2147483648, max=2147483648, help="Scans per step.")] = 200
     longest_delay: Annotated[
-        float,
-        typer.Option("--longest-delay", parser=NANOSECONDS, help="Upper limit of the delay search, ns."),
+        float, typer.Option(parser=NANOSECONDS, help="Upper limit of the delay search, ns.")
     ] = 25.0
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but store nothing.")] = False
     yes: Annotated[

@@ -33,21 +33,15 @@ class _MethodOptions:
     """The method of the image, and what ats assumes."""
 
     method: options.Method = None
-    engine: Annotated[str, typer.Option("--engine", help="Engine of ats: native, onnx, torch or auto.")] = (
-        "auto"
-    )
-    device: Annotated[str, typer.Option("--device", help="cpu, or cuda with torch.")] = "cpu"
+    engine: Annotated[str, typer.Option(help="Engine of ats: native, onnx, torch or auto.")] = "auto"
+    device: Annotated[str, typer.Option(help="cpu, or cuda with torch.")] = "cpu"
     calibrate: Annotated[
         str | None,
-        typer.Option(
-            "--calibrate",
-            help="Parameters that ats estimates with the scene: any of axis,wobble,gain,static.",
-        ),
+        typer.Option(help="Parameters that ats estimates with the scene: any of axis,wobble,gain,static."),
     ] = None
     ats: Annotated[
         list[str] | None,
         typer.Option(
-            "--ats",
             metavar="KEY=VALUE",
             help="A setting of ats: robust=3, aspect_harmonics=2, occlusion=0.3, steps=200 and more.",
         ),
@@ -59,10 +53,10 @@ class _PictureOptions:
     """The size of the image and where it goes."""
 
     extent: Annotated[
-        float | None, typer.Option("--extent", parser=METRES, help="Width and height of the image, metres.")
+        float | None, typer.Option(parser=METRES, help="Width and height of the image, metres.")
     ] = None
-    pixels: Annotated[int | None, typer.Option("--pixels", help="Pixels per side.")] = None
-    out: Annotated[Path | None, typer.Option("--out", help="Write image and axes (NPZ).")] = None
+    pixels: Annotated[int | None, typer.Option(help="Pixels per side.")] = None
+    out: Annotated[Path | None, typer.Option(help="Write image and axes (NPZ).")] = None
     png: options.PngFile = None
     preview: options.Preview = False
 
@@ -72,30 +66,25 @@ class _ImageOptions:
     """How the scans become the image."""
 
     focus: Annotated[bool, typer.Option(help="Estimate the axis distance, or the path delay.")] = True
-    preset: Annotated[
-        str, typer.Option("--preset", help="Variant of ats: field, or paper (as published, slow).")
-    ] = "field"
+    preset: Annotated[str, typer.Option(help="Variant of ats: field, or paper (as published, slow).")] = (
+        "field"
+    )
     pulse: Annotated[
         str | None,
-        typer.Option(
-            "--pulse", help="auto (the capture's or nominal), nominal, or estimate (from the scans)."
-        ),
+        typer.Option(help="auto (the capture's or nominal), nominal, or estimate (from the scans)."),
     ] = None
     centre: Annotated[
         str | None,
         typer.Option(
-            "--centre",
-            help="Centre of the image or volume as X,Y in metres, for captures with antenna positions.",
+            help="Centre of the image or volume as X,Y in metres, for captures with antenna positions."
         ),
     ] = None
     side: Annotated[
-        str | None,
-        typer.Option("--side", help="A point X,Y in metres on the side of a straight path to be imaged."),
+        str | None, typer.Option(help="A point X,Y in metres on the side of a straight path to be imaged.")
     ] = None
     wave_speed: Annotated[
         float | None,
         typer.Option(
-            "--wave-speed",
             min=1,
             max=3.1e08,
             help="Speed of the wave in the medium (m/s): 345 for sound in air, 1.06e8 at a permittivity of "
@@ -106,7 +95,6 @@ class _ImageOptions:
     delay_search: Annotated[
         float | None,
         typer.Option(
-            "--delay-search",
             parser=METRES,
             help="Half-width of the path-delay search (m), for captures with antenna positions. "
             "Default: 13 wavelengths, 1 m for a P440.",
@@ -115,7 +103,6 @@ class _ImageOptions:
     axis_search: Annotated[
         float | None,
         typer.Option(
-            "--axis-search",
             parser=METRES,
             help="Half-width of the axis-distance search (m), for turntables. "
             "Default: half a wavelength, 0.04 m for a P440; at most two.",
@@ -141,24 +128,15 @@ class _VolumeOptions:
         bool, typer.Option("--volume", help="Reconstruct a volume from several antenna heights (see `join`).")
     ] = False
     heights: Annotated[
-        str | None,
-        typer.Option(
-            "--heights", metavar="LOW,HIGH", help="Lowest and highest height of the volume, metres."
-        ),
+        str | None, typer.Option(metavar="LOW,HIGH", help="Lowest and highest height of the volume, metres.")
     ] = None
-    levels: Annotated[int | None, typer.Option("--levels", help="Number of height levels of the volume.")] = (
-        None
-    )
-    vti: Annotated[Path | None, typer.Option("--vti", help="Write the volume as VTK image data.")] = None
-    ply: Annotated[
-        Path | None, typer.Option("--ply", help="Write the bright points of the volume as PLY.")
-    ] = None
+    levels: Annotated[int | None, typer.Option(help="Number of height levels of the volume.")] = None
+    vti: Annotated[Path | None, typer.Option(help="Write the volume as VTK image data.")] = None
+    ply: Annotated[Path | None, typer.Option(help="Write the bright points of the volume as PLY.")] = None
     surface: Annotated[
-        Path | None, typer.Option("--surface", help="Write the surface of the volume as PLY triangles.")
+        Path | None, typer.Option(help="Write the surface of the volume as PLY triangles.")
     ] = None
-    webp: Annotated[
-        Path | None, typer.Option("--webp", help="Write an animation of the rotating volume.")
-    ] = None
+    webp: Annotated[Path | None, typer.Option(help="Write an animation of the rotating volume.")] = None
 
     @property
     def given(self) -> bool:

@@ -35,9 +35,9 @@ def report(
     inputs: Annotated[
         list[str] | None, typer.Argument(help="Folders, files or URLs of captures.", metavar="INPUT...")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the report.")] = Path("report"),
+    out: Annotated[Path, typer.Option(help="Folder for the report.")] = Path("report"),
     expect: Annotated[
-        Path | None, typer.Option("--expect", help="CSV with file,expected_layout to compare with.")
+        Path | None, typer.Option(help="CSV with file,expected_layout to compare with.")
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an earlier run and reuse its results.")
@@ -45,21 +45,18 @@ def report(
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier report.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failure.")] = False,
     watch: Annotated[
-        Path | None, typer.Option("--watch", help="Identify new captures in this folder as they arrive.")
+        Path | None, typer.Option(help="Identify new captures in this folder as they arrive.")
     ] = None,
     idle_stop: Annotated[
-        float | None,
-        typer.Option("--idle-stop", parser=SECONDS, help="With --watch: stop after this many idle seconds."),
+        float | None, typer.Option(parser=SECONDS, help="With --watch: stop after this many idle seconds.")
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", "-j", help="Worker processes; 0: one per core.")] = 0,
-    dask: Annotated[
-        str | None, typer.Option("--dask", help="Scheduler of a Dask cluster, tcp://HOST:PORT.")
-    ] = None,
+    dask: Annotated[str | None, typer.Option(help="Scheduler of a Dask cluster, tcp://HOST:PORT.")] = None,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw each object.")] = True,
     page_megabytes: Annotated[
-        float, typer.Option("--page-megabytes", help="Size limit for all pictures of the page, MB.")
+        float, typer.Option(help="Size limit for all pictures of the page, MB.")
     ] = 32.0,
-    title: Annotated[str, typer.Option("--title", help="Title of the page.")] = "",
+    title: Annotated[str, typer.Option(help="Title of the page.")] = "",
     method: options.Method = None,
     setup: options.RecordedOptions = options.RecordedOptions(),
 ) -> Result:

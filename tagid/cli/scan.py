@@ -51,7 +51,7 @@ class _ViewOptions:
             "--until-sure", help="End scan and motion once a bare tag of three reflectors or more is certain."
         ),
     ] = False
-    note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a name.")] = ""
+    note: Annotated[str, typer.Option(help="Text stored in the capture, e.g. a name.")] = ""
     subtract_body: Annotated[
         bool,
         typer.Option(
@@ -66,27 +66,23 @@ def scan(
     radar: options.RadarUrl = None,
     setup: options.SetupOptions = options.SetupOptions(),
     cable_delay: options.CableDelay = None,
-    scans: Annotated[int | None, typer.Option("--scans", help="Stop after this number of scans.")] = None,
+    scans: Annotated[int | None, typer.Option(help="Stop after this number of scans.")] = None,
     max_seconds: Annotated[
-        float, typer.Option("--max-seconds", parser=SECONDS, help="Stop after this time, seconds.")
+        float, typer.Option(parser=SECONDS, help="Stop after this time, seconds.")
     ] = 180.0,
-    save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
+    save_dir: Annotated[Path | None, typer.Option(help="Folder for the files.")] = None,
     method: options.Method = None,
     demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
-    demo_scene: Annotated[str, typer.Option("--demo-scene", help="Scene of the demo.")] = "helmet-120",
+    demo_scene: Annotated[str, typer.Option(help="Scene of the demo.")] = "helmet-120",
     view: _ViewOptions = _ViewOptions(),
-    repeat: Annotated[
-        int, typer.Option("--repeat", help="Number of revolutions to record for one joint answer.")
-    ] = 1,
+    repeat: Annotated[int, typer.Option(help="Number of revolutions to record for one joint answer.")] = 1,
     truth: Annotated[
-        Path | None, typer.Option("--truth", help="File of emulate --truth, stored in the capture.")
+        Path | None, typer.Option(help="File of emulate --truth, stored in the capture.")
     ] = None,
     heights: Annotated[
         str | None,
         typer.Option(
-            "--heights",
-            metavar="H,H,...",
-            help="Record one revolution from each antenna height, metres, and join them.",
+            metavar="H,H,...", help="Record one revolution from each antenna height, metres, and join them."
         ),
     ] = None,
     yes: Yes = False,

@@ -26,7 +26,7 @@ def show(
     terminal: Terminal,
     file: options.CaptureFile,
     png: Annotated[
-        Path | None, typer.Option("--png", help="Picture (default: NAME.show.png next to the file).")
+        Path | None, typer.Option(help="Picture (default: NAME.show.png next to the file).")
     ] = None,
     changing: Annotated[
         bool, typer.Option("--changing", help="Subtract the mean scan, to show only changes.")
@@ -35,9 +35,7 @@ def show(
     node: options.Node = None,
     reflector: options.Reflector = None,
     body: options.Body = None,
-    layout: Annotated[
-        str, typer.Option("--layout", help="With --reflector: layout of the tag.")
-    ] = "container-90",
+    layout: Annotated[str, typer.Option(help="With --reflector: layout of the tag.")] = "container-90",
     layout_file: options.LayoutFile = None,
 ) -> Result:
     """Draw range profile, scans over time and spectrum of a recording, and print its statistics.

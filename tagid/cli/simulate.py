@@ -25,52 +25,34 @@ PULSES = ("nominal", "random")
 @dataclass(frozen=True)
 class _SceneOptions(SceneOptions):
     scene: Annotated[
-        str | None,
-        typer.Option("--scene", help="An enrolled layout, points-3, can, box, empty ...; or --response."),
+        str | None, typer.Option(help="An enrolled layout, points-3, can, box, empty ...; or --response.")
     ] = None
-    unlike: Annotated[
-        float, typer.Option("--unlike", help="Spread of the reflectors' strengths, 0 to 20 dB.")
-    ] = 0.0
-    noise: Annotated[
-        float | None, typer.Option("--noise", help="Noise standard deviation; replaces --snr.")
-    ] = None
-    antenna_height: Annotated[float, typer.Option("--antenna-height", parser=METRES, help="Metres.")] = 0.0
+    unlike: Annotated[float, typer.Option(help="Spread of the reflectors' strengths, 0 to 20 dB.")] = 0.0
+    noise: Annotated[float | None, typer.Option(help="Noise standard deviation; replaces --snr.")] = None
+    antenna_height: Annotated[float, typer.Option(parser=METRES, help="Metres.")] = 0.0
     antenna_separation: options.AntennaSeparation = 0.0
     range_law: Annotated[bool, typer.Option("--range-law", help="1/R^4 in power.")] = False
 
 
 @dataclass(frozen=True)
 class _RecordingOptions:
-    pulse_of: Annotated[
-        Path | None, typer.Option("--pulse-of", help="Capture with the pulse to transmit.")
-    ] = None
-    views: Annotated[int, typer.Option("--views", help="Views per revolution.")] = 360
-    turns: Annotated[float, typer.Option("--turns", help="Turns recorded.")] = 1.0
+    pulse_of: Annotated[Path | None, typer.Option(help="Capture with the pulse to transmit.")] = None
+    views: Annotated[int, typer.Option(help="Views per revolution.")] = 360
+    turns: Annotated[float, typer.Option(help="Turns recorded.")] = 1.0
     snr_of: Annotated[
-        str,
-        typer.Option(
-            "--snr-of", help="Echo to which --snr refers: reflector (the strongest), or summed (all)."
-        ),
+        str, typer.Option(help="Echo to which --snr refers: reflector (the strongest), or summed (all).")
     ] = "reflector"
     colour: Annotated[
         float, typer.Option("--noise-colour", help="Share of noise in the radar's band, 0 to 1.")
     ] = 0.0
-    interference: Annotated[
-        float | None, typer.Option("--interference", help="Narrow-band tone, dB above the noise.")
-    ] = None
-    pulse: Annotated[str, typer.Option("--pulse", help="nominal, or random (not stated in the capture).")] = (
-        "nominal"
-    )
-    axis_error: Annotated[
-        float, typer.Option("--axis-error", parser=METRES, help="Stated minus true distance, m.")
-    ] = 0.0
-    beam: Annotated[float | None, typer.Option("--beam", help="-3 dB beam width, degrees.")] = None
+    interference: Annotated[float | None, typer.Option(help="Narrow-band tone, dB above the noise.")] = None
+    pulse: Annotated[str, typer.Option(help="nominal, or random (not stated in the capture).")] = "nominal"
+    axis_error: Annotated[float, typer.Option(parser=METRES, help="Stated minus true distance, m.")] = 0.0
+    beam: Annotated[float | None, typer.Option(help="-3 dB beam width, degrees.")] = None
     object_seed: Annotated[
         int | None,
         typer.Option(
-            "--object-seed",
-            help="Random seed of object and room alone, to record one object with different --seed.",
-            min=0,
+            help="Random seed of object and room alone, to record one object with different --seed.", min=0
         ),
     ] = None
 

@@ -22,19 +22,17 @@ _OPEN = "open this address in a browser; stop with Ctrl-C"
 def station(
     terminal: Terminal,
     bind: Annotated[
-        str, typer.Option("--bind", help="HOST:PORT to listen on; other computers need a pairing code.")
+        str, typer.Option(help="HOST:PORT to listen on; other computers need a pairing code.")
     ] = "127.0.0.1:8440",
     radar: options.RadarUrl = None,
     motion: options.MotionUrl = None,
     axis_distance: options.AxisDistance = None,
-    save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
-    max_seconds: Annotated[
-        float, typer.Option("--max-seconds", parser=SECONDS, help="Longest recording.")
-    ] = 180.0,
+    save_dir: Annotated[Path | None, typer.Option(help="Folder for the files.")] = None,
+    max_seconds: Annotated[float, typer.Option(parser=SECONDS, help="Longest recording.")] = 180.0,
     demo: Annotated[
         bool, typer.Option("--demo", help="Use an emulated radar, a helmet, and an object to enroll.")
     ] = False,
-    demo_scene: Annotated[str, typer.Option("--demo-scene", help="Scene of the demo.")] = "helmet-120",
+    demo_scene: Annotated[str, typer.Option(help="Scene of the demo.")] = "helmet-120",
 ) -> Result:
     """Serve a web page with a Scan button, live image, answer, health and history.
 
