@@ -7,11 +7,11 @@ from there.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, TypedDict
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,15 +86,8 @@ class Tape:
             raise UsageError(f"the error of the tape is {self.error_m:g} m", "Give up to 0.1 m, e.g. 0.005.")
 
 
-class TapeChanges(TypedDict, total=False):
-    """Values of `Tape` that the person gave now; None, or no entry, where not given."""
-
-    target: str | None
-    target_distance_m: float | None
-    axis_distance_m: float | None
-    antenna_height_m: float | None
-    antenna_separation_m: float | None
-    error_m: float | None
+TapeChanges = Mapping[str, str | float | None]
+"""Values of `Tape` that the person gave now, by their names; None, or no entry, where not given."""
 
 
 class Bench:
