@@ -26,7 +26,6 @@ def bodies(terminal: Terminal, remove: Annotated[str | None, typer.Option(hidden
 
     Example: tagid bodies
     """
-
     from tagid.operate.workplace import open_registry
     from tagid.report.table import Table
 
@@ -72,7 +71,6 @@ def remove(
 
 
 def _removed(command: str, name: str) -> Result:
-
     from tagid.operate.workplace import open_registry
 
     version = open_registry().remove_signature("body", name, "tagid bodies remove")
@@ -93,7 +91,6 @@ def show(
 
     Example: tagid bodies show mug --png mug.png
     """
-
     from tagid.files import write_bytes
     from tagid.operate.workplace import open_registry
 
@@ -123,7 +120,6 @@ def check(terminal: Terminal) -> Result:
 
     Example: tagid bodies check
     """
-
     from tagid.operate.workplace import open_registry
     from tagid.report.table import Table
     from tagid.tags.bodies.likeness import compare

@@ -77,16 +77,21 @@ def commission(
     Example: tagid commission --axis-distance 1.0 --antenna-height 0.05 --distance 1.0
     Example: tagid commission --step target --target corner:20cm --distance 1.5 --page rig.html
     """
-
     from tagid.commissioning.bench import Bench
+    from tagid.commissioning.bundle import write_bundle
     from tagid.commissioning.steps import STEPS, next_step, run_step, step_named
+    from tagid.rig import set_aside_damaged
 
     names = [known.name for known in STEPS]
     if step is not None and step not in names:
         raise UsageError(f"--step is {step[:40]!r}", f"Give one of {', '.join(names)}.")
     check_drawing("--page", page, (".html", ".pdf"))
     check_drawing("--bundle", bundle, (".zip",))
-    aside = _set_aside()
+    # The steps write a damaged profile again.
+    damaged = set_aside_damaged(data_folder())
+    aside: tuple[str, ...] = ()
+    if damaged is not None:
+        aside = (f"the rig profile was damaged; it is kept as {damaged.name}, and not used",)
     config = load_config({"radar.url": radar, "motion.url": motion})
     given: TapeChanges = {
         "target": tape.target,
@@ -97,7 +102,10 @@ def commission(
         "error_m": tape.tape_error,
     }
     if bundle is not None:
-        return _bundled(bundle, Bench(config, given), page)
+        bench = Bench(config, given)
+        files = write_bundle(bench, bundle)
+        archive = {"bundle": str(bundle), "files": files, "page": _page(page, bench)}
+        return Result("commission", archive, f"written  {bundle}")
     done: list[StepReport] = []
     bench = Bench(config, given, seconds, scans)
     first = next_step(bench) if step is None else step_named(step)
@@ -128,23 +136,6 @@ def commission(
         return Result.from_error("commission", ended, data, drawn, aside)
     passed = all(report.passed for report in done)
     return Result("commission", data, drawn, exit_code=EXIT_OK if passed else EXIT_FAILED, messages=aside)
-
-
-def _set_aside() -> tuple[str, ...]:
-    """A damaged profile goes aside: the steps write it again. Gives a remark on that."""
-    from tagid.rig import set_aside_damaged
-
-    path = set_aside_damaged(data_folder())
-    return () if path is None else (f"the rig profile was damaged; it is kept as {path.name}, and not used",)
-
-
-def _bundled(path: Path, bench: Bench, page: Path | None) -> Result:
-
-    from tagid.commissioning.bundle import write_bundle
-
-    names = write_bundle(bench, path)
-    written = _page(page, bench)
-    return Result("commission", {"bundle": str(path), "files": names, "page": written}, f"written  {path}")
 
 
 def _prepare(step: Step, config: Config, yes: bool, ask: bool) -> None:

@@ -193,7 +193,6 @@ def _enrol_signature(
     remarks: tuple[str, ...],
 ) -> Result:
     """Show the quality of a signature (body, or object without positions), ask, and store it."""
-
     from tagid.operate.workplace import open_registry
     from tagid.pipeline.enrollment import joint_data, joint_words, propose_signature
     from tagid.tags.bodies.likeness import least_tag
@@ -237,14 +236,16 @@ def _enrol_signature(
 
 def _shown(proposal: LayoutProposal, measured: Measured | None) -> Drawn:
     """Text shown before the confirmation."""
-
     from tagid.pipeline.enrollment import joint_words
     from tagid.report.layout_sheet import in_terminal
 
     layout = proposal.layout
     lines: list[Drawn] = [in_terminal(layout, 33)]
     for number, (x, y) in enumerate(layout.positions, 1):
-        spread = "" if layout.covariance is None else "  +- " + _sigmas(layout, number - 1)
+        spread = ""
+        if layout.covariance is not None:
+            across, along = layout.covariance[number - 1].diagonal() ** 0.5 * 1e3
+            spread = f"  +- {across:.1f}, {along:.1f} mm"
         lines.append(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{spread}")
     if measured is not None and measured.estimate is not None:
         estimate = measured.estimate
@@ -258,12 +259,6 @@ def _shown(proposal: LayoutProposal, measured: Measured | None) -> Drawn:
     return [*lines, enrolling.neighbours(proposal.outlook)]
 
 
-def _sigmas(layout: Layout, index: int) -> str:
-    assert layout.covariance is not None
-    covariance = layout.covariance[index]
-    return f"{covariance[0, 0] ** 0.5 * 1e3:.1f}, {covariance[1, 1] ** 0.5 * 1e3:.1f} mm"
-
-
 def _result(
     proposal: LayoutProposal,
     measured: Measured | None,
@@ -271,7 +266,6 @@ def _result(
     shown: bool,
     error: RegistryError | None = None,
 ) -> Result:
-
     from tagid.pipeline.enrollment import joint_data
 
     layout, outlook = proposal.layout, proposal.outlook

@@ -77,7 +77,6 @@ def about(outlook: Outlook) -> str:
 
 def neighbours(outlook: Outlook) -> Drawn:
     """The nearest enrolled layouts to one, as a table."""
-
     from tagid.report.table import Table
 
     if not outlook.neighbours:
@@ -105,7 +104,6 @@ def neighbours(outlook: Outlook) -> Drawn:
 
 def family_neighbours(outlooks: Sequence[Outlook]) -> Drawn:
     """The nearest other layout to each of several, as a table."""
-
     from tagid.report.table import Table
 
     table = Table(box=None)
@@ -213,7 +211,6 @@ def store_family(
 
     Raises CaptureInterrupted if the user declines, RegistryError.
     """
-
     from tagid.enrolling.enrollment import family_outlooks, merge, refusal
 
     by = basis()

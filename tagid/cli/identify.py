@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -62,14 +61,18 @@ def identify(
     place = Workplace(overrides, setup.background)
     if view.vote:
         return vote_on(terminal, place, files, "identify", explain=view.explain)
-    return _run(terminal, place, files, view, _given(overrides))
+    given = {
+        name: value.public if isinstance(value, MotionUrl) else value
+        for name, value in overrides.items()
+        if value is not None
+    }
+    return _run(terminal, place, files, view, given)
 
 
 def _run(
     terminal: Terminal, place: Workplace, files: list[Path], view: _ViewOptions, given: dict[str, object]
 ) -> Result:
     """Identify each file; a file that fails becomes a failed item; the others continue."""
-
     from tagid.cli import imaging
     from tagid.operate.turn import draw, draw_residuals_of, failed, read, residuals_beside
 
@@ -138,7 +141,6 @@ def vote_on(
 
 def _joint_text(answer: Answer, verbose: bool, explain: bool) -> Drawn:
     """The joint answer as text, with one line per recording."""
-
     from tagid.cli import imaging
     from tagid.counting import counted
     from tagid.operate.words import headline
@@ -146,11 +148,3 @@ def _joint_text(answer: Answer, verbose: bool, explain: bool) -> Drawn:
     lines = [f"  {alone.file}: {headline(alone.identification)}" for alone in answer.alone]
     source = f"from {counted(len(answer.alone), 'recording')}"
     return [imaging.describe(answer, source, verbose, explain), *lines]
-
-
-def _given(overrides: Mapping[str, object]) -> dict[str, object]:
-    return {
-        name: value.public if isinstance(value, MotionUrl) else value
-        for name, value in overrides.items()
-        if value is not None
-    }

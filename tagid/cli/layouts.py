@@ -56,7 +56,6 @@ def remove(
 
 
 def _removed(command: str, name: str) -> Result:
-
     from tagid.operate.workplace import open_registry
 
     version = open_registry().remove(name, "tagid layouts remove")
@@ -183,7 +182,6 @@ def sheet(
 
     Example: tagid layouts sheet tags.pdf
     """
-
     from tagid.files import write_bytes
     from tagid.operate.workplace import open_registry
     from tagid.report import layout_sheet
@@ -216,7 +214,6 @@ def export(
 
     Example: tagid layouts export tags.toml
     """
-
     from tagid.enrolling.layout_file import write_layouts
     from tagid.files import resolved
     from tagid.operate.workplace import open_registry
@@ -257,7 +254,6 @@ def import_(
 
     Example: tagid layouts import tags.toml
     """
-
     from tagid.operate.workplace import open_registry
     from tagid.tags.bodies.signature_file import to_bytes
 
@@ -337,7 +333,6 @@ def redo(terminal: Terminal) -> Result:
 
 def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Result:
     """The registry after an undo or redo, with what changed."""
-
     from tagid.operate.workplace import open_registry
 
     registry = open_registry()
@@ -405,7 +400,6 @@ def check(terminal: Terminal) -> Result:
 
     Example: tagid layouts check
     """
-
     from tagid.enrolling.enrollment import neighbour
     from tagid.operate.workplace import open_registry
     from tagid.reading.alike import Conditions

@@ -327,7 +327,6 @@ def reflector(
 
     Example: tagid layouts reflector --size 40 --out r.stl --out r.pdf --rcs r.csv --rcs r.png
     """
-
     from tagid.files import write_bytes
     from tagid.report import reflector_sheet as sheets
     from tagid.report.drafting import to_svg

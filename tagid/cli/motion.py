@@ -81,7 +81,6 @@ def find(
 
     Example: tagid motion find
     """
-
     from tagid.cli.frame import to_copy
     from tagid.motion.discovery import bluetooth_devices, serial_devices
     from tagid.report.table import Table
@@ -218,7 +217,6 @@ def calibrate(
 
     Example: tagid motion calibrate --motion roomba+serial:///dev/ttyUSB1 --axis-distance 1.0
     """
-
     from tagid.motion.calibration import remember, wheel_base_from
     from tagid.storage.importers import read_any
 
@@ -253,7 +251,6 @@ def calibrate(
 
 def _direction(capture: Capture, name: str) -> Result:
     """Whether the capture's table rotated in the stated direction; stored for commanded tables."""
-
     from tagid.metadata import ResolvedMotion
     from tagid.motion.calibration import remember_reversed
     from tagid.operate.workplace import open_registry

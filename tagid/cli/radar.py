@@ -61,7 +61,6 @@ def find(
 
     Example: tagid radar find
     """
-
     from tagid.cli.frame import to_copy
     from tagid.radar.discovery import WHERE_TO_LOOK, addresses_from, discover
     from tagid.report.radar import found_table
@@ -234,7 +233,6 @@ def record(
 
     Example: tagid radar record --seconds 3600 --save-dir /data/today
     """
-
     from tagid.metadata import ObjectInfo
     from tagid.operate.words import notes
     from tagid.operate.workplace import Workplace

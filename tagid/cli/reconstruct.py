@@ -188,7 +188,6 @@ def reconstruct(
 
     Example: tagid reconstruct helmet.tagid.h5 --method sparse --png helmet.png
     """
-
     from tagid.cli import imaging
     from tagid.imaging.autofocus import BEYOND_SEARCH
     from tagid.operate.turn import draw_image_of
@@ -329,7 +328,6 @@ def _settings(
 
 def _volume(terminal: Terminal, capture: Capture, settings: VolumeSettings, files: dict[str, Path]) -> Result:
     """Reconstruct a volume and write it to files, by kind, which were checked."""
-
     from tagid.imaging.facts import facts_of
     from tagid.operate.words import held_out_words, outside_words
     from tagid.pipeline.volume import reconstruct_volume

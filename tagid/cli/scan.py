@@ -151,7 +151,6 @@ def _scan(
     terminal: Terminal, place: Workplace, planned: Callable[[], RecordingPlan], view: _ViewOptions
 ) -> Result:
     """Record one revolution, name the object, draw it, and store the answer."""
-
     from tagid.cli import imaging
     from tagid.operate.turn import draw, failed, picture_of
     from tagid.operate.words import SUBTRACTED, ending_words, learned_words, turn_line
@@ -290,7 +289,6 @@ class _LiveScan:
 
     def watching(self, watch: Watch, resolve: Callable[[Capture, str], Capture]) -> Watch:
         """The callbacks of a recording with those of the view added."""
-
         return replace(watch, began=self.view.began, resolve=self.view.resolving(resolve))
 
     def facts(self) -> dict[str, Any]:

@@ -138,7 +138,6 @@ def _joined(
     terminal: Terminal, place: Workplace, turns: list[Recorded], heights: tuple[float, ...]
 ) -> Result:
     """Join the recordings, then read and draw the joined capture."""
-
     from tagid.cli import imaging
     from tagid.operate.turn import read
     from tagid.pipeline.alignment import aligned

@@ -46,7 +46,6 @@ def show(
     Example: tagid show helmet.tagid.h5
     Example: tagid show helmet.tagid.h5 --reflector octahedron:40mm --layout helmet-120
     """
-
     from tagid.operate.words import ending_words
     from tagid.pipeline.prepared import LoadSettings, intake_remarks, load_capture
     from tagid.recording.inspection import inspect, thinned

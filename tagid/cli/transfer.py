@@ -42,7 +42,6 @@ def import_(
 
     Example: tagid import scan08.out --out scan08.tagid.h5
     """
-
     from tagid.pipeline.prepared import LoadSettings, intake_remarks, load_capture
     from tagid.storage.hdf5 import write_capture
 
@@ -87,7 +86,6 @@ def export(
 
     Example: tagid export helmet.tagid.h5 --out helmet.mat
     """
-
     from tagid.storage.exporters import export as write
     from tagid.storage.importers import read_any, remarks
 
@@ -109,7 +107,6 @@ def recover(
 
     Example: tagid recover scan-20260102-101112.tagid.journal
     """
-
     from tagid.pipeline.resolve import with_measured_angles
     from tagid.recording.long_recording import part_path
     from tagid.storage.hdf5 import write_capture
@@ -179,7 +176,6 @@ def join(
 
     Example: tagid join low.tagid.h5 middle.tagid.h5 high.tagid.h5 --out all.tagid.h5
     """
-
     from tagid.pipeline.join import heights_of
     from tagid.pipeline.join import join as joined_of
     from tagid.pipeline.prepared import LoadSettings, load_capture
