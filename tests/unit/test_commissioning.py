@@ -9,7 +9,6 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-from tagid.commissioning.result import verdict, write_result
 
 from tagid.capture import Capture
 from tagid.commissioning import card as card_step
@@ -18,7 +17,7 @@ from tagid.commissioning.page import write_page
 from tagid.commissioning.pictures import Picture, to_svg
 from tagid.commissioning.pulse import echo_pulse
 from tagid.commissioning.rows import Level, Row, StepReport
-from tagid.commissioning.steps import STEPS, goes_on, next_step, run_step, step_named
+from tagid.commissioning.steps import STEPS, goes_on, next_step, run_step, step_named, verdict, write_result
 from tagid.commissioning.targets import parse_target
 from tagid.commissioning.turning import evaluated
 from tagid.config import load_config

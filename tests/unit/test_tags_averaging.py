@@ -149,7 +149,7 @@ def test_a_layout_measured_from_scans() -> None:
         )
         for i in range(5)
     ]
-    estimate = average(captures, "measured", "helmet")
+    estimate = average(captures, "measured")
     assert estimate.spread_m.max() < 2e-3 and 0 < estimate.layout.sigma_m < 1e-3
     assert rotational_distance(estimate.layout, truth).worst_m < 2e-3
     # The axis averages out: 5 mm uniform in x and y over five captures leaves about 1.3 mm.
