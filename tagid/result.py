@@ -10,7 +10,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,6 +18,9 @@ from tagid.errors import EXIT_OK, TagidError, visible
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+
+    Drawn = RenderableType | Sequence["Drawn"]
+    """Anything rich can draw, or several below each other; a string is plain text, without markup."""
 
 RESULT_VERSION = 1
 """Version of the JSON envelope; it changes only when a field changes its meaning or goes."""
@@ -103,7 +106,7 @@ class Result:
     Attributes:
         command: name of the command, e.g. "scan".
         data: plain JSON values, the machine's half.
-        human: anything rich can draw, the person's half; nothing is drawn where it is None.
+        human: the person's half, see `Drawn`; nothing is drawn where it is None.
         exit_code: exit code of the process.
         messages: remarks that are not errors, one sentence each.
         errors: what failed.
@@ -113,7 +116,7 @@ class Result:
 
     command: str
     data: dict[str, Any] = field(default_factory=dict)
-    human: RenderableType | None = None
+    human: Drawn | None = None
     _: KW_ONLY
     exit_code: int = EXIT_OK
     messages: tuple[str, ...] = ()
@@ -127,7 +130,7 @@ class Result:
         command: str,
         error: TagidError,
         data: dict[str, Any] | None = None,
-        human: RenderableType | None = None,
+        human: Drawn | None = None,
         messages: tuple[str, ...] = (),
     ) -> Result:
         """The outcome of a command that ended with an error, with what it has to show nevertheless."""
@@ -210,16 +213,22 @@ def render(result: Result, output: str, quiet: bool = False) -> None:
 
 
 class Redrawn:
-    """Anything rich can draw, with each piece of text within a line changed by `words`.
+    """What is drawn, with each piece of text within a line changed by `words`.
 
     rich's own colours and control sequences stay.
     """
 
-    def __init__(self, drawn: RenderableType, words: Callable[[str], str]) -> None:
+    def __init__(self, drawn: Drawn, words: Callable[[str], str]) -> None:
         self._drawn, self._words = drawn, words
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         from rich.segment import Segment
+        from rich.text import Text
 
-        for segment in console.render(self._drawn, options):
+        if isinstance(self._drawn, Sequence) and not isinstance(self._drawn, str):
+            for part in self._drawn:
+                yield Redrawn(part, self._words)
+            return
+        drawn = Text(self._drawn) if isinstance(self._drawn, str) else self._drawn
+        for segment in console.render(drawn, options):
             yield segment if segment.control else Segment(self._words(segment.text), segment.style)

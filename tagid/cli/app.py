@@ -66,7 +66,7 @@ COMMANDS = {
     "reconstruct": CommandEntry("Reconstruct an image from a capture."),
     "join": CommandEntry(
         "Join captures of one object from several antenna heights into one capture with antenna positions.",
-        ("volume",),
+        ("transfer",),
     ),
     "show": CommandEntry(
         "Draw range profile, scans over time and spectrum of a recording, and print its statistics."
@@ -80,19 +80,17 @@ COMMANDS = {
         "Create a capture file from the journal of an interrupted recording.", ("transfer",)
     ),
     "simulate": CommandEntry("Simulate a capture of a rotating scene, or of an object with a response file."),
-    "doctor": CommandEntry("Check ports, radar, disk, layouts and versions."),
+    "doctor": CommandEntry("Check ports, radar, disk, layouts and versions.", ("config",)),
     "config": CommandEntry("Show or change the stored settings."),
     "layouts": CommandEntry(
         "List, design, draw, exchange and check layouts; without a command, list the enrolled ones.",
         ("layouts", "layouts_design"),
     ),
     "bodies": CommandEntry("List, draw and check enrolled bodies and objects; without a command, list them."),
-    "emulate": CommandEntry(
-        "Emulate a device on a real network, serial or Bluetooth interface.", ("emulate", "emulate_motion")
-    ),
+    "emulate": CommandEntry("Emulate a device on a real network, serial or Bluetooth interface."),
     "radar": CommandEntry(
         "Find, query, configure, monitor and calibrate the radar, and record scans.",
-        ("radar", "radar_monitor", "radar_calibrate"),
+        ("radar", "radar_calibrate"),
     ),
     "motion": CommandEntry("Find, query, rotate, stop and calibrate robots and turntables."),
 }

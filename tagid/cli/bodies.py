@@ -16,20 +16,16 @@ from tagid.errors import LayoutConflictError
 from tagid.result import Result
 
 if TYPE_CHECKING:
+    from tagid.result import Drawn
     from tagid.tags.bodies.signature import Signature
 
 
 @group_command("bodies")
-def bodies(
-    terminal: Terminal,
-    remove: Annotated[str | None, typer.Option("--remove", hidden=True)] = None,
-) -> Result:
+def bodies(terminal: Terminal, remove: Annotated[str | None, typer.Option(hidden=True)] = None) -> Result:
     """List, draw and check enrolled bodies and objects; without a command, list them.
 
     Example: tagid bodies
     """
-    from rich.text import Text
-
     from tagid.operate.workplace import open_registry
     from tagid.report.table import Table
 
@@ -56,7 +52,7 @@ def bodies(
         "registry_version": contents.version,
         "signatures": [_facts(signature) for signature in contents.signatures],
     }
-    empty = Text("nothing is enrolled; see `tagid enroll --body NAME FILES`")
+    empty = "nothing is enrolled; see `tagid enroll --body NAME FILES`"
     return Result("bodies", data, table if contents.signatures else empty)
 
 
@@ -75,12 +71,10 @@ def remove(
 
 
 def _removed(command: str, name: str) -> Result:
-    from rich.text import Text
-
     from tagid.operate.workplace import open_registry
 
     version = open_registry().remove_signature("body", name, "tagid bodies remove")
-    line = Text(f"{name} removed; its history is kept (registry version {version})")
+    line = f"{name} removed; its history is kept (registry version {version})"
     return Result(command, {"removed": name, "registry_version": version}, line)
 
 
@@ -91,14 +85,12 @@ def show(
     of_object: Annotated[
         bool, typer.Option("--object", help="The signature of the tagged object of that name.")
     ] = False,
-    png: Annotated[Path | None, typer.Option("--png", help="Write a polar plot of the echo.")] = None,
+    png: Annotated[Path | None, typer.Option(help="Write a polar plot of the echo.")] = None,
 ) -> Result:
     """Show a body's or object's signature.
 
     Example: tagid bodies show mug --png mug.png
     """
-    from rich.text import Text
-
     from tagid.files import write_bytes
     from tagid.operate.workplace import open_registry
 
@@ -119,7 +111,7 @@ def show(
     ]
     lines += [f"written  {png}"] if png else []
     data = {"signature": facts, "png": str(png) if png else None}
-    return Result("bodies show", data, Text("\n".join(lines)))
+    return Result("bodies show", data, "\n".join(lines))
 
 
 @command("bodies check")
@@ -128,9 +120,6 @@ def check(terminal: Terminal) -> Result:
 
     Example: tagid bodies check
     """
-    from rich.console import Group
-    from rich.text import Text
-
     from tagid.operate.workplace import open_registry
     from tagid.report.table import Table
     from tagid.tags.bodies.likeness import compare
@@ -144,7 +133,7 @@ def check(terminal: Terminal) -> Result:
         table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.difference * 100:.1f}", remark)
     of_kind = [signature for signature in contents.signatures if signature.kind == "body"]
     lines = [
-        Text(f"{body.name}: a tag must return more than {_db(_facts(body)['least_tag'])} dB of its echo")
+        f"{body.name}: a tag must return more than {_db(_facts(body)['least_tag'])} dB of its echo"
         for body in of_kind
     ]
     data = {
@@ -161,7 +150,7 @@ def check(terminal: Terminal) -> Result:
         f"the bodies {p.first} and {p.second} are similar: a tag on one may be read as on the other"
         for p in same
     )
-    human = Group(table, *lines)
+    human: list[Drawn] = [table, *lines]
     if not bad:
         return Result("bodies check", data, human, messages=notes)
     error = LayoutConflictError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,19 +10,18 @@ import typer
 
 from tagid.cli import consent, options
 from tagid.cli.frame import Terminal, command
+from tagid.cli.imaging import share_of
 from tagid.cli.outputs import check_drawing
 from tagid.config import Config, data_folder, load_config, radar_url
 from tagid.constants import RIG_FILE
 from tagid.errors import EXIT_FAILED, EXIT_OK, CaptureInterrupted, TagidError, UsageError
 from tagid.result import Result
-from tagid.types import Progress
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from tagid.commissioning.bench import Bench, TapeChanges
     from tagid.commissioning.rows import StepReport
     from tagid.commissioning.steps import Step
+    from tagid.result import Drawn
 
 
 @dataclass(frozen=True)
@@ -31,22 +29,15 @@ class _TapeOptions:
     target: Annotated[
         str | None,
         typer.Option(
-            "--target",
             help="Reference target: octahedron:40mm, corner:20cm, sphere:10cm or can:33mm.",
             show_default="octahedron:40mm",
         ),
     ] = None
     distance: Annotated[
-        float | None,
-        typer.Option(
-            "--distance", help="Antennas to the target in a straight line, metres.", show_default=False
-        ),
+        float | None, typer.Option(help="Antennas to the target in a straight line, metres.")
     ] = None
     tape_error: Annotated[
-        float | None,
-        typer.Option(
-            "--tape-error", help="Standard error of the tape measure, metres.", show_default="0.005"
-        ),
+        float | None, typer.Option(help="Standard error of the tape measure, metres.", show_default="0.005")
     ] = None
     axis_distance: options.AxisDistance = None
     antenna_height: options.AntennaHeight = None
@@ -60,7 +51,6 @@ def commission(
     step: Annotated[
         str | None,
         typer.Option(
-            "--step",
             help="Do or repeat this step alone: link, room, target, turning, card or result.",
             show_default="all, from the first not passed",
         ),
@@ -68,19 +58,14 @@ def commission(
     radar: options.RadarUrl = None,
     motion: options.MotionUrl = None,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=1, max=600, help="How long the link is watched, seconds.")
+        float, typer.Option(min=1, max=600, help="How long the link is watched, seconds.")
     ] = 30.0,
-    scans: Annotated[int, typer.Option("--scans", min=32, max=5000, help="Scans of room and target.")] = 200,
-    page: Annotated[
-        Path | None,
-        typer.Option("--page", help="Write the results as a page (.html or .pdf).", show_default=False),
-    ] = None,
+    scans: Annotated[int, typer.Option(min=32, max=5000, help="Scans of room and target.")] = 200,
+    page: Annotated[Path | None, typer.Option(help="Write the results as a page (.html or .pdf).")] = None,
     bundle: Annotated[
         Path | None,
         typer.Option(
-            "--bundle",
-            help="Do no step; write what was recorded as an archive without names and times (.zip).",
-            show_default=False,
+            help="Do no step; write what was recorded as an archive without names and times (.zip)."
         ),
     ] = None,
     yes: consent.Yes = False,
@@ -92,17 +77,21 @@ def commission(
     Example: tagid commission --axis-distance 1.0 --antenna-height 0.05 --distance 1.0
     Example: tagid commission --step target --target corner:20cm --distance 1.5 --page rig.html
     """
-    from rich.text import Text
-
     from tagid.commissioning.bench import Bench
+    from tagid.commissioning.bundle import write_bundle
     from tagid.commissioning.steps import STEPS, next_step, run_step, step_named
+    from tagid.rig import set_aside_damaged
 
-    if step is not None and step not in {known.name for known in STEPS}:
-        names = ", ".join(known.name for known in STEPS)
-        raise UsageError(f"--step is {step[:40]!r}", f"Give one of {names}.")
+    names = [known.name for known in STEPS]
+    if step is not None and step not in names:
+        raise UsageError(f"--step is {step[:40]!r}", f"Give one of {', '.join(names)}.")
     check_drawing("--page", page, (".html", ".pdf"))
     check_drawing("--bundle", bundle, (".zip",))
-    aside = _set_aside()
+    # The steps write a damaged profile again.
+    damaged = set_aside_damaged(data_folder())
+    aside: tuple[str, ...] = ()
+    if damaged is not None:
+        aside = (f"the rig profile was damaged; it is kept as {damaged.name}, and not used",)
     config = load_config({"radar.url": radar, "motion.url": motion})
     given: TapeChanges = {
         "target": tape.target,
@@ -113,7 +102,10 @@ def commission(
         "error_m": tape.tape_error,
     }
     if bundle is not None:
-        return _bundled(bundle, Bench(config, given), page)
+        bench = Bench(config, given)
+        files = write_bundle(bench, bundle)
+        archive = {"bundle": str(bundle), "files": files, "page": _page(page, bench)}
+        return Result("commission", archive, f"written  {bundle}")
     done: list[StepReport] = []
     bench = Bench(config, given, seconds, scans)
     first = next_step(bench) if step is None else step_named(step)
@@ -125,50 +117,25 @@ def commission(
         for chosen_step in chosen:
             _prepare(chosen_step, config, yes, ask=step is None)
             with terminal.progress(chosen_step.name, 1.0) as advance:
-                bench.progress = _progress(advance)
+                bench.progress = share_of(advance)
                 done.append(run_step(chosen_step, bench))
             terminal.show(_drawn(done[-1]))
             if not done[-1].passed:
                 break
     except TagidError as error:
         ended = error
-    written = _page(page, bench)
+    written, profile = _page(page, bench), data_folder() / RIG_FILE
     data = {
         "steps": [report.to_json() for report in done],
         "next": next_step(bench).name,
-        "profile": _profile_path(),
+        "profile": str(profile) if profile.exists() else None,
         "page": written,
     }
-    drawn = None if written is None else Text(f"written  {written}")
+    drawn = None if written is None else f"written  {written}"
     if ended is not None:
         return Result.from_error("commission", ended, data, drawn, aside)
     passed = all(report.passed for report in done)
     return Result("commission", data, drawn, exit_code=EXIT_OK if passed else EXIT_FAILED, messages=aside)
-
-
-def _set_aside() -> tuple[str, ...]:
-    """A damaged profile goes aside: the steps write it again. Gives a remark on that."""
-    from tagid.rig import set_aside_damaged
-
-    path = set_aside_damaged(data_folder())
-    return () if path is None else (f"the rig profile was damaged; it is kept as {path.name}, and not used",)
-
-
-def _bundled(path: Path, bench: Bench, page: Path | None) -> Result:
-    from rich.text import Text
-
-    from tagid.commissioning.bundle import write_bundle
-
-    names = write_bundle(bench, path)
-    written = _page(page, bench)
-    return Result(
-        "commission", {"bundle": str(path), "files": names, "page": written}, Text(f"written  {path}")
-    )
-
-
-def _progress(advance: Callable[[float, str], None]) -> Progress:
-    """The progress of a step on a line of the terminal that goes to 1."""
-    return lambda now, total, remark: advance(now / total, remark)
 
 
 def _prepare(step: Step, config: Config, yes: bool, ask: bool) -> None:
@@ -186,11 +153,6 @@ def _prepare(step: Step, config: Config, yes: bool, ask: bool) -> None:
         raise CaptureInterrupted("stopped before the step; what was measured is kept")
 
 
-def _profile_path() -> str | None:
-    path = data_folder() / RIG_FILE
-    return str(path) if path.exists() else None
-
-
 def _page(page: Path | None, bench: Bench) -> str | None:
     if page is None:
         return None
@@ -202,7 +164,7 @@ def _page(page: Path | None, bench: Bench) -> str | None:
     return str(page)
 
 
-def _drawn(report: StepReport) -> RenderableType:
+def _drawn(report: StepReport) -> Drawn:
     from rich.text import Text
 
     styles = {"pass": "green", "note": "dim", "fail": "bold red"}

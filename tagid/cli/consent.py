@@ -26,9 +26,7 @@ def can_ask() -> bool:
 def confirm(question: str, default: bool) -> bool:
     """Ask on stderr until the answer is yes or no; a stop signal or the end of the input counts as no.
 
-    Args:
-        question: its last character is the question mark.
-        default: the answer of an empty line.
+    An empty line is answered by `default`.
     """
     choices = "Y/n" if default else "y/N"
     while True:
@@ -68,27 +66,13 @@ def read_line() -> str:
     return line.decode(sys.stdin.encoding, "replace").rstrip("\r\n")
 
 
-Yes = Annotated[
-    bool,
-    typer.Option("--yes", "-y", help="Move the robot or table without confirmation.", show_default=False),
-]
-
-
-def warning_of(motion: object) -> str:
-    """Events that do not stop a device automatically; "" if every event does."""
-    return str(getattr(motion, "warning", ""))
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Move the robot or table without confirmation.")]
 
 
 def agree(what: str, yes: bool, warning: str = "") -> None:
-    """Return if the device may move.
+    """Return if the device may move; the warning, of what does not stop it, is shown even with --yes.
 
-    Args:
-        what: the device and its movement, for the prompt.
-        yes: whether --yes was given.
-        warning: events that do not stop it automatically; shown even with --yes.
-
-    Raises:
-        UsageError: no terminal to ask on. CaptureInterrupted: the user declined.
+    Raises UsageError without a terminal to ask on, CaptureInterrupted if the user declines.
     """
     if warning:
         typer.echo(f"{warning}.", err=True)
@@ -113,19 +97,14 @@ def agree_to(motion_url: MotionUrl, yes: bool) -> None:
         agree(
             f"{motion_url} will rotate {way}, {motion.nominal_s:.0f} s per revolution",
             yes,
-            warning_of(motion),
+            str(getattr(motion, "warning", "")),
         )
 
 
 def agree_to_replace(what: str, how: str) -> None:
-    """Return if the user, on a terminal, agrees to replace what is there.
+    """Return if the user, on a terminal, agrees to replace what is there, e.g. "report holds a report".
 
-    Args:
-        what: states what is there, e.g. "report holds a report".
-        how: remedy without a terminal.
-
-    Raises:
-        StorageError: no terminal to ask on. CaptureInterrupted: the user declined.
+    Raises StorageError, with the remedy `how`, without a terminal, CaptureInterrupted if the user declines.
     """
     if not can_ask():
         raise StorageError(what, how)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
+from math import log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ import typer
 
 from tagid.cli import enrolling, options
 from tagid.cli.frame import Terminal, command
-from tagid.cli.units import METRES
+from tagid.cli.options import METRES
 from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import RegistryError, UsageError
@@ -19,86 +20,47 @@ from tagid.query import parse_point
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from rich.console import Group, RenderableType
-
     from tagid.config import Config
     from tagid.pipeline.enrollment import LayoutProposal, Measured
+    from tagid.result import Drawn
     from tagid.tags.bodies.joint import Joint
     from tagid.tags.layouts.layout import Layout
-
-
-@dataclass(frozen=True)
-class Given:
-    """Command-line options of an entry other than its positions.
-
-    Attributes:
-        name: of the entry.
-        label: description; None keeps that of a file.
-        wish: see `enrolling.Wish`.
-    """
-
-    name: str
-    label: str | None
-    wish: enrolling.Wish
 
 
 @command("enroll")
 def enroll(
     terminal: Terminal,
     name: Annotated[
-        str | None,
-        typer.Argument(help="Name of the new entry; a file contains its own.", show_default=False),
+        str | None, typer.Argument(help="Name of the new entry; a file contains its own.")
     ] = None,
     more: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Captures of the real object, same as --capture.", show_default=False),
+        list[Path] | None, typer.Argument(help="Captures of the real object, same as --capture.")
     ] = None,
     points: Annotated[
         list[str] | None,
         typer.Option(
-            "--point",
-            help="A reflector as X,Y in metres from the axis; repeat for each reflector.",
-            show_default=False,
+            "--point", help="A reflector as X,Y in metres from the axis; repeat for each reflector."
         ),
     ] = None,
-    file: Annotated[
-        Path | None, typer.Option("--file", help="One layout in TOML or JSON.", show_default=False)
-    ] = None,
+    file: Annotated[Path | None, typer.Option(help="One layout in TOML or JSON.")] = None,
     captures: Annotated[
         list[Path] | None,
         typer.Option(
             "--capture",
             help="A capture of the real object; give three or more, and turn and move the object between "
             "them.",
-            show_default=False,
         ),
     ] = None,
     body: Annotated[
-        bool,
-        typer.Option(
-            "--body",
-            help="The captures show an untagged body: tags on it can then be read.",
-            show_default=False,
-        ),
+        bool, typer.Option("--body", help="The captures show an untagged body: tags on it can then be read.")
     ] = False,
     sigma: Annotated[
         float | None,
-        typer.Option(
-            "--sigma",
-            parser=METRES,
-            help="Standard deviation of the --point coordinates, metres.",
-            show_default=False,
-        ),
+        typer.Option(parser=METRES, help="Standard deviation of the --point coordinates, metres."),
     ] = None,
-    kind: Annotated[
-        str | None, typer.Option("--kind", help="helmet, container or other.", show_default=False)
-    ] = None,
-    label: Annotated[
-        str | None, typer.Option("--label", help="Description shown with the name.", show_default=False)
-    ] = None,
-    notes: Annotated[
-        str | None, typer.Option("--notes", help="Text stored with the layout.", show_default=False)
-    ] = None,
+    kind: Annotated[str | None, typer.Option(help="helmet, container or other.")] = None,
+    label: Annotated[str | None, typer.Option(help="Description shown with the name.")] = None,
+    notes: Annotated[str | None, typer.Option(help="Text stored with the layout.")] = None,
     motion: options.MotionUrl = None,
     axis_distance: options.AxisDistance = None,
     force: Annotated[
@@ -147,26 +109,26 @@ def enroll(
     config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})
     origin = "" if points else f", file {file.name}" if file else f", {len(captures)} captures"
     source = f"tagid enroll{origin}"
-    given = Given(str(name), label, enrolling.Wish(force, yes, dry_run))
+    wish = enrolling.Wish(force, yes, dry_run)
     if body:
         if kind is not None or notes is not None:
             raise UsageError("--kind and --notes apply to layouts only", "Omit them with --body.")
-        joint = _body_signature(terminal, given.name, captures, config)
-        return _enrol_signature(terminal, given, joint, source, ())
+        joint = _body_signature(terminal, str(name), captures, config)
+        return _enrol_signature(terminal, joint, label, source, wish, ())
     measured = None
     if file is not None:
         layout = _from_file(file)
     elif captures:
-        measured = _measure(terminal, given.name, captures, config)
+        measured = _measure(terminal, str(name), captures, config)
         if measured.estimate is None:
             assert measured.joint is not None
-            return _enrol_signature(terminal, given, measured.joint, source, measured.remarks)
+            return _enrol_signature(terminal, measured.joint, label, source, wish, measured.remarks)
         layout = measured.estimate.layout
     else:
-        layout = _from_points(given.name, points or [], sigma)
+        layout = _from_points(str(name), points or [], sigma)
     fields = {"name": name, "kind": kind, "label": label, "notes": notes}
     layout = replace(layout, **{key: value for key, value in fields.items() if value is not None})  # type: ignore[arg-type]
-    return _enrol_layout(terminal, layout, measured, source, given.wish)
+    return _enrol_layout(terminal, layout, measured, source, wish)
 
 
 def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Joint:
@@ -178,11 +140,7 @@ def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Co
     with terminal.progress("signature", total=len(captures) + 1) as advance:
         done = count(1)
         return signature(
-            name,
-            "body",
-            captures,
-            place.imaging(),
-            lambda what: advance(next(done), Path(what).name),
+            name, "body", captures, place.imaging(), lambda what: advance(next(done), Path(what).name)
         )
 
 
@@ -214,8 +172,7 @@ def _enrol_layout(
     from tagid.pipeline.enrollment import propose_layout
 
     registry = open_registry()
-    known, weight = enrolling.direction_known(), enrolling.height_weight()
-    proposal = propose_layout(registry.contents(), layout, measured, known, weight)
+    proposal = propose_layout(registry.contents(), layout, measured, enrolling.basis())
     if proposal.taken is not None and not wish.force:
         raise proposal.taken
     conflict = None if wish.force else proposal.conflict
@@ -223,25 +180,27 @@ def _enrol_layout(
         return _result(proposal, measured, None, False, conflict)
     question = f"Enroll {layout.name} ({counted(layout.size, 'reflector')})?"
     shown = enrolling.agree(terminal, _shown(proposal, measured), question, wish.yes)
-    done = proposal.store(registry, source, wish.force)
-    return _result(done.proposal, measured, done.version, shown)
+    stored, version = proposal.store(registry, source, wish.force)
+    return _result(stored, measured, version, shown)
 
 
 def _enrol_signature(
-    terminal: Terminal, given: Given, joint: Joint, source: str, remarks: tuple[str, ...]
+    terminal: Terminal,
+    joint: Joint,
+    label: str | None,
+    source: str,
+    wish: enrolling.Wish,
+    remarks: tuple[str, ...],
 ) -> Result:
     """Show the quality of a signature (body, or object without positions), ask, and store it."""
-    from rich.console import Group
-    from rich.text import Text
-
     from tagid.operate.workplace import open_registry
     from tagid.pipeline.enrollment import joint_data, joint_words, propose_signature
     from tagid.tags.bodies.likeness import least_tag
 
     registry = open_registry()
-    signature = replace(joint.signature, label=given.label or "")
+    signature = replace(joint.signature, label=label or "")
     proposal = propose_signature(registry.contents(), signature)
-    if proposal.taken is not None and not given.wish.force:
+    if proposal.taken is not None and not wish.force:
         raise proposal.taken
     lines = joint_words(joint)
     lines += [
@@ -250,13 +209,11 @@ def _enrol_signature(
     ]
     notes = list(remarks)
     if signature.kind == "body":
-        lines.append(
-            f"  a tag on it must return more than {10 * _log10(least_tag(signature)):.0f} dB of its echo"
-        )
+        least_db = 10 * log10(max(least_tag(signature), 1e-12))
+        lines.append(f"  a tag on it must return more than {least_db:.0f} dB of its echo")
         if proposal.alike:
             alike = ", ".join(proposal.alike)
             notes.append(f"it is similar to {alike}: a tag on one may be read as on the other")
-    shown = Group(*(Text(line) for line in lines))
     data: dict[str, Any] = {
         "layout": None,
         "signature": joint_data(joint),
@@ -265,53 +222,41 @@ def _enrol_signature(
         "registry_version": proposal.version,
     }
     error = proposal.conflict
-    if error is not None and not given.wish.force:
-        return Result.from_error("enroll", error, data, shown, tuple(notes))
-    if given.wish.dry_run:
-        human = Group(shown, Text(f"{signature.name} not stored"))
+    if error is not None and not wish.force:
+        return Result.from_error("enroll", error, data, lines, tuple(notes))
+    if wish.dry_run:
+        human = [lines, f"{signature.name} not stored"]
         return Result("enroll", data, human, messages=tuple(notes))
-    asked = enrolling.agree(terminal, shown, f"Enroll the {signature.kind} {signature.name}?", given.wish.yes)
-    data["registry_version"] = proposal.store(registry, source, given.wish.force)
+    asked = enrolling.agree(terminal, lines, f"Enroll the {signature.kind} {signature.name}?", wish.yes)
+    data["registry_version"] = proposal.store(registry, source, wish.force)
     data["stored"] = True
-    line = Text(f"{signature.kind} {signature.name} enrolled, registry version {data['registry_version']}")
-    return Result("enroll", data, line if asked else Group(shown, line), messages=tuple(notes))
+    line = f"{signature.kind} {signature.name} enrolled, registry version {data['registry_version']}"
+    return Result("enroll", data, line if asked else [lines, line], messages=tuple(notes))
 
 
-def _log10(value: float) -> float:
-    from math import log10
-
-    return log10(max(value, 1e-12))
-
-
-def _shown(proposal: LayoutProposal, measured: Measured | None) -> Group:
+def _shown(proposal: LayoutProposal, measured: Measured | None) -> Drawn:
     """Text shown before the confirmation."""
-    from rich.console import Group
-    from rich.text import Text
-
     from tagid.pipeline.enrollment import joint_words
     from tagid.report.layout_sheet import in_terminal
 
     layout = proposal.layout
-    lines: list[RenderableType] = [Text(in_terminal(layout, 33))]
+    lines: list[Drawn] = [in_terminal(layout, 33)]
     for number, (x, y) in enumerate(layout.positions, 1):
-        spread = "" if layout.covariance is None else "  +- " + _sigmas(layout, number - 1)
-        lines.append(Text(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{spread}"))
+        spread = ""
+        if layout.covariance is not None:
+            across, along = layout.covariance[number - 1].diagonal() ** 0.5 * 1e3
+            spread = f"  +- {across:.1f}, {along:.1f} mm"
+        lines.append(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{spread}")
     if measured is not None and measured.estimate is not None:
         estimate = measured.estimate
         count = len(estimate.rotations_deg)
         known = f"which scatter by up to {max(estimate.spread_m) * 1e3:.1f} mm"
-        lines.append(Text("measured on " + counted(count, "capture") + (f", {known}" if count > 1 else "")))
+        lines.append("measured on " + counted(count, "capture") + (f", {known}" if count > 1 else ""))
         if estimate.mirrored:
-            lines.append(Text(f"taken as mirror images: {', '.join(estimate.mirrored)}"))
+            lines.append(f"taken as mirror images: {', '.join(estimate.mirrored)}")
     if measured is not None and measured.joint is not None:
-        lines += [Text(line) for line in joint_words(measured.joint)]
-    return Group(*lines, enrolling.neighbours(proposal.outlook))
-
-
-def _sigmas(layout: Layout, index: int) -> str:
-    assert layout.covariance is not None
-    covariance = layout.covariance[index]
-    return f"{covariance[0, 0] ** 0.5 * 1e3:.1f}, {covariance[1, 1] ** 0.5 * 1e3:.1f} mm"
+        lines += joint_words(measured.joint)
+    return [*lines, enrolling.neighbours(proposal.outlook)]
 
 
 def _result(
@@ -321,9 +266,6 @@ def _result(
     shown: bool,
     error: RegistryError | None = None,
 ) -> Result:
-    from rich.console import Group
-    from rich.text import Text
-
     from tagid.pipeline.enrollment import joint_data
 
     layout, outlook = proposal.layout, proposal.outlook
@@ -349,10 +291,10 @@ def _result(
         "rotations_deg": None if estimate is None else list(estimate.rotations_deg),
         "mirrored": None if estimate is None else list(estimate.mirrored),
     }
-    line = Text(f"{layout.name} not stored")
+    line = f"{layout.name} not stored"
     if version is not None:
-        line = Text(f"{layout.name} enrolled: {layout.size} reflectors, registry version {version}")
-    human = line if shown else Group(_shown(proposal, measured), line)
+        line = f"{layout.name} enrolled: {layout.size} reflectors, registry version {version}"
+    human = line if shown else [_shown(proposal, measured), line]
     if error is not None:
         return Result.from_error("enroll", error, data, human, tuple(messages))
     return Result("enroll", data, human, messages=tuple(messages))

@@ -15,23 +15,20 @@ import typer
 from tagid.cli.consent import can_ask, confirm
 from tagid.cli.frame import Output, Terminal
 from tagid.config import load_config
-from tagid.errors import CaptureInterrupted, TagidError, UsageError
+from tagid.errors import CaptureInterrupted, TagidError, UsageError, visible
 from tagid.proportion import percent
 from tagid.query import quantity
-from tagid.result import Result
+from tagid.result import Redrawn, Result
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-    from tagid.enrolling.enrollment import Outlook
+    from tagid.enrolling.enrollment import Basis, Outlook
     from tagid.enrolling.registry import Registry
+    from tagid.result import Drawn
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.layouts.layout import Layout
 
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Store without confirmation.", show_default=False)]
-DryRun = Annotated[
-    bool, typer.Option("--dry-run", help="Show the outcome but store nothing.", show_default=False)
-]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Store without confirmation.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Show the outcome but store nothing.")]
 SHOWN = 6
 """Neighbours listed in text output; JSON has them all."""
 
@@ -56,11 +53,13 @@ def parse_antenna_heights(text: str) -> tuple[float, ...]:
         ) from None
 
 
-def height_weight() -> float:
-    """How much the heights of reflectors distinguish layouts with the configured antenna heights."""
-    from tagid.tags.layouts.codebook import height_weight as weight
+def basis() -> Basis:
+    """What readings with the configured antenna heights and direction tell layouts apart by."""
+    from tagid.enrolling.enrollment import Basis
+    from tagid.tags.layouts.codebook import height_weight
 
-    return weight(antenna_heights(), load_config({})["motion.axis_distance_m"] or 1.0)
+    weight = height_weight(antenna_heights(), load_config({})["motion.axis_distance_m"] or 1.0)
+    return Basis(direction_known(), weight)
 
 
 def about(outlook: Outlook) -> str:
@@ -76,19 +75,16 @@ def about(outlook: Outlook) -> str:
     )
 
 
-def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
+def neighbours(outlook: Outlook) -> Drawn:
     """The nearest enrolled layouts to one, as a table."""
-    from rich.console import Group
-    from rich.text import Text
-
     from tagid.report.table import Table
 
     if not outlook.neighbours:
-        return Text("no other layout is enrolled")
+        return "no other layout is enrolled"
     table = Table(box=None)
     for head in ("nearest enrolled", "worst mm", "RMS mm", "not told apart", "remark"):
         table.add_column(head, no_wrap=head != "remark")
-    for neighbour in outlook.neighbours[: max(shown, len(outlook.confusable))]:
+    for neighbour in outlook.neighbours[: max(SHOWN, len(outlook.confusable))]:
         distance = neighbour.distance
         same = distance.worst_m < float("inf")
         remark = "different number of reflectors" if not same else ""
@@ -103,14 +99,11 @@ def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
             rate_in_words(neighbour.unresolved) if same else "-",
             remark + (", as its mirror image" if neighbour.mirrored else ""),
         )
-    return Group(table, Text(about(outlook)))
+    return [table, about(outlook)]
 
 
-def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
+def family_neighbours(outlooks: Sequence[Outlook]) -> Drawn:
     """The nearest other layout to each of several, as a table."""
-    from rich.console import Group
-    from rich.text import Text
-
     from tagid.report.table import Table
 
     table = Table(box=None)
@@ -127,7 +120,7 @@ def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
             "COULD BE CONFUSED" if outlook.confusable else "",
         )
     worst = max(outlooks, key=lambda outlook: outlook.unresolved)
-    return Group(table, Text(f"{worst.layout.name}: {about(worst)}"))
+    return [table, f"{worst.layout.name}: {about(worst)}"]
 
 
 def as_data(outlook: Outlook) -> dict[str, Any]:
@@ -155,7 +148,7 @@ def as_data(outlook: Outlook) -> dict[str, Any]:
     }
 
 
-def agree(terminal: Terminal, shown: RenderableType, question: str, yes: bool) -> bool:
+def agree(terminal: Terminal, shown: Drawn, question: str, yes: bool) -> bool:
     """Show the outcome of enrolling, and ask for confirmation on a terminal.
 
     Returns whether it was shown. Raises CaptureInterrupted if the user declines: nothing is stored then.
@@ -164,7 +157,7 @@ def agree(terminal: Terminal, shown: RenderableType, question: str, yes: bool) -
         return False
     from rich.console import Console
 
-    Console(stderr=True, highlight=False).print(shown)
+    Console(stderr=True, highlight=False).print(Redrawn(shown, visible))
     if not confirm(question, default=False):
         raise CaptureInterrupted("declined: nothing was stored")
     return True
@@ -192,16 +185,15 @@ class Stored:
 
     version: int | None
     data: dict[str, Any]
-    seen: RenderableType | None
+    seen: Drawn | None
     error: TagidError | None = None
 
     def result(
-        self, name: str, data: dict[str, Any], lines: Sequence[RenderableType], messages: Sequence[str] = ()
+        self, name: str, data: dict[str, Any], lines: Sequence[Drawn], messages: Sequence[str] = ()
     ) -> Result:
         """As the result of a command."""
-        from rich.console import Group
 
-        human = Group(*([] if self.seen is None else [self.seen]), *([] if self.error else lines))
+        human = [*([] if self.seen is None else [self.seen]), *([] if self.error else lines)]
         if self.error is None:
             return Result(name, data, human, messages=tuple(messages))
         return Result.from_error(name, self.error, data, human, tuple(messages))
@@ -219,14 +211,12 @@ def store_family(
 
     Raises CaptureInterrupted if the user declines, RegistryError.
     """
-    from rich.text import Text
-
     from tagid.enrolling.enrollment import family_outlooks, merge, refusal
 
-    known, weight = direction_known(), height_weight()
+    by = basis()
     seen, enrolled = registry.snapshot()
-    outlooks = family_outlooks(layouts, enrolled, direction_known=known, height_weight=weight)
-    shown = family_neighbours(outlooks) if outlooks else Text("no layouts, signatures only")
+    outlooks = family_outlooks(layouts, enrolled, by)
+    shown = family_neighbours(outlooks) if outlooks else "no layouts, signatures only"
     data = {"confusion": [{"layout": outlook.layout.name, **as_data(outlook)} for outlook in outlooks]}
     error = None if wish.force else refusal(outlooks, enrolled)
     if error:
@@ -236,14 +226,7 @@ def store_family(
     more = f" and {len(signatures)} signatures" if signatures else ""
     asked = agree(terminal, shown, f"Enroll {len(layouts)} layouts{more}?", wish.yes)
     version = merge(
-        registry,
-        layouts,
-        source,
-        force=wish.force,
-        direction_known=known,
-        height_weight=weight,
-        checked=seen,
-        signatures=signatures,
+        registry, layouts, source, force=wish.force, basis=by, checked=seen, signatures=signatures
     )
     return Stored(version, data, None if asked else shown)
 

@@ -10,6 +10,7 @@ import functools
 import importlib
 import inspect
 import io
+import json
 import logging
 import math
 import os
@@ -41,8 +42,9 @@ from tagid.errors import (
 from tagid.result import Result, render
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
     from rich.text import Text
+
+    from tagid.result import Drawn
 
 
 class Output(StrEnum):
@@ -86,23 +88,13 @@ class Terminal:
             if total is not None:
                 bars.update(task, completed=total)
 
-    def show(self, human: RenderableType) -> None:
+    def show(self, human: Drawn) -> None:
         """Print a part of the answer before the command ends; nothing where that is JSON.
 
         Raises OSError.
         """
         if self.output == Output.human:
             render(Result("", human=human), self.output, self.quiet)
-
-
-_COMMON = {
-    "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress bar and no remarks.")],
-    "verbose": Annotated[
-        int, typer.Option("--verbose", "-v", count=True, help="Log more; -vv: debug messages.")
-    ],
-}
-_DEFAULTS: dict[str, Any] = {"quiet": False, "verbose": 0}
-_OUTPUT_HELP = "Text, or one JSON document."
 
 
 @dataclass(frozen=True)
@@ -152,7 +144,8 @@ def command(
 ) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Declare a function `(terminal, ...) -> Result` as a command with the common options added.
 
-    A parameter whose type is a dataclass stands for options declared as its fields.
+    A parameter whose type is a dataclass stands for options declared as its fields. An option that names
+    itself no other has the name of its parameter.
     `formats` are the choices of --output: "human", "json" and, if the result has one, "csv". For
     `negative_arguments` see `Command`.
     """
@@ -160,7 +153,7 @@ def command(
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         run = _with_common_options(name, function, formats)
         declared = Command(name, run, _help_of(function), negative_arguments=negative_arguments)
-        _declare(declared, function)
+        _COMMANDS.setdefault(function.__module__, []).append(declared)
         return function
 
     return decorate
@@ -183,14 +176,11 @@ def group_command(name: str) -> Callable[[Callable[..., Result]], Callable[..., 
         parameters = [bound, *inspect.signature(run).parameters.values()]
         unless_named.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         unless_named.__annotations__ = {"context": typer.Context, **run.__annotations__}
-        _declare(Command(name, unless_named, _help_of(function), is_group=True), function)
+        declared = Command(name, unless_named, _help_of(function), is_group=True)
+        _COMMANDS.setdefault(function.__module__, []).append(declared)
         return function
 
     return decorate
-
-
-def _declare(declared: Command, function: Callable[..., Result]) -> None:
-    _COMMANDS.setdefault(function.__module__, []).append(declared)
 
 
 def _help_of(function: Callable[..., Any]) -> str:
@@ -208,14 +198,18 @@ def _with_common_options(
     unwrapped = [option for p in parameters for option in _options_of(p, hints[p.name])]
     values = {p.name: hints[p.name] for p in parameters if is_dataclass(hints[p.name])}
     declared = {parameter.name: _declared(parameter) for parameter in unwrapped}
-    output = Annotated[formats, typer.Option("--output", help=_OUTPUT_HELP)]  # type: ignore[valid-type]
+    added = {
+        "output": (formats("human"), formats, typer.Option("--output", help="Text, or one JSON document.")),
+        "quiet": (False, bool, typer.Option("--quiet", "-q", help="Show no progress bar and no remarks.")),
+        "verbose": (
+            0, int, typer.Option("--verbose", "-v", count=True, help="Log more; -vv: debug messages.")
+        ),
+    }  # fmt: skip
     common = [
         inspect.Parameter(
-            "output", inspect.Parameter.KEYWORD_ONLY, default=formats("human"), annotation=output
+            key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
         )
-    ] + [
-        inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS[key], annotation=kind)
-        for key, kind in _COMMON.items()
+        for key, (default, kind, option) in added.items()
     ]
 
     @functools.wraps(function)
@@ -422,6 +416,23 @@ class _Harmless(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """The line; its line feeds are kept."""
         return visible(super().format(record))
+
+
+def announce(
+    terminal: Terminal, name: str, facts: dict[str, Any], before: Sequence[str], after: Sequence[str] = ()
+) -> None:
+    """Print immediately where a command listens, `url` of its facts: the user needs it while it runs.
+
+    As JSON it is one line; as text the URL is on a line of its own on stdout, the lines before and after it
+    on stderr.
+    """
+    as_json = terminal.output is Output.json
+    shown = not (as_json or terminal.quiet)
+    for line in before if shown else ():
+        typer.echo(line, err=True)
+    typer.echo(json.dumps(Result(name, facts).envelope()) if as_json else str(facts["url"]))
+    for line in after if shown else ():
+        typer.echo(line, err=True)
 
 
 def to_copy(urls: Sequence[str], command: str) -> Text:

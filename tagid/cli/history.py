@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -12,9 +13,6 @@ from tagid.cli.frame import Terminal, command
 from tagid.cli.outputs import check_own
 from tagid.errors import UsageError
 from tagid.result import Result
-
-if TYPE_CHECKING:
-    from tagid.storage.history import Filter, History
 
 _SHOWN = 20
 
@@ -31,29 +29,23 @@ class HistoryOutput(StrEnum):
 def history(
     terminal: Terminal,
     action: Annotated[str, typer.Argument(help="list or export.")] = "list",
-    file: Annotated[
-        Path | None, typer.Argument(help="For export: a .parquet or .csv file.", show_default=False)
-    ] = None,
+    file: Annotated[Path | None, typer.Argument(help="For export: a .parquet or .csv file.")] = None,
     status: Annotated[
-        str | None, typer.Option("--status", help="identified, unknown, ambiguous, no_tag, failed.")
+        str | None, typer.Option(help="identified, unknown, ambiguous, no_tag, failed.")
     ] = None,
-    layout: Annotated[str | None, typer.Option("--layout", help="Name of a layout.")] = None,
-    uuid: Annotated[str | None, typer.Option("--uuid", help="UUID of a capture.")] = None,
+    layout: Annotated[str | None, typer.Option(help="Name of a layout.")] = None,
+    uuid: Annotated[str | None, typer.Option(help="UUID of a capture.")] = None,
     part: Annotated[str | None, typer.Option("--file", help="Part of the file name.")] = None,
     made_by: Annotated[
         str | None, typer.Option("--command", help="Command: scan, identify, report, station or python.")
     ] = None,
     since: Annotated[
-        str | None, typer.Option("--since", help="Only entries at or after this date or time, UTC.")
+        str | None, typer.Option(help="Only entries at or after this date or time, UTC.")
     ] = None,
-    until: Annotated[
-        str | None, typer.Option("--until", help="Only entries before this date or time, UTC.")
-    ] = None,
+    until: Annotated[str | None, typer.Option(help="Only entries before this date or time, UTC.")] = None,
     limit: Annotated[
         int | None,
-        typer.Option(
-            "--limit", help="Number of newest entries to show; default: 20 on a terminal, otherwise all."
-        ),
+        typer.Option(help="Number of newest entries to show; default: 20 on a terminal, otherwise all."),
     ] = None,
 ) -> Result:
     """List the identifications made on this computer, newest first, or export them.
@@ -61,40 +53,24 @@ def history(
     Example: tagid history --status unknown --since 2026-11-01
     Example: tagid history export answers.parquet
     """
+    from rich.text import Text
+
     from tagid.config import data_folder
-    from tagid.storage.history import FILE_NAME, Filter, History
+    from tagid.files import resolved
+    from tagid.report.table import Table
+    from tagid.storage.history import FILE_NAME, Filter, History, csv_text, export, is_export
 
     wanted = Filter(status, layout, uuid, made_by, part, since, until, limit)
     store = History(data_folder() / FILE_NAME)
     if action == "export":
-        return _export(store, file, wanted)
+        if file is None:
+            raise UsageError("export needs a file", "Give e.g. `tagid history export answers.parquet`.")
+        file = resolved(file)
+        check_own(file, is_export, "an export of the history")
+        rows = export(store, wanted, file)
+        return Result("history", {"path": str(file), "rows": rows}, f"{rows} identifications in {file}")
     if action != "list" or file is not None:
         raise UsageError(f"unknown action {action!r}", "Use `tagid history` or `tagid history export FILE`.")
-    return _list(terminal, store, wanted)
-
-
-def _export(store: History, file: Path | None, wanted: Filter) -> Result:
-    from rich.text import Text
-
-    from tagid.files import resolved
-    from tagid.storage.history import export, is_export
-
-    if file is None:
-        raise UsageError("export needs a file", "Give e.g. `tagid history export answers.parquet`.")
-    file = resolved(file)
-    check_own(file, is_export, "an export of the history")
-    rows = export(store, wanted, file)
-    return Result("history", {"path": str(file), "rows": rows}, Text(f"{rows} identifications in {file}"))
-
-
-def _list(terminal: Terminal, store: History, wanted: Filter) -> Result:
-    from dataclasses import replace
-
-    from rich.text import Text
-
-    from tagid.report.table import Table
-    from tagid.storage.history import csv_text
-
     total = store.count(wanted)
     if terminal.output == "human" and wanted.limit is None:
         wanted = replace(wanted, limit=_SHOWN)

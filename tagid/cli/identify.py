@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,30 +16,32 @@ from tagid.result import Result
 from tagid.secret import MotionUrl
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from tagid.operate.turn import Answer
     from tagid.operate.workplace import Workplace
+    from tagid.result import Drawn
 
 
-@command("identify")
-def identify(
-    terminal: Terminal,
-    files: options.Captures,
-    setup: options.RecordedOptions,
-    preview: options.Preview = False,
-    png: options.PngFile = None,
+@dataclass(frozen=True)
+class _ViewOptions:
+    """What is shown of an answer."""
+
+    preview: options.Preview = False
+    png: options.PngFile = None
     vote: Annotated[
-        bool,
-        typer.Option("--vote", help="All files show the same object: give one joint answer."),
-    ] = False,
+        bool, typer.Option("--vote", help="All files show the same object: give one joint answer.")
+    ] = False
     explain: Annotated[
         bool,
         typer.Option(
             "--explain",
             help="Also show the hypotheses that competed, as bars; with --png also what they leave.",
         ),
-    ] = False,
+    ] = False
+
+
+@command("identify")
+def identify(
+    terminal: Terminal, files: options.Captures, setup: options.RecordedOptions, view: _ViewOptions
 ) -> Result:
     """Name the object in one or more captures.
 
@@ -48,48 +49,36 @@ def identify(
     """
     from tagid.operate.workplace import Workplace
 
-    if vote and (preview or png):
+    if view.vote and (view.preview or view.png):
         raise UsageError("--vote does not draw an image", "Omit --preview and --png.")
-    if len(files) > 1 and (preview or png):
+    if len(files) > 1 and (view.preview or view.png):
         raise UsageError(
             f"--preview and --png draw one recording, and {len(files)} are given",
             "Omit them, or identify the files one by one.",
         )
-    check_drawing("--png", png, (".png",), files)
+    check_drawing("--png", view.png, (".png",), files)
     overrides = setup.settings()
     place = Workplace(overrides, setup.background)
-    if vote:
-        return vote_on(terminal, place, files, "identify", explain=explain)
-    return run(terminal, place, files, View(preview, png, explain), _given(overrides))
+    if view.vote:
+        return vote_on(terminal, place, files, "identify", explain=view.explain)
+    given = {
+        name: value.public if isinstance(value, MotionUrl) else value
+        for name, value in overrides.items()
+        if value is not None
+    }
+    return _run(terminal, place, files, view, given)
 
 
-@dataclass(frozen=True)
-class View:
-    """Drawing options.
-
-    Attributes:
-        preview: whether to draw the image in the terminal.
-        png: file for the image; None for none.
-        explain: whether to show the hypotheses that competed.
-    """
-
-    preview: bool
-    png: Path | None
-    explain: bool = False
-
-
-def run(
-    terminal: Terminal, place: Workplace, files: list[Path], view: View, given: dict[str, object]
+def _run(
+    terminal: Terminal, place: Workplace, files: list[Path], view: _ViewOptions, given: dict[str, object]
 ) -> Result:
     """Identify each file; a file that fails becomes a failed item; the others continue."""
-    from rich.console import Group
-
     from tagid.cli import imaging
     from tagid.operate.turn import draw, draw_residuals_of, failed, read, residuals_beside
 
     setup = place.setup()
     answers: list[Answer] = []
-    drawn: list[RenderableType] = []
+    drawn: list[Drawn] = []
     written: str | None = None
     for path in files:
         answer = read(setup, path)
@@ -123,7 +112,7 @@ def run(
     return Result(
         "identify",
         {"items": items, "png": written},
-        Group(*drawn) if drawn else None,
+        drawn or None,
         exit_code=code,
         messages=(*remarks, *notes),
         errors=tuple(problem for answer in errors if (problem := answer.identification.error)),
@@ -150,23 +139,12 @@ def vote_on(
     )
 
 
-def _joint_text(answer: Answer, verbose: bool, explain: bool) -> RenderableType:
+def _joint_text(answer: Answer, verbose: bool, explain: bool) -> Drawn:
     """The joint answer as text, with one line per recording."""
-    from rich.console import Group
-    from rich.text import Text
-
     from tagid.cli import imaging
     from tagid.counting import counted
     from tagid.operate.words import headline
 
-    lines = [Text(f"  {alone.file}: {headline(alone.identification)}") for alone in answer.alone]
+    lines = [f"  {alone.file}: {headline(alone.identification)}" for alone in answer.alone]
     source = f"from {counted(len(answer.alone), 'recording')}"
-    return Group(imaging.describe(answer, source, verbose, explain), *lines)
-
-
-def _given(overrides: Mapping[str, object]) -> dict[str, object]:
-    return {
-        name: value.public if isinstance(value, MotionUrl) else value
-        for name, value in overrides.items()
-        if value is not None
-    }
+    return [imaging.describe(answer, source, verbose, explain), *lines]

@@ -11,12 +11,11 @@ from tagid.counting import counted
 from tagid.errors import EXIT_BATCH, EXIT_FAILED, EXIT_OK, EXIT_UNCERTAIN
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from tagid.operate.turn import Answer
     from tagid.pipeline.answer import Identification
     from tagid.pipeline.reconstruct import Reconstruction
     from tagid.reading.reading import Reading
+    from tagid.result import Drawn
 
 _BAR = 20
 """Longest bar, nats."""
@@ -37,7 +36,7 @@ def share_of(advance: Callable[[float, str], None]) -> Callable[[float, float, s
     return lambda done, total, remark: advance(done / max(total, 1), remark)
 
 
-def in_terminal(result: Reconstruction) -> RenderableType:
+def in_terminal(result: Reconstruction) -> Drawn:
     """The image as text, in colour if the terminal supports it and NO_COLOR is not set."""
     from rich.console import Console
 
@@ -48,7 +47,7 @@ def in_terminal(result: Reconstruction) -> RenderableType:
     return preview(image.values, image.grid.extent, colour=colour, centre_m=image.centre_m)
 
 
-def describe(answer: Answer, name: str, verbose: bool, explain: bool = False) -> RenderableType:
+def describe(answer: Answer, name: str, verbose: bool, explain: bool = False) -> Drawn:
     """The answer as text: the name, how far to trust it or what to do, and all else only where asked for.
 
     Args:
@@ -57,7 +56,6 @@ def describe(answer: Answer, name: str, verbose: bool, explain: bool = False) ->
         verbose: also show how it was read.
         explain: also show the hypotheses that competed.
     """
-    from rich.console import Group
     from rich.text import Text
 
     from tagid.operate import words
@@ -66,19 +64,19 @@ def describe(answer: Answer, name: str, verbose: bool, explain: bool = False) ->
     reading = identification.reading
     style = "bold green" if identification.status == "identified" else "bold yellow"
     beside = "".join(f"   {part}" for part in (identification.label, name) if part)
-    lines = [Text.assemble((words.name_of(identification).upper(), style), beside)]
+    lines: list[Drawn] = [Text.assemble((words.name_of(identification).upper(), style), beside)]
     if reading is None:
-        return Group(*lines)
+        return lines
     if identification.status == "identified":
-        lines.append(Text(f"  {words.trust_words(identification)}"))
+        lines.append(f"  {words.trust_words(identification)}")
     elif identification.causes:
         for cause in identification.causes:
             lines.append(Text(f"  likely cause: {cause.text}", "bold"))
-            lines.append(Text(f"  what to do: {cause.remedy}"))
+            lines.append(f"  what to do: {cause.remedy}")
             if cause.settings and answer.file:
-                lines.append(Text(f"  then: `tagid identify {_again(answer.file, cause.settings)}`"))
+                lines.append(f"  then: `tagid identify {_again(answer.file, cause.settings)}`")
     else:
-        lines += [Text(f"  why: {reading.reason}"), Text(f"  what to do: {identification.what_to_do()}")]
+        lines += [f"  why: {reading.reason}", f"  what to do: {identification.what_to_do()}"]
     if (
         identification.status == "identified"
         and reading.bound
@@ -88,21 +86,20 @@ def describe(answer: Answer, name: str, verbose: bool, explain: bool = False) ->
     if reading.note:
         lines.append(Text(f"  caution: {reading.note}", "yellow"))
     if truth := words.truth_words(answer.truth):
-        lines.append(Text(f"  truth: {truth}"))
-    details = (Text(f"  {line}") for line in _details(identification) if verbose)
-    return Group(*lines, *details, *(_competing(reading) if explain else ()))
+        lines.append(f"  truth: {truth}")
+    details = (f"  {line}" for line in _details(identification) if verbose)
+    return [*lines, *details, *(_competing(reading) if explain else ())]
 
 
-def _competing(reading: Reading) -> Iterator[RenderableType]:
+def _competing(reading: Reading) -> Iterator[Drawn]:
     """The hypotheses, and as bars how far they are behind the likeliest, with a mark where a name begins."""
     from rich.padding import Padding
-    from rich.text import Text
 
     from tagid.report.table import Table
 
     needed = round(reading.needed) if isfinite(reading.needed) else None
     mark = "" if needed is None else f" (a name needs {reading.needed:.1f}: the |)"
-    yield Text(f"  behind the likeliest, nats of log evidence{mark}:")
+    yield f"  behind the likeliest, nats of log evidence{mark}:"
     table = Table.grid(padding=(0, 1))
     # Nothing wins over what is hardly likelier.
     for row in sorted(reading.hypotheses, key=lambda row: abs(row.log_evidence)):

@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tagid.cli import enrolling
 from tagid.cli.enrolling import rate_in_words
 from tagid.cli.frame import Terminal, command, group_command
+from tagid.cli.options import METRES
 from tagid.cli.outputs import check_drawing, check_new
-from tagid.cli.units import METRES
 from tagid.counting import counted
-from tagid.errors import LayoutConflictError, UsageError
+from tagid.errors import FileFormatError, LayoutConflictError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
     from tagid.enrolling.layout_file import Entries
     from tagid.enrolling.registry import Registry, RegistryContents, Restored
+    from tagid.result import Drawn
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.layouts.layout import Layout
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 def layouts(
     terminal: Terminal,
     history: Annotated[bool, typer.Option("--history", help="List all changes.")] = False,
-    remove: Annotated[str | None, typer.Option("--remove", hidden=True)] = None,
+    remove: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> Result:
     """List, design, draw, exchange and check layouts; without a command, list the enrolled ones.
 
@@ -37,9 +38,7 @@ def layouts(
     """
     if remove:  # until 0.3: `layouts remove`
         return _removed("layouts", remove)
-    if history:
-        return _history()
-    return _list()
+    return _history() if history else _list()
 
 
 @command("layouts remove")
@@ -57,12 +56,10 @@ def remove(
 
 
 def _removed(command: str, name: str) -> Result:
-    from rich.text import Text
-
     from tagid.operate.workplace import open_registry
 
     version = open_registry().remove(name, "tagid layouts remove")
-    line = Text(f"{name} removed; its history is kept (registry version {version})")
+    line = f"{name} removed; its history is kept (registry version {version})"
     return Result(command, {"removed": name, "registry_version": version}, line)
 
 
@@ -77,29 +74,11 @@ def _history() -> Result:
     # Long names and sources continue on the next line, nothing is cut.
     table.add_column("name", overflow="fold")
     table.add_column("source", overflow="fold")
-    rows: list[dict[str, Any]] = []
-    for version in registry.history():
-        time = version.time_utc[:19].replace("T", " ")
-        table.add_row(
-            str(version.version),
-            str(version.command),
-            time,
-            version.action,
-            version.kind,
-            version.name,
-            version.source,
-        )
-        rows.append(
-            {
-                "version": version.version,
-                "command": version.command,
-                "time_utc": version.time_utc,
-                "action": version.action,
-                "kind": version.kind,
-                "name": version.name,
-                "source": version.source,
-            }
-        )
+    names = ("version", "command", "time_utc", "action", "kind", "name", "source")
+    rows = [{name: getattr(change, name) for name in names} for change in registry.history()]
+    for row in rows:
+        time = row["time_utc"][:19].replace("T", " ")
+        table.add_row(*map(str, (row | {"time_utc": time}).values()))
     return Result("layouts", {"registry_version": registry.version, "history": rows}, table)
 
 
@@ -132,28 +111,21 @@ def show(
     terminal: Terminal,
     name: Annotated[str, typer.Argument(help="Name of the layout.")],
     file: Annotated[
-        Path | None, typer.Option("--file", help="Read it from this TOML file instead of the registry.")
+        Path | None, typer.Option(help="Read it from this TOML file instead of the registry.")
     ] = None,
-    png: Annotated[Path | None, typer.Option("--png", help="Write the plan with dimensions.")] = None,
-    svg: Annotated[Path | None, typer.Option("--svg", help="Write the plan with dimensions.")] = None,
-    template: Annotated[
-        Path | None, typer.Option("--template", help="Write a 1:1 template, .pdf or .svg.")
-    ] = None,
-    paper: Annotated[str, typer.Option("--paper", help="Paper of a PDF template: a4, a3, letter.")] = "a4",
+    png: Annotated[Path | None, typer.Option(help="Write the plan with dimensions.")] = None,
+    svg: Annotated[Path | None, typer.Option(help="Write the plan with dimensions.")] = None,
+    template: Annotated[Path | None, typer.Option(help="Write a 1:1 template, .pdf or .svg.")] = None,
+    paper: Annotated[str, typer.Option(help="Paper of a PDF template: a4, a3, letter.")] = "a4",
     surface_radius: Annotated[
         float | None,
-        typer.Option(
-            "--surface-radius",
-            parser=METRES,
-            help="Radius of the surface that the strip wraps around, metres.",
-        ),
+        typer.Option(parser=METRES, help="Radius of the surface that the strip wraps around, metres."),
     ] = None,
 ) -> Result:
     """Draw a layout, or the test card of `tagid commission` (test-card).
 
     Example: tagid layouts show helmet-120 --template helmet-120.pdf
     """
-    from rich.console import Group
     from rich.text import Text
 
     from tagid.enrolling.layout_file import read_layouts
@@ -191,12 +163,12 @@ def show(
             whole = layout_sheet.stacked(layout_sheet.template(layout, surface_radius))
             write_bytes(template, to_svg(whole))
         written.append(str(template))
-    lines = [Text(layout_sheet.in_terminal(layout)), Text(f"{layout.name}  {layout.label}", "bold")]
+    lines: list[Drawn] = [layout_sheet.in_terminal(layout), Text(f"{layout.name}  {layout.label}", "bold")]
     for number, ((x, y), h) in enumerate(zip(layout.positions, layout.heights, strict=True), 1):  # type: ignore[arg-type]
         high = f"  height {h * 1e3:6.1f}" if any(layout.heights) else ""  # type: ignore[arg-type]
-        lines.append(Text(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{high}"))
-    lines += [Text(f"written  {path}") for path in written]
-    return Result("layouts show", {"layout": layout.to_dict(), "written": written}, Group(*lines))
+        lines.append(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{high}")
+    lines += [f"written  {path}" for path in written]
+    return Result("layouts show", {"layout": layout.to_dict(), "written": written}, lines)
 
 
 @command("layouts sheet")
@@ -204,14 +176,12 @@ def sheet(
     terminal: Terminal,
     file: Annotated[Path, typer.Argument(help="PDF file to write.")],
     names: Annotated[list[str] | None, typer.Argument(help="Layouts; default: all.")] = None,
-    paper: Annotated[str, typer.Option("--paper", help="Paper: a4, a3, letter.")] = "a4",
+    paper: Annotated[str, typer.Option(help="Paper: a4, a3, letter.")] = "a4",
 ) -> Result:
     """Write one PDF with picture, name and 1:1 template of every enrolled layout.
 
     Example: tagid layouts sheet tags.pdf
     """
-    from rich.text import Text
-
     from tagid.files import write_bytes
     from tagid.operate.workplace import open_registry
     from tagid.report import layout_sheet
@@ -228,7 +198,7 @@ def sheet(
         drawings += layout_sheet.template(layout, None, paper)
     write_bytes(file, to_pdf(drawings, paper))
     data = {"path": str(file), "layouts": [layout.name for layout in layouts]}
-    return Result("layouts sheet", data, Text(f"{counted(len(layouts), 'layout')} in {file}"))
+    return Result("layouts sheet", data, f"{counted(len(layouts), 'layout')} in {file}")
 
 
 @command("layouts export")
@@ -244,8 +214,6 @@ def export(
 
     Example: tagid layouts export tags.toml
     """
-    from rich.text import Text
-
     from tagid.enrolling.layout_file import write_layouts
     from tagid.files import resolved
     from tagid.operate.workplace import open_registry
@@ -266,7 +234,7 @@ def export(
         "signatures": [{"kind": signature.kind, "name": signature.name} for signature in signatures],
     }
     line = f"{_count(layouts, signatures)} written to {file}"
-    return Result("layouts export", data, Text(line))
+    return Result("layouts export", data, line)
 
 
 @command("layouts import")
@@ -286,9 +254,6 @@ def import_(
 
     Example: tagid layouts import tags.toml
     """
-    from rich.text import Text
-
-    from tagid.errors import FileFormatError
     from tagid.operate.workplace import open_registry
     from tagid.tags.bodies.signature_file import to_bytes
 
@@ -334,15 +299,14 @@ def import_(
         "stored": stored.version is not None,
         **stored.data,
     }
-    return stored.result("layouts import", data, [Text(line)])
+    return stored.result("layouts import", data, [line])
 
 
 @command("layouts undo")
 def undo(
     terminal: Terminal,
     to: Annotated[
-        int | None,
-        typer.Option("--to", help="The version to restore; default: undo the last change."),
+        int | None, typer.Option(help="The version to restore; default: undo the last change.")
     ] = None,
     yes: enrolling.Yes = False,
 ) -> Result:
@@ -369,8 +333,6 @@ def redo(terminal: Terminal) -> Result:
 
 def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Result:
     """The registry after an undo or redo, with what changed."""
-    from rich.text import Text
-
     from tagid.operate.workplace import open_registry
 
     registry = open_registry()
@@ -395,7 +357,7 @@ def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Res
         "layouts": [layout.name for layout in contents.layouts],
         "signatures": [{"kind": signature.kind, "name": signature.name} for signature in contents.signatures],
     }
-    return Result(name, data, Text("\n".join(lines)))
+    return Result(name, data, "\n".join(lines))
 
 
 def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
@@ -409,7 +371,6 @@ def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
 
 def _check_signatures(new: dict[tuple[str, str], Signature], contents: RegistryContents) -> None:
     """Raise LayoutConflictError if another body or object has the name of a new one."""
-    from tagid.errors import LayoutConflictError
     from tagid.tags.bodies.signature_file import to_bytes
 
     for signature in contents.signatures:
@@ -439,9 +400,6 @@ def check(terminal: Terminal) -> Result:
 
     Example: tagid layouts check
     """
-    from rich.text import Text
-
-    from tagid.cli.enrolling import direction_known, height_weight
     from tagid.enrolling.enrollment import neighbour
     from tagid.operate.workplace import open_registry
     from tagid.reading.alike import Conditions
@@ -453,11 +411,11 @@ def check(terminal: Terminal) -> Result:
     remarks = [
         f"version {c.version} ({c.action} {c.name}) cannot be read, so it cannot be restored" for c in lost
     ]
-    known, weight = direction_known(), height_weight()
-    conditions = Conditions(height_weight=weight)
+    basis = enrolling.basis()
+    conditions = Conditions(height_weight=basis.height_weight)
     pairs, nested = [], []
     for a, b in combinations(enrolled, 2):
-        pair = neighbour(a, b, known, weight)
+        pair = neighbour(a, b, basis)
         if a.size == b.size:
             pairs.append((a.name, pair.compared(a, b, conditions)))
         elif pair.distance.nested:
@@ -503,15 +461,9 @@ def check(terminal: Terminal) -> Result:
             "reflectors. But if the larger one loses a reflector, the smaller one may be named; avoid "
             "such pairs on objects that could be mixed up."
         )
-    if not pairs and not nested:
-        return Result(
-            "layouts check",
-            data,
-            messages=tuple(remarks),
-            human=Text(f"{len(enrolled)} layouts, no two with the same number of reflectors"),
-        )
     if not bad:
-        return Result("layouts check", data, table, messages=tuple(remarks))
+        alone = f"{len(enrolled)} layouts, no two with the same number of reflectors"
+        return Result("layouts check", data, table if pairs or nested else alone, messages=tuple(remarks))
     error = LayoutConflictError(
         f"{counted(len(bad), 'pair')} of layouts could be confused: they leave more readings "
         "without a name than enrolling allows",

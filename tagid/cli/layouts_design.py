@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tagid.cli import enrolling
 from tagid.cli.frame import Terminal, command
+from tagid.cli.options import METRES, MILLIMETRES
 from tagid.cli.outputs import check_new
-from tagid.cli.units import METRES, MILLIMETRES
 from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from tagid.report.reflector_sheet import CrossSection
+    from tagid.result import Drawn
     from tagid.tags.layouts.design import DesignRules, Family
     from tagid.tags.layouts.layout import Layout
     from tagid.tags.layouts.objects import TaggedObject
@@ -31,29 +30,21 @@ class TargetOptions:
     """The object that layouts are for and the rules of their design, as options."""
 
     target: Annotated[str, typer.Option("--object", help="helmet, mug or container.")] = "helmet"
-    slots: Annotated[int, typer.Option("--slots", help="Equal angular steps around the object.")] = 12
-    rows: Annotated[
-        int | None,
-        typer.Option("--rows", help="Number of the object's rows to use; default 1.", show_default=False),
-    ] = None
+    slots: Annotated[int, typer.Option(help="Equal angular steps around the object.")] = 12
+    rows: Annotated[int | None, typer.Option(help="Number of the object's rows to use; default 1.")] = None
     radius: Annotated[
         list[float] | None,
-        typer.Option(
-            "--radius", parser=METRES, help="Custom object: radius of a row in metres; repeat for each row."
-        ),
+        typer.Option(parser=METRES, help="Custom object: radius of a row in metres; repeat for each row."),
     ] = None
     height: Annotated[
-        list[float] | None,
-        typer.Option("--height", parser=METRES, help="Height of each --radius row, metres."),
+        list[float] | None, typer.Option(parser=METRES, help="Height of each --radius row, metres.")
     ] = None
     spacing: Annotated[
         float | None,
         typer.Option(
-            "--spacing",
             parser=METRES,
             help="Minimum reflector spacing, metres; default of design: 0.07, or less if the count needs it; "
             "of capacity: 0.04.",
-            show_default=False,
         ),
     ] = None
     mirror: Annotated[
@@ -61,22 +52,15 @@ class TargetOptions:
         typer.Option(
             "--mirror/--no-mirror",
             help="Count mirror images as two layouts; default: follows tags.direction.",
-            show_default=False,
         ),
     ] = None
     seed: Annotated[
-        int,
-        typer.Option(
-            "--seed", min=0, max=9223372036854775807, help="Random seed of the search for the best set."
-        ),
+        int, typer.Option(min=0, max=9223372036854775807, help="Random seed of the search for the best set.")
     ] = 0
     heights: Annotated[
         str | None,
         typer.Option(
-            "--heights",
-            metavar="H,H,...",
-            help="Antenna heights of every scan, metres; default: motion.antenna_heights.",
-            show_default=False,
+            metavar="H,H,...", help="Antenna heights of every scan, metres; default: motion.antenna_heights."
         ),
     ] = None
 
@@ -122,16 +106,11 @@ class TargetOptions:
 def design(
     terminal: Terminal,
     target: TargetOptions,
-    reflectors: Annotated[int, typer.Option("--reflectors", help="Reflectors per layout.")] = 3,
-    count: Annotated[int, typer.Option("--count", min=1, max=10000, help="Number of layouts.")] = 10,
+    reflectors: Annotated[int, typer.Option(help="Reflectors per layout.")] = 3,
+    count: Annotated[int, typer.Option(min=1, max=10000, help="Number of layouts.")] = 10,
     alone: Annotated[bool, typer.Option("--alone", help="Ignore the enrolled layouts.")] = False,
-    prefix: Annotated[
-        str | None,
-        typer.Option("--prefix", help="Prefix of the names, e.g. mug-r3s12.", show_default=False),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Write the layouts as TOML.", show_default=False)
-    ] = None,
+    prefix: Annotated[str | None, typer.Option(help="Prefix of the names, e.g. mug-r3s12.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the layouts as TOML.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     enroll: Annotated[bool, typer.Option("--enroll", help="Enroll all layouts, or none.")] = False,
     yes: enrolling.Yes = False,
@@ -170,15 +149,48 @@ def design(
 def capacity(
     terminal: Terminal,
     target: TargetOptions,
-    error_rate: Annotated[
-        float, typer.Option("--error-rate", help="Share of readings that may have no name.")
-    ] = 0.001,
+    error_rate: Annotated[float, typer.Option(help="Share of readings that may have no name.")] = 0.001,
 ) -> Result:
     """Compute how many identities an object can carry at a given error rate.
 
     Example: tagid layouts capacity --object mug --error-rate 0.001
     """
-    return _capacity(target.object(), [target.rules(k) for k in (2, 3, 4)], error_rate)
+    from tagid.enrolling.capacity import capacity as of_object
+    from tagid.reading.alike import Conditions
+    from tagid.report.table import Table
+
+    chosen, rules = target.object(), [target.rules(reflectors) for reflectors in (2, 3, 4)]
+    table = Table(box=None)
+    for head in ("recording", *(f"{r.reflectors} reflectors" for r in rules)):
+        table.add_column(head, no_wrap=True)
+    rows = []
+    for views, snr_db in ((36, 20.0), (36, 10.0), (36, 0.0), (12, 10.0)):
+        conditions = Conditions(views, snr_db, rules[0].height_weight)
+        capacities = [of_object(chosen, rule, error_rate, conditions) for rule in rules]
+        cells = [
+            f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "")
+            for c in capacities
+        ]
+        table.add_row(f"{views} views {snr_db:g} dB", *cells)
+        rows += [
+            {
+                "views": views,
+                "snr_db": snr_db,
+                "reflectors": c.reflectors,
+                "identities": c.identities,
+                "distance_m": c.distance_m if c.identities > 1 else None,
+                "error_rate": c.error_rate,
+            }
+            for c in capacities
+        ]
+    radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in chosen.rows)
+    line = (
+        f"{chosen.label or chosen.name} (radius {radii}), {rules[0].slots} slots: identities, where "
+        f"at most {error_rate:g} of readings leave no name (and their minimum distance)"
+    )
+    return Result(
+        "layouts capacity", {"object": chosen.name, "error_rate": error_rate, "rows": rows}, [line, table]
+    )
 
 
 @dataclass(frozen=True)
@@ -218,8 +230,6 @@ def _designed(
     terminal: Terminal, family: Family, asked: _Asked, out: Path | None, wish: enrolling.Wish
 ) -> Result:
     import numpy as np
-    from rich.console import Group
-    from rich.text import Text
 
     from tagid.enrolling.enrollment import family_outlooks, refusal
     from tagid.enrolling.layout_file import write_layouts
@@ -228,8 +238,7 @@ def _designed(
     from tagid.tags.layouts.design import GHOST_M
 
     messages = []
-    known, weight = enrolling.direction_known(), enrolling.height_weight()
-    outlooks = family_outlooks(family.layouts, asked.beside, direction_known=known, height_weight=weight)
+    outlooks = family_outlooks(family.layouts, asked.beside, enrolling.basis())
     refused = refusal(outlooks, asked.beside)
     remedy = "" if refused is None else asked.remedy()
     if refused is not None:
@@ -259,18 +268,18 @@ def _designed(
         )
     worst = max(outlooks, key=lambda outlook: outlook.unresolved)
     least = f"{family.distance_m * 1e3:.1f} mm"
-    lines: list[RenderableType] = [
-        Text(
+    lines: list[Drawn] = [
+        (
             f"{counted(len(family.layouts), 'layout')} of {family.candidates} that fit, reflectors at least "
             f"{family.ghost_m * 1e3:.0f} mm apart; "
             + (f"the two most alike differ by {least}, turned to match" if len(family.layouts) > 1 else "")
             + ("" if family.proven else " (a better set may exist)")
         )
     ]
-    lines.append(Text(f"{worst.layout.name}: {enrolling.about(worst)}"))
+    lines.append(f"{worst.layout.name}: {enrolling.about(worst)}")
     if out is not None:
         how = "they cannot be enrolled" if refused else f"enroll them: tagid layouts import {out}"
-        lines.append(Text(f"written to {out}; {how}"))
+        lines.append(f"written to {out}; {how}")
     data = {
         "layouts": [layout.to_dict() for layout in family.layouts],
         "distance_m": None if family.distance_m == float("inf") else family.distance_m,
@@ -287,53 +296,10 @@ def _designed(
     }
     lines.append(table)
     if stored is None:
-        return Result("layouts design", data, Group(*lines), messages=tuple(messages))
+        return Result("layouts design", data, lines, messages=tuple(messages))
     if stored.version is not None:
-        lines.append(Text(f"enrolled, registry version {stored.version}"))
+        lines.append(f"enrolled, registry version {stored.version}")
     return stored.result("layouts design", data, lines, messages)
-
-
-def _capacity(target: TaggedObject, rules: list[DesignRules], error_rate: float) -> Result:
-    from rich.console import Group
-    from rich.text import Text
-
-    from tagid.enrolling.capacity import capacity
-    from tagid.reading.alike import Conditions
-    from tagid.report.table import Table
-
-    table = Table(box=None)
-    for head in ("recording", *(f"{r.reflectors} reflectors" for r in rules)):
-        table.add_column(head, no_wrap=True)
-    rows = []
-    for views, snr_db in ((36, 20.0), (36, 10.0), (36, 0.0), (12, 10.0)):
-        conditions = Conditions(views, snr_db, rules[0].height_weight)
-        capacities = [capacity(target, rule, error_rate, conditions) for rule in rules]
-        cells = [
-            f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "")
-            for c in capacities
-        ]
-        table.add_row(f"{views} views {snr_db:g} dB", *cells)
-        rows += [
-            {
-                "views": views,
-                "snr_db": snr_db,
-                "reflectors": c.reflectors,
-                "identities": c.identities,
-                "distance_m": c.distance_m if c.identities > 1 else None,
-                "error_rate": c.error_rate,
-            }
-            for c in capacities
-        ]
-    radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in target.rows)
-    line = Text(
-        f"{target.label or target.name} (radius {radii}), {rules[0].slots} slots: identities, where "
-        f"at most {error_rate:g} of readings leave no name (and their minimum distance)"
-    )
-    return Result(
-        "layouts capacity",
-        {"object": target.name, "error_rate": error_rate, "rows": rows},
-        Group(line, table),
-    )
 
 
 KINDS = ("octahedron",)
@@ -344,28 +310,23 @@ _TOLD = (".csv", ".png")
 @command("layouts reflector")
 def reflector(
     terminal: Terminal,
-    kind: Annotated[str, typer.Option("--kind", help="octahedron.")] = "octahedron",
-    size: Annotated[
-        float, typer.Option("--size", parser=MILLIMETRES, help="From tip to tip, millimetres.")
-    ] = 40.0,
+    kind: Annotated[str, typer.Option(help="octahedron.")] = "octahedron",
+    size: Annotated[float, typer.Option(parser=MILLIMETRES, help="From tip to tip, millimetres.")] = 40.0,
     out: Annotated[
         list[Path] | None,
         typer.Option("--out", "-o", help="A .stl solid, or a .svg or .pdf net; repeatable."),
     ] = None,
     rcs: Annotated[
         list[Path] | None,
-        typer.Option("--rcs", help="Compute its radar cross-section: .csv table, .png plot; repeatable."),
+        typer.Option(help="Compute its radar cross-section: .csv table, .png plot; repeatable."),
     ] = None,
-    paper: Annotated[str, typer.Option("--paper", help="Paper of a PDF: a4, a3, letter.")] = "a4",
+    paper: Annotated[str, typer.Option(help="Paper of a PDF: a4, a3, letter.")] = "a4",
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
 ) -> Result:
     """Create files for a reflector: a solid for a 3-D printer and foil, or a net to cut and fold at 1:1.
 
     Example: tagid layouts reflector --size 40 --out r.stl --out r.pdf --rcs r.csv --rcs r.png
     """
-    from rich.console import Group
-    from rich.text import Text
-
     from tagid.files import write_bytes
     from tagid.report import reflector_sheet as sheets
     from tagid.report.drafting import to_svg
@@ -386,42 +347,38 @@ def reflector(
     for path in made:
         suffix = path.suffix.lower()
         if suffix == ".stl":
-            write_bytes(path, sheets.to_stl(size_m))
-        elif suffix == ".svg":
-            write_bytes(path, to_svg(sheets.sheet(size_m)))
+            content = sheets.to_stl(size_m)
         else:
-            write_bytes(path, to_pdf([sheets.sheet(size_m)], paper))
+            net = sheets.sheet(size_m)
+            content = to_svg(net) if suffix == ".svg" else to_pdf([net], paper)
+        write_bytes(path, content)
     edge = size / 2**0.5
-    lines: list[RenderableType] = [Text(f"octahedron, size {size:g} mm from tip to tip, edge {edge:.1f} mm")]
+    lines: list[Drawn] = [f"octahedron, size {size:g} mm from tip to tip, edge {edge:.1f} mm"]
     solved = sheets.cross_section(size_m) if responses else None
     if solved is not None:
         for path in responses:
             content = sheets.to_csv(solved).encode() if path.suffix == ".csv" else sheets.to_png(solved)
             write_bytes(path, content)
-        lines += [_table(solved), Text(f"source: {solved.source}")]
+        lines += [_table(solved), f"source: {solved.source}"]
     written = [str(path) for path in (*made, *responses)]
-    lines += [Text(f"written  {path}") for path in written]
-    data = {
+    lines += [f"written  {path}" for path in written]
+    data: dict[str, Any] = {
         "kind": kind,
         "size_mm": size,
         "edge_mm": edge,
         "written": written,
-        "rcs_dbsm": None if solved is None else _levels(solved),
+        "rcs_dbsm": None,
     }
-    return Result("layouts reflector", data, Group(*lines))
+    if solved is not None:
+        levels = ("frequency_hz", "aspect_deg", "vertical", "horizontal")
+        data["rcs_dbsm"] = {
+            "source": solved.source,
+            **{name: getattr(solved, name).tolist() for name in levels},
+        }
+    return Result("layouts reflector", data, lines)
 
 
-def _levels(solved: CrossSection) -> dict[str, object]:
-    return {
-        "source": solved.source,
-        "frequency_hz": solved.frequency_hz.tolist(),
-        "aspect_deg": solved.aspect_deg.tolist(),
-        "vertical": solved.vertical.tolist(),
-        "horizontal": solved.horizontal.tolist(),
-    }
-
-
-def _table(solved: CrossSection) -> RenderableType:
+def _table(solved: CrossSection) -> Drawn:
     from tagid.report.table import Table
 
     table = Table("GHz", "vertical dBsm", "horizontal dBsm, towards a tip", "at 45 degrees", box=None)

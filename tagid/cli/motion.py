@@ -13,7 +13,7 @@ import typer
 from tagid.cli import options
 from tagid.cli.consent import Yes, agree, agree_to
 from tagid.cli.frame import Terminal, command
-from tagid.cli.units import SECONDS
+from tagid.cli.options import SECONDS
 from tagid.config import Config, load_config
 from tagid.counting import meant
 from tagid.errors import EXIT_DEVICE, EXIT_OK, DataError, TagidError, UsageError
@@ -24,15 +24,11 @@ if TYPE_CHECKING:
     from tagid.capture import Capture
     from tagid.motion.driven import DrivenMotion
     from tagid.report.table import Table
+    from tagid.result import Drawn
     from tagid.tags.layouts.layout import Layout
 
 Url = Annotated[
-    MotionUrl | None,
-    typer.Argument(
-        help="Another way to give --motion.",
-        parser=MotionUrl,
-        metavar="[URL]",
-    ),
+    MotionUrl | None, typer.Argument(help="Another way to give --motion.", parser=MotionUrl, metavar="[URL]")
 ]
 
 
@@ -77,16 +73,14 @@ def facts_table(facts: dict[str, Any]) -> Table:
 @command("motion find")
 def find(
     terminal: Terminal,
-    seconds: Annotated[float, typer.Option("--seconds", parser=SECONDS, help="Listening time, s.")] = 4.0,
+    seconds: Annotated[float, typer.Option(parser=SECONDS, help="Listening time, s.")] = 4.0,
     bluetooth: Annotated[bool, typer.Option("--ble/--no-ble", help="Scan for Bluetooth devices.")] = True,
-    hci: Annotated[str | None, typer.Option("--hci", help="Another Bluetooth controller.")] = None,
+    hci: Annotated[str | None, typer.Option(help="Another Bluetooth controller.")] = None,
 ) -> Result:
     """Find robots and tables, without sending anything to them.
 
     Example: tagid motion find
     """
-    from rich.console import Group
-
     from tagid.cli.frame import to_copy
     from tagid.motion.discovery import bluetooth_devices, serial_devices
     from tagid.report.table import Table
@@ -119,7 +113,7 @@ def find(
         )
     urls = to_copy([device.url for device in devices if device.url], "tagid motion info --motion {}")
     data = {"devices": [asdict(device) for device in devices]}
-    human = Group(table, urls) if devices else None
+    human: Drawn | None = [table, urls] if devices else None
     code = EXIT_OK if devices else EXIT_DEVICE
     return Result("motion find", data, human, exit_code=code, messages=notes, errors=errors)
 
@@ -143,7 +137,7 @@ def spin(
     terminal: Terminal,
     url: Url = None,
     motion: options.MotionUrl = None,
-    turns: Annotated[float, typer.Option("--turns", help="Number of revolutions, 0.01 to 20.")] = 1.0,
+    turns: Annotated[float, typer.Option(help="Number of revolutions, 0.01 to 20.")] = 1.0,
     yes: Yes = False,
 ) -> Result:
     """Rotate by a number of revolutions and stop.
@@ -190,11 +184,10 @@ def stop(terminal: Terminal, url: Url = None, motion: options.MotionUrl = None) 
 
     Example: tagid motion stop --motion roomba+ble://tagid-bridge
     """
-    from rich.text import Text
 
     device = driven(_one_url(url, motion), stopping=True)
     device.halt_now()
-    return Result("motion stop", {"stopped": True}, Text(f"{device.name} has stopped"))
+    return Result("motion stop", {"stopped": True}, f"{device.name} has stopped")
 
 
 @command("motion calibrate")
@@ -206,14 +199,13 @@ def calibrate(
     radar: options.RadarUrl = None,
     motion: options.MotionUrl = None,
     axis_distance: options.AxisDistance = None,
-    turns: Annotated[float, typer.Option("--turns", help="Revolutions to record, 1.5 to 10.")] = 2.3,
-    save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the capture.")] = None,
+    turns: Annotated[float, typer.Option(help="Revolutions to record, 1.5 to 10.")] = 2.3,
+    save_dir: Annotated[Path | None, typer.Option(help="Folder for the capture.")] = None,
     direction: Annotated[
         bool, typer.Option("--direction", help="Determine a table's direction instead; needs --layout.")
     ] = False,
     layout: Annotated[
-        str | None,
-        typer.Option("--layout", help="Enrolled layout on the table; not its own mirror image."),
+        str | None, typer.Option(help="Enrolled layout on the table; not its own mirror image.")
     ] = None,
     yes: Yes = False,
 ) -> Result:
@@ -225,8 +217,6 @@ def calibrate(
 
     Example: tagid motion calibrate --motion roomba+serial:///dev/ttyUSB1 --axis-distance 1.0
     """
-    from rich.text import Text
-
     from tagid.motion.calibration import remember, wheel_base_from
     from tagid.storage.importers import read_any
 
@@ -256,13 +246,11 @@ def calibrate(
     path = remember(robot, base)
     data = {"robot": robot, "wheel_base_mm": base.wheel_base_mm, "sigma": base.sigma, "path": str(path)}
     text = f"{robot}: effective wheel base {base.wheel_base_mm:.2f} mm, +- {base.sigma:.2%}"
-    return Result("motion calibrate", data, Text(text))
+    return Result("motion calibrate", data, text)
 
 
 def _direction(capture: Capture, name: str) -> Result:
     """Whether the capture's table rotated in the stated direction; stored for commanded tables."""
-    from rich.text import Text
-
     from tagid.metadata import ResolvedMotion
     from tagid.motion.calibration import remember_reversed
     from tagid.operate.workplace import open_registry
@@ -277,7 +265,7 @@ def _direction(capture: Capture, name: str) -> Result:
     capture = prepare(capture)
     resolved = capture.motion.resolved or ResolvedMotion()
     way = "clockwise" if resolved.direction == -1 else "counter-clockwise"
-    other = turned_the_other_way(capture, layouts[name])
+    other = _turned_the_other_way(capture, layouts[name])
     device, path = resolved.table, None
     is_reversed = other != bool(resolved.reversed)
     if device is not None:
@@ -289,9 +277,7 @@ def _direction(capture: Capture, name: str) -> Result:
     measured = "opposite to" if other else "in"
     text = f"{device or 'the table'} was stated to rotate {way} and rotated {measured} that direction; "
     data = {"device": device, "told": way, "other_way": other, "reversed": is_reversed}
-    return Result(
-        "motion calibrate", {**data, "path": None if path is None else str(path)}, Text(text + lesson)
-    )
+    return Result("motion calibrate", {**data, "path": None if path is None else str(path)}, text + lesson)
 
 
 def _record(terminal: Terminal, config: Config, turns: float) -> Capture:
@@ -315,32 +301,22 @@ _LEAST_DIFFERENCE_M: Final = 5e-3
 """Smallest resolvable RMS distance between a layout and its mirror image: a few position errors."""
 
 
-def chirality_m(layout: Layout) -> float:
-    """RMS distance of a layout from its mirror image after the best rotation, shift and pairing, m."""
-    from tagid.tags.layouts.codebook import best_pairing
+def _turned_the_other_way(capture: Capture, layout: Layout) -> bool:
+    """Whether the object rotated opposite to its prepared capture's angles: its mirror image is read.
 
-    return best_pairing(layout.mirrored().positions, layout.positions, 0.2).rms_m
-
-
-def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
-    """Whether the object rotated opposite to its capture's angles (its mirror image is read).
-
-    Args:
-        capture: prepared, with angles in the commanded direction.
-        layout: the object on the table.
-
-    Raises:
-        UsageError: the layout is its own mirror image. DataError: neither it nor its mirror image is read.
+    Raises UsageError, DataError.
     """
     from tagid.pipeline.identify import identify
     from tagid.pipeline.settings import ImagingSettings
+    from tagid.tags.layouts.codebook import best_pairing
 
-    if layout.size > 7 or chirality_m(layout) < _LEAST_DIFFERENCE_M:
+    image = layout.mirrored()
+    if layout.size > 7 or best_pairing(image.positions, layout.positions, 0.2).rms_m < _LEAST_DIFFERENCE_M:
         raise UsageError(
             f"layout {layout.name} is its own mirror image (or has more than 7 reflectors)",
             "Use an object whose reflectors do not form a symmetric pattern.",
         )
-    mirror = replace(layout.mirrored(), name=f"{layout.name}-mirrored")
+    mirror = replace(image, name=f"{layout.name}-mirrored")
     answer = identify(capture, [layout, mirror], ImagingSettings(direction_known=True))
     read = answer.reading.layout if answer.status == "identified" and answer.reading is not None else None
     if read not in (layout.name, mirror.name):

@@ -1,8 +1,8 @@
-"""Options that several commands take, declared once."""
+"""Options that several commands take, declared once, and types of options that take a number in a unit."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,48 +11,55 @@ from urllib.parse import quote
 import typer
 
 from tagid import secret
-from tagid.cli import options
-from tagid.cli.units import METRES, PICOSECONDS
 from tagid.errors import UsageError
-from tagid.query import parse_point
+from tagid.query import UNITS, parse_point, quantity
 
 if TYPE_CHECKING:
     from tagid.simulate import SceneSpec
 
-Captures = Annotated[
-    list[Path], typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.", show_default=False)
-]
-CaptureFile = Annotated[
-    Path, typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.", show_default=False)
-]
+
+def _in(unit: str) -> Callable[[str | float], float]:
+    """The parser of an option whose value is in a unit; the help shows it as a float."""
+
+    def number(text: str | float) -> float:
+        try:
+            return quantity(text, unit) if isinstance(text, str) else text
+        except ValueError:
+            raise typer.BadParameter(
+                f"{str(text)[:40]!r} is not a number, in {unit} or with its unit: {', '.join(UNITS[unit])}."
+            ) from None
+
+    number.__name__ = "float"
+    return number
+
+
+METRES = _in("m")
+MILLIMETRES = _in("mm")
+SECONDS = _in("s")
+PICOSECONDS = _in("ps")
+NANOSECONDS = _in("ns")
+
+
+Captures = Annotated[list[Path], typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.")]
+CaptureFile = Annotated[Path, typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.")]
 RadarUrl = Annotated[
-    str | None,
-    typer.Option("--radar", help="The radar: udp://HOST, serial:///dev/ttyACM0, replay://FILE."),
+    str | None, typer.Option("--radar", help="The radar: udp://HOST, serial:///dev/ttyACM0, replay://FILE.")
 ]
 MotionUrl = Annotated[
     secret.MotionUrl | None,
     typer.Option(
         "--motion",
         help="Device that rotates the object, e.g. free?rpm=2.",
-        show_default=False,
         parser=secret.MotionUrl,
         metavar="TEXT",
     ),
 ]
 AxisDistance = Annotated[
-    float | None,
-    typer.Option(
-        "--axis-distance", parser=METRES, help="Radar to rotation axis, metres.", show_default=False
-    ),
+    float | None, typer.Option("--axis-distance", parser=METRES, help="Radar to rotation axis, metres.")
 ]
 AntennaHeight = Annotated[
     float | None,
-    typer.Option(
-        "--antenna-height",
-        parser=METRES,
-        help="Antenna above the reflectors' plane, metres.",
-        show_default=False,
-    ),
+    typer.Option("--antenna-height", parser=METRES, help="Antenna above the reflectors' plane, metres."),
 ]
 AntennaSeparation = Annotated[
     float | None,
@@ -65,120 +72,28 @@ AntennaSeparation = Annotated[
 ]
 CableDelay = Annotated[
     float | None,
-    typer.Option(
-        "--cable-delay",
-        parser=PICOSECONDS,
-        help="Cable and antenna delay, two-way picoseconds.",
-        show_default=False,
-    ),
+    typer.Option("--cable-delay", parser=PICOSECONDS, help="Cable and antenna delay, two-way picoseconds."),
 ]
 Node = Annotated[
     int | None,
-    typer.Option(
-        "--node",
-        min=0,
-        max=4294967295,
-        help="Node id of the radar to read from a log of several.",
-        show_default=False,
-    ),
+    typer.Option("--node", min=0, max=4294967295, help="Node id of the radar to read from a log of several."),
 ]
 Method = Annotated[
     str | None,
-    typer.Option(
-        "--method",
-        help="bp, bp-raw, range-doppler, polar, sparse, omp, ats or auto (ats).",
-    ),
-]
-Pulse = Annotated[
-    str | None,
-    typer.Option(
-        "--pulse",
-        help="auto (the capture's or nominal), nominal, or estimate (from the scans).",
-        show_default=False,
-    ),
-]
-Preset = Annotated[
-    str, typer.Option("--preset", help="Variant of ats: field, or paper (as published, slow).")
-]
-Centre = Annotated[
-    str | None,
-    typer.Option(
-        "--centre",
-        help="Centre of the image or volume as X,Y in metres, for captures with antenna positions.",
-        show_default=False,
-    ),
-]
-DelaySearch = Annotated[
-    float | None,
-    typer.Option(
-        "--delay-search",
-        parser=METRES,
-        help="Half-width of the path-delay search (m), for captures with antenna positions. "
-        "Default: 13 wavelengths, 1 m for a P440.",
-        show_default=False,
-    ),
-]
-AxisSearch = Annotated[
-    float | None,
-    typer.Option(
-        "--axis-search",
-        parser=METRES,
-        help="Half-width of the axis-distance search (m), for turntables. "
-        "Default: half a wavelength, 0.04 m for a P440; at most two.",
-        show_default=False,
-    ),
-]
-Side = Annotated[
-    str | None,
-    typer.Option(
-        "--side",
-        help="A point X,Y in metres on the side of a straight path to be imaged.",
-        show_default=False,
-    ),
-]
-WaveSpeed = Annotated[
-    float | None,
-    typer.Option(
-        "--wave-speed",
-        min=1,
-        max=3.1e08,
-        help="Speed of the wave in the medium (m/s): 345 for sound in air, 1.06e8 at a permittivity of 8. "
-        "Default: value in the file, or vacuum.",
-        show_default=False,
-    ),
-]
-Extent = Annotated[
-    float | None,
-    typer.Option(
-        "--extent", parser=METRES, help="Width and height of the image, metres.", show_default=False
-    ),
-]
-Pixels = Annotated[int | None, typer.Option("--pixels", help="Pixels per side.", show_default=False)]
-Background = Annotated[
-    str, typer.Option("--background", help="Static background to remove: mean, median, reference, none.")
+    typer.Option("--method", help="bp, bp-raw, range-doppler, polar, sparse, omp, ats or auto (ats)."),
 ]
 Preview = Annotated[bool, typer.Option("--preview", help="Draw the image in the terminal.")]
-PngFile = Annotated[
-    Path | None, typer.Option("--png", help="Write the image as a picture.", show_default=False)
-]
+PngFile = Annotated[Path | None, typer.Option("--png", help="Write the image as a picture.")]
 Body = Annotated[
     str | None,
     typer.Option(
-        "--body",
-        help="Body that carries the tag: can:35mm, cup:40mm,handle, helmet, box:120mm or none.",
-        show_default=False,
+        "--body", help="Body that carries the tag: can:35mm, cup:40mm,handle, helmet, box:120mm or none."
     ),
 ]
-Reflector = Annotated[
-    str | None,
-    typer.Option("--reflector", help="Reflectors of the tag: octahedron:20mm.", show_default=False),
-]
+Reflector = Annotated[str | None, typer.Option("--reflector", help="Reflectors of the tag: octahedron:20mm.")]
 Seed = Annotated[int, typer.Option("--seed", help="Random seed.", min=0)]
 LayoutFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--file", help="File with further layouts, e.g. from layouts design --out.", show_default=False
-    ),
+    Path | None, typer.Option("--file", help="File with further layouts, e.g. from layouts design --out.")
 ]
 
 
@@ -186,10 +101,10 @@ LayoutFile = Annotated[
 class SetupOptions:
     """How the object stood and turned before the radar, where a command line says it."""
 
-    motion: options.MotionUrl = None
-    axis_distance: options.AxisDistance = None
-    antenna_height: options.AntennaHeight = None
-    antenna_separation: options.AntennaSeparation = None
+    motion: MotionUrl = None
+    axis_distance: AxisDistance = None
+    antenna_height: AntennaHeight = None
+    antenna_separation: AntennaSeparation = None
 
     def settings(self) -> dict[str, Any]:
         """The options as settings, by their configuration names."""
@@ -205,20 +120,9 @@ class SetupOptions:
 class RecordedOptions(SetupOptions):
     """The same of a recording, and the background in it."""
 
-    background: options.Background = "mean"
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of a recording, besides the end of the revolution.
-
-    Attributes:
-        scans: number of scans; None to record a full revolution.
-        max_seconds: longest duration, s.
-    """
-
-    scans: int | None
-    max_seconds: float
+    background: Annotated[
+        str, typer.Option(help="Static background to remove: mean, median, reference, none.")
+    ] = "mean"
 
 
 def demo_settings(scene: str, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -254,62 +158,44 @@ def demo_settings(scene: str, given: Mapping[str, Any]) -> dict[str, Any]:
 class SceneOptions:
     """The options that both commands share, by the names of `SceneSpec`."""
 
-    file: options.LayoutFile = None
+    file: LayoutFile = None
     response: Annotated[
-        Path | None,
-        typer.Option(
-            "--response", help="Response file of the object, instead of a scene (docs/responses.md)."
-        ),
+        Path | None, typer.Option(help="Response file of the object, instead of a scene (docs/responses.md).")
     ] = None
-    polarisation: Annotated[
-        str | None, typer.Option("--polarisation", help="With --response: V (default) or H.")
-    ] = None
+    polarisation: Annotated[str | None, typer.Option(help="With --response: V (default) or H.")] = None
     snr_reference: Annotated[
-        Path | None,
-        typer.Option("--snr-reference", help="With --response: response whose peak --snr refers to."),
+        Path | None, typer.Option(help="With --response: response whose peak --snr refers to.")
     ] = None
     snr_reference_body: Annotated[
-        Path | None,
-        typer.Option("--snr-reference-body", help="Response subtracted from --snr-reference."),
+        Path | None, typer.Option(help="Response subtracted from --snr-reference.")
     ] = None
-    body: options.Body = None
-    reflector: options.Reflector = None
+    body: Body = None
+    reflector: Reflector = None
     elevation: Annotated[
         str,
-        typer.Option(
-            "--elevation",
-            help="Height of the tag above the stated plane, e.g. 50mm; not stored in the capture.",
-        ),
+        typer.Option(help="Height of the tag above the stated plane, e.g. 50mm; not stored in the capture."),
     ] = "0m"
     centre: Annotated[
-        str, typer.Option("--centre", help="Offset of the object from the axis, X,Y in metres; up to 0.25.")
+        str, typer.Option(help="Offset of the object from the axis, X,Y in metres; up to 0.25.")
     ] = "0,0"
     rotation: Annotated[
-        float,
-        typer.Option("--rotation", min=-1e06, max=1e06, help="Rotation of the object at the start, degrees."),
+        float, typer.Option(min=-1e06, max=1e06, help="Rotation of the object at the start, degrees.")
     ] = 0.0
-    wobble: Annotated[float, typer.Option("--wobble", help="Variation of the speed; 0.01 is 1 %.")] = 0.0
-    axis_distance: Annotated[
-        float, typer.Option("--axis-distance", parser=METRES, help="Radar to axis, metres.")
-    ] = 1.0
+    wobble: Annotated[float, typer.Option(help="Variation of the speed; 0.01 is 1 %.")] = 0.0
+    axis_distance: Annotated[float, typer.Option(parser=METRES, help="Radar to axis, metres.")] = 1.0
     snr: Annotated[
-        float,
-        typer.Option("--snr", help="Peak of the strongest reflector over the noise of one sample, dB."),
+        float, typer.Option(help="Peak of the strongest reflector over the noise of one sample, dB.")
     ] = 20.0
     seed: Annotated[
         int,
         typer.Option(
-            "--seed",
-            help="Random seed of the recording and of the object: also where a handle or seam is.",
-            min=0,
+            help="Random seed of the recording and of the object: also where a handle or seam is.", min=0
         ),
     ] = 0
     rig: Annotated[
         str | None,
         typer.Option(
-            "--rig",
-            help="Profile of a commissioned rig, or realistic?seed=N: sets how the scene is recorded.",
-            show_default=False,
+            help="Profile of a commissioned rig, or realistic?seed=N: sets how the scene is recorded."
         ),
     ] = None
 
@@ -318,3 +204,11 @@ class SceneOptions:
         from tagid.simulate import SceneSpec
 
         return SceneSpec(**{**vars(self), "centre": parse_point("--centre", self.centre), **changed})
+
+
+def parse_bind(bind: str, example: str) -> tuple[str, int]:
+    """Host and port of --bind. Raises UsageError, with an example of what it takes."""
+    host, _, port = bind.rpartition(":")
+    if not host or not (port.isascii() and port.isdecimal()) or int(port) > 65535:
+        raise UsageError(f"--bind is {bind!r}", f"Give HOST:PORT, e.g. {example}.")
+    return host.removeprefix("[").removesuffix("]"), int(port)

@@ -12,22 +12,12 @@ from tagid.files import is_read_only, storage_error
 
 
 def check_new(
-    path: Path,
-    force: bool,
-    how: str = "Choose another name, or add --force.",
-    inputs: Sequence[Path] = (),
+    path: Path, force: bool, how: str = "Choose another name, or add --force.", inputs: Sequence[Path] = ()
 ) -> None:
     """Check a file that replaces another only where the user says so, and never one that is read.
 
-    Args:
-        path: file to write.
-        force: whether an existing file may be overwritten.
-        how: what to do about an existing file.
-        inputs: files that the command reads.
-
-    Raises:
-        UsageError: one of the inputs. StorageError: a file that may not be overwritten, or nothing can be
-            written there.
+    Raises UsageError for one of the inputs, StorageError where a file may not be overwritten, with the remedy
+    `how`, or nothing can be written.
     """
     if _is_file(path):
         _check_other(path, inputs, str(path))
@@ -62,9 +52,8 @@ def check_drawing(
         suffixes: of its kind, in lower case, e.g. ".png".
         inputs: files that the command reads.
 
-    Raises:
-        UsageError: another suffix, or one of the inputs. StorageError: a folder, an NPZ file that is not an
-            image, or nothing can be written there.
+    Raises UsageError for another suffix or one of the inputs, StorageError for a folder, an NPZ file that is
+    not an image, or where nothing can be written.
     """
     if path is None:
         return
@@ -114,6 +103,5 @@ def _check_folder(path: Path) -> None:
         if is_read_only(folder):
             raise storage_error(OSError(errno.EROFS, "Read-only file system"), path, "writing")
         raise StorageError(
-            f"{path}: no permission to write into {folder}",
-            "Check the permissions, or choose another.",
+            f"{path}: no permission to write into {folder}", "Check the permissions, or choose another."
         )

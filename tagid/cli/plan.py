@@ -2,69 +2,89 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
-from tagid.cli.units import METRES
+from tagid.cli.options import METRES
 from tagid.config import load_config
 from tagid.counting import meant
 from tagid.errors import UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from tagid.planning.plan import Plan, Setup, Wanted
     from tagid.planning.rates import Expected
+    from tagid.result import Drawn
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """Tag, radar and table of a recording."""
+
+    reflector: Annotated[str, typer.Option(help="Reflectors of the tag, size from tip to tip.")] = (
+        "octahedron:40mm"
+    )
+    body: options.Body = None
+    distance: Annotated[
+        float | None,
+        typer.Option(parser=METRES, help="Antennas to rotation axis, metres (default: the setting, or 1)."),
+    ] = None
+    pii: Annotated[
+        int | None,
+        typer.Option("--integration", "--pii", help="Integration index (default: radar.integration)."),
+    ] = None
+    gain: Annotated[int | None, typer.Option(help="Transmit gain, 0 to 63 (default: radar.gain).")] = None
+    rpm: Annotated[float, typer.Option(help="Turns per minute.")] = 2.0
+    layout: Annotated[str, typer.Option("--layout", "--layouts", help="Layout of the tag.")] = "container-90"
+    file: options.LayoutFile = None
+    enrolled: Annotated[
+        bool, typer.Option("--enrolled", help="The untagged body is enrolled (tagid enroll --body).")
+    ] = False
+
+    def setup(self) -> Setup:
+        """The setup, with the rest from the configuration. Raises UsageError, ConfigError."""
+        from tagid.config import data_folder
+        from tagid.enrolling.layout_file import named_layouts
+        from tagid.planning.plan import Setup
+        from tagid.rig import installed_profile
+        from tagid.simulate.budget import LinkBudget
+        from tagid.simulate.specification import parse_body, parse_reflector
+
+        config = load_config(
+            {"motion.axis_distance_m": self.distance, "radar.integration": self.pii, "radar.gain": self.gain}
+        )
+        layouts = named_layouts(self.file, data_folder() / "registry.sqlite")
+        if self.layout not in layouts:
+            raise UsageError(
+                f"no layout is named {self.layout[:80]!r}",
+                f"{meant(self.layout, layouts)}Use {', '.join(sorted(layouts))}.",
+            )
+        rig = installed_profile(data_folder())
+        return Setup(
+            layouts[self.layout],
+            parse_reflector(self.reflector),
+            parse_body(self.body or "none"),
+            config["motion.axis_distance_m"] or 1.0,
+            self.rpm,
+            LinkBudget.on(rig, config["radar.gain"], config["radar.integration"]),
+            config["imaging.extent_m"],
+            self.enrolled,
+            None if rig is None else rig.pulse,
+        )
 
 
 @command("plan")
 def plan(
     terminal: Terminal,
-    reflector: Annotated[
-        str, typer.Option("--reflector", help="Reflectors of the tag, size from tip to tip.")
-    ] = "octahedron:40mm",
-    body: options.Body = None,
-    distance: Annotated[
-        float | None,
-        typer.Option(
-            "--distance",
-            parser=METRES,
-            help="Antennas to rotation axis, metres (default: the setting, or 1).",
-            show_default=False,
-        ),
-    ] = None,
-    pii: Annotated[
-        int | None,
-        typer.Option(
-            "--integration",
-            "--pii",
-            help="Integration index (default: radar.integration).",
-            show_default=False,
-        ),
-    ] = None,
-    gain: Annotated[
-        int | None,
-        typer.Option("--gain", help="Transmit gain, 0 to 63 (default: radar.gain).", show_default=False),
-    ] = None,
-    rpm: Annotated[float, typer.Option("--rpm", help="Turns per minute.")] = 2.0,
-    layout: Annotated[str, typer.Option("--layout", "--layouts", help="Layout of the tag.")] = "container-90",
-    file: options.LayoutFile = None,
-    enrolled: Annotated[
-        bool, typer.Option("--enrolled", help="The untagged body is enrolled (tagid enroll --body).")
-    ] = False,
+    asked: PlanOptions,
     want: Annotated[
         float | None,
-        typer.Option(
-            "--want",
-            help="Required identification rate, e.g. 0.99: find settings that reach it.",
-            show_default=False,
-        ),
+        typer.Option(help="Required identification rate, e.g. 0.99: find settings that reach it."),
     ] = None,
 ) -> Result:
     """Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named.
@@ -77,70 +97,17 @@ def plan(
     from tagid.planning.plan import invert, planned_snr_db
     from tagid.planning.plan import plan as work_out
 
-    setup = setup_from(Asked(reflector, body, distance, pii, gain, rpm, layout, file, enrolled))
+    setup = asked.setup()
     planned = work_out(setup)
     wanted = None if want is None else invert(setup, want)
     snr = planned_snr_db(setup)
-    data = {**_data(planned), "snr_db": snr, "wanted": None if wanted is None else _wanted_data(wanted)}
+    data: dict[str, Any] = {**_data(planned), "snr_db": snr, "wanted": None}
     doubt = ""
     if wanted is not None and want is not None:
+        changes = {"reflector": wanted.plan, "distance": wanted.distance, "integration": wanted.integration}
+        data["wanted"] = {name: change and _data(change) for name, change in changes.items()}
         data["wanted_remark"] = doubt = _doubt(planned, wanted, want)
     return Result("plan", data, _drawn(planned, snr, wanted, want, doubt))
-
-
-class Asked:
-    """Command-line options of a setup; None for values from the configuration."""
-
-    def __init__(
-        self,
-        reflector: str,
-        body: str | None,
-        distance_m: float | None,
-        integration: int | None,
-        gain: int | None,
-        rpm: float,
-        layout: str,
-        file: Path | None,
-        enrolled: bool = False,
-    ) -> None:
-        self.reflector, self.body, self.distance_m = reflector, body, distance_m
-        self.integration, self.gain, self.rpm = integration, gain, rpm
-        self.layout, self.file, self.enrolled = layout, file, enrolled
-
-
-def setup_from(asked: Asked) -> Setup:
-    """The setup from the command line and the configuration. Raises UsageError, ConfigError."""
-    from tagid.config import data_folder
-    from tagid.enrolling.lookup import named_layouts
-    from tagid.planning.plan import Setup
-    from tagid.rig import installed_profile
-    from tagid.simulate.budget import LinkBudget
-    from tagid.simulate.specification import parse_body, parse_reflector
-
-    overrides: dict[str, Any] = {
-        "motion.axis_distance_m": asked.distance_m,
-        "radar.integration": asked.integration,
-        "radar.gain": asked.gain,
-    }
-    config = load_config(overrides)
-    layouts = named_layouts(asked.file, data_folder() / "registry.sqlite")
-    if asked.layout not in layouts:
-        raise UsageError(
-            f"no layout is named {asked.layout[:80]!r}",
-            f"{meant(asked.layout, layouts)}Use {', '.join(sorted(layouts))}.",
-        )
-    rig = installed_profile(data_folder())
-    return Setup(
-        layouts[asked.layout],
-        parse_reflector(asked.reflector),
-        parse_body(asked.body or "none"),
-        config["motion.axis_distance_m"] or 1.0,
-        asked.rpm,
-        LinkBudget.on(rig, config["radar.gain"], config["radar.integration"]),
-        config["imaging.extent_m"],
-        asked.enrolled,
-        None if rig is None else rig.pulse,
-    )
 
 
 def _data(planned: Plan) -> dict[str, Any]:
@@ -181,23 +148,11 @@ def _rates_data(rates: Expected) -> dict[str, list[float]]:
     return {name: [share.value, share.low, share.high] for name, share in shares.items()}
 
 
-def _wanted_data(wanted: Wanted) -> dict[str, Any]:
-    return {
-        "reflector": None if wanted.plan is None else _data(wanted.plan),
-        "distance": None if wanted.distance is None else _data(wanted.distance),
-        "integration": None if wanted.integration is None else _data(wanted.integration),
-    }
-
-
 def _doubt(planned: Plan, wanted: Wanted, want: float) -> str:
     """What to do if no setup reaches a rate, or that the table cannot promise it; otherwise ""."""
     from tagid.proportion import trials_for
 
-    plans = [
-        alternative
-        for alternative in (wanted.plan, wanted.distance, wanted.integration)
-        if alternative is not None
-    ]
+    plans = filter(None, (wanted.plan, wanted.distance, wanted.integration))
     lowest = min(plans, key=lambda alternative: alternative.rates.named.low, default=None)
     if lowest is None:
         enrolled = planned.if_enrolled
@@ -216,36 +171,34 @@ def _doubt(planned: Plan, wanted: Wanted, want: float) -> str:
     )
 
 
-def _drawn(
-    planned: Plan, snr: float, wanted: Wanted | None, want: float | None, doubt: str
-) -> RenderableType:
-    from rich.console import Group
+def _drawn(planned: Plan, snr: float, wanted: Wanted | None, want: float | None, doubt: str) -> Drawn:
     from rich.text import Text
 
     from tagid.report.table import Table
 
-    def table() -> Table:
+    def table(rows: Iterable[Sequence[str | Text]]) -> Table:
         made = Table(box=None, show_header=False)
         made.add_column(no_wrap=True)
-        made.add_column(overflow="fold")
+        for row in rows:
+            made.add_row(*row)
+        for column in made.columns[1:]:
+            column.overflow = "fold"
         return made
 
-    budget = table()
-    budget.add_column(overflow="fold")
-    for term in planned.setup.budget.terms():
-        budget.add_row(term.name, f"{term.value:.4g} {term.unit}", Text(term.source, style="dim"))
-    outcome = table()
-    for name, text in _rows(planned, snr):
-        outcome.add_row(name, text)
-    parts: list[RenderableType] = [Text("link budget", "bold"), budget, Text("recording", "bold"), outcome]
+    budget = [
+        (term.name, f"{term.value:.4g} {term.unit}", Text(term.source, style="dim"))
+        for term in planned.setup.budget.terms()
+    ]
+    parts: list[Drawn] = [Text("link budget", "bold"), table(budget)]
+    parts += [Text("recording", "bold"), table(_rows(planned, snr))]
     if wanted is not None and want is not None:
         parts += [
             Text(f"expected to be named in {100 * want:g} % of readings, one change at a time", "bold"),
-            _reached(wanted, table()),
+            table(_reached(wanted)),
         ]
         if doubt:
             parts.append(Text(doubt, "yellow"))
-    return Group(*parts)
+    return parts
 
 
 def _rows(planned: Plan, snr: float) -> list[tuple[str, str]]:
@@ -274,10 +227,7 @@ def _rows(planned: Plan, snr: float) -> list[tuple[str, str]]:
     ]
     if planned.moved_m is not None:
         rows.append(
-            (
-                "",
-                f"beyond {planned.moved_m * 1e3:.1f} mm the echo of the moving body exceeds a reflector's",
-            )
+            ("", f"beyond {planned.moved_m * 1e3:.1f} mm the echo of the moving body exceeds a reflector's")
         )
     rows += _rates_rows("expected, body enrolled" if setup.enrolled else "expected", planned.rates)
     if planned.if_enrolled is not None:
@@ -288,39 +238,31 @@ def _rows(planned: Plan, snr: float) -> list[tuple[str, str]]:
 def _rates_rows(name: str, rates: Expected) -> list[tuple[str, str]]:
     return [
         (name, f"named {rates.named}, refused {rates.refused}, wrong {rates.wrong}"),
-        (
-            "",
-            f"simulated: {rates.source}; {rates.scenes} scenes" + (f"; {rates.note}" if rates.note else ""),
-        ),
+        ("", f"simulated: {rates.source}; {rates.scenes} scenes" + (f"; {rates.note}" if rates.note else "")),
     ]
 
 
-def _reached(wanted: Wanted, table: Any) -> RenderableType:
-    def row(name: str, alternative: Plan | None, none: str, words: Callable[[Plan], str]) -> None:
-        if alternative is None:
-            table.add_row(name, none)
-        else:
-            rates = alternative.rates
-            table.add_row(name, f"{words(alternative)}: named {rates.named}, {rates.scenes} scenes")
+def _reached(wanted: Wanted) -> list[tuple[str, str]]:
+    """What reaches the rate by one change alone, line by line."""
 
-    row(
-        "reflector",
-        wanted.plan,
-        "none up to 60 mm",
-        lambda alternative: f"{alternative.setup.reflector} or larger",
-    )
-    row(
-        "distance",
-        wanted.distance,
-        "none beyond 0.6 m",
-        lambda alternative: f"{alternative.setup.distance_m:g} m or closer",
-    )
-    row(
-        "integration",
-        wanted.integration,
-        "none",
-        lambda alternative: (
-            f"--integration {alternative.setup.budget.integration} or more, {alternative.views} views"
+    def row(name: str, alternative: Plan | None, none: str, words: Callable[[Plan], str]) -> tuple[str, str]:
+        if alternative is None:
+            return name, none
+        rates = alternative.rates
+        return name, f"{words(alternative)}: named {rates.named}, {rates.scenes} scenes"
+
+    return [
+        row("reflector", wanted.plan, "none up to 60 mm", lambda it: f"{it.setup.reflector} or larger"),
+        row(
+            "distance",
+            wanted.distance,
+            "none beyond 0.6 m",
+            lambda it: f"{it.setup.distance_m:g} m or closer",
         ),
-    )
-    return table  # type: ignore[no-any-return]
+        row(
+            "integration",
+            wanted.integration,
+            "none",
+            lambda it: f"--integration {it.setup.budget.integration} or more, {it.views} views",
+        ),
+    ]

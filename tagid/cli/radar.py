@@ -1,8 +1,8 @@
-"""`tagid radar`: find, query, configure and restart the radar, and record scans."""
+"""`tagid radar`: find, query, configure, restart and monitor the radar, and record scans."""
 
 from __future__ import annotations
 
-import math
+import time
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,17 +12,21 @@ import typer
 from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
-from tagid.cli.units import METRES, SECONDS
+from tagid.cli.options import METRES, SECONDS
 from tagid.config import Config, load_config, radar_url
-from tagid.constants import CAPTURE_SUFFIX
+from tagid.constants import CAPTURE_SUFFIX, SPEED_OF_LIGHT
 from tagid.counting import counted
-from tagid.errors import EXIT_DEVICE, EXIT_INTERRUPTED, EXIT_OK, ConfigError, UsageError
+from tagid.errors import EXIT_DEVICE, EXIT_INTERRUPTED, EXIT_OK, UsageError
 from tagid.result import Problem, Result
 
 if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
     from tagid.radar.p440 import P440
     from tagid.radar.settings import RadarConfig
     from tagid.recording.long_recording import RecordingState
+    from tagid.recording.monitoring import Monitor
+    from tagid.result import Drawn
 
 
 Seconds = Annotated[
@@ -31,10 +35,7 @@ Seconds = Annotated[
 Interval = Annotated[
     int,
     typer.Option(
-        "--interval-us",
-        min=0,
-        max=4294967295,
-        help="Microseconds between scans; 0: as fast as possible.",
+        "--interval-us", min=0, max=4294967295, help="Microseconds between scans; 0: as fast as possible."
     ),
 ]
 
@@ -50,20 +51,16 @@ def open_configured(config: Config) -> P440:
 def find(
     terminal: Terminal,
     address: Annotated[
-        list[str] | None,
-        typer.Option("--address", help="Query HOST[:PORT] instead of radar.addresses; repeatable."),
+        list[str] | None, typer.Option(help="Query HOST[:PORT] instead of radar.addresses; repeatable.")
     ] = None,
     ask: Annotated[
-        list[str] | None,
-        typer.Option("--ask", help="Also query this radar URL, e.g. of a UART adapter; repeatable."),
+        list[str] | None, typer.Option(help="Also query this radar URL, e.g. of a UART adapter; repeatable.")
     ] = None,
 ) -> Result:
     """Find radars on serial ports and at the configured addresses; takes up to 3 seconds.
 
     Example: tagid radar find
     """
-    from rich.console import Group
-
     from tagid.cli.frame import to_copy
     from tagid.radar.discovery import WHERE_TO_LOOK, addresses_from, discover
     from tagid.report.radar import found_table
@@ -82,7 +79,7 @@ def find(
         errors = (Problem("device", message, WHERE_TO_LOOK),)
     answering = [radar.url for radar in radars.radars if radar.status]
     urls = to_copy(answering, "tagid config set radar.url {}")
-    human = Group(found_table(radars.radars), urls) if radars.radars else None
+    human: Drawn | None = [found_table(radars.radars), urls] if radars.radars else None
     code = EXIT_OK if answering else EXIT_DEVICE
     return Result("radar find", data, human, exit_code=code, errors=errors, completed=len(answering))
 
@@ -103,10 +100,6 @@ def info(terminal: Terminal, radar: options.RadarUrl = None) -> Result:
     return Result("radar info", data, table, messages=tuple(radar_survey.warnings()))
 
 
-_LONGEST_M = 3e5
-"""The range limit of a signed 32-bit number of picoseconds."""
-
-
 @command("radar config")
 def config(
     terminal: Terminal,
@@ -114,35 +107,22 @@ def config(
     start: Annotated[
         float | None,
         typer.Option(
-            "--start",
-            parser=METRES,
-            min=-10000,
-            max=10000,
-            help="Start of the window, metres from the antennas.",
+            parser=METRES, min=-10000, max=10000, help="Start of the window, metres from the antennas."
         ),
     ] = None,
     stop: Annotated[
         float | None,
         typer.Option(
-            "--stop",
-            parser=METRES,
-            min=-10000,
-            max=10000,
-            help="End of the window, metres from the antennas.",
+            parser=METRES, min=-10000, max=10000, help="End of the window, metres from the antennas."
         ),
     ] = None,
     start_ps: Annotated[
         int | None,
         typer.Option(
-            "--start-ps",
-            min=-2147483648,
-            max=2147483647,
-            help="The same in two-way picoseconds, including cables.",
+            min=-2147483648, max=2147483647, help="The same in two-way picoseconds, including cables."
         ),
     ] = None,
-    stop_ps: Annotated[
-        int | None, typer.Option("--stop-ps", min=-2147483648, max=2147483647, help="The same.")
-    ] = None,
+    stop_ps: Annotated[int | None, typer.Option(min=-2147483648, max=2147483647, help="The same.")] = None,
     integration: Annotated[
         int | None,
         typer.Option(
@@ -153,19 +133,12 @@ def config(
             help="Integration index, 6 to 15: 2^n pulses per sample.",
         ),
     ] = None,
-    gain: Annotated[
-        int | None, typer.Option("--gain", min=-1000, max=1000, help="Transmit gain, 0 to 63.")
-    ] = None,
+    gain: Annotated[int | None, typer.Option(min=-1000, max=1000, help="Transmit gain, 0 to 63.")] = None,
     antenna_mode: Annotated[
-        int | None,
-        typer.Option("--antenna-mode", min=-1000, max=1000, help="0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA."),
+        int | None, typer.Option(min=-1000, max=1000, help="0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA.")
     ] = None,
-    code_channel: Annotated[
-        int | None, typer.Option("--code-channel", min=-1000, max=1000, help="0 to 10.")
-    ] = None,
-    node_id: Annotated[
-        int | None, typer.Option("--node-id", min=0, max=4294967295, help="Node id of the radar.")
-    ] = None,
+    code_channel: Annotated[int | None, typer.Option(min=-1000, max=1000, help="0 to 10.")] = None,
+    node_id: Annotated[int | None, typer.Option(min=0, max=4294967295, help="Node id of the radar.")] = None,
     save: Annotated[bool, typer.Option("--save", help="Store the settings in the radar's flash.")] = False,
     cable_delay: options.CableDelay = None,
 ) -> Result:
@@ -201,10 +174,6 @@ def _edge(name: str, metres: float | None, picoseconds: int | None, delay_ps: fl
         return picoseconds
     if picoseconds is not None:
         raise UsageError(f"--{name} and --{name}-ps set the same value", "Give one of them.")
-    if not (math.isfinite(metres) and abs(metres) <= _LONGEST_M):
-        raise ConfigError(f"--{name} is {metres} m", "Give metres from the antennas.")
-    from tagid.constants import SPEED_OF_LIGHT
-
     return round(2e12 * metres / SPEED_OF_LIGHT + delay_ps)
 
 
@@ -247,13 +216,10 @@ def _holds(asked: dict[str, int], taken: RadarConfig) -> bool:
 def record(
     terminal: Terminal,
     radar: options.RadarUrl = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Capture to write.", show_default=False)
-    ] = None,
-    save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the capture.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Capture to write.")] = None,
+    save_dir: Annotated[Path | None, typer.Option(help="Folder for the capture.")] = None,
     scans: Annotated[
-        int | None,
-        typer.Option("--scans", min=-2147483648, max=2147483648, help="Stop after this number of scans."),
+        int | None, typer.Option(min=-2147483648, max=2147483648, help="Stop after this number of scans.")
     ] = None,
     seconds: Seconds = None,
     interval_us: Interval = 0,
@@ -261,14 +227,12 @@ def record(
     antenna_height: options.AntennaHeight = None,
     antenna_separation: options.AntennaSeparation = None,
     cable_delay: options.CableDelay = None,
-    note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a place.")] = "",
+    note: Annotated[str, typer.Option(help="Text stored in the capture, e.g. a place.")] = "",
 ) -> Result:
     """Record scans with the radar's current settings, without imaging, until a limit or Ctrl-C.
 
     Example: tagid radar record --seconds 3600 --save-dir /data/today
     """
-    from rich.text import Text
-
     from tagid.metadata import ObjectInfo
     from tagid.operate.words import notes
     from tagid.operate.workplace import Workplace
@@ -287,7 +251,9 @@ def record(
         }
     )
     radar_url(config)
-    _check(scans, seconds, interval_us)
+    if scans is not None and scans < 1:
+        raise UsageError(f"--scans is {scans}", "Give 1 or more.")
+    _check_seconds(seconds)
     path = out or capture_path(Workplace(config).folder())
     if not path.name.endswith(CAPTURE_SUFFIX):
         raise UsageError(f"--out is {path}", "Give a name that ends in .tagid.h5.")
@@ -331,16 +297,12 @@ def record(
         "stopped_by_user": asked_to_stop(),
     }
     code = EXIT_OK if written.complete else EXIT_INTERRUPTED
-    return Result("radar record", data, Text(text), exit_code=code, messages=tuple(notes(written.radar)))
+    return Result("radar record", data, text, exit_code=code, messages=tuple(notes(written.radar)))
 
 
-def _check(scans: int | None, seconds: float | None, interval_us: int) -> None:
-    if scans is not None and scans < 1:
-        raise UsageError(f"--scans is {scans}", "Give 1 or more.")
+def _check_seconds(seconds: float | None) -> None:
     if seconds is not None and not 0 < seconds < 1e8:
         raise UsageError(f"--seconds is {seconds}", "Give a positive number of seconds.")
-    if not 0 <= interval_us < 2**32:
-        raise UsageError(f"--interval-us is {interval_us}", "Give 0 to 4294967295 microseconds.")
 
 
 @command("radar reboot")
@@ -348,16 +310,13 @@ def reboot(
     terminal: Terminal,
     radar: options.RadarUrl = None,
     wait: Annotated[
-        float, typer.Option("--wait", parser=SECONDS, help="Longest time to wait for a response, s.")
+        float, typer.Option(parser=SECONDS, help="Longest time to wait for a response, s.")
     ] = 20.0,
 ) -> Result:
     """Restart the radar and wait until it responds (7 s on Ethernet, 11 s otherwise).
 
     Example: tagid radar reboot --radar udp://192.168.1.100
     """
-    import time
-
-    from rich.text import Text
 
     if not 1 <= wait <= 600:
         raise UsageError(f"--wait is {wait}", "Give 1 to 600 seconds.")
@@ -368,4 +327,120 @@ def reboot(
     took = time.monotonic() - started
     url = radar_url(config)
     data = {"url": url, "seconds": round(took, 3), "config": asdict(taken)}
-    return Result("radar reboot", data, Text(f"{url} responds again after {took:.1f} s"))
+    return Result("radar reboot", data, f"{url} responds again after {took:.1f} s")
+
+
+_REFRESHES = 24
+"""Target frame rate per second; drawing takes time, and 10 are required over a slow connection."""
+_TEMPERATURE_EVERY_S = 2.0
+
+
+@command("radar monitor")
+def monitor(
+    terminal: Terminal,
+    radar: options.RadarUrl = None,
+    changing: Annotated[
+        bool, typer.Option("--changing", help="Subtract the running mean, to show only what changes.")
+    ] = False,
+    seconds: Seconds = None,
+    interval_us: Interval = 0,
+    cable_delay: options.CableDelay = None,
+) -> Result:
+    """Show range over time, strongest return, clipping, loss and temperature, at the radar's settings.
+
+    Example: tagid radar monitor --radar udp://192.168.1.100
+    """
+    _check_seconds(seconds)
+    config = load_config({"radar.url": radar, "radar.cable_delay_ps": cable_delay})
+    radar_url(config)
+    return _watch(terminal, config, changing, seconds, interval_us)
+
+
+class _Screen:
+    """Draws snapshots and counts how often."""
+
+    def __init__(self, view: Monitor, title: str, console: Console) -> None:
+        from tagid.report.preview import colour_wanted
+
+        self._view, self._title, self._console = view, title, console
+        self._colour = colour_wanted(console)
+        self.frames = 0
+        self.first_s = self.last_s = 0.0
+
+    def __call__(self) -> RenderableType:
+        from tagid.report.waterfall import draw
+
+        self.last_s = time.monotonic()
+        self.first_s = self.first_s or self.last_s
+        self.frames += 1
+        size = self._console.size
+        return draw(self._view.snapshot(), self._title, (size.width, size.height), self._colour)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Frames per second."""
+        spent = self.last_s - self.first_s
+        return (self.frames - 1) / spent if spent > 0 else None
+
+
+def _watch(
+    terminal: Terminal, config: Config, changing: bool, seconds: float | None, interval_us: int
+) -> Result:
+    from rich.console import Console
+    from rich.live import Live
+
+    from tagid.recording.monitoring import Monitor
+
+    console = Console(stderr=True, highlight=False)
+    with open_configured(config) as device:
+        view = Monitor(device.config, config["radar.cable_delay_ps"], changing)
+        view.temperature_c = device.status().temperature_c
+        screen = _Screen(view, f"tagid radar monitor {radar_url(config)}", console)
+        try:
+            if terminal.quiet or not console.is_terminal:
+                _receive(device, view, seconds, interval_us)
+            else:
+                with Live(
+                    console=console, screen=True, refresh_per_second=_REFRESHES, get_renderable=screen,
+                    redirect_stdout=False, redirect_stderr=False,
+                ):  # fmt: skip
+                    _receive(device, view, seconds, interval_us)
+        except KeyboardInterrupt:
+            pass  # the usual end
+    last = view.snapshot()
+    data: dict[str, Any] = {
+        "seconds": last.seconds,
+        "scans": last.scans,
+        "scan_rate_hz": last.scan_rate_hz,
+        "snr_db": last.snr_db,
+        "peak_m": last.peak_m,
+        "clipped_fraction": last.clipped_fraction,
+        "lost": last.lost,
+        "lost_fraction": last.lost_fraction,
+        "temperature_c": last.temperature_c,
+        "frames": screen.frames,
+        "frames_per_second": screen.rate_hz,
+    }
+    text = f"{last.scans} scans in {last.seconds:.1f} s, {last.lost} lost, {last.strongest}"
+    return Result("radar monitor", data, text)
+
+
+def _receive(device: P440, view: Monitor, seconds: float | None, interval_us: int) -> None:
+    from tagid.metadata import ScanGap
+    from tagid.radar.resume import steady_scans
+
+    def note(gap: ScanGap) -> None:
+        view.note = f"the radar was disconnected for {gap.seconds:.1f} s: {gap.reason}"
+
+    began = time.monotonic()
+    ask_at = began + _TEMPERATURE_EVERY_S
+    for scan in steady_scans(device, interval_us=interval_us, on_gap=note):
+        view.add(scan, device.statistics)
+        now = time.monotonic()
+        if now >= ask_at:
+            ask_at = now + _TEMPERATURE_EVERY_S
+            device.ask_status()
+        if device.latest_status is not None:
+            view.temperature_c = device.latest_status.temperature_c
+        if seconds is not None and now - began >= seconds:
+            return

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,54 +13,51 @@ import typer
 from tagid.cli import options
 from tagid.cli.consent import agree_to_replace, can_ask, read_line
 from tagid.cli.frame import Terminal, command
+from tagid.cli.options import METRES, NANOSECONDS
 from tagid.cli.radar import open_configured
-from tagid.cli.units import METRES, NANOSECONDS
 from tagid.config import Config, data_folder, load_config, radar_url
 from tagid.constants import BACKGROUND_FILE, SPEED_OF_LIGHT
-from tagid.errors import DataError, StorageError, UsageError
+from tagid.errors import DataError, DeviceError, StorageError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
     from tagid.capture import Capture
     from tagid.radar.p440 import P440
-    from tagid.radar.settings import RadarConfig
     from tagid.recording.calibration import DelayEstimate
 
 _SAME_PATH_M = 1.0
 """Largest change of the two-way path through cables and antennas that is stored without a question, m."""
 
 
-@command("radar calibrate")
-def calibrate(
-    terminal: Terminal,
+@dataclass(frozen=True)
+class _Asked:
+    """What is calibrated, and how."""
+
     distance: Annotated[
         float | None,
-        typer.Option(
-            "--distance", parser=METRES, help="Measured distance from the antennas to the target, metres."
-        ),
-    ] = None,
+        typer.Option(parser=METRES, help="Measured distance from the antennas to the target, metres."),
+    ] = None
     tape_error: Annotated[
-        float,
-        typer.Option(
-            "--tape-error", parser=METRES, min=0, max=10, help="Standard deviation of this distance, metres."
-        ),
-    ] = 0.005,
+        float, typer.Option(parser=METRES, min=0, max=10, help="Standard deviation of this distance, metres.")
+    ] = 0.005
     step: Annotated[
-        str | None,
-        typer.Option("--step", help="empty, target, or both with a pause to place the target."),
-    ] = None,
-    scans: Annotated[
-        int, typer.Option("--scans", min=-2147483648, max=2147483648, help="Scans per step.")
-    ] = 200,
+        str | None, typer.Option(help="empty, target, or both with a pause to place the target.")
+    ] = None
+    scans: Annotated[int, typer.Option(min=-2147483648, max=2147483648, help="Scans per step.")] = 200
     longest_delay: Annotated[
-        float,
-        typer.Option("--longest-delay", parser=NANOSECONDS, help="Upper limit of the delay search, ns."),
-    ] = 25.0,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but store nothing.")] = False,
+        float, typer.Option(parser=NANOSECONDS, help="Upper limit of the delay search, ns.")
+    ] = 25.0
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but store nothing.")] = False
     yes: Annotated[
         bool,
         typer.Option("--yes", "-y", help="Replace a delay that differs by a metre without confirmation."),
-    ] = False,
+    ] = False
+
+
+@command("radar calibrate")
+def calibrate(
+    terminal: Terminal,
+    asked: _Asked,
     radar: options.RadarUrl = None,
     axis_distance: options.AxisDistance = None,
 ) -> Result:
@@ -69,55 +67,47 @@ def calibrate(
 
     Example: tagid radar calibrate --distance 2.00
     """
+    from tagid.recording.calibration import take_scans
+
     config = load_config({"radar.url": radar, "motion.axis_distance_m": axis_distance})
     radar_url(config)
-    chosen = _steps(step, distance)
-    session = _Session(terminal, config, scans, longest_delay * 1e3, distance)
-    if not 0 < longest_delay <= 200:
-        raise UsageError(f"--longest-delay is {longest_delay} ns", "Give up to 200 ns.")
+    chosen = _steps(asked.step, asked.distance)
+    if not 0 < asked.longest_delay <= 200:
+        raise UsageError(f"--longest-delay is {asked.longest_delay} ns", "Give up to 200 ns.")
+
+    def take(what: str) -> Capture:
+        with terminal.progress(what, asked.scans) as advance:
+            return take_scans(device, asked.scans, lambda done, _: advance(done, f"{done} scans"))
+
     with open_configured(config) as device:
         before = device.config
         try:
-            session.set_window(device)
+            _set_window(device, config, asked)
             if chosen == "both":
                 _ask("Remove the target from the beam")
-            empty = None if chosen == "target" else session.take(device, "empty scene")
+            empty = None if chosen == "target" else take("empty scene")
             if chosen == "both":
-                _ask(f"Put the target at {distance:g} m from the antennas")
-            target = None if chosen == "empty" else session.take(device, "target")
+                _ask(f"Put the target at {asked.distance:g} m from the antennas")
+            target = None if chosen == "empty" else take("target")
         finally:
-            _put_back(device, before)
-    return _keep(session, empty, target, tape_error, dry_run, yes)
+            # The radar's settings, unless it is disconnected.
+            with suppress(DeviceError):
+                device.set_config(replace(before, persist=0))
+    return _keep(config, asked, empty, target)
 
 
-class _Session:
-    """Data shared by the steps of one calibration."""
+def _set_window(device: P440, config: Config, asked: _Asked) -> None:
+    """One window for both steps, which also covers the window of a scan, with the settings of a scan."""
+    from tagid.recording.calibration import calibration_window
 
-    def __init__(
-        self, terminal: Terminal, config: Config, scans: int, longest_ps: float, distance_m: float | None
-    ) -> None:
-        self.terminal, self.config, self.scans = terminal, config, scans
-        self.longest_ps, self.distance_m = longest_ps, distance_m
-
-    def set_window(self, device: P440) -> None:
-        """One window for both steps, which also covers the window of a scan, with the settings of a scan."""
-        from tagid.recording.calibration import calibration_window
-
-        distances = [] if self.distance_m is None else [self.distance_m]
-        axis, reach = self.config["motion.axis_distance_m"], self.config["imaging.extent_m"] + 0.35
-        if axis is not None:
-            distances += [max(axis - reach, 0.0), axis + reach]
-        if not distances:
-            return  # the window of a scan is unknown: keep the radar's window
-        base = device.config.configured(self.config)
-        device.set_config(calibration_window(distances, self.longest_ps, base))
-
-    def take(self, device: P440, what: str) -> Capture:
-        """The scans of one step."""
-        from tagid.recording.calibration import take_scans
-
-        with self.terminal.progress(what, self.scans) as advance:
-            return take_scans(device, self.scans, lambda done, _: advance(done, f"{done} scans"))
+    distances = [] if asked.distance is None else [asked.distance]
+    axis, reach = config["motion.axis_distance_m"], config["imaging.extent_m"] + 0.35
+    if axis is not None:
+        distances += [max(axis - reach, 0.0), axis + reach]
+    if not distances:
+        return  # the window of a scan is unknown: keep the radar's window
+    base = device.config.configured(config)
+    device.set_config(calibration_window(distances, asked.longest_delay * 1e3, base))
 
 
 def _steps(step: str | None, distance: float | None) -> str:
@@ -148,16 +138,6 @@ def _ask(what: str) -> None:
         ) from None
 
 
-def _put_back(device: P440, before: RadarConfig) -> None:
-    """The radar's settings, unless it is disconnected."""
-    from tagid.errors import DeviceError
-
-    try:
-        device.set_config(replace(before, persist=0))
-    except DeviceError:
-        return
-
-
 def _check_change(previous_ps: float | None, delay_ps: float, distance_m: float) -> None:
     """Ask before a delay is replaced by one that only other cables, or another distance, could explain.
 
@@ -176,14 +156,7 @@ def _check_change(previous_ps: float | None, delay_ps: float, distance_m: float)
     )
 
 
-def _keep(
-    session: _Session,
-    empty: Capture | None,
-    target: Capture | None,
-    tape_error: float,
-    dry_run: bool,
-    yes: bool,
-) -> Result:
+def _keep(config: Config, asked: _Asked, empty: Capture | None, target: Capture | None) -> Result:
     from tagid.config import change_settings
     from tagid.files import make_folder
     from tagid.recording.calibration import estimate_delay, make_reference
@@ -193,30 +166,32 @@ def _keep(
     reference = None if empty is None else make_reference(empty)
     estimate: DelayEstimate | None = None
     notes: list[str] = []
-    if target is not None and session.distance_m is not None:
-        background, note = _background(session, reference, target)
+    if target is not None and asked.distance is not None:
+        background, note = _background(config, reference, target)
         notes += [note] if note else []
-        estimate = estimate_delay(target, session.distance_m, tape_error, background, session.longest_ps)
-    before = session.config.values["radar.cable_delay_ps"]
+        estimate = estimate_delay(
+            target, asked.distance, asked.tape_error, background, asked.longest_delay * 1e3
+        )
+    before = config.values["radar.cable_delay_ps"]
     previous_ps = None if before.source == "default" else float(before.value)
-    if estimate is not None and session.distance_m is not None and not (dry_run or yes):
-        _check_change(previous_ps, estimate.delay_ps, session.distance_m)
+    if estimate is not None and asked.distance is not None and not (asked.dry_run or asked.yes):
+        _check_change(previous_ps, estimate.delay_ps, asked.distance)
     changes: dict[str, Any] = {}
     if estimate is not None:
         changes["radar.cable_delay_ps"] = round(estimate.delay_ps, 1)
         changes["radar.cable_delay_sigma_ps"] = round(estimate.sigma_ps, 1)
     path: Path | None = None
-    if reference is not None and not dry_run:
+    if reference is not None and not asked.dry_run:
         path = data_folder() / BACKGROUND_FILE
         make_folder(path.parent)
         write_capture(path, reference)
         changes["radar.background"] = str(path)
-    stored = None if dry_run or not changes else change_settings(changes)
+    stored = None if asked.dry_run or not changes else change_settings(changes)
     facts = None if reference is None else reference.radar.reference
     data = {
         "estimate": None if estimate is None else asdict(estimate),
         "previous_delay_ps": previous_ps,
-        "distance_m": session.distance_m,
+        "distance_m": asked.distance,
         "reference": None if facts is None else facts.to_json(),
         "background": None if path is None else str(path),
         "config": None if stored is None else str(stored),
@@ -226,7 +201,7 @@ def _keep(
     return Result("radar calibrate", data, table, messages=tuple(notes))
 
 
-def _background(session: _Session, fresh: Capture | None, target: Capture) -> tuple[Any, str]:
+def _background(config: Config, fresh: Capture | None, target: Capture) -> tuple[Any, str]:
     """(mean empty scene on the target's grid or None, remark)."""
     from tagid.recording.calibration import reference_on
     from tagid.storage.importers import read_any
@@ -234,9 +209,9 @@ def _background(session: _Session, fresh: Capture | None, target: Capture) -> tu
     if fresh is not None:
         return reference_on(fresh, target), ""
     alone = "the empty scene was not subtracted: leakage or a wall may have been mistaken for the target"
-    if not session.config["radar.background"]:
+    if not config["radar.background"]:
         return None, f"{alone}; run --step empty first"
     try:
-        return reference_on(read_any(Path(session.config["radar.background"])), target), ""
+        return reference_on(read_any(Path(config["radar.background"])), target), ""
     except (DataError, StorageError) as error:
         return None, f"{alone} ({error.message})"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,8 +13,8 @@ import typer
 from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command
-from tagid.cli.units import SECONDS
-from tagid.config import Config, load_config
+from tagid.cli.options import SECONDS
+from tagid.config import load_config
 from tagid.counting import counted
 from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, StorageError, UsageError, visible
 from tagid.result import Problem, Result
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from tagid.batch.local import Runner
     from tagid.batch.run import BatchPlan, Finished
     from tagid.report.records import ItemRecord
+    from tagid.result import Drawn
 
 _SHOWN_ERRORS = 10
 
@@ -30,12 +33,11 @@ _SHOWN_ERRORS = 10
 def report(
     terminal: Terminal,
     inputs: Annotated[
-        list[str] | None,
-        typer.Argument(help="Folders, files or URLs of captures.", show_default=False, metavar="INPUT..."),
+        list[str] | None, typer.Argument(help="Folders, files or URLs of captures.", metavar="INPUT...")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the report.")] = Path("report"),
+    out: Annotated[Path, typer.Option(help="Folder for the report.")] = Path("report"),
     expect: Annotated[
-        Path | None, typer.Option("--expect", help="CSV with file,expected_layout to compare with.")
+        Path | None, typer.Option(help="CSV with file,expected_layout to compare with.")
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an earlier run and reuse its results.")
@@ -43,21 +45,18 @@ def report(
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier report.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failure.")] = False,
     watch: Annotated[
-        Path | None, typer.Option("--watch", help="Identify new captures in this folder as they arrive.")
+        Path | None, typer.Option(help="Identify new captures in this folder as they arrive.")
     ] = None,
     idle_stop: Annotated[
-        float | None,
-        typer.Option("--idle-stop", parser=SECONDS, help="With --watch: stop after this many idle seconds."),
+        float | None, typer.Option(parser=SECONDS, help="With --watch: stop after this many idle seconds.")
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", "-j", help="Worker processes; 0: one per core.")] = 0,
-    dask: Annotated[
-        str | None, typer.Option("--dask", help="Scheduler of a Dask cluster, tcp://HOST:PORT.")
-    ] = None,
+    dask: Annotated[str | None, typer.Option(help="Scheduler of a Dask cluster, tcp://HOST:PORT.")] = None,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw each object.")] = True,
     page_megabytes: Annotated[
-        float, typer.Option("--page-megabytes", help="Size limit for all pictures of the page, MB.")
+        float, typer.Option(help="Size limit for all pictures of the page, MB.")
     ] = 32.0,
-    title: Annotated[str, typer.Option("--title", help="Title of the page.")] = "",
+    title: Annotated[str, typer.Option(help="Title of the page.")] = "",
     method: options.Method = None,
     setup: options.RecordedOptions = options.RecordedOptions(),
 ) -> Result:
@@ -69,8 +68,11 @@ def report(
 
     Example: tagid report captures/ --out report --expect manifest.csv
     """
+    from tagid.batch.expected import read_manifest
     from tagid.batch.inputs import Collected, collect, is_url
+    from tagid.batch.job import Job
     from tagid.batch.run import BatchPlan
+    from tagid.operate.workplace import Workplace
     from tagid.report.page import PageSettings
 
     if not inputs and watch is None:
@@ -85,17 +87,17 @@ def report(
     page = PageSettings(title or PageSettings.title, page_megabytes)
     runner = _runner(terminal, jobs, dask)
     collected = collect(inputs, out) if inputs else Collected(())
-    job = _job(config, setup.background, pictures)
+    job = Job.of(Workplace(config, setup.background).setup(), pictures)
     plan = BatchPlan(collected, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
     if expect is not None:
-        plan = _expecting(plan, expect, job)
+        names = [layout.name for layout in job.setup.enrolled.layouts]
+        expected = read_manifest(expect, collected.sources, names, may_come=watch is not None)
+        plan = replace(plan, expectations=expected)
     remarks = _check_earlier(plan, force)
     return _run(terminal, plan, job, runner, remarks)
 
 
 def _runner(terminal: Terminal, jobs: int, dask: str | None) -> Runner:
-    from functools import partial
-
     from tagid.batch.local import cores, run_local
 
     if dask is not None:
@@ -105,13 +107,6 @@ def _runner(terminal: Terminal, jobs: int, dask: str | None) -> Runner:
     if not 0 <= jobs <= 1024:
         raise UsageError(f"--jobs is {jobs}", "Give 1 to 1024, or 0 for every core.")
     return partial(run_local, workers=jobs or cores())
-
-
-def _job(config: Config, background: str, pictures: bool) -> Job:
-    from tagid.batch.job import Job
-    from tagid.operate.workplace import Workplace
-
-    return Job.of(Workplace(config, background).setup(), pictures)
 
 
 def _watch(folder: Path | None, out: Path, idle_stop: float | None) -> Any:
@@ -130,23 +125,10 @@ def _watch(folder: Path | None, out: Path, idle_stop: float | None) -> Any:
     return FolderWatch(folder, out, idle_stop_s=idle_stop)
 
 
-def _expecting(plan: BatchPlan, manifest: Path, job: Job) -> BatchPlan:
-    from dataclasses import replace
-
-    from tagid.batch.expected import read_manifest
-
-    names = [layout.name for layout in job.setup.enrolled.layouts]
-    may_come = plan.watch is not None
-    expectations = read_manifest(manifest, plan.inputs.sources, names, may_come=may_come)
-    return replace(plan, expectations=expectations)
-
-
 def _check_earlier(plan: BatchPlan, force: bool) -> list[str]:
     """Agree to replace an earlier report in the folder, unless this run continues it.
 
-    Returns remarks on captures of the earlier report that are gone from their places.
-
-    Raises as `consent.agree_to_replace` does, StorageError for a working file that cannot be read.
+    Returns remarks on its captures that are gone. Raises as `consent.agree_to_replace`, and StorageError.
     """
     from tagid.batch.inputs import is_url
     from tagid.batch.run import FILES
@@ -154,7 +136,8 @@ def _check_earlier(plan: BatchPlan, force: bool) -> list[str]:
     from tagid.cli.consent import agree_to_replace
 
     out = plan.out
-    present = [name for name in (*FILES, FILE_NAME) if _is_plain_file(out / name)]
+    paths = {name: out / name for name in (*FILES, FILE_NAME)}
+    present = [name for name, path in paths.items() if path.is_file() and not path.is_symlink()]
     if not present:
         return []
     if FILE_NAME not in present:
@@ -177,10 +160,6 @@ def _check_earlier(plan: BatchPlan, force: bool) -> list[str]:
         )
     gone = len(missing) - len(not_inputs)
     return [f"no longer in its place: {counted(gone, 'capture')} of the earlier report"] if gone else []
-
-
-def _is_plain_file(path: Path) -> bool:
-    return path.is_file() and not path.is_symlink()
 
 
 def _missing(names: list[str], plan: BatchPlan) -> list[str]:
@@ -276,18 +255,18 @@ def _result(terminal: Terminal, plan: BatchPlan, finished: Finished, remarks: li
         code = EXIT_INTERRUPTED
     counts = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in summary["by_status"].items() if n)
     captures = counted(summary["captures"], "capture")
-    lines_out = [Text.assemble((f"{captures}: ", "bold"), counts or "none")]
+    lines_out: list[Drawn] = [Text.assemble((f"{captures}: ", "bold"), counts or "none")]
     if words := qualified(summary):
         lines_out.append(Text(words, "yellow"))
     if summary["expected"]:
         e = summary["expected"]
         accuracy = "-" if e["accuracy"] is None else f"{e['accuracy']:.1%}"
-        lines_out.append(Text(f"as expected: {e['correct']} of {e['items']} ({accuracy})"))
-    lines_out.append(Text(f"report       {files['report.html']}"))
+        lines_out.append(f"as expected: {e['correct']} of {e['items']} ({accuracy})")
+    lines_out.append(f"report       {files['report.html']}")
     return Result(
         "report",
         data,
-        Text("\n").join(lines_out),
+        lines_out,
         exit_code=code,
         messages=tuple(messages),
         errors=tuple(errors),

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,37 +17,47 @@ from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.consent import Yes, agree_to
 from tagid.cli.frame import Terminal, command
-from tagid.cli.options import Limits, demo_settings
-from tagid.cli.truth import truth_of, with_truth
-from tagid.cli.units import SECONDS
+from tagid.cli.options import SECONDS
 from tagid.config import load_config
 from tagid.errors import ConfigError, TagidError, UsageError
 from tagid.result import Problem, Result
+from tagid.workers import Worker
 
 if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+    from rich.live import Live
+
+    from tagid.capture import Capture
+    from tagid.live.engine import LiveSettings, LiveView
     from tagid.metadata import ObjectInfo
     from tagid.operate.turn import Answer, Recorded
     from tagid.operate.workplace import Workplace
     from tagid.recording.plan import RecordingPlan
+    from tagid.recording.recorder import Watch
+    from tagid.result import Drawn
 
 MAX_REPEAT = 100
 
 
 @dataclass(frozen=True)
-class View:
-    """Display options of a scan.
+class _ViewOptions:
+    """What a scan shows and how long it lasts, and a note on it."""
 
-    Attributes:
-        preview: also draw the image in the terminal.
-        subtract_body: subtract the body's echo from the image.
-        live: show image and evidence during the scan.
-        until_sure: end the scan as soon as the answer is certain.
-    """
-
-    preview: bool
-    subtract_body: bool
-    live: bool
-    until_sure: bool
+    preview: options.Preview = False
+    live: Annotated[bool, typer.Option("--live", help="Show image and evidence during the scan.")] = False
+    until_sure: Annotated[
+        bool,
+        typer.Option(
+            "--until-sure", help="End scan and motion once a bare tag of three reflectors or more is certain."
+        ),
+    ] = False
+    note: Annotated[str, typer.Option(help="Text stored in the capture, e.g. a name.")] = ""
+    subtract_body: Annotated[
+        bool,
+        typer.Option(
+            "--subtract-body/--keep-body", help="Draw the picture without the echo of a detected body."
+        ),
+    ] = True
 
 
 @command("scan")
@@ -52,44 +66,23 @@ def scan(
     radar: options.RadarUrl = None,
     setup: options.SetupOptions = options.SetupOptions(),
     cable_delay: options.CableDelay = None,
-    scans: Annotated[int | None, typer.Option("--scans", help="Stop after this number of scans.")] = None,
+    scans: Annotated[int | None, typer.Option(help="Stop after this number of scans.")] = None,
     max_seconds: Annotated[
-        float, typer.Option("--max-seconds", parser=SECONDS, help="Stop after this time, seconds.")
+        float, typer.Option(parser=SECONDS, help="Stop after this time, seconds.")
     ] = 180.0,
-    save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
+    save_dir: Annotated[Path | None, typer.Option(help="Folder for the files.")] = None,
     method: options.Method = None,
     demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
-    demo_scene: Annotated[str, typer.Option("--demo-scene", help="Scene of the demo.")] = "helmet-120",
-    preview: options.Preview = False,
-    live: Annotated[bool, typer.Option("--live", help="Show image and evidence during the scan.")] = False,
-    until_sure: Annotated[
-        bool,
-        typer.Option(
-            "--until-sure",
-            help="End scan and motion once a bare tag of three reflectors or more is certain.",
-        ),
-    ] = False,
-    note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a name.")] = "",
-    subtract_body: Annotated[
-        bool,
-        typer.Option(
-            "--subtract-body/--keep-body", help="Draw the picture without the echo of a detected body."
-        ),
-    ] = True,
-    repeat: Annotated[
-        int, typer.Option("--repeat", help="Number of revolutions to record for one joint answer.")
-    ] = 1,
+    demo_scene: Annotated[str, typer.Option(help="Scene of the demo.")] = "helmet-120",
+    view: _ViewOptions = _ViewOptions(),
+    repeat: Annotated[int, typer.Option(help="Number of revolutions to record for one joint answer.")] = 1,
     truth: Annotated[
-        Path | None,
-        typer.Option("--truth", help="File of emulate --truth, stored in the capture.", show_default=False),
+        Path | None, typer.Option(help="File of emulate --truth, stored in the capture.")
     ] = None,
     heights: Annotated[
         str | None,
         typer.Option(
-            "--heights",
-            metavar="H,H,...",
-            help="Record one revolution from each antenna height, metres, and join them.",
-            show_default=False,
+            metavar="H,H,...", help="Record one revolution from each antenna height, metres, and join them."
         ),
     ] = None,
     yes: Yes = False,
@@ -111,50 +104,42 @@ def scan(
     from tagid.metadata import ObjectInfo
     from tagid.operate.workplace import Workplace
 
-    about = ObjectInfo(note=note or None, demo=demo or None)
-    limits = Limits(scans, max_seconds)
+    about = ObjectInfo(note=view.note or None, demo=demo or None)
     if not 1 <= repeat <= MAX_REPEAT:
         raise ConfigError(f"--repeat is {repeat}", f"Give 1 to {MAX_REPEAT}.")
     levels = None
     if heights is not None:
         from tagid.cli.scan_heights import Lift, parse_heights, scan_heights
 
-        if repeat > 1 or live or until_sure or preview or setup.antenna_height is not None:
+        if repeat > 1 or view.live or view.until_sure or view.preview or setup.antenna_height is not None:
             raise UsageError(
                 "--heights cannot be combined with --repeat, --live, --until-sure, --preview or "
                 "--antenna-height",
                 "Omit them.",
             )
         levels = parse_heights(heights)
-    if until_sure and repeat > 1:
+    if view.until_sure and repeat > 1:
         raise ConfigError(
             "--until-sure cannot be combined with --repeat: a joint answer needs whole turns",
             "Omit one of the two.",
         )
-    shown = View(preview, subtract_body, live, until_sure)
-    config = load_config(overrides | (demo_settings(demo_scene, overrides) if demo else {}))
+    config = load_config(overrides | (options.demo_settings(demo_scene, overrides) if demo else {}))
     agree_to(config["motion.url"], yes)
-    about = with_truth(about, truth_of(config["radar.url"] or "", truth))
+    about = _with_truth(about, _truth_of(config["radar.url"] or "", truth))
     place = Workplace(config)
+    plan = partial(place.plan, scans, max_seconds, about)
     if levels is not None:
-        return scan_heights(terminal, place, limits, about, levels, Lift.of(place, yes))
-    return _scans(terminal, place, limits, about, shown, repeat)
+        return scan_heights(terminal, place, plan, levels, Lift.of(place, yes))
+    turns = [_scan(terminal, place, plan, view) for _ in range(repeat)]
+    if repeat > 1 and not any(turn.errors for turn in turns):
+        return _joint(terminal, place, turns)
+    return next((turn for turn in turns if turn.errors), turns[-1])
 
 
-def _scans(
-    terminal: Terminal,
-    place: Workplace,
-    limits: Limits,
-    about: ObjectInfo,
-    view: View,
-    repeat: int,
-) -> Result:
-    """One revolution, or several with a joint answer; captures recorded before a failure are kept."""
+def _joint(terminal: Terminal, place: Workplace, turns: list[Result]) -> Result:
+    """The joint answer of several revolutions."""
     from tagid.cli.identify import vote_on
 
-    turns = [_scan(terminal, place, limits, about, view) for _ in range(repeat)]
-    if repeat == 1 or any(turn.errors for turn in turns):
-        return next((turn for turn in turns if turn.errors), turns[-1])
     files = [Path(turn.data["files"]["capture"]) for turn in turns]
     joint = vote_on(terminal, place, files, "scan")
     facts = [{key: value for key, value in turn.data.items() if key != "items"} for turn in turns]
@@ -162,24 +147,23 @@ def _scans(
     return replace(joint, data={"items": joint.data["items"], "turns": facts}, messages=messages)
 
 
-def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInfo, view: View) -> Result:
+def _scan(
+    terminal: Terminal, place: Workplace, planned: Callable[[], RecordingPlan], view: _ViewOptions
+) -> Result:
     """Record one revolution, name the object, draw it, and store the answer."""
-    from rich.console import Group, RenderableType
-    from rich.text import Text
-
     from tagid.cli import imaging
     from tagid.operate.turn import draw, failed, picture_of
     from tagid.operate.words import SUBTRACTED, ending_words, learned_words, turn_line
     from tagid.report.arrays import write_image
 
     url = place.radar_url()
-    plan = place.plan(limits.scans, limits.max_seconds, about)
+    plan = planned()
     recorded, answer, live, messages = _record_and_read(terminal, place, plan, view)
     capture, path = recorded.capture, recorded.path
     resolved, ended = capture.motion.resolved, capture.radar.ended
     png = picture_of(path)
     npz = png.with_suffix(".image.npz")
-    drawn: list[RenderableType] = []
+    drawn: list[Drawn] = []
     details: list[str] = []
     files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
     errors: tuple[Problem, ...] = ()
@@ -207,12 +191,12 @@ def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInf
     else:
         code = imaging.exit_code_of([answer.identification])
         drawn.insert(0, imaging.describe(answer, "", terminal.verbose > 0))
-    drawn.append(Text(f"  saved {imaging.saved(files)}"))
+    drawn.append(f"  saved {imaging.saved(files)}")
     if line := turn_line(resolved):
         details.append(f"turn: {line}")
     if ended is not None:
         details.append(f"ended: {ending_words(ended)}")
-    drawn += [Text(f"  {line}") for line in details if terminal.verbose]
+    drawn += [f"  {line}" for line in details if terminal.verbose]
     facts = {
         "views": capture.views,
         "bins": capture.bins,
@@ -230,7 +214,7 @@ def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInf
     return Result(
         "scan",
         {"items": items, **facts},
-        Group(*drawn),
+        drawn,
         exit_code=code,
         messages=(*answer.remarks, *messages, *place.without_profile(answer), *kept),
         errors=errors,
@@ -238,14 +222,12 @@ def _scan(terminal: Terminal, place: Workplace, limits: Limits, about: ObjectInf
 
 
 def _record_and_read(
-    terminal: Terminal, place: Workplace, plan: RecordingPlan, view: View
+    terminal: Terminal, place: Workplace, plan: RecordingPlan, view: _ViewOptions
 ) -> tuple[Recorded, Answer, dict[str, Any] | None, tuple[str, ...]]:
     """Record one revolution and name the object, under a progress line or the live view.
 
-    Returns the recording, its answer, figures of the live view if there was one, and remarks of the early
-    ending.
+    Returns the recording, its answer, figures of the live view, and remarks of an early ending.
     """
-    from tagid.cli.live import LiveScan, live_scan
     from tagid.live.engine import LiveSettings
     from tagid.live.sure import EarlyEnding, check_angle_known
     from tagid.motion.urls import open_motion
@@ -261,14 +243,14 @@ def _record_and_read(
     if view.until_sure:
         check_angle_known(motion, plan.motion)
         plan = replace(plan, spent=SPENT)
-    live: LiveScan | None = None
+    live: _LiveScan | None = None
     early: EarlyEnding | None = None
     with ExitStack() as showing:
         watch = Watch(resolve=resolve_turn)
         needs = LiveSettings(motion, enrolled.layouts, enrolled.signatures, enrolled.version, setup.imaging)
         if view.live:
             title = f"tagid scan --live   {place.radar_url()}"
-            live = showing.enter_context(live_scan(terminal, needs, title))
+            live = showing.enter_context(_live_scan(terminal, needs, title))
             watch = live.watching(watch, resolve_turn)
         else:
             advance = showing.enter_context(terminal.progress("record", motion.needed_seconds()))
@@ -289,3 +271,124 @@ def _record_and_read(
 
 def _kept(path: Path) -> str:
     return f"The capture is stored in {path}; read it with `tagid identify {path}`."
+
+
+_FRAME_S = 0.1
+"""Shortest time between two frames, s; the target is 5 frames per second."""
+_JOIN_S = 5.0
+
+
+@dataclass
+class _LiveScan:
+    """A scan with a live view; counts the frames drawn, and keeps the times of the first and the last, s."""
+
+    view: LiveView
+    frames: int = 0
+    first_s: float = 0.0
+    last_s: float = 0.0
+
+    def watching(self, watch: Watch, resolve: Callable[[Capture, str], Capture]) -> Watch:
+        """The callbacks of a recording with those of the view added."""
+        return replace(watch, began=self.view.began, resolve=self.view.resolving(resolve))
+
+    def facts(self) -> dict[str, Any]:
+        """Figures of the live view, as JSON values."""
+        spent = self.last_s - self.first_s
+        return {
+            "frames": self.frames,
+            "frames_per_second": (self.frames - 1) / spent if spent > 0 else None,
+            "answer_after_last_scan_s": self.view.state.answer_after_s,
+        }
+
+
+@contextmanager
+def _live_scan(terminal: Terminal, settings: LiveSettings, title: str) -> Iterator[_LiveScan]:
+    """A live view that is drawn while the block runs, where stderr is a terminal."""
+    from rich.console import Console, ConsoleDimensions
+    from rich.live import Live
+
+    from tagid.live.engine import LiveView
+    from tagid.report.live_screen import bounded
+
+    class BoundedConsole(Console):
+        """A terminal may state any size, and every cell of the screen is drawn in every frame."""
+
+        @property  # type: ignore[misc]
+        def size(self) -> ConsoleDimensions:
+            return ConsoleDimensions(*bounded(super().size))
+
+    console = BoundedConsole(stderr=True, highlight=False)
+    with ExitStack() as stack:
+        shown = _LiveScan(stack.enter_context(LiveView(settings)))
+        if console.is_terminal and not terminal.quiet:
+            # The last frame stays in view below the other output; the live screen is erased.
+            stack.callback(lambda: console.print(_frame(shown, title, console)))
+            live = Live(
+                console=console,
+                screen=True,
+                auto_refresh=False,
+                get_renderable=lambda: _drawn(shown, title, console),
+                redirect_stdout=False,
+                redirect_stderr=False,
+            )
+            stack.enter_context(_Screen(shown.view, stack.enter_context(live)))
+        yield shown
+
+
+class _Screen:
+    """Draws each new state in a separate thread, so that a blocked terminal blocks nothing else."""
+
+    def __init__(self, view: LiveView, live: Live) -> None:
+        self._view, self._live = view, live
+        self._ended = threading.Event()
+        self._worker = Worker(self._work, "live-screen", lambda error: view.note("the live screen stopped"))
+
+    def __enter__(self) -> _Screen:
+        with suppress(RuntimeError):
+            self._worker.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._worker.join(_JOIN_S)
+
+    def _work(self) -> None:
+        drawn = -1
+        while not self._ended.wait(_FRAME_S):
+            if (frame := self._view.state.frame) != drawn:
+                drawn = frame
+                self._live.refresh()
+
+
+def _drawn(shown: _LiveScan, title: str, console: Console) -> RenderableType:
+    shown.last_s = time.monotonic()
+    shown.first_s = shown.first_s or shown.last_s
+    shown.frames += 1
+    return _frame(shown, title, console)
+
+
+def _frame(shown: _LiveScan, title: str, console: Console) -> RenderableType:
+    from tagid.report.live_screen import draw
+    from tagid.report.preview import colour_wanted
+
+    size = (console.size.width, console.size.height)
+    return draw(shown.view.state, title, size, colour_wanted(console))
+
+
+def _truth_of(url: str, file: Path | None) -> ObjectInfo | None:
+    """The object of an emulated radar, from its file or its emulator:// URL; None for a real radar."""
+    from tagid.recording.radars import emulated_object
+
+    if file is not None:
+        from tagid.cli.emulate import read_truth
+
+        return read_truth(file)
+    return emulated_object(url) if url else None
+
+
+def _with_truth(about: ObjectInfo, truth: ObjectInfo | None) -> ObjectInfo:
+    """The operator's remarks, and the truth of the emulated object."""
+    if truth is None:
+        return about
+    stated = {field.name: getattr(about, field.name) for field in fields(about) if field.name != "extra"}
+    return replace(truth, **{name: value for name, value in stated.items() if value not in (None, ())})

@@ -7,14 +7,13 @@ end.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tagid import interrupts
 from tagid.cli.consent import can_ask, confirm
 from tagid.cli.frame import Terminal
-from tagid.cli.options import Limits
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.counting import counted
 from tagid.errors import CaptureInterrupted, TagidError, UsageError
@@ -23,14 +22,10 @@ from tagid.query import quantity
 from tagid.result import Problem, Result
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-    from tagid.capture import Capture
-    from tagid.metadata import ObjectInfo
     from tagid.operate.turn import Recorded
     from tagid.operate.workplace import Workplace
-    from tagid.pipeline.alignment import Alignment
     from tagid.recording.plan import RecordingPlan
+    from tagid.result import Drawn
 
 MAX_HEIGHTS = 100
 MAX_HEIGHT_M = 10.0
@@ -106,24 +101,17 @@ class Lift:
 def scan_heights(
     terminal: Terminal,
     place: Workplace,
-    limits: Limits,
-    about: ObjectInfo,
+    planned: Callable[[], RecordingPlan],
     heights: tuple[float, ...],
     lift: Lift,
 ) -> Result:
-    """Record one revolution from each height, join them, draw the volume and name the object.
+    """Record one revolution from each height, m, join them, draw the volume and name the object.
 
     Recordings that are complete stay on disk whatever happens later; the error then names them.
-
-    Args:
-        terminal, place, limits: of the command.
-        about: description of the object, stored in every capture.
-        heights: of the antenna above the object's plane, m.
-        lift: how the antenna is moved.
     """
     turns: list[Recorded] = []
     try:
-        plan = place.plan(limits.scans, limits.max_seconds, about)
+        plan = planned()
         for number, height_m in enumerate(heights, start=1):
             url = lift.raise_to(height_m, f"Height {number} of {len(heights)}", place.radar_url())
             turns.append(_record(terminal, place, replace(plan, antenna_height_m=height_m), url))
@@ -150,14 +138,13 @@ def _joined(
     terminal: Terminal, place: Workplace, turns: list[Recorded], heights: tuple[float, ...]
 ) -> Result:
     """Join the recordings, then read and draw the joined capture."""
-    from rich.console import Group
-    from rich.text import Text
-
     from tagid.cli import imaging
     from tagid.operate.turn import read
     from tagid.pipeline.alignment import aligned
     from tagid.pipeline.join import join
     from tagid.pipeline.prepared import LoadDefault, load_capture
+    from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
+    from tagid.report.volume_picture import draw_projections
     from tagid.storage.hdf5 import write_capture
 
     setup = place.setup(as_recorded=True)
@@ -172,17 +159,29 @@ def _joined(
     write_capture(path, joined)
     answer = read(replace(setup, loading=loading), joined, path)
     files: dict[str, str | None] = {"capture": str(path), "png": None}
-    drawn: list[RenderableType] = [imaging.describe(answer, "", terminal.verbose > 0)]
+    drawn: list[Drawn] = [imaging.describe(answer, "", terminal.verbose > 0)]
     try:
-        _draw(terminal, place, joined, png)
+        settings = VolumeSettings("bp", place.config["imaging.extent_m"], PICTURE_PIXELS, held_out=False)
+        with terminal.progress("volume", total=1.0) as advance:
+            volume = reconstruct_volume(joined, settings, imaging.share_of(advance)).volume
+        draw_projections(volume.values, volume.grid.square.axis, volume.grid.heights, png, "BP volume")
         files["png"] = str(png)
     except TagidError as error:
-        drawn.append(Text(f"no picture: {error.message}"))
-    rows = [_facts(*row) for row in zip(heights, turns, alignments, strict=True)]
+        drawn.append(f"no picture: {error.message}")
+    rows = [
+        {
+            "height_m": height_m,
+            "file": str(turn.path),
+            "views": turn.capture.views,
+            "rotation_deg": alignment.rotation_deg,
+            "likeness": alignment.likeness,
+        }
+        for height_m, turn, alignment in zip(heights, turns, alignments, strict=True)
+    ]
     for row in rows if terminal.verbose else ():
         turned = f"rotated {row['rotation_deg']:+.2f} deg"
-        drawn.append(Text(f"{row['height_m']:.3f} m  {row['views']} scans, {turned}  {row['file']}"))
-    drawn.append(Text(f"  saved {imaging.saved(files)}"))
+        drawn.append(f"{row['height_m']:.3f} m  {row['views']} scans, {turned}  {row['file']}")
+    drawn.append(f"  saved {imaging.saved(files)}")
     items = [answer.to_dict()]
     kept = place.remember(
         "scan", items, {"radar": place.radar_url(), "motion": place.config["motion.url"].public}
@@ -191,34 +190,11 @@ def _joined(
     return Result(
         "scan",
         {"items": items, "heights": rows, "files": files, "views": joined.views},
-        Group(*drawn),
+        drawn,
         exit_code=imaging.exit_code_of([answer.identification]),
         messages=(*dict.fromkeys((*losses, *answer.remarks)), *place.without_profile(answer), *kept),
         errors=() if answer.error is None else (Problem.of(answer.error),),
     )
-
-
-def _draw(terminal: Terminal, place: Workplace, joined: Capture, png: Path) -> None:
-    """Write the three maximum projections of the backprojected volume."""
-    from tagid.cli.imaging import share_of
-    from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
-    from tagid.report.volume_picture import draw_projections
-
-    settings = VolumeSettings("bp", place.config["imaging.extent_m"], PICTURE_PIXELS, held_out=False)
-    with terminal.progress("volume", total=1.0) as advance:
-        made = reconstruct_volume(joined, settings, share_of(advance))
-    grid = made.volume.grid
-    draw_projections(made.volume.values, grid.square.axis, grid.heights, png, "BP volume")
-
-
-def _facts(height_m: float, turn: Recorded, alignment: Alignment) -> dict[str, Any]:
-    return {
-        "height_m": height_m,
-        "file": str(turn.path),
-        "views": turn.capture.views,
-        "rotation_deg": alignment.rotation_deg,
-        "likeness": alignment.likeness,
-    }
 
 
 def _kept(turns: list[Recorded]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +18,6 @@ from tagid.result import Result
 
 if TYPE_CHECKING:
     from tagid.capture import Capture
-    from tagid.planning.plan import Gap
     from tagid.recording.inspection import RecordingSummary
 
 
@@ -26,7 +26,7 @@ def show(
     terminal: Terminal,
     file: options.CaptureFile,
     png: Annotated[
-        Path | None, typer.Option("--png", help="Picture (default: NAME.show.png next to the file).")
+        Path | None, typer.Option(help="Picture (default: NAME.show.png next to the file).")
     ] = None,
     changing: Annotated[
         bool, typer.Option("--changing", help="Subtract the mean scan, to show only changes.")
@@ -35,9 +35,7 @@ def show(
     node: options.Node = None,
     reflector: options.Reflector = None,
     body: options.Body = None,
-    layout: Annotated[
-        str, typer.Option("--layout", help="With --reflector: layout of the tag.")
-    ] = "container-90",
+    layout: Annotated[str, typer.Option(help="With --reflector: layout of the tag.")] = "container-90",
     layout_file: options.LayoutFile = None,
 ) -> Result:
     """Draw range profile, scans over time and spectrum of a recording, and print its statistics.
@@ -48,9 +46,6 @@ def show(
     Example: tagid show helmet.tagid.h5
     Example: tagid show helmet.tagid.h5 --reflector octahedron:40mm --layout helmet-120
     """
-    from rich.console import Group
-    from rich.text import Text
-
     from tagid.operate.words import ending_words
     from tagid.pipeline.prepared import LoadSettings, intake_remarks, load_capture
     from tagid.recording.inspection import inspect, thinned
@@ -64,11 +59,19 @@ def show(
     loading = LoadSettings.of(config, node=node)
     capture = load_capture(file, loading, turn=False)
     summary = inspect(capture)
-    draw_recording(
-        thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
-    )
+    turns = summary.changes or capture.angles_rad is not None
+    draw_recording(thinned(capture)[0], target, file.name, changing_only=changing, turning=turns)
     table = Table(show_header=False, box=None)
-    compared = _against_plan(capture, summary, reflector, body, layout, layout_file)
+    compared = None
+    distance_m, noise, snr_db = capture.axis_distance_m, summary.noise, summary.snr_db
+    if reflector is not None and distance_m is not None and noise is not None and snr_db is not None:
+        from tagid.cli.plan import PlanOptions
+        from tagid.planning.plan import gap
+
+        radar = capture.radar.config
+        index = None if radar is None else radar.base_integration_index
+        planned = PlanOptions(reflector, body, distance_m, index, layout=layout, file=layout_file).setup()
+        compared = gap(capture, noise, snr_db, planned)
     rows = _rows(summary)
     if why := ending_words(capture.radar.ended):
         rows.append(("ended", why))
@@ -97,54 +100,15 @@ def show(
         "period_note": summary.period_note,
         "strongest": None
         if strongest is None
-        else {
-            "bin": strongest.bin,
-            "range_m": strongest.range_m,
-            "spread_bins": strongest.spread_bins,
-        },
+        else {"bin": strongest.bin, "range_m": strongest.range_m, "spread_bins": strongest.spread_bins},
         "complete": capture.complete,
         "ended": None if capture.radar.ended is None else capture.radar.ended.to_json(),
-        "plan": None
-        if compared is None
-        else {
-            "measured_db": compared.measured_db,
-            "planned_db": compared.planned_db,
-            "cause": compared.cause,
-        },
+        "plan": compared and asdict(compared),
     }
     messages = intake_remarks(capture) + loading.against_the_rig(capture)
     if summary.every > 1:
         messages += (f"SNR, period and picture are from every {summary.every}th scan",)
-    return Result("show", data, Group(table, Text(f"picture {target}")), messages=messages)
-
-
-def _against_plan(
-    capture: Capture,
-    summary: RecordingSummary,
-    reflector: str | None,
-    body: str | None,
-    layout: str,
-    layout_file: Path | None,
-) -> Gap | None:
-    """Measured against planned SNR; None if no reflector is stated or nothing rotates."""
-    measured_db = summary.snr_db
-    if reflector is None or summary.noise is None or capture.axis_distance_m is None or measured_db is None:
-        return None
-    from tagid.cli.plan import Asked, setup_from
-    from tagid.planning.plan import gap
-
-    settings = capture.radar.config
-    asked = Asked(
-        reflector,
-        body,
-        capture.axis_distance_m,
-        None if settings is None else settings.base_integration_index,
-        None,
-        2.0,
-        layout,
-        layout_file,
-    )
-    return gap(capture, summary.noise, measured_db, setup_from(asked))
+    return Result("show", data, [table, f"picture {target}"], messages=messages)
 
 
 def _not_compared(capture: Capture, summary: RecordingSummary) -> str:
@@ -157,11 +121,6 @@ def _not_compared(capture: Capture, summary: RecordingSummary) -> str:
         "not compared: nothing rotates beyond the noise of one scan. If `tagid plan` expects more: does the "
         "table turn, do the antennas point at the object, are both cables connected?"
     )
-
-
-def _turns(summary: RecordingSummary, capture: Capture) -> bool:
-    """Whether the object rotates: the scans change, or the recording has angles."""
-    return summary.changes or capture.angles_rad is not None
 
 
 def _rows(summary: RecordingSummary) -> list[tuple[str, str]]:

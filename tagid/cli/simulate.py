@@ -10,9 +10,8 @@ import typer
 
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
-from tagid.cli.options import SceneOptions
+from tagid.cli.options import METRES, SceneOptions
 from tagid.cli.outputs import check_new
-from tagid.cli.units import METRES
 from tagid.counting import counted
 from tagid.errors import DataError, UsageError
 from tagid.result import Result
@@ -26,58 +25,34 @@ PULSES = ("nominal", "random")
 @dataclass(frozen=True)
 class _SceneOptions(SceneOptions):
     scene: Annotated[
-        str | None,
-        typer.Option(
-            "--scene",
-            help="An enrolled layout, points-3, can, box, empty ...; or --response.",
-            show_default=False,
-        ),
+        str | None, typer.Option(help="An enrolled layout, points-3, can, box, empty ...; or --response.")
     ] = None
-    unlike: Annotated[
-        float, typer.Option("--unlike", help="Spread of the reflectors' strengths, 0 to 20 dB.")
-    ] = 0.0
-    noise: Annotated[
-        float | None, typer.Option("--noise", help="Noise standard deviation; replaces --snr.")
-    ] = None
-    antenna_height: Annotated[float, typer.Option("--antenna-height", parser=METRES, help="Metres.")] = 0.0
+    unlike: Annotated[float, typer.Option(help="Spread of the reflectors' strengths, 0 to 20 dB.")] = 0.0
+    noise: Annotated[float | None, typer.Option(help="Noise standard deviation; replaces --snr.")] = None
+    antenna_height: Annotated[float, typer.Option(parser=METRES, help="Metres.")] = 0.0
     antenna_separation: options.AntennaSeparation = 0.0
     range_law: Annotated[bool, typer.Option("--range-law", help="1/R^4 in power.")] = False
 
 
 @dataclass(frozen=True)
 class _RecordingOptions:
-    pulse_of: Annotated[
-        Path | None, typer.Option("--pulse-of", help="Capture with the pulse to transmit.")
-    ] = None
-    views: Annotated[int, typer.Option("--views", help="Views per revolution.")] = 360
-    turns: Annotated[float, typer.Option("--turns", help="Turns recorded.")] = 1.0
+    pulse_of: Annotated[Path | None, typer.Option(help="Capture with the pulse to transmit.")] = None
+    views: Annotated[int, typer.Option(help="Views per revolution.")] = 360
+    turns: Annotated[float, typer.Option(help="Turns recorded.")] = 1.0
     snr_of: Annotated[
-        str,
-        typer.Option(
-            "--snr-of", help="Echo to which --snr refers: reflector (the strongest), or summed (all)."
-        ),
+        str, typer.Option(help="Echo to which --snr refers: reflector (the strongest), or summed (all).")
     ] = "reflector"
     colour: Annotated[
         float, typer.Option("--noise-colour", help="Share of noise in the radar's band, 0 to 1.")
     ] = 0.0
-    interference: Annotated[
-        float | None,
-        typer.Option("--interference", help="Narrow-band tone, dB above the noise.", show_default=False),
-    ] = None
-    pulse: Annotated[str, typer.Option("--pulse", help="nominal, or random (not stated in the capture).")] = (
-        "nominal"
-    )
-    axis_error: Annotated[
-        float, typer.Option("--axis-error", parser=METRES, help="Stated minus true distance, m.")
-    ] = 0.0
-    beam: Annotated[float | None, typer.Option("--beam", help="-3 dB beam width, degrees.")] = None
+    interference: Annotated[float | None, typer.Option(help="Narrow-band tone, dB above the noise.")] = None
+    pulse: Annotated[str, typer.Option(help="nominal, or random (not stated in the capture).")] = "nominal"
+    axis_error: Annotated[float, typer.Option(parser=METRES, help="Stated minus true distance, m.")] = 0.0
+    beam: Annotated[float | None, typer.Option(help="-3 dB beam width, degrees.")] = None
     object_seed: Annotated[
         int | None,
         typer.Option(
-            "--object-seed",
-            help="Random seed of object and room alone, to record one object with different --seed.",
-            min=0,
-            show_default=False,
+            help="Random seed of object and room alone, to record one object with different --seed.", min=0
         ),
     ] = None
 
@@ -88,9 +63,7 @@ def simulate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write.")],
     scene: _SceneOptions,
     recording: _RecordingOptions,
-    scene_name: Annotated[
-        str | None, typer.Argument(help="Another way to give --scene.", show_default=False)
-    ] = None,
+    scene_name: Annotated[str | None, typer.Argument(help="Another way to give --scene.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> Result:
     """Simulate a capture of a rotating scene, or of an object with a response file.
@@ -98,9 +71,8 @@ def simulate(
     Example: tagid simulate --scene container-90 --body can:35mm,handle --centre 0.004,0 --out can.tagid.h5
     """
     import numpy as np
-    from rich.text import Text
 
-    from tagid.enrolling.lookup import only_layout
+    from tagid.enrolling.layout_file import only_layout
     from tagid.simulate import Interference, NoiseShape, simulate_capture
     from tagid.storage.exporters import export
 
@@ -122,9 +94,7 @@ def simulate(
     )
     capture, truth = simulate_capture(shown, acquisition, scene.seed)
     export(capture, out)
-    line = Text(
-        f"{out}: {shown.name}, {counted(capture.views, 'scan')} of {capture.bins} samples, {truth.snr}"
-    )
+    line = f"{out}: {shown.name}, {counted(capture.views, 'scan')} of {capture.bins} samples, {truth.snr}"
     data = {
         "path": str(out),
         "scene": shown.name,

@@ -1,4 +1,4 @@
-"""`tagid import`, `export` and `recover`: convert captures, and rebuild them from a journal."""
+"""`tagid import`, `export`, `recover` and `join`: convert, rebuild and join captures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tagid.counting import counted
 from tagid.errors import StorageError, UsageError
 from tagid.result import Result
 
-_Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
+_Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write.")]
 _Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
 
 
@@ -42,8 +42,6 @@ def import_(
 
     Example: tagid import scan08.out --out scan08.tagid.h5
     """
-    from rich.text import Text
-
     from tagid.pipeline.prepared import LoadSettings, intake_remarks, load_capture
     from tagid.storage.hdf5 import write_capture
 
@@ -62,7 +60,7 @@ def import_(
         )
     capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
     write_capture(target, capture)
-    line = Text(f"{target}: {counted(capture.views, 'scan')} of {capture.bins} samples")
+    line = f"{target}: {counted(capture.views, 'scan')} of {capture.bins} samples"
     data = {
         "path": str(target),
         "views": capture.views,
@@ -88,8 +86,6 @@ def export(
 
     Example: tagid export helmet.tagid.h5 --out helmet.mat
     """
-    from rich.text import Text
-
     from tagid.storage.exporters import export as write
     from tagid.storage.importers import read_any, remarks
 
@@ -97,7 +93,7 @@ def export(
     capture = read_any(file, node=node)
     write(capture, target)
     data = {"path": str(target), "views": capture.views, "bins": capture.bins}
-    return Result("export", data, Text(f"{target} written"), messages=remarks(capture))
+    return Result("export", data, f"{target} written", messages=remarks(capture))
 
 
 @command("recover")
@@ -111,11 +107,11 @@ def recover(
 
     Example: tagid recover scan-20260102-101112.tagid.journal
     """
-    from rich.text import Text
-
+    from tagid.pipeline.resolve import with_measured_angles
     from tagid.recording.long_recording import part_path
+    from tagid.storage.hdf5 import write_capture
     from tagid.storage.journal import being_recorded, open_journal
-    from tagid.storage.journal_capture import write_captures
+    from tagid.storage.journal_capture import read_journal_capture, write_captures
 
     if being_recorded(journal):
         raise StorageError(
@@ -128,7 +124,9 @@ def recover(
     target = _target(journal, out, CAPTURE_SUFFIX, force)
     written = write_captures(journal, lambda part: part_path(target, part))
     if written.has_track and len(written.paths) == 1:
-        _add_measured_angles(journal, target)
+        capture = read_journal_capture(journal)
+        if capture.motion.track is not None:
+            write_capture(target, with_measured_angles(capture))
     state = "complete" if written.complete else "cut short"
     lines = [
         f"{counted(written.views, 'scan')} recovered, the recording was {state}",
@@ -143,18 +141,7 @@ def recover(
         "complete": written.complete,
         "bytes_dropped": dropped,
     }
-    return Result("recover", data, Text("\n".join(lines)), messages=messages if dropped else ())
-
-
-def _add_measured_angles(journal: Path, target: Path) -> None:
-    """Rewrite the capture with its angles, if measured by the motion device."""
-    from tagid.pipeline.resolve import with_measured_angles
-    from tagid.storage.hdf5 import write_capture
-    from tagid.storage.journal_capture import read_journal_capture
-
-    capture = read_journal_capture(journal)
-    if capture.motion.track is not None:
-        write_capture(target, with_measured_angles(capture))
+    return Result("recover", data, "\n".join(lines), messages=messages if dropped else ())
 
 
 def _target(source: Path, out: Path | None, suffix: str, force: bool) -> Path:
@@ -167,3 +154,58 @@ def _target(source: Path, out: Path | None, suffix: str, force: bool) -> Path:
         out = source.with_name(stem + suffix)
     check_new(out, force, "Choose another name with --out, or add --force.", [source])
     return out
+
+
+@command("join")
+def join(
+    terminal: Terminal,
+    files: options.Captures,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Capture or NPZ file to write.")],
+    motion: options.MotionUrl = None,
+    axis_distance: options.AxisDistance = None,
+    antenna_separation: options.AntennaSeparation = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Estimate the rotation of each capture relative to the first.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+) -> Result:
+    """Join captures of one object from several antenna heights into one capture with antenna positions.
+
+    Every capture must state its own antenna height, and the same object angle for the same pose. The
+    angles of a recording begin at its first scan; --align refers them to the first capture's pose.
+
+    Example: tagid join low.tagid.h5 middle.tagid.h5 high.tagid.h5 --out all.tagid.h5
+    """
+    from tagid.pipeline.join import heights_of
+    from tagid.pipeline.join import join as joined_of
+    from tagid.pipeline.prepared import LoadSettings, load_capture
+    from tagid.storage.exporters import export
+
+    check_new(out, force, inputs=files)
+    config = load_config(
+        {
+            "motion.url": motion,
+            "motion.axis_distance_m": axis_distance,
+            "motion.antenna_separation_m": antenna_separation,
+        }
+    )
+    loading = LoadSettings.of(config)
+    captures = [load_capture(file, loading) for file in files]
+    turns: list[float] | None = None
+    if align:
+        from tagid.pipeline.alignment import aligned
+
+        captures, rotations = aligned(captures)
+        turns = [rotation.rotation_deg for rotation in rotations]
+    joined = joined_of(captures)
+    levels = heights_of(joined)
+    positions = joined.aperture().positions
+    heights = [float(positions[views, 2].mean()) for views in levels]
+    export(joined, out)
+    data = {"path": str(out), "views": joined.views, "bins": joined.bins, "heights_m": heights}
+    data |= {} if turns is None else {"rotations_deg": turns}
+    words = ", ".join(f"{height:.3f}" for height in heights[:8]) + (" ..." if len(heights) > 8 else "")
+    line = f"{out}: {joined.views} views from {len(heights)} antenna heights ({words} m)"
+    if turns is not None:
+        line += f", rotated by {', '.join(f'{turn:+.2f}' for turn in turns[:8])} deg"
+    return Result("join", data, line)

@@ -7,14 +7,16 @@ from there.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, TypedDict
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tagid.capture import Capture, Pulse
-from tagid.commissioning.echo_line import echo_line
 from tagid.commissioning.rows import Row, StepReport
 from tagid.commissioning.targets import Target, parse_target
 from tagid.config import Config, data_folder
@@ -30,6 +32,7 @@ from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch
 from tagid.recording.stream import ScanStream
 from tagid.rig import Measured
+from tagid.signal import analytic
 from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.types import Progress
 
@@ -39,6 +42,11 @@ STEP_NAMES: Final = ("link", "room", "target", "turning", "card", "result")
 _MAX_BYTES: Final = 1 << 20
 REACH_M: Final = 0.6
 """Half of the window around axis and target: image, pulse, and ranges for the noise."""
+
+_ECHO_WIDTH: Final = 24
+"""Characters of an `echo_line`, from the nearest range of the window to the farthest."""
+_LEVELS: Final = "▁▂▃▄▅▆▇█"
+_STEP_DB: Final = 6.0
 
 
 @dataclass(frozen=True)
@@ -78,15 +86,8 @@ class Tape:
             raise UsageError(f"the error of the tape is {self.error_m:g} m", "Give up to 0.1 m, e.g. 0.005.")
 
 
-class TapeChanges(TypedDict, total=False):
-    """Values of `Tape` that the person gave now; None, or no entry, where not given."""
-
-    target: str | None
-    target_distance_m: float | None
-    axis_distance_m: float | None
-    antenna_height_m: float | None
-    antenna_separation_m: float | None
-    error_m: float | None
+TapeChanges = Mapping[str, str | float | None]
+"""Values of `Tape` that the person gave now, by their names; None, or no entry, where not given."""
 
 
 class Bench:
@@ -167,8 +168,6 @@ class Bench:
 
     def pulse(self) -> Pulse | None:
         """The pulse that the step `target` measured."""
-        import numpy as np
-
         report = self.report("target")
         return None if report is None or not report.pulse else Pulse(np.array(report.pulse), SAMPLE_STEP_S)
 
@@ -273,3 +272,16 @@ def radar_facts(capture: Capture) -> dict[str, str | int]:
 
 def _damaged(path: Path) -> ConfigError:
     return ConfigError(f"{path} is damaged", "Delete it and repeat that step.")
+
+
+def echo_line(samples: NDArray[np.generic]) -> str:
+    """A scan as text: the largest echo of every part of the window, in steps of 6 dB below the greatest.
+
+    >>> echo_line(np.where(np.arange(240) == 200, 100, 1))[20]
+    '█'
+    """
+    envelope = np.abs(analytic(np.asarray(samples)[None]))[0]
+    peaks = np.array([part.max() for part in np.array_split(envelope, _ECHO_WIDTH) if part.size])
+    below = -20 * np.log10(np.maximum(peaks, 1e-9) / max(float(envelope.max()), 1e-9))
+    steps = np.clip(len(_LEVELS) - 1 - below // _STEP_DB, 0, None).astype(int)
+    return "".join(_LEVELS[step] for step in steps)

@@ -19,7 +19,7 @@ from typing import Any, Final
 from tagid._version import __version__
 from tagid.capture import Capture
 from tagid.commissioning.bench import Bench
-from tagid.commissioning.result import MEASURING
+from tagid.commissioning.steps import MEASURING
 from tagid.config import data_folder
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import ConfigError

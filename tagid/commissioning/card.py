@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -87,30 +86,18 @@ def _read(prepared: PreparedCapture) -> Reading:
 
 
 def _named_row(share: str, views: int, reading: Reading) -> Row:
-    row = partial(Row, f"read at {share} of the views", value=reading.lead, unit="nats")
-    basis = f"{views} views; a name needs {reading.needed:.0f} nats"
+    name, basis = f"read at {share} of the views", f"{views} views; a name needs {reading.needed:.0f} nats"
     if reading.status == "identified" and reading.layout == NAME:
-        return row(Level.PASS, text=basis)
+        return Row(name, Level.PASS, reading.lead, unit="nats", text=basis)
     if reading.status == "identified":
-        return row(
-            Level.FAIL,
-            text=f"{basis}: {MIRRORED[0]}",
-            advice=MIRRORED[1],
-            code="mirrored",
-        )
-    if reading.missing:
-        return row(
-            Level.FAIL,
-            text=f"{basis}: {reading.missing} of the card's {test_card().size} reflectors missing",
-            advice=MISSING_ADVICE,
-            code="missing-reflector",
-        )
-    return row(
-        Level.FAIL,
-        text=f"{basis}: {reading.reason}",
-        advice=reading.advice or "Check the card, then repeat the step turning.",
-        code="not-named",
-    )
+        text, advice, code = *MIRRORED, "mirrored"
+    elif reading.missing:
+        text = f"{reading.missing} of the card's {test_card().size} reflectors missing"
+        advice, code = MISSING_ADVICE, "missing-reflector"
+    else:
+        advice = reading.advice or "Check the card, then repeat the step turning."
+        text, code = reading.reason, "not-named"
+    return Row(name, Level.FAIL, reading.lead, None, "nats", f"{basis}: {text}", advice, code)
 
 
 def _places(reading: Reading) -> tuple[Floats, Floats]:
@@ -133,16 +120,10 @@ def _places_row(marks: Floats, positions: Floats) -> Row:
     rms = float(np.sqrt((rest**2).sum(axis=1).mean()))
     # Four points, less turn and shift: five of eight coordinates are free.
     sigma = rms / math.sqrt(2 * (2 * len(marks) - 3))
+    advice = "Put every reflector exactly on its mark, check the printed 100 mm, and repeat."
     good = rms <= _MOST_RMS_M
-    return Row(
-        "positions",
-        Level.PASS if good else Level.FAIL,
-        1e3 * rms,
-        1e3 * sigma,
-        "mm rms",
-        "from the marks",
-        "" if good else "Put every reflector exactly on its mark, check the printed 100 mm, and repeat.",
-        "" if good else "positions",
+    return Row.judged(
+        "positions", good, 1e3 * rms, 1e3 * sigma, "mm rms", "from the marks", advice, "positions"
     )
 
 
@@ -169,17 +150,12 @@ def _residual_row(reading: Reading, variation: Measured | None, capture: Capture
     expected = MODEL_ERROR**2 + by_wobble
     off = 10 * math.log10(max(unexplained, 1e-6) / expected)
     sigma = 20 / math.log(10) * by_wobble / expected * error.sigma / max(error.value, 1e-9)
-    good = off <= _LEVEL_DB
-    return Row(
-        "residual against prediction",
-        Level.PASS if good else Level.FAIL,
-        off,
-        sigma,
-        "dB",
-        f"{100 * unexplained:.2f} % of the changing echo measured, at most {100 * expected:.2f} % predicted",
-        "" if good else "Take away what turns with the card, put the table level, then repeat.",
-        "" if good else "residual",
+    text = (
+        f"{100 * unexplained:.2f} % of the changing echo measured, at most {100 * expected:.2f} % predicted"
     )
+    advice = "Take away what turns with the card, put the table level, then repeat."
+    good = off <= _LEVEL_DB
+    return Row.judged("residual against prediction", good, off, sigma, "dB", text, advice, "residual")
 
 
 def _level_row(bench: Bench, distance: float, capture: Capture, period: Measured | None) -> Row:
@@ -207,14 +183,7 @@ def _level_row(bench: Bench, distance: float, capture: Capture, period: Measured
     )
     level_gap = gap(capture, summary.noise, summary.snr_db, setup)
     off = level_gap.measured_db - level_gap.planned_db
+    text = f"{level_gap.measured_db:.1f} dB measured, {level_gap.planned_db:.1f} dB predicted"
+    advice = f"{level_gap.cause or 'Point both antennas at the card'}; then repeat."
     good = abs(off) <= _LEVEL_DB
-    return Row(
-        "SNR against prediction",
-        Level.PASS if good else Level.FAIL,
-        off,
-        gain.sigma,
-        "dB",
-        f"{level_gap.measured_db:.1f} dB measured, {level_gap.planned_db:.1f} dB predicted",
-        "" if good else f"{level_gap.cause or 'Point both antennas at the card'}; then repeat.",
-        "" if good else "level",
-    )
+    return Row.judged("SNR against prediction", good, off, gain.sigma, "dB", text, advice, "level")

@@ -8,8 +8,7 @@ import numpy as np
 
 from tagid.angles.clock import fit_clock
 from tagid.capture import Capture
-from tagid.commissioning.bench import Bench, reported
-from tagid.commissioning.echo_line import echo_line
+from tagid.commissioning.bench import Bench, echo_line, reported
 from tagid.commissioning.pictures import Picture
 from tagid.commissioning.rows import Level, Row, StepReport
 from tagid.constants import RANGE_STEP_M
@@ -79,36 +78,18 @@ def _rate(capture: Capture, asked_s: float) -> Row:
     assert capture.radar_time_ms is not None
     clock = fit_clock(capture.radar_time_ms, capture.scan_id)
     rate, sigma = 1 / clock.period_s, clock.period_sigma_s / clock.period_s**2
-    if abs(clock.period_s / asked_s - 1) <= _RATE_TOLERANCE:
-        return Row("scan rate", Level.PASS, rate, sigma, "Hz", f"asked {1 / asked_s:.2f} Hz")
-    return Row(
-        "scan rate",
-        Level.FAIL,
-        rate,
-        sigma,
-        "Hz",
-        f"asked {1 / asked_s:.2f} Hz",
-        "The link is too slow for these scans: use Ethernet or USB, not a UART.",
-        "rate",
-    )
+    good = abs(clock.period_s / asked_s - 1) <= _RATE_TOLERANCE
+    advice = "The link is too slow for these scans: use Ethernet or USB, not a UART."
+    return Row.judged("scan rate", good, rate, sigma, "Hz", f"asked {1 / asked_s:.2f} Hz", advice, "rate")
 
 
 def _loss(received: int, lost: int) -> Row:
     total = received + lost
     share = lost / total
     sigma = float(np.sqrt(max(lost, 1)) / total)
-    if share <= _MOST_LOST:
-        return Row("lost scans", Level.PASS, 100 * share, 100 * sigma, "%", f"{lost} of {total}")
-    return Row(
-        "lost scans",
-        Level.FAIL,
-        100 * share,
-        100 * sigma,
-        "%",
-        f"{lost} of {total}",
-        "Connect the radar directly, without a router or a wireless bridge.",
-        "loss",
-    )
+    good, text = share <= _MOST_LOST, f"{lost} of {total}"
+    advice = "Connect the radar directly, without a router or a wireless bridge."
+    return Row.judged("lost scans", good, 100 * share, 100 * sigma, "%", text, advice, "loss")
 
 
 def _drift(capture: Capture) -> tuple[Row, Picture]:
@@ -130,14 +111,6 @@ def _drift(capture: Capture) -> tuple[Row, Picture]:
     sigma = float(np.sqrt(rest @ rest / max(len(rest) - 2, 1) * 10 / (span @ span)))
     ppm = (1 / slope - 1) * 1e6
     fits = abs(ppm) <= _MOST_DRIFT_PPM + 3e6 * sigma
-    row = Row(
-        "clock drift",
-        Level.PASS if fits else Level.FAIL,
-        ppm,
-        sigma * 1e6,
-        "ppm",
-        "radar against computer",
-        "" if fits else "Check that the computer's clock is not being set while recording.",
-        "" if fits else "clock",
-    )
-    return row, late
+    advice = "Check that the computer's clock is not being set while recording."
+    text = "radar against computer"
+    return Row.judged("clock drift", fits, ppm, sigma * 1e6, "ppm", text, advice, "clock"), late

@@ -114,8 +114,8 @@ def _matched(length: int) -> Complex:
 
 def _response(target: Target, frequency: Floats) -> Complex:
     """The target's response over that at the centre of the band; 1 far outside."""
-    given = target.scatterer.scattering_length(np.maximum(frequency, 1e8))
-    centre = target.scatterer.scattering_length(np.array([CENTER_FREQUENCY_HZ]))[0]
+    given = target.scattering_length(np.maximum(frequency, 1e8))
+    centre = target.scattering_length(np.array([CENTER_FREQUENCY_HZ]))[0]
     response = given / abs(centre)
     # exp(+j omega t) here; scattering lengths are of exp(-j omega t).
     response = np.where(np.abs(response) > _FAINT, response, np.exp(1j * np.angle(response)))

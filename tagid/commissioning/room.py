@@ -103,22 +103,14 @@ def _noise_row(noise: float, sigma: float, index: int, explained: bool) -> Row:
     expected = noise_counts(index)
     above = 20 * math.log10(noise / expected)
     text = f"{above:+.1f} dB against {expected:.0f} counts of other recordings"
+    row = partial(Row, "noise of a sample", value=noise, sigma=sigma, unit="counts", text=text)
     if abs(above) <= NOISE_DB:
-        return Row("noise of a sample", Level.PASS, noise, sigma, "counts", text)
+        return row(Level.PASS)
     if above > 0:
         advice = "Another transmitter is in the band: find it and switch it off, then repeat this step."
-        return Row(
-            "noise of a sample",
-            Level.NOTE if explained else Level.FAIL,
-            noise,
-            sigma,
-            "counts",
-            text,
-            advice,
-            "noise",
-        )
+        return row(Level.NOTE if explained else Level.FAIL, advice=advice, code="noise")
     advice = "The receiver hears nothing: check the cable of the receiving antenna and radar.antenna_mode."
-    return Row("noise of a sample", Level.FAIL, noise, sigma, "counts", text, advice, "deaf")
+    return row(Level.FAIL, advice=advice, code="deaf")
 
 
 def _spectrum(rest: NDArray[np.float64]) -> tuple[Floats, Floats]:
@@ -180,22 +172,16 @@ def _moving(capture: Capture, scans: NDArray[np.float64], axis_m: float, explain
         return Row("moving echoes", Level.PASS, text="no changing echo at the object's ranges")
     at = float(ranges[here][place]) - (low + high) / 2
     sigma = 10 / math.log(10) * math.sqrt(2 / len(scans))
+    row = partial(Row, "moving echoes", value=level, sigma=sigma, unit="dB")
     if explained:
-        return Row("moving echoes", Level.NOTE, level, sigma, "dB", "not decided among noisy scans")
+        return row(Level.NOTE, text="not decided among noisy scans")
     echo = every[:, here][:, place]
     static = float(np.abs(echo.mean()) ** 2)
     if level < _MOVES_DB or float(np.var(echo)) < _DRIFTS * static:
-        return Row("moving echoes", Level.NOTE, level, sigma, "dB", f"an echo near {at:.1f} m drifts")
-    return Row(
-        "moving echoes",
-        Level.FAIL,
-        level,
-        sigma,
-        "dB",
-        f"an echo changes near {at:.1f} m: a person walking",
-        "Keep everybody out of the beam and switch the table off, then repeat this step.",
-        "person",
-    )
+        return row(Level.NOTE, text=f"an echo near {at:.1f} m drifts")
+    advice = "Keep everybody out of the beam and switch the table off, then repeat this step."
+    text = f"an echo changes near {at:.1f} m: a person walking"
+    return row(Level.FAIL, text=text, advice=advice, code="person")
 
 
 def _clipping(bench: Bench, capture: Capture) -> Row:
@@ -207,24 +193,16 @@ def _clipping(bench: Bench, capture: Capture) -> Row:
     gain = bench.config["radar.gain"]
     spare = margin - _MARGIN_DB - 6.0 * bool(share)
     best = min(max(gain + math.floor(spare / LinkBudget.step_db), 0), MOST_GAIN)
+    text = f"{100 * share:.2f} % of the samples are clipped"
     if spare >= 0:
         text = f"leakage between the antennas, walls; the largest gain is {best}, radar.gain is {gain}"
-        return Row("margin to clipping", Level.PASS, margin, 0.1, "dB", text)
-    return Row(
-        "margin to clipping",
-        Level.FAIL,
-        margin,
-        0.1,
-        "dB",
-        f"{100 * share:.2f} % of the samples are clipped",
-        f"The gain is too high: `tagid config set radar.gain {best}`, or move the antennas apart.",
-        "gain",
-    )
+    advice = f"The gain is too high: `tagid config set radar.gain {best}`, or move the antennas apart."
+    return Row.judged("margin to clipping", spare >= 0, margin, 0.1, "dB", text, advice, "gain")
 
 
 def _integration(bench: Bench) -> Row:
     """The least integration with which a reflector of 40 mm stands out of a view."""
-    length = bench.target.scatterer.scattering_length(np.array([CENTER_FREQUENCY_HZ]))
+    length = bench.target.scattering_length(np.array([CENTER_FREQUENCY_HZ]))
     gain, now = bench.config["radar.gain"], bench.config["radar.integration"]
     for index in _INDICES:
         budget = LinkBudget(transmit_gain=gain, integration=index)

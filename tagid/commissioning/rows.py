@@ -42,6 +42,23 @@ class Row:
     advice: str = ""
     code: str = ""
 
+    @classmethod
+    def judged(
+        cls,
+        name: str,
+        good: bool,
+        value: float | None,
+        sigma: float | None,
+        unit: str,
+        text: str,
+        advice: str,
+        code: str,
+    ) -> Row:
+        """A row that passes, or else fails with advice and code."""
+        if good:
+            return cls(name, Level.PASS, value, sigma, unit, text)
+        return cls(name, Level.FAIL, value, sigma, unit, text, advice, code)
+
     @property
     def number(self) -> str:
         """Value, standard error and unit as text."""

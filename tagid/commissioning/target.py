@@ -104,36 +104,25 @@ def measure_target(bench: Bench) -> StepReport:
 
 
 def _near(distance: float) -> Row:
-    if distance >= _NEAREST_M:
-        return Row("target distance", Level.PASS, distance, unit="m")
-    return Row(
-        "target distance",
-        Level.FAIL,
-        distance,
-        None,
-        "m",
-        "too near: the antennas see it from different sides",
-        f"Put it {_NEAREST_M:g} m or more away, better 1 to 2 m, and repeat.",
-        "near",
-    )
+    good = distance >= _NEAREST_M
+    text = "" if good else "too near: the antennas see it from different sides"
+    advice = f"Put it {_NEAREST_M:g} m or more away, better 1 to 2 m, and repeat."
+    return Row.judged("target distance", good, distance, None, "m", text, advice, "near")
 
 
 def _no_echo(error: DataError) -> Row:
     if isinstance(error, ClippedEchoError):
-        return Row("echo", Level.FAIL, text=error.message, advice=error.remedy, code="gain")
-    if isinstance(error, TwoEchoesError):
+        code, advice = "gain", error.remedy
+    elif isinstance(error, TwoEchoesError):
+        code = "two-echoes"
         advice = (
             "Remove what else was put there since the room was recorded, or use a larger target; then repeat."
         )
-        return Row("echo", Level.FAIL, text=error.message, advice=advice, code="two-echoes")
-    return Row(
-        "echo",
-        Level.FAIL,
-        text=error.message,
-        advice="Check both antenna cables and that both antennas stand upright (same polarisation); then: "
-        + error.remedy,
-        code="no-echo",
-    )
+    else:
+        code = "no-echo"
+        advice = "Check both antenna cables and that both antennas stand upright (same polarisation); then: "
+        advice += error.remedy
+    return Row("echo", Level.FAIL, text=error.message, advice=advice, code=code)
 
 
 def _delay(estimate: DelayEstimate, echo: EchoPulse) -> Measured:
@@ -148,11 +137,7 @@ def _delay(estimate: DelayEstimate, echo: EchoPulse) -> Measured:
 
 
 def _delay_row(delay: Measured, before: Measured | None) -> Row:
-    """The path delay; an unusual one is taken when it is measured again.
-
-    Args:
-        before: what the step measured last time.
-    """
+    """The path delay; an unusual one is taken when it is measured as `before`."""
     row = partial(Row, "path delay", value=delay.value, sigma=delay.sigma, unit="ps")
     if delay.sigma > _DELAY_BUDGET_PS:
         return row(Level.FAIL, text="too uncertain", advice="Measure the distance to 5 mm.", code="delay")
@@ -211,7 +196,7 @@ def _gain(
     """Echo received over that of the link budget with its assumed losses, and the budget's SNR, dB."""
     config = bench.config
     budget = LinkBudget(transmit_gain=config["radar.gain"], integration=config["radar.integration"])
-    planned = budget.snr_db(effective_length_m(bench.target.scatterer), distance)
+    planned = budget.snr_db(effective_length_m(bench.target), distance)
     air = capture.ranges_m > distance
     peak = float(np.abs(analytic(scan[None].astype(np.float32)))[0][air].max())
     usual = noise_counts(config["radar.integration"])
@@ -241,15 +226,9 @@ def _gain_row(gain: Measured, planned_db: float) -> Row:
     if gain.value >= _LOOSE_DB:
         return row(Level.PASS, text=text)
     if gain.value < _CROSSED_DB:
-        return row(
-            Level.FAIL,
-            text=f"{text}: the polarisations are crossed",
-            advice="Turn both antennas upright, then repeat; if they are, an antenna is not connected.",
-            code="polarisation",
-        )
-    return row(
-        Level.FAIL,
-        text=f"{text}: an antenna or cable is loose",
-        advice="Tighten all four connectors, point both antennas at the target, then repeat.",
-        code="loose-antenna",
-    )
+        what, code = "the polarisations are crossed", "polarisation"
+        advice = "Turn both antennas upright, then repeat; if they are, an antenna is not connected."
+    else:
+        what, code = "an antenna or cable is loose", "loose-antenna"
+        advice = "Tighten all four connectors, point both antennas at the target, then repeat."
+    return row(Level.FAIL, text=f"{text}: {what}", advice=advice, code=code)

@@ -7,58 +7,17 @@ from typing import Final
 
 import numpy as np
 
-from tagid.constants import CENTER_FREQUENCY_HZ, SPEED_OF_LIGHT
+from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import UsageError
-from tagid.signal import peak_place
-from tagid.simulate.scatterers import Octahedron, Scatterer
+from tagid.simulate.scatterers import Octahedron
 from tagid.simulate.specification import parse_length
 from tagid.types import Complex, Floats
-from tagid.waveform import analytic_pulse, nominal_pulse
 
 LEVEL_SIGMA_DB: Final = 1.0
 """Standard error of the echo of a target that was made by hand and pointed by eye (assumed)."""
 
 
-@dataclass(frozen=True)
-class Corner:
-    """A trihedral corner of three square-edged triangles, seen along its axis of symmetry.
-
-    RCS 4 pi a^4 / (3 lambda^2) (Skolnik, Introduction to Radar Systems), a the inner edge; the path through
-    it is that to its apex.
-    """
-
-    edge_m: float
-
-    def scattering_length(self, frequency_hz: Floats) -> Complex:
-        """b (m), phase reference at the apex."""
-        return np.asarray(self.edge_m**2 * frequency_hz / (np.sqrt(3) * SPEED_OF_LIGHT), dtype=np.complex128)
-
-
-@dataclass(frozen=True)
-class Sphere:
-    """A metal sphere much larger than the wavelength: its nearest point reflects, b = r / 2."""
-
-    radius_m: float
-
-    def scattering_length(self, frequency_hz: Floats) -> Complex:
-        """b (m), phase reference at the nearest point."""
-        return np.full(np.shape(frequency_hz), self.radius_m / 2, dtype=np.complex128)
-
-
-@dataclass(frozen=True)
-class Can:
-    """An upright metal can at the height of the antennas: its nearest line reflects, RCS k r h^2.
-
-    Its phase of 45 degrees is the same at all frequencies, which delays no envelope.
-    """
-
-    radius_m: float
-    height_m: float = 0.100
-
-    def scattering_length(self, frequency_hz: Floats) -> Complex:
-        """b (m), phase reference at the nearest line."""
-        k = 2 * np.pi * np.asarray(frequency_hz) / SPEED_OF_LIGHT
-        return np.asarray(self.height_m * np.sqrt(k * self.radius_m / (4 * np.pi)), dtype=np.complex128)
+CAN_HEIGHT_M: Final = 0.100
 
 
 @dataclass(frozen=True)
@@ -98,30 +57,25 @@ class Target:
         """Where the tape measure ends."""
         return KINDS[self.kind].tape_to
 
-    @property
-    def scatterer(self) -> Scatterer:
-        """Its echo."""
-        if self.kind == "octahedron":
-            return Octahedron(self.size_m)
-        if self.kind == "corner":
-            return Corner(self.size_m)
-        return Sphere(self.size_m) if self.kind == "sphere" else Can(self.size_m)
+    def scattering_length(self, frequency_hz: Floats) -> Complex:
+        """b (m), phase reference where the tape ends.
 
-    def delay_ps(self) -> float:
-        """How much later its echo peaks than that of a point where the tape ends, two-way, ps.
-
-        Behind the filter matched to the nominal pulse, as `tagid.recording.calibration.estimate_delay`.
+        A corner of three square-edged triangles, seen along its axis of symmetry, has the RCS
+        4 pi a^4 / (3 lambda^2) (Skolnik, Introduction to Radar Systems), a the inner edge, and a path as to
+        its apex. The nearest point of a sphere much larger than the wavelength reflects, b = r / 2; of an
+        upright can at the height of the antennas the nearest line, RCS k r h^2, whose phase of 45 degrees is
+        the same at all frequencies, which delays no envelope.
         """
-        pulse = nominal_pulse()
-        fine = 4 * len(pulse.samples)
-        spectrum = np.fft.fft(analytic_pulse(pulse), fine)
-        frequency = np.fft.fftfreq(fine, pulse.step)
-        length = np.zeros(fine, dtype=np.complex128)
-        band = np.abs(frequency - CENTER_FREQUENCY_HZ) < CENTER_FREQUENCY_HZ / 2
-        # The scattering length turns the phase of exp(-j 2 pi f t) backwards.
-        length[band] = self.scatterer.scattering_length(frequency[band])
-        echo = np.fft.fftshift(np.abs(np.fft.ifft(np.abs(spectrum) ** 2 * length)))
-        return float((peak_place(echo) - fine // 2) * pulse.step * 1e12)
+        if self.kind == "octahedron":
+            return Octahedron(self.size_m).scattering_length(frequency_hz)
+        if self.kind == "corner":
+            length = self.size_m**2 * frequency_hz / (np.sqrt(3) * SPEED_OF_LIGHT)
+        elif self.kind == "sphere":
+            length = np.full(np.shape(frequency_hz), self.size_m / 2)
+        else:
+            k = 2 * np.pi * frequency_hz / SPEED_OF_LIGHT
+            length = CAN_HEIGHT_M * np.sqrt(k * self.size_m / (4 * np.pi))
+        return np.asarray(length, dtype=np.complex128)
 
     def __str__(self) -> str:
         return f"{self.kind}:{round(self.size_m * 1e3, 1):g}mm"

@@ -84,14 +84,9 @@ def measure_turning(bench: Bench) -> StepReport:
 
 
 def evaluated(bench: Bench, motion: Motion, capture: Capture, nominal_s: float, recording: str) -> StepReport:
-    """The report of a recording of the test card. Raises DataError, ConfigError.
+    """The report of a recording of two turns of the test card, expected to take so many seconds each.
 
-    Args:
-        bench: with the results of the earlier steps.
-        motion: the device that turned the card.
-        capture: two turns of it.
-        nominal_s: seconds per turn as expected.
-        recording: name of the recording's file.
+    Raises DataError, ConfigError.
     """
     turning = turning_period(capture)
     evenness = _evenness(capture, nominal_s)
@@ -191,17 +186,12 @@ def _times_s(capture: Capture) -> Floats:
 
 def _period_row(period: Measured, nominal_s: float) -> Row:
     off = period.value / nominal_s - 1
+    row = partial(Row, "period", value=period.value, sigma=period.sigma, unit="s")
+    rpm = 60 / period.value
     if abs(off) <= _PERIOD_TOLERANCE:
-        return Row("period", Level.PASS, period.value, period.sigma, "s", f"{60 / period.value:.3f} rpm")
-    return Row(
-        "period",
-        Level.NOTE,
-        period.value,
-        period.sigma,
-        "s",
-        f"{100 * off:+.1f} % against the speed given",
-        f"Set `motion.url=free?rpm={60 / period.value:.3g}`.",
-    )
+        return row(Level.PASS, text=f"{rpm:.3f} rpm")
+    text = f"{100 * off:+.1f} % against the speed given"
+    return row(Level.NOTE, text=text, advice=f"Set `motion.url=free?rpm={rpm:.3g}`.")
 
 
 def _evenness(capture: Capture, period_s: float) -> Row:
@@ -209,13 +199,13 @@ def _evenness(capture: Capture, period_s: float) -> Row:
 
     The wobble of a table repeats with it; a table that slips or stops does not.
     """
-    row = partial(Row, "repetition of the turns")
+    name = "repetition of the turns"
     resolved = capture.motion.resolved
     stopped = resolved is not None and resolved.standstill is not None
     lags = repetition(capture, period_s)
     if len(lags) < 2:
         if not stopped:
-            return row(Level.NOTE, text="less than two turns: not compared")
+            return Row(name, Level.NOTE, text="less than two turns: not compared")
         change, sigma = None, None
     else:
         middle = float(np.median(lags))
@@ -223,17 +213,9 @@ def _evenness(capture: Capture, period_s: float) -> Row:
         stopped = stopped or bool((apart[1:] & apart[:-1]).any())
         change = 100 * float(np.ptp(lags)) / middle
         sigma = 100 * float(np.median(np.abs(np.diff(lags)))) / middle
-    if not stopped:
-        return row(Level.PASS, change, sigma, "%", "largest difference between parts of the turns")
-    return row(
-        Level.FAIL,
-        change,
-        sigma,
-        "%",
-        "the table slips or stops",
-        "Check the drive and the weight on the table; fix the card on the table; then repeat.",
-        "slip",
-    )
+    text = "the table slips or stops" if stopped else "largest difference between parts of the turns"
+    advice = "Check the drive and the weight on the table; fix the card on the table; then repeat."
+    return Row.judged(name, not stopped, change, sigma, "%", text, advice, "slip")
 
 
 def _ends_row(capture: Capture, period_s: float, measures: bool) -> Row:
@@ -294,49 +276,36 @@ def repetition(capture: Capture, period_s: float) -> Floats:
 def _angle_row(turns: float, speed: Measured) -> Row:
     """The angle that the device reports, in turns per period as of `_angles`, against that of the scans."""
     off = turns / speed.value - 1
-    row = partial(Row, "reported angle against scans", value=100 * off, sigma=100 * speed.sigma, unit="%")
-    if abs(off) <= max(_ANGLE_TOLERANCE, 3 * speed.sigma):
-        return row(Level.PASS)
-    return row(
-        Level.FAIL,
-        text="the device turns further or less far than it reports",
-        advice="Calibrate it: `tagid motion calibrate`; a robot first passes docs/first-robot.md.",
-        code="angle",
-    )
+    good = abs(off) <= max(_ANGLE_TOLERANCE, 3 * speed.sigma)
+    text = "" if good else "the device turns further or less far than it reports"
+    advice = "Calibrate it: `tagid motion calibrate`; a robot first passes docs/first-robot.md."
+    name = "reported angle against scans"
+    return Row.judged(name, good, 100 * off, 100 * speed.sigma, "%", text, advice, "angle")
 
 
 def _direction_row(direction: int, mirrored: bool) -> Row:
     way = "counter-clockwise" if direction > 0 else "clockwise"
-    if not mirrored:
-        return Row("direction", Level.PASS, text=f"{way} from above, by the order of the card's reflectors")
-    return Row("direction", Level.FAIL, text=MIRRORED[0], advice=MIRRORED[1], code="mirrored")
+    text = MIRRORED[0] if mirrored else f"{way} from above, by the order of the card's reflectors"
+    return Row.judged("direction", not mirrored, None, None, "", text, MIRRORED[1], "mirrored")
 
 
 def _reflectors_row(strengths: Floats) -> Row:
     faint = int(np.count_nonzero(strengths < _FAINT))
     weakest = 20 * math.log10(max(float(strengths.min()), 1e-2))
-    row = partial(Row, "weakest reflector", value=weakest, unit="dB")
-    if not faint:
-        return row(Level.PASS, text="against the median of the card's reflectors")
-    return row(
-        Level.FAIL,
-        text=f"{faint} of the card's {len(strengths)} reflectors missing",
-        advice=MISSING_ADVICE,
-        code="missing-reflector",
+    text = "against the median of the card's reflectors"
+    if faint:
+        text = f"{faint} of the card's {len(strengths)} reflectors missing"
+    return Row.judged(
+        "weakest reflector", not faint, weakest, None, "dB", text, MISSING_ADVICE, "missing-reflector"
     )
 
 
 def _axis_row(axis: Measured, bench: Bench) -> Row:
     off = axis.value - bench.axis_distance_m()
-    row = partial(Row, "axis distance", value=axis.value, sigma=axis.sigma, unit="m")
-    if abs(off) <= max(_AXIS_TOLERANCE_M, 3 * math.hypot(axis.sigma, bench.tape.error_m)):
-        return row(Level.PASS, text=f"{off * 1e3:+.0f} mm against the tape")
-    return row(
-        Level.FAIL,
-        text=f"{off * 1e2:+.1f} cm against the tape",
-        advice="Measure again, horizontally, from the antennas to the middle of the table; then repeat.",
-        code="axis",
-    )
+    good = abs(off) <= max(_AXIS_TOLERANCE_M, 3 * math.hypot(axis.sigma, bench.tape.error_m))
+    text = (f"{off * 1e3:+.0f} mm" if good else f"{off * 1e2:+.1f} cm") + " against the tape"
+    advice = "Measure again, horizontally, from the antennas to the middle of the table; then repeat."
+    return Row.judged("axis distance", good, axis.value, axis.sigma, "m", text, advice, "axis")
 
 
 def _variation_row(fit: CardFit) -> Row:
@@ -344,13 +313,7 @@ def _variation_row(fit: CardFit) -> Row:
     total = fit.speed_variation
     spectrum = ", ".join(f"{100 * level:.2f}" for level in fit.speed_levels)
     even = total.value <= _MOST_VARIATION + 3 * total.sigma
-    return Row(
-        "speed variation",
-        Level.PASS if even else Level.FAIL,
-        100 * total.value,
-        100 * total.sigma,
-        "%",
-        f"1 to {HARMONICS} times a turn: {spectrum} %",
-        "" if even else "Check the drive; put the table on a level surface; then repeat.",
-        "" if even else "uneven",
-    )
+    text = f"1 to {HARMONICS} times a turn: {spectrum} %"
+    advice = "Check the drive; put the table on a level surface; then repeat."
+    value, sigma = 100 * total.value, 100 * total.sigma
+    return Row.judged("speed variation", even, value, sigma, "%", text, advice, "uneven")

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from tagid.enrolling.enrollment import family_outlooks, refusal
+from tagid.enrolling.enrollment import Basis, family_outlooks, refusal
 from tagid.errors import UsageError
 from tagid.tags.layouts.design import (
     GHOST_M,
@@ -122,9 +122,8 @@ def roomiest(
 
 def can_be_enrolled(family: Family, enrolled: Sequence[Layout]) -> bool:
     """Whether enrolling would take the set beside the layouts that are enrolled."""
-    known, weight = family.rules.mirror_counts, family.rules.height_weight
-    outlooks = family_outlooks(family.layouts, enrolled, direction_known=known, height_weight=weight)
-    return refusal(outlooks, enrolled) is None
+    basis = Basis(family.rules.mirror_counts, family.rules.height_weight)
+    return refusal(family_outlooks(family.layouts, enrolled, basis), enrolled) is None
 
 
 def works(target: TaggedObject, rules: DesignRules, count: int, enrolled: Sequence[Layout]) -> bool:

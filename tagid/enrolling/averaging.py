@@ -145,8 +145,6 @@ class LayoutEstimate:
 def average(
     sightings: Sequence[Sighting],
     name: str,
-    kind: str = "other",
-    label: str = "",
     *,
     direction_known: bool = True,
 ) -> LayoutEstimate:
@@ -160,7 +158,7 @@ def average(
 
     Args:
         sightings: one per capture; with fewer than three, the scatter is assumed rather than estimated.
-        name, kind, label: of the layout.
+        name: of the layout.
         direction_known: whether every capture turned in the configured direction; if not, mirror images also
             agree.
 
@@ -206,9 +204,8 @@ def average(
         notes = f"Measured on {counted(len(used), 'capture')}; three or more show their scatter."
     # Rounded to 0.1 micrometres: further digits carry no information.
     rounded = np.round(positions @ final.T, 7) + 0.0
-    layout = Layout(
-        name, rounded, kind, notes=notes, label=label, covariance=np.round(final @ covariance @ final.T, 12)
-    )
+    spreads = np.round(final @ covariance @ final.T, 12)
+    layout = Layout(name, rounded, "other", notes=notes, covariance=spreads)
     degrees = tuple(float(np.rad2deg(-(t + turn)) % 360) for t in turns)
     return LayoutEstimate(layout, spread, float(np.sqrt(scatter)), degrees, flipped)
 
@@ -217,11 +214,8 @@ def trusted(sightings: Sequence[Sighting], spectra: Sequence[Spectra]) -> str:
     """The reason not to trust these reflectors; empty if they explain the moving echo.
 
     Points explain the moving echo of a bare tag. A body that is off the axis or not round also produces
-    apparent reflectors and shifts those of the tag; points then leave a large residual.
-
-    Args:
-        sightings: one per capture.
-        spectra: of the same captures, in the same order.
+    apparent reflectors and shifts those of the tag; points then leave a large residual. The spectra are of
+    the same captures.
     """
     shares = []
     for sighting, scans in zip(sightings, spectra, strict=True):

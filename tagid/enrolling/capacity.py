@@ -108,6 +108,4 @@ class _Families:
         return self._closest[level, conditions]
 
 
-@lru_cache(maxsize=8)
-def _families(target: TaggedObject, rules: DesignRules) -> _Families:
-    return _Families(target, rules)
+_families = lru_cache(maxsize=8)(_Families)

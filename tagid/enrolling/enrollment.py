@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.enrolling.registry import Registry
 from tagid.errors import LayoutConflictError, RegistryError
 from tagid.proportion import percent
 from tagid.reading.alike import Apart, Conditions, told_apart
@@ -34,24 +35,17 @@ _TRIES = 20
 _T = TypeVar("_T")
 
 
-class LayoutStore(Protocol):
-    """The part of a registry that enrollment needs."""
+@dataclass(frozen=True)
+class Basis:
+    """What readings tell layouts apart by.
 
-    def snapshot(self) -> tuple[int, list[Layout]]:
-        """The registry's version and the layouts enrolled at that version."""
-        ...
+    Attributes:
+        direction_known: whether the direction of rotation is known; if not, mirror images are equivalent.
+        height_weight: what heights of reflectors count, see `codebook.height_weight`; 0: nothing.
+    """
 
-    def add_all(
-        self,
-        layouts: Sequence[Layout],
-        source: str,
-        *,
-        replace: bool = True,
-        since: int | None = None,
-        signatures: Sequence[Signature] = (),
-    ) -> int | None:
-        """Enroll several, all or none; return the new version, or None if it is no longer `since`."""
-        ...
+    direction_known: bool = True
+    height_weight: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -153,33 +147,17 @@ class Outlook:
         )
 
 
-def outlook(
-    layout: Layout,
-    others: Sequence[Layout],
-    *,
-    direction_known: bool = True,
-    height_weight: float = 0.0,
-    version: int = 0,
-) -> Outlook:
+def outlook(layout: Layout, others: Sequence[Layout], basis: Basis = Basis(), version: int = 0) -> Outlook:
     """Distance between a layout and every other, and how far a reading tells it from the nearest.
 
-    Args:
-        layout: new layout.
-        others: layouts to compare with; one of the same name is ignored.
-        direction_known: whether the direction of rotation is known; if not, mirror images are equivalent.
-        height_weight: what heights of reflectors count, see `codebook.height_weight`; 0: nothing.
-        version: registry version to store in the result.
+    Another one of the same name is ignored; `version` is the registry's, for the result.
 
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
     layout.check_room()
-    conditions = Conditions(height_weight=height_weight)
+    conditions = Conditions(height_weight=basis.height_weight)
     neighbours = _by_nearness(
-        [
-            neighbour(layout, other, direction_known, height_weight)
-            for other in others
-            if other.name != layout.name
-        ]
+        [neighbour(layout, other, basis) for other in others if other.name != layout.name]
     )
     enrolled = {other.name: other for other in others}
     near = [
@@ -194,14 +172,12 @@ def _by_nearness(neighbours: Sequence[Neighbour]) -> tuple[Neighbour, ...]:
     return tuple(sorted(neighbours, key=lambda n: (not np.isfinite(n.distance.worst_m), n.nearness_m)))
 
 
-def neighbour(
-    layout: Layout, other: Layout, direction_known: bool = True, height_weight: float = 0.0
-) -> Neighbour:
+def neighbour(layout: Layout, other: Layout, basis: Basis) -> Neighbour:
     """Distance of two layouts; of the nearer mirror image if the direction is unknown."""
-    straight = _neighbour(layout, other, False, height_weight)
-    if direction_known:
+    straight = _neighbour(layout, other, False, basis.height_weight)
+    if basis.direction_known:
         return straight
-    image = _neighbour(layout.mirrored(), other, True, height_weight)
+    image = _neighbour(layout.mirrored(), other, True, basis.height_weight)
     return image if image.nearness_m < straight.nearness_m - 1e-9 else straight
 
 
@@ -235,55 +211,33 @@ def _variance_along(covariance: NDArray[np.float64] | None, along: NDArray[np.fl
     return 0.0 if covariance is None else float(np.einsum("ki,kij,kj->", along, covariance, along))
 
 
-@dataclass(frozen=True)
-class Enrollment:
-    """Result of enrolling a layout.
-
-    Attributes:
-        outlook: the layout as enrolled, compared with its neighbours.
-        version: registry version after the change.
-    """
-
-    outlook: Outlook
-    version: int
-
-
 def enroll(
-    store: LayoutStore,
+    registry: Registry,
     layout: Layout,
     source: str,
     *,
     force: bool = False,
-    direction_known: bool = True,
-    height_weight: float = 0.0,
+    basis: Basis = Basis(),
     signatures: Sequence[Signature] = (),
-) -> Enrollment:
-    """Add a layout to the store unless it could be confused with another.
+) -> tuple[Outlook, int]:
+    """Add a layout to the registry unless it could be confused with another.
 
-    Args:
-        store: the registry.
-        layout: new layout.
-        source: origin of the layout, for the history.
-        force: enroll it despite a conflict, and replace one of the same name.
-        direction_known: whether the direction of rotation is known.
-        height_weight: as of `outlook`.
-        signatures: signatures of the same object, stored with it.
+    With `force` it is enrolled nevertheless, and replaces one of the same name; signatures of the same object
+    are stored with it. Returns it compared with its neighbours, and the new registry version.
 
     Raises:
         LayoutConflictError: it is too close to an enrolled layout.
         RegistryError: the name is taken.
     """
 
-    def compared() -> Enrollment | None:
-        version, known = store.snapshot()
-        comparison = outlook(
-            layout, known, direction_known=direction_known, height_weight=height_weight, version=version
-        )
+    def compared() -> tuple[Outlook, int] | None:
+        version, known = registry.snapshot()
+        comparison = outlook(layout, known, basis, version)
         conflict = comparison.conflict()
         if conflict and not force:
             raise conflict
-        done = store.add_all([layout], source, replace=force, since=version, signatures=signatures)
-        return None if done is None else Enrollment(comparison, done)
+        done = registry.add_all([layout], source, replace=force, since=version, signatures=signatures)
+        return None if done is None else (comparison, done)
 
     return undisturbed(compared)
 
@@ -291,10 +245,7 @@ def enroll(
 def family_outlooks(
     layouts: Sequence[Layout],
     known: Sequence[Layout],
-    *,
-    direction_known: bool = True,
-    height_weight: float = 0.0,
-    version: int = 0,
+    basis: Basis = Basis(),
 ) -> list[Outlook]:
     """The outlook of several layouts to be enrolled together, compared with each other and those enrolled.
 
@@ -302,16 +253,7 @@ def family_outlooks(
     """
     names = {layout.name for layout in layouts}
     fixed = [layout for layout in known if layout.name not in names]
-    outlooks = [
-        outlook(
-            layout,
-            [*fixed, *layouts[:i]],
-            direction_known=direction_known,
-            height_weight=height_weight,
-            version=version,
-        )
-        for i, layout in enumerate(layouts)
-    ]
+    outlooks = [outlook(layout, [*fixed, *layouts[:i]], basis) for i, layout in enumerate(layouts)]
     # Each layout was compared with the earlier ones only; mirror those comparisons.
     seen: dict[str, list[Neighbour]] = {layout.name: [] for layout in layouts}
     for prospect in outlooks:
@@ -325,41 +267,32 @@ def family_outlooks(
 
 
 def merge(
-    store: LayoutStore,
+    registry: Registry,
     layouts: Sequence[Layout],
     source: str,
     *,
     force: bool = False,
-    direction_known: bool = True,
-    height_weight: float = 0.0,
+    basis: Basis = Basis(),
     checked: int | None = None,
     signatures: Sequence[Signature] = (),
 ) -> int:
-    """Add several layouts to the store, all or none; identical entries are left unchanged.
+    """Add several layouts to the registry, all or none; identical entries are left unchanged.
 
     Args:
-        store: the registry.
+        registry, source, basis, signatures: as of `enroll`.
         layouts: with unique names.
-        source: origin of the layouts, for the history.
         force: replace layouts of the same names, and accept layouts that could be confused.
-        direction_known: whether the direction of rotation is known.
-        height_weight: as of `outlook`.
         checked: registry version for which `refusal` found nothing.
-        signatures: stored with the layouts.
 
-    Raises:
-        LayoutConflictError: a name is taken by a different layout, or two layouts could be confused.
+    Raises LayoutConflictError: a name is taken by a different layout, or two layouts could be confused.
     """
 
     def compared() -> int | None:
-        version, enrolled = store.snapshot()
-        if not force and version != checked:
-            outlooks = family_outlooks(
-                layouts, enrolled, direction_known=direction_known, height_weight=height_weight
-            )
-            if error := refusal(outlooks, enrolled):
-                raise error
-        return store.add_all(layouts, source, since=version, signatures=signatures)
+        version, enrolled = registry.snapshot()
+        again = not force and version != checked
+        if again and (error := refusal(family_outlooks(layouts, enrolled, basis), enrolled)):
+            raise error
+        return registry.add_all(layouts, source, since=version, signatures=signatures)
 
     return undisturbed(compared)
 
@@ -367,10 +300,8 @@ def merge(
 def undisturbed(compared: Callable[[], _T | None]) -> _T:
     """Repeat a comparison with the registry and the change that depends on it until nothing comes between.
 
-    Args:
-        compared: reads, compares, and stores with `since`; None if the registry has changed meanwhile.
-
-    Raises RegistryError if other processes keep changing the registry.
+    It stores with `since`, and gives None where the registry has changed meanwhile. Raises RegistryError if
+    other processes keep changing it.
     """
     for _ in range(_TRIES):
         done = compared()

@@ -1,6 +1,7 @@
 """Layout files that people edit and exchange: TOML with one or more layouts and, optionally, signatures.
 
-Exporting and importing preserves every value. Every field of a file is validated before it is used.
+Exporting and importing preserves every value. Every field of a file is validated before it is used. Layouts
+are looked up by name in such a file, then in the registry, then among the built-in ones.
 """
 
 from __future__ import annotations
@@ -12,12 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tagid.errors import FileFormatError, TagidError
+from tagid.enrolling.registry import Registry
+from tagid.errors import FileFormatError, TagidError, UsageError
 from tagid.files import read_toml, write_bytes
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.bodies.signature_file import MAX_BYTES as MAX_SIGNATURE_BYTES
 from tagid.tags.bodies.signature_file import from_bytes, to_bytes
-from tagid.tags.layouts.layout import Layout, layout_from_dict, read_layout
+from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict, read_layout
+from tagid.tags.layouts.test_card import NAME as TEST_CARD
+from tagid.tags.layouts.test_card import test_card
 
 FORMAT = "tagid.layouts"
 VERSION = 2
@@ -26,6 +30,7 @@ VERSION = 2
 MAX_BYTES = 16 << 20
 MAX_LAYOUTS = 2000
 MAX_SIGNATURES = 200
+_EXPORT = "Export layouts with `tagid layouts export`."
 
 
 @dataclass(frozen=True)
@@ -45,9 +50,7 @@ def layouts_to_toml(layouts: Sequence[Layout], signatures: Sequence[Signature] =
     """TOML text of layouts and signatures, as read by `read_entries`."""
     import tomli_w
 
-    tables: list[dict[str, Any]] = []
-    for layout in layouts:
-        tables.append({key: value for key, value in layout.to_dict().items() if value != ""})
+    tables = [{key: value for key, value in layout.to_dict().items() if value != ""} for layout in layouts]
     data: dict[str, Any] = {"format": FORMAT, "version": VERSION if signatures else 1, "layout": tables}
     if signatures:
         data["signature"] = [
@@ -83,16 +86,16 @@ def read_entries(path: Path) -> Entries:
     try:
         data = read_toml(path, MAX_BYTES)
     except FileFormatError as error:
-        raise FileFormatError(error.message, "Export layouts with `tagid layouts export`.") from None
+        raise FileFormatError(error.message, _EXPORT) from None
     if not data:
-        raise FileFormatError(f"{path} is empty", "Export layouts with `tagid layouts export`.")
+        raise FileFormatError(f"{path} is empty", _EXPORT)
     if "format" not in data and "layout" not in data:
         return Entries((read_layout(path),))
     version = data.get("version")
     if data.get("format") != FORMAT or isinstance(version, bool) or not isinstance(version, int):
         raise FileFormatError(
             f"{path}: format is {str(data.get('format'))[:80]!r}, expected {FORMAT!r} with a version",
-            "Export layouts with `tagid layouts export`.",
+            _EXPORT,
         )
     if version > VERSION:
         raise FileFormatError(
@@ -121,20 +124,18 @@ def _signatures(path: Path, tables: Any) -> tuple[Signature, ...]:
     if not isinstance(tables, list) or len(tables) > MAX_SIGNATURES:
         raise FileFormatError(
             f"{path}: signature is not a list of up to {MAX_SIGNATURES} tables",
-            "Export layouts with `tagid layouts export`.",
+            _EXPORT,
         )
     signatures: dict[tuple[str, str], Signature] = {}
     for number, table in enumerate(tables, 1):
         where = f"{path}, signature {number}"
         text = table.get("data") if isinstance(table, dict) else None
         if not isinstance(text, str) or len(text) > 2 * MAX_SIGNATURE_BYTES:
-            raise FileFormatError(f"{where} has no data", "Export layouts with `tagid layouts export`.")
+            raise FileFormatError(f"{where} has no data", _EXPORT)
         try:
             data = base64.b64decode(text, validate=True)
         except (ValueError, binascii.Error):
-            raise FileFormatError(
-                f"{where} is not base64", "Export layouts with `tagid layouts export`."
-            ) from None
+            raise FileFormatError(f"{where} is not base64", _EXPORT) from None
         signature = from_bytes(data, where)
         if (signature.kind, signature.name) in signatures:
             raise FileFormatError(
@@ -142,3 +143,30 @@ def _signatures(path: Path, tables: Any) -> tuple[Signature, ...]:
             )
         signatures[signature.kind, signature.name] = signature
     return tuple(signatures.values())
+
+
+def named_layouts(file: Path | None, registry: Path) -> dict[str, Layout]:
+    """Every layout that can be named, by name.
+
+    Args:
+        file: TOML or JSON file of layouts, e.g. of `tagid layouts design --out`; its layouts come first.
+        registry: registry file; it is only read, and not made where it does not exist.
+
+    Raises:
+        RegistryError, StorageError, FileFormatError: a file cannot be read.
+    """
+    layouts = {**builtin_layouts(), TEST_CARD: test_card()}
+    if registry.exists():
+        layouts |= {layout.name: layout for layout in Registry(registry).layouts()}
+    if file is not None:
+        layouts |= {layout.name: layout for layout in read_entries(file).layouts}
+    return layouts
+
+
+def only_layout(file: Path) -> str:
+    """Name of the layout of a file that holds one. Raises UsageError where it holds several or none."""
+    names = [layout.name for layout in read_entries(file).layouts]
+    if len(names) != 1:
+        listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+        raise UsageError(f"{file} holds {len(names)} layouts: {listed or 'none'}", "Name one of them.")
+    return names[0]

@@ -260,8 +260,7 @@ class Registry:
             source: origin of the entries, for the history.
             replace: whether they may replace entries of the same name.
             since: store only if this is still the version; otherwise do nothing and return None.
-            signatures: with unique pairs of kind and name; the signature of an object has the name of its
-                layout.
+            signatures: with unique pairs of kind and name; that of an object has the name of its layout.
 
         Raises RegistryError if a name is taken and `replace` is not set, and UsageError for a label or notes
         that a spreadsheet would execute as a formula, or a name that is an answer already.
@@ -288,15 +287,11 @@ class Registry:
             return self._version(connection)
 
     def undo(self, to: int | None = None) -> Restored:
-        """Undo the last command that changed the registry; called again, the one before it.
+        """Undo the last command that changed the registry, or go back to a version; again, the one before it.
 
         Every command is one step, however many entries it changed. The steps back are changes themselves, so
-        nothing is lost from the history.
-
-        Args:
-            to: restore this version instead.
-
-        Raises RegistryError where there is nothing to undo, or no such version.
+        nothing is lost from the history. Raises RegistryError where there is nothing to undo, or no such
+        version.
         """
         with self._database.transaction() as connection:
             last = self._version(connection)

@@ -22,6 +22,8 @@ from tagid.imaging.types import BasebandScans
 from tagid.imaging.volume import backproject_volume
 from tagid.pipeline.join import join, without_background_of_each_height
 
+_EXTENT_M = 0.4
+"""Diameter of the object, m."""
 STEPS = 720
 """Angles of the polar images, half a degree: 1.3 mm at a radius of 0.15 m, between which a parabola is
 put."""
@@ -57,7 +59,7 @@ class Alignment:
         return float(np.rad2deg(np.angle(np.exp(1j * self.rotation_rad))))
 
 
-def aligned(captures: Sequence[Capture], extent_m: float = 0.4) -> tuple[list[Capture], list[Alignment]]:
+def aligned(captures: Sequence[Capture]) -> tuple[list[Capture], list[Alignment]]:
     """The captures with their angles referred to the first one's pose.
 
     The rotation is the peak of the circular correlation of the captures' backprojections |f(r, phi)|^2. These
@@ -68,7 +70,6 @@ def aligned(captures: Sequence[Capture], extent_m: float = 0.4) -> tuple[list[Ca
 
     Args:
         captures: prepared: each with angles and its own antenna height.
-        extent_m: diameter of the object, m.
 
     Raises:
         DataError: a capture without angles, one that cannot be imaged, or two that do not show the same
@@ -80,7 +81,7 @@ def aligned(captures: Sequence[Capture], extent_m: float = 0.4) -> tuple[list[Ca
                 f"capture {number} has antenna positions instead of angles, so it cannot be rotated",
                 "Join it without `align`.",
             )
-    images = [_polar(capture, extent_m) for capture in captures]
+    images = [_polar(capture) for capture in captures]
     rivals, likeness = [[0.0]], [1.0]
     for number in range(1, len(captures)):
         # The one before is nearest in height, so that its image is the most alike.
@@ -97,7 +98,7 @@ def aligned(captures: Sequence[Capture], extent_m: float = 0.4) -> tuple[list[Ca
     while len(turns) < len(captures):
         # Two heights fit any rotation of a symmetric tag at some height of its reflectors; three do not.
         more = rivals[len(turns) : len(turns) + (2 if len(turns) == 1 else 1)]
-        turns = _sharpest(captures, turns, more, extent_m)
+        turns = _sharpest(captures, turns, more)
     done = [rotated(capture, turn) for capture, turn in zip(captures, turns, strict=True)]
     return done, [Alignment(*pair) for pair in zip(turns, likeness, strict=True)]
 
@@ -109,10 +110,10 @@ def rotated(capture: Capture, rotation_rad: float) -> Capture:
     return replace(capture, angles_rad=capture.angles_rad + rotation_rad)
 
 
-def _polar(capture: Capture, extent_m: float) -> NDArray[np.float64]:
+def _polar(capture: Capture) -> NDArray[np.float64]:
     """(radii, STEPS) |f|^2 of the backprojection in the plane z = 0, weighted by the radius."""
-    scans = preprocess(capture, settings=PreprocessSettings(extent_m=extent_m))
-    radii = np.arange(0.5, extent_m / 2 / RADIUS_STEP_M) * RADIUS_STEP_M
+    scans = preprocess(capture, settings=PreprocessSettings(extent_m=_EXTENT_M))
+    radii = np.arange(0.5, _EXTENT_M / 2 / RADIUS_STEP_M) * RADIUS_STEP_M
     angle = np.arange(STEPS) * 2 * np.pi / STEPS
     points = radii[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     image = ForwardOperator(scans, points.reshape(-1, 2)).adjoint(scans.samples)
@@ -145,9 +146,7 @@ def _peaks(correlation: NDArray[np.float64]) -> list[float]:
     return turns
 
 
-def _sharpest(
-    captures: Sequence[Capture], turns: list[float], rivals: Sequence[list[float]], extent_m: float
-) -> list[float]:
+def _sharpest(captures: Sequence[Capture], turns: list[float], rivals: Sequence[list[float]]) -> list[float]:
     """The rotations so far and one of each list of rivals, with which the volume is sharpest.
 
     Of several that are equally sharp (a symmetric object) those with the smallest rotations are returned.
@@ -156,26 +155,25 @@ def _sharpest(
         captures: all of them.
         turns: rotations of the first ones, rad.
         rivals: rotations of each of the next ones relative to the one before it, rad.
-        extent_m: as of `aligned`.
     """
     tried = [turns + list(np.cumsum([turns[-1], *steps])[1:]) for steps in itertools.product(*rivals)]
     if len(tried) == 1:
         return tried[0]
     volumes = [[rotated(*turned) for turned in zip(captures, turns, strict=False)] for turns in tried]
-    sharp = [_sharpness(volume, extent_m) for volume in volumes]
+    sharp = [_sharpness(volume) for volume in volumes]
     equal = [
         turns for turns, sharpness in zip(tried, sharp, strict=True) if sharpness > (1 - _EQUAL) * max(sharp)
     ]
     return min(equal, key=lambda turns: float(np.abs(np.angle(np.exp(1j * np.array(turns)))).sum()))
 
 
-def _sharpness(captures: Sequence[Capture], extent_m: float) -> float:
+def _sharpness(captures: Sequence[Capture]) -> float:
     """sum |f|^4 / (sum |f|^2)^2 of a coarse volume."""
     some = [capture.select(slice(None, None, max(1, capture.views // _VOLUME_VIEWS))) for capture in captures]
     heights = (-_VOLUME_HEIGHT_M / 2, _VOLUME_HEIGHT_M / 2)
     clean = without_background_of_each_height(join(some), "mean")
-    settings = PreprocessSettings("none", extent_m=extent_m, heights_m=heights)
+    settings = PreprocessSettings("none", extent_m=_EXTENT_M, heights_m=heights)
     scans: BasebandScans = preprocess(clean, settings=settings)
-    grid = VolumeGrid(ImageGrid(extent_m, _VOLUME_PIXELS), *heights, _VOLUME_LEVELS)
+    grid = VolumeGrid(ImageGrid(_EXTENT_M, _VOLUME_PIXELS), *heights, _VOLUME_LEVELS)
     power = np.abs(backproject_volume(scans, grid).values).astype(np.float64) ** 2
     return float((power**2).sum() / max(float(power.sum()) ** 2, 1e-300))

@@ -73,13 +73,14 @@ class Identification:
         r = self.reading
         error = self.error or Problem("", "")
         scores = r.scores if r else ()
+        shares = {score.name: score.share for score in scores}
         return {
             "status": self.status,
             "reason": r.reason if r else error.message,
             "reason_code": r.code.value if r else error.code,
             "advice": self.what_to_do(),
             "causes": [asdict(cause) for cause in self.causes],
-            "nearest": {"layout": r.nearest, "share": self._nearest_share()} if r else None,
+            "nearest": {"layout": r.nearest, "share": shares.get(r.nearest)} if r else None,
             "layout": r.layout if r else None,
             "label": self.label,
             "score": r.score if r else 0.0,
@@ -92,7 +93,7 @@ class Identification:
             "missing": r.missing if r else 0,
             "extra": r.extra if r else 0,
             "scores": [{"layout": s.name, "criterion": s.criterion, "share": s.share} for s in scores],
-            "hypothesis": self._won(),
+            "hypothesis": r.kind.value if r else None,
             "hypotheses": self._hypotheses(),
             "bound": self._bound(),
             "coverage": None if self.coverage is None else round(self.coverage, 3),
@@ -104,15 +105,6 @@ class Identification:
             "seconds": {name: round(value, 4) for name, value in self.seconds.items()},
             "error": self.error and self.error.to_json(),
         }
-
-    def _nearest_share(self) -> float | None:
-        """Share of the energy above noise that the nearest layout explains; None if unknown."""
-        scores = self.reading.scores if self.reading else ()
-        return next((s.share for s in scores if self.reading and s.name == self.reading.nearest), None)
-
-    def _won(self) -> str | None:
-        """The kind of the selected hypothesis; None if nothing was read."""
-        return self.reading.kind.value if self.reading else None
 
     def _bound(self) -> dict[str, Any] | None:
         """Basis of the false-accept bound; None if no calibration applies."""

@@ -89,13 +89,7 @@ def circling(capture: Capture) -> Circling | None:
 
 
 def named_in(prepared: PreparedCapture, capture: Capture, layouts: Sequence[Layout]) -> Reading | None:
-    """The reading of the same scans elsewhere if it names the object.
-
-    Args:
-        prepared: the capture of the answer, for its settings.
-        capture: the scans elsewhere.
-        layouts: the enrolled ones.
-    """
+    """The reading, with the settings of an answer, of the same scans elsewhere, if it names the object."""
     try:
         answer = identify(prepared.elsewhere(capture), layouts)
     except DataError:
@@ -238,13 +232,7 @@ def recording_remarks(capture: Capture) -> tuple[str, ...]:
 def with_causes(
     answer: Identification, prepared: PreparedCapture, layouts: Sequence[Layout]
 ) -> Identification:
-    """The answer, with the likely causes if nothing is named, most certain first; else a remark on the axis.
-
-    Args:
-        answer: of `identify`.
-        prepared: the capture of the answer.
-        layouts: the enrolled ones.
-    """
+    """The answer, with likely causes if nothing is named, most certain first; else a remark on the axis."""
     if answer.status == "failed" or answer.reading is None:
         return answer
     if answer.status == "identified":

@@ -18,7 +18,7 @@ from tagid.pipeline.settings import ImagingSettings
 if TYPE_CHECKING:
     from tagid.capture import Capture
     from tagid.enrolling.averaging import LayoutEstimate, Sighting
-    from tagid.enrolling.enrollment import Outlook
+    from tagid.enrolling.enrollment import Basis, Outlook
     from tagid.enrolling.registry import Key, Registry, RegistryContents
     from tagid.tags.bodies.joint import Joint
     from tagid.tags.bodies.likeness import Likeness
@@ -35,58 +35,40 @@ class LayoutProposal:
         signature: of the same object; None if there is none.
         outlook: the layout compared with its neighbours.
         taken: the error if the name is already enrolled.
-        direction_known: whether the direction of rotation is known.
-        height_weight: see `tags.layouts.codebook.height_weight`; 0: heights do not distinguish layouts.
+        basis: of the comparison.
     """
 
     layout: Layout
     signature: Signature | None
     outlook: Outlook
     taken: RegistryError | None
-    direction_known: bool
-    height_weight: float = 0.0
+    basis: Basis
 
     @property
     def conflict(self) -> LayoutConflictError | None:
         """The error if the layout could be confused with another."""
         return self.outlook.conflict()
 
-    def store(self, registry: Registry, source: str, force: bool = False) -> StoredLayout:
+    def store(self, registry: Registry, source: str, force: bool = False) -> tuple[LayoutProposal, int]:
         """Enroll it, after comparing it with the registry as it is now.
 
-        Args:
-            registry: where to store it.
-            source: origin of the layout, for the history.
-            force: store it despite a conflict, and replace an entry of the same name.
+        With `force` it is stored despite a conflict, and replaces an entry of the same name; `source` is its
+        origin, for the history. Returns the proposal compared again, and the new registry version.
 
         Raises LayoutConflictError, RegistryError.
         """
         from tagid.enrolling.enrollment import enroll
 
         signatures = () if self.signature is None else (self.signature,)
-        done = enroll(
+        outlook, version = enroll(
             registry,
             self.layout,
             source,
             force=force,
-            direction_known=self.direction_known,
-            height_weight=self.height_weight,
+            basis=self.basis,
             signatures=signatures,
         )
-        return StoredLayout(replace(self, outlook=done.outlook), done.version)
-
-
-@dataclass(frozen=True, eq=False)
-class StoredLayout:
-    """An enrolled layout.
-
-    Attributes:
-        proposal: as stored, compared with the registry at that moment.
-        version: registry version after the change.
-    """
-
-    proposal: LayoutProposal
-    version: int
+        return replace(self, outlook=outlook), version
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,15 +104,7 @@ class SignatureProposal:
         )
 
     def store(self, registry: Registry, source: str, force: bool = False) -> int:
-        """Enroll it, after comparing it with the registry as it is now; returns the new registry version.
-
-        Args:
-            registry: where to store it.
-            source: origin of the signature, for the history.
-            force: store it despite a conflict, and replace an entry of the same name.
-
-        Raises LayoutConflictError, RegistryError.
-        """
+        """As `LayoutProposal.store`; returns the new registry version."""
         from tagid.enrolling.enrollment import undisturbed
 
         def compared() -> int | None:
@@ -149,35 +123,21 @@ def propose_layout(
     contents: RegistryContents,
     layout: Layout,
     measured: Measured | None,
-    direction_known: bool,
-    height_weight: float = 0.0,
+    basis: Basis,
 ) -> LayoutProposal:
-    """A layout compared with the enrolled ones.
-
-    Args:
-        contents: of the registry.
-        layout: new layout.
-        measured: the captures it was measured on; None for given positions.
-        direction_known: whether the direction of rotation is known.
-        height_weight: as of `LayoutProposal`.
+    """A layout, given or measured, compared with the enrolled ones.
 
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
     from tagid.enrolling.enrollment import outlook
     from tagid.enrolling.registry import taken
 
-    outlook_of = outlook(
-        layout,
-        contents.layouts,
-        direction_known=direction_known,
-        height_weight=height_weight,
-        version=contents.version,
-    )
+    outlook_of = outlook(layout, contents.layouts, basis, contents.version)
     error = taken(("layout", layout.name), _keys(contents))
     own = None
     if measured is not None and measured.joint is not None:
         own = replace(measured.joint.signature, name=layout.name, label=layout.label[:200])
-    return LayoutProposal(layout, own, outlook_of, error, direction_known, height_weight)
+    return LayoutProposal(layout, own, outlook_of, error, basis)
 
 
 def propose_signature(contents: RegistryContents, signature: Signature) -> SignatureProposal:
@@ -185,13 +145,10 @@ def propose_signature(contents: RegistryContents, signature: Signature) -> Signa
     from tagid.enrolling.registry import taken
     from tagid.tags.bodies.likeness import compare
 
-    compared = signature
-    others = [
-        other for other in contents.signatures if other.kind == compared.kind and other.name != compared.name
-    ]
-    pairs = sorted((compare(compared, other) for other in others), key=lambda pair: pair.difference)
-    error = taken((compared.kind, compared.name), _keys(contents))
-    return SignatureProposal(compared, tuple(pairs), contents.version, error)
+    kind, name = signature.kind, signature.name
+    others = [other for other in contents.signatures if other.kind == kind and other.name != name]
+    pairs = sorted((compare(signature, other) for other in others), key=lambda pair: pair.difference)
+    return SignatureProposal(signature, tuple(pairs), contents.version, taken((kind, name), _keys(contents)))
 
 
 def _keys(contents: RegistryContents) -> set[Key]:
@@ -218,15 +175,9 @@ class Prepared:
 
 
 @dataclass(frozen=True, eq=False)
-class Sighted:
-    """A prepared capture with the reflectors that it shows.
+class Sighted(Prepared):
+    """A prepared capture with the strong reflectors that it shows."""
 
-    Attributes:
-        prepared: the capture.
-        sighting: its strong reflectors.
-    """
-
-    prepared: Prepared
     sighting: Sighting
 
 
@@ -272,7 +223,8 @@ def sight(prepared: Prepared, imaging: ImagingSettings) -> Sighted:
     """The reflectors that a capture shows. Raises DataError as `sight_reflectors` does."""
     from tagid.pipeline.identify import sight_reflectors
 
-    return Sighted(prepared, sight_reflectors(prepared.capture, prepared.name, imaging))
+    name, capture = prepared.name, prepared.capture
+    return Sighted(name, capture, sight_reflectors(capture, name, imaging))
 
 
 def measure(
@@ -281,13 +233,7 @@ def measure(
     imaging: ImagingSettings,
     progress: Remark = lambda what: None,
 ) -> Measured:
-    """Positions and signature of a tagged object.
-
-    Args:
-        name: of the object.
-        captures: of the same object, repositioned between them.
-        imaging: settings of imaging and reading.
-        progress: called after each capture of the signature.
+    """Positions and signature of a tagged object that was repositioned between its captures.
 
     Raises DataError, with both reasons, if neither positions nor a signature could be determined.
     """
@@ -313,7 +259,7 @@ def measure(
             )
         return Measured(estimate, None, f"no signature: it needs {CAPTURES} captures", unmoved)
     try:
-        joint = signature(name, "object", [capture.prepared for capture in captures], imaging, progress)
+        joint = signature(name, "object", captures, imaging, progress)
     except DataError as error:
         if positions is not None:
             raise DataError(
@@ -338,7 +284,7 @@ def _doubt(captures: Sequence[Sighted], imaging: ImagingSettings) -> str:
     from tagid.pipeline.identify import aspect_spectra
 
     try:
-        spectra = [aspect_spectra(capture.prepared.capture, imaging) for capture in captures]
+        spectra = [aspect_spectra(capture.capture, imaging) for capture in captures]
     except DataError:  # free antenna positions, or fewer views than a signature needs
         return ""
     return trusted([capture.sighting for capture in captures], spectra)

@@ -25,9 +25,7 @@ from tagid.signal import median
 if TYPE_CHECKING:
     from tagid.enrolling.averaging import Sighting
     from tagid.reading.ending import EndingCalibration
-    from tagid.reading.hypothesis import Hypothesis
     from tagid.reading.reader import ReaderSettings
-    from tagid.reading.reading import Reading
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.bodies.spectra import Spectra
     from tagid.tags.layouts.layout import Layout
@@ -141,12 +139,8 @@ def ended_answer(
     """The answer of a capture that ended early, with the bound of the whole procedure.
 
     The recording goes on for some scans while a look is read; a name that these contradict is withdrawn.
-
-    Args:
-        answer: of the captured part of the turn.
-        ending: of its recording; the answer is returned unchanged unless it is that of an early ending.
-        false_accept: of the whole scan.
-        calibration: None for the package's own.
+    Other answers are returned unchanged. `false_accept` is that of the whole scan, `calibration` None for the
+    package's own.
     """
     reading = answer.reading
     if ending is None or ending.reason != SURE or reading is None:
@@ -168,12 +162,7 @@ def ended_answer(
 
 
 def reader_settings(settings: ImagingSettings, spent: float = 0.0) -> ReaderSettings:
-    """Settings of the reader.
-
-    Args:
-        settings: of imaging and reading.
-        spent: share of the false-accept probability that was used before, by readings of parts of the turn.
-    """
+    """Settings of the reader; a share of its false-accept probability was spent on parts of the turn."""
     from tagid.reading.columns import Priors
     from tagid.reading.reader import ReaderSettings
 
@@ -228,23 +217,33 @@ def identify(
         reading = read(scans, layouts, reader_settings(prepared.settings, spent), signatures)
         reading = of_the_part(reading, [prepared.given])
     reading = _noted(prepared, reading)
-    label = _labels(layouts, signatures).get(reading.layout or "", "")
     seconds = {**prepared.watch.seconds, **watch.seconds}
-    return Identification(
-        reading.status,
-        reading,
-        prepared.given.uuid,
-        registry_version,
-        label,
-        seconds,
-        coverage=share_seen([prepared.given]),
-    )
+    return _answer(reading, [prepared.given], _labels(layouts, signatures), registry_version, seconds)
 
 
 def _labels(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> dict[str, str]:
     """Readable names of all that can be named; a layout's precedes that of an object of its name."""
     objects = {signature.name: signature.label for signature in signatures if signature.kind == "object"}
     return objects | {layout.name: layout.label for layout in layouts}
+
+
+def _answer(
+    reading: Reading,
+    captures: Sequence[Capture],
+    labels: dict[str, str],
+    registry_version: int | None,
+    seconds: dict[str, float],
+) -> Identification:
+    """The answer from one capture, or from several jointly."""
+    return Identification(
+        reading.status,
+        reading,
+        captures[0].uuid if len(captures) == 1 else None,
+        registry_version,
+        labels.get(reading.layout or "", ""),
+        dict(seconds),
+        coverage=share_seen(captures),
+    )
 
 
 def without_body(prepared: PreparedCapture, answer: Identification) -> PreparedCapture:
@@ -254,16 +253,10 @@ def without_body(prepared: PreparedCapture, answer: Identification) -> PreparedC
     """
     from tagid.reading.subtract import without_body as subtracted
 
-    body = None if answer.reading is None else _selected_body(answer.reading)
-    if body is None:
+    winner = None if answer.reading is None else answer.reading.winner
+    if winner is None or not winner.estimate.model.body_columns:
         return prepared
-    return PreparedCapture(subtracted(prepared.given, body), prepared.settings)
-
-
-def _selected_body(reading: Reading) -> Hypothesis | None:
-    """The hypothesis that won if it has a body, whose echo is no part of the tag; else None."""
-    winner = reading.winner
-    return None if winner is None or not winner.estimate.model.body_columns else winner
+    return PreparedCapture(subtracted(prepared.given, winner), prepared.settings)
 
 
 def identify_together(
@@ -296,15 +289,7 @@ def identify_together(
         watch.add(capture.watch)
 
     def answer(reading: Reading, of: Sequence[Capture]) -> Identification:
-        return Identification(
-            reading.status,
-            reading,
-            of[0].uuid if len(of) == 1 else None,
-            registry_version,
-            labels.get(reading.layout or "", ""),
-            dict(watch.seconds),
-            coverage=share_seen(of),
-        )
+        return _answer(reading, of, labels, registry_version, watch.seconds)
 
     alone_answers = [answer(reading, [capture]) for reading, capture in zip(alone, captures, strict=True)]
     return answer(joint, captures), alone_answers

@@ -5,9 +5,9 @@ Imaging, reading and the network share its baseband scans and pulse.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,6 +87,7 @@ class PreparedCapture:
         settings: settings of imaging and reading.
 
     Attributes:
+        given: the capture, before a pulse was selected.
         settings: as given.
         watch: seconds per stage ("pulse", "preprocess").
     """
@@ -94,16 +95,11 @@ class PreparedCapture:
     def __init__(self, capture: Capture, settings: ImagingSettings | None = None) -> None:
         self.settings = settings or ImagingSettings()
         self.watch = Stopwatch()
-        self._given = capture
+        self.given = capture
         self._with_pulse: Capture | None = None
         self._estimate: PulseEstimate | None = None
         self._scans: dict[PreprocessSettings, BasebandScans] = {}
         self._focus: AxisFocus | None = None
-
-    @property
-    def given(self) -> Capture:
-        """The capture as given, before a pulse was selected."""
-        return self._given
 
     @property
     def capture(self) -> Capture:
@@ -128,7 +124,7 @@ class PreparedCapture:
             held_out: whether images say how well they predict held-out views, if the settings ask for it.
         """
         settings = replace(self.settings, focus_m=0.0, held_out=self.settings.held_out and held_out)
-        return PreparedCapture(replace(self._given, axis_distance_m=distance_m), settings)
+        return PreparedCapture(replace(self.given, axis_distance_m=distance_m), settings)
 
     @property
     def pulse_estimate(self) -> PulseEstimate | None:
@@ -164,10 +160,10 @@ class PreparedCapture:
             DataError: as `scans`. UsageError: the search is too wide.
         """
         settings = self.settings
-        if settings.focus_m == 0 or self._given.antenna_positions_m is not None:
+        if settings.focus_m == 0 or self.given.antenna_positions_m is not None:
             return None
         if self._focus is None:
-            scans = self.scans(settings.preprocessing_for_focus(self._given, matched_filter=False))
+            scans = self.scans(settings.preprocessing_for_focus(self.given, matched_filter=False))
             with self.watch.stage("focus"):
                 grid = ImageGrid(settings.extent_m, settings.pixels)
                 _, self._focus = focus_axis_distance(scans, grid, settings.focus_m)
@@ -183,21 +179,27 @@ class PreparedCapture:
     def _selected_pulse(self, progress: Progress | None) -> Capture:
         settings = self.settings
         if settings.pulse == "nominal":
-            return replace(self._given, pulse=nominal(self._given))
+            return replace(self.given, pulse=nominal(self.given))
         if settings.pulse == "auto":
-            return self._given
+            return self.given
         from tagid.imaging.pulsefit import estimate_pulse
 
         with self.watch.stage("pulse"):
             grid = ImageGrid(settings.extent_m, settings.pixels)
-            report = None if progress is None else partial(_report_pulse, progress)
-            estimate = estimate_pulse(self._given, grid, settings.background, settings.focus_m, report)
+            report = remarked(progress, "estimating the pulse")
+            estimate = estimate_pulse(self.given, grid, settings.background, settings.focus_m, report)
         self._estimate = estimate
-        return replace(self._given, pulse=estimate.pulse)
+        return replace(self.given, pulse=estimate.pulse)
 
 
-def _report_pulse(progress: Progress, done: int, total: int) -> None:
-    progress(done, total, "estimating the pulse")
+def remarked(progress: Progress | None, remark: str) -> Callable[[int, int], None]:
+    """Passes (done, total) on with a remark."""
+
+    def report(done: int, total: int) -> None:
+        if progress is not None:
+            progress(done, total, remark)
+
+    return report
 
 
 def as_prepared(capture: Capture | PreparedCapture, settings: ImagingSettings | None) -> PreparedCapture:

@@ -29,7 +29,7 @@ from tagid.imaging.pulsefit import PulseEstimate
 from tagid.imaging.region import Region, choose_region
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans, Image
-from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved
+from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved, remarked
 from tagid.pipeline.settings import MOST_FREE_PIXELS, ImagingSettings, Stopwatch
 from tagid.types import Progress
 
@@ -167,8 +167,7 @@ def reconstruct(
     method = "ats" if prepared.settings.method == "auto" else prepared.settings.method
     watch = Stopwatch()
     check_moved(prepared.given)
-    placed = _placed(prepared, watch)
-    prepared, settings, grid, region = placed.prepared, placed.settings, placed.grid, placed.region
+    prepared, settings, grid, region = _placed(prepared, watch)
     check_extent(prepared.given, grid)
     prepared.choose_pulse(progress)
     matched = METHODS[method].matched_filter
@@ -179,7 +178,7 @@ def reconstruct(
     warnings = [closure_warning(unfiltered)]
     if settings.outside and settings.preset != "paper" and (tell_outside or sparse):
         with watch.stage("outside"):
-            remark = _remark(progress, "echoes outside the image")
+            remark = remarked(progress, "echoes outside the image")
             outside = find_outside(unfiltered, grid, remark, subtracts=sparse)
             if sparse and not views_searched(unfiltered, grid, sparse):
                 warnings.append(NOT_SEARCHED)
@@ -188,14 +187,14 @@ def reconstruct(
     with watch.stage("image"):
         image = make_image(imaged, grid, method, settings.seed, settings.preset, progress, settings.ats)
     with watch.stage("held out"):
-        remark = _remark(progress, "held-out views")
+        remark = remarked(progress, "held-out views")
         predicted = _held_out(prepared, scans, grid, method, settings, image, subtracted, remark)
     with watch.stage("image"):
         sharp = METHODS[method].sparse and Prior.of(image.settings).iterations is None
         if settings.restore and sharp and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
-    checks = _Found(focus, region, outside, subtracted, predicted, warnings)
-    facts = _facts(prepared, scans, image, checks)
+    beyond = None if outside is None else outside.facts(subtracted)
+    facts = _facts(prepared, scans, image, focus, region, beyond, predicted, warnings)
     centre_m = image.centre_m if region is None else region.centre_m
     image = replace(image, centre_m=centre_m, settings={**image.settings, **facts})
     seconds = {**prepared.watch.seconds, **watch.seconds}
@@ -204,22 +203,13 @@ def reconstruct(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """The capture as seen from the middle of its image, with the settings and the grid of that image.
+def _placed(
+    prepared: PreparedCapture, watch: Stopwatch
+) -> tuple[PreparedCapture, ImagingSettings, ImageGrid, Region | None]:
+    """The capture as seen from the middle of its image, with settings, grid and place of that image.
 
-    Attributes:
-        region: path delay and position for free antenna positions; None for a turntable.
+    The place is None for a turntable. Raises UsageError where the settings do not apply to it.
     """
-
-    prepared: PreparedCapture
-    settings: ImagingSettings
-    grid: ImageGrid
-    region: Region | None
-
-
-def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
-    """Where the image lies and how large it is. Raises UsageError where the settings do not apply to it."""
     settings = prepared.settings
     grid = ImageGrid(settings.extent_m, settings.pixels)
     if prepared.given.antenna_positions_m is not None:
@@ -240,7 +230,7 @@ def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
                 free_pixels=settings.free_pixels,
             )
         settings = replace(settings, extent_m=region.grid.extent, pixels=region.grid.pixels)
-        return _Placed(PreparedCapture(region.capture, settings), settings, region.grid, region)
+        return PreparedCapture(region.capture, settings), settings, region.grid, region
     if settings.centre_m is not None:
         raise UsageError(
             "images of a turntable are always centred on the rotation axis",
@@ -257,29 +247,20 @@ def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
         pixels = int(np.clip(np.ceil(grid.extent / finest), grid.pixels, max(grid.pixels, MOST_FREE_PIXELS)))
         grid = ImageGrid(grid.extent, pixels)
         settings = replace(settings, pixels=pixels)
-    return _Placed(prepared, settings, grid, None)
+    return prepared, settings, grid, None
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """What was found beside the image; None for what was not searched or not found.
-
-    Attributes:
-        subtracted: whether the image was made without what lies outside.
-        warnings: what else is to be told of it; None for nothing.
-    """
-
-    focus: AxisFocus | None
-    region: Region | None
-    outside: Outside | None
-    subtracted: bool
-    predicted: HeldOut | None
-    warnings: list[str | None]
-
-
-def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks: _Found) -> dict[str, Any]:
-    """What the image's settings say of its data, as JSON values."""
-    region = checks.region
+def _facts(
+    prepared: PreparedCapture,
+    scans: BasebandScans,
+    image: Image,
+    focus: AxisFocus | None,
+    region: Region | None,
+    outside: dict[str, Any] | None,
+    predicted: HeldOut | None,
+    warnings: list[str | None],
+) -> dict[str, Any]:
+    """What the image's settings say of its data, as JSON values; `warnings` are those known already."""
     facts: dict[str, Any] = {
         "tool_version": __version__,
         "capture_uuid": prepared.given.uuid,
@@ -288,20 +269,19 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks
         "background": prepared.settings.background,
         "wavelength_m": scans.wavelength_m,
     }
-    if checks.focus is not None:
-        facts["focus"] = checks.focus.facts()
+    if focus is not None:
+        facts["focus"] = focus.facts()
     elif region is not None and region.focus is not None:
         facts["focus"] = region.focus.facts()
-    if checks.outside is not None:
-        facts["outside"] = checks.outside.facts(checks.subtracted)
+    if outside is not None:
+        facts["outside"] = outside
     coarse = pixel_warning(image.grid.extent, image.grid.pixels, scans.wavelength_m)
     copies = None if region is None else path_warning(scans, image.grid.extent)
-    every = (band_warning(prepared.given), coarse, copies, *checks.warnings)
-    warnings = [warning for warning in every if warning]
-    if warnings:
-        facts["warnings"] = warnings
-    if checks.predicted is not None:
-        facts["held_out"] = checks.predicted.facts()
+    every = [warning for warning in (band_warning(prepared.given), coarse, copies, *warnings) if warning]
+    if every:
+        facts["warnings"] = every
+    if predicted is not None:
+        facts["held_out"] = predicted.facts()
     learned = image.settings.get("calibration", {}).get("axis")
     if learned:
         facts["axis_distance_m"] = learned["distance_m"]
@@ -311,16 +291,6 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, checks
         facts |= {"centre_m": list(region.centre_m), "extent_m": region.grid.extent}
     facts["pulse"] = _pulse_facts(prepared)
     return facts
-
-
-def _remark(progress: Progress | None, remark: str) -> Callable[[int, int], None]:
-    """Passes (done, total) on with a remark."""
-
-    def report(done: int, total: int) -> None:
-        if progress is not None:
-            progress(done, total, remark)
-
-    return report
 
 
 def _unfiltered(prepared: PreparedCapture, scans: BasebandScans, method: str) -> BasebandScans:

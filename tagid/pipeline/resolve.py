@@ -78,8 +78,11 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
                 f"the measured angles were not assigned to the scans: {capture.motion.not_resolved}",
                 "Use the period from the scans: `motion.url=free`.",
             )
-        if device.nominal_s is not None:
-            _check_speed(clock.period_s, device.nominal_s)
+        if device.nominal_s is not None and clock.period_s > device.nominal_s / _FEWEST_A_TURN:
+            raise DataError(
+                f"the scans are {clock.period_s:.3g} s apart, and a turn takes {device.nominal_s:.3g} s",
+                "Check the speed, and the unit of the times: timestamps_s is in seconds.",
+            )
         angles = device.resolve(capture.samples, clock.times_s, clock.sigma_s)
     info = replace(angles.info, scan_period_s=clock.period_s, clock_residual_ms=clock.residual_ms)
     return replace(
@@ -89,16 +92,6 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
         antenna_positions_m=None,
         receive_positions_m=None,
         motion=capture.motion.without_track(url=motion or "free", resolved=info),
-    )
-
-
-def _check_speed(period_s: float, nominal_s: float) -> None:
-    """Raise DataError if a turn would have no views."""
-    if period_s <= nominal_s / _FEWEST_A_TURN:
-        return
-    raise DataError(
-        f"the scans are {period_s:.3g} s apart, and a turn takes {nominal_s:.3g} s",
-        "Check the speed, and the unit of the times: timestamps_s is in seconds.",
     )
 
 
@@ -194,7 +187,7 @@ def held(capture: Capture, resolved_capture: Capture, table: Motion) -> Capture 
 
     Args:
         capture: as recorded.
-        found: the same with angles, as if it had turned throughout.
+        resolved_capture: the same with angles, as if it had turned throughout.
         table: the motion of these angles: a stated speed, or measured.
     """
     resolved, angles = resolved_capture.motion.resolved, resolved_capture.angles_rad
@@ -283,13 +276,7 @@ def _moving(still: Still, count: int) -> NDArray[np.bool_]:
 def standstill_facts(
     still: Still, times: NDArray[np.float64], turns: NDArray[np.float64] | None
 ) -> Standstill:
-    """A standstill as it is stored.
-
-    Args:
-        still: its scans.
-        times: (scans,) s.
-        turns: (scans,) turns since the first scan; None where the speed is not known.
-    """
+    """A standstill as it is stored, from the (scans,) times, s, and turns, None without a speed."""
     turned_deg = None if turns is None else 360 * float(turns[still.first])
     goes_on = still.stop < len(times)
     seconds = float(times[min(still.stop, len(times) - 1)] - times[still.first])

@@ -143,7 +143,7 @@ def scene_from_name(name: str, seed: int = 0, layouts: Mapping[str, Layout] | No
     Args:
         name: see `preset_names`.
         seed: random seed.
-        layouts: layouts by name, e.g. of `tagid.enrolling.lookup`; None for the built-in ones.
+        layouts: layouts by name, e.g. of `tagid.enrolling.layout_file`; None for the built-in ones.
 
     Raises:
         UsageError: the name is unknown.

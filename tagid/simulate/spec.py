@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from tagid.config import data_folder
-from tagid.enrolling.lookup import named_layouts
+from tagid.enrolling.layout_file import named_layouts
 from tagid.errors import UsageError
 from tagid.motion.emulation.truth import TrueAngle
 from tagid.query import MAX_SEED, parse_point

@@ -40,7 +40,7 @@ class StepProgress:
 
 def results_page(config: Config) -> bytes:
     """The results so far as a PDF. Raises NoSuchItemError before the first one; StorageError, ConfigError."""
-    from tagid.commissioning.page_pdf import to_pdf
+    from tagid.commissioning.page import to_pdf
 
     reports = reports_by_title(Bench(config, {}))
     if not reports:

@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tagid.enrolling.enrollment import Basis
 from tagid.enrolling.registry import Registry
 from tagid.errors import RegistryError, TagidError, UsageError
 from tagid.pipeline.enrollment import (
@@ -220,7 +221,7 @@ class Enrolling:
                 raise error
             source = f"station, {len(before.captures)} captures"
             if isinstance(proposal, LayoutProposal):
-                version = proposal.store(self._registry(), source, force).version
+                _, version = proposal.store(self._registry(), source, force)
             else:
                 version = proposal.store(self._registry(), source, force)
             done = Stored(before.subject.name, version, isinstance(proposal, LayoutProposal))
@@ -280,7 +281,7 @@ class Enrolling:
         proposal: LayoutProposal | SignatureProposal
         if measured.estimate is not None:
             layout = replace(measured.estimate.layout, kind=subject.kind, label=subject.label)
-            proposal = propose_layout(contents, layout, measured, imaging.direction_known)
+            proposal = propose_layout(contents, layout, measured, Basis(imaging.direction_known))
         else:
             assert measured.joint is not None
             signature = replace(measured.joint.signature, label=subject.label[:200])

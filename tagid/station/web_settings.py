@@ -89,14 +89,14 @@ def _tape(given: Any) -> TapeChanges:
     """What was measured by tape. Raises UsageError."""
     if not isinstance(given, dict) or given.keys() - {"target", *TAPE_NUMBERS}:
         raise UsageError("tape is no object of lengths", f"Give target, {', '.join(TAPE_NUMBERS)}.")
-    tape: TapeChanges = {}
+    tape: dict[str, str | float] = {}
     for name in TAPE_NUMBERS:
         value = given.get(name)
         if value is None:
             continue
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 100:
             raise UsageError(f"{name} is {str(value)[:40]}", "Give metres, e.g. 1.02.")
-        tape[name] = float(value)  # type: ignore[literal-required]
+        tape[name] = float(value)
     target = given.get("target")
     if target is not None:
         tape["target"] = text_of(given, "target")

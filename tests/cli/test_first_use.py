@@ -145,7 +145,7 @@ def test_numbers_that_cannot_be_emulated_are_refused(
     def listening(*_: object) -> None:
         raise AssertionError("the emulator started")
 
-    monkeypatch.setattr("tagid.cli.emulate_motion.announce", listening)
+    monkeypatch.setattr("tagid.cli.emulate.announce", listening)
     done = here("emulate", *words)
     assert done.code == 2 and any(word in done.err for word in ("Give", "range", "should be")), done.err
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from on_a_terminal import run
 
+from tagid.cli.emulate import is_truth
 from tagid.cli.outputs import check_own
-from tagid.cli.truth import is_truth
 from tagid.recording.radars import emulated_object
 from tagid.storage.history import is_export
 from tagid.storage.journal import JournalWriter

@@ -22,6 +22,7 @@ from tagid.config import load_config
 from tagid.recording.calibration import estimate_delay, reference_on, usable
 from tagid.recording.inspection import inspect, turning_period
 from tagid.storage.importers import read_any
+from tests.target_delay import delay_ps
 
 
 @pytest.fixture(scope="module", params=[8, 5])
@@ -61,7 +62,7 @@ def values_again(bundle: Path, folder: Path) -> dict[str, tuple[float, float, fl
         target = read_any(folder / "target.tagid.h5")
         estimate = estimate_delay(target, tape.target_distance_m, tape.error_m, reference_on(room, target))
         delay = reports["target"].values["path_delay_ps"]
-        base = parse_target(tape.target).delay_ps()
+        base = delay_ps(parse_target(tape.target))
         results["path_delay_ps"] = (estimate.delay_ps - base, delay.value, 20.0)
     if "turning" in reports and "period_s" in reports["turning"].values:
         period = reports["turning"].values["period_s"]

@@ -13,6 +13,7 @@ from tagid.cli.imaging import describe
 from tagid.operate.turn import Answer, read
 from tagid.operate.words import coverage_words, truth_words
 from tagid.operate.workplace import Workplace
+from tagid.result import Redrawn
 from tagid.simulate.acquisition import Acquisition, Placement
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
@@ -20,7 +21,7 @@ from tagid.simulate.presets import scene_from_name
 
 def shown(answer: Answer, verbose: bool = False) -> list[str]:
     printed = io.StringIO()
-    Console(file=printed, width=400).print(describe(answer, "", verbose))
+    Console(file=printed, width=400).print(Redrawn(describe(answer, "", verbose), str))
     return [line.rstrip() for line in printed.getvalue().splitlines()]
 
 

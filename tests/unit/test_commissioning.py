@@ -16,9 +16,8 @@ from tagid.commissioning.bench import Bench, reported
 from tagid.commissioning.page import write_page
 from tagid.commissioning.pictures import Picture, to_svg
 from tagid.commissioning.pulse import echo_pulse
-from tagid.commissioning.result import verdict, write_result
 from tagid.commissioning.rows import Level, Row, StepReport
-from tagid.commissioning.steps import STEPS, goes_on, next_step, run_step, step_named
+from tagid.commissioning.steps import STEPS, goes_on, next_step, run_step, step_named, verdict, write_result
 from tagid.commissioning.targets import parse_target
 from tagid.commissioning.turning import evaluated
 from tagid.config import load_config
@@ -36,6 +35,7 @@ from tagid.simulate.spec import SceneSpec
 from tagid.tags.layouts.layout import rotation_matrix
 from tagid.tags.layouts.test_card import test_card
 from tagid.waveform import nominal_pulse, pulse_at
+from tests.target_delay import delay_ps
 
 
 def bench(tmp_path: Path, scene: str, rig: str = "realistic?seed=3", **tape: object) -> Bench:
@@ -168,15 +168,15 @@ def test_the_delay_of_a_target_is_taken_out_of_the_pulse(text: str) -> None:
     t = (np.arange(600) - 250.3) * SAMPLE_STEP_S
     length = 4096
     frequency = np.fft.rfftfreq(length, SAMPLE_STEP_S)
-    response = target.scatterer.scattering_length(
-        np.maximum(frequency, 1e9)
-    ) / target.scatterer.scattering_length(np.array([4e9]))
+    response = target.scattering_length(np.maximum(frequency, 1e9)) / target.scattering_length(
+        np.array([4e9])
+    )
     # The solved scattering lengths have the phase of exp(-j omega t).
     spectrum = np.fft.rfft(pulse_at(nominal_pulse(), t).real, length) * np.conj(response)
     echo = echo_pulse(
-        np.fft.irfft(spectrum, length)[:600] * 5000, 250.3 + target.delay_ps() * 1e-12 / SAMPLE_STEP_S, target
+        np.fft.irfft(spectrum, length)[:600] * 5000, 250.3 + delay_ps(target) * 1e-12 / SAMPLE_STEP_S, target
     )
-    assert echo.delay_ps == pytest.approx(target.delay_ps(), abs=2)
+    assert echo.delay_ps == pytest.approx(delay_ps(target), abs=2)
     middle = len(echo.pulse.samples) // 2
     assert abs(int(np.argmax(echo.pulse.samples)) - middle) <= 1
 

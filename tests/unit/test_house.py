@@ -15,7 +15,6 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 BARE_THREADS = {
     "tagid/batch/local.py",
-    "tagid/cli/emulate_motion.py",
     "tagid/motion/ble.py",
     "tagid/motion/driven.py",
     "tagid/motion/emulation/gatt.py",

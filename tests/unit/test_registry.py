@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tagid.enrolling import registry as registry_module
-from tagid.enrolling.enrollment import enroll, merge, outlook
+from tagid.enrolling.enrollment import Basis, enroll, merge, outlook
 from tagid.enrolling.layout_file import read_layouts, write_layouts
 from tagid.enrolling.registry import Registry
 from tagid.errors import FileFormatError, LayoutConflictError, RegistryError, UsageError
@@ -195,12 +195,12 @@ def test_enrolment_refuses_what_could_be_confused(tmp_path: Path) -> None:
     with pytest.raises(LayoutConflictError, match="helmet-120"):
         enroll(registry, Layout("near", near), "numbers")
     assert registry.version == 4
-    forced = enroll(registry, Layout("near", near), "numbers", force=True)
-    assert forced.outlook.confusable == ("helmet-120",)
-    assert registry.version == forced.version == 5
-    fine = enroll(registry, Layout("fine", SCALENE), "numbers")
-    assert not fine.outlook.confusable
-    assert {n.name for n in fine.outlook.neighbours} == {*builtin_layouts(), "near"}
+    forced, version = enroll(registry, Layout("near", near), "numbers", force=True)
+    assert forced.confusable == ("helmet-120",)
+    assert registry.version == version == 5
+    fine, _ = enroll(registry, Layout("fine", SCALENE), "numbers")
+    assert not fine.confusable
+    assert {n.name for n in fine.neighbours} == {*builtin_layouts(), "near"}
 
 
 def test_of_two_that_enrol_alike_layouts_at_once_only_one_does(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_a_layout_known_too_badly_is_refused() -> None:
     assert conflict is not None and "positions known to 6.0 mm" in conflict.message
     mirrored = Layout("flip", SCALENE * [1, -1])
     assert outlook(mirrored, [Layout("old", SCALENE)]).conflict() is None
-    image = outlook(mirrored, [Layout("old", SCALENE)], direction_known=False).conflict()
+    image = outlook(mirrored, [Layout("old", SCALENE)], Basis(direction_known=False)).conflict()
     assert image is not None and "mirror image of old" in image.message
 
 

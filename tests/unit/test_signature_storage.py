@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bodies_synthetic import MUG, TAG, enrolled
 
+from tagid.enrolling.enrollment import Basis
 from tagid.enrolling.layout_file import read_entries, write_layouts
 from tagid.enrolling.registry import Registry
 from tagid.errors import DataError, FileFormatError, LayoutConflictError, RegistryError, UsageError
@@ -128,7 +129,7 @@ def test_alike_objects_enrolled_at_once_are_seen(tmp_path: Path, tagged: Signatu
     single, two = (replace(tagged, name=name) for name in ("one", "two"))
     first, second = propose_signature(before, single), propose_signature(before, two)
     assert first.conflict is None and second.conflict is None
-    late = propose_layout(before, Layout("one", np.array([[0.08, 0], [0, 0.05]])), None, True)
+    late = propose_layout(before, Layout("one", np.array([[0.08, 0], [0, 0.05]])), None, Basis())
     first.store(registry, "process 1")
     with pytest.raises(LayoutConflictError, match="two could be confused with one"):
         second.store(registry, "process 2")

@@ -84,7 +84,7 @@ def test_turns_are_told_and_the_outermost_reflector_lies_on_x() -> None:
         Sighting(f"c{i}", Layout("x", SCALENE).placed(t, np.zeros(2)), np.tile(1e-8 * np.eye(2), (3, 1, 1)))
         for i, t in enumerate(turns)
     ]
-    estimate = average(captures, "x", "helmet", "L")
+    estimate = average(captures, "x")
     assert estimate.layout.positions[np.argmax(np.linalg.norm(estimate.layout.positions, axis=1))][
         1
     ] == pytest.approx(0, abs=1e-6)
@@ -149,7 +149,7 @@ def test_a_layout_measured_from_scans() -> None:
         )
         for i in range(5)
     ]
-    estimate = average(captures, "measured", "helmet")
+    estimate = average(captures, "measured")
     assert estimate.spread_m.max() < 2e-3 and 0 < estimate.layout.sigma_m < 1e-3
     assert rotational_distance(estimate.layout, truth).worst_m < 2e-3
     # The axis averages out: 5 mm uniform in x and y over five captures leaves about 1.3 mm.

@@ -7,10 +7,13 @@ import re
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer.main
 
 import tagid
+from tagid.cli.app import app
 from tagid.cli.wording import OPTIONS, in_options, result_in_options
 from tagid.enrolling.enrollment import outlook
 from tagid.result import Problem, Result, render
@@ -63,10 +66,16 @@ def test_every_setting_that_the_library_names_has_an_option() -> None:
     assert set(OPTIONS) == named - OTHERS | scene
 
 
+def declared(command: Any) -> Iterator[str]:
+    """The options of a command and of those below it."""
+    for parameter in command.params:
+        yield from (*parameter.opts, *parameter.secondary_opts)
+    for name in command.list_commands(None) if hasattr(command, "list_commands") else ():
+        yield from declared(command.get_command(None, name))
+
+
 def test_the_options_exist() -> None:
-    modules = [path for path in (ROOT / "cli").rglob("*.py") if path.name != "wording.py"]
-    declared = {text.split("/")[0] for path in modules for text in texts(path)}
-    assert {option.split(",")[0] for option in OPTIONS.values()} <= declared
+    assert {option.split(",")[0] for option in OPTIONS.values()} <= set(declared(typer.main.get_group(app)))
 
 
 def test_a_result_names_options_in_text_and_in_json(capsys: pytest.CaptureFixture[str]) -> None:
