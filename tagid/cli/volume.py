@@ -168,7 +168,6 @@ def make_volume(
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.imaging.facts import facts_of
     from tagid.operate.words import held_out_words, outside_words
     from tagid.pipeline.volume import reconstruct_volume
 
@@ -190,8 +189,8 @@ def make_volume(
         f"{settings.method} volume of {made.views} views from {made.heights} antenna heights, "
         f"{size} in {took:.2f} s",
         f"vertical resolution {1e3 * facts['vertical_resolution_m']:.0f} mm",
-        *held_out_words(facts_of(facts)),
-        *outside_words(facts_of(facts)),
+        *held_out_words(facts),
+        *outside_words(facts),
         *facts.get("warnings", ()),
         *(f"{kind} {path}" for kind, path in files.items()),
     ]

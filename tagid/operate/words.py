@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tagid.counting import counted
-from tagid.imaging.facts import ImageFacts, facts_of
 from tagid.metadata import Ending, RadarInfo, ResolvedMotion
 from tagid.operate.truth import Comparison
 from tagid.pipeline.identify import WHOLE_TURN
@@ -240,7 +239,7 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
     return [f"the given axis distance is used: {focus.reason}"]
 
 
-def held_out_words(settings: ImageFacts) -> list[str]:
+def held_out_words(settings: dict[str, Any]) -> list[str]:
     """How well the image predicts held-out views: the main quality figure of every image."""
     held_out = settings.get("held_out")
     if not held_out:
@@ -274,7 +273,7 @@ def held_out_words(settings: ImageFacts) -> list[str]:
     return lines
 
 
-def prior_words(settings: ImageFacts) -> list[str]:
+def prior_words(settings: dict[str, Any]) -> list[str]:
     """The prior that ATS used instead of its default, if it tried any, and the priors that it did not try."""
     words = _prior_words(settings)
     skipped = settings.get("priors_not_tried")
@@ -283,7 +282,7 @@ def prior_words(settings: ImageFacts) -> list[str]:
     return words
 
 
-def _prior_words(settings: ImageFacts) -> list[str]:
+def _prior_words(settings: dict[str, Any]) -> list[str]:
     from tagid.imaging.ats.settings import Prior
 
     prior, tried = settings.get("prior"), settings.get("prior_trials")
@@ -310,7 +309,7 @@ def _prior_words(settings: ImageFacts) -> list[str]:
     return [f"prior {prior}: {residual}, {than}"]
 
 
-def outside_words(settings: ImageFacts) -> list[str]:
+def outside_words(settings: dict[str, Any]) -> list[str]:
     """The share of energy from outside the image, if it is large."""
     outside = settings.get("outside")
     if not outside:
@@ -334,7 +333,7 @@ def pulse_words(pulse: PulseEstimate | None) -> list[str]:
     return [f"assumed pulse kept: an estimate {unseen}, it {100 * pulse.assumed_residual:.1f} %"]
 
 
-def calibration_words(settings: ImageFacts) -> list[str]:
+def calibration_words(settings: dict[str, Any]) -> list[str]:
     """The parameters that ATS estimated besides the scene, one line each, with standard errors."""
     calibration = settings.get("calibration") or {}
     lines: list[str] = []
@@ -361,7 +360,7 @@ def calibration_words(settings: ImageFacts) -> list[str]:
 
 def learned_words(result: Reconstruction) -> list[str]:
     """Everything that a reconstruction reports of its image, one line each."""
-    facts = facts_of(result.image.settings)
+    facts = result.image.settings
     return [
         *held_out_words(facts),
         *prior_words(facts),

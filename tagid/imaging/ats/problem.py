@@ -75,12 +75,12 @@ class FieldShape:
 
 @dataclass(eq=False)
 class FieldWeights:
-    """Parameters of the field, and the evaluation that needs neither engine.
+    """Parameters of the field, and its image, which needs neither engine.
 
     Attributes:
         tables: (features, cells + 1, cells + 1) vertex features of every level.
         weights, biases: (out, in) and (out, 1) of every layer.
-        scale: what the network's output is multiplied with at `pixels` pixels a side.
+        scale: what the network's output is multiplied with.
         extent, pixels: the square that the field covers, m, and the grid it was fitted on.
         support: (pixels, pixels) bool, pixels that are not zero; None: all.
     """
@@ -93,54 +93,27 @@ class FieldWeights:
     pixels: int
     support: NDArray[np.bool_] | None = None
 
-    def evaluate(self, points: NDArray[np.floating]) -> NDArray[np.complex64]:
-        """Reflectivity at any points (n, 2) in m, (channels, n) complex64, per pixel of the fitted grid.
-
-        Points outside the square get the value of its rim, points in pixels outside the support zero.
-        """
-        unit = np.clip(np.asarray(points, dtype=np.float64) / self.extent + 0.5, 0, 1)
-        parts = []
-        for table in self.tables:
-            cells = table.shape[1] - 1
-            corner = np.minimum((unit * cells).astype(np.intp), cells - 1)
-            fx, fy = (unit * cells - corner).astype(np.float32).T
-            x, y = corner.T
-            low = table[:, y, x] * (1 - fx) + table[:, y, x + 1] * fx
-            high = table[:, y + 1, x] * (1 - fx) + table[:, y + 1, x + 1] * fx
-            parts.append(low * (1 - fy) + high * fy)
-        values = self._network(np.concatenate(parts))
-        if self.support is not None:
-            x, y = np.minimum((unit * self.pixels).astype(np.intp), self.pixels - 1).T
-            values *= self.support[y, x]
-        return values
-
-    def on(self, grid: ImageGrid) -> NDArray[np.complex64]:
-        """Reflectivity of the pixels of a grid of the same extent, (channels, pixels, pixels) complex64.
-
-        A finer grid divides each pixel's reflectivity among its parts, so that the sum stays.
-        """
-        share = np.float32((grid.step * self.pixels / self.extent) ** 2)
-        if grid.extent != self.extent:
-            values = self.evaluate(grid.points) * share
-            return values.reshape(-1, grid.pixels, grid.pixels)
-        wanted: NDArray[np.intp] | None = None
+    def image(self) -> NDArray[np.complex64]:
+        """Reflectivity of the pixels, (channels, pixels, pixels) complex64; zero outside the support."""
+        wanted = None
         if self.support is not None and not self.support.all():
-            at = ((np.arange(grid.pixels) + 0.5) / grid.pixels * self.pixels).astype(np.intp)
-            wanted = np.flatnonzero(self.support[np.ix_(at, at)])
-        taps = Taps.of(grid.pixels, [table.shape[1] - 1 for table in self.tables], wanted)
-        values = self.at(taps) * share
-        if wanted is not None:
-            values, some = np.zeros((len(values), grid.pixels**2), dtype=np.complex64), values
-            values[:, wanted] = some
-        return values.reshape(-1, grid.pixels, grid.pixels)
-
-    def at(self, taps: Taps) -> NDArray[np.complex64]:
-        """(channels, n) reflectivity of the pixels of some taps, per pixel of the fitted grid."""
+            wanted = np.flatnonzero(self.support)
+        taps = Taps.of(self.pixels, [table.shape[1] - 1 for table in self.tables], wanted)
         features = len(self.tables[0])
         table = np.concatenate([t.reshape(features, -1) for t in self.tables], axis=1)
         inputs = np.empty((len(taps.index), len(self.tables) * features), dtype=np.float32)
         taps.interpolate(np.ascontiguousarray(table.T), inputs)
-        return self._network(inputs.T)
+        layer = inputs.T
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            layer = weight @ layer + bias
+            if i < len(self.weights) - 1:
+                np.maximum(layer, 0, out=layer)
+        real, imaginary = np.split(layer * np.float32(self.scale), 2)
+        values = np.asarray(real + 1j * imaginary, dtype=np.complex64)
+        if wanted is not None:
+            values, some = np.zeros((len(values), self.pixels**2), dtype=np.complex64), values
+            values[:, wanted] = some
+        return values.reshape(-1, self.pixels, self.pixels)
 
     @property
     def arrays(self) -> list[Array]:
@@ -153,15 +126,6 @@ class FieldWeights:
         return replace(
             self, tables=arrays[:cut], weights=arrays[cut : cut + layers], biases=arrays[cut + layers :]
         )
-
-    def _network(self, inputs: Array) -> NDArray[np.complex64]:
-        layer = inputs
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            layer = weight @ layer + bias
-            if i < len(self.weights) - 1:
-                np.maximum(layer, 0, out=layer)
-        real, imaginary = np.split(layer * np.float32(self.scale), 2)
-        return np.asarray(real + 1j * imaginary, dtype=np.complex64)
 
 
 def draw_weights(
@@ -179,7 +143,6 @@ def draw_weights(
 
     Args:
         shape, grid: sizes of the field.
-        scale: of the output.
         seed: of all that is random.
         first: (cells + 1, cells + 1) image at the vertices of the finest level, rows along y, relative to
             the scale; None, or a network too narrow for it: a dark field.
@@ -268,10 +231,6 @@ class GridArrays:
             mask[:] = 0
             mask[0, self.pixels] = 1
         return mask
-
-    def select(self, pixels: NDArray[np.intp] | None) -> GridArrays:
-        """The same with these pixels only; None: all."""
-        return replace(self, pixels=pixels)
 
     @classmethod
     def of(cls, grid: ImageGrid, cells: tuple[int, ...]) -> GridArrays:
@@ -385,13 +344,9 @@ class FineRange:
         margin_m: float = 0.0,
         between: bool = False,
     ) -> FineRange:
-        """Fine grid that holds the points for all views even where the antennas move by the margin.
+        """Fine grid that holds points (points, 2), m, for all views even where the antennas move by a margin.
 
-        Args:
-            scans: bins, response, wavenumber and antenna positions.
-            points: (points, 2) m.
-            margin_m: see above.
-            between: for an engine that puts a point between two bins; else for one that takes the nearest.
+        `between`: for an engine that puts a point between two bins; else for one that takes the nearest.
         """
         near, far = reach_of(scans.aperture, points)
         near, far = near - margin_m, far + margin_m
@@ -457,7 +412,6 @@ def view_arrays(
     Args:
         scans: samples and antenna positions.
         points: (points, 2) pixel centres, m.
-        fine: the fine range grid.
         confidence: (views, bins) weight of every sample.
         aspect: (views, channels) complex, what a view sees of every channel (its gain included).
         transmission: (views, points) what is left of each point's echo; None: all.
@@ -518,8 +472,6 @@ def first_image(scans: BasebandScans, grid: ImageGrid, cells: int, step: float) 
     solution is blank it is backprojection. The brightest vertices of a large image take part.
 
     Args:
-        scans: those that are fitted.
-        grid: the image.
         cells: of the finest level, a side.
         step: factor by which backprojection explains the scans best.
     """
