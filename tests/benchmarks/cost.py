@@ -172,10 +172,13 @@ def _pylops(raw: BasebandScans, grid: ImageGrid) -> Callable[[], object]:
     """FISTA of PyLops on the operator as a sparse matrix: the same problem, step and end."""
     import pylops
     from pylops.optimization.sparsity import fista
+    from scipy import sparse
 
     operator, settings = ForwardOperator(raw, grid), SparseSettings()
     image = sparse_recovery(raw, grid)
-    matrix = pylops.MatrixMult(operator.matrix, dtype="complex64")
+    units = (operator.among(np.arange(operator.points) == point) for point in range(operator.points))
+    columns = [sparse.csc_array(unit.forward(np.ones(1)).reshape(-1, 1)) for unit in units]
+    matrix = pylops.MatrixMult(sparse.hstack(columns, format="csr"), dtype="complex64")
     # Its problem is ||y - A x||^2 + eps ||x||_1, and its end an absolute change.
     return partial(
         fista,
@@ -183,7 +186,7 @@ def _pylops(raw: BasebandScans, grid: ImageGrid) -> Callable[[], object]:
         raw.samples.ravel(),
         niter=settings.iterations,
         eps=2 * image.settings["lambda"],
-        alpha=1 / (1.1 * operator.norm_squared()),
+        alpha=1 / (1.1 * operator.norm_squared),
         tol=settings.tolerance * float(np.linalg.norm(image.values)),
     )
 
