@@ -10,12 +10,11 @@ from typing import Any
 
 import torch
 
-from tagid._version import __version__
 from tagid.imaging.ats.fit_native import MODEL, parameter_names, state_names
 from tagid.imaging.ats.fit_torch import Step, optimise
 from tagid.imaging.ats.settings import HIDDEN, LEVELS
 from tagid.models_store import FOLDER, OPSET, ModelEntry, Tensor
-from train.model_files import entry_of, write_entry
+from train.model_files import entry_of, strip, write_entry
 
 
 class _Module(torch.nn.Module):  # type: ignore[misc]
@@ -44,15 +43,7 @@ def export_step() -> tuple[bytes, ModelEntry]:
     for side in (graph.graph.input, graph.graph.output):
         for value in side:
             _rename(value, tensors[value.name])
-    del graph.graph.value_info[:]
-    for node in graph.graph.node:
-        node.ClearField("metadata_props")
-        node.ClearField("doc_string")
-    graph.ClearField("metadata_props")
-    graph.graph.ClearField("metadata_props")
-    for value in (*graph.graph.input, *graph.graph.output):
-        value.ClearField("metadata_props")
-    graph.producer_name, graph.producer_version = "tagid", __version__
+    strip(graph)
     onnx.checker.check_model(graph, full_check=True)
     content = graph.SerializeToString(deterministic=True)
     facts = {

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tagid import interrupts
+from tagid._version import __version__
 from tagid.files import write_bytes
 from tagid.models_store import FOLDER, MANIFEST_VERSION, OPSET, ModelEntry, Tensor, manifest
 
@@ -24,6 +25,17 @@ def write_entry(entry: ModelEntry, content: bytes, folder: Path = FOLDER) -> Non
         write_bytes(folder / entry.file, content)
         write_bytes(path, (json.dumps(data, indent=1, sort_keys=True) + "\n").encode())
     manifest.cache_clear()
+
+
+def strip(model: Any) -> None:
+    """Take out of an exported graph what the exporter says of itself and of this computer."""
+    graph = model.graph
+    del graph.value_info[:]
+    for part in (model, graph, *graph.node, *graph.input, *graph.output):
+        part.ClearField("metadata_props")
+    for node in graph.node:
+        node.ClearField("doc_string")
+    model.producer_name, model.producer_version = "tagid", __version__
 
 
 def entry_of(
