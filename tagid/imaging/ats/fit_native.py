@@ -21,7 +21,7 @@ from tagid.imaging.ats.problem import (
     GridArrays,
     ViewArrays,
 )
-from tagid.imaging.ats.settings import HIDDEN, LEVELS
+from tagid.imaging.ats.settings import LEVELS
 from tagid.imaging.ats.taps import Adam
 from tagid.models_store import open_model
 
@@ -150,14 +150,12 @@ def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -
 
 
 MODEL = "ats_step"
-"""The shipped graph; all but the numbers of levels and hidden layers is dynamic in it."""
+"""The shipped graph; all but the numbers of levels and layers is dynamic in it."""
 
 
 def parameter_names() -> list[str]:
     """Names of the parameters in the order tables, weights, biases."""
-    layers = range(HIDDEN + 1)
-    tables = [f"table_{i}" for i in range(LEVELS)]
-    return tables + [f"weight_{i}" for i in layers] + [f"bias_{i}" for i in layers]
+    return [*(f"table_{i}" for i in range(LEVELS)), "weight_0", "weight_1", "bias_0", "bias_1"]
 
 
 def state_names() -> list[str]:

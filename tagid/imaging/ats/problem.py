@@ -6,7 +6,6 @@ Both engines read the same arrays, so that an image does not depend on which of 
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging import operator
-from tagid.imaging.ats.settings import COARSEST, FEATURES, HIDDEN, LEVELS, WIDTH
+from tagid.imaging.ats.settings import COARSEST, FEATURES, LEVELS, WIDTH
 from tagid.imaging.ats.taps import Taps
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.lengths import finest_cell_m
@@ -54,14 +53,13 @@ class FieldShape:
     Attributes:
         cells: cells along a side of the imaged square, one number a level, coarse to fine.
         features: features of a vertex.
-        width, hidden: units of a hidden layer, and how many of those.
+        width: units of the hidden layer.
         channels: complex values of a point: 1, or 2M + 1 harmonics of the aspect angle.
     """
 
     cells: tuple[int, ...]
     features: int
     width: int
-    hidden: int
     channels: int = 1
 
     @classmethod
@@ -70,7 +68,7 @@ class FieldShape:
         finest = min(grid.pixels, max(COARSEST, round(grid.extent / finest_cell_m(wavelength_m))))
         series = np.geomspace(min(COARSEST, finest), finest, LEVELS)
         cells = tuple(int(n) for n in np.floor(series + 1e-9))
-        return cls(cells, FEATURES, WIDTH, HIDDEN, channels)
+        return cls(cells, FEATURES, WIDTH, channels)
 
 
 @dataclass(eq=False)
@@ -138,14 +136,14 @@ def draw_weights(
     """Initial parameters: random ones from a seed, the same on every machine, that carry a first image.
 
     Layers are uniform with variance 1 / (3 fan-in). The finest level holds the first image in its features,
-    and the first four units of every layer pass it on as positive and negative real and imaginary parts. From
+    and the first four hidden units pass it on as positive and negative real and imaginary parts. From
     a random field a fit of a full turn often ends in a ring of points about the true one.
 
     Args:
         shape, grid: sizes of the field.
         seed: of all that is random.
         first: (cells + 1, cells + 1) image at the vertices of the finest level, rows along y, relative to
-            the scale; None, or a network too narrow for it: a dark field.
+            the scale; None: a dark field.
     """
     rng = np.random.default_rng(seed)
 
@@ -153,42 +151,24 @@ def draw_weights(
         return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
 
     tables = [uniform(TABLE_INIT, shape.features, n + 1, n + 1) for n in shape.cells]
-    sizes = [shape.features * len(shape.cells)] + [shape.width] * shape.hidden + [2 * shape.channels]
+    inputs = shape.features * len(shape.cells)
     weights, biases = [], []
-    for fan_in, fan_out in itertools.pairwise(sizes):
+    for fan_in, fan_out in ((inputs, shape.width), (shape.width, 2 * shape.channels)):
         bound = 1 / np.sqrt(fan_in)
         weights.append(uniform(bound, fan_out, fan_in))
         biases.append(uniform(bound, fan_out, 1))
-    field = FieldWeights(tables, weights, biases, scale, grid.extent, grid.pixels)
-    _carry(field, shape, np.zeros((1, 1), dtype=np.complex64) if first is None else first)
-    return field
-
-
-def _carry(field: FieldWeights, shape: FieldShape, first: NDArray[np.complexfloating]) -> None:
-    """Put the first image into a field and take the rest of the network down to zero where features are."""
-    peak = float(np.abs(first).max(initial=0.0))
-    wide = shape.features >= 2 and (shape.hidden == 0 or shape.width >= len(PARTS))
-    middle, last = shape.channels // 2, field.weights[-1]
-    last *= np.float32(REST)
-    if wide and peak > 0:
-        at = shape.features * (len(shape.cells) - 1)
-        field.tables[-1][0] += (first.real / peak).astype(np.float32)
-        field.tables[-1][1] += (first.imag / peak).astype(np.float32)
-        inputs = [(at + part, sign) for part, sign in PARTS]
-        for weight, bias in zip(field.weights[:-1], field.biases[:-1], strict=True):
-            for row, (column, sign) in enumerate(inputs):
-                weight[row], bias[row] = 0, 0
-                weight[row, column] = sign
-            inputs = [(row, 1.0) for row in range(len(PARTS))]
-        signs = [sign for _, sign in PARTS] if shape.hidden else [1.0] * len(PARTS)
-        for (column, _), (part, _), sign in zip(inputs, PARTS, signs, strict=True):
-            last[:, column] = 0
-            last[middle + part * shape.channels, column] = sign * peak
+    hidden, output = weights
+    output *= np.float32(REST)
+    if first is not None and (peak := float(np.abs(first).max())) > 0:
+        tables[-1][0] += (first.real / peak).astype(np.float32)
+        tables[-1][1] += (first.imag / peak).astype(np.float32)
+        for row, (part, sign) in enumerate(PARTS):
+            hidden[row], biases[0][row], output[:, row] = 0, 0, 0
+            hidden[row, inputs - shape.features + part] = sign
+            output[shape.channels // 2 + part * shape.channels, row] = sign * peak
     # What the biases alone give is an echo of the whole square: it would be the first thing to be unlearned.
-    layer = np.zeros((field.weights[0].shape[1], 1), dtype=np.float32)
-    for weight, bias in zip(field.weights[:-1], field.biases[:-1], strict=True):
-        layer = np.maximum(weight @ layer + bias, 0)
-    field.biases[-1][:] = -last @ layer
+    biases[1][:] = -output @ np.maximum(biases[0], 0)
+    return FieldWeights(tables, weights, biases, scale, grid.extent, grid.pixels)
 
 
 def interpolation(pixels: int, cells: int) -> Array:

@@ -34,9 +34,9 @@ LEARNING_RATE, DECAY = 0.06, 0.2
 """Adam's rate, and what is left of it after all steps (exponential decay)."""
 WOBBLE_HARMONICS = 4
 """Harmonics of the angle error over a turn that `calibrate=wobble` learns."""
-LEVELS, FEATURES, COARSEST, WIDTH, HIDDEN = 8, 2, 8, 16, 1
-"""Sizes of the field: resolutions of the encoding, features of each, cells a side of the coarsest, units of a
-hidden layer, and hidden layers. The exported graph has these levels and layers."""
+LEVELS, FEATURES, COARSEST, WIDTH = 8, 2, 8, 16
+"""Sizes of the field: resolutions of the encoding, features of each, cells a side of the coarsest, and units
+of the hidden layer. The exported graph has these levels."""
 THREADS = 1
 """Of an engine: the layers are so small that a second thread gains little where the cores are idle, and waits
 for its slice where they are not."""
@@ -224,7 +224,7 @@ class FitSettings(AtsSettings):
 
 _FIXED: dict[str, float] = {
     "learning_rate": LEARNING_RATE, "network_rate": 1.0, "decay": DECAY, "smoothness": 0.0,
-    "wobble_harmonics": WOBBLE_HARMONICS, "patience": 0, "width": WIDTH, "hidden": HIDDEN, "finest_m": 0.0,
+    "wobble_harmonics": WOBBLE_HARMONICS, "patience": 0, "width": WIDTH, "hidden": 1, "finest_m": 0.0,
     "levels": LEVELS, "features": FEATURES, "coarsest": COARSEST, "threads": THREADS,
 }  # fmt: skip
 """What once was a setting, as an image's settings go on to say it; no command, benchmark or page used another
