@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from tagid.errors import TagidError, UsageError
-from train.plans import ATS_EVERY, SCENES, Size, plans
+from train.dataset import ATS_EVERY, SCENES, Size, plans
 
 app = typer.Typer(
     no_args_is_help=True,

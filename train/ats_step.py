@@ -10,12 +10,11 @@ from typing import Any
 
 import torch
 
-from tagid._version import __version__
 from tagid.imaging.ats.fit_native import MODEL, parameter_names, state_names
 from tagid.imaging.ats.fit_torch import Step, optimise
-from tagid.imaging.ats.settings import HIDDEN, LEVELS
+from tagid.imaging.ats.settings import LEVELS
 from tagid.models_store import FOLDER, OPSET, ModelEntry, Tensor
-from train.model_files import entry_of, write_entry
+from train.model_files import entry_of, strip, write_entry
 
 
 class _Module(torch.nn.Module):  # type: ignore[misc]
@@ -44,22 +43,14 @@ def export_step() -> tuple[bytes, ModelEntry]:
     for side in (graph.graph.input, graph.graph.output):
         for value in side:
             _rename(value, tensors[value.name])
-    del graph.graph.value_info[:]
-    for node in graph.graph.node:
-        node.ClearField("metadata_props")
-        node.ClearField("doc_string")
-    graph.ClearField("metadata_props")
-    graph.graph.ClearField("metadata_props")
-    for value in (*graph.graph.input, *graph.graph.output):
-        value.ClearField("metadata_props")
-    graph.producer_name, graph.producer_version = "tagid", __version__
+    strip(graph)
     onnx.checker.check_model(graph, full_check=True)
     content = graph.SerializeToString(deterministic=True)
     facts = {
         "purpose": "one step of analysis through synthesis: field, forward model, gradient, Adam",
         "source": "tagid/imaging/ats/fit_torch.py",
         "levels": LEVELS,
-        "hidden": HIDDEN,
+        "hidden": 1,
     }
     sides = [{name: tensors[name] for name in side} for side in (names, outputs)]
     return content, entry_of(MODEL, content, sides[0], sides[1], facts)
@@ -76,11 +67,8 @@ def input_names() -> list[str]:
 def dimensions() -> dict[str, Tensor]:
     """Dtype and named shape of every input and output of the graph."""
     table = [("features", f"vertices_{i}", f"vertices_{i}") for i in range(LEVELS)]
-    inner: list[tuple[int | str, ...]] = [("width", "inputs")]
-    inner += [("width", "width") for _ in range(HIDDEN - 1)]
-    layers: list[tuple[int | str, ...]] = [*inner, ("parts", "width")]
-    biases: list[tuple[int | str, ...]] = [*(("width", 1) for _ in range(HIDDEN)), ("parts", 1)]
-    state: list[tuple[int | str, ...]] = [*table, *layers, *biases]
+    layers = (("width", "inputs"), ("parts", "width"))
+    state: list[tuple[int | str, ...]] = [*table, *layers, ("width", 1), ("parts", 1)]
     shapes: list[tuple[int | str, ...]] = [*state * 3]
     shapes += [("pixels", f"vertices_{i}") for i in range(LEVELS)]
     shapes += [(1, "points"), ("views", "points"), ("views", "parts"), ("views", "parts")]
@@ -100,7 +88,7 @@ def _example() -> list[Any]:
     """Arguments of one step, every dynamic size another one so that none is taken for another."""
     pixels, views, bins, fine, features, width, parts = 11, 7, 13, 97, 5, 6, 8
     vertices = [4 + 3 * i for i in range(LEVELS)]
-    layers = [features * LEVELS] + [width] * HIDDEN + [parts]
+    layers = [features * LEVELS, width, parts]
     tables = [torch.zeros(features, n, n) for n in vertices]
     weights = [torch.zeros(b, a) for a, b in itertools.pairwise(layers)]
     biases = [torch.zeros(b, 1) for b in layers[1:]]

@@ -9,17 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tagid.files import write_bytes
-from train.dataset import load
-from train.detector import Contract
+from train.dataset import METHODS, load, plans
+from train.detector import PFA, Contract
 from train.evaluate import Figures, calibrate, conditions, maxima_figures, outcomes
 from train.fit import load_network
-from train.images import METHODS
 from train.network import DetectorNetwork
 from train.origin import Origin
-from train.plans import plans
-
-PFA = 0.01
-"""The false-alarm rate at whose threshold the figures are given, and the program's default."""
 
 CARD = """# Reflector detector
 

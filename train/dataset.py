@@ -8,24 +8,33 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid import processes
+from tagid.capture import Capture
 from tagid.errors import StorageError, UsageError
-from tagid.files import replacing
+from tagid.files import make_folder, read_bytes, replacing, write_bytes
+from tagid.imaging.autofocus import focus_axis_distance
+from tagid.imaging.backprojection import backproject
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans
 from train.distributions import Distribution
-from train.images import METHODS, network_input
+from train.planes import GRID, NetworkInput
 from train.scenes import draw_scene
 
+METHODS = ("bp", "ats")
 SHARD = 100
 MOST_REFLECTORS = 8
 MOST_GHOSTS = 24
 SEED_BASES = {"train": 0, "validation": 10_000_000, "test": 20_000_000}
 """First seed of each split; none of them is used by the tests or benchmarks."""
+SCENES, ATS_EVERY = 6000, 4
+_SIZE = "dataset.json"
 
 
 @dataclass(frozen=True)
@@ -58,11 +67,9 @@ class DatasetPlan:
 
     @property
     def shards(self) -> int:
-        """Number of files."""
         return -(-self.scenes // SHARD)
 
     def images(self, shard: int) -> list[ImageOf]:
-        """Every image of a shard."""
         cells = []
         for i in range(shard * SHARD, min((shard + 1) * SHARD, self.scenes)):
             seed = SEED_BASES[self.split] + i
@@ -70,6 +77,48 @@ class DatasetPlan:
             if self.ats_every and i % self.ats_every == 0:
                 cells.append(ImageOf(seed, METHODS[1]))
         return cells
+
+
+@dataclass(frozen=True)
+class Size:
+    """Size of a dataset, which its folder remembers: `scenes` and `ats_every` of `DatasetPlan`."""
+
+    scenes: int = SCENES
+    ats_every: int = ATS_EVERY
+
+    def remember(self, work: Path) -> None:
+        """Write it into the folder of the dataset, which is made if it is not there. Raises StorageError."""
+        make_folder(work)
+        write_bytes(work / _SIZE, (json.dumps(asdict(self)) + "\n").encode())
+
+    @classmethod
+    def of(cls, work: Path, scenes: int | None, ats_every: int | None) -> Size:
+        """What is given, and else that of the dataset in the folder. Raises StorageError."""
+        stored = cls()
+        if not work.is_dir():
+            raise StorageError(f"{work} holds no dataset", "Make one with `python -m train dataset`.")
+        if (work / _SIZE).exists():
+            try:
+                stored = cls(**json.loads(read_bytes(work / _SIZE)))
+            except (ValueError, TypeError) as error:
+                raise StorageError(f"{work / _SIZE}: {error}", "Make the dataset again.") from error
+        return cls(
+            stored.scenes if scenes is None else scenes,
+            stored.ats_every if ats_every is None else ats_every,
+        )
+
+
+def plans(scenes: int, ats_every: int = 4) -> dict[str, DatasetPlan]:
+    """The three splits: the scenes to train on, a tenth as many to validate on, as many again to test on.
+
+    In one place, so that no command can take a scene for testing that another has trained on.
+    """
+    few = max(1, scenes // 10)
+    return {
+        "train": DatasetPlan("train", scenes, ats_every),
+        "validation": DatasetPlan("validation", few, ats_every),
+        "test": DatasetPlan("test", few, ats_every),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,22 +145,34 @@ class Samples:
         return len(self.relative)
 
     def part(self, keep: NDArray[np.bool_] | slice) -> Samples:
-        """Some of the samples."""
         return Samples(**{name: value[keep] for name, value in vars(self).items()})
 
 
-@dataclass(frozen=True)
-class _Drawn:
-    """An image that is to be made: of which scene, by which method, and how scenes are drawn."""
+def focused_scans(capture: Capture, method: str) -> BasebandScans:
+    """Preprocessed scans under the axis distance that focuses them, as in `tagid.pipeline.reconstruct`."""
+    settings = PreprocessSettings(matched_filter=False, extent_m=GRID.extent)
+    focused, _ = focus_axis_distance(preprocess(capture, settings=settings), GRID)
+    if method != "bp":
+        return focused
+    matched = preprocess(capture, settings=replace(settings, matched_filter=True))
+    return matched.with_aperture(focused.aperture)
 
-    image: ImageOf
-    distribution: Distribution
+
+def network_input(capture: Capture, method: str, seed: int = 0) -> NetworkInput:
+    """The network's input for one capture and method, "bp" or "ats"."""
+    if method not in METHODS:
+        raise UsageError(f"the detector is not trained on {method!r}", f"Use {' or '.join(METHODS)}.")
+    scans = focused_scans(capture, method)
+    if method == "bp":
+        return NetworkInput.of(backproject(scans, GRID), scans)
+    from tagid.imaging.ats.fit import fit
+    from tagid.imaging.ats.settings import AtsSettings
+
+    return NetworkInput.of(fit(scans, GRID, AtsSettings(seed=seed)).image, scans)
 
 
-def _sample(drawn: _Drawn) -> Samples:
-    """One image with its truths."""
-    image = drawn.image
-    scene = draw_scene(image.seed, drawn.distribution)
+def _sample(image: ImageOf, distribution: Distribution) -> Samples:
+    scene = draw_scene(image.seed, distribution)
     seen = network_input(scene.capture, image.method, image.seed % 1000)
     reflectors = np.full((1, MOST_REFLECTORS, 2), np.nan, dtype=np.float32)
     reflectors[0, : len(scene.reflectors_m)] = scene.reflectors_m
@@ -129,17 +190,16 @@ def _sample(drawn: _Drawn) -> Samples:
     )
 
 
-Each = Callable[[Callable[[_Drawn], Samples], Iterable[_Drawn]], Iterable[Samples]]
+Map = Callable[[Callable[[ImageOf], Samples], Iterable[ImageOf]], Iterable[Samples]]
 """Maps a function over images in order, as `map` does, perhaps in several processes."""
 
 
-def make_shard(images: list[ImageOf], distribution: Distribution, each: Each = map) -> Samples:
+def make_shard(images: list[ImageOf], distribution: Distribution, mapped: Map = map) -> Samples:
     """The images of one shard with their truths."""
-    return _joined(list(each(_sample, [_Drawn(image, distribution) for image in images])))
+    return _joined(list(mapped(partial(_sample, distribution=distribution), images)))
 
 
 def _joined(parts: list[Samples]) -> Samples:
-    """Samples one after the other."""
     names = Samples.__dataclass_fields__
     return Samples(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
@@ -149,14 +209,13 @@ def build(
     plan: DatasetPlan,
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
-    distribution: Distribution | None = None,
 ) -> None:
     """Make the shards that are not there yet; `progress` is called with (images made, images).
 
     Raises:
         UsageError: the folder holds a dataset of another kind. StorageError: it cannot be written.
     """
-    dist = distribution or Distribution()
+    dist = Distribution()
     settings = {"distribution": dist.fingerprint(), "ats_every": plan.ats_every, "shard": SHARD}
     about = folder / plan.split / "about.json"
     try:
@@ -174,9 +233,9 @@ def build(
         progress(done, total)
     with processes.spawn_context().Pool(jobs) as pool:
 
-        def counted(function: Callable[[_Drawn], Samples], drawn: Iterable[_Drawn]) -> Iterator[Samples]:
+        def counted(function: Callable[[ImageOf], Samples], images: Iterable[ImageOf]) -> Iterator[Samples]:
             nonlocal done
-            for sample in pool.imap(function, drawn):
+            for sample in pool.imap(function, images):
                 done += 1
                 if progress:
                     progress(done, total)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from tagid.errors import ModelError
 from tagid.models_store import Model, open_model
@@ -28,6 +29,8 @@ CELL_M = GRID.extent / CELLS
 SEPARATION_M = 0.02
 """Two detections nearer than this are one reflector: the paper's octahedra are 40 mm tip to tip."""
 _MOST = 16
+PFA = 0.01
+"""The false-alarm rate at whose threshold detections and figures are given."""
 
 
 @dataclass(frozen=True)
@@ -139,20 +142,10 @@ def sigmoid(logit: NDArray[np.floating] | float) -> NDArray[np.float64]:
     return np.asarray(1 / (1 + np.exp(-np.clip(np.asarray(logit, dtype=np.float64), -60, 60))))
 
 
-def _probability(logit: float) -> float:
-    """`sigmoid` of one number."""
-    return 1 / (1 + exp(-min(max(logit, -60.0), 60.0)))
-
-
 def candidates(cells: NDArray[np.float32]) -> list[tuple[int, int]]:
     """(row, column) of the local maxima of the reflector logit in cells (5, 48, 48), strongest first."""
     logit = cells[0]
-    beside = np.full((len(logit) + 2, logit.shape[1]), -np.inf, dtype=logit.dtype)
-    beside[1:-1] = logit
-    np.maximum(beside[1:-1, 1:], logit[:, :-1], out=beside[1:-1, 1:])
-    np.maximum(beside[1:-1, :-1], logit[:, 1:], out=beside[1:-1, :-1])
-    around = np.maximum(np.maximum(beside[:-2], beside[1:-1]), beside[2:])
-    rows, columns = np.nonzero(logit >= around)
+    rows, columns = np.nonzero(logit >= maximum_filter(logit, 3))
     order = np.argsort(-logit[rows, columns])[: 4 * _MOST]
     return [(int(rows[i]), int(columns[i])) for i in order]
 
@@ -172,8 +165,8 @@ def decode(cells: NDArray[np.float32], seen: NetworkInput, contract: Contract) -
                 x,
                 y,
                 contract.sigma_scale * CELL_M * exp(min(max(log_sigma, -4.0), 1.0)),
-                _probability(logit),
-                _probability(ghost),
+                float(sigmoid(logit)),
+                float(sigmoid(ghost)),
                 seen.value_at(x, y) * seen.peak,
             )
         )
@@ -197,24 +190,19 @@ class Detector:
         self.sha256 = model.entry.sha256
 
     @classmethod
-    def shipped(cls, threads: int = 1) -> Detector:
+    def shipped(cls) -> Detector:
         """The one that came with the package. Raises ModelError or StorageError as `open_model` does."""
-        return cls(open_model(MODEL, threads, FOLDER))
+        return cls(open_model(MODEL, folder=FOLDER))
 
     def run(self, seen: NetworkInput) -> tuple[NDArray[np.float32], float]:
         """The network's cells (5, 48, 48) and the presence logit of one image."""
         out = self._model.run({"planes": seen.planes()[None]})
         return np.asarray(out["cells"])[0], float(out["present"][0])
 
-    def detect(self, seen: NetworkInput, pfa: float = 0.01) -> Detections:
-        """Reflectors of an image.
-
-        Args:
-            seen: the image as `NetworkInput.of` prepares it.
-            pfa: share of images without any reflector in which one may be seen.
-        """
+    def detect(self, seen: NetworkInput) -> Detections:
+        """Reflectors of an image, at the threshold for one in a hundred images without any."""
         cells, present = self.run(seen)
-        threshold = self.contract.threshold(pfa)
+        threshold = self.contract.threshold(PFA)
         detections = tuple(d for d in decode(cells, seen, self.contract) if d.probability >= threshold)
         there = self.contract.present_slope * present + self.contract.present_intercept
         return Detections(float(sigmoid(there)), detections, threshold)

@@ -156,7 +156,6 @@ class Distribution:
 
 
 def uniform(rng: np.random.Generator, bounds: Range) -> float:
-    """One value from a range."""
     return float(rng.uniform(*bounds))
 
 

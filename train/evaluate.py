@@ -14,9 +14,8 @@ from scipy.optimize import minimize
 
 from tagid.errors import ModelError
 from tagid.imaging.types import Image
-from train.dataset import Samples
+from train.dataset import METHODS, Samples
 from train.detector import Contract, Detection, decode, sigmoid
-from train.images import METHODS
 from train.metrics import pick_peaks
 from train.network import DetectorNetwork
 from train.planes import GRID, NetworkInput
@@ -62,14 +61,12 @@ def score(detections: list[Detection], reflectors: NDArray[np.floating], present
 
 
 def seen(samples: Samples, i: int) -> NetworkInput:
-    """The input of one sample."""
     picture = samples.relative[i].astype(np.float32)
     relative = (picture[0] + 1j * picture[1]).astype(np.complex64)
     return NetworkInput(relative, 1.0, float(samples.snr_db[i]), int(samples.views[i]))
 
 
 def outcomes(network: DetectorNetwork, samples: Samples, contract: Contract = RAW) -> list[Outcome]:
-    """Outcome of the network for every sample."""
     results = []
     network.eval()
     with torch.no_grad():
@@ -147,7 +144,6 @@ class Figures:
 
     @classmethod
     def of(cls, results: list[Outcome], threshold: float, contract: Contract = RAW) -> Figures:
-        """At a probability threshold."""
         pairs = [list(zip(o.detections, o.hits, strict=True)) for o in results]
         kept = [[hit for d, hit in pair if d.probability >= threshold] for pair in pairs]
         truths = [o.missed + sum(o.hits) for o in results]

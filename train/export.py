@@ -14,13 +14,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from tagid._version import __version__
 from tagid.errors import ModelError
 from tagid.models_store import OPSET, Tensor, manifest
-from train.card import PFA
-from train.detector import CELLS, CONTRACT_KEY, FOLDER, MODEL, Contract
+from train.detector import CELLS, CONTRACT_KEY, FOLDER, MODEL, PFA, Contract
 from train.evaluate import Figures
-from train.model_files import entry_of, write_entry
+from train.model_files import entry_of, strip, write_entry
 from train.network import CHANNELS, DetectorNetwork
 from train.planes import GRID, PLANES
 
@@ -43,15 +41,9 @@ def onnx_bytes(network: DetectorNetwork, contract: Contract) -> bytes:
             verbose=False,
         )
     model = exported.model_proto
-    model.ClearField("metadata_props")
-    model.graph.ClearField("metadata_props")
-    del model.graph.value_info[:]
-    for node in model.graph.node:
-        node.ClearField("metadata_props")
-        node.ClearField("doc_string")
+    strip(model)
     entry = model.metadata_props.add()
     entry.key, entry.value = CONTRACT_KEY, contract.to_text()
-    model.producer_name, model.producer_version = "tagid", __version__
     onnx.checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString(deterministic=True))
 
@@ -62,7 +54,6 @@ def export(
     """Write the model and its entry in the manifest; the file's path.
 
     Args:
-        network: trained.
         contract: its calibration, with what made it.
         figures: by condition, for the manifest.
         folder: of the models.

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -168,16 +169,14 @@ def _batches(training: Samples, jobs: int) -> Iterator[Callable[[list[Draw]], It
         yield lambda draws: map(Batch.of, pool.imap(_arrays, draws))
 
 
-def mean_loss(
-    network: DetectorNetwork, samples: Samples, hidden: tuple[int, ...] = (), batch: int = 64
-) -> float:
+def mean_loss(network: DetectorNetwork, samples: Samples, hidden: tuple[int, ...]) -> float:
     """Loss of a network that is not training."""
     network.eval()
     device = next(network.parameters()).device
     total = 0.0
     with torch.no_grad():
-        for start in range(0, len(samples), batch):
-            which = np.arange(start, min(start + batch, len(samples)))
+        for start in range(0, len(samples), 64):
+            which = np.arange(start, min(start + 64, len(samples)))
             made = make_batch(samples, which).to(device)
             made.planes[:, list(hidden)] = 0
             cells, present = network(made.planes)
@@ -185,51 +184,42 @@ def mean_loss(
     return total / max(1, len(samples))
 
 
-def _save(
-    path: Path,
-    parts: Parts,
-    identity: dict[str, object],
-    epoch: int,
-) -> None:
+def _save(path: Path, parts: Parts, identity: dict[str, object], epoch: int) -> None:
     buffer = io.BytesIO()
     torch.save({"epoch": epoch, "own": identity, **{k: v.state_dict() for k, v in parts.items()}}, buffer)
     write_bytes(path, buffer.getvalue())
 
 
-def _resume(
-    path: Path,
-    parts: Parts,
-    identity: dict[str, object],
-) -> int:
+def _resume(path: Path, parts: Parts, identity: dict[str, object]) -> int:
     if not path.exists():
         return 0
-    try:
-        state = torch.load(io.BytesIO(read_bytes(path)), map_location="cpu", weights_only=True)
+    with _state(path, "Remove it and start again.") as state:
         if state["own"] != identity:
             raise StorageError(f"{path}: is of another training", "Choose another folder, or remove it.")
         for name, part in parts.items():
             part.load_state_dict(state[name])
         return int(state["epoch"])
+
+
+@contextmanager
+def _state(path: Path, remedy: str = "Train again.") -> Iterator[Any]:
+    """What a checkpoint holds. Raises StorageError where it does not hold what is asked of it."""
+    try:
+        yield torch.load(io.BytesIO(read_bytes(path)), map_location="cpu", weights_only=True)
     except (KeyError, RuntimeError, ValueError, EOFError) as error:
-        raise StorageError(f"{path}: damaged checkpoint: {error}", "Remove it and start again.") from error
+        raise StorageError(f"{path}: damaged checkpoint: {error}", remedy) from error
 
 
 def settings_of(path: Path) -> FitSettings:
     """How the network of a checkpoint was trained. Raises StorageError."""
-    try:
-        own = torch.load(io.BytesIO(read_bytes(path)), map_location="cpu", weights_only=True)["own"]
-        return FitSettings(**{name: own[name] for name in FitSettings.__dataclass_fields__})
-    except (KeyError, RuntimeError, ValueError, EOFError) as error:
-        raise StorageError(f"{path}: damaged checkpoint: {error}", "Train again.") from error
+    with _state(path) as state:
+        return FitSettings(**{name: state["own"][name] for name in FitSettings.__dataclass_fields__})
 
 
 def load_network(path: Path) -> DetectorNetwork:
     """The network of a checkpoint, ready to be used. Raises StorageError."""
     network = DetectorNetwork()
-    try:
-        state = torch.load(io.BytesIO(read_bytes(path)), map_location="cpu", weights_only=True)
+    with _state(path) as state:
         network.load_state_dict(state["network"])
-    except (KeyError, RuntimeError, ValueError, EOFError) as error:
-        raise StorageError(f"{path}: damaged checkpoint: {error}", "Train again.") from error
     network.eval()
     return network

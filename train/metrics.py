@@ -123,10 +123,8 @@ def pick_peaks(
     return np.array(peaks, dtype=np.float64).reshape(-1, 2)
 
 
-def peak_to_sidelobe_db(
-    image: Image, points: NDArray[np.floating], mainlobe_m: float = MATCH_RADIUS_M
-) -> float:
-    """Brightest magnitude within `mainlobe_m` of a true point over the brightest outside, dB.
+def peak_to_sidelobe_db(image: Image, points: NDArray[np.floating]) -> float:
+    """Brightest magnitude within `MATCH_RADIUS_M` of a true point over the brightest outside, dB.
 
     Infinite if everything else is zero, minus infinity if the image is zero at the points.
     """
@@ -135,7 +133,7 @@ def peak_to_sidelobe_db(
     distance = np.full(magnitude.shape, np.inf)
     for px, py in np.asarray(points, dtype=np.float64).reshape(-1, 2):
         distance = np.minimum(distance, np.hypot(x - px, y - py))
-    near = distance <= mainlobe_m
+    near = distance <= MATCH_RADIUS_M
     peak = float(magnitude[near].max(initial=0.0))
     side = float(magnitude[~near].max(initial=0.0))
     if peak == 0:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tagid import interrupts
+from tagid._version import __version__
 from tagid.files import write_bytes
 from tagid.models_store import FOLDER, MANIFEST_VERSION, OPSET, ModelEntry, Tensor, manifest
 
@@ -30,6 +31,17 @@ def write_entry(entry: ModelEntry, content: bytes, folder: Path = FOLDER) -> Non
 def _json(entry: ModelEntry) -> dict[str, Any]:
     """The value of an entry in the manifest, where its name is the key."""
     return {name: value for name, value in asdict(entry).items() if name != "name"}
+
+
+def strip(model: Any) -> None:
+    """Take out of an exported graph what the exporter says of itself and of this computer."""
+    graph = model.graph
+    del graph.value_info[:]
+    for part in (model, graph, *graph.node, *graph.input, *graph.output):
+        part.ClearField("metadata_props")
+    for node in graph.node:
+        node.ClearField("doc_string")
+    model.producer_name, model.producer_version = "tagid", __version__
 
 
 def entry_of(

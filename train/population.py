@@ -41,7 +41,6 @@ class Specimen:
     """One drawn object and its recording.
 
     Attributes:
-        capture: as recorded.
         truth: the layout's name; None where the object carries none of the enrolled ones.
         body, clutter: kinds.
         positions: (K,) of the reflectors on the object, x + jy, m.
@@ -58,7 +57,6 @@ class Specimen:
 
     @property
     def reflectors(self) -> int:
-        """Their number."""
         return len(self.positions)
 
     @property

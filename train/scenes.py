@@ -6,7 +6,7 @@ are placed off the axis with its reflectors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,6 @@ class TrainingScene:
         reflectors_m: (K, 2) true reflectors at angle zero, m.
         ghosts: what else echoes.
         snr_db, views: of the recording; the SNR is per reflector.
-        kinds: names of what is on the object, for the evaluation by condition.
     """
 
     capture: Capture
@@ -56,7 +55,6 @@ class TrainingScene:
     ghosts: tuple[Ghost, ...]
     snr_db: float
     views: int
-    kinds: tuple[str, ...] = field(default=())
 
 
 def draw_pulse(d: PulseDistribution, rng: np.random.Generator) -> Pulse | None:
@@ -70,7 +68,6 @@ class _Drawing:
 
     turning: list[Body]
     ghosts: list[Ghost]
-    kinds: list[str]
 
 
 def _reflectors(d: ObjectDistribution, radius: float, rng: np.random.Generator) -> Points | None:
@@ -121,8 +118,6 @@ def _bounces(drawing: _Drawing, points: Points, amplitude: float) -> None:
         both = np.asarray(points.positions[[i, j]], dtype=np.float64)
         drawing.turning.append(_DoubleBounce(both, amplitude))
         drawing.ghosts.append(Ghost((p[i] + p[j]) / 2, float(np.linalg.norm(p[i] - p[j])) / 2))
-    if pairs:
-        drawing.kinds.append("bounce")
 
 
 def _extras(drawing: _Drawing, d: ObjectDistribution, radius: float, rng: np.random.Generator) -> None:
@@ -134,14 +129,12 @@ def _extras(drawing: _Drawing, d: ObjectDistribution, radius: float, rng: np.ran
         size = np.array([uniform(rng, d.handle_amplitude) for _ in at])
         drawing.turning.append(Points(at, size, facing, float(rng.uniform(0.4, 1.2)), 0.05))
         drawing.ghosts += [Ghost(point) for point in at]
-        drawing.kinds.append("handle")
     if rng.uniform() < d.rim:
         angles = rng.uniform(0, 2 * np.pi) + np.arange(int(rng.integers(4, 12))) * rng.uniform(0.1, 0.3)
         at = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         sizes = np.full(len(at), uniform(rng, d.rim_amplitude))
         drawing.turning.append(Points(at, sizes, np.asarray(angles, dtype=np.float64), 1.5, 0.1))
         drawing.ghosts += [Ghost(point) for point in at]
-        drawing.kinds.append("rim")
     if rng.uniform() < d.box:
         side = 2 * radius + float(rng.uniform(0.05, 0.12))
         face = uniform(rng, d.box_amplitude)
@@ -150,7 +143,6 @@ def _extras(drawing: _Drawing, d: ObjectDistribution, radius: float, rng: np.ran
         drawing.turning.append(Box(side, side, face, face / 6, rotation_rad=turn))
         corners = side / np.sqrt(2) * np.stack([np.cos(edges), np.sin(edges)], axis=1)
         drawing.ghosts += [Ghost(corner) for corner in corners]
-        drawing.kinds.append("box")
 
 
 def _simple(
@@ -168,7 +160,6 @@ def _simple(
         shell = Cylinder(max(0.02, radius - 0.02), uniform(rng, d.shell_amplitude), centre)
         drawing.turning.append(shell)
         drawing.ghosts.append(Ghost(np.array(centre), shell.radius_m))
-        drawing.kinds.append("shell")
     _extras(drawing, d, radius, rng)
     none = np.zeros((0, 2))
     return none if points is None else np.asarray(points.positions[:, :2], dtype=np.float64)
@@ -213,11 +204,9 @@ def _physical(
     if body.kind != "none":
         wall = body.size_m / 2 if body.kind == "box" else body.size_m
         drawing.ghosts.append(Ghost(centre, wall))
-        drawing.kinds.append(body.kind)
     if "handle" in body.parts:
         out = np.array([np.cos(change.parts_rad), np.sin(change.parts_rad)])
         drawing.ghosts.append(Ghost(centre + (body.size_m + HANDLE_REACH_M) * out))
-        drawing.kinds.append("handle")
     return positions
 
 
@@ -226,13 +215,12 @@ def draw_scene(seed: int, distribution: Distribution | None = None) -> TrainingS
 
     Args:
         seed: random seed of everything in it.
-        distribution: what it is drawn from.
     """
     dist = distribution or Distribution()
     d, r = dist.object, dist.recording
     rng = np.random.default_rng(seed)
     radius = uniform(rng, d.radius_m)
-    drawing = _Drawing([], [], [])
+    drawing = _Drawing([], [])
     make = _physical if rng.uniform() < d.physical else _simple
     reflectors = make(drawing, d, radius, rng)
     scene = Scene(
@@ -249,7 +237,6 @@ def draw_scene(seed: int, distribution: Distribution | None = None) -> TrainingS
         tuple(Ghost(acquisition.placement.apply(g.centre_m[None])[0], g.radius_m) for g in drawing.ghosts),
         float(acquisition.snr_db or 0.0),
         acquisition.views,
-        tuple(drawing.kinds),
     )
 
 

@@ -46,7 +46,6 @@ class Batch:
         return tuple(value.numpy() for value in vars(self).values())
 
     def to(self, device: torch.device | str) -> Self:
-        """The same tensors on a device of torch."""
         return type(self)(*(value.to(device) for value in vars(self).values()))
 
 

@@ -95,9 +95,9 @@ def wall(outline: Complex, thickness_m: float, permittivity: complex, cell_m: fl
     return cells
 
 
-def metal(outline: Complex, step_m: float = 2.5e-3) -> Cells:
-    """A metal surface: wires at about such a spacing."""
-    centre, step = _along(outline, step_m)
+def metal(outline: Complex) -> Cells:
+    """A metal surface: wires about 2.5 mm apart."""
+    centre, step = _along(outline, 2.5e-3)
     return Cells.of(centre, step / (2 * np.pi), METAL)
 
 

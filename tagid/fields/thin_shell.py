@@ -154,8 +154,6 @@ class ShellField:
 
     Attributes:
         wavenumber: (F,) in free space, rad/m.
-        shell: see above.
-        outline: its contour.
         inverse: (4, F, N / 4, N / 4) from the incident field on the contour to the whole one. What is even or
             odd about either axis couples with itself only: four systems of a quarter of the size.
     """
@@ -233,7 +231,6 @@ class ShellView:
     """The field of a shell from some antennas, relative to that at 1 m, spherical, without the shell.
 
     Attributes:
-        field: of the shell.
         antenna: (V,) x + jy, m.
         incident, whole: (F, N, V) field on the contour, without the shell and with it.
     """

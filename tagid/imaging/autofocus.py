@@ -18,7 +18,7 @@ from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.lengths import search_range_m
-from tagid.imaging.pointmodel import Explained, PointSearch, band_delays, jackknife_error, needed_evidence
+from tagid.imaging.pointmodel import PointSearch, band_delays, jackknife_error, needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
 from tagid.signal import fitted_peak, vertex
@@ -85,7 +85,6 @@ class AxisFocus:
         evidence: least t value, over all distances more than a quarter wavelength away, of the hypothesis
             that the sectors of the turn are explained better by the best guess; `needed_evidence` says what
             is needed.
-        needed: see there.
         second: energy of the second spot of the scene over that of the first.
         unexplained: share of the scans' energy that points leave over at the best guess.
         reason: why it was not taken; empty if it was.
@@ -132,21 +131,17 @@ def focus_axis_distance(
 ) -> tuple[BasebandScans, AxisFocus]:
     """The same scans under the axis distance that the scans tell, or unchanged where they do not tell it.
 
-    For each distance of the search a few points are fitted to the scans by least squares (`explain`); the
-    best distance leaves the least energy. It is taken only if
+    For each distance of the search a few points are fitted to the scans by least squares (`PointSearch`); the
+    best distance leaves the least energy. It is taken only if the views cover a whole turn, the brightest
+    pixel stands above the noise (`MIN_PEAK_DB`), and
 
-    - the views cover a whole turn,
-    - the brightest pixel stands above the noise (`MIN_PEAK_DB`),
-    - the best distance lies inside the search, not at its edge: where points explain a convex body the better
-      the smaller it is made, the best is at the near edge,
+    - the best distance lies inside the search: a convex body is explained the better the smaller it is made,
     - the scene has a second spot (`LEAST_SECOND`) or asks for a farther axis: a round body looks like a point
       on its own axis with the distance too short by its radius, never like one too far away,
     - the sectors of the turn agree: for each rival distance, the paired difference of what the two leave
       over, sector by sector, has a t value of at least `needed_evidence`,
-    - the standard error is at most `MOST_SIGMA_WAVELENGTHS`: that over the sectors of the turn (jackknife)
-      and that over the parts of the band, which would have an echo of points in places of their own
-      (`BandDelays.error_m`); the second shows bodies and resonances, whose echo has no one delay. It does not
-      show a delay that is the same in the whole band, which passes for distance.
+    - the standard error over the sectors (jackknife) and over the parts of the band (`BandDelays.error_m`,
+      which shows bodies and resonances) is at most `MOST_SIGMA_WAVELENGTHS`.
 
     Sharpness is no criterion: an extended body has no sharpest distance. Within the best region the
     brightness sqrt(sum |f|^8) of the backprojection refines the estimate: of 3 points at 10 dB SNR a sample
@@ -179,71 +174,27 @@ def focus_axis_distance(
     search = ImageGrid(grid.extent, pixels)
     few = select_views(scans, slice(None, None, max(1, scans.aperture.views // _VIEWS)))
     offsets = np.linspace(-search_m, search_m, 2 * max(2, round(search_m / (STEP_WAVELENGTHS * lam))) + 1)
-    images = [_image_at(few, search, distance + float(offset)) for offset in offsets]
+    apertures = (few.aperture.with_axis_distance(distance + float(offset)) for offset in offsets)
+    images = [backproject(few.with_aperture(aperture), search).values for aperture in apertures]
     measure = np.array([float(np.sqrt(((np.abs(f).astype(np.float64)) ** 8).sum())) for f in images])
     brightest = int(np.argmax(measure))
     if measure[brightest] == 0:
         return scans, AxisFocus(distance, reason="the image is blank")
-    seen = _Seen(
-        sharpness(images[brightest]),
-        float(measure[brightest] / np.median(measure)),
-        _peak_db(few, images[brightest]),
-    )
     bright = fitted_peak(offsets, measure, brightest, _HALF_WINDOW)
-    if seen.peak_db < MIN_PEAK_DB:
-        reason = f"the image peak is {seen.peak_db:.1f} dB over the noise, {MIN_PEAK_DB:g} dB are needed"
-        return scans, seen.focus(distance, 0.0, best_m=distance + bright, reason=reason)
-    verdict = _judge(few, grid, distance, search_m, bright)
-    focus = seen.focus(
-        distance, verdict.offset_m if not verdict.reason else 0.0, **verdict.told(distance, lam)
+    focus = AxisFocus(
+        distance,
+        sharpness=sharpness(images[brightest]),
+        contrast=float(measure[brightest] / np.median(measure)),
+        peak_db=_peak_db(few, images[brightest]),
+        best_m=distance + bright,
     )
+    if focus.peak_db < MIN_PEAK_DB:
+        reason = f"the image peak is {focus.peak_db:.1f} dB over the noise, {MIN_PEAK_DB:g} dB are needed"
+        return scans, replace(focus, reason=reason)
+    focus = _judged(focus, few, grid, distance, search_m, bright)
     if not focus.reliable:
         return scans, focus
-    focused = scans.with_aperture(scans.aperture.with_axis_distance(distance + verdict.offset_m))
-    return focused, focus
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """Figures of the brightest image."""
-
-    sharpness: float
-    contrast: float
-    peak_db: float
-
-    def focus(self, given_m: float, offset_m: float, **more: Any) -> AxisFocus:
-        return AxisFocus(given_m + offset_m, offset_m, self.sharpness, self.contrast, self.peak_db, **more)
-
-
-@dataclass(frozen=True)
-class _Verdict:
-    """The estimate with its tests; its standard errors over the sectors of the turn and parts of the band."""
-
-    offset_m: float
-    sectors_m: float
-    band_m: float
-    evidence: float
-    needed: float
-    second: float
-    unexplained: float
-    reason: str
-
-    @property
-    def sigma_m(self) -> float:
-        """Standard error, m."""
-        return float(np.hypot(self.sectors_m, self.band_m))
-
-    def told(self, given_m: float, wavelength_m: float) -> dict[str, Any]:
-        return {
-            "reliable": not self.reason,
-            "best_m": given_m + self.offset_m,
-            "sigma_m": float(np.hypot(self.sigma_m, BIAS_WAVELENGTHS * wavelength_m)),
-            "evidence": self.evidence,
-            "needed": self.needed,
-            "second": self.second,
-            "unexplained": self.unexplained,
-            "reason": self.reason,
-        }
+    return scans.with_aperture(scans.aperture.with_axis_distance(distance + focus.offset_m)), focus
 
 
 def _is_turn(angles: Floats) -> bool:
@@ -253,8 +204,10 @@ def _is_turn(angles: Floats) -> bool:
     return bool(gaps.max() - np.median(gaps) <= _MOST_GAP)
 
 
-def _judge(few: BasebandScans, grid: ImageGrid, given: float, search_m: float, bright: float) -> _Verdict:
-    """The offset that leaves the least energy, and whether to believe it."""
+def _judged(
+    focus: AxisFocus, few: BasebandScans, grid: ImageGrid, given: float, search_m: float, bright: float
+) -> AxisFocus:
+    """With the offset that leaves the least energy, and whether to believe it."""
     lam = few.wavelength_m
     wide = min(_BEYOND * search_m, 0.9 * given)
     steps = max(4, round(wide / (_ENERGY_STEP_WAVELENGTHS * lam)))
@@ -264,34 +217,40 @@ def _judge(few: BasebandScans, grid: ImageGrid, given: float, search_m: float, b
     residuals = np.array([t.left for t in tried])
     total = residuals.sum(axis=1)
     best = int(np.argmin(total))
-    offset = _lowest(offsets, total)
+    offset = lowest = _lowest(offsets, total)
     if abs(bright - offset) <= _AGREE_WAVELENGTHS * lam:
         offset = bright
-    sigma = _jackknife(offsets, residuals)
+    sectors_m = _jackknife(offsets, residuals)
     there = few.with_aperture(few.aperture.with_axis_distance(given + offset))
-    band = band_delays(there, points.explain(there.aperture)).error_m
+    band_m = band_delays(there, points.explain(there.aperture)).error_m
+    sigma_m = float(np.hypot(sectors_m, band_m))
     evidence = _t_value(offsets, residuals, best, _RIVAL_WAVELENGTHS * lam)
-    groups = residuals.shape[1]
-    verdict = _Verdict(
-        offset, sigma, band, evidence, needed_evidence(groups), tried[best].second, float(total[best]), ""
-    )
-    inside = 0 < best < len(offsets) - 1 and max(abs(offset), abs(_lowest(offsets, total))) < search_m
-    return _with_reason(verdict, inside, tried[best], lam)
-
-
-def _with_reason(verdict: _Verdict, inside: bool, best: Explained, lam: float) -> _Verdict:
+    needed = needed_evidence(residuals.shape[1])
     reason = ""
-    if not inside:
+    if not (0 < best < len(offsets) - 1 and max(abs(offset), abs(lowest)) < search_m):
         reason = BEYOND_SEARCH
-    elif best.second < LEAST_SECOND and verdict.offset_m < 0:
+    elif tried[best].second < LEAST_SECOND and offset < 0:
         reason = "one spot dominates, which a round body at the given distance would explain as well"
-    elif not verdict.evidence >= verdict.needed:
+    elif not evidence >= needed:
         reason = "the sectors of the turn do not agree on one distance"
-    elif not verdict.sigma_m <= MOST_SIGMA_WAVELENGTHS * lam:
-        reason = f"its standard error is {verdict.sigma_m * 1e3:.1f} mm"
-        if verdict.band_m > verdict.sectors_m:
+    elif not sigma_m <= MOST_SIGMA_WAVELENGTHS * lam:
+        reason = f"its standard error is {sigma_m * 1e3:.1f} mm"
+        if band_m > sectors_m:
             reason = "the parts of the band do not agree on one distance"
-    return replace(verdict, reason=reason)
+    taken = 0.0 if reason else offset
+    return replace(
+        focus,
+        axis_distance_m=given + taken,
+        offset_m=taken,
+        reliable=not reason,
+        best_m=given + offset,
+        sigma_m=float(np.hypot(sigma_m, BIAS_WAVELENGTHS * lam)),
+        evidence=evidence,
+        needed=needed,
+        second=tried[best].second,
+        unexplained=float(total[best]),
+        reason=reason,
+    )
 
 
 def _t_value(offsets: Floats, residuals: Floats, best: int, rival_m: float) -> float:
@@ -317,11 +276,6 @@ def _lowest(offsets: Floats, total: Floats) -> float:
         return float(offsets[best])
     shift = vertex(*(float(v) for v in total[best - 1 : best + 2]))
     return float(offsets[best] + shift * (offsets[1] - offsets[0]))
-
-
-def _image_at(scans: BasebandScans, grid: ImageGrid, distance: float) -> NDArray[np.complex64]:
-    aperture = scans.aperture.with_axis_distance(distance)
-    return backproject(scans.with_aperture(aperture), grid).values
 
 
 def _peak_db(scans: BasebandScans, image: NDArray[np.complex64]) -> float:

@@ -21,19 +21,17 @@ _OVERSAMPLING = 2.0
 """Cells of the Cartesian spectrum per 1 / (twice the extent): keeps the replicas of the image outside it."""
 
 
-def range_doppler(scans: BasebandScans, grid: ImageGrid, cells: float = 1.0) -> Image:
+def range_doppler(scans: BasebandScans, grid: ImageGrid) -> Image:
     """Range-Doppler image: in each short piece of the aperture, range bin and Doppler are the coordinates.
 
     In a piece about view c with line of sight u and the direction n across it, and after the distance r_v to
     the image's centre is taken out, a point p has the fixed range u.p and the phase 2k a_v n.p, a_v the angle
     from c. So f_c(p) = 1/V sum_v z_v(r_v + u.p) exp(2jk (r_v + u.p)) exp(-2jk a_v n.p) in a piece so short
-    that no point moves by more than `cells` range cells; the pieces are joined by their power, since their
+    that no point moves by more than a range cell (c / 2B); the pieces are joined by their power, since their
     phases do not agree beyond the piece (Ausherman et al., IEEE Trans. AES 20, 1984).
 
     Args:
         scans: matched-filtered scans of an aperture in or near one plane.
-        grid: pixels.
-        cells: allowed motion within a piece, in range cells (c / 2B).
 
     Returns:
         Image of non-negative real values; a unit point far from others gives about 1.
@@ -45,9 +43,7 @@ def range_doppler(scans: BasebandScans, grid: ImageGrid, cells: float = 1.0) -> 
     distance, bearing = _polar(scans)
     centred = grid.points
     radius = grid.extent / np.sqrt(2)
-    cell = scans.range_step_m
-    most = np.deg2rad(60.0)
-    limit = min(most, 2 * cells * cell / radius)
+    limit = min(np.deg2rad(60.0), 2 * scans.range_step_m / radius)
     values_held = scans.samples.size * upsampling(scans)
     require_memory(
         24 * values_held + 120 * len(centred),

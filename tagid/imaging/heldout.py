@@ -128,7 +128,6 @@ class Prediction:
         )
 
     def first(self, views: int) -> Prediction:
-        """The first views of these."""
         return Prediction(self.measured[:views], self.predicted[:views], self.product[:views])
 
     @property
@@ -152,19 +151,15 @@ class Prediction:
 def residual(scans: BasebandScans, image: Image) -> float:
     """||y - A x||^2 / ||y||^2 on scans that were not used for the reconstruction: 1 for a blank image.
 
-    The image's scale and phase are fitted (one complex number), so that the normalisation of
-    backprojection does not count.
+    The image's scale and phase are fitted, so that the normalisation of backprojection does not count.
 
     Raises:
         DataError: the scans are all zero.
     """
-    y = scans.samples.astype(np.complex128)
-    energy = float(np.vdot(y, y).real)
-    if energy == 0:
+    if not np.any(scans.samples):
         raise DataError("the held-out scans are zero")
-    fit = ForwardOperator(scans, image.grid).forward(image.values.ravel()).astype(np.complex128)
-    power = float(np.vdot(fit, fit).real)
-    return 1 - float(np.abs(np.vdot(fit, y)) ** 2) / (power * energy) if power > 0 else 1.0
+    seen = ForwardOperator(scans, image.grid).forward(image.values.ravel())
+    return Prediction.of(scans.samples.astype(np.complex128), seen.astype(np.complex128)).residual
 
 
 def neighbours_residual(scans: BasebandScans, unseen: NDArray[np.intp]) -> float:
@@ -204,7 +199,6 @@ def check(
     Args:
         scans: as the method takes them, with or without matched filter.
         unfiltered: the same views without the matched filter, on which all methods are compared.
-        grid: pixels.
         make: gives the method's image of scans, at bare pixels; None: backprojection itself.
         predicted: for a model that is more than its image: gives its own residual on those of all views that
             `left_out` names. None: the image's.

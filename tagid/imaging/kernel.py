@@ -10,7 +10,6 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,6 @@ from tagid.errors import UsageError
 from tagid.geometry import Aperture
 from tagid.imaging.memory import require_memory
 from tagid.loops import loop
-
-if TYPE_CHECKING:
-    from scipy import sparse
 
 _compiled = loop("tagid.imaging._kernel")
 
@@ -62,7 +58,6 @@ class RangeGeometry:
         x, y: (points,) float32.
         z: (points,) float32 heights, or (0,) where all lie in the plane z = 0.
         start: range of the first bin.
-        bins: bins of a row.
     """
 
     antenna: NDArray[np.floating]
@@ -84,7 +79,6 @@ class RangeGeometry:
         """Geometry of an aperture and of points (points, 2) in the plane z = 0 or (points, 3), in m.
 
         Args:
-            aperture, points_m: see above.
             range_m: one-way range of the first bin, and between bins, m.
             bins: bins of a row, 2 to 2^24.
 
@@ -107,7 +101,6 @@ class RangeGeometry:
 
     @property
     def views(self) -> int:
-        """Number of views."""
         return len(self.antenna)
 
     @property
@@ -117,7 +110,6 @@ class RangeGeometry:
 
     @property
     def points(self) -> int:
-        """Number of points."""
         return len(self.x)
 
     def select(self, views: NDArray[np.integer] | slice) -> RangeGeometry:
@@ -177,24 +169,6 @@ class RangeGeometry:
                 for side, target in ((seen.real, row.real), (seen.imag, row.imag)):
                     target[first : first + self.bins - 1] += np.bincount(bin_, weight * side, self.bins - 1)
         return out
-
-    def matrix(self) -> sparse.csc_array[np.float32]:
-        """`scatter` as a sparse matrix, CSC float32 (views * bins, points) with two entries a view and point.
-
-        For checks; it needs scipy. Raises UsageError if it would not fit in memory.
-        """
-        from scipy import sparse
-
-        index = np.empty((self.points, self.views, 2), dtype=np.int32)
-        weight = np.empty((self.points, self.views, 2), dtype=np.float32)
-        for v, (bin_, part) in enumerate(self._places()):
-            index[:, v, 0] = bin_ + v * self.bins
-            weight[:, v, 1] = part
-        np.add(index[..., 0], 1, out=index[..., 1])
-        np.subtract(np.float32(1), weight[..., 1], out=weight[..., 0])
-        starts = np.arange(0, index.size + 1, 2 * self.views, dtype=np.int32)
-        parts: Any = (weight.ravel(), index.ravel(), starts)
-        return sparse.csc_array(parts, shape=(self.views * self.bins, self.points))
 
     def _threads(self, parts: int) -> int:
         worth = min(self.views * self.points // _PAIRS_PER_THREAD + 1, parts)

@@ -11,36 +11,25 @@ SEARCH_WAVELENGTHS = 0.527
 """Half width of the search for the axis distance: half a wavelength and two fifths of a step, so that an
 error of half a wavelength is not at the edge, where nothing is trusted. 40 mm."""
 
-CELL_WAVELENGTHS = 0.0963
-"""Finest cell of the encoding, and pixel of images of which nothing else is said: 7.3 mm. The finest ripple
-of an image is that of 2k (half a wavelength); across a cell its phase is 2k h = 1.21 rad, so that linear
-interpolation keeps at least cos(0.605) = 82 % of it."""
-
-COARSEST_PIXEL_WAVELENGTHS = 0.2372
-"""A pixel over a quarter of the wavelength may fall between the ripples of a point: 18 mm."""
-
 MOST_PIXELS = 1024
 """Per side of an image."""
 
 _SHOWN_PIXEL_WAVELENGTHS = 0.26
 """Coarser pixels are warned of: a quarter and what rounding adds."""
 
-VIEW_WAVELENGTHS = 0.0575
-"""Farthest that an echo at half the image's width moves between neighbouring views, 4.4 mm: one degree, the
-paper's step, for a P440 and an image of 0.5 m. Its phase turns by 0.72 rad, so that averaging the scans in
-between costs 2 % of it."""
-FEWEST_DENSE_VIEWS = 360
-"""Views per turn to which denser scans are never reduced."""
-
 
 def views_needed(extent_m: float, wavelength_m: float) -> int:
     """Views per turn that an image needs; denser scans can be averaged into as many.
+
+    Between neighbours an echo at half the image's width then moves by 0.0575 wavelengths at most, 4.4 mm: one
+    degree, the paper's step, for a P440 and an image of 0.5 m. Its phase turns by 0.72 rad, so that averaging
+    the scans in between costs 2 % of it. 360 views are never reduced.
 
     Args:
         extent_m: width of the image, m.
         wavelength_m: at the centre of the band, m.
     """
-    return max(FEWEST_DENSE_VIEWS, round(math.pi * extent_m / (VIEW_WAVELENGTHS * wavelength_m)))
+    return max(360, round(math.pi * extent_m / (0.0575 * wavelength_m)))
 
 
 def search_range_m(wavelength_m: float) -> float:
@@ -49,13 +38,17 @@ def search_range_m(wavelength_m: float) -> float:
 
 
 def finest_cell_m(wavelength_m: float) -> float:
-    """Edge of the finest cell of the encoding, m."""
-    return CELL_WAVELENGTHS * wavelength_m
+    """Edge of the finest cell of the encoding, and pixel of images of which nothing else is said, m: 7.3 mm.
+
+    The finest ripple of an image is that of 2k (half a wavelength); across a cell its phase is 2k h = 1.21
+    rad, so that linear interpolation keeps at least cos(0.605) = 82 % of it.
+    """
+    return 0.0963 * wavelength_m
 
 
 def coarsest_pixel_m(wavelength_m: float) -> float:
-    """Pixel above which a point may be missed, m."""
-    return COARSEST_PIXEL_WAVELENGTHS * wavelength_m
+    """Pixel above which a point may fall between its own ripples, m: a quarter of the wavelength, 18 mm."""
+    return 0.2372 * wavelength_m
 
 
 def pixel_warning(extent_m: float, pixels: int, wavelength_m: float) -> str | None:

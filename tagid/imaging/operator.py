@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,6 @@ from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.memory import require_memory
 from tagid.imaging.types import BasebandScans
-
-if TYPE_CHECKING:
-    from scipy import sparse
 
 PHASE_STEP = 0.2
 """Phase of the carrier between fine range bins, rad. Between them the interpolated carrier is at most
@@ -70,7 +66,6 @@ class ForwardOperator:
         self._spread = _Spread.of(scans, start + step * np.arange(fine_bins, dtype=np.float64))
         self._fine_step, self._phase_step = step, 2 * scans.wavenumber * step
         self.views, self.bins, self.points = views, bins, len(points)
-        self._norms: dict[tuple[int, int], float] = {}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -102,18 +97,14 @@ class ForwardOperator:
         y = np.asarray(scans, dtype=np.complex64).reshape(self.views, self.bins)
         return self.geometry.gather(self._spread.adjoint(y))
 
-    def norm_squared(self, iterations: int = 12, seed: int = 0) -> float:
-        """Largest eigenvalue of A^H A by power iteration from a seeded start (a few % from below); kept."""
-        if (iterations, seed) not in self._norms:
-            self._norms[iterations, seed] = self._power_iteration(iterations, seed)
-        return self._norms[iterations, seed]
-
-    def _power_iteration(self, iterations: int, seed: int) -> float:
-        rng = np.random.default_rng(seed)
+    @cached_property
+    def norm_squared(self) -> float:
+        """Largest eigenvalue of A^H A by twelve power iterations from a seeded start, a few % from below."""
+        rng = np.random.default_rng(0)
         x = (rng.standard_normal(self.points) + 1j * rng.standard_normal(self.points)).astype(np.complex64)
         x /= np.float32(np.linalg.norm(x))
         norm = 0.0
-        for _ in range(iterations):
+        for _ in range(12):
             x = self.adjoint(self.forward(x))
             norm = float(np.linalg.norm(x))
             if norm == 0:
@@ -135,28 +126,7 @@ class ForwardOperator:
         part._spread = self._spread
         part._fine_step, part._phase_step = self._fine_step, self._phase_step
         part.views, part.bins, part.points = part.geometry.views, self.bins, part.geometry.points
-        part._norms = {}
         return part
-
-    @property
-    def stages(self) -> tuple[sparse.csr_array, NDArray[np.complex64]]:
-        """G (views * fine bins, points) and S^T (fine bins, bins): y = (G x).reshape(views, -1) @ S^T."""
-        from scipy import sparse
-
-        return sparse.csr_array(self.geometry.matrix()), self._spread.matrix
-
-    @cached_property
-    def matrix(self) -> sparse.csr_array:
-        """A itself, CSR complex64 (views * bins, points); for checks: far larger than the two stages."""
-        from scipy import sparse
-
-        gather, _ = self.stages
-        spread = sparse.csr_array(self._spread.matrix.T)
-        fine = self.geometry.bins
-        rows = [spread @ gather[at : at + fine] for at in range(0, gather.shape[0], fine)]
-        matrix = sparse.csr_array(sparse.vstack(rows, format="csr"))
-        matrix.sort_indices()
-        return matrix
 
 
 def envelope(scans: BasebandScans, points: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -227,7 +197,6 @@ class _Spread:
 
     @classmethod
     def of(cls, scans: BasebandScans, fine_m: NDArray[np.float64], carrier: bool = True) -> _Spread:
-        """With or without the carrier."""
         ranges, width = scans.ranges_m, _width(scans)
         step = float(fine_m[1] - fine_m[0])
         phase = 2 * scans.wavenumber if carrier else 0.0
@@ -252,7 +221,7 @@ class _Spread:
 
     @cached_property
     def matrix(self) -> NDArray[np.complex64]:
-        """(fine bins, bins), for checks."""
+        """(fine bins, bins)."""
         whole = np.zeros((self.fine, self.bins), dtype=np.complex64)
         for part, some, values in self.blocks:
             whole[part, some] = values

@@ -163,7 +163,6 @@ def _points(grid: ImageGrid | VolumeGrid) -> NDArray[np.float64]:
 
 
 def _fit_points(views: int) -> int:
-    """Points of the fit at most."""
     return max(_FEWEST_POINTS, _FIT_PAIRS // views)
 
 
@@ -197,17 +196,14 @@ class _Box:
 
     @property
     def cells(self) -> int:
-        """Number of cells of the larger box."""
         return int(np.prod(self.counts, dtype=np.float64))
 
     @property
     def middle(self) -> NDArray[np.float64]:
-        """(2,) or (3,) m."""
         return (self.low + self.high) / 2
 
     @property
     def size(self) -> NDArray[np.float64]:
-        """(2,) or (3,) m."""
         return self.high - self.low
 
     def corners(self, wider: float) -> NDArray[np.float64]:

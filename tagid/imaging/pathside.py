@@ -17,9 +17,6 @@ DISTINCT_WAVELENGTHS = 0.25
 """Farther than this from a line, rms (19 mm for a P440), a path focuses no mirror image at any delay."""
 _LEVEL_WAVELENGTHS = 1e-3
 """A path within this of a line has two sides that nothing tells apart."""
-LEAST_EXPECTED_RATIO = 1.02
-"""Power in focus on the true side over that on the other, as the path's bend lets expect it, from which on
-the two are compared: less is lost by a tracker's errors."""
 
 
 def off_line_m(positions: Floats) -> float:
@@ -62,14 +59,3 @@ def sides_to_search(
         return [None]
     near = side_towards(positions, towards)
     return [near, -near] if compare and off >= _LEVEL_WAVELENGTHS * wavelength_m else [near]
-
-
-def tells_sides_apart(power: float, other: float, expected: float) -> bool:
-    """Whether the brighter side of a path is the true one.
-
-    Args:
-        power, other: power of the echoes in focus on both sides, each at its best delay.
-        expected: ratio of the two that the path gives points at the places found on the brighter side. Were
-            they on the other side, the ratio would be its inverse: it must be nearer to this than to 1.
-    """
-    return expected >= LEAST_EXPECTED_RATIO and power >= np.sqrt(expected) * other

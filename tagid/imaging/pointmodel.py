@@ -87,15 +87,6 @@ class BandDelays:
         return sqrt(mean**2 + beyond)
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Scans that were correlated with the response and upsampled: rows (views, fine bins), their ranges."""
-
-    values: NDArray[np.complex64]
-    start_m: float
-    step_m: float
-
-
 class PointSearch:
     """The search for points that explain scans, under one aperture after another.
 
@@ -118,22 +109,27 @@ class PointSearch:
         # What is correlated first is the same under every aperture.
         self._first = self._rows(self._data)
 
-    def _rows(self, samples: NDArray[np.complex64]) -> _Rows:
-        return _Rows(*upsample_at_carrier(replace(self._scans, samples=samples @ self._match), slice(None)))
+    def _rows(self, samples: NDArray[np.complex64]) -> tuple[NDArray[np.complex64], float, float]:
+        """(views, fine bins) correlated with the response and upsampled, their first range and step, m."""
+        return upsample_at_carrier(replace(self._scans, samples=samples @ self._match), slice(None))
 
     def explain(self, aperture: Aperture) -> Explained:
-        """Points that explain the scans best if they were taken from this aperture: see `explain`."""
+        """Points in the square that explain the scans best if they were taken from this aperture.
+
+        They are found in stages: peaks of the backprojection of what is left, then least squares of all
+        points together.
+        """
         scans, data, square = self._scans.with_aperture(aperture), self._data, self._square
         lam, groups = scans.wavelength_m, sector_of(scans)
         if self._energy == 0:
             return Explained(np.zeros(groups.max() + 1), np.zeros((0, 2)), np.zeros(0, complex), 0.0)
-        rows = self._first
-        geometry = RangeGeometry.of(aperture, self._pixels, (rows.start_m, rows.step_m), rows.values.shape[1])
+        rows, start_m, step_m = self._first
+        geometry = RangeGeometry.of(aperture, self._pixels, (start_m, step_m), rows.shape[1])
         points, columns = np.zeros((0, 2)), np.zeros((0, data.size), dtype=np.complex64)
         rest, amplitudes = data, np.zeros(0, dtype=np.complex128)
         for stage, floor in enumerate(_STAGES):
-            rows = self._rows(rest) if stage else rows
-            image = np.abs(geometry.gather(rows.values)).reshape(square.pixels, square.pixels)
+            rows = self._rows(rest)[0] if stage else rows
+            image = np.abs(geometry.gather(rows)).reshape(square.pixels, square.pixels)
             spots = peaks(image, square, floor, lam / 4, _PER_STAGE)
             if not len(spots):
                 break
@@ -146,17 +142,6 @@ class PointSearch:
         return Explained(residual, points, amplitudes, _second_spot(points, amplitudes, columns, lam))
 
 
-def explain(scans: BasebandScans, grid: ImageGrid) -> Explained:
-    """Points in the square that explain the scans best, found in stages: peaks of the backprojection of what
-    is left, then least squares of all points together.
-
-    Args:
-        scans: baseband scans with or without matched filter.
-        grid: the square; its pixels are not used.
-    """
-    return PointSearch(scans, grid).explain(scans.aperture)
-
-
 def band_delays(scans: BasebandScans, explained: Explained) -> BandDelays:
     """How much farther than the points the echo comes from in each part of the band.
 
@@ -167,7 +152,7 @@ def band_delays(scans: BasebandScans, explained: Explained) -> BandDelays:
 
     Args:
         scans: those to which the points were fitted.
-        found: the points; no delays without any.
+        explained: the points; no delays without any.
     """
     if not len(explained.points):
         return BandDelays(np.zeros(BAND_PARTS), 0.0, 0.0)

@@ -139,6 +139,8 @@ def preprocess(
     early = baseband[:, 1 : max(1, int((before - start_m) / step_m) + 1)]
     noise = _noise(samples, baseband, (first - guard, last + guard), band)
     noise = _raised(noise, early, band)
+    # A period in the scans tells the scale of the angles better than any device.
+    known = capture.motion.resolved
     return BasebandScans(
         samples=gated,
         range_start_m=start_m + first * step_m,
@@ -153,14 +155,8 @@ def preprocess(
         background_removed=settings.background != "none",
         wave_speed_m_s=capture.wave_speed_m_s,
         center_hz=band.center_hz,
-        angle_scale_sigma=_scale_sigma(capture),
+        angle_scale_sigma=None if known is None or known.checked_by_radar else known.scale_sigma,
     )
-
-
-def _scale_sigma(capture: Capture) -> float | None:
-    """See `BasebandScans.angle_scale_sigma`: a period in the scans tells the scale better than any device."""
-    resolved = capture.motion.resolved
-    return None if resolved is None or resolved.checked_by_radar else resolved.scale_sigma
 
 
 def remove_background(samples: NDArray[Any], background: Background) -> NDArray[Any]:

@@ -123,7 +123,8 @@ def _designed(
         )
     n = fast_length(capture.bins + int(np.ceil(duration * input_rate)))
     df = input_rate / n
-    centre = round((low + high) / 2 / df)
+    middle, said = (low + high) / 2, capture.center_frequency_hz
+    centre = round(middle / df)
     m = min(fast_length(int(np.ceil(oversampling * bandwidth / df)) + 1), n)
     offsets = np.arange(-((m - 1) // 2), (m - 1) // 2 + 1)
     if is_real:
@@ -142,7 +143,7 @@ def _designed(
         offsets=np.asarray(offsets, dtype=np.intp),
         transfer=np.asarray(transfer * scale, dtype=np.complex128),
         carrier_hz=centre * df,
-        center_hz=_middle(low, high, capture.center_frequency_hz),
+        center_hz=said if abs(said / middle - 1) < _SAME_CENTER else middle,
         bandwidth_hz=bandwidth,
         input_rate_hz=input_rate,
         rate_hz=m * df,
@@ -151,12 +152,6 @@ def _designed(
         width_m=width,
         wave_speed_m_s=capture.wave_speed_m_s,
     )
-
-
-def _middle(low: float, high: float, said: float) -> float:
-    """What the capture says of its centre frequency, unless its pulse is of another band."""
-    middle = (low + high) / 2
-    return said if abs(said / middle - 1) < _SAME_CENTER else middle
 
 
 def normalised(pulse: Pulse) -> Pulse:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tagid.errors import UsageError
 from tagid.imaging.backprojection import upsample_at_carrier
 from tagid.imaging.operator import ForwardOperator
-from tagid.imaging.pathside import STRAIGHT_WAVELENGTHS, sides_to_search, tells_sides_apart
+from tagid.imaging.pathside import STRAIGHT_WAVELENGTHS, sides_to_search
 from tagid.imaging.pointmodel import needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
@@ -30,6 +30,9 @@ MAX_SEARCH_WAVELENGTHS = 2.001 * SEARCH_WAVELENGTHS
 LEAST_CONTRAST = 2.5
 """Power of an echo at its best delay over the median of the search; an echo with less comes into focus
 nowhere. Of noise alone, the largest of some 10^5 trials is 1.9 times the median of the largest of 350."""
+_LEAST_EXPECTED_RATIO = 1.02
+"""Power in focus on the true side of a path over that on the other, as its bend lets expect it, from which on
+the two are compared: less is lost by a tracker's errors."""
 LEAST_GHOST_RATIO = 1.05
 """Measure of the best delay over that of a rival which is the mirror image on the other side of the path. The
 geometry alone makes the difference, and all pieces have it alike."""
@@ -115,7 +118,6 @@ class DelayFocus:
 
     @property
     def needed(self) -> float:
-        """Evidence that a delay needs to be taken."""
         return needed_evidence(PIECES)
 
     def facts(self) -> dict[str, Any]:
@@ -126,7 +128,7 @@ class DelayFocus:
             "best_guess_m": self.best_m,
             "evidence": self.evidence,
             "sigma_m": self.sigma_m if np.isfinite(self.sigma_m) else None,
-            "evidence_needed": needed_evidence(PIECES),
+            "evidence_needed": self.needed,
             "contrast": self.contrast,
             "reason": self.reason,
             "sides_alike": self.alike,
@@ -134,7 +136,6 @@ class DelayFocus:
 
 
 def search_range_m(wavelength_m: float) -> float:
-    """Half width of the search for the path delay, one-way m."""
     return SEARCH_WAVELENGTHS * wavelength_m
 
 
@@ -153,11 +154,10 @@ def focus_delay(
     near it where |f|^2 is largest, f = 1/V sum_v z_v(d_v + delay) exp(2jk d_v). The delay is searched in
     steps that the path's angles ask for, then twice by a parabola, with finer places each time.
 
-    Only echoes that come into focus count (`LEAST_CONTRAST`): what is left of the leakage is often the
-    strongest and as strong at every delay. The best delay is taken only if it lies inside the search, stands
-    above every rival (`needed_evidence`) and stays where it is when pieces of the path, or echoes, are left
-    out (`MOST_SIGMA_WAVELENGTHS`): a path that bends sideways gives an echo above or below the plane another
-    delay than one in it.
+    Only echoes that come into focus count (`LEAST_CONTRAST`). The best delay is taken only if it lies inside
+    the search, stands above every rival (`needed_evidence`) and stays where it is when pieces of the path, or
+    echoes, are left out (`MOST_SIGMA_WAVELENGTHS`): a path that bends sideways gives an echo above or below
+    the plane another delay than one in it.
 
     A path that bends a little is searched on both of its sides, each with a delay of its own, and the side
     with more power in focus counts where it has as much more as the bend lets expect.
@@ -228,17 +228,16 @@ def _told_apart(few: BasebandScans, bright: _Searched, dim: _Searched, search_m:
     power, other = (
         _search(simulated, simulated, searched.side, search_m).power for searched in (bright, dim)
     )
-    return tells_sides_apart(bright.power, dim.power, power / max(other, 1e-30))
+    expected = power / max(other, 1e-30)
+    # Were the points on the other side, the ratio would be the inverse: it must be nearer to this than to 1.
+    return bool(expected >= _LEAST_EXPECTED_RATIO and bright.power >= np.sqrt(expected) * dim.power)
 
 
 def _with_all_around(scans: BasebandScans, few: BasebandScans, focus: DelayFocus) -> DelayFocus:
     """The result with the echoes of both sides, of which only those in focus at its delay are real."""
     if not focus.reliable:
         return focus
-    reference, echoes = _strong_echoes(scans, None)
-    points = _measure(few, reference, echoes, np.array([focus.delay_m]), _FINE * few.wavelength_m).points
-    real = _real(points, few.aperture.positions, echoes, few.wavelength_m)
-    return replace(focus, points=_strongest_first(tuple(points[i] for i in real)))
+    return replace(focus, points=_in_focus(few, *_strong_echoes(scans, None), focus.delay_m))
 
 
 def _of_either_side(few: BasebandScans, first: _Searched, second: _Searched) -> DelayFocus:
@@ -269,15 +268,18 @@ def _search(scans: BasebandScans, few: BasebandScans, side: Floats | None, searc
     around = width * np.linspace(-1, 1, 5)
     guess = float(delays[best])
 
-    def searched(focus: DelayFocus, best_m: float) -> _Searched:
+    def searched(
+        best_m: float, evidence: float, reason: str, sigma: float, shown: tuple[EchoPoint, ...] = ()
+    ) -> _Searched:
+        taken = 0.0 if reason else best_m
+        focus = DelayFocus(taken, contrast, not reason, shown, best_m, evidence, reason, sigma)
+        focus = _not_taken(few, reference, echoes, focus) if reason else focus
         power = _measure(few, reference, echoes, best_m + around, _FINE * lam).power.sum(axis=1).max()
         points = _measure(few, reference, echoes, np.array([best_m]), _FINE * lam).points
         return _Searched(focus, side, reference, echoes, float(power), points)
 
     if not counted.any():
-        reason = "no echo comes into focus at one delay more than at others"
-        result = DelayFocus(0.0, contrast, False, (), guess, 0.0, reason)
-        return searched(_not_taken(few, reference, echoes, result), guess)
+        return searched(guess, 0.0, "no echo comes into focus at one delay more than at others", float("nan"))
     focused = echoes[counted > 0]
     # Between the steps a peak may be higher than at any of them: both are compared at their tops.
     top, evidence, ghost = _measure(few, reference, focused, guess + around, _FINE * lam), np.inf, False
@@ -314,13 +316,9 @@ def _search(scans: BasebandScans, few: BasebandScans, side: Floats | None, searc
         reason = "one echo dominates, which a round body at the given ranges would explain as well"
     sigma = float(np.hypot(pieces, over_echoes))
     if reason:
-        result = DelayFocus(0.0, contrast, False, (), delay, evidence, reason, sigma)
-        return searched(_not_taken(few, reference, echoes, result), delay)
+        return searched(delay, evidence, reason, sigma)
     shown = echoes[tried.agreeing(int(np.argmin(np.abs(delays - guess))))]
-    points = _measure(few, reference, shown, np.array([delay]), _FINE * lam).points
-    points = tuple(points[i] for i in _real(points, few.aperture.positions, shown, lam))
-    result = DelayFocus(delay, contrast, True, _strongest_first(points), delay, evidence, "", sigma)
-    return searched(result, delay)
+    return searched(delay, evidence, "", sigma, _in_focus(few, reference, shown, delay))
 
 
 def _passes_for_round(delay: float, powers: Floats, lam: float) -> bool:
@@ -358,13 +356,17 @@ def find_echoes(scans: BasebandScans, towards: tuple[float, float] = (0.0, 0.0))
     Args:
         scans, towards: see `focus_delay`.
     """
-    few, lam = _thinned(scans), scans.wavelength_m
-    sides = sides_to_search(scans.aperture.positions, lam, towards, compare=False)
-    reference, echoes = _strong_echoes(scans, sides[0])
-    if not len(echoes):
-        return ()
-    points = _measure(few, reference, echoes, np.zeros(1), _FINE * lam).points
-    return _strongest_first(tuple(points[i] for i in _real(points, few.aperture.positions, echoes, lam)))
+    (side,) = sides_to_search(scans.aperture.positions, scans.wavelength_m, towards, compare=False)
+    reference, echoes = _strong_echoes(scans, side)
+    return _in_focus(_thinned(scans), reference, echoes, 0.0) if len(echoes) else ()
+
+
+def _in_focus(few: BasebandScans, reference: Floats, echoes: Floats, delay: float) -> tuple[EchoPoint, ...]:
+    """Places of the echoes with a delay, strongest first, without mirror images of stronger ones."""
+    lam = few.wavelength_m
+    points = _measure(few, reference, echoes, np.array([delay]), _FINE * lam).points
+    real = _real(points, few.aperture.positions, echoes, lam)
+    return _strongest_first(tuple(points[i] for i in real))
 
 
 def _thinned(scans: BasebandScans) -> BasebandScans:

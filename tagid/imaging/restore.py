@@ -37,7 +37,11 @@ def restore(image: Image, wavenumber: float) -> Image:
         wavenumber: k of the carrier, rad/m.
     """
     width = beam_sigma_m(wavenumber) / image.grid.step
-    kernel_peak = float(blurred(_unit(image.values.shape), width).max())
+    middle = image.grid.pixels // 2
+    unit = np.zeros(image.values.shape)
+    unit[middle, middle] = 1
+    # The filter's truncation is in what a pixel of 1 becomes.
+    kernel_peak = float(blurred(unit, width).max())
     parts = [blurred(part.astype(np.float64), width) for part in (image.values.real, image.values.imag)]
     values = ((parts[0] + 1j * parts[1]) / kernel_peak).astype(np.complex64)
     settings = {**image.settings, "restoring_beam_m": beam_sigma_m(wavenumber)}
@@ -55,10 +59,3 @@ def blurred(values: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
         parts = [wide[i : i + length] if axis == 0 else wide[:, i : i + length] for i in range(len(kernel))]
         values = np.sum([weight * part for weight, part in zip(kernel, parts, strict=True)], axis=0)
     return values
-
-
-def _unit(shape: tuple[int, ...]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Zeros but for a one in the middle, the truncation of the filter included in what it becomes."""
-    out = np.zeros(shape)
-    out[tuple(length // 2 for length in shape)] = 1
-    return out

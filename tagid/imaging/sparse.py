@@ -44,25 +44,12 @@ class SparseSettings:
             the noise is not known), so that noise does not become points.
         iterations: at most.
         tolerance: stop when the image changes by less, relative to its norm.
-        debias: refit the amplitudes of the support by least squares, which undoes the shrinkage of the l1
-            norm but raises the sidelobes of noisy scans (by 10 dB at 36 views and 10 dB SNR).
     """
 
     regularisation: float = 0.1
     noise_factor: float = 3.0
     iterations: int = 150
     tolerance: float = 2e-3
-    debias: bool = False
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.regularisation) and 0 <= self.regularisation < 1):
-            raise UsageError(f"regularisation is {self.regularisation}", "Give a number from 0 to below 1.")
-        if not (np.isfinite(self.noise_factor) and self.noise_factor >= 0):
-            raise UsageError(f"noise factor is {self.noise_factor}", "Give a number of 0 or more.")
-        if not 1 <= self.iterations <= 100_000:
-            raise UsageError(f"iterations is {self.iterations}", "Give 1 to 100000.")
-        if not 0 <= self.tolerance < 1:
-            raise UsageError(f"tolerance is {self.tolerance}", "Give a number from 0 to below 1.")
 
 
 def sparse_recovery(
@@ -79,7 +66,6 @@ def sparse_recovery(
 
     Args:
         scans: baseband scans y, best without matched filter (the operator holds the response).
-        grid: pixels.
         settings: see `SparseSettings`.
         progress: called after every iteration.
         operator: A for these scans and this grid, where it is at hand already.
@@ -105,14 +91,12 @@ def sparse_amplitudes(
     operator = operator or ForwardOperator(scans, points)
     back = operator.adjoint(scans.samples)
     top = float(np.abs(back).max())
-    facts: dict[str, Any] = asdict(settings)
+    facts: dict[str, Any] = {**asdict(settings), "debias": False}  # what was a setting once
     if top == 0:
         return np.zeros(len(points), dtype=np.complex64), {**facts, "iterations_done": 0}
     floor = settings.noise_factor * scans.noise_std * column_norm(scans)
     weight = min(max(settings.regularisation * top, floor), 0.95 * top)
     x, done = _by_active_set(_Problem(scans, points, operator, back, weight), settings, progress, start)
-    if settings.debias:
-        x = _debias(operator, back, x)
     return x, {**facts, "lambda": weight, "iterations_done": done}
 
 
@@ -237,7 +221,7 @@ def _fista(
     progress: Progress,
     start: NDArray[np.complex64],
 ) -> tuple[NDArray[np.complex64], int]:
-    step = 1 / (_NORM_MARGIN * operator.norm_squared())
+    step = 1 / (_NORM_MARGIN * operator.norm_squared)
     x = start
     z, momentum = x, 1.0
     for done in range(1, settings.iterations + 1):
@@ -254,28 +238,3 @@ def _fista(
         if done > 5 and moved <= settings.tolerance * size:
             return x, done
     return x, settings.iterations
-
-
-def _debias(
-    operator: ForwardOperator, back: NDArray[np.complex64], x: NDArray[np.complex64], iterations: int = 10
-) -> NDArray[np.complex64]:
-    """Conjugate gradients on the normal equations of the support, few steps from the l1 solution.
-
-    Neighbouring pixels are nearly collinear; stopping early keeps their differences from growing.
-    """
-    support = x != 0
-    if not support.any():
-        return x
-    residual = np.where(support, back - operator.adjoint(operator.forward(x)), np.complex64(0))
-    direction, power = residual, float(np.vdot(residual, residual).real)
-    first = power
-    for _ in range(iterations):
-        if power <= 1e-8 * first or power == 0:
-            break
-        seen = np.where(support, operator.adjoint(operator.forward(direction)), np.complex64(0))
-        length = np.float32(power / float(np.vdot(direction, seen).real))
-        x = x + length * direction
-        residual = residual - length * seen
-        power, before = float(np.vdot(residual, residual).real), power
-        direction = residual + np.float32(power / before) * direction
-    return np.asarray(x, dtype=np.complex64)

@@ -17,7 +17,7 @@ from tagid.imaging.backprojection import upsample_at_carrier, upsampling
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.memory import require_memory
 from tagid.imaging.preprocess import select_views
-from tagid.imaging.sparse import SparseSettings, sparse_amplitudes
+from tagid.imaging.sparse import sparse_amplitudes
 from tagid.imaging.types import BasebandScans
 from tagid.types import Progress
 
@@ -51,7 +51,6 @@ def backproject_volume(scans: BasebandScans, grid: VolumeGrid, progress: Progres
 
     Args:
         scans: baseband scans, best with matched filter.
-        grid: voxels.
         progress: called after every block with the pairs of view and voxel that are done.
 
     Raises:
@@ -83,12 +82,7 @@ def backproject_volume(scans: BasebandScans, grid: VolumeGrid, progress: Progres
     return Volume(values.reshape(shape), grid, {"method": "bp"})
 
 
-def sparse_volume(
-    scans: BasebandScans,
-    grid: VolumeGrid,
-    settings: SparseSettings | None = None,
-    progress: Progress | None = None,
-) -> Volume:
+def sparse_volume(scans: BasebandScans, grid: VolumeGrid, progress: Progress | None = None) -> Volume:
     """argmin_x 1/2 ||A x - y||^2 + lambda ||x||_1 over the voxels, as `sparse_recovery` in the plane.
 
     Args and errors as `backproject_volume`, `sparse_recovery`.
@@ -98,7 +92,7 @@ def sparse_volume(
         if progress is not None:
             progress(done, of, "")
 
-    x, facts = sparse_amplitudes(scans, grid.points(), settings, steps)
+    x, facts = sparse_amplitudes(scans, grid.points(), progress=steps)
     shape = (grid.levels, grid.square.pixels, grid.square.pixels)
     return Volume(x.reshape(shape), grid, {"method": "sparse", **facts})
 

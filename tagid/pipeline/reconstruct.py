@@ -18,8 +18,7 @@ from tagid.imaging.ats.adapt import image_without_field, settings_of
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings, Prior
 from tagid.imaging.autofocus import AxisFocus
-from tagid.imaging.bandcheck import band_warning
-from tagid.imaging.closure import closure_warning
+from tagid.imaging.bandcheck import band_warning, closure_warning
 from tagid.imaging.copies import path_warning
 from tagid.imaging.heldout import HeldOut, check, left_out
 from tagid.imaging.lengths import finest_cell_m, pixel_warning

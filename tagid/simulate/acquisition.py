@@ -231,7 +231,6 @@ class Acquisition:
 
     @property
     def scans(self) -> int:
-        """Number of scans recorded."""
         return max(1, round(self.views * self.turns))
 
     @property

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 
@@ -26,34 +25,9 @@ POINTS = 84
 """Of a shell's contour: 7 mm of a helmet's, a ninth of the shortest wavelength of the radar's band."""
 
 
-class Beside(Protocol):
-    """A body next to a scatterer; implementations are frozen and hashable."""
-
-    @property
-    def reach_m(self) -> tuple[float, float]:
-        """How far before and behind the scatterer its echo may appear, one way, m."""
-        ...
-
-    @property
-    def symmetric(self) -> bool:
-        """Whether the effect is the same on either side of the direction outwards."""
-        ...
-
-    def effect(self, frequency_hz: Floats, angle_rad: Floats) -> Complex:
-        """(F, A) echo over that in free space.
-
-        Args:
-            frequency_hz: (F,) Hz.
-            angle_rad: (A,) azimuth of the antenna less that of the scatterer, both seen from the body's axis.
-        """
-        ...
-
-    def __hash__(self) -> int: ...
-
-
 @dataclass(frozen=True)
 class BesideRound:
-    """A round body.
+    """A round body next to a scatterer.
 
     Attributes:
         layers: of it, from the innermost outwards.
@@ -65,16 +39,22 @@ class BesideRound:
 
     @property
     def reach_m(self) -> tuple[float, float]:
-        """Via the body the path is longer by up to twice the distance."""
+        """How far before and behind the scatterer its echo may appear, one way, m: via the body the path is
+        longer by up to twice the distance."""
         return -DIRECT_M, DIRECT_M + 2 * self.radius_m + ring_m(self.layers)
 
     @property
     def symmetric(self) -> bool:
-        """It is."""
+        """Whether the effect is the same on either side of the direction outwards."""
         return True
 
     def effect(self, frequency_hz: Floats, angle_rad: Floats) -> Complex:
-        """See `Beside`; the exact series of the cylinder."""
+        """(F, A) echo over that in free space, by the exact series of the cylinder.
+
+        Args:
+            frequency_hz: (F,) Hz.
+            angle_rad: (A,) azimuth of the antenna less that of the scatterer, both seen from the body's axis.
+        """
         k = wavenumber(frequency_hz)
         field = solve(k, self.layers).field(self.radius_m, angle_rad)
         return np.asarray(field**2 * np.exp(-2j * np.outer(k, self.radius_m * np.cos(angle_rad))))
@@ -106,7 +86,7 @@ class BesideShell:
         return False
 
     def effect(self, frequency_hz: Floats, angle_rad: Floats) -> Complex:
-        """See `Beside`; plane waves on the integral equation of `tagid.fields.thin_shell`."""
+        """As `BesideRound.effect`; plane waves on the integral equation of `tagid.fields.thin_shell`."""
         k = wavenumber(frequency_hz)
         field = _solved(self.shell, np.ascontiguousarray(k).tobytes())
         toward = np.exp(1j * (angle_rad + np.angle(self.place)))
@@ -116,6 +96,9 @@ class BesideShell:
         incident = np.exp(1j * k[:, None, None] * (along - direct))
         added = field.reach(np.array([self.place])) @ field.whole(incident)
         return np.asarray((1 + added[:, 0]) ** 2)
+
+
+Beside = BesideRound | BesideShell
 
 
 @lru_cache(maxsize=4)

@@ -7,9 +7,8 @@ and multiple reflection between body and reflector.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,27 +20,6 @@ from tagid.simulate.multipole import Layer, ring_m, solve
 from tagid.simulate.scattering import Returns
 from tagid.simulate.taps import CENTRE_HZ, AspectTaps, fit_taps, tap_offsets, wavenumber
 from tagid.types import Complex, Floats
-
-
-class Carrier(Protocol):
-    """A body that reflectors can be mounted on."""
-
-    @property
-    def centre_m(self) -> tuple[float, float]:
-        """(x, y) of its axis in the object's frame, m."""
-        ...
-
-    def returns(self, antennas: Floats) -> Returns:
-        """As `scattering.Body`."""
-        ...
-
-    def around(self, position_m: Floats) -> Beside | None:
-        """The body next to a scatterer at (x, y), or (x, y, z) with its height, m; None for nothing.
-
-        Raises:
-            DataError: the position is inside a wall or metal.
-        """
-        ...
 
 
 def _direction(antennas: Floats, centre_m: tuple[float, float]) -> tuple[Floats, Floats, Floats]:
@@ -124,7 +102,7 @@ class RoundBody:
         return Returns(points, factor[:, None] * amplitude[None])
 
     def around(self, position_m: Floats) -> Beside:
-        """The body itself; DataError if the position is inside its wall or metal."""
+        """The body next to a scatterer at (x, y), m; DataError inside its wall or metal."""
         radius = float(np.hypot(*(np.asarray(position_m)[:2] - self.centre_m)))
         core = self.layers[0]
         inside = radius < self.layers[-1].radius_m
@@ -194,11 +172,6 @@ class Shell:
     centre_m: tuple[float, float] = (0.0, 0.0)
     unit_m: float = 1.0
 
-    def __post_init__(self) -> None:
-        sizes = (self.x_m, self.y_m, self.up_m, self.skirt_m, self.thickness_m)
-        if not all(np.isfinite(size) and 0 < size <= 1 for size in sizes) or self.permittivity < 1:
-            raise DataError(f"a shell of half axes {self.x_m}, {self.y_m} and {self.up_m} m")
-
     def scattering_length(self, frequency_hz: Floats, azimuth_rad: Floats) -> Complex:
         """b (m), (F, A), for frequencies (F,) and antenna directions (A,), phase reference on the axis."""
         k = wavenumber(frequency_hz)
@@ -222,14 +195,15 @@ class Shell:
     def returns(self, antennas: Floats) -> Returns:
         """The response as taps along the line from the antenna through the axis."""
         distance, azimuth, unit = _direction(antennas, self.centre_m)
-        taps = _shell_taps(self.x_m, self.y_m, self.up_m, self.skirt_m, self.thickness_m, self.permittivity)
+        taps = _shell_taps(replace(self, centre_m=(0.0, 0.0), unit_m=1.0))
         depth = np.broadcast_to(taps.offset_m, (len(antennas), len(taps.offset_m)))
         points = _along_sight(antennas, self.centre_m, unit, depth)
         factor = height_factor(distance, antennas[:, 2], -self.skirt_m, self.skirt_m) / self.unit_m
         return Returns(points, factor[:, None] * taps.at(azimuth))
 
     def around(self, position_m: Floats) -> Beside | None:
-        """The shell's cross section at that height, as a thin sheet; none above the dome."""
+        """The shell's cross section at the height of (x, y) or (x, y, z), m, as a thin sheet; none above the
+        dome. DataError in its wall."""
         x, y = (float(value) for value in np.asarray(position_m)[:2] - self.centre_m)
         up = float(position_m[2]) / self.up_m if len(position_m) > 2 else 0.0
         narrowed = float(np.sqrt(max(1 - max(up, 0.0) ** 2, 0.0)))
@@ -250,12 +224,9 @@ class Shell:
 
 
 @lru_cache(maxsize=64)
-def _shell_taps(
-    x_m: float, y_m: float, up_m: float, skirt_m: float, thickness_m: float, permittivity: float
-) -> AspectTaps:
+def _shell_taps(shell: Shell) -> AspectTaps:
     """Taps over a full turn."""
-    shell = Shell(x_m, y_m, up_m, skirt_m, thickness_m, permittivity)
-    widest = max(x_m, y_m)
+    widest = max(shell.x_m, shell.y_m)
     return AspectTaps.fit(shell.scattering_length, (-widest - 0.1, widest + 0.15), symmetric=False)
 
 
@@ -287,13 +258,6 @@ class Carton:
     centre_m: tuple[float, float] = (0.0, 0.0)
     unit_m: float = 1.0
 
-    def __post_init__(self) -> None:
-        sizes = (self.side_m, self.depth_m, self.height_m)
-        if not all(np.isfinite(size) and 0 < size <= 1 for size in sizes):
-            raise DataError(
-                f"a box of {self.side_m} x {self.depth_m} x {self.height_m} m, expected up to 1 m"
-            )
-
     @property
     def walls(self) -> BoxShell:
         """In the middle of the board."""
@@ -315,7 +279,7 @@ class Carton:
         return Returns(points, factor[:, None] * taps.at(2 * (azimuth - self.rotation_rad)))
 
     def around(self, position_m: Floats) -> Beside:
-        """The walls; DataError if the position is in one of them."""
+        """The walls next to (x, y), m; DataError in one of them."""
         place = complex(*(np.asarray(position_m)[:2] - self.centre_m)) * np.exp(-1j * self.rotation_rad)
         outside = float(self.walls.outside_m(np.array([place]))[0])
         if abs(outside) < self.thickness_m / 2:
@@ -337,3 +301,7 @@ def _box_taps(walls: BoxShell, distance_m: float) -> AspectTaps:
         return np.asarray(k[:, None] ** 2 * walls.sheet_m / (4 * np.pi) * distance_m**2 * echo)
 
     return AspectTaps.fit(response, (-walls.radius_m - 0.1, walls.radius_m + 0.15), symmetric=True)
+
+
+Carrier = RoundBody | Shell | Carton
+"""A body that reflectors can be mounted on."""

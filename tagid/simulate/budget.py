@@ -16,7 +16,6 @@ after summing N = 2^PII pulses: noise adds in power and echoes add in amplitude.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,13 +40,7 @@ MOST_GAIN = 63
 
 @dataclass(frozen=True)
 class Term:
-    """One number of a budget.
-
-    Attributes:
-        name: name of the quantity.
-        value, unit: its value.
-        source: origin of the value.
-    """
+    """One number of a budget."""
 
     name: str
     value: float
@@ -55,24 +48,13 @@ class Term:
     source: str
 
 
-@dataclass(frozen=True)
-class Band:
-    """Widths of the nominal pulse (3.1 to 4.8 GHz at -10 dB).
-
-    Attributes:
-        equivalent_hz: integral of its power spectrum over the spectrum's peak, Hz.
-        duration_s: integral of its squared envelope, peak 1, s.
-    """
-
-    equivalent_hz: float
-    duration_s: float
-
-
-@lru_cache(maxsize=1)
-def nominal_band() -> Band:
-    """The widths of s(t) = exp(-t^2 / 2 tau^2) cos(2 pi f t): sqrt(pi) / (2 pi tau) and sqrt(pi) tau."""
-    tau = np.sqrt(np.log(10)) / (np.pi * BANDWIDTH_HZ)
-    return Band(float(np.sqrt(np.pi) / (2 * np.pi * tau)), float(np.sqrt(np.pi) * tau))
+_TAU_S = np.sqrt(np.log(10)) / (np.pi * BANDWIDTH_HZ)
+EQUIVALENT_HZ = float(np.sqrt(np.pi) / (2 * np.pi * _TAU_S))
+DURATION_S = float(np.sqrt(np.pi) * _TAU_S)
+"""Of the nominal pulse s(t) = exp(-t^2 / 2 tau^2) cos(2 pi f t), 3.1 to 4.8 GHz at -10 dB: integral of its
+power spectrum over the spectrum's peak, and of its squared envelope, peak 1."""
+PULSE_RATE_HZ = 1 / BLOCK_TIME_S
+"""The scan period contains 2^PII x 105.31 ns per block of samples."""
 
 
 @dataclass(frozen=True)
@@ -118,16 +100,11 @@ class LinkBudget:
         return cls(transmit_gain, integration, loss_db=cls.loss_db - gain.value, loss_source=source)
 
     @property
-    def pulse_rate_hz(self) -> float:
-        """Pulses per second: the scan period contains 2^PII x 105.31 ns per block of samples."""
-        return 1 / BLOCK_TIME_S
-
-    @property
     def pulse_energy_j(self) -> float:
         """Effective isotropically radiated energy of a pulse, J."""
         reduced = self.density_dbm_mhz - self.step_db * (MOST_GAIN - self.transmit_gain)
         watts_per_hz = 10 ** (reduced / 10) * 1e-3 / 1e6
-        return float(watts_per_hz * nominal_band().equivalent_hz / self.pulse_rate_hz)
+        return float(watts_per_hz * EQUIVALENT_HZ / PULSE_RATE_HZ)
 
     def snr_db(self, length_m: float, range_m: float) -> float:
         """20 log10(peak / sigma) in one sample of one scan, as `tagid.simulate.snr` defines it.
@@ -141,8 +118,7 @@ class LinkBudget:
         wavelength = SPEED_OF_LIGHT / CENTER_FREQUENCY_HZ
         received = self.pulse_energy_j * 10 ** (self.receive_gain_dbi / 10) * wavelength**2 * length_m**2
         received /= (4 * np.pi) ** 2 * range_m**4
-        band = nominal_band()
-        noise = BOLTZMANN * ROOM_K * 10 ** (self.noise_figure_db / 10) * band.equivalent_hz * band.duration_s
+        noise = BOLTZMANN * ROOM_K * 10 ** (self.noise_figure_db / 10) * EQUIVALENT_HZ * DURATION_S
         ratio = 2 * received * (1 << self.integration) / noise
         return float(10 * np.log10(ratio) - self.loss_db)
 
@@ -158,14 +134,13 @@ class LinkBudget:
 
     def terms(self) -> tuple[Term, ...]:
         """Every number, with its source."""
-        band = nominal_band()
         return (
             Term(
                 "radiated power density", self.density_dbm_mhz, "dBm/MHz",
                 "limit for handheld UWB devices, 47 CFR 15.519 (c); the P440 is designed for it",
             ),
             Term(
-                "equivalent bandwidth", band.equivalent_hz / 1e6, "MHz",
+                "equivalent bandwidth", EQUIVALENT_HZ / 1e6, "MHz",
                 "nominal pulse, 3.1 to 4.8 GHz at -10 dB (tagid.waveform)",
             ),
             Term(
@@ -173,7 +148,7 @@ class LinkBudget:
                 f"radar.gain; {self.step_db:g} dB per step below 63, assumed",
             ),
             Term(
-                "pulse rate", self.pulse_rate_hz / 1e6, "MHz",
+                "pulse rate", PULSE_RATE_HZ / 1e6, "MHz",
                 "105.31 ns per pulse, measured: scan periods of recordings",
             ),
             Term("radiated energy per pulse", self.pulse_energy_j * 1e12, "pJ", "density x bandwidth / rate"),
@@ -197,9 +172,8 @@ def effective_length_m(scatterer: Scatterer) -> float:
 
     max_t |integral S(f) b(f) exp(2 pi j f t) df| / integral S(f) df, S the pulse's positive spectrum.
     """
-    tau = np.sqrt(np.log(10)) / (np.pi * BANDWIDTH_HZ)
     frequency: NDArray[np.float64] = np.arange(1.0e9, 7.0e9, 10e6)
-    spectrum = np.exp(-((2 * np.pi * tau * (frequency - CENTER_FREQUENCY_HZ)) ** 2) / 2)
+    spectrum = np.exp(-((2 * np.pi * _TAU_S * (frequency - CENTER_FREQUENCY_HZ)) ** 2) / 2)
     echo = spectrum * scatterer.scattering_length(frequency)
     # The envelope does not depend on the origin of the frequency axis; 64-fold padding samples it finely.
     envelope = np.abs(np.fft.ifft(echo, 64 * len(frequency))) * 64 * len(frequency)

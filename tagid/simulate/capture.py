@@ -126,7 +126,6 @@ def simulate_capture(
     mean of the distances from two antennas.
 
     Args:
-        scene: the scene.
         acquisition: acquisition parameters; the default is one noise-free turn of 360 views.
         seed: random seed of wobble, angle errors and noise.
 
@@ -183,7 +182,7 @@ def simulate_capture(
         angles_rad=angles,
         times_s=times,
         axis_distance_m=acq.axis_distance_m,
-        positions_m=placed_positions(scene, acq),
+        positions_m=np.zeros((0, 2)) if tag is None else acq.placement.apply(tag.positions[:, :2]),
         amplitudes=np.zeros(0, complex) if tag is None else tag.amplitudes.astype(np.complex128),
         noise_std=noise_std * gain,
         levels=replace(levels, reflector=levels.reflector * gain, summed=levels.summed * gain),
@@ -191,10 +190,3 @@ def simulate_capture(
         clean=gain * (clean if acq.recording.dtype == "complex64" else clean.real),
     )
     return capture, truth
-
-
-def placed_positions(scene: Scene, acquisition: Acquisition) -> NDArray[np.float64]:
-    """(n, 2) reflectors after placement: rotated, then shifted by the placement's centre."""
-    if scene.tag is None:
-        return np.zeros((0, 2))
-    return acquisition.placement.apply(scene.tag.positions[:, :2])

@@ -65,9 +65,7 @@ def draw_noise(
     """Noise of unit standard deviation per sample, plus the tone.
 
     Args:
-        shape: type of noise.
         ranges_m: (bins,) one-way range of the samples, m; equidistant.
-        views: number of scans.
         rng: random generator; white noise draws in the order of the samples.
 
     Returns:

@@ -112,8 +112,6 @@ def tagged_object(
 
     Args:
         positions: (n, 2) or (n, 3) reflectors in the tag's frame, m; an empty array makes an untagged object.
-        body: the body that carries them.
-        reflector: type of reflector.
         rng: random generator of the reflectors' strengths.
         variation: deviations of the object from the nominal one.
 

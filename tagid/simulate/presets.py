@@ -30,12 +30,10 @@ MAX_POINTS = 64
 _PLAIN = ("can", "box", "corner", "empty", "untagged")
 
 
-def room_clutter(rng: np.random.Generator, returns: int = 8) -> StaticReturns:
+def room_clutter(rng: np.random.Generator) -> StaticReturns:
     """Antenna leakage at 0.1..0.2 m and echoes of the room from 0.5 to 8 m, of either sign."""
     leakage = rng.uniform(0.1, 0.2)
-    ranges = np.concatenate(
-        [[leakage], rng.uniform(0.5, 2.0, returns // 2), rng.uniform(2.0, 8.0, returns // 2)]
-    )
+    ranges = np.concatenate([[leakage], rng.uniform(0.5, 2.0, 4), rng.uniform(2.0, 8.0, 4)])
     sizes = np.concatenate([[4.0], rng.uniform(0.2, 1.5, len(ranges) - 1)])
     return StaticReturns(ranges, sizes * rng.choice([-1.0, 1.0], len(ranges)))
 
@@ -55,7 +53,6 @@ def scene_from_layout(positions: NDArray[np.floating], name: str = "tag", seed: 
 
     Args:
         positions: (n, 2) reflectors in the object's plane, or (n, 3) with their heights, m.
-        name: name of the scene.
         seed: random seed of amplitudes and room.
     """
     rng = np.random.default_rng(seed)

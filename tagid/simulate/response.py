@@ -73,7 +73,6 @@ class Response:
     exp(2jk radius).
 
     Attributes:
-        name: name of the object.
         frequency_hz: (f,) evenly spaced, ascending, Hz.
         rings: antenna positions of the samples. For each polarisation the rings are all combinations of some
             distances and some heights, at most 5 of each.

@@ -205,7 +205,6 @@ class ResponseFiles:
     """An object given by its response file, with the reference for the SNR of its recordings.
 
     Attributes:
-        response: response of the object.
         polarisation: "V" or "H".
         reference: response whose strongest echo is the SNR's signal; None means the object's own.
         reference_body: response that is subtracted from the reference: tagged object minus its body.

@@ -6,7 +6,6 @@ the response. So noise, room, wobble, placement and the emulator work unchanged.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +45,6 @@ class ResponseBody:
     the object's origin, so that `Acquisition.range_law` must not be added.
 
     Attributes:
-        response: response of the object.
         polarisation: "V" or "H".
         axis_distance_m: distance at which an echo has the amplitude gain * b.
         gain: amplitude of a scattering length of 1 m, 1/m.
@@ -56,12 +54,6 @@ class ResponseBody:
     polarisation: str = "V"
     axis_distance_m: float = 1.0
     gain: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.axis_distance_m) and self.axis_distance_m > 0):
-            raise DataError(f"axis distance is {self.axis_distance_m} m, expected a positive number")
-        if not (np.isfinite(self.gain) and self.gain > 0):
-            raise DataError(f"gain of a response is {self.gain}, expected a positive number")
 
     def returns(self, antennas: Floats) -> Returns:
         """Points x_i before and behind the origin, with a_i = sum_f b(f) taper(f) exp(2jk x_i) df 2 dx / c.
@@ -97,24 +89,20 @@ def _taper(frequency_hz: Floats) -> Floats:
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(inside / (width + step), 0, 1)))
 
 
-def peak_echo(body: ResponseBody, acquisition: Acquisition, placement: Placement | None = None) -> float:
+def peak_echo(body: ResponseBody, acquisition: Acquisition, *placements: Placement) -> float:
     """Largest envelope of the echo over one turn of 72 views.
 
     Pulse, distance and antenna height are those of the acquisition; no wobble. The object's origin is on the
-    axis unless a placement is given.
+    axis unless placements are given, which are those of several such bodies together.
     """
-    return _summed_peak(body, acquisition, (placement or Placement(),))
-
-
-def _summed_peak(body: ResponseBody, acquisition: Acquisition, placements: Sequence[Placement]) -> float:
-    """As `peak_echo`, of several of these bodies together."""
     distance = acquisition.axis_distance_m
     antennas = Aperture.turntable(
         2 * np.pi * np.arange(72) / 72, distance, acquisition.antenna_height_m
     ).positions
     window, table = RangeWindow.around(distance), PulseTable.of(acquisition.pulse)
     plain = Acquisition(axis_distance_m=distance, window=window)
-    return float(np.abs(sum(render_bodies((body,), at, antennas, plain, table) for at in placements)).max())
+    every = placements or (Placement(),)
+    return float(np.abs(sum(render_bodies((body,), at, antennas, plain, table) for at in every)).max())
 
 
 def _levels(
@@ -137,7 +125,7 @@ def _levels(
         return EchoLevels(1.0, 1.0, ("reflector",), f"{name}; the object's own reflectors are not stated")
     (at,) = reference.reflectors_m
     try:
-        summed = _summed_peak(unit, acquisition, [_moved(at, to) for to in reflectors])
+        summed = peak_echo(unit, acquisition, *(_moved(at, to) for to in reflectors))
     except UsageError:
         # Where they stand, the antenna is nearer than the reference's response allows.
         return EchoLevels(
@@ -166,12 +154,10 @@ def response_scene(
     of the acquisition refers to that echo, and the room's amplitudes are in its unit.
 
     Args:
-        response: response of the object.
         acquisition: the acquisition: the scale depends on distance, antenna height and pulse.
         polarisation: "V" or "H".
         reference: object to which the SNR refers, for example one reflector alone or
             `tagged.without(untagged)`; None means the response itself.
-        room: static echoes.
 
     Raises:
         UsageError: the response cannot be seen from there, or with that polarisation.

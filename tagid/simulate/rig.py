@@ -26,6 +26,7 @@ from tagid.capture import Pulse
 from tagid.errors import UsageError
 from tagid.query import MAX_SEED
 from tagid.radar.emulation.firmware import Identity
+from tagid.radar.settings import RadarConfig
 from tagid.radar.urls import RadarOptions
 from tagid.rig import RigProfile, read_profile
 from tagid.simulate.acquisition import Acquisition, Placement, Wobble
@@ -36,7 +37,7 @@ from tagid.simulate.presets import room_clutter
 from tagid.simulate.scatterers import Octahedron, unit_of
 from tagid.simulate.scene import Scene, StaticReturns
 from tagid.simulate.snr import noise_std_for
-from tagid.simulate.source import ScanConfig, Stop, TurningScene
+from tagid.simulate.source import Stop, TurningScene
 from tagid.simulate.specification import BodySpec, ReflectorSpec
 from tagid.tags.layouts.layout import Layout
 
@@ -215,8 +216,6 @@ class RigScene(TurningScene):
 
     Args:
         scene: of `EmulatedRig.scene`.
-        rig: the rig.
-        placement: of the object.
         seed: of the noise.
     """
 
@@ -226,7 +225,7 @@ class RigScene(TurningScene):
         super().__init__(scene, 60 / rig.period_s, rig.seed, rig.acquisition(placement), stop=slips)
         self.seed = rig.seed * 1_000_003 + seed
 
-    def clean(self, time_s: float, config: ScanConfig) -> NDArray[np.float64]:
+    def clean(self, time_s: float, config: RadarConfig) -> NDArray[np.float64]:
         """As of `TurningScene`, with drift, persons and other transmitters."""
         rig = self._rig
         cold = -_WARM_UP_C * math.exp(-time_s / _WARM_UP_S)

@@ -6,7 +6,7 @@ radar cross-section is 4 pi |b|^2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -38,7 +38,6 @@ class Scatterer(Protocol):
 
     def scattering_length(self, frequency_hz: Floats) -> Complex:
         """b (m) at frequencies of any shape, phase reference at its centre."""
-        ...
 
     def __hash__(self) -> int: ...
 
@@ -134,26 +133,11 @@ class Mounted:
     axis_m: tuple[float, float] = (0.0, 0.0)
     unit_m: float = 1.0
 
-    def __post_init__(self) -> None:
-        n = len(self.positions)
-        if np.shape(self.positions) != (n, 3) or not np.isfinite(self.positions).all():
-            raise DataError(f"scatterers have positions {np.shape(self.positions)}, expected (n, 3), finite")
-        if np.shape(self.amplitudes) != (n,) or len(self.bodies) != n:
-            raise DataError(f"{n} scatterers need {n} amplitudes and {n} bodies")
-        if not self.unit_m > 0:
-            raise DataError(f"the unit of amplitude is {self.unit_m} m")
-
     def single(self, index: int) -> Mounted:
         """Only one of the scatterers, including the effect of its body."""
         part = slice(index, index + 1)
-        return Mounted(
-            self.scatterer,
-            self.positions[part],
-            self.amplitudes[part],
-            self.bodies[part],
-            self.axis_m,
-            self.unit_m,
-        )
+        positions, amplitudes, bodies = self.positions[part], self.amplitudes[part], self.bodies[part]
+        return replace(self, positions=positions, amplitudes=amplitudes, bodies=bodies)
 
     def returns(self, antennas: Floats) -> Returns:
         """Taps along the line from the antenna through each scatterer."""

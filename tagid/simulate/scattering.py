@@ -36,26 +36,21 @@ class Body(Protocol):
 
     def returns(self, antennas: Floats) -> Returns:
         """Reflecting points for antenna positions (views, 3) in m, in the body's frame."""
-        ...
-
-
-def _wrapped(angle: Floats) -> Floats:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
     """Point reflectors, isotropic or with a facing direction.
+
     With a facing, the amplitude decreases with the angle psi between facing and antenna, both seen from
     above, as floor + (1 - floor) 2^-(2 psi / width)^2: halfway at half the width, floor on the far side.
-        as floor + (1 - floor) 2^-(2 psi / width)^2: halfway at half the width, floor on the far side.
 
-        Attributes:
-            positions: (n, 2) or (n, 3), m.
-            amplitudes: (n,) real or complex.
-            facing_rad: (n,) direction of the brightest side, rad; None or NaN for isotropic.
-            aspect_width_rad: full width of the bright side, rad.
-            aspect_floor: 0..1, relative amplitude on the far side.
+    Attributes:
+        positions: (n, 2) or (n, 3), m.
+        amplitudes: (n,) real or complex.
+        facing_rad: (n,) direction of the brightest side, rad; None or NaN for isotropic.
+        aspect_width_rad: full width of the bright side, rad.
+        aspect_floor: 0..1, relative amplitude on the far side.
     """
 
     positions: NDArray[np.floating]
@@ -96,7 +91,7 @@ class Points:
         amplitudes = np.broadcast_to(self.amplitudes, (views, n)).astype(np.complex128)
         if self.facing_rad is not None:
             x, y = (antennas[:, None, i] - self.positions[None, :, i] for i in (0, 1))
-            psi = _wrapped(np.arctan2(y, x) - self.facing_rad)
+            psi = (np.arctan2(y, x) - self.facing_rad + np.pi) % (2 * np.pi) - np.pi
             factor = self.aspect_floor + (1 - self.aspect_floor) * 2.0 ** -(
                 (2 * psi / self.aspect_width_rad) ** 2
             )

@@ -43,20 +43,16 @@ class Tag(Protocol):
     @property
     def positions(self) -> NDArray[np.float64]:
         """(n, 3) m, in the object's frame."""
-        ...
 
     @property
     def amplitudes(self) -> NDArray[np.complex128]:
         """(n,) relative strengths."""
-        ...
 
     def single(self, index: int) -> Body:
         """One reflector alone."""
-        ...
 
     def returns(self, antennas: NDArray[np.float64]) -> Returns:
         """As `scattering.Body`."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,14 +79,11 @@ class Scene:
 
     @classmethod
     def of_points(
-        cls,
-        positions: NDArray[np.floating],
-        amplitudes: NDArray[np.number] | None = None,
-        name: str = "points",
+        cls, positions: NDArray[np.floating], amplitudes: NDArray[np.number] | None = None
     ) -> Scene:
         """Bare points at (n, 2) or (n, 3) m, amplitude 1 unless given."""
         a = np.ones(len(positions)) if amplitudes is None else amplitudes
-        return cls(name, (Points(positions, a),))
+        return cls("points", (Points(positions, a),))
 
     @property
     def tag(self) -> Tag | None:

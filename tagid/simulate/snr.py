@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.errors import UsageError
 from tagid.signal import changing_power
 
 REFERENCES = ("reflector", "summed")
@@ -42,9 +41,7 @@ class EchoLevels:
     reference: str = ""
 
     def of(self, reference: str) -> float:
-        """The level of one of `REFERENCES`. Raises UsageError for another name."""
-        if reference not in REFERENCES:
-            raise UsageError(f"the SNR refers to {reference!r}", f"Use {' or '.join(REFERENCES)}.")
+        """The level of one of `REFERENCES`."""
         return self.reflector if reference == "reflector" else self.summed
 
 

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from tagid.constants import CLIP_COUNTS_PER_INTEGRATION, SPEED_OF_LIGHT
 from tagid.errors import StorageError, UsageError
 from tagid.files import read_head
 from tagid.metadata import ObjectInfo
+from tagid.radar.settings import RadarConfig
 from tagid.simulate.acquisition import Acquisition, RangeWindow, Turn
 from tagid.simulate.capture import object_settings
 from tagid.simulate.noise import draw_noise
@@ -95,25 +95,6 @@ class HeightFile:
         return height if abs(height) <= MAX_ANTENNA_HEIGHT_M else None
 
 
-class ScanConfig(Protocol):
-    """The part of the radar's configuration that a source needs."""
-
-    @property
-    def samples(self) -> int:
-        """Samples per scan."""
-        ...
-
-    @property
-    def scan_start_ps(self) -> int:
-        """Delay of the first sample, ps."""
-        ...
-
-    @property
-    def base_integration_index(self) -> int:
-        """Integration index: 2^index pulses per sample."""
-        ...
-
-
 class TurningScene:
     """A scene on a turntable with constant speed (except for its wobble) from time zero.
 
@@ -121,7 +102,6 @@ class TurningScene:
     saturate at 127 * 2^index (P440 MRM API; measured on recordings).
 
     Args:
-        scene: the scene.
         rpm: turns per minute; 0 is stationary.
         seed: random seed of wobble and noise; scan `index` has the same noise whenever it is requested.
         acquisition: axis distance, height, pulse, placement, wobble, noise, beam, range law, direction. Its
@@ -180,7 +160,6 @@ class TurningScene:
         self._monotonic = monotonic
 
     def _turns(self, time_s: float) -> float:
-        """Turns since the start."""
         if self._true_angle is None:
             return self._moved_s(time_s) * self.rpm / 60
         if self._monotonic is None:
@@ -202,20 +181,20 @@ class TurningScene:
         """True object angle at a time since the start, rad."""
         return float(self._turn.angles(np.array([self._turns(time_s)]))[0])
 
-    def window(self, config: ScanConfig) -> RangeWindow:
+    def window(self, config: RadarConfig) -> RangeWindow:
         """The range bins of a configuration, without the cable delay."""
         start_s = config.scan_start_ps * 1e-12 - self.cable_delay_s
         return RangeWindow(start_s * SPEED_OF_LIGHT / 2, config.samples)
 
-    def counts_per_unit(self, config: ScanConfig) -> float:
+    def counts_per_unit(self, config: RadarConfig) -> float:
         """Counts of a unit reflector on the axis."""
         return float(NOISE_COUNTS / self._noise * 2.0 ** (config.base_integration_index - NOISE_INDEX))
 
-    def room_echo(self, scene: Scene, config: ScanConfig) -> NDArray[np.complex128]:
+    def room_echo(self, scene: Scene, config: RadarConfig) -> NDArray[np.complex128]:
         """(samples,) analytic echo of the room of a scene, in units of a reflector on the axis."""
         return render_room(scene, self.window(config), self._table)
 
-    def clean(self, time_s: float, config: ScanConfig) -> NDArray[np.float64]:
+    def clean(self, time_s: float, config: RadarConfig) -> NDArray[np.float64]:
         """(samples,) noise-free scan, counts, neither rounded nor clipped."""
         window = self.window(config)
         acq = replace(self._acquisition, window=window, views=1, turns=1.0)
@@ -228,7 +207,7 @@ class TurningScene:
         echo = render_bodies(self.scene.object, acq.placement, antenna, acq, self._table)[0] + self._room[1]
         return np.asarray(echo.real * self.counts_per_unit(config), dtype=np.float64)
 
-    def scan(self, index: int, time_s: float, config: ScanConfig) -> NDArray[np.int32]:
+    def scan(self, index: int, time_s: float, config: RadarConfig) -> NDArray[np.int32]:
         """One scan as the radar would send it.
 
         Args:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import NoReturn
 
 from tagid.errors import UsageError
 from tagid.query import quantity
@@ -143,7 +142,11 @@ def parse_body(text: str) -> BodySpec:
         elif not equals and key in shape.parts and key not in parts:
             parts.append(key)
         else:
-            _unknown_part(kind, item)
+            known = [*shape.parts, *(f"{name}=LENGTH" for name in shape.lengths)]
+            raise UsageError(
+                f"`body={kind}`: {item[:40]!r} is unknown or given twice",
+                f"Use {', '.join(known)}, each once.",
+            )
     return BodySpec(kind, size, tuple(parts), tuple(lengths.items()))
 
 
@@ -162,11 +165,3 @@ def parse_reflector(text: str) -> ReflectorSpec:
 def _check(what: str, value: float, least: float, most: float) -> None:
     if not least <= value <= most:
         raise UsageError(f"{what} is {_text(value)}", f"Give {_text(least)} to {_text(most)}.")
-
-
-def _unknown_part(kind: str, item: str) -> NoReturn:
-    shape = SHAPES[kind]
-    known = [*shape.parts, *(f"{key}=LENGTH" for key in shape.lengths)]
-    raise UsageError(
-        f"`body={kind}`: {item[:40]!r} is unknown or given twice", f"Use {', '.join(known)}, each once."
-    )

@@ -26,8 +26,8 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import fit_adapted
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.fit_native import OnnxEngine
-from tagid.imaging.ats.problem import FineRange, GridArrays, draw_weights, view_arrays
-from tagid.imaging.ats.settings import AtsSettings
+from tagid.imaging.ats.problem import FieldShape, FineRange, GridArrays, draw_weights, view_arrays
+from tagid.imaging.ats.settings import AtsSettings, FitSettings
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
@@ -172,10 +172,13 @@ def _pylops(raw: BasebandScans, grid: ImageGrid) -> Callable[[], object]:
     """FISTA of PyLops on the operator as a sparse matrix: the same problem, step and end."""
     import pylops
     from pylops.optimization.sparsity import fista
+    from scipy import sparse
 
     operator, settings = ForwardOperator(raw, grid), SparseSettings()
     image = sparse_recovery(raw, grid)
-    matrix = pylops.MatrixMult(operator.matrix, dtype="complex64")
+    units = (operator.among(np.arange(operator.points) == point) for point in range(operator.points))
+    columns = [sparse.csc_array(unit.forward(np.ones(1)).reshape(-1, 1)) for unit in units]
+    matrix = pylops.MatrixMult(sparse.hstack(columns, format="csr"), dtype="complex64")
     # Its problem is ||y - A x||^2 + eps ||x||_1, and its end an absolute change.
     return partial(
         fista,
@@ -183,7 +186,7 @@ def _pylops(raw: BasebandScans, grid: ImageGrid) -> Callable[[], object]:
         raw.samples.ravel(),
         niter=settings.iterations,
         eps=2 * image.settings["lambda"],
-        alpha=1 / (1.1 * operator.norm_squared()),
+        alpha=1 / (1.1 * operator.norm_squared),
         tol=settings.tolerance * float(np.linalg.norm(image.values)),
     )
 
@@ -210,12 +213,11 @@ def backprojection_error() -> float:
 
 def shares(views: int, pixels: int, oversampling: float, repeats: int) -> tuple[float, float, float]:
     """CPU seconds of one ATS step: network and Adam, sums over views and pixels, products over range bins."""
-    raw, settings = scans(views, oversampling), AtsSettings()
-    grid = ImageGrid(EXTENT_M, pixels)
-    shape = settings.shape(grid, raw.wavelength_m)
+    raw, grid = scans(views, oversampling), ImageGrid(EXTENT_M, pixels)
+    shape = FieldShape.of(grid, raw.wavelength_m, 1)
     numbers = np.array([1e-4, 1, 1, 1, 1e-3, 1e-4, 1e-5], dtype=np.float32)
     engine = OnnxEngine(draw_weights(shape, grid, 1.0, 0))
-    count = min(views, settings.views_per_step)
+    count = min(views, FitSettings().views_per_step)
 
     def step(views_of_it: int, grid_of_it: ImageGrid = grid) -> float:
         fine = FineRange.of(raw, grid.points)
@@ -289,7 +291,7 @@ import pickle, resource, sys, time, numpy as np
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import fit_adapted
 from tagid.imaging.ats.fit import fit
-from tagid.imaging.ats.settings import AtsSettings
+from tagid.imaging.ats.settings import AtsSettings, FitSettings
 raw, grid = pickle.load(open({scene!r}, "rb")), ImageGrid({extent}, 96)
 seconds = []
 for _ in range({repeats}):

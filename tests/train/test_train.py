@@ -12,14 +12,22 @@ torch = pytest.importorskip("torch", reason="training needs the extra 'ats'")
 
 from tagid.errors import ModelError, StorageError, UsageError  # noqa: E402
 from tagid.models_store import manifest, open_model  # noqa: E402
-from train.dataset import MOST_REFLECTORS, DatasetPlan, ImageOf, Samples, build, load, make_shard  # noqa: E402
+from train.dataset import (  # noqa: E402
+    MOST_REFLECTORS,
+    DatasetPlan,
+    ImageOf,
+    Samples,
+    Size,
+    build,
+    load,
+    make_shard,
+)
 from train.detector import CELL_M, CELLS, FOLDER, MODEL, Contract, Detector  # noqa: E402
 from train.distributions import Distribution, ObjectDistribution  # noqa: E402
 from train.evaluate import Figures, score  # noqa: E402
 from train.export import check_better, export  # noqa: E402
 from train.fit import FitSettings, fit  # noqa: E402
 from train.network import DetectorNetwork  # noqa: E402
-from train.plans import Size  # noqa: E402
 from train.scenes import draw_scene  # noqa: E402
 from train.targets import cell_targets, make_batch, symmetry  # noqa: E402
 

@@ -135,9 +135,9 @@ def test_scene_and_calibration_are_learned_together() -> None:
     plain = fit(scans, GRID, AtsSettings())
     joint = fit(scans, GRID, AtsSettings(calibrate=("axis", "wobble")))
     assert joint.held_out < 0.75 * plain.held_out
-    assert joint.calibration.axis_offset_m == pytest.approx(0.004, abs=5e-4)
-    assert np.abs(joint.calibration.wobble_rad[:2] - 2 * WOBBLE).max() < 3e-3
-    assert joint.calibration.axis_sigma_m < 0.001
+    assert joint.calibration.offset_m == pytest.approx(0.004, abs=5e-4)
+    assert np.abs(joint.calibration.wobble[:2] - 2 * WOBBLE).max() < 3e-3
+    assert joint.calibration.sigma_m < 0.001
 
 
 def test_aspect_harmonics_explain_what_is_dim_from_behind() -> None:
@@ -147,7 +147,7 @@ def test_aspect_harmonics_explain_what_is_dim_from_behind() -> None:
     aspect = fit(scans, GRID, FitSettings(held_out=0.25, aspect_harmonics=2))
     assert aspect.held_out < 0.6 * isotropic.held_out
     assert aspect.field is not None
-    assert aspect.field.evaluate(POINTS).shape == (5, 3)
+    assert aspect.field.image().shape == (5, 48, 48)
 
 
 def test_robust_weights_resist_a_few_wild_scans() -> None:
@@ -160,19 +160,6 @@ def test_robust_weights_resist_a_few_wild_scans() -> None:
     plain = fit(broken, GRID, FitSettings(held_out=0.0)).image.values
     robust = fit(broken, GRID, FitSettings(held_out=0.0, robust=3.0)).image.values
     assert np.linalg.norm(robust - clean) < 0.9 * np.linalg.norm(plain - clean)
-
-
-def test_the_field_is_one_image_at_any_resolution() -> None:
-    result = fit(scans_of(np.zeros(1), 0.0), GRID, AtsSettings(engine="onnx"))
-    assert result.field is not None
-    same = result.on(GRID).values
-    np.testing.assert_allclose(same, result.image.values, atol=1e-5 * np.abs(same).max())
-    there = result.field.evaluate(GRID.points)[0].reshape(48, 48)
-    np.testing.assert_allclose(there, same, atol=1e-4 * np.abs(same).max())
-    fine = result.on(ImageGrid(0.4, 144)).values
-    blocks = fine.reshape(48, 3, 48, 3).sum(axis=(1, 3))
-    # A point of a pixel's width is not the same sum on other pixels: both engines leave 0.29 here.
-    assert np.linalg.norm(blocks - same) < 0.4 * np.linalg.norm(same)
 
 
 def test_nothing_hides_in_front_and_half_hides_behind() -> None:
@@ -209,12 +196,7 @@ def test_occlusion_runs_and_stays_finite() -> None:
     assert np.isfinite(result.image.values).all()
 
 
-def test_a_capture_is_taken_too_and_an_empty_one_is_refused() -> None:
-    capture = record(POINTS, [1.0, 0.8, 0.9], turn(18), noise=0.05)
-    assert fit(capture, GRID, AtsSettings(steps=5)).image.values.any()
-    silent = Capture(np.zeros((18, 130), np.float32), 0.4, 0.0091, np.arange(18.0), axis_distance_m=1.0)
-    with pytest.raises(DataError, match="zero"):
-        fit(silent, GRID)
+def test_samples_that_are_not_finite_are_refused() -> None:
     broken = np.ones((18, 130), np.float32)
     broken[3, 4] = np.nan
     with pytest.raises(DataError, match="finite"):

@@ -57,7 +57,7 @@ def test_the_step_sees_what_the_operator_sees(scans, settings) -> None:
     views = view_arrays(scans, GRID.points, fine, *ones, np.ones((24, GRID.pixels**2), np.float32))
     numbers = np.array([0, 1, 1, 0.3, 1, 0, 1e-8], dtype=np.float32)
     loss = engine.step(GridArrays.of(GRID, shape.cells), views, fine, numbers)
-    residual = ForwardOperator(scans, GRID).forward(weights.on(GRID).ravel()) - scans.samples
+    residual = ForwardOperator(scans, GRID).forward(weights.image().ravel()) - scans.samples
     assert loss == pytest.approx(float(np.vdot(residual, residual).real), rel=0.02)
     # The rate is zero: a step changes nothing.
     for before, after in zip(weights.arrays, engine.weights().arrays, strict=True):

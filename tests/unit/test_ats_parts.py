@@ -13,12 +13,16 @@ torch = pytest.importorskip("torch", reason="analysis through synthesis needs th
 from tagid.imaging.ats.fit_paper import (  # noqa: E402
     EncodingSettings,
     ReflectivityNetwork,
-    draw_table,
     encoding_matrix,
     interpolate,
     level_sizes,
     vertex_entry,
 )
+
+
+def drawn_table(settings: EncodingSettings, seed: int) -> torch.Tensor:
+    shape = sum(level_sizes(settings)), settings.features
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), requires_grad=True)
 
 
 def interpolate_directly(point: np.ndarray, table: np.ndarray, settings: EncodingSettings) -> np.ndarray:
@@ -48,7 +52,7 @@ def test_encoding_equals_direct_interpolation(log2_entries: int) -> None:
     settings = EncodingSettings(levels=5, features=3, coarsest=4, finest=40, log2_entries=log2_entries)
     points = np.random.default_rng(0).uniform(0, 1, (50, 2))
     points[:4] = [[0, 0], [1, 1], [0, 1], [0.5, 0.25]]
-    drawn = draw_table(settings, torch.Generator().manual_seed(3))
+    drawn = drawn_table(settings, 3)
     matrix = encoding_matrix(points, settings)
     features = interpolate(drawn, matrix, matrix.T, settings).detach().numpy()
     table = drawn.detach().numpy()
@@ -82,7 +86,7 @@ def test_encoding_gradient_is_the_transpose() -> None:
     settings = EncodingSettings(levels=3, features=2, coarsest=4, finest=16)
     points = np.random.default_rng(2).uniform(0, 1, (20, 2))
     matrix = encoding_matrix(points, settings)
-    table = draw_table(settings, torch.Generator().manual_seed(0))
+    table = drawn_table(settings, 0)
     weight = torch.rand(20, settings.width, generator=torch.Generator().manual_seed(1))
     (interpolate(table, matrix, matrix.T, settings) * weight).sum().backward()
     expected = matrix.T @ weight.numpy().reshape(-1, settings.features)

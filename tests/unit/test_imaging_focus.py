@@ -21,7 +21,7 @@ from tagid.imaging.autofocus import (
     AxisFocus,
     focus_axis_distance,
 )
-from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, band_delays, explain, jackknife_error
+from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, PointSearch, band_delays, jackknife_error
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.operate.words import focus_words
@@ -68,7 +68,7 @@ def scans_of(capture: Capture) -> BasebandScans:
 @pytest.mark.parametrize("edge_wavelengths", [0.0, 0.2])
 def test_every_part_of_the_band_gets_the_delay_of_its_echo(edge_wavelengths: float) -> None:
     scans = scans_of(resonant(edge_wavelengths * LAM))
-    delays = band_delays(scans, explain(scans, GRID)).thirds / LAM
+    delays = band_delays(scans, PointSearch(scans, GRID).explain(scans.aperture)).thirds / LAM
     # The middles of the thirds lie two thirds of the way to the edges; where the pulse is strong counts more.
     expected = edge_wavelengths * np.linspace(-1, 1, 2 * BAND_PARTS + 1)[1::2]
     np.testing.assert_allclose(delays, expected, atol=0.04)
@@ -100,7 +100,7 @@ def test_what_resonates_at_a_flank_of_the_band_does_not_tell_the_axis(
     assert focus.reason == "the parts of the band do not agree on one distance"
     assert same.aperture.axis_distance == pytest.approx(1.0 + error)
     there = scans.with_aperture(scans.aperture.with_axis_distance(focus.best_m))
-    delays = band_delays(there, explain(there, GRID))
+    delays = band_delays(there, PointSearch(there, GRID).explain(there.aperture))
     assert delays.thirds.std(ddof=1) / np.sqrt(BAND_PARTS) < MOST_SIGMA_WAVELENGTHS * LAM
     # Below its resonance it follows at once, at it late, above it at once again.
     assert sign * delays.apart_m > 10 * delays.apart_error_m

@@ -82,12 +82,6 @@ def test_light_that_does_not_fit_is_refused():
         geometry().scatter(complex_noise(2, len(POINTS)), complex_noise(len(ANTENNA) - 1, 2))
 
 
-def test_the_matrix_is_the_scatter(engine):
-    where, values = geometry(), complex_noise(len(POINTS))
-    together = (where.matrix() @ values).reshape(len(ANTENNA), -1)
-    assert np.abs(where.scatter(values) - together).max() < 1e-3
-
-
 def test_compiled_and_numpy_agree(monkeypatch):
     if not kernel.is_compiled():
         pytest.skip("no compiler was present at installation")

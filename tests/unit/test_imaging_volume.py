@@ -164,8 +164,7 @@ def test_the_gradient_of_the_field_is_that_of_its_loss() -> None:
     # Numerically along every tensor's own step.
     predicted = 0.0
     for number, step in enumerate(moved):
-        single = field.copy()
-        single.parameters[:] = [item.copy() for item in start]
+        single = Field([item.copy() for item in start], at, field.scale)
         single.parameters[number] = start[number] + 30 * step
         predicted += (loss(single) - before) / 30
     assert loss(field) < before

@@ -621,8 +621,6 @@ def test_objects_that_cannot_be_built_are_refused() -> None:
         lambda: Layer(0.1, -2.0),
         lambda: RoundBody((Layer(0.03, METAL),), 0.0),
         lambda: Multipoles.of(WAVENUMBER, (Layer(0.04), Layer(0.03))),
-        lambda: Carton(-1.0, 0.1),
-        lambda: Shell(x_m=0.0),
     ):
         with pytest.raises(DataError):
             make()

@@ -52,18 +52,15 @@ def test_series_agrees_with_the_method_of_moments(ka: float) -> None:
     assert abs(by_moments(ka) / cylinder_series(np.array([ka]))[0] - 1) < 0.02
 
 
-def test_series_reaches_geometrical_optics_for_both_polarisations() -> None:
+def test_series_reaches_geometrical_optics() -> None:
     ka = np.array([60.0])
     # Physical optics of the lit side: -sqrt(pi ka) / 2 exp(2j ka - j pi / 4), echo width pi a.
     optics = -np.sqrt(np.pi * ka) / 2 * np.exp(2j * ka - 1j * np.pi / 4)
-    assert abs(cylinder_series(ka, "TM") / optics - 1)[0] < 0.02
-    # The magnetic field along the axis has the opposite sign of reflection.
-    assert abs(cylinder_series(ka, "TE") / -optics - 1)[0] < 0.03
+    assert abs(cylinder_series(ka) / optics - 1)[0] < 0.02
 
 
-@pytest.mark.parametrize("polarisation", ["TM", "TE"])
-def test_points_carry_the_series_over_the_band(polarisation: str) -> None:
-    can = ConductingCylinder(0.033, 0.12, (0.1, -0.05), polarisation)
+def test_points_carry_the_series_over_the_band() -> None:
+    can = ConductingCylinder(0.033, 0.12, (0.1, -0.05))
     frequency = np.linspace(*BAND_HZ, 101)
     distance = np.hypot(1.0 - 0.1, 0.05)
     k = 2 * np.pi * frequency / SPEED_OF_LIGHT
@@ -136,7 +133,3 @@ def test_absurd_bodies_are_refused() -> None:
     for make in (lambda: Plate(0.0, 1.0), lambda: ConductingCylinder(-1.0), lambda: Plate(float("nan"), 1.0)):
         with pytest.raises(DataError):
             make()
-    with pytest.raises(DataError):
-        cylinder_series(np.array([0.0]))
-    with pytest.raises(DataError):
-        cylinder_series(np.array([1.0]), "xy")

@@ -47,12 +47,8 @@ _REACH = 2.0
 
 @dataclass(frozen=True, eq=False)
 class _Near:
-    """Pairs of triangles p <= q near each other, with the part of their interaction independent of k.
-
-    Attributes:
-        p, q: (n,) triangles.
-        vector, scalar: (functions, functions) sparse, int int f_m . f_n / R and int int div f_m div f_n / R.
-    """
+    """Pairs (n,) of triangles p <= q near each other, with the part of their interaction independent of k:
+    (functions, functions) int int f_m . f_n / R and int int div f_m div f_n / R."""
 
     p: NDArray[np.int64]
     q: NDArray[np.int64]
@@ -79,9 +75,6 @@ class _FarBlock:
 
 class Efie:
     """The integral equation of one mesh at any frequency; parts independent of frequency are computed once.
-
-    Args:
-        mesh: the surface.
 
     Raises DataError if no current can flow on the mesh.
     """

@@ -118,13 +118,11 @@ class HalfFunction:
     Attributes:
         scale: (t, 3) c_ti, 1/m.
         plus, minus: (functions,) index 3 t + i of the half with sign +1 and of the half with sign -1.
-        junctions: number of edges with more than two triangles.
     """
 
     scale: NDArray[np.float64]
     plus: NDArray[np.int64]
     minus: NDArray[np.int64]
-    junctions: int
 
     @classmethod
     def of(cls, mesh: Mesh) -> HalfFunction:
@@ -144,9 +142,6 @@ class HalfFunction:
         edge = edge[order]
         begins = np.concatenate([[True], (edge[1:] != edge[:-1]).any(axis=1)])
         first = order[np.maximum.accumulate(np.where(begins, np.arange(len(order)), 0))]
-        count = np.diff(np.append(np.flatnonzero(begins), len(order)))
         if begins.all():
             raise DataError("no two triangles of the mesh share an edge, so no current can flow")
-        return cls(
-            length / (2 * mesh.areas_m2[:, None]), first[~begins], order[~begins], int((count > 2).sum())
-        )
+        return cls(length / (2 * mesh.areas_m2[:, None]), first[~begins], order[~begins])

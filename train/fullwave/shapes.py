@@ -6,6 +6,7 @@ the target length of a mesh edge; 8 mm is 1/7.5 of the wavelength at 5 GHz.
 
 from __future__ import annotations
 
+import itertools
 from itertools import pairwise
 
 import numpy as np
@@ -75,15 +76,8 @@ def closed_octahedron(tip_m: float, pieces: int = 5) -> Mesh:
         tip_m: size from tip to tip; its edges are tip_m / sqrt(2).
         pieces: mesh edges along an edge.
     """
-    axes = np.eye(3) * tip_m / 2
-    return Mesh.join(
-        *(
-            _cut(x * axes[0], y * axes[1], z * axes[2], pieces)
-            for x in (1, -1)
-            for y in (1, -1)
-            for z in (1, -1)
-        )
-    )
+    axes, signs = np.eye(3) * tip_m / 2, itertools.product((1, -1), repeat=3)
+    return Mesh.join(*(_cut(x * axes[0], y * axes[1], z * axes[2], pieces) for x, y, z in signs))
 
 
 def tag(tip_m: float, places_m: NDArray[np.floating], pieces: int = 4, grading: float = 2.5) -> Mesh:
@@ -105,11 +99,7 @@ def tag(tip_m: float, places_m: NDArray[np.floating], pieces: int = 4, grading: 
 
 def sphere(radius_m: float, pieces: int) -> Mesh:
     """A sphere with its vertices on the surface: eight octants of pieces^2 triangles."""
-    axes = np.eye(3)
-    octants = [
-        _cut(x * axes[0], y * axes[1], z * axes[2], pieces) for x in (1, -1) for y in (1, -1) for z in (1, -1)
-    ]
-    mesh = Mesh.join(*octants)
+    mesh = closed_octahedron(2.0, pieces)
     length = np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
     return Mesh(radius_m * mesh.vertices / length, mesh.triangles, mesh.sheet_m)
 
@@ -131,8 +121,7 @@ def _grid(origin: Floats, along: Floats, across: Floats, edge_m: float) -> Mesh:
 def plate(width_m: float, height_m: float, edge_m: float, sheet_m: complex = 0.0) -> Mesh:
     """An upright rectangular plate in the plane x = 0, centred on the origin."""
     origin = np.array([0.0, -width_m / 2, -height_m / 2])
-    grid = _grid(origin, np.array([0.0, width_m, 0.0]), np.array([0.0, 0.0, height_m]), edge_m)
-    return Mesh.of(grid.vertices, grid.triangles, sheet_m)
+    return _of(_grid(origin, np.array([0.0, width_m, 0.0]), np.array([0.0, 0.0, height_m]), edge_m), sheet_m)
 
 
 def _stitched(inner: int, outer: int, inner_phase: float, outer_phase: float) -> NDArray[np.int64]:

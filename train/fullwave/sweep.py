@@ -6,8 +6,7 @@ with the square of the unknowns; the factorisation, which grows with the cube, i
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,10 +20,6 @@ from train.fullwave.mesh import Mesh
 
 COARSEST = 3.5
 """Minimum wavelength in units of the longest mesh edge: the longest is about 1.7 times the usual edge."""
-
-
-def _rings() -> tuple[Ring, ...]:
-    return (*(Ring(d, "V") for d in (0.8, 1.0, 1.2)), *(Ring(d, "H") for d in (0.8, 1.2)))
 
 
 @dataclass(frozen=True)
@@ -44,7 +39,7 @@ class Sweep:
     stop_hz: float = 5.2e9
     frequencies: int = 25
     aspects: int = 72
-    rings: tuple[Ring, ...] = field(default_factory=_rings)
+    rings: tuple[Ring, ...] = (*(Ring(d, "V") for d in (0.8, 1.0, 1.2)), *(Ring(d, "H") for d in (0.8, 1.2)))
 
     @property
     def frequency_hz(self) -> Floats:
@@ -73,16 +68,12 @@ def solve_response(
     mesh: Mesh,
     sweep: Sweep | None = None,
     reflectors_m: Floats | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Response:
     """Solve an object.
 
     Args:
-        name: name of the object.
-        mesh: its surfaces.
         sweep: frequencies and antennas; the default suits a tag at about 1 m from the P440.
         reflectors_m: (n, 2) true positions of the reflectors, stored with the response.
-        progress: called with (frequencies done, frequencies in all).
 
     Returns:
         its response, with the mesh and the solver named in its provenance.
@@ -106,8 +97,6 @@ def solve_response(
         k = 2 * np.pi * frequency / SPEED_OF_LIGHT
         s = equation.monostatic(float(k), positions, polarisations)
         b[i] = s * distance**2 * np.exp(2j * k * distance)
-        if progress is not None:
-            progress(i + 1, sweep.frequencies)
     return Response(
         name,
         sweep.frequency_hz,

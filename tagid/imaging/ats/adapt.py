@@ -1,13 +1,10 @@
 """The prior of the fit: the defaults where they explain unseen views, else one that suits the scene.
 
 The defaults are for a few reflectors that scatter to all sides. Where they leave much more than noise of
-unseen views, the scene is something else: extended, smooth, or seen differently from different sides. Few
-views then get the mean of the dense field and the sparse pixels, as they do not tell which of the two is
-right. Of many views, other priors are tried on views that no fit has seen. Among them are two without a
-field: the linear solution, whose first iteration is backprojection, and the sparse solution of independent
-pixels. So the method contains both and returns them where no field predicts better.
-
-The views on which the image is judged in the end (`heldout.left_out`) take no part in the choice.
+unseen views, few views get the mean of the dense field and the sparse pixels, as they do not tell which of
+the two is right; of many, other priors are tried on views that no fit has seen. Among them are two without a
+field: the linear solution, whose first iteration is backprojection, and sparse pixels. The views on which the
+image is judged in the end (`heldout.left_out`) take no part in the choice.
 """
 
 from __future__ import annotations
@@ -128,10 +125,8 @@ def image_without_field(
     """The image of a prior that is no field.
 
     Args:
+        prior: one without a field.
         settings: of the field whose mean with sparse pixels is the image; the others are as of `fit`.
-
-    Raises:
-        ValueError: it is one.
     """
     if prior is Prior.MEAN:
         quick = FitSettings.of(settings or AtsSettings())
@@ -141,9 +136,7 @@ def image_without_field(
         return replace(field, values=(field.values + pixels.values) / 2)
     if prior is Prior.PIXELS:
         values = _sparse_pixels(scans, grid, ForwardOperator(scans, grid))
-    elif prior.iterations is None:
-        raise ValueError(f"prior {prior} has a field")
-    elif prior.iterations == 0:
+    elif not prior.iterations:
         values = backproject(scans, grid).values
     else:
         *_, values = least_squares(ForwardOperator(scans, grid), scans.samples, (prior.iterations,))

@@ -16,6 +16,7 @@ from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.imaging.bilinear import bilinear
+from tagid.imaging.facts import CalibrationFacts
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import sparse_recovery
@@ -57,7 +58,18 @@ _MOST_AXIS, _MOST_WOBBLE_RAD = 0.1054, 0.03
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """The current estimate: see `Calibration` for the members of the same names."""
+    """What is known of the recording beside the scene.
+
+    Attributes:
+        offset_m: true less given distance to the rotation axis.
+        sigma_m: its standard error, from the curvature of the fit; nan where it was not learned.
+        wobble: (harmonics,) complex w, rad: the angle error is Re sum w_k exp(j k angle), k = 1..
+        wobble_sigma: (harmonics,) standard error of real and imaginary part, rad.
+        gain: (views,) of every scan that is fitted; its mean is 1.
+        gain_sigma: (views,) its standard error.
+        static: (bins,) complex component that no turn changes.
+        unexplained: power per sample that the scene left over when the geometry was last learned.
+    """
 
     offset_m: float
     sigma_m: float
@@ -67,7 +79,6 @@ class Unknowns:
     gain_sigma: Floats
     static: Samples
     unexplained: float = np.inf
-    """Power per sample that the scene left over when the geometry was last learned."""
 
     @classmethod
     def none(cls, scans: BasebandScans, harmonics: int) -> Unknowns:
@@ -94,6 +105,30 @@ class Unknowns:
             return nominal
         angles = nominal.angles + angle_error(nominal.angles, self.wobble)
         return nominal.turned(angles, nominal.axis_distance + self.offset_m)
+
+    def facts(self, distance_m: float | None, learned: tuple[str, ...]) -> CalibrationFacts:
+        """What was learned, of `CALIBRATIONS`, as plain JSON values; `distance_m` is that of the axis, with
+        the offset."""
+        values: CalibrationFacts = {}
+        if "axis" in learned and np.isfinite(self.sigma_m):
+            values["axis"] = {"distance_m": distance_m, "offset_m": self.offset_m, "sigma_m": self.sigma_m}
+        if "wobble" in learned and np.isfinite(self.wobble_sigma).all():
+            values["wobble"] = [
+                {
+                    "harmonic": order,
+                    "amplitude_deg": float(np.degrees(abs(w))),
+                    "phase_deg": float(np.degrees(np.angle(w))),
+                    "sigma_deg": float(np.degrees(sigma)),
+                    "speed_percent": float(100 * order * abs(w)),
+                }
+                for order, (w, sigma) in enumerate(zip(self.wobble, self.wobble_sigma, strict=True), start=1)
+            ]
+        if "gain" in learned and np.isfinite(self.gain_sigma).all():
+            scans, sigma = ([round(float(g), 5) for g in part] for part in (self.gain, self.gain_sigma))
+            values["gain"] = {"scans": scans, "sigma": sigma, "spread": float(self.gain.std())}
+        if "static" in learned:
+            values["static"] = {"rms": float(np.sqrt((np.abs(self.static) ** 2).mean()))}
+        return values
 
 
 def begin(scans: BasebandScans, grid: ImageGrid, what: tuple[str, ...], harmonics: int) -> Unknowns:
@@ -123,14 +158,7 @@ def begin(scans: BasebandScans, grid: ImageGrid, what: tuple[str, ...], harmonic
             seen = few.with_aperture(now.aperture(few.aperture))
             scene = sparse_recovery(seen, grid).values.ravel() / now.phase(few.wavenumber)
             now = improve(few, grid.points, scene.astype(np.complex64), now, what)
-        start = replace(
-            start,
-            offset_m=now.offset_m,
-            sigma_m=now.sigma_m,
-            wobble=now.wobble,
-            wobble_sigma=now.wobble_sigma,
-            unexplained=now.unexplained,
-        )
+        start = replace(now, gain=start.gain, gain_sigma=start.gain_sigma, static=start.static)
     return start
 
 
@@ -149,7 +177,6 @@ def improve(
         scans: measured scans with the nominal aperture.
         points: (P, 2) m.
         sigma: (P,) current reflectivity.
-        now: current estimate.
         what: members of `CALIBRATIONS` to learn.
 
     Returns:
@@ -293,12 +320,8 @@ def _solve(
 ) -> tuple[Floats, Floats]:
     """Maximum a posteriori change of all unknowns, and their standard errors.
 
-    Args:
-        columns: (views, bins) derivative of the scans by every unknown.
-        residual: (views, bins).
-        prior: standard deviation of every unknown about zero.
-        old: present values of the first ones; the others are changes, zero now.
-        correlation: samples per independent one.
+    `columns` are the derivatives of the scans, (views, bins), by every unknown, `prior` the standard
+    deviations of the unknowns about zero, `old` the present values of the first of them; the others are zero.
     """
     jacobian = np.stack([c.ravel() for c in columns], axis=1).astype(np.complex64)
     target = residual.astype(np.complex64).ravel()
@@ -380,14 +403,13 @@ def transmission(
     """exp(-integral of nepers |sigma|^2 / max |sigma|^2 over the way in cells) for every view and pixel.
 
     The paper's transmission, two ways, computed between steps from the current image, so that the step itself
-    stays linear in the scene.
-    The power, not the amplitude: a scattered wave takes its power from the one that passes, and sidelobes and
-    noise all over the image must not dim it. The integral runs along the straight line from the antenna's
-    foot to `CLEAR_CELLS` before the pixel, on a polar grid about the antenna whose step is a pixel.
+    stays linear in the scene. The power, not the amplitude: a scattered wave takes its power from the one
+    that passes, and sidelobes and noise all over the image must not dim it. The integral runs along the
+    straight line from the antenna's foot to `CLEAR_CELLS` before the pixel, on a polar grid about the antenna
+    whose step is a pixel.
 
     Args:
         power: (pixels, pixels) |sigma|^2, index (y, x).
-        grid: its grid.
         positions: (views, 3) antenna positions, m.
         nepers: attenuation of the amplitude, two ways, by one cell as bright as the brightest.
         cell_m: length of a cell.

@@ -19,11 +19,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.capture import Capture
 from tagid.errors import DataError, MissingExtraError, UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats import calibration
-from tagid.imaging.ats.calibration import illumination, transmission
+from tagid.imaging.ats.calibration import Unknowns, illumination, transmission
 from tagid.imaging.ats.problem import (
     Array,
     FieldShape,
@@ -46,18 +45,17 @@ from tagid.imaging.ats.settings import (
     WIDTH,
     WOBBLE_HARMONICS,
     AtsSettings,
-    Calibration,
     FieldPrior,
     FitSettings,
     StepProgress,
 )
-from tagid.imaging.ats.taps import BETA1, BETA2, CHECK_AT, EPSILON, Support
+from tagid.imaging.ats.taps import BETA1, BETA2, CHECK_AT, EPSILON, first_support, next_support
 from tagid.imaging.heldout import Prediction
 from tagid.imaging.kernel import is_compiled
 from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
-from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
+from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import column_norm
 from tagid.imaging.types import BasebandScans, Image
 
@@ -83,11 +81,9 @@ class Engine(Protocol):
 
     def step(self, grid: GridArrays, views: ViewArrays, fine: FineRange, numbers: Array) -> float:
         """One step of Adam on some views; the loss before it."""
-        ...
 
     def weights(self) -> FieldWeights:
         """The parameters as they are now."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,18 +92,16 @@ class AtsResult:
 
     Attributes:
         image: complex reflectivity on the grid asked for.
-        losses: loss of every step.
         calibration: what was learned beside the scene.
         unseen: (n,) numbers of the views that the fit did not see.
         prediction: what it predicts of them.
         seconds: of the whole fit, set-up included.
-        field: the fitted field, to be evaluated at any resolution; None for blank data and where the linear
-            solution took its place.
+        field: the fitted field; None for blank data and where the linear solution took its place.
     """
 
     image: Image
     losses: tuple[float, ...]
-    calibration: Calibration
+    calibration: Unknowns
     unseen: NDArray[np.integer]
     prediction: Prediction
     seconds: float
@@ -119,16 +113,9 @@ class AtsResult:
         without any."""
         return self.prediction.residual
 
-    def on(self, grid: ImageGrid) -> Image:
-        """The same field on another grid; its mean over aspects where it has several channels."""
-        if self.field is None:
-            return Image(np.zeros((grid.pixels, grid.pixels), np.complex64), grid, self.image.settings)
-        values = self.field.on(grid)
-        return Image(values[len(values) // 2], grid, self.image.settings)
-
 
 def fit(
-    capture_or_problem: Capture | BasebandScans,
+    scans: BasebandScans,
     grid: ImageGrid,
     settings: AtsSettings | None = None,
     progress: StepProgress | None = None,
@@ -139,9 +126,7 @@ def fit(
     """Reconstruct by analysis through synthesis.
 
     Args:
-        capture_or_problem: preprocessed scans, best without matched filter; or a capture, which is
-            preprocessed that way with its background kept as it is.
-        grid: pixels wanted.
+        scans: preprocessed, best without matched filter.
         settings: parameters; the defaults are for 12 to 360 views of an object of up to a metre.
         progress: called after every step.
         unseen: numbers of the views that the fit does not see and on which it is judged; None: as
@@ -154,18 +139,14 @@ def fit(
         Image in the units of the scans, with how it came about. Scans that are all zero give a zero image.
 
     Raises:
-        DataError: the capture cannot be preprocessed.
+        DataError: samples are not finite.
         UsageError: settings that exclude each other, or sizes that do not fit into memory.
         MissingExtraError: the engine asked for is not installed.
     """
-    begun = time.perf_counter()
-    scans = capture_or_problem
-    if isinstance(scans, Capture):
-        scans = preprocess(scans, settings=PreprocessSettings("none", False, extent_m=grid.extent))
     if not np.isfinite(scans.samples).all():
         raise DataError("the scans hold samples that are not finite", "Leave out the broken scans.")
     plan = FitSettings.of(settings or AtsSettings()).for_views(scans.aperture.views)
-    return _Fit(scans, grid, plan, unseen).run(progress, begun, images or FirstImages(), start)
+    return _Fit(scans, grid, plan, unseen).run(progress, images or FirstImages(), start)
 
 
 def unshrinking(seen: NDArray[np.complexfloating], data: NDArray[np.complexfloating]) -> float:
@@ -192,22 +173,12 @@ class _Scales:
     weight: float
     back: NDArray[np.float32]
 
-    @property
-    def sparsity(self) -> float:
-        """Weight of the sparsity prior in the loss."""
-        return 2 * self.weight / self.energy
-
 
 class _Fit:
-    """One fit from set-up to result."""
-
     def __init__(
-        self,
-        scans: BasebandScans,
-        grid: ImageGrid,
-        settings: FitSettings,
-        unseen: NDArray[np.integer] | None,
+        self, scans: BasebandScans, grid: ImageGrid, settings: FitSettings, unseen: NDArray[np.integer] | None
     ) -> None:
+        self.begun = time.perf_counter()
         self.grid, self.settings, self.all = grid, settings, scans
         _foresee(scans, grid, settings)
         views = np.arange(scans.aperture.views)
@@ -218,40 +189,33 @@ class _Fit:
         self.known = calibration.begin(self.scans, grid, settings.calibrate, WOBBLE_HARMONICS)
         self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)
         self.shadow = self._light(self.scans)
-        self.support = Support.all(grid.pixels)
+        self.support: NDArray[np.bool_] = np.ones((grid.pixels, grid.pixels), dtype=bool)
         self._made: tuple[tuple[float, bytes], tuple[ForwardOperator, ForwardOperator]] | None = None
         self.losses: list[float] = []
 
     def run(
-        self,
-        progress: StepProgress | None,
-        begun: float,
-        images: FirstImages,
-        start: FieldWeights | None = None,
+        self, progress: StepProgress | None, images: FirstImages, start: FieldWeights | None
     ) -> AtsResult:
         now = self.scans.with_aperture(self.known.aperture(self.scans.aperture))
         scales = _scales(now, self._operators()[0], self.settings)
         shape = FieldShape.of(self.grid, self.scans.wavelength_m, 2 * self.settings.aspect_harmonics + 1)
         if scales is None:
-            blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
-            return self._result(blank, None, "none", begun)
+            return self._result(None, "none")
         if start is None:
             made = images.of(now, self.unseen, self.grid, shape.cells[-1], scales.step)
             first = np.asarray(made / scales.output, dtype=np.complex64)
             start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
             if self._screened():
-                drawn = np.abs(start.on(self.grid)).max(axis=0)
-                self.support = Support.begin(scales.back, drawn, scales.weight)
+                drawn = np.abs(start.image()).max(axis=0)
+                self.support = first_support(scales.back, drawn, scales.weight)
         else:
             _check_continues(start, draw_weights(shape, self.grid, start.scale, self.settings.seed))
             scales = replace(scales, output=start.scale)
             # What the earlier fit left out is zero, whatever its network gives there.
             if self._screened() and start.support is not None:
-                self.support = Support(start.support)
+                self.support = start.support
         engine = make_engine(start, self.settings)
-        field = self._optimise(engine, scales, shape.cells, progress)
-        values = field.on(self.grid)
-        return self._result(values[len(values) // 2], field, engine.name, begun)
+        return self._result(self._optimise(engine, scales, shape.cells, progress), engine.name)
 
     def _optimise(
         self, engine: Engine, scales: _Scales, cells: tuple[int, ...], progress: StepProgress | None
@@ -263,7 +227,7 @@ class _Fit:
         every = GridArrays.of(self.grid, cells)
         learn = {int(part * steps) for part in _LEARN_AT} if self._learns() else set()
         check = {max(1, int(part * steps)) for part in CHECK_AT} if self._screened() else set()
-        grid = every.select(self.support.numbers)
+        grid = replace(every, pixels=self._pixels())
         subsets = self._subsets(fine, native)
         total: list[Array] = []
         count = 0
@@ -277,8 +241,8 @@ class _Fit:
                 self._learn(engine.weights(), late=step + 1 >= steps / 2)
                 count = 0
             if step + 1 in check:
-                self._screen(engine.weights(), grid, scales.weight)
-                grid = every.select(self.support.numbers)
+                self._screen(engine.weights(), scales.weight)
+                grid = replace(every, pixels=self._pixels())
             if step + 1 in learn | check:
                 subsets = self._subsets(fine, native)
             if step + 1 > steps * (1 - MEAN_OVER):
@@ -288,12 +252,12 @@ class _Fit:
         field = engine.weights()
         if count:
             field = field.with_arrays([a / np.float32(count) for a in total])
-        return self._unshrunk(replace(field, support=self.support.mask))
+        return self._unshrunk(replace(field, support=self.support))
 
     def _unshrunk(self, field: FieldWeights) -> FieldWeights:
         """The field times the one factor that explains the scans best: the prior made it too dark."""
         data = self.scans.samples - self.known.static
-        seen = self._seen(field.on(self.grid), True)
+        seen = self._seen(field.image(), True)
         return replace(field, scale=field.scale * unshrinking(seen, data))
 
     def _numbers(self, scales: _Scales, step: int, views: int) -> Array:
@@ -301,19 +265,20 @@ class _Fit:
         rate = LEARNING_RATE * DECAY ** (step / self.settings.steps)
         data = self.scans.aperture.views / views / scales.energy
         corrections = (1 / (1 - BETA1 ** (step + 1)), 1 / (1 - BETA2 ** (step + 1)))
-        numbers = (rate, *corrections, scales.output, data, scales.sparsity, EPSILON)
+        numbers = (rate, *corrections, scales.output, data, 2 * scales.weight / scales.energy, EPSILON)
         return np.array(numbers, dtype=np.float32)
+
+    def _pixels(self) -> NDArray[np.intp] | None:
+        """Row-major numbers of the pixels of the support; None where they are all."""
+        return None if self.support.all() else np.flatnonzero(self.support)
 
     def _screened(self) -> bool:
         """Whether dark pixels may be left out: shadows need all of them."""
         return not _weighted(self.settings)
 
-    def _screen(self, field: FieldWeights, grid: GridArrays, weight: float) -> None:
+    def _screen(self, field: FieldWeights, weight: float) -> None:
         """Choose the pixels again, by the residual of all views under the present field."""
-        some = field.at(grid.taps)
-        flat = np.zeros((len(some), self.grid.pixels**2), dtype=np.complex64)
-        flat[:, slice(None) if grid.pixels is None else grid.pixels] = some
-        values = flat.reshape(-1, self.grid.pixels, self.grid.pixels)
+        values = replace(field, support=self.support).image()
         rest = self.scans.samples - self.known.static - self._seen(values, True)
         aspect = self._view_of(self.known.aperture(self.scans.aperture), True).conj()
         square = np.zeros(self.grid.pixels**2, dtype=np.float32)
@@ -321,7 +286,7 @@ class _Fit:
             square += np.abs(self._operators()[0].adjoint(aspect[:, channel, None] * rest)) ** 2
         side = (self.grid.pixels, self.grid.pixels)
         magnitude = np.sqrt((np.abs(values) ** 2).sum(axis=0))
-        self.support = self.support.renewed(magnitude, np.sqrt(square).reshape(side), weight)
+        self.support = next_support(magnitude, np.sqrt(square).reshape(side), weight)
 
     def _operators(self) -> tuple[ForwardOperator, ForwardOperator]:
         """Operators of the views that are fitted and of the others, under the present calibration."""
@@ -347,7 +312,7 @@ class _Fit:
         aperture = self.known.aperture(self.scans.aperture)
         data = np.asarray(self.scans.samples - self.known.static, dtype=np.complex64)
         now = replace(self.scans, samples=data, aperture=aperture)
-        points, some = self.grid.points, self.support.numbers
+        points, some = self.grid.points, self._pixels()
         if native and some is not None:
             points = points[some]
         aspect = self._view_of(aperture, True)
@@ -366,7 +331,7 @@ class _Fit:
     def _learn(self, field: FieldWeights, late: bool) -> None:
         """Bring calibration, shadows and, once the scene stands, the weights of the samples up to date."""
         settings = self.settings
-        values = replace(field, support=self.support.mask).on(self.grid)
+        values = replace(field, support=self.support).image()
         image = values[len(values) // 2].ravel()
         # Half a scene would draw the geometry away from where the sparse scenes have put it.
         what = self.what if late else tuple(w for w in self.what if w not in ("axis", "wobble"))
@@ -427,42 +392,30 @@ class _Fit:
         parts = [operator.forward(v) * aspect[:, i, None] for i, v in enumerate(flat)]
         return np.asarray(np.sum(parts, axis=0), dtype=np.complex64)
 
-    def _prediction(self, field: FieldWeights | None) -> Prediction:
-        """Of the unseen views; None: a blank image."""
-        if not len(self.unseen):
-            return Prediction.none()
-        data = self.all.samples[self.unseen] - self.known.static
-        seen = np.zeros_like(data) if field is None else self._seen(field.on(self.grid), False)
-        return Prediction.of(data, seen)
-
-    def _result(
-        self,
-        values: NDArray[np.complex64],
-        field: FieldWeights | None,
-        engine: str,
-        begun: float,
-    ) -> AtsResult:
-        prediction = self._prediction(field)
-        held_out = prediction.residual
-        nominal, known = self.all.aperture.axis_distance, self.known
-        learned = Calibration(
-            None if nominal is None else nominal + known.offset_m,
-            known.offset_m,
-            known.sigma_m,
-            known.wobble,
-            known.wobble_sigma,
-            known.gain,
-            known.gain_sigma,
-            known.static,
-        )
-        facts: dict[str, Any] = {"method": "ats", **self.settings.facts(), "engine": engine}
-        facts["axis_distance_m"] = learned.axis_distance_m
-        facts["calibration"] = learned.facts(self.settings.calibrate)
-        facts |= {"steps_done": len(self.losses), "loss": self.losses[-1] if self.losses else 0.0}
-        facts |= {"held_out_residual": None if np.isnan(held_out) else held_out}
-        image = Image(values, self.grid, facts)
-        seconds = time.perf_counter() - begun
-        return AtsResult(image, tuple(self.losses), learned, self.unseen, prediction, seconds, field)
+    def _result(self, field: FieldWeights | None, engine: str) -> AtsResult:
+        """Of a field; None: a blank image."""
+        values = np.zeros((1, self.grid.pixels, self.grid.pixels), dtype=np.complex64)
+        values = values if field is None else field.image()
+        prediction = Prediction.none()
+        if len(self.unseen):
+            data = self.all.samples[self.unseen] - self.known.static
+            seen = np.zeros_like(data) if field is None else self._seen(values, False)
+            prediction = Prediction.of(data, seen)
+        nominal, held_out = self.all.aperture.axis_distance, prediction.residual
+        distance_m = None if nominal is None else nominal + self.known.offset_m
+        facts: dict[str, Any] = {
+            "method": "ats",
+            **self.settings.facts(),
+            "engine": engine,
+            "axis_distance_m": distance_m,
+            "calibration": self.known.facts(distance_m, self.settings.calibrate),
+            "steps_done": len(self.losses),
+            "loss": self.losses[-1] if self.losses else 0.0,
+            "held_out_residual": None if np.isnan(held_out) else held_out,
+        }
+        image = Image(values[len(values) // 2], self.grid, facts)
+        seconds = time.perf_counter() - self.begun
+        return AtsResult(image, tuple(self.losses), self.known, self.unseen, prediction, seconds, field)
 
 
 SHARPENED = 3.0
@@ -532,9 +485,7 @@ def _foresee(scans: BasebandScans, grid: ImageGrid, settings: FitSettings) -> No
 
 def _held_out(views: int, share: float) -> NDArray[np.intp]:
     """Views that the fit does not see, spread over the turn."""
-    count = round(views * share) if views >= LEAST_HELD_OUT else 0
-    if share > 0 and views >= LEAST_HELD_OUT:
-        count = max(1, count)
+    count = max(1, round(views * share)) if share > 0 and views >= LEAST_HELD_OUT else 0
     return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
 
 

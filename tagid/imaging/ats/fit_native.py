@@ -21,19 +21,16 @@ from tagid.imaging.ats.problem import (
     GridArrays,
     ViewArrays,
 )
-from tagid.imaging.ats.settings import HIDDEN, LEVELS
+from tagid.imaging.ats.settings import LEVELS
 from tagid.imaging.ats.taps import Adam
 from tagid.models_store import open_model
 
 
 class NativeEngine:
-    """State of a fit: parameters and Adam's moments.
+    """Parameters and Adam's moments of a fit.
 
-    The parameters of all levels, weights and biases follow each other in one array; a table is stored with
-    the features of a vertex side by side, (vertices, features).
-
-    Args:
-        weights: initial parameters; they are copied.
+    All parameters follow each other in one array; a table is stored with the features of a vertex side by
+    side, (vertices, features).
     """
 
     name = "native"
@@ -83,7 +80,6 @@ class NativeEngine:
         return loss
 
     def weights(self) -> FieldWeights:
-        """The parameters as they are now."""
         return replace(self._start.with_arrays(self._parts(self._all.copy())), support=None)
 
     def _layer(self, number: int) -> tuple[Array, Array]:
@@ -154,15 +150,12 @@ def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -
 
 
 MODEL = "ats_step"
-"""The shipped graph; all but the numbers of levels and hidden layers is dynamic in it."""
+"""The shipped graph; all but the numbers of levels and layers is dynamic in it."""
 
 
-def parameter_names(prefix: str = "") -> list[str]:
+def parameter_names() -> list[str]:
     """Names of the parameters in the order tables, weights, biases."""
-    layers = range(HIDDEN + 1)
-    names = [f"table_{i}" for i in range(LEVELS)]
-    names += [f"weight_{i}" for i in layers] + [f"bias_{i}" for i in layers]
-    return [prefix + name for name in names]
+    return [*(f"table_{i}" for i in range(LEVELS)), "weight_0", "weight_1", "bias_0", "bias_1"]
 
 
 def state_names() -> list[str]:
@@ -173,15 +166,7 @@ def state_names() -> list[str]:
 
 
 class OnnxEngine:
-    """State of a fit on onnxruntime: parameters and Adam's moments.
-
-    Args:
-        weights: initial parameters.
-        threads: onnxruntime's threads.
-
-    Raises:
-        ModelError: the shipped graph is damaged.
-    """
+    """Parameters and Adam's moments of a fit on onnxruntime. ModelError: the shipped graph is damaged."""
 
     name = "onnx"
 
@@ -196,7 +181,6 @@ class OnnxEngine:
         self._checked: set[tuple[int, int]] = set()
 
     def step(self, grid: GridArrays, views: ViewArrays, fine: FineRange, numbers: Array) -> float:
-        """One step of Adam on some views; the loss before it."""
         feeds: dict[str, NDArray[Any]] = dict(self._state)
         feeds |= {f"interpolation_{i}": a for i, a in enumerate(grid.interpolation)}
         feeds |= {
@@ -219,6 +203,5 @@ class OnnxEngine:
         return float(outputs["loss"][0])
 
     def weights(self) -> FieldWeights:
-        """The parameters as they are now."""
         parameters = self._start.with_arrays([self._state[name] for name in parameter_names()])
         return replace(parameters, support=None)

@@ -16,7 +16,6 @@ import torch
 from numpy.typing import NDArray
 from scipy import sparse
 
-from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats.problem import TABLE_INIT
 from tagid.imaging.ats.settings import StepProgress
@@ -31,14 +30,8 @@ _HASH_PRIME = 2_654_435_761
 
 @dataclass(frozen=True)
 class EncodingSettings:
-    """Size of the encoding.
-
-    Attributes:
-        levels: number of resolutions, growing geometrically from `coarsest` to `finest`.
-        features: features a level.
-        coarsest, finest: cells along a side of the unit square.
-        log2_entries: a level with more vertices than 2**log2_entries is hashed into that many entries.
-    """
+    """Size of the encoding: levels with so many features, from `coarsest` to `finest` cells along a side of
+    the unit square; one with more than 2**log2_entries vertices is hashed into that many entries."""
 
     levels: int = 8
     features: int = 2
@@ -53,26 +46,15 @@ class EncodingSettings:
 
     def resolutions(self) -> list[int]:
         """Cells a side of every level (floor of a geometric series, Müller et al., eq. 2)."""
-        if self.levels == 1:
-            return [self.coarsest]
-        series = np.geomspace(self.coarsest, max(self.finest, self.coarsest), self.levels)
+        series = np.geomspace(self.coarsest, self.finest, self.levels)
         return [int(cells) for cells in np.floor(series + 1e-9)]
 
 
 def vertex_entry(
     vertices: NDArray[np.int64], resolution: int, settings: EncodingSettings
 ) -> NDArray[np.int64]:
-    """Table entry of grid vertices within their level.
-
-    Args:
-        vertices: (n, 2) integer vertex coordinates, 0..resolution (the level has resolution + 1 vertices a
-            side).
-        resolution: cells a side.
-        settings: decides whether the level is dense (row by row) or hashed (exclusive or of multiples).
-
-    Returns:
-        (n,) entry index.
-    """
+    """(n,) table entries of vertices (n, 2), 0..resolution, within their level: row by row where it is dense,
+    by the exclusive or of multiples where it is hashed."""
     side = resolution + 1
     if side * side <= 2**settings.log2_entries:
         return np.asarray(vertices[:, 0] * side + vertices[:, 1])
@@ -86,15 +68,9 @@ def level_sizes(settings: EncodingSettings) -> list[int]:
 
 
 def encoding_matrix(points: NDArray[np.floating], settings: EncodingSettings) -> sparse.csr_array[np.float32]:
-    """Bilinear interpolation on every level as one matrix.
+    """Bilinear interpolation on every level as one matrix, (P * levels, entries) CSR float32.
 
-    Args:
-        points: (P, 2) coordinates in the unit square [0, 1]^2.
-        settings: the levels.
-
-    Returns:
-        (P * levels, entries) CSR float32; row p * levels + l holds the four corner weights of point p on
-        level l.
+    Row p * levels + l holds the four corner weights of point p, of (P, 2) in the unit square, on level l.
     """
     count, levels = len(points), settings.levels
     entries = np.empty((count, levels, 4), dtype=np.int64)
@@ -129,12 +105,6 @@ class _SparseProduct(torch.autograd.Function):  # type: ignore[misc]
 def interpolate(table: Any, matrix: Any, transposed: Any, settings: EncodingSettings) -> Any:
     """(P, levels * features) features of the points of an `encoding_matrix`, differentiable by the table."""
     return _SparseProduct.apply(table, matrix, transposed).view(-1, settings.width)
-
-
-def draw_table(settings: EncodingSettings, generator: torch.Generator) -> Any:
-    """(entries, features) float32 parameter, all levels one after the other, drawn from `generator`."""
-    drawn = torch.rand(sum(level_sizes(settings)), settings.features, generator=generator)
-    return torch.nn.Parameter((drawn * 2 - 1) * TABLE_INIT)
 
 
 LEAST_GRADIENT = 1000.0
@@ -233,12 +203,8 @@ LEAK = 0.01
 
 
 class ReflectivityNetwork(torch.nn.Module):  # type: ignore[misc]
-    """Linear layers with leaky ReLU between them and two outputs, real and imaginary part.
-
-    The paper uses four layers; `hidden` counts those before the output. Weights are drawn from the given
-    generator (uniform, variance 1 / (3 fan-in), torch's own default), so that the global random state stays
-    untouched.
-    """
+    """Linear layers, `hidden` and the output, with leaky ReLU between them; outputs are real and imaginary
+    part. Weights are uniform with variance 1 / (3 fan-in), drawn from the given generator alone."""
 
     def __init__(self, inputs: int, width: int, hidden: int, generator: torch.Generator) -> None:
         super().__init__()
@@ -280,9 +246,7 @@ class PaperSettings:
 
     Attributes:
         steps: optimisation steps; each takes `views_per_step` views at random ("the loss for each scan").
-        views_per_step: see there.
         learning_rate: of Adam (the optimiser is not named), falling exponentially to `decay` of it.
-        decay: see there.
         width: units of each of the three hidden layers (four linear layers are said, their width is not).
         l1: weight of mean |sigma| / output_scale, relative to the squared residual of a blank image, growing
             from zero over the first half of the steps; the paper speaks of scene priors without naming one,
@@ -316,13 +280,6 @@ class PaperSettings:
     coarsest: int = 8
     log2_entries: int = 14
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "views_per_step", "width", "levels", "features", "coarsest"):
-            if not 1 <= getattr(self, name) <= 10**6:
-                raise UsageError(f"paper setting {name} is {getattr(self, name)}", "Give 1 to 1000000.")
-        if not (0 < self.learning_rate < 10 and 0 < self.decay <= 1 and 0 <= self.l1 < 100):
-            raise UsageError("paper settings: learning rate, decay or l1 makes no sense")
 
 
 def fit_paper(
@@ -402,7 +359,8 @@ class _Fit:
             settings.levels, settings.features, settings.coarsest, finest, settings.log2_entries
         )
         generator = torch.Generator().manual_seed(settings.seed)
-        self.table = draw_table(self.encoding, generator)
+        drawn = torch.rand(sum(level_sizes(self.encoding)), settings.features, generator=generator)
+        self.table = torch.nn.Parameter((drawn * 2 - 1) * TABLE_INIT)
         self.network = ReflectivityNetwork(self.encoding.width, settings.width, 3, generator)
         with torch.no_grad():
             self.network.weights[-1].mul_(_FIRST_OUTPUT)
@@ -410,15 +368,12 @@ class _Fit:
         self.band = torch.from_numpy(_band_limit(scans, radii, settings.outside))
         self.kept: dict[int, tuple[RaySamples, Any]] = {}
         self.room = _KEPT_BYTES
+        self.scale = settings.output_scale
         self._foresee()
-        # sigma per metre over the pulse's length that returns the peak: the scale of the output.
-        self.scale = self.settings.output_scale
 
     def _foresee(self) -> None:
         """Refuse a step that will not fit before it is begun."""
-        s = self.settings
-        spacing = 2 * np.pi / self.scans.wavenumber * s.ray_spacing_wavelengths
-        rays = sample_view(self.scans.aperture, 0, self.grid, self.radii, spacing, s.beam_width_rad)
+        s, rays = self.settings, self._rays(0)
         points = int((rays.weights > 0).sum())
         views = min(s.views_per_step, len(self.samples))
         # Encoding (weights, entries, features), activations of four layers and their gradients; ray tensors.
@@ -431,13 +386,16 @@ class _Fit:
             "Image a smaller square (`imaging.extent_m`) or shorter scans, or use `preset=field`.",
         )
 
+    def _rays(self, view: int) -> RaySamples:
+        s = self.settings
+        spacing = 2 * np.pi / self.scans.wavenumber * s.ray_spacing_wavelengths
+        return sample_view(self.scans.aperture, view, self.grid, self.radii, spacing, s.beam_width_rad)
+
     def view(self, view: int) -> tuple[RaySamples, Any]:
         """Samples of a view, and the encoding matrix of those that lie in the scene."""
         if view in self.kept:
             return self.kept[view]
-        s = self.settings
-        spacing = 2 * np.pi / self.scans.wavenumber * s.ray_spacing_wavelengths
-        rays = sample_view(self.scans.aperture, view, self.grid, self.radii, spacing, s.beam_width_rad)
+        rays = self._rays(view)
         inside = rays.points[rays.weights > 0]
         made = (rays, encoding_matrix(inside / self.grid.extent + 0.5, self.encoding))
         size = rays.points.nbytes + rays.depths.nbytes + rays.weights.nbytes + 8 * made[1].nnz

@@ -162,12 +162,7 @@ def _adam(s: Step, grads: list[Any]) -> list[Any]:
 
 
 class TorchEngine:
-    """State of a fit on torch: parameters and Adam's moments.
-
-    Args:
-        weights: initial parameters; they are copied.
-        device: "cpu", "cuda" or "cuda:N".
-        threads: torch's threads on a processor.
+    """Parameters and Adam's moments of a fit on torch, on "cpu", "cuda" or "cuda:N".
 
     Raises:
         UsageError: the device is not there.
@@ -186,7 +181,6 @@ class TorchEngine:
         self._constants: dict[int, tuple[NDArray[Any], Any]] = {}
 
     def step(self, grid: GridArrays, views: ViewArrays, fine: FineRange, numbers: Array) -> float:
-        """One step of Adam on some views; the loss before it."""
         count = self._levels + 2 * self._layers
         parameters = self._state[:count]
         state = Step(
@@ -216,7 +210,6 @@ class TorchEngine:
             torch.set_num_threads(before)
 
     def weights(self) -> FieldWeights:
-        """The parameters as they are now."""
         arrays: list[NDArray[np.float32]] = [a.cpu().numpy().copy() for a in self._state]
         return replace(self._start.with_arrays(arrays[: self._levels + 2 * self._layers]), support=None)
 

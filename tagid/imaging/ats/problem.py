@@ -6,7 +6,6 @@ Both engines read the same arrays, so that an image does not depend on which of 
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging import operator
-from tagid.imaging.ats.settings import COARSEST, FEATURES, HIDDEN, LEVELS, WIDTH
+from tagid.imaging.ats.settings import COARSEST, FEATURES, LEVELS, WIDTH
 from tagid.imaging.ats.taps import Taps
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.lengths import finest_cell_m
@@ -54,14 +53,13 @@ class FieldShape:
     Attributes:
         cells: cells along a side of the imaged square, one number a level, coarse to fine.
         features: features of a vertex.
-        width, hidden: units of a hidden layer, and how many of those.
+        width: units of the hidden layer.
         channels: complex values of a point: 1, or 2M + 1 harmonics of the aspect angle.
     """
 
     cells: tuple[int, ...]
     features: int
     width: int
-    hidden: int
     channels: int = 1
 
     @classmethod
@@ -70,17 +68,17 @@ class FieldShape:
         finest = min(grid.pixels, max(COARSEST, round(grid.extent / finest_cell_m(wavelength_m))))
         series = np.geomspace(min(COARSEST, finest), finest, LEVELS)
         cells = tuple(int(n) for n in np.floor(series + 1e-9))
-        return cls(cells, FEATURES, WIDTH, HIDDEN, channels)
+        return cls(cells, FEATURES, WIDTH, channels)
 
 
 @dataclass(eq=False)
 class FieldWeights:
-    """Parameters of the field, and the evaluation that needs neither engine.
+    """Parameters of the field, and its image, which needs neither engine.
 
     Attributes:
         tables: (features, cells + 1, cells + 1) vertex features of every level.
         weights, biases: (out, in) and (out, 1) of every layer.
-        scale: what the network's output is multiplied with at `pixels` pixels a side.
+        scale: what the network's output is multiplied with.
         extent, pixels: the square that the field covers, m, and the grid it was fitted on.
         support: (pixels, pixels) bool, pixels that are not zero; None: all.
     """
@@ -93,54 +91,27 @@ class FieldWeights:
     pixels: int
     support: NDArray[np.bool_] | None = None
 
-    def evaluate(self, points: NDArray[np.floating]) -> NDArray[np.complex64]:
-        """Reflectivity at any points (n, 2) in m, (channels, n) complex64, per pixel of the fitted grid.
-
-        Points outside the square get the value of its rim, points in pixels outside the support zero.
-        """
-        unit = np.clip(np.asarray(points, dtype=np.float64) / self.extent + 0.5, 0, 1)
-        parts = []
-        for table in self.tables:
-            cells = table.shape[1] - 1
-            corner = np.minimum((unit * cells).astype(np.intp), cells - 1)
-            fx, fy = (unit * cells - corner).astype(np.float32).T
-            x, y = corner.T
-            low = table[:, y, x] * (1 - fx) + table[:, y, x + 1] * fx
-            high = table[:, y + 1, x] * (1 - fx) + table[:, y + 1, x + 1] * fx
-            parts.append(low * (1 - fy) + high * fy)
-        values = self._network(np.concatenate(parts))
-        if self.support is not None:
-            x, y = np.minimum((unit * self.pixels).astype(np.intp), self.pixels - 1).T
-            values *= self.support[y, x]
-        return values
-
-    def on(self, grid: ImageGrid) -> NDArray[np.complex64]:
-        """Reflectivity of the pixels of a grid of the same extent, (channels, pixels, pixels) complex64.
-
-        A finer grid divides each pixel's reflectivity among its parts, so that the sum stays.
-        """
-        share = np.float32((grid.step * self.pixels / self.extent) ** 2)
-        if grid.extent != self.extent:
-            values = self.evaluate(grid.points) * share
-            return values.reshape(-1, grid.pixels, grid.pixels)
-        wanted: NDArray[np.intp] | None = None
+    def image(self) -> NDArray[np.complex64]:
+        """Reflectivity of the pixels, (channels, pixels, pixels) complex64; zero outside the support."""
+        wanted = None
         if self.support is not None and not self.support.all():
-            at = ((np.arange(grid.pixels) + 0.5) / grid.pixels * self.pixels).astype(np.intp)
-            wanted = np.flatnonzero(self.support[np.ix_(at, at)])
-        taps = Taps.of(grid.pixels, [table.shape[1] - 1 for table in self.tables], wanted)
-        values = self.at(taps) * share
-        if wanted is not None:
-            values, some = np.zeros((len(values), grid.pixels**2), dtype=np.complex64), values
-            values[:, wanted] = some
-        return values.reshape(-1, grid.pixels, grid.pixels)
-
-    def at(self, taps: Taps) -> NDArray[np.complex64]:
-        """(channels, n) reflectivity of the pixels of some taps, per pixel of the fitted grid."""
+            wanted = np.flatnonzero(self.support)
+        taps = Taps.of(self.pixels, [table.shape[1] - 1 for table in self.tables], wanted)
         features = len(self.tables[0])
         table = np.concatenate([t.reshape(features, -1) for t in self.tables], axis=1)
         inputs = np.empty((len(taps.index), len(self.tables) * features), dtype=np.float32)
         taps.interpolate(np.ascontiguousarray(table.T), inputs)
-        return self._network(inputs.T)
+        layer = inputs.T
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            layer = weight @ layer + bias
+            if i < len(self.weights) - 1:
+                np.maximum(layer, 0, out=layer)
+        real, imaginary = np.split(layer * np.float32(self.scale), 2)
+        values = np.asarray(real + 1j * imaginary, dtype=np.complex64)
+        if wanted is not None:
+            values, some = np.zeros((len(values), self.pixels**2), dtype=np.complex64), values
+            values[:, wanted] = some
+        return values.reshape(-1, self.pixels, self.pixels)
 
     @property
     def arrays(self) -> list[Array]:
@@ -154,15 +125,6 @@ class FieldWeights:
             self, tables=arrays[:cut], weights=arrays[cut : cut + layers], biases=arrays[cut + layers :]
         )
 
-    def _network(self, inputs: Array) -> NDArray[np.complex64]:
-        layer = inputs
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            layer = weight @ layer + bias
-            if i < len(self.weights) - 1:
-                np.maximum(layer, 0, out=layer)
-        real, imaginary = np.split(layer * np.float32(self.scale), 2)
-        return np.asarray(real + 1j * imaginary, dtype=np.complex64)
-
 
 def draw_weights(
     shape: FieldShape,
@@ -174,15 +136,14 @@ def draw_weights(
     """Initial parameters: random ones from a seed, the same on every machine, that carry a first image.
 
     Layers are uniform with variance 1 / (3 fan-in). The finest level holds the first image in its features,
-    and the first four units of every layer pass it on as positive and negative real and imaginary parts. From
+    and the first four hidden units pass it on as positive and negative real and imaginary parts. From
     a random field a fit of a full turn often ends in a ring of points about the true one.
 
     Args:
         shape, grid: sizes of the field.
-        scale: of the output.
         seed: of all that is random.
         first: (cells + 1, cells + 1) image at the vertices of the finest level, rows along y, relative to
-            the scale; None, or a network too narrow for it: a dark field.
+            the scale; None: a dark field.
     """
     rng = np.random.default_rng(seed)
 
@@ -190,42 +151,24 @@ def draw_weights(
         return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
 
     tables = [uniform(TABLE_INIT, shape.features, n + 1, n + 1) for n in shape.cells]
-    sizes = [shape.features * len(shape.cells)] + [shape.width] * shape.hidden + [2 * shape.channels]
+    inputs = shape.features * len(shape.cells)
     weights, biases = [], []
-    for fan_in, fan_out in itertools.pairwise(sizes):
+    for fan_in, fan_out in ((inputs, shape.width), (shape.width, 2 * shape.channels)):
         bound = 1 / np.sqrt(fan_in)
         weights.append(uniform(bound, fan_out, fan_in))
         biases.append(uniform(bound, fan_out, 1))
-    field = FieldWeights(tables, weights, biases, scale, grid.extent, grid.pixels)
-    _carry(field, shape, np.zeros((1, 1), dtype=np.complex64) if first is None else first)
-    return field
-
-
-def _carry(field: FieldWeights, shape: FieldShape, first: NDArray[np.complexfloating]) -> None:
-    """Put the first image into a field and take the rest of the network down to zero where features are."""
-    peak = float(np.abs(first).max(initial=0.0))
-    wide = shape.features >= 2 and (shape.hidden == 0 or shape.width >= len(PARTS))
-    middle, last = shape.channels // 2, field.weights[-1]
-    last *= np.float32(REST)
-    if wide and peak > 0:
-        at = shape.features * (len(shape.cells) - 1)
-        field.tables[-1][0] += (first.real / peak).astype(np.float32)
-        field.tables[-1][1] += (first.imag / peak).astype(np.float32)
-        inputs = [(at + part, sign) for part, sign in PARTS]
-        for weight, bias in zip(field.weights[:-1], field.biases[:-1], strict=True):
-            for row, (column, sign) in enumerate(inputs):
-                weight[row], bias[row] = 0, 0
-                weight[row, column] = sign
-            inputs = [(row, 1.0) for row in range(len(PARTS))]
-        signs = [sign for _, sign in PARTS] if shape.hidden else [1.0] * len(PARTS)
-        for (column, _), (part, _), sign in zip(inputs, PARTS, signs, strict=True):
-            last[:, column] = 0
-            last[middle + part * shape.channels, column] = sign * peak
+    hidden, output = weights
+    output *= np.float32(REST)
+    if first is not None and (peak := float(np.abs(first).max())) > 0:
+        tables[-1][0] += (first.real / peak).astype(np.float32)
+        tables[-1][1] += (first.imag / peak).astype(np.float32)
+        for row, (part, sign) in enumerate(PARTS):
+            hidden[row], biases[0][row], output[:, row] = 0, 0, 0
+            hidden[row, inputs - shape.features + part] = sign
+            output[shape.channels // 2 + part * shape.channels, row] = sign * peak
     # What the biases alone give is an echo of the whole square: it would be the first thing to be unlearned.
-    layer = np.zeros((field.weights[0].shape[1], 1), dtype=np.float32)
-    for weight, bias in zip(field.weights[:-1], field.biases[:-1], strict=True):
-        layer = np.maximum(weight @ layer + bias, 0)
-    field.biases[-1][:] = -last @ layer
+    biases[1][:] = -output @ np.maximum(biases[0], 0)
+    return FieldWeights(tables, weights, biases, scale, grid.extent, grid.pixels)
 
 
 def interpolation(pixels: int, cells: int) -> Array:
@@ -268,10 +211,6 @@ class GridArrays:
             mask[:] = 0
             mask[0, self.pixels] = 1
         return mask
-
-    def select(self, pixels: NDArray[np.intp] | None) -> GridArrays:
-        """The same with these pixels only; None: all."""
-        return replace(self, pixels=pixels)
 
     @classmethod
     def of(cls, grid: ImageGrid, cells: tuple[int, ...]) -> GridArrays:
@@ -385,13 +324,9 @@ class FineRange:
         margin_m: float = 0.0,
         between: bool = False,
     ) -> FineRange:
-        """Fine grid that holds the points for all views even where the antennas move by the margin.
+        """Fine grid that holds points (points, 2), m, for all views even where the antennas move by a margin.
 
-        Args:
-            scans: bins, response, wavenumber and antenna positions.
-            points: (points, 2) m.
-            margin_m: see above.
-            between: for an engine that puts a point between two bins; else for one that takes the nearest.
+        `between`: for an engine that puts a point between two bins; else for one that takes the nearest.
         """
         near, far = reach_of(scans.aperture, points)
         near, far = near - margin_m, far + margin_m
@@ -457,7 +392,6 @@ def view_arrays(
     Args:
         scans: samples and antenna positions.
         points: (points, 2) pixel centres, m.
-        fine: the fine range grid.
         confidence: (views, bins) weight of every sample.
         aspect: (views, channels) complex, what a view sees of every channel (its gain included).
         transmission: (views, points) what is left of each point's echo; None: all.
@@ -518,8 +452,6 @@ def first_image(scans: BasebandScans, grid: ImageGrid, cells: int, step: float) 
     solution is blank it is backprojection. The brightest vertices of a large image take part.
 
     Args:
-        scans: those that are fitted.
-        grid: the image.
         cells: of the finest level, a side.
         step: factor by which backprojection explains the scans best.
     """

@@ -10,11 +10,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tagid.errors import UsageError
-from tagid.imaging.facts import CalibrationFacts
 
 StepProgress = Callable[[int, int, float], None]
 """Called after every step with (steps done, steps at most, loss)."""
@@ -38,9 +34,9 @@ LEARNING_RATE, DECAY = 0.06, 0.2
 """Adam's rate, and what is left of it after all steps (exponential decay)."""
 WOBBLE_HARMONICS = 4
 """Harmonics of the angle error over a turn that `calibrate=wobble` learns."""
-LEVELS, FEATURES, COARSEST, WIDTH, HIDDEN = 8, 2, 8, 16, 1
-"""Sizes of the field: resolutions of the encoding, features of each, cells a side of the coarsest, units of a
-hidden layer, and hidden layers. The exported graph has these levels and layers."""
+LEVELS, FEATURES, COARSEST, WIDTH = 8, 2, 8, 16
+"""Sizes of the field: resolutions of the encoding, features of each, cells a side of the coarsest, and units
+of the hidden layer. The exported graph has these levels."""
 THREADS = 1
 """Of an engine: the layers are so small that a second thread gains little where the cores are idle, and waits
 for its slice where they are not."""
@@ -69,14 +65,13 @@ _DENSE = FieldPrior(l1=0.003, noise_factor=1.0)
 class Prior(StrEnum):
     """What an image assumes of the scene, by the name that the image's settings give it.
 
-    The defaults, a stronger and a weaker sparsity prior, reflectivity that depends on the aspect, the last
-    two together, and the dense ones on a scene that hides what lies behind it; of attenuations of 0.1 to 3
-    nepers 1 leaves least of unseen views in most outlines, boxes and smooth bodies (seeds from 5000). Then
-    those that are no field: the sparse solution itself (`tagid.imaging.sparse`), which of few views of
-    extended objects predicts more than a field that starts from it, since the encoding ties neighbours
-    together of which a dozen views tell nothing; the mean of this one and the dense field, where views are
-    too few to tell which is right; and iterations of conjugate gradients, of which the first is
-    backprojection of scans that are correlated with the pulse, and 0 that of the scans as they are.
+    Fields: the defaults, a stronger and a weaker sparsity prior, reflectivity that depends on the aspect, the
+    last two together, and the dense ones on a scene that hides what lies behind it (of attenuations of 0.1 to
+    3 nepers 1 leaves least of unseen views in most outlines, boxes and smooth bodies; seeds from 5000). No
+    fields: the sparse solution itself (`tagid.imaging.sparse`), which of few views of extended objects
+    predicts more, since the encoding ties neighbours together of which a dozen views tell nothing; its mean
+    with the dense field; and iterations of conjugate gradients, of which the first is backprojection of scans
+    that are correlated with the pulse, and 0 that of the scans as they are.
 
     Attributes:
         field: what its field assumes; None: it is no field.
@@ -227,66 +222,9 @@ class FitSettings(AtsSettings):
         return {**facts, "calibrate": list(self.calibrate)}
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """What was learned of the recording beside the scene.
-
-    Attributes:
-        axis_distance_m: distance to the rotation axis; None for free antenna positions.
-        axis_offset_m: its difference from the one given.
-        axis_sigma_m: its standard error, from the curvature of the fit; nan where it was not learned.
-        wobble_rad: (harmonics,) complex w: the angle error over a turn is Re sum w_k exp(j k angle), k = 1..
-        wobble_sigma_rad: (harmonics,) standard error of real and imaginary part.
-        gain: (views,) of every scan that was fitted; its mean is 1.
-        gain_sigma: (views,) its standard error.
-        static: (bins,) complex component that no turn changes.
-    """
-
-    axis_distance_m: float | None
-    axis_offset_m: float
-    axis_sigma_m: float
-    wobble_rad: NDArray[np.complex128]
-    wobble_sigma_rad: NDArray[np.float64]
-    gain: NDArray[np.float64]
-    gain_sigma: NDArray[np.float64]
-    static: NDArray[np.complex64]
-
-    def facts(self, learned: tuple[str, ...]) -> CalibrationFacts:
-        """What was learned, of `CALIBRATIONS`, as plain JSON values; empty if nothing was."""
-        values: CalibrationFacts = {}
-        if "axis" in learned and np.isfinite(self.axis_sigma_m):
-            values["axis"] = {
-                "distance_m": self.axis_distance_m,
-                "offset_m": self.axis_offset_m,
-                "sigma_m": self.axis_sigma_m,
-            }
-        if "wobble" in learned and np.isfinite(self.wobble_sigma_rad).all():
-            values["wobble"] = [
-                {
-                    "harmonic": order,
-                    "amplitude_deg": float(np.degrees(abs(w))),
-                    "phase_deg": float(np.degrees(np.angle(w))),
-                    "sigma_deg": float(np.degrees(sigma)),
-                    "speed_percent": float(100 * order * abs(w)),
-                }
-                for order, (w, sigma) in enumerate(
-                    zip(self.wobble_rad, self.wobble_sigma_rad, strict=True), start=1
-                )
-            ]
-        if "gain" in learned and np.isfinite(self.gain_sigma).all():
-            values["gain"] = {
-                "scans": [round(float(g), 5) for g in self.gain],
-                "sigma": [round(float(g), 5) for g in self.gain_sigma],
-                "spread": float(self.gain.std()),
-            }
-        if "static" in learned:
-            values["static"] = {"rms": float(np.sqrt((np.abs(self.static) ** 2).mean()))}
-        return values
-
-
 _FIXED: dict[str, float] = {
     "learning_rate": LEARNING_RATE, "network_rate": 1.0, "decay": DECAY, "smoothness": 0.0,
-    "wobble_harmonics": WOBBLE_HARMONICS, "patience": 0, "width": WIDTH, "hidden": HIDDEN, "finest_m": 0.0,
+    "wobble_harmonics": WOBBLE_HARMONICS, "patience": 0, "width": WIDTH, "hidden": 1, "finest_m": 0.0,
     "levels": LEVELS, "features": FEATURES, "coarsest": COARSEST, "threads": THREADS,
 }  # fmt: skip
 """What once was a setting, as an image's settings go on to say it; no command, benchmark or page used another

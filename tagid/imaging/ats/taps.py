@@ -121,13 +121,10 @@ class Adam:
     def update(
         self, parameters: Array, gradient: Array, rates: Array, correction: float, epsilon: float
     ) -> None:
-        """One step, in place; `gradient` is scratch afterwards.
+        """One step, in place; `gradient` (parameters,) is scratch afterwards.
 
-        Args:
-            parameters, gradient: (parameters,) float32.
-            rates: (tensors,) float32 learning rates, the first moment's bias correction included.
-            correction: bias correction of the second moment.
-            epsilon: relative to the largest gradient of a tensor.
+        `rates`, (tensors,) float32, hold the first moment's bias correction, `correction` is the second's,
+        and `epsilon` is relative to the largest gradient of a tensor.
         """
         if _compiled is not None:
             numbers = (BETA1, BETA2, float(correction), float(epsilon), SMALLEST)
@@ -162,57 +159,40 @@ _MOST_SHARE = 0.9
 """With more than this share of the pixels chosen, all are: a smaller step would save nothing."""
 
 
-@dataclass(frozen=True, eq=False)
-class Support:
-    """Pixels of a square image that a fit works on; the others are zero.
+def first_support(
+    strength: NDArray[np.floating], first: NDArray[np.floating], weight: float
+) -> NDArray[np.bool_]:
+    """Pixels of the first steps: where backprojection is bright, and those of the image to begin with.
 
-    Attributes:
-        mask: (pixels, pixels) bool.
+    Args:
+        strength: (pixels, pixels) |A^H y|.
+        first: (pixels, pixels) magnitude of the image to begin with.
+        weight: of the sparsity prior beside 1/2 ||A sigma - y||^2.
+
+    Returns:
+        (pixels, pixels) whether a fit works on a pixel; the others are zero.
     """
+    bright = strength > max(weight, _FIRST_SHARE * float(strength.max()))
+    return _with_neighbours(bright | (first > _FAINT * float(first.max())))
 
-    mask: NDArray[np.bool_]
 
-    @classmethod
-    def all(cls, pixels: int) -> Support:
-        """Every pixel of an image of pixels x pixels."""
-        return cls(np.ones((pixels, pixels), dtype=bool))
+def next_support(
+    magnitude: NDArray[np.floating], strength: NDArray[np.floating], weight: float
+) -> NDArray[np.bool_]:
+    """Pixels after a check: the bright ones, those that the residual asks for, and their neighbours.
 
-    @classmethod
-    def begin(cls, strength: NDArray[np.floating], first: NDArray[np.floating], weight: float) -> Support:
-        """Pixels of the first steps: where backprojection is bright, and those of the image to begin with.
+    Args:
+        magnitude: (pixels, pixels) |sigma|, zero outside the present support.
+        strength: (pixels, pixels) |A^H (y - A sigma)|.
+        weight: see `first_support`.
+    """
+    bright = magnitude > _FAINT * float(magnitude.max())
+    return _with_neighbours(bright | (strength > max(weight, _ASKING * float(strength.max()))))
 
-        Args:
-            strength: (pixels, pixels) |A^H y|.
-            first: (pixels, pixels) magnitude of the image to begin with.
-            weight: w.
-        """
-        bright = strength > max(weight, _FIRST_SHARE * float(strength.max()))
-        return cls._of(bright | (first > _FAINT * float(first.max())))
 
-    def renewed(
-        self, magnitude: NDArray[np.floating], strength: NDArray[np.floating], weight: float
-    ) -> Support:
-        """Pixels after a check: the bright ones, those that the residual asks for, and their neighbours.
-
-        Args:
-            magnitude: (pixels, pixels) |sigma|, zero outside the support.
-            strength: (pixels, pixels) |A^H (y - A sigma)|.
-            weight: w.
-        """
-        bright = magnitude > _FAINT * float(magnitude.max())
-        asked = strength > max(weight, _ASKING * float(strength.max()))
-        return self._of(bright | asked)
-
-    @property
-    def numbers(self) -> NDArray[np.intp] | None:
-        """Row-major numbers of the pixels; None where they are all."""
-        return None if self.mask.all() else np.flatnonzero(self.mask)
-
-    @classmethod
-    def _of(cls, wanted: NDArray[np.bool_]) -> Support:
-        wide = np.pad(wanted, 1)
-        rows = wide[:-2] | wide[1:-1] | wide[2:]
-        mask = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
-        if not mask.any() or mask.mean() > _MOST_SHARE:
-            return cls.all(len(mask))
-        return cls(mask)
+def _with_neighbours(wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Also the eight about every pixel; all, where these are none or nearly all."""
+    wide = np.pad(wanted, 1)
+    rows = wide[:-2] | wide[1:-1] | wide[2:]
+    mask = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
+    return mask if mask.any() and mask.mean() <= _MOST_SHARE else np.ones_like(mask)

@@ -38,7 +38,6 @@ _SAMPLE_VIEWS = 1500
 _SEED_SHARE = 0.35
 """Part of the progress that the backprojection takes."""
 
-
 STEPS = 80
 _VIEWS_PER_STEP = 400
 """Most views of one step."""
@@ -64,9 +63,7 @@ def fit_volume(
     Args:
         matched: baseband scans with matched filter, for the backprojection that seeds the fit.
         scans: the same without, which the field is fitted to.
-        grid: voxels.
         progress: called with (done, total, remark).
-        steps: of the optimisation.
 
     Raises:
         UsageError: the volume or the fit would not fit into memory.
@@ -92,21 +89,10 @@ def fit_volume(
 
 
 class _Fit:
-    """One fit from set-up to result.
-
-    Args:
-        scans: without matched filter.
-        grid: voxels.
-        steps: of the optimisation.
-        bright: (voxels,) magnitude of the backprojection.
-    """
+    """`bright`: (voxels,) magnitude of the backprojection."""
 
     def __init__(
-        self,
-        scans: BasebandScans,
-        grid: VolumeGrid,
-        steps: int,
-        bright: NDArray[np.floating],
+        self, scans: BasebandScans, grid: VolumeGrid, steps: int, bright: NDArray[np.floating]
     ) -> None:
         self.scans, self.grid, self.steps = scans, grid, steps
         self.active = _active(bright)
@@ -180,7 +166,7 @@ class _Fit:
             field.descend(layers, slope, rate, step + 1)
             if step + 1 > self.steps * (1 - MEAN_OVER):
                 since += 1
-                mean = field.copy() if since == 1 else mean.mixed(field, 1 / since)
+                mean = (field if since == 1 else mean).mixed(field, 1 / since)
             progress(step + 1, self.steps, "")
         return (mean if since else field), losses
 
@@ -192,7 +178,6 @@ class Interpolation:
     Attributes:
         index: (points, 8) numbers of the vertices about each point, in (z, y, x) order.
         weight: (points, 8) float32 their weights.
-        vertices: number of vertices.
     """
 
     index: NDArray[np.int32]
@@ -236,39 +221,20 @@ class Field:
     """A network over features on grids of several resolutions, at the active voxels.
 
     Args:
-        tables: one (features, vertices) array per level.
-        weights, biases: (out, in) and (out, 1) of both layers.
+        parameters: one (features, vertices) table per level, (out, in) and (out, 1) of both layers.
         at: interpolation of every level.
         scale: factor of the output.
     """
 
-    def __init__(
-        self,
-        tables: list[Array],
-        weights: list[Array],
-        biases: list[Array],
-        at: list[Interpolation],
-        scale: float,
-    ) -> None:
-        self.parameters = [*tables, *weights, *biases]
-        self.levels, self.at, self.scale = len(tables), at, scale
-        self._first = [np.zeros_like(parameter) for parameter in self.parameters]
-        self._second = [np.zeros_like(parameter) for parameter in self.parameters]
+    def __init__(self, parameters: list[Array], at: list[Interpolation], scale: float) -> None:
+        self.parameters, self.at, self.scale = parameters, at, scale
+        self._first = [np.zeros_like(parameter) for parameter in parameters]
+        self._second = [np.zeros_like(parameter) for parameter in parameters]
 
     @classmethod
-    def carrying(
-        cls,
-        first: NDArray[np.complexfloating],
-        at: list[Interpolation],
-        scale: float,
-    ) -> Field:
-        """A field whose output is a first image, beside random features.
-
-        Args:
-            first: (vertices,) image at the vertices of the finest level, relative to the scale.
-            at: interpolation of every level.
-            scale: of the output.
-        """
+    def carrying(cls, first: NDArray[np.complexfloating], at: list[Interpolation], scale: float) -> Field:
+        """A field whose output is a first image, beside random features: (vertices,) of the finest level,
+        relative to the scale."""
         rng = np.random.default_rng(_SEED)
 
         def uniform(bound: float, *size: int) -> Array:
@@ -287,14 +253,14 @@ class Field:
             output[part, row] = sign * peak
         # What the biases alone give is an echo of the whole volume.
         biases[1][:] = -output @ np.maximum(biases[0], 0)
-        return cls(tables, [hidden, output], biases, at, scale)
+        return cls([*tables, hidden, output, *biases], at, scale)
 
     def layers(self) -> list[Array]:
         """Features, hidden layer and output, each (units, voxels)."""
-        tables, (hidden, output) = self.parameters[: self.levels], self._weights
+        *tables, hidden, output, bias, last_bias = self.parameters
         features = np.concatenate([at.read(table) for at, table in zip(self.at, tables, strict=True)])
-        middle = np.maximum(hidden @ features + self.parameters[-2], 0)
-        return [features, middle, output @ middle + self.parameters[-1]]
+        middle = np.maximum(hidden @ features + bias, 0)
+        return [features, middle, output @ middle + last_bias]
 
     def evaluate(self, output: Array) -> NDArray[np.complex64]:
         """(voxels,) reflectivity of the network's output (2, voxels)."""
@@ -304,11 +270,11 @@ class Field:
         self, layers: list[Array], slope: NDArray[np.complexfloating], rate: float, step: int
     ) -> None:
         """One step of Adam along the gradient by the reflectivity (voxels,), a complex number re + j im."""
-        hidden, output = self._weights
+        hidden, output = self.parameters[-4:-2]
         by_output = np.stack([slope.real, slope.imag]).astype(np.float32) * np.float32(self.scale)
         by_middle = (output.T @ by_output) * (layers[1] > 0)
         by_features = hidden.T @ by_middle
-        count = len(by_features) // self.levels
+        count = len(by_features) // len(self.at)
         gradients: list[Any] = [
             at.spread(by_features[level * count : (level + 1) * count]) for level, at in enumerate(self.at)
         ]
@@ -322,20 +288,11 @@ class Field:
             ahead = np.float32(rate / (1 - BETA1**step)) * first
             parameter -= ahead / (size + np.float32(EPSILON) * size.max() + np.float32(SMALLEST))
 
-    def copy(self) -> Field:
-        """A field with the same parameters, which may be changed."""
-        return self.mixed(self, 0.0)
-
     def mixed(self, other: Field, share: float) -> Field:
         """Parameters (1 - share) of this field and share of the other's."""
         pairs = zip(self.parameters, other.parameters, strict=True)
         mixed: list[Any] = [a + np.float32(share) * (b - a) for a, b in pairs]
-        cut = self.levels
-        return Field(mixed[:cut], mixed[cut : cut + 2], mixed[cut + 2 :], self.at, self.scale)
-
-    @property
-    def _weights(self) -> list[Array]:
-        return self.parameters[self.levels : self.levels + 2]
+        return Field(mixed, self.at, self.scale)
 
 
 def _active(bright: NDArray[np.floating]) -> NDArray[np.intp]:
