@@ -90,9 +90,7 @@ class PreprocessSettings:
             raise UsageError(f"oversampling is {self.oversampling}", "Give 1.3 to 16.")
 
 
-def preprocess(
-    capture: Capture, aperture: Aperture | None = None, settings: PreprocessSettings | None = None
-) -> BasebandScans:
+def preprocess(capture: Capture, settings: PreprocessSettings | None = None) -> BasebandScans:
     """Baseband scans of a capture, scaled so that an echo of amplitude A has reflectivity sigma = A.
 
     With p the analytic pulse of envelope peak 1, a point at distance d gives the RF samples
@@ -101,7 +99,6 @@ def preprocess(
     Args:
         capture: (views, bins) real RF or complex analytic samples. Complex samples may be sampled below the
             carrier as long as the rate exceeds the pulse's band.
-        aperture: antenna positions; None takes the capture's.
         settings: see `PreprocessSettings`.
 
     Raises:
@@ -109,8 +106,8 @@ def preprocess(
             sampled too coarsely for the pulse's band, or the object's ranges lie outside the recorded ones.
     """
     settings = settings or PreprocessSettings()
-    aperture = aperture or capture.aperture()
-    _check(capture, aperture, settings)
+    aperture = capture.aperture()
+    _check(capture, settings)
     pulse = settings.pulse or assumed_pulse(capture)
     band = design_filter(pulse, capture, matched=settings.matched_filter, oversampling=settings.oversampling)
     samples = remove_background(capture.samples, settings.background)
@@ -191,9 +188,7 @@ def nominal(capture: Capture) -> Pulse:
     return nominal_pulse(capture.center_frequency_hz, capture.bandwidth_hz)
 
 
-def _check(capture: Capture, aperture: Aperture, settings: PreprocessSettings) -> None:
-    if aperture.views != capture.views:
-        raise DataError(f"the capture has {capture.views} views but {aperture.views} antenna positions")
+def _check(capture: Capture, settings: PreprocessSettings) -> None:
     if capture.bins < MIN_BINS:
         raise DataError(
             f"the scans have {capture.bins} range bins, at least {MIN_BINS} are needed",

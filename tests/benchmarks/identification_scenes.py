@@ -240,5 +240,5 @@ def record_scene(scene: Scene, name: str, condition: Condition, number: int) -> 
     elif condition.twist == "SNR of the summed echo":
         acquisition = replace(acquisition, snr_reference="summed")
     capture, truth = simulate_capture(scene, acquisition, FIRST_SEED + number)
-    scans = preprocess(capture, None, PreprocessSettings(matched_filter=False, extent_m=0.3))
+    scans = preprocess(capture, PreprocessSettings(matched_filter=False, extent_m=0.3))
     return Recorded(capture, scans, name, truth.positions_m, -acquisition.axis_distance_error_m)

@@ -84,16 +84,15 @@ def recover(cell: Cell) -> Recovered:
     ahead = fit(sharp, problem.grid, AtsSettings())
     joint = fit(raw, problem.grid, AtsSettings(calibrate=what))
     known = joint.calibration
-    assert known.axis_distance_m is not None
-    error = known.wobble_rad - truth if cell.wobble else np.zeros(4, dtype=complex)
-    parts = np.concatenate([error.real, error.imag]) / np.tile(known.wobble_sigma_rad, 2)
+    error = known.wobble - truth if cell.wobble else np.zeros(4, dtype=complex)
+    parts = np.concatenate([error.real, error.imag]) / np.tile(known.wobble_sigma, 2)
     images = [backproject(matched, problem.grid).values, backproject(focused, problem.grid).values]
     images += [restore(r.image, raw.wavenumber).values for r in (plain, ahead, joint)]
     return Recovered(
         reported * 1e3,
         (focus.axis_distance_m - AXIS_DISTANCE_M) * 1e3,
-        (known.axis_distance_m - AXIS_DISTANCE_M) * 1e3,
-        known.axis_sigma_m * 1e3,
+        (joint.image.settings["axis_distance_m"] - AXIS_DISTANCE_M) * 1e3,
+        known.sigma_m * 1e3,
         float(np.sqrt((np.abs(truth) ** 2).sum() / 2)) * 1e3,
         float(np.sqrt((np.abs(error) ** 2).sum() / 2)) * 1e3,
         parts,

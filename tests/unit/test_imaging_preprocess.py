@@ -182,11 +182,6 @@ def test_a_range_step_too_coarse_for_the_carrier_is_refused():
         preprocess(capture)
 
 
-def test_views_and_positions_must_agree():
-    with pytest.raises(DataError, match="12 views but 10"):
-        preprocess(record([(0.1, 0)], [1.0], turn(12)), turn(10))
-
-
 @pytest.mark.parametrize(
     "wrong", [{"background": "mode"}, {"extent_m": 0.0}, {"margin_m": -1.0}, {"oversampling": 1.0}]
 )

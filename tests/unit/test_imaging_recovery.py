@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from imaging_scenes import helix, record, turn
@@ -111,11 +113,10 @@ def test_omp_refuses_no_points():
 @pytest.mark.parametrize("error_m", [-0.015, 0.010])
 def test_focus_finds_the_axis_distance_within_2_mm(error_m):
     """36 views, 10 dB SNR a sample (unit echo, real noise of half its power over ten)."""
-    true = turn(36)
     point = [(0.05, 0.03), (-0.04, 0.06)]
     for seed in range(3):
-        capture = record(point, [1.0, 1.0], true, noise=np.sqrt(0.05), seed=seed)
-        scans = preprocess(capture, true.with_axis_distance(1.0 + error_m))
+        capture = record(point, [1.0, 1.0], turn(36), noise=np.sqrt(0.05), seed=seed)
+        scans = preprocess(replace(capture, axis_distance_m=1.0 + error_m))
         focused, focus = focus_axis_distance(scans, ImageGrid(0.4, 64))
         assert focus.reliable
         assert focus.axis_distance_m == pytest.approx(1.0, abs=0.002)
@@ -133,8 +134,8 @@ def test_focus_leaves_noise_alone():
 
 
 def test_focus_does_not_trust_the_edge_of_its_search():
-    true = turn(36)
-    scans = preprocess(record([(0.05, 0.03)], [1.0], true), true.with_axis_distance(1.06))
+    capture = record([(0.05, 0.03)], [1.0], turn(36))
+    scans = preprocess(replace(capture, axis_distance_m=1.06))
     same, focus = focus_axis_distance(scans, ImageGrid(0.4, 64))
     assert same is scans
     assert not focus.reliable

@@ -36,18 +36,16 @@ class NativeEngine:
     name = "native"
 
     def __init__(self, weights: FieldWeights) -> None:
-        self._start = weights
-        self._levels, self._layers = len(weights.tables), len(weights.weights)
-        self._features = len(weights.tables[0])
+        self._start, self._features = weights, len(weights.tables[0])
         arrays = [*(np.moveaxis(t, 0, 2) for t in weights.tables), *weights.weights, *weights.biases]
         sizes = [a.size for a in arrays]
-        self._cut = sum(sizes[: self._levels])
+        self._cut = sum(sizes[:-4])
         self._all = np.concatenate([a.ravel() for a in arrays])
         self._adam = Adam.of(sizes)
         self._state = self._parts(self._all)
         self._first = self._parts(self._adam.first)
         self._gradient = np.empty_like(self._all)
-        self._by_layer = self._parts(self._gradient)[self._levels :]
+        self._by_layer = self._parts(self._gradient)[-4:]
         self._kept: dict[int, tuple[list[Array], list[Array]]] = {}
 
     def _parts(self, whole: Array) -> list[Array]:
@@ -59,7 +57,7 @@ class NativeEngine:
         for number, (size, shape) in enumerate(zip(self._adam.sizes, shapes, strict=True)):
             part = whole[at : at + size]
             at += size
-            if number < self._levels:
+            if number < len(start.tables):
                 parts.append(part.reshape(*shape[1:], shape[0]).transpose(2, 0, 1))
             else:
                 parts.append(part.reshape(shape))
@@ -76,61 +74,57 @@ class NativeEngine:
         loss += sparsity * float(magnitude.sum())
         slope += sigma * (np.float32(sparsity) / magnitude)
         slope *= np.float32(scale)
-        self._update(self._backward(grid, layers, slope), numbers)
+        rate, first, second = (np.float32(n) for n in numbers[:3])
+        rates = np.full(len(self._adam.sizes), rate * first, dtype=np.float32)
+        gradient = self._backward(grid, layers, slope)
+        self._adam.update(self._all, gradient, rates, float(second), float(numbers[6]))
         return loss
 
     def weights(self) -> FieldWeights:
         return replace(self._start.with_arrays(self._parts(self._all.copy())), support=None)
 
-    def _layer(self, number: int) -> tuple[Array, Array]:
-        """Weight (out, in) and bias (out,) of a layer."""
-        weight = self._state[self._levels + number]
-        return weight, self._state[self._levels + self._layers + number].ravel()
-
     def _scratch(self, points: int) -> tuple[list[Array], list[Array]]:
-        """Arrays (points, units) of the features and of every layer, for values and for slopes.
+        """Arrays (points, units) of the features and of both layers, for values and for slopes.
 
         They are kept from step to step: half of a step's time would go into fresh memory.
         """
         kept = self._kept.get(points)
         if kept is None:
-            units = [self._levels * self._features, *(len(w) for w in self._start.weights)]
+            units = [len(self._start.tables) * self._features, *(len(w) for w in self._start.weights)]
             values, slopes = ([np.empty((points, n), dtype=np.float32) for n in units] for _ in range(2))
             kept = self._kept[points] = values, slopes
         return kept
 
     def _forward(self, grid: GridArrays) -> list[Array]:
-        """Features, every hidden layer after its ReLU, and the output, each (P, units)."""
+        """Features, the hidden layer after its ReLU, and the output, each (P, units)."""
         outputs, _ = self._scratch(len(grid.taps.index))
-        grid.taps.interpolate(self._all[: self._cut].reshape(-1, self._features), outputs[0])
-        for number in range(self._layers):
-            weight, bias = self._layer(number)
-            layer = np.matmul(outputs[number], weight.T, out=outputs[number + 1])
-            layer += bias
-            if number < self._layers - 1:
-                np.maximum(layer, 0, out=layer)
+        features, hidden, output = outputs
+        weight, last_weight, bias, last_bias = self._state[-4:]
+        grid.taps.interpolate(self._all[: self._cut].reshape(-1, self._features), features)
+        np.matmul(features, weight.T, out=hidden)
+        hidden += bias.T
+        np.maximum(hidden, 0, out=hidden)
+        np.matmul(hidden, last_weight.T, out=output)
+        output += last_bias.T
         return outputs
 
     def _backward(self, grid: GridArrays, layers: list[Array], slope: Array) -> Array:
         """Gradient by all parameters from that by the network's output (P, 2C)."""
-        out, by_layer = self._gradient, self._by_layer
-        _, slopes = self._scratch(len(slope))
+        features, hidden, _ = layers
+        weight, last_weight = self._state[-4:-2]
+        by_weight, by_last_weight, by_bias, by_last_bias = self._by_layer
+        _, (by_features, by_hidden, _) = self._scratch(len(slope))
+        # A product with ones: numpy's sum over the long axis takes ten times as long.
         ones = np.ones(len(slope), dtype=np.float32)
-        for number in range(self._layers - 1, -1, -1):
-            weight, _ = self._layer(number)
-            np.matmul(slope.T, layers[number], out=by_layer[number])
-            # A product with ones: numpy's sum over the long axis takes ten times as long.
-            by_layer[self._layers + number][:, 0] = ones @ slope
-            slope = np.matmul(slope, weight, out=slopes[number])
-            if number > 0:
-                slope *= layers[number] > 0
-        grid.taps.accumulate(slope, out[: self._cut].reshape(-1, self._features))
-        return out
-
-    def _update(self, gradient: Array, numbers: Array) -> None:
-        rate, first, second = (np.float32(n) for n in numbers[:3])
-        rates = np.full(len(self._adam.sizes), rate * first, dtype=np.float32)
-        self._adam.update(self._all, gradient, rates, float(second), float(numbers[6]))
+        np.matmul(slope.T, hidden, out=by_last_weight)
+        by_last_bias[:, 0] = ones @ slope
+        np.matmul(slope, last_weight, out=by_hidden)
+        by_hidden *= hidden > 0
+        np.matmul(by_hidden.T, features, out=by_weight)
+        by_bias[:, 0] = ones @ by_hidden
+        np.matmul(by_hidden, weight, out=by_features)
+        grid.taps.accumulate(by_features, self._gradient[: self._cut].reshape(-1, self._features))
+        return self._gradient
 
 
 def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -> tuple[float, Array]:
