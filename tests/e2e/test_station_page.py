@@ -29,7 +29,7 @@ from tagid.radar.settings import RadarConfig
 from tagid.result import Problem
 from tagid.simulate.rig import parse_rig
 from tagid.simulate.spec import SceneSpec, turning_scene
-from tagid.station import live_socket, station
+from tagid.station import live_socket, station, wire
 from tagid.station.server import Server
 from tagid.storage.history import FILE_NAME, History
 from tagid.tags.layouts.layout import Layout
@@ -582,7 +582,7 @@ def test_a_full_disk_and_a_station_that_is_full_show_on_the_page(
     browser: Any, serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live_socket, "MAX_CONNECTIONS", 1)
-    monkeypatch.setattr(station, "MAX_CONNECTIONS", 1)
+    monkeypatch.setattr(wire, "MAX_CONNECTIONS", 1)
     single = serve()
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     browser.get(single.url)
