@@ -16,7 +16,7 @@ from tagid.storage.journal import read_journal
 from tagid.storage.journal_capture import journal_to_capture
 
 BINS = 1152
-KILLS = 20
+KILLS = 10
 
 RECORDER = """
 import sys
