@@ -34,7 +34,6 @@ KINDS = {
     "named": ("helmet-120", "--views", 24),
     "on-a-cup": ("container-90", "--body", "cup:40mm", "--views", 24, "--snr", 20),
     "axis": AXIS_ERROR,
-    "off-centre": ("container-90", "--body", "can:35mm", "--views", 24, "--centre", "0.03,0.01"),
     "empty": ("empty", "--views", 12),
     "two-views": ("helmet-120", "--views", 2),
 }
@@ -42,7 +41,6 @@ STATUS = {
     "named": "identified",
     "on-a-cup": "identified",
     "axis": "unknown",
-    "off-centre": "unknown",
     "lost": "unknown",
     "empty": "no_tag",
     "two-views": "failed",
@@ -50,7 +48,6 @@ STATUS = {
 }
 CAUSES = {
     "axis": ["axis_distance"],
-    "off-centre": ["off_centre"],
     "lost": ["scans_lost"],
 }
 
@@ -63,7 +60,7 @@ def plain(document: dict[str, Any], *leave: str) -> dict[str, Any]:
 
 @pytest.fixture
 def captures(tagid: Callable[..., Any], tmp_path: Path) -> dict[str, str]:
-    """Eight kinds of recordings, by kind."""
+    """Seven kinds of recordings, by kind."""
     for kind, words in KINDS.items():
         made = tagid("simulate", *words, "--out", f"{kind}.tagid.h5")
         assert made.code == 0, made.err

@@ -566,7 +566,7 @@ def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(
 
 
 def test_a_free_table_that_stops_half_way_is_told_with_the_part_that_it_turned(serve) -> None:
-    station = serve("emulator://helmet-120?rpm=10&seed=2&stop=0.5", rpm=10)
+    station = serve("emulator://helmet-120?rpm=20&seed=2&stop=0.5", rpm=20)
     client, _ = joined(station.port)
     client.say(type="scan")
     client.until("frame", lambda m: not m["scan"]["running"])
@@ -707,7 +707,7 @@ def test_nothing_is_left_of_a_scan_when_the_next_ones_are_over(serve) -> None:
     kinds = (ScanRun, LiveView, Capture, Identification, Image)
     # What earlier tests of this process left is held, so that it cannot go meanwhile.
     earlier = [get_object for get_object in gc.get_objects() if type(get_object) in kinds]
-    for _ in range(4):
+    for _ in range(3):
         assert client.post("/api/v1/scan").status == 202
         assert ended(station)["phase"] == "done"
         gc.collect()
