@@ -138,8 +138,9 @@ def test_what_changes_is_told_from_what_stands() -> None:
     assert abs(int(moving.snapshot().rows[:100].mean(axis=0).argmax()) - 100) <= 15
 
 
-@pytest.mark.parametrize("size", [(80, 24), (20, 8), (1, 1), (300, 100)])
-@pytest.mark.parametrize("colour", [True, False])
+@pytest.mark.parametrize(
+    ("size", "colour"), [((80, 24), True), ((20, 8), False), ((1, 1), True), ((300, 100), False)]
+)
 def test_the_screen_fits_any_terminal(size: tuple[int, int], colour: bool) -> None:
     now = 0.0
     view = Monitor(CONFIG, clock=lambda: now)
