@@ -24,7 +24,7 @@ from tagid.recording.inspection import inspect, turning_period
 from tagid.storage.importers import read_any
 
 
-@pytest.fixture(scope="module", params=[8, 5])
+@pytest.fixture(scope="module", params=[8])
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bundle")
     with pytest.MonkeyPatch.context() as patch:
