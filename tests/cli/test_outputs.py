@@ -99,11 +99,6 @@ def test_a_picture_that_cannot_be_written_is_refused_before_the_work(
     assert said in done.json["errors"][0]["message"]
 
 
-def test_a_capture_with_a_name_that_is_too_long_is_one_clear_error(tagid) -> None:
-    done = tagid("simulate", "helmet-120", "--out", "a" * 300 + ".tagid.h5", "--output", "json")
-    assert done.code == 1 and "too long" in done.json["errors"][0]["message"]
-
-
 def test_an_invalid_prefix_is_not_blamed_on_other_options(tagid) -> None:
     done = tagid(
         "layouts", "design", "--object", "mug", "--count", "2", "--prefix", "Mine/x", "--output", "json"

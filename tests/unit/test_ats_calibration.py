@@ -9,9 +9,8 @@ import pytest
 from imaging_scenes import record, turn
 
 from tagid.capture import Capture
-from tagid.errors import DataError, UsageError
+from tagid.errors import DataError
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging import memory
 from tagid.imaging.ats.calibration import (
     Unknowns,
     _gains,
@@ -204,11 +203,6 @@ def test_views_that_no_fit_has_seen_are_predicted_with_their_shadows() -> None:
     assert shaded.held_out < 0.8 * plain.held_out
 
 
-def test_occlusion_runs_and_stays_finite() -> None:
-    result = fit(scans_of(np.zeros(1), 0.0), GRID, AtsSettings(occlusion=0.3, steps=20))
-    assert np.isfinite(result.image.values).all()
-
-
 def test_a_capture_is_taken_too_and_an_empty_one_is_refused() -> None:
     capture = record(POINTS, [1.0, 0.8, 0.9], turn(18), noise=0.05)
     assert fit(capture, GRID, AtsSettings(steps=5)).image.values.any()
@@ -222,13 +216,6 @@ def test_a_capture_is_taken_too_and_an_empty_one_is_refused() -> None:
     scans = scans_of()
     with pytest.raises(DataError, match="finite"):
         fit(BasebandScans(**{**scans.__dict__, "samples": scans.samples * np.float32(np.nan)}), GRID)
-
-
-def test_too_little_memory_is_foreseen_with_advice(monkeypatch) -> None:
-    monkeypatch.setattr(memory, "free_memory", lambda: 3_000_000)
-    with pytest.raises(UsageError, match="GB") as caught:
-        fit(scans_of(), ImageGrid(0.4, 512))
-    assert "pixels" in caught.value.remedy
 
 
 def test_a_removed_mean_is_part_of_the_model() -> None:

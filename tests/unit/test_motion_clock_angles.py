@@ -11,7 +11,6 @@ from tagid.angles.clock import fit_clock
 from tagid.angles.views import average_into_views, select_views
 from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
-from tagid.motion.turntable import FreeTurntable
 from tagid.motion.urls import open_motion
 from tagid.pipeline.resolve import clock_of, one_turn, with_angles
 from tagid.simulate import Acquisition, Scene, simulate_capture
@@ -232,11 +231,6 @@ def test_averaging_lowers_noise_and_keeps_the_echo() -> None:
     np.testing.assert_allclose(averaged.angles_rad, np.arange(90) * 2 * np.pi / 90, atol=0.01)
 
 
-def test_averaging_needs_angles() -> None:
-    with pytest.raises(DataError):
-        average_into_views(Capture(np.ones((4, 8), np.float32), 0.5, 0.01), 2)
-
-
 @pytest.mark.parametrize("direction", [1, -1])
 def test_recording_resolves_to_one_turn_of_right_angles(direction: int) -> None:
     scene = Scene.of_points(np.array([[0.1, 0.02], [-0.05, 0.08], [0.0, -0.12]]))
@@ -307,8 +301,3 @@ def test_urls_that_do_not_work_say_what_does(url: str) -> None:
     with pytest.raises(UsageError) as error:
         open_motion(url)
     assert error.value.remedy
-
-
-def test_turntable_refuses_nonsense() -> None:
-    with pytest.raises(UsageError):
-        FreeTurntable(direction=2)
