@@ -566,7 +566,7 @@ def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(
 
 
 def test_a_free_table_that_stops_half_way_is_told_with_the_part_that_it_turned(serve) -> None:
-    station = serve("emulator://helmet-120?rpm=20&seed=2&stop=0.5", rpm=20)
+    station = serve("emulator://helmet-120?rpm=10&seed=2&stop=0.5", rpm=10)
     client, _ = joined(station.port)
     client.say(type="scan")
     client.until("frame", lambda m: not m["scan"]["running"])
