@@ -19,7 +19,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-FUNCTIONS = (("tagid.reading.reader", "read_together"), ("tagid.reading.alike", "told_apart"))
+FUNCTIONS = (
+    ("tagid.reading.reader", "read_together"),
+    ("tagid.reading.alike", "told_apart"),
+    ("tagid.tags.bodies.joint", "enroll_signature"),
+)
 
 
 def remember(folder: Path) -> None:

@@ -6,7 +6,7 @@ Python imports this module at its start where the folder is on PYTHONPATH; it lo
 import os
 import sys
 
-MODULES = ("tagid.reading.reader", "tagid.reading.alike")
+MODULES = ("tagid.reading.reader", "tagid.reading.alike", "tagid.tags.bodies.joint")
 
 
 class _Finder:
