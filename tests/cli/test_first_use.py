@@ -168,7 +168,7 @@ def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
     truth = ("--truth", "truth.json")
     process = subprocess.Popen(
         [sys.executable, "-m", "tagid", "emulate", "p440", "--bind", "127.0.0.1:0", "--scene", "mine",
-         "--rpm", "20", "--rate", "0", *map(str, (*where, *truth))],
+         "--rpm", "45", "--rate", "0", *map(str, (*where, *truth))],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home, cwd=tmp_path,
     )  # fmt: skip
     try:
@@ -178,7 +178,7 @@ def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
         assert re.fullmatch(r"udp://127\.0\.0\.1:\d+", url)
         # Fewer scans per turn are enough here.
         monkeypatch.setenv("TAGID_RADAR_INTEGRATION", "15")
-        scan = ("scan", "--radar", url, "--axis-distance", 1, "--motion", "free?rpm=20", "--method", "bp")
+        scan = ("scan", "--radar", url, "--axis-distance", 1, "--motion", "free?rpm=45", "--method", "bp")
         ran = here(*scan, *truth, "--note", "second", "--output", "json")
     finally:
         process.terminate()

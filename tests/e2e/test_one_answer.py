@@ -121,10 +121,10 @@ def identified(tagid: Callable[..., Any], file: str) -> dict[str, Any]:
     return plain(tagid("identify", file, "--output", "json").json["data"]["items"][0])
 
 
-@pytest.mark.parametrize(("radar", "code"), [("helmet-120?rpm=40&seed=2", 0), ("empty?rpm=40&seed=3", 3)])
+@pytest.mark.parametrize(("radar", "code"), [("helmet-120?rpm=45&seed=2", 0), ("empty?rpm=45&seed=3", 3)])
 def test_a_scan_answers_as_identify_does(tagid: Callable[..., Any], radar: str, code: int) -> None:
     assert tagid("config", "set", "radar.integration", 15).code == 0
-    options = ("--radar", f"emulator://{radar}", "--motion", "free?rpm=40", "--axis-distance", 1.0)
+    options = ("--radar", f"emulator://{radar}", "--motion", "free?rpm=45", "--axis-distance", 1.0)
     scanned = tagid("scan", *options, "--method", "bp", "--save-dir", "out", "--output", "json")
     assert scanned.code == code, scanned.err
     (item,) = scanned.json["data"]["items"]
@@ -139,8 +139,8 @@ def test_a_station_and_a_program_answer_as_identify_does(
     monkeypatch.chdir(tmp_path)
     assert tagid("config", "set", "radar.integration", 15).code == 0
     settings = {
-        "radar.url": "emulator://helmet-120?rpm=40&seed=2",
-        "motion.url": "free?rpm=40",
+        "radar.url": "emulator://helmet-120?rpm=45&seed=2",
+        "motion.url": "free?rpm=45",
         "motion.axis_distance_m": 1.0,
         "imaging.method": "bp",
         "radar.integration": 15,
