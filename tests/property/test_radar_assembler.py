@@ -71,6 +71,12 @@ def test_loss_repeats_and_shuffling_cost_only_the_scans_they_hit(data: st.DataOb
     assert s.duplicate + s.late == len([item for item in repeated if item not in lost])
 
 
+def test_ids_and_clock_are_unwrapped() -> None:
+    got = feed(ScanAssembler(65_534), [p for s in packets_of(4, 65_534, 2**32 - 20) for p in s])
+    assert [s.scan_id for s in got] == [65_534, 65_535, 65_536, 65_537]
+    assert [s.radar_time_ms for s in got] == [2**32 - 20 + 16 * i for i in range(4)]
+
+
 def test_same_id_of_another_time_is_another_scan() -> None:
     """A fragment of an old run with the same id must not be mixed into a scan."""
     old = scan_packets(samples_of(99), CONFIG, 3, 500)
