@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from command_server import CommandServer, Ran
 from hypothesis import settings
-from remembered import remember
+from remembered import remember, shared
 
 # The same examples in every run; fresh ones are for the long runs that CONTRIBUTING names.
 settings.register_profile("fixed", derandomize=True)
@@ -24,10 +24,11 @@ for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHU
 
 
 @pytest.fixture
-def home(tmp_path: Path) -> dict[str, str]:
+def home(tmp_path: Path, remembered: Path) -> dict[str, str]:
     environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
     return {
         **environment,
+        **shared(remembered),
         "TAGID_CONFIG": str(tmp_path / "home" / "config.toml"),
         "TAGID_DATA": str(tmp_path / "home"),
         "TAGID_RADAR_ADDRESSES": "127.0.0.1:9",  # the shipped addresses are asked by no test

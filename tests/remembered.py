@@ -2,7 +2,7 @@
 
 The same scans are read, and the same layouts compared, by tests of every door; most are about what follows. A
 key is all that the function is given, so a caller that gives it something else gets a result of its own.
-Processes that tests start with an interpreter compute everything themselves.
+A process that a test starts with an interpreter shares them where its environment says so, see `shared`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-FUNCTIONS = (("tagid.reading.reader", "read_together"), ("tagid.reading.alike", "told_apart"))
+FUNCTIONS = (
+    ("tagid.reading.reader", "read_together"),
+    ("tagid.reading.alike", "told_apart"),
+    ("tagid.tags.bodies.joint", "enroll_signature"),
+)
 
 
 def remember(folder: Path) -> None:
@@ -28,7 +32,26 @@ def remember(folder: Path) -> None:
         _remember(getattr(import_module(module), name), name, folder)
 
 
+def remember_in(module: Any, folder: str) -> None:
+    """The same for the functions of a module that nothing has imported from yet."""
+    for home, name in FUNCTIONS:
+        if module.__name__ == home:
+            setattr(module, name, _remembering(getattr(module, name), name, Path(folder)))
+
+
+def shared(folder: Path) -> dict[str, str]:
+    """What the environment of a child process needs for it."""
+    return {"REMEMBERED": str(folder), "PYTHONPATH": str(Path(__file__).parent / "children")}
+
+
 def _remember(function: Any, name: str, folder: Path) -> None:
+    remembered = _remembering(function, name, folder)
+    for place, module in list(sys.modules.items()):
+        if place.startswith("tagid.") and getattr(module, name, None) is function:
+            setattr(module, name, remembered)
+
+
+def _remembering(function: Any, name: str, folder: Path) -> Any:
     busy: defaultdict[Path, threading.Lock] = defaultdict(threading.Lock)
 
     def remembered(*given: Any) -> Any:
@@ -45,9 +68,7 @@ def _remember(function: Any, name: str, folder: Path) -> None:
                 part.replace(file)
             return made
 
-    for place, module in list(sys.modules.items()):
-        if place.startswith("tagid.") and getattr(module, name, None) is function:
-            setattr(module, name, remembered)
+    return remembered
 
 
 class _Pickler(pickle.Pickler):

@@ -85,7 +85,7 @@ def test_a_configuration_that_is_no_file(tagid: Callable[..., Any], tmp_path: Pa
     assert "not a regular file" in tagid("motion", "info", "roomba+serial:///dev/x").err
 
 
-@pytest.mark.parametrize("step_hz", [1e-3, 1e3, 1e13, 1e299])
+@pytest.mark.parametrize("step_hz", [1e-3, 1e13])
 def test_a_response_between_whose_frequencies_no_object_fits(
     tagid: Callable[..., Any], tmp_path: Path, step_hz: float
 ) -> None:

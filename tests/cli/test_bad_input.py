@@ -62,9 +62,10 @@ def test_a_bad_file_is_one_clear_error(tagid, tmp_path: Path, kind: str) -> None
     assert error["message"]
     assert "bad.npz" in error["message"]
     assert not error["message"].startswith("unexpected"), error
-    image = tagid("reconstruct", "bad.npz", "--method", "bp", "--out", "i.npz")
-    assert image.code == 1
-    assert image.err.count("error:") == 1
+    if kind in ("truncated", "NaN", "all zero"):
+        image = tagid("reconstruct", "bad.npz", "--method", "bp", "--out", "i.npz")
+        assert image.code == 1
+        assert image.err.count("error:") == 1
     assert sorted(p.name for p in tmp_path.iterdir() if p.is_file()) == ["bad.npz"]
 
 

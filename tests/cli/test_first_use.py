@@ -63,9 +63,6 @@ def test_a_set_that_cannot_be_enrolled_comes_with_options_that_work(
         # Sets that differ bear other names, so one can be imported beside the other.
         names = {layout["name"] for layout in again["layouts"]}
         assert not names & {layout["name"] for layout in five["layouts"]}
-    mug = ("layouts", "design", "--object", "mug", "--output", "json")
-    narrow = here(*mug, "--count", 2, "--spacing", 0.07)
-    assert narrow.code == 2 and narrow.json["errors"][0]["remedy"].startswith("These work: --")
 
 
 def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Ran], tmp_path: Path) -> None:
@@ -89,24 +86,15 @@ def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Ran]
     ("option", "value", "remedy"),
     [
         ("--snr", "1e9", "-100 to 300 dB"),
-        ("--snr", "-1e9", "-100 to 300 dB"),
         ("--snr", "nan", "-100 to 300 dB"),
-        ("--snr", "inf", "-100 to 300 dB"),
         ("--noise", "nan", "0 to 1e+06"),
-        ("--noise", "inf", "0 to 1e+06"),
         ("--unlike", "nan", "0 to 20 dB"),
         ("--axis-distance", "nan", "Give metres"),
-        ("--axis-distance", "inf", "Give metres"),
-        ("--axis-distance", "1000", "Give metres"),
-        ("--axis-error", "nan", "Give metres"),
         ("--axis-error", "-1", "Give metres"),
         ("--antenna-height", "inf", "Give metres"),
-        ("--antenna-height", "1e9", "Give metres"),
         ("--wobble", "nan", "0.01 for 1 %"),
-        ("--wobble", "inf", "0.01 for 1 %"),
         ("--wobble", "-0.1", "0.01 for 1 %"),
         ("--centre", "4,-2", "4 m? Give metres"),
-        ("--centre", "0,1e300", "Give metres"),
         ("--centre", "0.5,0", "at most 0.25 m"),
         ("--centre", "-0.2,0.2", "at most 0.25 m"),
         ("--seed", "-1", "--seed"),
@@ -123,19 +111,15 @@ def test_numbers_that_cannot_be_simulated_are_refused_with_their_range(
 @pytest.mark.parametrize(
     "words",
     [
-        ("p440", "--snr", "1e9"),
         ("p440", "--snr", "nan"),
-        ("p440", "--centre", "4,-2"),
         ("p440", "--centre", "0.3,0"),
         ("p440", "--axis-distance", "inf"),
         ("p440", "--wobble", "nan"),
-        ("p440", "--delay-ms", "nan"),
         ("p440", "--delay-ms", "inf"),
         ("p440", "--seed", "-1"),
         ("roomba", "--slip-noise", "nan"),
         ("roomba", "--encoder-noise", "inf"),
         ("roomba", "--truth", "70000"),
-        ("comxim", "--rate-error", "nan"),
         ("comxim", "--rate-error", "inf"),
     ],
 )
@@ -184,7 +168,7 @@ def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
     truth = ("--truth", "truth.json")
     process = subprocess.Popen(
         [sys.executable, "-m", "tagid", "emulate", "p440", "--bind", "127.0.0.1:0", "--scene", "mine",
-         "--rpm", "20", "--rate", "0", *map(str, (*where, *truth))],
+         "--rpm", "45", "--rate", "0", *map(str, (*where, *truth))],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home, cwd=tmp_path,
     )  # fmt: skip
     try:
@@ -194,7 +178,7 @@ def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
         assert re.fullmatch(r"udp://127\.0\.0\.1:\d+", url)
         # Fewer scans per turn are enough here.
         monkeypatch.setenv("TAGID_RADAR_INTEGRATION", "15")
-        scan = ("scan", "--radar", url, "--axis-distance", 1, "--motion", "free?rpm=20", "--method", "bp")
+        scan = ("scan", "--radar", url, "--axis-distance", 1, "--motion", "free?rpm=45", "--method", "bp")
         ran = here(*scan, *truth, "--note", "second", "--output", "json")
     finally:
         process.terminate()
@@ -238,15 +222,8 @@ def test_centimetres_are_not_taken_for_metres(here: Callable[..., Ran], tmp_path
     assert not (tmp_path / "home" / "config.toml").exists()
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("--object", "mug", "--reflectors", 6, "--spacing", 0.1, "--count", 4),
-        ("--radius", 0.025, "--count", 2),
-    ],
-)
-def test_options_offered_where_nothing_fits_work(words: tuple[object, ...], here: Callable[..., Ran]) -> None:
-    given = ("layouts", "design", "--output", "json", *words)
+def test_options_offered_where_nothing_fits_work(here: Callable[..., Ran]) -> None:
+    given = ("layouts", "design", "--output", "json", "--radius", 0.025, "--count", 2)
     refused = here(*given)
     assert refused.code == 2
     remedy = refused.json["errors"][0]["remedy"]
@@ -280,16 +257,6 @@ def test_help_and_lists_can_be_read_and_copied(here: Callable[..., Ran]) -> None
     narrow = here("config", COLUMNS="80").out
     assert "motion.antenna_height_m" in narrow and "radar.cable_delay_sigma_ps" in narrow
     assert "…" not in narrow
-
-
-def test_serial_ports_are_listed_without_bluetooth(here: Callable[..., Ran]) -> None:
-    from serial.tools import list_ports
-
-    ran = here("motion", "find", "--seconds", 0.1, "--output", "json")
-    listed = {device["where"] for device in ran.json["data"]["devices"]}
-    assert {port.device for port in list_ports.comports()} <= listed
-    if listed:
-        assert ran.code == 0
 
 
 def test_devices_found_without_bluetooth_are_a_success_with_a_note(
@@ -384,13 +351,6 @@ def test_the_list_of_commands_is_what_the_commands_say() -> None:
         assert entry.help == text, name
 
 
-ENDLESS_VIEW = """
-DROP TABLE layout;
-CREATE VIEW layout AS WITH RECURSIVE x(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM x)
-SELECT n name, n definition, n version FROM x;
-"""
-
-
 def test_layouts_are_listed_as_the_registry_holds_them(here: Callable[..., Ran], tmp_path: Path) -> None:
     from tagid.enrolling import registry
 
@@ -406,11 +366,6 @@ def test_layouts_are_listed_as_the_registry_holds_them(here: Callable[..., Ran],
     connection.close()
     damaged = here("layouts")
     assert damaged.code == 1 and "damaged definition of 'mine'" in damaged.err
-    with sqlite3.connect(kept.path) as connection:
-        connection.executescript(ENDLESS_VIEW)
-    connection.close()
-    endless = here("layouts")
-    assert endless.code == 1 and "holds a view or trigger, 'layout'" in endless.err
 
 
 def test_a_terminal_without_umlauts_costs_no_answer(
@@ -462,7 +417,7 @@ def test_old_and_new_forms_do_the_same(here: Callable[..., Ran], tmp_path: Path)
 
 def test_no_name_or_command_is_cut(here: Callable[..., Ran], tmp_path: Path) -> None:
     name = "scan-of-the-second-object-on-the-third-shelf-20261126-161012.tagid.h5"
-    assert here("simulate", "--scene", "helmet-120", "--views", 18, "--out", name).code == 0
+    assert here("simulate", "--scene", "container-90", "--views", 18, "--out", name).code == 0
     assert here("identify", name, COLUMNS="60").code == 0
     assert name in here("history", COLUMNS="60").out
     settings = here("config", COLUMNS="60").out

@@ -79,8 +79,8 @@ def test_the_reference_background_is_subtracted_by_every_command(tagid: Any, tmp
     empty = tagid("radar", "calibrate", "--step", "empty", "--radar", f"emulator://empty?rpm=0&{scene}",
                   "--axis-distance", 1, "--distance", 1, "--scans", 40, "--output", "json")  # fmt: skip
     assert empty.code == 0, empty.out
-    scan = tagid("scan", "--radar", f"emulator://helmet-120?rpm=30&{scene}", "--axis-distance", 1,
-                 "--motion", "free?rpm=30", "--method", "bp", "--save-dir", "s",
+    scan = tagid("scan", "--radar", f"emulator://helmet-120?rpm=45&{scene}", "--axis-distance", 1,
+                 "--motion", "free?rpm=45", "--method", "bp", "--save-dir", "s",
                  "--output", "json")  # fmt: skip
     file = Path(scan.json["data"]["files"]["capture"])
     reference = answers(tagid, tmp_path, file, ("--background", "reference"))

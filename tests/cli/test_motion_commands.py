@@ -81,12 +81,6 @@ def test_spin_asks_first_and_says_what_nothing_stops(tagid: Callable[..., Any], 
         assert "disconnect its power supply" in tagid("motion", "spin", there["url"]).err
 
 
-def test_stop_leaves_a_robot_in_passive(tagid: Callable[..., Any], home: dict[str, str]) -> None:
-    with emulated(home, "roomba") as there:
-        assert tagid("motion", "stop", there["url"]).code == 0
-        assert TrueAngle(there["truth"]).state()["mode"] == 1
-
-
 @pytest.mark.parametrize(
     ("changed", "stored", "remark"),
     [

@@ -7,16 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagid.config import SETTINGS
-from tagid.radar.discovery import addresses_from
 from tagid.radar.emulation.core import EmulatorCore, Identity
 from tagid.radar.emulation.emulator import ServeOptions
 from tagid.radar.links import UdpLink
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tests.emulators import UdpEmulator
-
-SETTING_DEFAULTS = {setting.name: setting.default for setting in SETTINGS}
 
 
 class Silence:
@@ -49,12 +45,6 @@ def test_find_asks_the_addresses_of_the_configuration_file(tagid, home) -> None:
         done = tagid("radar", "find", "--output", "json")
         assert [r["status"]["serial"] for r in done.json["data"]["radars"]] == [9]
         assert done.json["data"]["asked"] == [device.url]
-
-
-def test_the_shipped_addresses_are_the_kit_s() -> None:
-    assert addresses_from(SETTING_DEFAULTS["radar.addresses"]) == tuple(
-        f"192.168.1.{n}" for n in range(100, 104)
-    )
 
 
 def test_find_without_a_radar_says_where_to_look(tagid) -> None:

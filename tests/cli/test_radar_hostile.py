@@ -105,7 +105,7 @@ def hostile(rng: random.Random):
     return answer
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_flood_of_lies_takes_bounded_memory_and_ends_in_a_value_or_an_error(seed: int) -> None:
     with liar(hostile(random.Random(seed))) as address:
         P440(UdpLink(*address), timeout=0.01, attempts=1).close()  # what is imported late

@@ -74,9 +74,8 @@ def test_the_pulse_is_estimated_where_asked_and_told(tagid, wobbly, tmp_path) ->
     assert tagid("reconstruct", wobbly, "--pulse", "guess").code == 2
 
 
-@pytest.mark.parametrize("error_m", [0.03, -0.03])
-def test_an_axis_distance_told_wrong_by_3_cm_is_found(tagid, error_m) -> None:
-    tagid("simulate", "points-3", "--views", 36, "--axis-error", error_m, "--out", "far.tagid.h5")
+def test_an_axis_distance_told_wrong_by_3_cm_is_found(tagid) -> None:
+    tagid("simulate", "points-3", "--views", 36, "--axis-error", -0.03, "--out", "far.tagid.h5")
     done = tagid("reconstruct", "far.tagid.h5", "--method", "bp", "--background", "none", "--output", "json")
     assert done.json["data"]["settings"]["axis_distance_m"] == pytest.approx(1.0, abs=0.003)
 

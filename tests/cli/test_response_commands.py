@@ -58,7 +58,6 @@ def test_horizontal_polarisation_is_another_response(tagid: Callable[..., Any], 
     [
         (["simulate", "--out", "x.npz"], 2, "either a scene or --response"),
         (["simulate", "can", "--response", TAGGED, "--out", "x.npz"], 2, "either a scene or --response"),
-        (["simulate", "can", "--polarisation", "H", "--out", "x.npz"], 2, "need --response"),
         (["simulate", "--response", TAGGED, "--polarisation", "X", "--out", "x.npz"], 2, "no polarisation"),
         (["simulate", "--response", TAGGED, "--axis-distance", 0.3, "--out", "x.npz"], 2, "nearer than"),
         (["simulate", "--response", TAGGED, "--antenna-height", 0.2, "--out", "x.npz"], 2, "above the plane"),
@@ -70,7 +69,6 @@ def test_horizontal_polarisation_is_another_response(tagid: Callable[..., Any], 
             2,
             "without a ref",
         ),
-        (["simulate", "--response", TAGGED, "--unlike", 3, "--out", "x.npz"], 2, "error: --unlike cannot be"),
         (
             [
                 "simulate",
@@ -89,24 +87,16 @@ def test_horizontal_polarisation_is_another_response(tagid: Callable[..., Any], 
         (["simulate", "--response", TAGGED, "--elevation", "50mm", "--out", "x.npz"], 2, "0.050 m below"),
         (["emulate", "p440", "--response", TAGGED, "--replay", "x.out"], 2, "--response cannot be"),
         (
-            ["emulate", "p440", "--response", TAGGED, "--body", "can"],
-            2,
-            "error: --body cannot be combined with",
-        ),
-        (["emulate", "p440", "--response", TAGGED, "--scene", "can"], 2, "either a scene or --response"),
-        (
             ["emulate", "p440", "--response", TAGGED, "--file", "x.toml", "--reflector", "o", "--budget"],
             2,
             "error: --file, --reflector and --budget cannot be combined with --response",
         ),
-        (["emulate", "p440", "--response", TAGGED, "--elevation", "50mm"], 2, "0.050 m below"),
         (["emulate", "p440", "--response", TAGGED, "--wobble", 0.9], 2, "wobble"),
         (
             ["emulate", "p440", "--replay", "x.out", "--scene", "can"],
             2,
             "error: --scene cannot be combined with",
         ),
-        (["emulate", "p440", "--response", "none.npz"], 1, "no such file"),
     ],
 )
 def test_bad_options_get_one_error(

@@ -16,7 +16,7 @@ from tagid.storage.journal_capture import read_journal_capture
 from tests.unit.storage_samples import read_journal
 
 BINS = 1152
-KILLS = 20
+KILLS = 10
 
 RECORDER = """
 import sys

@@ -34,7 +34,6 @@ KINDS = {
     "named": ("helmet-120", "--views", 24),
     "on-a-cup": ("container-90", "--body", "cup:40mm", "--views", 24, "--snr", 20),
     "axis": AXIS_ERROR,
-    "off-centre": ("container-90", "--body", "can:35mm", "--views", 24, "--centre", "0.03,0.01"),
     "empty": ("empty", "--views", 12),
     "two-views": ("helmet-120", "--views", 2),
 }
@@ -42,7 +41,6 @@ STATUS = {
     "named": "identified",
     "on-a-cup": "identified",
     "axis": "unknown",
-    "off-centre": "unknown",
     "lost": "unknown",
     "empty": "no_tag",
     "two-views": "failed",
@@ -50,7 +48,6 @@ STATUS = {
 }
 CAUSES = {
     "axis": ["axis_distance"],
-    "off-centre": ["off_centre"],
     "lost": ["scans_lost"],
 }
 
@@ -63,7 +60,7 @@ def plain(document: dict[str, Any], *leave: str) -> dict[str, Any]:
 
 @pytest.fixture
 def captures(tagid: Callable[..., Any], tmp_path: Path) -> dict[str, str]:
-    """Eight kinds of recordings, by kind."""
+    """Seven kinds of recordings, by kind."""
     for kind, words in KINDS.items():
         made = tagid("simulate", *words, "--out", f"{kind}.tagid.h5")
         assert made.code == 0, made.err
@@ -124,10 +121,10 @@ def identified(tagid: Callable[..., Any], file: str) -> dict[str, Any]:
     return plain(tagid("identify", file, "--output", "json").json["data"]["items"][0])
 
 
-@pytest.mark.parametrize(("radar", "code"), [("helmet-120?rpm=40&seed=2", 0), ("empty?rpm=40&seed=3", 3)])
+@pytest.mark.parametrize(("radar", "code"), [("helmet-120?rpm=45&seed=2", 0), ("empty?rpm=45&seed=3", 3)])
 def test_a_scan_answers_as_identify_does(tagid: Callable[..., Any], radar: str, code: int) -> None:
     assert tagid("config", "set", "radar.integration", 15).code == 0
-    options = ("--radar", f"emulator://{radar}", "--motion", "free?rpm=40", "--axis-distance", 1.0)
+    options = ("--radar", f"emulator://{radar}", "--motion", "free?rpm=45", "--axis-distance", 1.0)
     scanned = tagid("scan", *options, "--method", "bp", "--save-dir", "out", "--output", "json")
     assert scanned.code == code, scanned.err
     (item,) = scanned.json["data"]["items"]
@@ -142,8 +139,8 @@ def test_a_station_and_a_program_answer_as_identify_does(
     monkeypatch.chdir(tmp_path)
     assert tagid("config", "set", "radar.integration", 15).code == 0
     settings = {
-        "radar.url": "emulator://helmet-120?rpm=40&seed=2",
-        "motion.url": "free?rpm=40",
+        "radar.url": "emulator://helmet-120?rpm=45&seed=2",
+        "motion.url": "free?rpm=45",
         "motion.axis_distance_m": 1.0,
         "imaging.method": "bp",
         "radar.integration": 15,

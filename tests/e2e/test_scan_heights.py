@@ -150,7 +150,7 @@ def test_without_a_terminal_nothing_is_recorded(tagid, tmp_path: Path) -> None:
 
 
 def test_the_demo_moves_its_own_antenna(tagid, tmp_path: Path) -> None:
-    words = ("scan", "--demo", "--save-dir", tmp_path, "--scans", 40, "--heights", "0,0.2")
+    words = ("scan", "--demo", "--save-dir", tmp_path, "--scans", 12, "--heights", "0,0.2")
     done = tagid(*words, "--output", "json")
     assert done.code in (0, 3), done.err
     files = [Path(row["file"]) for row in done.json["data"]["heights"]]

@@ -15,7 +15,7 @@ import pytest
 from chromium import size, start, theme, wait
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from station_harness import ENDLESS, PLACES, Asks, alone, own_object, poses
+from station_harness import ENDLESS, OWN, PLACES, Asks, alone, own_object, poses
 from station_harness import wait as until
 
 from tagid.config import config_path, data_folder, read_file
@@ -568,14 +568,17 @@ def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
     assert problems(browser) == []
     assert text(browser, "radar") == "no radar"
-    with UdpEmulator(core(), ServeOptions(port=port, rate=0)):
+    with UdpEmulator(core(), ServeOptions(port=port)):
         wait(browser, lambda: not browser.find_element(By.ID, "wiring").is_displayed())
         view(browser, "scan")
         assert text(browser, "answer") == "Ready" and text(browser, "radar") == "radar ok"
         assert text(browser, "reason").startswith("The last scan failed: "), "where its scans are"
         browser.find_element(By.ID, "scan").click()
-        finished(browser, 2)
-        assert Asks(station.url, {}).get("/api/v1/scan").json()["phase"] == "done"
+        wait(browser, lambda: re.match(r"[1-9]\d+ scans", text(browser, "figures")))
+        scan = Asks(station.url, OWN).get("/api/v1/scan").json()
+        assert (scan["number"], scan["running"]) == (2, True)
+        assert Asks(station.url, OWN).post("/api/v1/scan/stop").status == 202
+        wait(browser, lambda: not Asks(station.url, OWN).get("/api/v1/scan").json()["running"])
 
 
 def test_a_full_disk_and_a_station_that_is_full_show_on_the_page(

@@ -52,8 +52,9 @@ def test_signals_while_writing_cost_nothing(
     assert command == "report" or 130 in codes
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("command", ["scan", "record"])
+@pytest.mark.parametrize(
+    ("command", "kind"), [("record", signal.SIGINT), ("scan", signal.SIGTERM), ("scan", signal.SIGHUP)]
+)
 def test_every_stop_signal_ends_a_recording_alike(tmp_path: Path, command: str, kind: signal.Signals) -> None:
     out = tmp_path / "out"
     with started(command, tmp_path) as process:
@@ -70,8 +71,10 @@ def test_every_stop_signal_ends_a_recording_alike(tmp_path: Path, command: str, 
     assert capture.samples.any(axis=1).all()
 
 
-@pytest.mark.parametrize("program", ["tagid", "firmware_tools"])
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    ("program", "kind"),
+    [("tagid", signal.SIGINT), ("tagid", signal.SIGHUP), ("firmware_tools", signal.SIGTERM)],
+)
 def test_a_signal_after_the_last_write_changes_nothing(kind: signal.Signals, program: str) -> None:
     """Between the result and the end of the interpreter, where exit code and message are decided."""
     script = (

@@ -59,6 +59,8 @@ def test_a_live_scan_ends_when_it_is_sure_and_says_so_on_the_screen(
     data = json.loads(ended.out)["data"]
     assert (data["items"][0]["status"], data["items"][0]["layout"]) == ("identified", "helmet-120")
     assert sure(data["ended"])
+    bound, ended_by = data["items"][0]["bound"], data["ended"]
+    assert (bound["p_value"], bound["calibration_objects"]) == (ended_by["p_value"], ended_by["turns"])
     screen = ended.sent.decode(errors="replace")
     assert "because helmet-120 was certain" in screen and "\x1b[?1049l" in screen, "the screen is given back"
     assert data["live"]["frames"] > 3

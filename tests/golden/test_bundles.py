@@ -25,7 +25,7 @@ from tagid.storage.importers import read_any
 from tests.target_delay import delay_ps
 
 
-@pytest.fixture(scope="module", params=[8, 5])
+@pytest.fixture(scope="module", params=[8])
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bundle")
     with pytest.MonkeyPatch.context() as patch:

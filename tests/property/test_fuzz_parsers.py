@@ -109,10 +109,10 @@ LARGE: dict[str, Callable[[], bytes]] = {
     "mrm-ret, zeros": csv_of_zeros,
     "mrm-ret, commas": lambda: b"1.0, Config, 7\n" + b"," * 3_000_000,
     "mrm-ret, detections": lambda: (
-        csv_of_zeros()[:20_000] + b"\n" + b"1.0, MrmDetectionListInfo, 1, 1, 4, 5\n" * 20_000
+        csv_of_zeros()[:20_000] + b"\n" + b"1.0, MrmDetectionListInfo, 1, 1, 4, 5\n" * 8_000
     ),
     "mrm-ret, many radars": lambda: b"".join(
-        b"1.0, MrmFullScanInfo, 1, %d, 1, 0, 0, 0, 0, 1, 9, 32, 1, 2, 3, 1, 0\n" % n for n in range(20_000)
+        b"1.0, MrmFullScanInfo, 1, %d, 1, 0, 0, 0, 0, 1, 9, 32, 1, 2, 3, 1, 0\n" % n for n in range(8_000)
     ),
     "journal": lambda: encoded(".tagid.journal", example(1152, 400)),
     "journal, tiny records": tiny_records,

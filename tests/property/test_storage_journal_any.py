@@ -82,15 +82,3 @@ def test_damage_loses_scans_but_never_changes_one(
             return
     rest = iter(scans)
     assert all(any(is_same(scan, truth) for truth in rest) for scan in journal.scans)
-
-
-@given(st.binary(max_size=300))
-@settings(max_examples=100, deadline=None)
-def test_any_bytes_after_the_magic(content: bytes) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "j"
-        path.write_bytes(b"TAGIDJNL\1\0\0\0" + content)
-        try:
-            assert read_journal(path).scans == ()
-        except FileFormatError as error:
-            assert str(path) in error.message

@@ -25,7 +25,6 @@ from tagid.radar.resume import steady_scans
 from tagid.radar.scan_info import SCAN_INFO_HEAD, read_fragment
 from tagid.radar.settings import RadarConfig
 from tagid.radar.urls import open_link
-from tagid.recording.intake import host_limit
 from tagid.recording.long_recording import RecordingLimits, RecordingWatch, record_long
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
@@ -110,11 +109,6 @@ def test_a_limit_holds_where_the_radars_clock_stands_still(tmp_path: Path) -> No
     assert np.ptp(read_any(written.paths[0]).radar_time_ms) == 0
 
 
-def test_a_host_limit_of_none_never_passes() -> None:
-    assert not host_limit(None)()
-    assert host_limit(-2.0)()
-
-
 def test_stop_ends_a_recording_of_a_radar_that_sends_no_whole_scan_after_a_while(tmp_path: Path) -> None:
     stop = threading.Event()
     with udp() as device:
@@ -186,7 +180,7 @@ class TimeTeller:
         return np.full(config.samples, round(time_s * 1e4), np.int32)
 
 
-@pytest.mark.parametrize("stall_s", [0.4, 0.9, 1.9, 7.0])
+@pytest.mark.parametrize("stall_s", [0.4, 1.9, 7.0])
 def test_an_emulator_that_stalls_keeps_scene_and_timestamps_on_one_clock(stall_s: float) -> None:
     """Ids, timestamps and the scene's time go on together; what could not be sent is a lost scan."""
     config = RadarConfig(base_integration_index=11, scan_start_ps=1000, scan_stop_ps=6000)

@@ -14,7 +14,7 @@ import pytest
 from tagid.errors import DeviceError, DeviceTimeoutError, PortInUseError, TagidError, UsageError
 from tagid.radar import links
 from tagid.radar.emulation.core import EmulatorCore
-from tagid.radar.emulation.emulator import ServeOptions, serve_udp
+from tagid.radar.emulation.emulator import ServeOptions
 from tagid.radar.emulation.faults import Faults
 from tagid.radar.emulation.firmware import SERVER_ONLY
 from tagid.radar.emulation.sources import RecordingSource
@@ -69,24 +69,6 @@ def test_a_slow_reader_is_not_overrun() -> None:
         assert first.samples.dtype == np.int32
 
 
-def test_bad_network_costs_exactly_the_scans_it_hits() -> None:
-    with (
-        emulator(lose=0.02, lose_requests=0.1, duplicate=0.05, reorder=0.1, delay=0.02, seed=4) as device,
-        P440(UdpLink(*device.address), timeout=0.2, attempts=8) as radar,
-    ):
-        config = radar.config
-        got = list(radar.scans(300))
-        s = radar.statistics
-        assert 200 < len(got) < 300
-        assert len(got) + s.lost_scans == 300
-        assert s.duplicate > 0
-        first = next(k for k in range(20) if (got[0].samples == expected(k, config)).all())
-        for scan in got:
-            np.testing.assert_array_equal(
-                scan.samples, expected(first + scan.scan_id - got[0].scan_id, config)
-            )
-
-
 def test_packets_of_other_senders_are_counted_and_dropped() -> None:
     with emulator() as device, P440(UdpLink(*device.address)) as radar:
         port = radar._link.local_port  # type: ignore[attr-defined]
@@ -133,24 +115,6 @@ def test_a_source_slower_than_the_radar_does_not_deafen_it() -> None:
         run.close()  # type: ignore[attr-defined]
         assert not core.scanning
         assert radar.statistics.retries == 0
-
-
-def test_serving_from_a_thread_of_ones_own() -> None:
-    stop, ready, address = threading.Event(), threading.Event(), []
-
-    def on_ready(host: str, port: int) -> None:
-        address.append((host, port))
-        ready.set()
-
-    args = (EmulatorCore(Noise()), ServeOptions(port=0, rate=0), stop, on_ready)
-    thread = threading.Thread(target=serve_udp, args=args)
-    thread.start()
-    assert ready.wait(10)
-    with P440(UdpLink(*address[0])) as radar:
-        assert len(list(radar.scans(3))) == 3
-    stop.set()
-    thread.join(10)
-    assert not thread.is_alive()
 
 
 def test_nobody_answers() -> None:
@@ -353,9 +317,3 @@ def test_numbers_of_a_scene_are_bounded_where_they_come_in(query: str) -> None:
         with pytest.raises(UsageError) as caught:
             take(f"emulator://helmet-120?{query}")
         assert caught.value.remedy
-
-
-def test_the_server_thread_ends() -> None:
-    with emulator():
-        assert any(t.name == "p440-emulator" for t in threading.enumerate())
-    assert not any(t.name == "p440-emulator" for t in threading.enumerate())

@@ -128,16 +128,6 @@ def test_the_direction_is_that_of_the_makers_documents(direction: str) -> None:
 
 
 @pytest.mark.realtime
-def test_a_table_wired_the_other_way_round_is_told_by_its_setting() -> None:
-    core = ComximCore(now_s=time.monotonic(), backwards=True)
-    with PtyPort(core) as port:
-        motion = open_motion(f"comxim+serial://{port.path}?turns=1&reversed=1")
-        assert isinstance(motion, DrivenMotion)
-        turn_and_compare(motion, core.table, 0.3)
-        assert motion.track().info["reversed"] is True
-
-
-@pytest.mark.realtime
 def test_a_table_that_cannot_turn_is_told_within_seconds(comxim: Emulated) -> None:
     comxim.core.table.blocked = True
     motion = open_motion(f"comxim+serial://{comxim.path}")

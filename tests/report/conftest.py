@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from remembered import shared
 from report_batches import OBJECTS, a_job, copy_captures, in_this_process
 
 from tagid.batch.inputs import collect
@@ -26,6 +27,13 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         capture, _ = simulate_capture(scene_from_name(name, seed), Acquisition(views=16, snr_db=20.0), seed)
         write_capture(folder / f"{name}.tagid.h5", capture)
     return folder
+
+
+@pytest.fixture(autouse=True)
+def _readings_are_shared(remembered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also by the processes of pool and cluster."""
+    for name, value in shared(remembered).items():
+        monkeypatch.setenv(name, value)
 
 
 @pytest.fixture

@@ -19,7 +19,6 @@ from typing import Any
 import pytest
 from report_batches import HOSTILE, add_hostile_files, check_hostile, keep
 
-from tagid.batch.local import run_local
 from tagid.batch.run import Hooks
 from tagid.errors import ClusterError, MissingExtraError
 
@@ -126,7 +125,7 @@ def test_a_cluster_gives_the_local_answers_though_workers_die_and_files_are_host
     dead = [item for item in timed(tmp_path / "dask") if item["error"] and "died" in item["error"]["message"]]
     assert [Path(item["file"]).name for item in dead] == ["bad.tagid.h5"]
     assert "1 worker died with this file alone" in dead[0]["error"]["message"]
-    make_report(captures, out=tmp_path / "local", runner=partial(run_local, workers=2))
+    make_report(captures, out=tmp_path / "local")
     assert timeless(tmp_path / "dask") == timeless(tmp_path / "local")
     assert pictures(tmp_path / "dask") == pictures(tmp_path / "local") != []
 

@@ -116,7 +116,7 @@ def test_a_shard_is_made_once_and_a_lost_one_again(tmp_path: Path) -> None:
 
 
 def test_training_learns_and_goes_on_where_it_was_killed(few: Samples, tmp_path: Path) -> None:
-    settings = FitSettings(epochs=3, batch=4, threads=1)
+    settings = FitSettings(epochs=2, batch=4, threads=1)
     whole = fit(few, few, tmp_path / "whole.pt", settings)
 
     class KilledError(Exception):
@@ -130,7 +130,7 @@ def test_training_learns_and_goes_on_where_it_was_killed(few: Samples, tmp_path:
         fit(few, few, tmp_path / "cut.pt", settings, progress=kill)
     losses: list[float] = []
     resumed = fit(few, few, tmp_path / "cut.pt", settings, report=lambda e: losses.append(e.training), jobs=2)
-    assert len(losses) == 2
+    assert len(losses) == 1
     for a, b in zip(whole.state_dict().values(), resumed.state_dict().values(), strict=True):
         assert torch.equal(a, b)
     with pytest.raises(StorageError, match="another training"):

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.pipeline.identify import aspect_spectra
-from tagid.tags.bodies.joint import Named, enroll_signature
+from tagid.tags.bodies import joint
+from tagid.tags.bodies.joint import Named
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.waveform import nominal_pulse, pulse_at
 
@@ -95,4 +96,4 @@ def enrolled(thing: Thing, name: str, kind: SignatureKind) -> Signature:
         Named(f"{name}{i}", aspect_spectra(capture(thing, i, centre=centre, rotation=turn)))
         for i, (centre, turn) in enumerate(PLACES)
     ]
-    return enroll_signature(captures, name, kind).signature
+    return joint.enroll_signature(captures, name, kind).signature

@@ -6,11 +6,9 @@ import ast
 import importlib
 import importlib.util
 import re
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from types import ModuleType
 
@@ -96,11 +94,6 @@ def test_importing_tagid_imports_nothing_else() -> None:
     assert done.stdout.strip() == "['tagid._version']"
 
 
-def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="nothing"):
-        tagid.nothing  # noqa: B018
-
-
 def test_a_notebook_goes_from_a_scene_to_a_name() -> None:
     capture, truth = tagid.simulate_capture(
         tagid.scene_from_name("helmet-120", 3), tagid.Acquisition(views=36, snr_db=20), seed=3
@@ -139,30 +132,3 @@ def test_a_workplace_refuses_what_it_does_not_know(
         tagid.Workplace(background="zero")
     with pytest.raises(UsageError, match="no recording"):
         tagid.Workplace().identify_together([])
-
-
-def test_the_answers_of_a_with_block_are_one_run_of_the_history(
-    tmp_path: Path, home: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("TAGID_DATA", home["TAGID_DATA"])
-    monkeypatch.setenv("TAGID_CONFIG", home["TAGID_CONFIG"])
-    monkeypatch.chdir(tmp_path)
-
-    def runs() -> list[int]:
-        """Number of answers of each run."""
-        query = "SELECT count(*) FROM identification GROUP BY run_id ORDER BY run_id"
-        with closing(sqlite3.connect(Path(home["TAGID_DATA"]) / "history.sqlite")) as history:
-            return [count for (count,) in history.execute(query)]
-
-    place = tagid.Workplace({"motion.url": "free?rpm=2"})
-    for _ in range(2):
-        answer = place.identify("missing.npz")
-        assert (answer.status, answer.name, answer.notes) == ("failed", None, ())
-        assert isinstance(answer.error, tagid.TagidError) and "missing.npz" in answer.error.message
-    assert runs() == [1, 1]
-    for _ in range(2):
-        with place as entered:
-            for _ in range(3):
-                entered.identify("missing.npz")
-    place.identify("missing.npz")
-    assert runs() == [1, 1, 3, 3, 1]

@@ -9,9 +9,8 @@ import pytest
 from imaging_scenes import record, turn
 
 from tagid.capture import Capture
-from tagid.errors import DataError, UsageError
+from tagid.errors import DataError
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging import memory
 from tagid.imaging.ats.calibration import (
     Unknowns,
     _gains,
@@ -191,11 +190,6 @@ def test_views_that_no_fit_has_seen_are_predicted_with_their_shadows() -> None:
     assert shaded.held_out < 0.8 * plain.held_out
 
 
-def test_occlusion_runs_and_stays_finite() -> None:
-    result = fit(scans_of(np.zeros(1), 0.0), GRID, AtsSettings(occlusion=0.3, steps=20))
-    assert np.isfinite(result.image.values).all()
-
-
 def test_samples_that_are_not_finite_are_refused() -> None:
     broken = np.ones((18, 130), np.float32)
     broken[3, 4] = np.nan
@@ -204,13 +198,6 @@ def test_samples_that_are_not_finite_are_refused() -> None:
     scans = scans_of()
     with pytest.raises(DataError, match="finite"):
         fit(BasebandScans(**{**scans.__dict__, "samples": scans.samples * np.float32(np.nan)}), GRID)
-
-
-def test_too_little_memory_is_foreseen_with_advice(monkeypatch) -> None:
-    monkeypatch.setattr(memory, "free_memory", lambda: 3_000_000)
-    with pytest.raises(UsageError, match="GB") as caught:
-        fit(scans_of(), ImageGrid(0.4, 512))
-    assert "pixels" in caught.value.remedy
 
 
 def test_a_removed_mean_is_part_of_the_model() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tagid.batch import job as job_module
-from tagid.batch.job import MAX_CAPTURE_BYTES, Answered, Job, _sha256
+from tagid.batch.job import Job, _sha256
 from tagid.config import load_config
 from tagid.enrolling.registry import RegistryContents
 from tagid.imaging.ats.settings import AtsSettings
@@ -17,7 +17,6 @@ from tagid.models_store import manifest
 from tagid.operate.turn import ReadingSetup
 from tagid.pipeline.prepared import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
-from tagid.report.records import ItemRecord, Thumbnails
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
 LAYOUTS = tuple(builtin_layouts().values())
@@ -108,10 +107,3 @@ def test_the_order_of_settings_changes_nothing_and_their_values_do() -> None:
     """A worker of another version of Python may list the same settings in another order."""
     assert _sha256({"a": 1, "b": [2, 3]}) == _sha256({"b": [2, 3], "a": 1})
     assert _sha256({"a": 1, "b": [2, 3]}) != _sha256({"a": 1, "b": [3, 2]})
-
-
-def test_an_answer_has_no_pictures_unless_it_says_so() -> None:
-    plain = Answered(ItemRecord({"status": "no_tag"}))
-    assert (plain.pictures, plain.cpu_s) == (Thumbnails(b"", b"", {}), 0.0)
-    assert job().pictures and job().known == frozenset()
-    assert MAX_CAPTURE_BYTES == 512 * 1024 * 1024

@@ -131,19 +131,6 @@ def test_what_is_put_is_on_disk_at_once(path: Path) -> None:
         assert spool._db.isolation_level is None  # every statement is its own transaction
 
 
-def test_a_view_in_the_file_is_never_read(path: Path) -> None:
-    with Spool(path, fresh=True):
-        pass
-    with sqlite3.connect(path) as db:
-        db.execute(
-            "CREATE VIEW endless AS WITH RECURSIVE n AS (SELECT 1 UNION ALL SELECT 1 FROM n) SELECT * FROM n"
-        )
-    db.close()
-    with pytest.raises(StorageError, match="holds a view or trigger, 'endless'") as caught:
-        Spool(path, fresh=False)
-    assert "Remove the file" in caught.value.remedy
-
-
 def test_a_record_keeps_the_order_of_its_fields_and_no_number_that_json_lacks(spool: Spool) -> None:
     spool.put(0, "a", "job", answered("a", "A", zone=1, area=2))
     (item,) = spool.items()

@@ -162,7 +162,7 @@ def test_a_target_needs_its_distance_and_the_empty_room(tmp_path: Path) -> None:
         run_step(step_named("result"), bench(tmp_path, "empty"))
 
 
-@pytest.mark.parametrize("text", ["octahedron:40mm", "corner:20cm", "sphere:10cm", "can:33mm"])
+@pytest.mark.parametrize("text", ["octahedron:40mm", "sphere:10cm"])
 def test_the_delay_of_a_target_is_taken_out_of_the_pulse(text: str) -> None:
     target = parse_target(text)
     t = (np.arange(600) - 250.3) * SAMPLE_STEP_S
@@ -214,7 +214,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("fault", "code"),
     [("", ""), ("slip", "slip"), ("missing-reflector", "missing-reflector"), ("mirrored-card", "mirrored"),
-     ("direction", "mirrored"), ("axis", "axis")],
+     ("axis", "axis")],
 )  # fmt: skip
 def test_the_card_gives_axis_and_period_and_names_faults(
     measured: Path, monkeypatch: pytest.MonkeyPatch, fault: str, code: str

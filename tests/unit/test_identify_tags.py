@@ -165,14 +165,6 @@ def test_a_solved_can_alone_and_with_another_tag_is_not_named() -> None:
     assert foreign.layout is None and "2 reflectors 130 degrees apart" in foreign.reason
 
 
-def test_a_handle_that_is_not_enrolled_is_no_tag_and_the_tag_beside_it_is_the_nearest() -> None:
-    """Named in 11 of 21 scenes of the yardsticks (docs/results/reading.md); here the handle looks alike."""
-    alone, tagged = solved("handle34"), solved("handle34_c90")
-    assert alone.layout is None and alone.lead < 0 and alone.advice == ADVICE[alone.code] != ""
-    assert tagged.nearest == "container-90" and tagged.layout in (None, "container-90")
-    assert any(not reflector.matched for reflector in tagged.reflectors)
-
-
 def test_noise_holds_no_tag() -> None:
     reading = answer(Thing((), ()))
     assert (reading.status, reading.layout, reading.kind) == ("no_tag", None, Kind.NO_TAG)
@@ -212,8 +204,3 @@ def test_bad_input_is_told() -> None:
         read(scans, [])
     with pytest.raises(DataError, match="cover"):
         read(scans.with_aperture(scans.aperture.with_axis_distance(5.0)), ALL)
-
-
-def test_every_code_has_advice() -> None:
-    assert set(ADVICE) == set(Code)
-    assert all(ADVICE[code].endswith(".") for code in Code if code is not Code.NONE)

@@ -47,13 +47,6 @@ def test_recordings_together_say_more_than_each_alone() -> None:
     assert (joint.capture_uuid, joint.registry_version) == (None, 3)
 
 
-def test_another_tag_stays_unknown_however_often_it_is_recorded() -> None:
-    joint, alone = together((ring(0, 125),) * 2, 0.3)
-    assert joint.reading is not None and joint.reading.layout is None
-    assert joint.status == "unknown" and "2 reflectors" in joint.reading.reason
-    assert all(design.status != "identified" for design in alone)
-
-
 def test_recordings_of_two_objects_are_not_named_together() -> None:
     joint, alone = together((HELMET, ring(0, 90)), 0.3)
     names = [design.reading.layout for design in alone if design.reading is not None]

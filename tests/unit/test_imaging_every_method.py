@@ -96,13 +96,6 @@ def test_silence_is_refused_and_too_little_memory_foreseen(method: str, preset: 
     assert caught.value.remedy
 
 
-def test_what_is_not_a_number_is_refused() -> None:
-    samples = record(POINTS, [1.0, 0.7], turn(24)).samples.copy()
-    samples[3, 40] = np.nan
-    with pytest.raises(DataError, match="finite"):
-        Capture(samples, 0.4, 0.0091, np.arange(24.0), axis_distance_m=1.0)
-
-
 def test_subsets_of_a_path_have_no_common_spacing() -> None:
     """Even subsets of a rail would put one grating lobe of every reflector into each of them."""
     path = Aperture(np.stack([np.linspace(-1.7, 1.7, 600), np.zeros(600), np.zeros(600)], axis=1))

@@ -21,7 +21,7 @@ from tagid.imaging.autofocus import (
     AxisFocus,
     focus_axis_distance,
 )
-from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, PointSearch, band_delays, jackknife_error
+from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, PointSearch, band_delays
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.operate.words import focus_words
@@ -116,13 +116,6 @@ def test_the_noise_of_the_halves_of_the_band_is_not_taken_for_a_resonance() -> N
     # 5^2 - 4^2 = 3^2; two values 3 apart have the standard deviation 3 / sqrt 2.
     assert BandDelays(thirds, -0.005, 0.004).error_m == pytest.approx(np.hypot(mean, 0.003 / np.sqrt(2)))
     assert np.isnan(BandDelays(thirds, 0.005, float("nan")).error_m)
-
-
-def test_the_error_of_the_mean_by_the_jackknife_is_the_usual_one() -> None:
-    values = np.array([1.0, 2.0, 4.0, 9.0])
-    without = [float(np.delete(values, i).mean()) for i in range(4)]
-    assert jackknife_error(without) == pytest.approx(values.std(ddof=1) / 2)
-    assert np.isnan(jackknife_error(without[:2]))
 
 
 def test_every_method_images_about_the_same_axis() -> None:

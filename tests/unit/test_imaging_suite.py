@@ -175,8 +175,6 @@ MAPS: dict[str, Callable[[], Map]] = {
     "operator's slope": slope_map,
     "kernel in C": lambda: kernel_map(True),
     "kernel in numpy": lambda: kernel_map(False),
-    "kernel in C, two antennas": lambda: kernel_map(True, pair=True),
-    "kernel in C, heights": lambda: kernel_map(True, high=True),
     "kernel in C, both": lambda: kernel_map(True, pair=True, high=True),
     "kernel in numpy, both": lambda: kernel_map(False, pair=True, high=True),
     "backprojection": lambda: image_map(backproject),

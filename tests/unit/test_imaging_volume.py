@@ -354,8 +354,7 @@ def test_a_sparse_volume_is_refused_where_less_memory_is_free_than_it_takes(
     assert reconstruct_volume(joined, settings).volume.grid.voxels == 131_072
 
 
-@pytest.mark.parametrize("method", ["sparse", "ats"])
-@pytest.mark.parametrize("place", [[0.30, 0.05, 0.0], [0.02, 0.03, 0.26]])
+@pytest.mark.parametrize(("method", "place"), [("sparse", [0.02, 0.03, 0.26]), ("ats", [0.30, 0.05, 0.0])])
 def test_a_strong_reflector_outside_a_volume_leaves_its_faces_dark(method: str, place: list[float]) -> None:
     points, amplitudes = [*POINTS.tolist(), place], [1, 0.8, 1, 3]
     heights = np.linspace(-0.2, 0.2, 9)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from tagid.constants import RANGE_STEP_M, SAMPLE_STEP_S
 from tagid.metadata import MotionInfo, RadarInfo, RadarSettings, ResolvedMotion
 from tagid.recording.inspection import inspect
 from tagid.signal import analytic, noise_power_of
+from tagid.storage.importers import read_any
 
 BINS = 576
 
@@ -216,18 +216,12 @@ def test_degenerate_recordings_have_a_summary(shape: tuple[int, int], dtype: typ
 
 
 def recording(name: str) -> Capture:
-    """A real recording, read by the importer; skips where either is absent."""
+    """A real recording; skips where it is absent."""
     shared = os.environ.get("TAGID_SHARED") or Path(__file__).resolve().parents[2].parent / "shared"
     path = Path(shared) / "data" / "p440" / name
     if not path.exists():
         pytest.skip(f"the real recording {name} is not beside the checkout")
-    try:
-        importers = importlib.import_module("tagid.storage.importers")
-    except ModuleNotFoundError:
-        pytest.skip("the importers are not there yet")
-    capture = importers.read_any(path)
-    assert isinstance(capture, Capture)
-    return capture
+    return read_any(path)
 
 
 def test_the_real_corner_reflector_stands_still() -> None:

@@ -126,12 +126,6 @@ def test_times_of_a_whole_recording_name_the_unit(tmp_path: Path, times: Any, un
         read_any(npz(tmp_path / "a.npz", samples=samples, timestamps_s=times, axis_distance_m=1.0))
 
 
-def test_times_of_too_few_scans_for_the_stated_speed(tmp_path: Path) -> None:
-    path = npz(tmp_path / "a.npz", timestamps_s=np.arange(60) * 8.0, axis_distance_m=5.2)
-    with pytest.raises(DataError, match="and a turn takes 30 s"):
-        with_angles(read_any(path), "free?rpm=2")
-
-
 @pytest.mark.parametrize(
     ("values", "units", "others"),
     [

@@ -9,7 +9,6 @@ from tagid.angles.clock import fit_clock
 from tagid.angles.views import average_into_views, first_turn
 from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
-from tagid.motion.turntable import FreeTurntable
 from tagid.motion.urls import open_motion
 from tagid.pipeline.resolve import clock_of, one_turn, with_angles
 from tagid.simulate import Acquisition, Scene, simulate_capture
@@ -47,12 +46,6 @@ def test_bad_first_stamp_and_outliers_do_not_bend_the_line() -> None:
     clock = fit_clock(t, np.arange(600))
     assert clock.outliers == 2
     assert clock.period_s == pytest.approx(SCAN_S, rel=1e-5)
-
-
-def test_wrapped_counter_goes_on() -> None:
-    t = (stamps(200) + 2**32 - 6000) % 2**32
-    assert (np.diff(t) < 0).any()
-    assert fit_clock(t).period_s == pytest.approx(SCAN_S, rel=1e-4)
 
 
 @pytest.mark.parametrize("wraps", [1, 2])
@@ -135,18 +128,6 @@ def test_times_are_worst_known_far_from_the_stamps_that_were_used() -> None:
     assert clock.sigma_s == pytest.approx(np.hypot(rounding_s / np.sqrt(35), period * (39 - used.mean())))
 
 
-def test_times_are_worst_known_before_the_stamps_that_were_used() -> None:
-    """As above, with the first five stamps wrong: now the first time is the one that is worst known."""
-    times = np.arange(40) * 20.0
-    times[:5] -= 50.0
-    clock = fit_clock(times, np.arange(40))
-    used = np.arange(5, 40)
-    rounding_s = 1e-3 / np.sqrt(12)
-    period = rounding_s / np.sqrt(np.sum((used - used.mean()) ** 2))
-    assert clock.outliers == 5
-    assert clock.sigma_s == pytest.approx(np.hypot(rounding_s / np.sqrt(35), period * used.mean()))
-
-
 def test_a_gap_longer_than_half_the_counter_is_still_a_wrap_and_a_shorter_step_back_is_none() -> None:
     step = 2.0**31 - 1000
     wrapped = (np.arange(4) * step) % 2**32
@@ -209,11 +190,6 @@ def test_averaging_lowers_noise_and_keeps_the_echo() -> None:
     assert difference[:, quiet].std() == pytest.approx(0.3 / np.sqrt(16 / 0.875), rel=0.1)
     assert np.abs(averaged.samples).max() == pytest.approx(np.abs(truth.clean).max(), rel=0.35)
     np.testing.assert_allclose(averaged.angles_rad, np.arange(90) * 2 * np.pi / 90, atol=0.01)
-
-
-def test_averaging_needs_angles() -> None:
-    with pytest.raises(DataError):
-        average_into_views(Capture(np.ones((4, 8), np.float32), 0.5, 0.01), 2)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -286,9 +262,3 @@ def test_urls_that_do_not_work_say_what_does(url: str) -> None:
     with pytest.raises(UsageError) as error:
         open_motion(url)
     assert error.value.remedy
-
-
-def test_turntable_refuses_nonsense() -> None:
-    for wrong in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(UsageError):
-            FreeTurntable(wrong)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tagid.angles.clock import fit_clock
-from tagid.angles.period import PeriodEstimate, find_period
+from tagid.angles.period import find_period
 from tagid.errors import DataError
 from tagid.motion.turntable import FreeTurntable
 from tagid.simulate import Acquisition, Placement, Scene, Wobble, scene_from_name, simulate_capture
@@ -62,7 +62,7 @@ def test_sigma_covers_the_error() -> None:
 
 
 def test_low_signal_is_not_silently_wrong() -> None:
-    for seed in range(16):
+    for seed in range(8):
         name, snr_db = ("points-4", -8) if seed % 2 else ("container-90", 0)
         samples, times, truth = recording(scene_from_name(name, seed), snr_db, 2.3, seed)
         try:
@@ -195,10 +195,6 @@ def test_nominal_speed_is_used_and_told_where_the_data_show_no_period() -> None:
     assert angles.sigma_rad[-1] == pytest.approx(0.01 * abs(angles.angles_rad[-1]))
     with pytest.raises(DataError):
         FreeTurntable().resolve(samples, times)
-
-
-def test_estimate_is_plain() -> None:
-    assert PeriodEstimate(1.0, 0.1, 1.0, 1.3).rivals_s == ()
 
 
 def test_a_gap_in_the_turn_lowers_the_quality_that_is_stated() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,9 +16,9 @@ from tagid.config import data_folder
 from tagid.errors import ConfigError, DataError
 from tagid.metadata import RadarInfo, ScanGap
 from tagid.operate.truth import Comparison, compare
-from tagid.operate.turn import draw, failed, read, read_jointly
+from tagid.operate.turn import Answer, draw, failed, read, read_jointly
 from tagid.operate.words import bound_words, coverage_words, notes, trust_words, truth_words
-from tagid.operate.workplace import MOST_SCANS, Workplace
+from tagid.operate.workplace import MOST_SCANS, NOT_COMMISSIONED, Workplace
 from tagid.pipeline.answer import Identification
 from tagid.reading.calibration import Bound
 from tagid.simulate import Acquisition, scene_from_name, simulate_capture
@@ -200,3 +202,13 @@ def test_a_radar_that_is_lost_often_has_perhaps_another_user() -> None:
     (twice,) = notes(RadarInfo(gap_count=2, gaps=(gap, gap)))
     assert "lost once, for 2.0 s" in once and "another program" not in once
     assert "lost 2 times, for 4.0 s" in twice and twice.endswith("is another program using it?")
+
+
+def test_an_answer_without_a_name_says_that_its_own_radar_is_not_commissioned(place: Workplace) -> None:
+    real = Workplace({**SETTINGS, "radar.url": "udp://127.0.0.1"})
+    said = {
+        status: [at.without_profile(cast(Answer, SimpleNamespace(status=status))) for at in (real, place)]
+        for status in ("no_tag", "unknown", "identified", "failed")
+    }
+    told = [(NOT_COMMISSIONED,), ()]
+    assert said == {"no_tag": told, "unknown": told, "identified": [(), ()], "failed": [(), ()]}

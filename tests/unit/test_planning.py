@@ -68,9 +68,7 @@ def emulated_peak_db(size_mm: int, distance_m: float, index: int) -> float:
     return float(20 * np.log10(np.quantile(moving.max(axis=1), 0.5) / noise_counts(index)))
 
 
-@pytest.mark.parametrize(
-    ("size_mm", "distance_m", "index"), [(40, 1.0, 11), (40, 2.0, 13), (20, 1.0, 14), (30, 0.7, 11)]
-)
+@pytest.mark.parametrize(("size_mm", "distance_m", "index"), [(40, 2.0, 13), (20, 1.0, 14)])
 def test_the_plan_and_emulated_scans_agree_within_a_decibel(
     size_mm: int, distance_m: float, index: int
 ) -> None:
@@ -82,8 +80,6 @@ def test_the_plan_and_emulated_scans_agree_within_a_decibel(
     ("layout", "size_mm", "body", "distance_m"),
     [
         ("container-90", 40, "can:35mm", 1.0),
-        ("helmet-120", 40, "helmet", 1.5),
-        ("helmet-120", 40, "", 1.0),
         # Of faint echoes, too, whose largest sample is raised by the noise.
         ("helmet-120", 20, "", 2.0),
         ("helmet-linear", 20, "helmet", 2.5),

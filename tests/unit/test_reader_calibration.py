@@ -64,15 +64,6 @@ def test_the_p_value_is_never_below_that_of_all_objects() -> None:
             assert kept.p_value(float(lead)) == exact
 
 
-def test_drawn_again_from_the_same_population_no_more_objects_are_named_than_promised() -> None:
-    rng = np.random.default_rng(9)
-    first, second = rng.normal(size=(2, 10_000))
-    stratum = Stratum(24, 361, len(first), largest(first.tolist()))
-    for false_accept in (1e-3, 5e-3):
-        named = np.count_nonzero(second >= stratum.needed(false_accept))
-        assert 0 < named < 1.6 * false_accept * len(second) + 3
-
-
 def test_a_lead_without_a_body_counts_more_and_neither_less_than_theory_asks() -> None:
     stratum = Stratum(24, 361, 1999, (60.0, 30.0))
     needed = Calibration("a test", (), (stratum,)).needed(36, 1e-3)

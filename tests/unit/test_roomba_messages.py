@@ -88,13 +88,6 @@ def test_the_angle_follows_the_command_whatever_the_firmware_counts(direction: i
     assert odometry.sigma_rad < math.radians(0.1)
 
 
-def test_wheels_that_disagree_widen_the_sigma() -> None:
-    odometry = SpinOdometry(1)
-    odometry.add(0, 0)
-    odometry.add(-1000, 1100)
-    assert odometry.sigma_rad > 40 * MM_PER_COUNT / 235
-
-
 @pytest.mark.parametrize("place", range(13))
 def test_a_frame_with_a_wrong_bit_is_no_frame(place: int) -> None:
     """The sum of all bytes is zero; a frame that passes without it would be an angle out of noise."""

@@ -62,18 +62,6 @@ def test_range_history_of_a_point() -> None:
     np.testing.assert_allclose(measured, expected, atol=2e-4)
 
 
-@pytest.mark.parametrize("angle", [0.3, -1.1, 2.5])
-def test_placing_turned_equals_aperture_turned_back(angle: float) -> None:
-    placed, _ = simulate_capture(
-        Scene.of_points(POINTS), Acquisition(views=8, placement=Placement(rotation_rad=angle))
-    )
-    views = 8
-    turned = Aperture.turntable(2 * np.pi * np.arange(views) / views + angle, 1.0).positions
-    d = np.linalg.norm(turned[:, None, :2] - POINTS, axis=2)
-    delay = 2 * (placed.ranges_m[None, :, None] - d[:, None]) / SPEED_OF_LIGHT
-    np.testing.assert_allclose(placed.samples, pulse_at(nominal_pulse(), delay).sum(axis=2).real, atol=2e-3)
-
-
 @pytest.mark.parametrize(
     "body",
     [

@@ -17,7 +17,6 @@ from tagid.reading.verdict import Code
 from tagid.reading.views import fold_views
 from tagid.tags.layouts.codebook import all_distances, height_weight, in_space, rotational_distance
 from tagid.tags.layouts.design import DesignRules, design
-from tagid.tags.layouts.layout import Layout
 from tagid.tags.layouts.objects import Row, TaggedObject
 from tests.unit.heights_scenes import DOWN, FLAT, OTHER, PLAN, UP, scan
 from tests.unit.imaging_scenes import turn
@@ -39,12 +38,11 @@ def test_a_higher_point_is_nearer_to_a_higher_antenna() -> None:
     assert change[0] == pytest.approx(+0.0018, abs=1e-5)
 
 
-@pytest.mark.parametrize(("layout", "raised"), [(UP, 0.02), (DOWN, 0.0)], ids=["up", "down"])
-def test_layouts_that_differ_in_height_alone_are_told_apart(layout: Layout, raised: float) -> None:
-    reading = identify(prepare(scan(layout, (0.0, 0.2), raised, views=24)), ALL).reading
-    assert reading is not None and (reading.status, reading.layout) == ("identified", layout.name)
+def test_layouts_that_differ_in_height_alone_are_told_apart() -> None:
+    reading = identify(prepare(scan(UP, (0.0, 0.2), 0.02, views=24)), ALL).reading
+    assert reading is not None and (reading.status, reading.layout) == ("identified", "up")
     measured = [reflector.z_m for reflector in reading.reflectors]
-    assert measured == pytest.approx(np.asarray(layout.heights) + raised, abs=0.01)
+    assert measured == pytest.approx(np.asarray(UP.heights) + 0.02, abs=0.01)
 
 
 def test_from_one_height_they_are_ambiguous() -> None:

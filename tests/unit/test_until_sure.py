@@ -96,7 +96,6 @@ def test_a_scan_ends_at_the_first_look_that_is_sure_and_the_capture_says_why(tmp
     "why",
     [
         "too few turns",
-        "a smaller setting",
         "no tag",
         "mirrored",
         "only pairs",
@@ -106,8 +105,6 @@ def test_without_a_bound_the_whole_turn_is_recorded(tmp_path: Path, why: str) ->
     calibration, scene, known = CALIBRATION, "helmet-120", settings()
     if why == "too few turns":
         calibration = replace(CALIBRATION, turns=1000)
-    elif why == "a smaller setting":
-        known = settings(false_accept=5e-4)
     elif why == "no tag":
         scene = "can"
     elif why == "only pairs":
@@ -118,7 +115,6 @@ def test_without_a_bound_the_whole_turn_is_recorded(tmp_path: Path, why: str) ->
         capture = recorded(tmp_path / "x.tagid.h5", ending, scene)
     reported = {
         "too few turns": "holds 1000 revolutions, too few for tags.false_accept = 0.001",
-        "a smaller setting": "holds 3999 revolutions, too few for tags.false_accept = 0.0005",
         "mirrored": "the direction of rotation is unknown",
         "only pairs": "no enrolled layout has 3 reflectors or more",
     }
@@ -270,8 +266,7 @@ def test_the_shipped_calibration_promises_no_more_than_it_counted() -> None:
     shipped = EndingCalibration.shipped()
     assert shipped.seeds[1] - shipped.seeds[0] == shipped.turns >= len(shipped.scores)
     counted = replace(shipped, turns=max(shipped.turns, 1))
-    capture, _ = simulate_capture(scene_from_name("helmet-120", 3), Acquisition(views=72, snr_db=20), 3)
-    looks = [look(part_of_turn(capture, s), settings().layouts, s) for s in LOOKS[:2]]
+    looks = looks_of(("helmet-120", 1e6), ("helmet-120", 1e6))
     enough = 1 / (SPENT * (counted.turns + 1))
     assert counted.bound(looks, 1.01 * enough).kept and counted.reaches(1.01 * enough)
     assert not counted.reaches(0.99 * enough)

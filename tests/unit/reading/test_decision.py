@@ -82,11 +82,6 @@ def test_a_tag_that_an_opaque_body_hides_beyond_an_edge_is_named() -> None:
     assert answer.best is not None and answer.best.estimate.model.transfer is SHADES[0]
 
 
-def test_more_signal_keeps_the_name() -> None:
-    names = [bare(scans_of("container-180", snr_db=snr_db)).name for snr_db in (5.0, 15.0, 30.0)]
-    assert names == ["container-180"] * 3
-
-
 def test_a_foreign_pair_on_an_oval_shell_is_not_named() -> None:
     capture = draw(6_000_150).capture
     scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))

@@ -31,7 +31,7 @@ def decided(capture: Capture) -> Decision:
     return decide(base.run())
 
 
-@pytest.mark.parametrize(("layout", "raised"), [(UP, 0.0), (DOWN, 0.02), (FLAT, 0.05), (OTHER, -0.04)])
+@pytest.mark.parametrize(("layout", "raised"), [(UP, 0.0), (FLAT, 0.05), (OTHER, -0.04)])
 def test_a_layout_is_named_wherever_its_plane_lies(layout: Layout, raised: float) -> None:
     decision = read(layout, SEVERAL, raised)
     assert decision.name == layout.name
@@ -40,27 +40,25 @@ def test_a_layout_is_named_wherever_its_plane_lies(layout: Layout, raised: float
     assert model.heights_of(x)[0] == pytest.approx(np.asarray(layout.heights) + raised, abs=0.01)
 
 
-@pytest.mark.parametrize("layout", [UP, DOWN])
-def test_a_path_that_rises_from_view_to_view_is_read(layout: Layout) -> None:
+def test_a_path_that_rises_from_view_to_view_is_read() -> None:
     """No height has a second view: the mean of all is subtracted, not that of each."""
     antennas = turn(36, 1.0).positions
     rising = Aperture(antennas + np.outer(np.linspace(0.0, 0.3, len(antennas)), [0, 0, 1]))
-    points = np.column_stack([layout.positions, np.asarray(layout.heights) + 0.02])
+    points = np.column_stack([DOWN.positions, np.asarray(DOWN.heights) + 0.02])
     recorded = record(points, [1, 1, 1], rising, start_m=0.5, noise=0.1)
-    assert decided(recorded).name == layout.name
+    assert decided(recorded).name == DOWN.name
 
 
-@pytest.mark.parametrize("heights", [SEVERAL, (0.0,), (0.2,)])
-@pytest.mark.parametrize("raised", [0.0, 0.05])
+@pytest.mark.parametrize(("heights", "raised"), [(SEVERAL, 0.05), (SEVERAL, 0.0), ((0.2,), 0.05)])
 def test_a_stranger_that_differs_in_height_alone_is_not_named(
     heights: tuple[float, ...], raised: float
 ) -> None:
     assert read(STRANGER, heights, raised).name is None
 
 
-@pytest.mark.parametrize("layout", [UP, FLAT])
-@pytest.mark.parametrize("height", [0.0, 0.2])
-@pytest.mark.parametrize("raised", [0.0, 0.05])
+@pytest.mark.parametrize(
+    ("layout", "height", "raised"), [(UP, 0.0, 0.0), (FLAT, 0.0, 0.05), (UP, 0.2, 0.05), (FLAT, 0.2, 0.0)]
+)
 def test_from_one_height_no_name_is_wrong(layout: Layout, height: float, raised: float) -> None:
     decision = read(layout, (height,), raised)
     assert decision.name in (None, layout.name)
