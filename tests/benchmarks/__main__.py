@@ -90,10 +90,10 @@ def run(benchmark: Benchmark, words: list[str], folder: Path) -> int:
     if hasattr(loaded, "add_options"):
         loaded.add_options(parser)
     given = parser.parse_args(words)
-    if benchmark.script:
-        return int(getattr(loaded, function)(given) or 0)
     pictures = (RESULTS.parent / "pictures") if given.write else None
-    asked = Run(given.quick, given, given.jobs, given.keep, folder, pictures, given.seeds)
+    asked = Run(
+        given.quick, given, given.jobs, given.keep, folder, pictures, given.seeds, name=benchmark.name
+    )
     made, began = made_with("SEEDS"), time.monotonic()
     done = []
     try:

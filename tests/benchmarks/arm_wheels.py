@@ -6,7 +6,6 @@ folder that is removed afterwards. It needs no more than pip and numpy beside it
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tomllib
@@ -16,47 +15,22 @@ from tests.benchmarks.provenance import ROOT
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 
-PLATFORMS = (
-    "manylinux_2_28_aarch64",
-    "manylinux_2_27_aarch64",
-    "manylinux_2_17_aarch64",
-    "manylinux2014_aarch64",
-)
+PYTHON = "3.11"
+PLATFORMS = tuple(f"manylinux{version}_aarch64" for version in ("_2_28", "_2_27", "_2_17", "2014"))
 """Newest first: Raspberry Pi OS 12 has glibc 2.36, onnxruntime asks for 2.27."""
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """For what they are."""
-    parser.add_argument("--python", default="3.11")
-    parser.add_argument("--extra", action="append", default=[])
 
 
 def wheels(run: Run) -> Iterator[Table]:
     """A row for each wheel; it fails where a dependency has none."""
-    given = run.options
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    needed = list(project["dependencies"])
-    for extra in given.extra:
-        needed += project["optional-dependencies"][extra]
-    words = [
-        sys.executable,
-        "-m",
-        "pip",
-        "download",
-        "--quiet",
-        "--dest",
-        str(run.folder),
-        "--only-binary",
-        ":all:",
-    ]
-    words += ["--implementation", "cp", "--python-version", given.python]
+    needed = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    words = [sys.executable, "-m", "pip", "download", "--quiet", "--dest", str(run.folder)]
+    words += ["--only-binary", ":all:", "--implementation", "cp", "--python-version", PYTHON]
     words += [word for platform in PLATFORMS for word in ("--platform", platform)]
     words += ["--constraint", str(ROOT / "constraints.txt"), *needed]
     if subprocess.run(words, check=False).returncode:
         run.failed = True
         yield Table((), (), "A dependency has no wheel for aarch64: see above.")
         return
-    files = sorted(run.folder.glob("*.whl"), key=lambda path: -path.stat().st_size)
-    total = sum(file.stat().st_size for file in files) / 1e6
-    rows = [(file.name, f"{file.stat().st_size / 1e6:.1f}") for file in files]
-    yield Table(("wheel", "MB"), rows, f"{len(files)} wheels, {total:.1f} MB, Python {given.python}.")
+    sizes = {path.name: path.stat().st_size / 1e6 for path in run.folder.glob("*.whl")}
+    rows = [(name, f"{size:.1f}") for name, size in sorted(sizes.items(), key=lambda item: -item[1])]
+    yield Table("wheel | MB", rows, f"{len(rows)} wheels, {sum(sizes.values()):.1f} MB, Python {PYTHON}.")

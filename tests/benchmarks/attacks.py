@@ -105,17 +105,8 @@ def attempts(run: Run) -> Iterator[Table]:
         held += outcome.held
         state = "yes" if outcome.held else "**no**"
         run.say(f"{entry.finding}: {outcome.figure}, holds: {state}, {seconds:.0f} s")
-        rows.append(
-            (
-                entry.finding,
-                entry.title,
-                entry.before,
-                outcome.figure,
-                state,
-                f"{seconds:.0f}",
-                f"`{entry.test}`",
-            )
-        )
+        said = (entry.finding, entry.title, entry.before, outcome.figure)
+        rows.append((*said, state, f"{seconds:.0f}", f"`{entry.test}`"))
     run.failed = held < len(rows)
-    columns = ("finding", "attack", "before", "now", "holds", "s", "test")
+    columns = "finding | attack | before | now | holds | s | test"
     yield Table(columns, rows, f"{held} of {len(rows)} hold.", shown=lambda row: row[4] != "yes")

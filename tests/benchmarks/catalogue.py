@@ -16,10 +16,9 @@ class Benchmark:
         summary: what it measures, one line.
         minutes: about so many of one core.
         page: of docs/results/, with the heading `title`.
-        work: module and function, which yields tables; of a `script`, one that is given its options.
+        work: module and function, which yields tables.
         needs: names of `needs.NEEDS`.
         one_thread: whether numpy is kept to one thread.
-        script: whether it prints and writes by itself.
     """
 
     name: str
@@ -30,7 +29,6 @@ class Benchmark:
     title: str = ""
     needs: tuple[str, ...] = ()
     one_thread: bool = True
-    script: bool = False
 
 
 def _load() -> dict[str, Benchmark]:

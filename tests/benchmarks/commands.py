@@ -29,13 +29,8 @@ LIMITS = {"tagid --help": 8.0, "tagid layouts": 10.0}
 
 def cost(words: Sequence[str], folder: Path, environment: dict[str, str]) -> tuple[float, float]:
     """CPU seconds and peak memory, MB, of one child."""
-    child = subprocess.Popen(
-        [sys.executable, *words],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    child = subprocess.Popen([sys.executable, *words], cwd=folder, env=environment, **quiet)
     _, _, usage = os.wait4(child.pid, 0)
     child.returncode = 0
     return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
@@ -62,4 +57,4 @@ def starts(run: Run) -> Iterator[Table]:
         seconds, memory = min(costs)[0], max(megabytes for _, megabytes in costs)
         limit = f"{LIMITS[what]:g}" if what in LIMITS else ""
         rows.append((f"`{what}`", f"{1e3 * seconds:.0f}", f"{seconds / base:.1f}", limit, f"{memory:.0f}"))
-    yield Table(("command", "CPU (ms)", "times `python -c pass`", "limit", "peak (MB)"), rows)
+    yield Table("command | CPU (ms) | times `python -c pass` | limit | peak (MB)", rows)

@@ -19,7 +19,7 @@ from typing import Any
 
 from PIL import Image
 
-from tests.benchmarks.background import started
+from tests.benchmarks.measure import started
 from tests.benchmarks.provenance import ROOT
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table

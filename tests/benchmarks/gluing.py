@@ -22,7 +22,7 @@ from tagid.tags.layouts.design import DesignRules, design
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.layouts.objects import builtin_objects
 from tests.benchmarks.run import Run
-from tests.benchmarks.tables import Table
+from tests.benchmarks.tables import Table, grouped
 
 FIRST_SEED = 62_000
 DISTANCES_MM = (1, 2)
@@ -80,17 +80,17 @@ def reading(job: tuple[int, str, str, int]) -> dict[str, str]:
 
 def names(run: Run) -> Iterator[Table]:
     """A row for every layout."""
-    count = run.number(20, 1)
-    run.seeds = f"{FIRST_SEED} to {FIRST_SEED + count - 1}"
+    numbers = run.drawn(20, first=FIRST_SEED)
     shown = tags()[: 1 if run.quick else None]
-    jobs = [(n, *tag, d) for n in range(count) for tag in shown for d in DISTANCES_MM]
-    outcomes = {job: result["outcome"] for job, result in run.each(reading, jobs).items()}
-    rows = []
-    for tag in shown:
-        cells = (sum(outcomes[n, *tag, d] == "named" for n in range(count)) for d in DISTANCES_MM)
-        rows.append((*tag, *cells))
-    wrong = sum(outcome == "wrong" for outcome in outcomes.values())
+    jobs = [(n, *tag, d) for n in range(len(numbers)) for tag in shown for d in DISTANCES_MM]
+    results = run.each(reading, jobs)
+    outcomes = grouped(results, lambda job: job[1:])
+    rows = [
+        (*tag, *(sum(item["outcome"] == "named" for item in outcomes[*tag, d]) for d in DISTANCES_MM))
+        for tag in shown
+    ]
+    wrong = sum(item["outcome"] == "wrong" for item in results.values())
     said = "None was given a wrong name." if not wrong else f"{wrong} were given a wrong name."
     columns = ("layout", "body", *(f"{distance} mm" for distance in DISTANCES_MM))
-    note = NOTE.format(count=count, views=VIEWS, snr=SNR_DB, designed=DESIGNED, wrong=said)
+    note = NOTE.format(count=len(numbers), views=VIEWS, snr=SNR_DB, designed=DESIGNED, wrong=said)
     yield Table(columns, rows, note)

@@ -6,7 +6,8 @@ Seeds begin at 50 000 000, which no training draws; SNR is per reflector (`tagid
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,29 +38,23 @@ _FIXED = {
 }
 
 
-def layout_sets() -> dict[str, tuple[Layout, ...]]:
-    """The paper's four, 16 designed on a helmet and 8 on a mug (3 reflectors, 12 slots, both rows)."""
-    rules = DesignRules(3, 12)
-    return {
-        "paper": tuple(builtin_layouts().values()),
-        "helmet-16": design(object_named("helmet").with_rows(2), rules, 16).layouts,
-        "mug-8": design(object_named("mug").with_rows(2), rules, 8).layouts,
-    }
+_RULES = DesignRules(3, 12)
+SETS: dict[str, tuple[Layout, ...]] = {
+    "paper": tuple(builtin_layouts().values()),
+    "helmet-16": design(object_named("helmet").with_rows(2), _RULES, 16).layouts,
+    "mug-8": design(object_named("mug").with_rows(2), _RULES, 8).layouts,
+}
+"""The paper's four, 16 designed on a helmet and 8 on a mug (3 reflectors, 12 slots, both rows)."""
 
 
-SETS = layout_sets()
-
-
-@dataclass(frozen=True)
-class Condition:
-    """One cell: what is on the table, out of which enrolled set, and how it is recorded."""
+class Condition(NamedTuple):
+    """What is on the table, of which enrolled set, how it is recorded, and one of TWISTS, if any."""
 
     group: str
     enrolled: str
     views: int
     snr_db: float
     twist: str = ""
-    """Name of a change to scene and acquisition, see TWISTS; empty for none."""
 
 
 def _unenrolled(kind: str, rng: np.random.Generator) -> np.ndarray:
@@ -102,9 +97,8 @@ def _missing(scene: Scene, rng: np.random.Generator) -> Scene:
     p = _points(scene)
     keep = np.arange(len(p.positions)) != rng.integers(len(p.positions))
     facing = None if p.facing_rad is None else p.facing_rad[keep]
-    return _with_points(
-        scene, replace(p, positions=p.positions[keep], amplitudes=p.amplitudes[keep], facing_rad=facing)
-    )
+    changed = replace(p, positions=p.positions[keep], amplitudes=p.amplitudes[keep], facing_rad=facing)
+    return _with_points(scene, changed)
 
 
 def _extra(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -179,9 +173,8 @@ def _askew(scene: Scene, rng: np.random.Generator) -> Scene:
     p = _points(scene)
     assert p.facing_rad is not None
     facing = p.facing_rad + rng.uniform(-1, 1, len(p.positions)) * np.deg2rad(30.0)
-    return _with_points(
-        scene, replace(p, facing_rad=facing, aspect_floor=0.0, aspect_width_rad=np.deg2rad(150.0))
-    )
+    changed = replace(p, facing_rad=facing, aspect_floor=0.0, aspect_width_rad=np.deg2rad(150.0))
+    return _with_points(scene, changed)
 
 
 SCENE_TWISTS: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
@@ -206,15 +199,13 @@ ACQUISITION_TWISTS: dict[str, Callable[[Acquisition], Acquisition]] = {
 TWISTS = (*ACQUISITION_TWISTS, *SCENE_TWISTS)
 
 
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """Scans to be read, with the truth."""
+class Recorded(NamedTuple):
+    """Scans to be read, with the truth: the right name and the places of the reflectors, m."""
 
     capture: Capture
     scans: BasebandScans
     name: str
     positions: np.ndarray
-    range_offset_m: float
 
 
 def record(condition: Condition, number: int) -> Recorded:
@@ -237,8 +228,6 @@ def record_scene(scene: Scene, name: str, condition: Condition, number: int) -> 
         acquisition = ACQUISITION_TWISTS[condition.twist](acquisition)
     elif condition.twist in SCENE_TWISTS:
         scene = SCENE_TWISTS[condition.twist](scene, rng)
-    elif condition.twist == "SNR of the summed echo":
-        acquisition = replace(acquisition, snr_reference="summed")
     capture, truth = simulate_capture(scene, acquisition, FIRST_SEED + number)
     scans = preprocess(capture, None, PreprocessSettings(matched_filter=False, extent_m=0.3))
-    return Recorded(capture, scans, name, truth.positions_m, -acquisition.axis_distance_error_m)
+    return Recorded(capture, scans, name, truth.positions_m)

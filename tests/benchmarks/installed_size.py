@@ -63,4 +63,4 @@ def sizes(run: Run) -> Iterator[Table]:
     )
     rows.append(("the rest", f"{rest:.0f}", f"{more:.0f}"))
     note = f"Environment: {bare:.0f} MB, with byte code {megabytes(folder):.0f} MB."
-    yield Table(("package", "MB with `--no-compile`", "MB with byte code"), rows, note)
+    yield Table("package | MB with `--no-compile` | MB with byte code", rows, note)

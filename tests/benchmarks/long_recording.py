@@ -45,9 +45,9 @@ def sizes(run: Run) -> Iterator[Table]:
     """A row a size."""
     run.seeds = "one run"
     columns = (
-        "scans of 1152 samples", "journal (MB)", "files of 128 MiB", "memory before (MB)", "at most (MB)",
-        "CPU (s)",
-    )  # fmt: skip
+        "scans of 1152 samples | journal (MB) | files of 128 MiB | memory before (MB) | at most (MB) | "
+        "CPU (s)"
+    )
     with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         rows = list(pool.imap(convert, SIZES[:2] if run.quick else SIZES, chunksize=1))
     yield Table(columns, rows)

@@ -16,7 +16,7 @@ import termios
 import threading
 from collections.abc import Iterator
 
-from tests.benchmarks.background import started
+from tests.benchmarks.measure import started
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 
@@ -70,4 +70,4 @@ def frames(run: Run) -> Iterator[Table]:
                 size = f"{terminal[0]} x {terminal[1]}"
                 kind = "colour" if terminal[2] else "characters"
                 rows.append((name, size, kind, *rates, f"{data['scan_rate_hz']:.1f}", data["lost"]))
-    yield Table(("setting", "terminal", "drawn in", "frames/s", "kB/s", "scans/s", "lost"), rows)
+    yield Table("setting | terminal | drawn in | frames/s | kB/s | scans/s | lost", rows)

@@ -6,11 +6,10 @@ recorded from the emulator's scans over 1.3 turns, as `tagid scan` does, and ins
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,12 +38,13 @@ OBJECTS = (
 SIZES_MM = (20, 25, 30, 40, 50)
 DISTANCES_M = (0.7, 1.0, 1.5, 2.0, 2.5)
 INDICES = (9, 10, 11, 12, 13)
+SEED = 8
+"""Of the drawn cases and of their scenes."""
 SCANS_PER_TURN = 100
 PERIOD_S = 10.0
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """A setup of the grid and the seed of its emulated scene."""
 
     layout: str
@@ -56,16 +56,12 @@ class Case:
 
     def planned_db(self) -> float:
         """By `tagid plan`."""
-        return planned_snr_db(
-            Setup(
-                LAYOUTS[self.layout],
-                ReflectorSpec("octahedron", self.size_mm * 1e-3),
-                parse_body(self.body),
-                self.distance_m,
-                60 / PERIOD_S,
-                LinkBudget(integration=self.integration),
-            )
+        reflector, budget = (
+            ReflectorSpec("octahedron", self.size_mm * 1e-3),
+            LinkBudget(integration=self.integration),
         )
+        where = (parse_body(self.body), self.distance_m, 60 / PERIOD_S, budget)
+        return planned_snr_db(Setup(LAYOUTS[self.layout], reflector, *where))
 
     def measured_db(self) -> float | None:
         """Of the emulated scans; None where nothing changes beyond the noise."""
@@ -91,22 +87,16 @@ def level(planned_db: float) -> str:
     return next((f"below {top} dB" for top in (5, 15, 25, 35) if planned_db < top), "35 dB and more")
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """The drawn cases."""
-    parser.add_argument("--first", type=int, default=8, help="seed of the drawn cases and of their scenes")
-
-
 def differences(run: Run) -> Iterator[Table]:
     """Measured less planned SNR, by object and by planned SNR."""
-    seed, count = run.options.first, run.number(80, 6)
-    run.seeds = f"{seed} for the {count} cases drawn, one scene of its own per case"
-    rng = np.random.default_rng(seed)
+    count = run.number(80, 6)
+    run.seeds = f"{SEED} for the {count} cases drawn, one scene of its own per case"
     grid = list(product(OBJECTS, SIZES_MM, DISTANCES_M, INDICES))
     differences: dict[str, list[float]] = defaultdict(list)
     unseen = []
-    for number in rng.choice(len(grid), count, replace=False):
-        (layout, body), size_mm, distance_m, index = grid[int(number)]
-        case = Case(layout, body, size_mm, distance_m, index, 1000 * seed + int(number))
+    for number in np.random.default_rng(SEED).choice(len(grid), count, replace=False):
+        (layout, body), *how = grid[int(number)]
+        case = Case(layout, body, *how, 1000 * SEED + int(number))
         planned, measured = case.planned_db(), case.measured_db()
         if measured is None:
             unseen.append(planned)
@@ -116,12 +106,8 @@ def differences(run: Run) -> Iterator[Table]:
         run.say(f"{case}: planned {planned:.1f}, measured {measured:.1f} dB")
     rows = []
     for row, result in sorted(differences.items()):
-        within = sum(abs(value) <= 1 for value in result)
-        worst = max(result, key=abs)
-        rows.append(
-            (row, len(result), f"{np.mean(result):+.2f}", f"{worst:+.2f}", f"{within} of {len(result)}")
-        )
-    below = (
-        f"Nothing beyond the noise in {len(unseen)} cases, planned {sorted(round(x, 1) for x in unseen)} dB."
-    )
-    yield Table(("cases", "number", "mean (dB)", "largest (dB)", "within 1 dB"), rows, below=below)
+        within = f"{sum(abs(value) <= 1 for value in result)} of {len(result)}"
+        rows.append((row, len(result), f"{np.mean(result):+.2f}", f"{max(result, key=abs):+.2f}", within))
+    planned_db = sorted(round(x, 1) for x in unseen)
+    below = f"Nothing beyond the noise in {len(unseen)} cases, planned {planned_db} dB."
+    yield Table("cases | number | mean (dB) | largest (dB) | within 1 dB", rows, below=below)

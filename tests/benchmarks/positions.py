@@ -6,7 +6,8 @@ Scenes are those of identification_scenes.py; "own echoes" adds what an object i
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -20,11 +21,12 @@ from tagid.reading.views import fold_views
 from tagid.simulate.scattering import Cylinder, Points
 from tagid.simulate.scene import Scene
 from tagid.tags.layouts.codebook import best_pairing
-from tests.benchmarks.identification_scenes import FIRST_SEED, Condition, Recorded, draw_scene, record_scene
+from tests.benchmarks.identification_scenes import FIRST_SEED, Condition, draw_scene, record_scene
 from tests.benchmarks.run import Run
-from tests.benchmarks.tables import Table
+from tests.benchmarks.tables import Table, column, rms
 
 CONDITIONS = ((36, 20), (36, 10), (36, 0), (12, 10))
+OBJECTS = ("helmet-16", "mug-8")
 RADIUS_M = 0.18
 
 
@@ -65,35 +67,26 @@ class Recording(NamedTuple):
     again: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Errors:
-    """Errors (K, 2), m, of K reflectors: after fitting turn and place, and as the scans tell them."""
-
-    made: np.ndarray
-    told: np.ndarray
-
-
-def errors(recording: Recording) -> Errors:
-    """The errors of the reflectors' places in one recording."""
+def errors(recording: Recording) -> dict[str, list[list[float]]]:
+    """Errors (K, 2), m, of reflectors: after fitting turn and place ("made"), and as the scans tell them."""
     condition = Condition("tagged", recording.enrolled, recording.views, recording.snr_db)
     scene, name = draw_scene(condition, recording.number)
     if recording.own_echoes:
         scene = with_own_echoes(scene, np.random.default_rng([FIRST_SEED + recording.number, 2]))
-    recorded: Recorded = record_scene(scene, name, condition, recording.number + 1000 * recording.again)
+    recorded = record_scene(scene, name, condition, recording.number + 1000 * recording.again)
     scans, _ = focus_axis_distance(recorded.scans, ImageGrid(0.5, 128), 0.03)
     field = MatchedField(fold_views(scans, RADIUS_M), RADIUS_M)
-    truth = recorded.positions[:, :2]
-    refined_spots, _ = refine_positions(field, truth)
+    refined_spots, _ = refine_positions(field, recorded.positions[:, :2])
     assert scene.points is not None
     object_frame = scene.points.positions[:, :2]
     pair = best_pairing(refined_spots, object_frame)
     c, s = np.cos(pair.rotation_rad), np.sin(pair.rotation_rad)
+    turned = refined_spots @ np.array([[c, s], [-s, c]]) + pair.shift_m
     remaining = np.empty_like(refined_spots)
-    remaining[pair.partner] = (
-        refined_spots @ np.array([[c, s], [-s, c]]) + pair.shift_m - object_frame[pair.partner]
-    )
+    remaining[pair.partner] = turned - object_frame[pair.partner]
     covariances = position_covariances(field, refined_spots)
-    return Errors(remaining, np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)))
+    told = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    return {"made": remaining.tolist(), "told": told.tolist()}
 
 
 def accuracy(run: Run) -> Iterator[Table]:
@@ -102,46 +95,28 @@ def accuracy(run: Run) -> Iterator[Table]:
     run.seeds = f"{FIRST_SEED} on, one per scene"
     rows = []
     conditions = CONDITIONS[1:2] if run.quick else CONDITIONS
-    for enrolled in ("helmet-16", "mug-8"):
-        for echoes in (False, True):
-            for views, snr in conditions:
-                tasks = [Recording(enrolled, echoes, views, snr, i) for i in range(scenes)]
-                results = [*run.each(errors, tasks).values()]
-                made = np.array([item.made for item in results])
-                reported = np.array([item.told for item in results])
-                # 2 K coordinates less turn and shift leave 2 K - 3.
-                lost = made.size / (made.size - 3 * len(made))
-                rms = 1e3 * np.sqrt(np.mean(made**2) * lost)
-                most = 1e3 * np.quantile(np.abs(made), 0.95) * np.sqrt(lost)
-                what = "shell off the axis, handle, rim" if echoes else "none"
-                told_mm = 1e3 * np.sqrt(np.mean(reported**2))
-                rows.append((enrolled, what, views, snr, f"{rms:.2f}", f"{most:.2f}", f"{told_mm:.2f}"))
-    columns = (
-        "object",
-        "own echoes",
-        "views",
-        "SNR dB",
-        "error mm",
-        "within 95 % mm",
-        "told by the scans mm",
-    )
+    for enrolled, echoes, (views, snr) in product(OBJECTS, (False, True), conditions):
+        tasks = [Recording(enrolled, echoes, views, snr, i) for i in range(scenes)]
+        results = [*run.each(errors, tasks).values()]
+        made = column(results, "made")
+        # 2 K coordinates less turn and shift leave 2 K - 3.
+        lost = made.size / (made.size - 3 * len(made))
+        most = 1e3 * np.quantile(np.abs(made), 0.95) * np.sqrt(lost)
+        what = "shell off the axis, handle, rim" if echoes else "none"
+        shown = (1e3 * rms(made) * np.sqrt(lost), most, 1e3 * rms(column(results, "told")))
+        rows.append((enrolled, what, views, snr, *(f"{value:.2f}" for value in shown)))
+    columns = "object | own echoes | views | SNR dB | error mm | within 95 % mm | told by the scans mm"
     yield Table(columns, rows, f"{scenes} scenes per row.")
-    yield repeated(run, scenes // 4)
-
-
-def repeated(run: Run, scenes: int, repeats: int = 4) -> Table:
-    """Part of the error with body echoes that is unchanged when the object is repositioned."""
-    rows = []
-    for enrolled in ("helmet-16", "mug-8"):
-        tasks = [
-            Recording(enrolled, True, 36, 20, i, again) for i in range(scenes) for again in range(repeats)
-        ]
-        made = np.array([item.made for item in run.each(errors, tasks).values()])
-        made = made.reshape(scenes, repeats, *made.shape[1:])
+    # Part of the error with body echoes that is unchanged when the object is repositioned.
+    again, scenes, repeated = 4, scenes // 4, []
+    for enrolled in OBJECTS:
+        tasks = [Recording(enrolled, True, 36, 20, i, n) for i in range(scenes) for n in range(again)]
+        made = column(run.each(errors, tasks).values(), "made")
+        made = made.reshape(scenes, again, *made.shape[1:])
         mean = made.mean(axis=1, keepdims=True)
-        scatter = np.mean((made - mean) ** 2) * repeats / (repeats - 1)
-        same = np.mean(mean**2) - scatter / repeats
+        scatter = np.mean((made - mean) ** 2) * again / (again - 1)
+        same = np.mean(mean**2) - scatter / again
         cells = [f"{1e3 * np.sqrt(max(value, 0)):.2f}" for value in (np.mean(made**2), same, scatter)]
-        rows.append((enrolled, *cells))
-    note = f"{scenes} objects of each kind with own echoes, recorded {repeats} times at 36 views and 20 dB."
-    return Table(("object", "error mm", "same in all mm", "scatter mm"), rows, note)
+        repeated.append((enrolled, *cells))
+    note = f"{scenes} objects of each kind with own echoes, recorded {again} times at 36 views and 20 dB."
+    yield Table("object | error mm | same in all mm | scatter mm", repeated, note)

@@ -1,6 +1,6 @@
 """Capture at the radar's fastest and largest settings: scans lost, share of a core, growth of memory.
 
-The emulated radar is another process; this one does what a recording does: socket or serial port, regrouping,
+The emulated radar is another process; this one does what a recording does: socket, regrouping,
 queue, journal on disk with its syncs. CPU is user and system time of this process, all its threads.
 """
 
@@ -8,26 +8,22 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
-import resource
 import signal
 import threading
 import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import numpy as np
 
 from tagid.radar.emulation.core import EmulatorCore
-from tagid.radar.emulation.emulator import ServeOptions, serve, serve_udp
-from tagid.radar.emulation.wires import PtyWire
-from tagid.radar.framing import Framing
+from tagid.radar.emulation.emulator import ServeOptions, serve_udp
 from tagid.radar.settings import RadarConfig
 from tagid.recording.intake import Intake
 from tagid.recording.radars import open_radar
 from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_queue import JournalQueue
+from tests.benchmarks.measure import memory_mb
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 
@@ -35,15 +31,7 @@ SETTINGS = {
     "fastest": RadarConfig(10_000, 15_000, base_integration_index=6),
     "largest": RadarConfig(10_000, 10_000 + 492_000, base_integration_index=11),
 }
-COLUMNS = (
-    "setting",
-    "wire",
-    "scans",
-    "lost",
-    "dropped",
-    "share of a core (%)",
-    "memory since it settled (MB)",
-)
+COLUMNS = "setting | wire | scans | lost | dropped | share of a core (%) | memory since it settled (MB)"
 
 
 class Noise:
@@ -57,35 +45,17 @@ class Noise:
         return self._table[index % 64, : config.samples]
 
 
-def emulate(wire: str, ready: Connection) -> None:
+def emulate(ready: Connection) -> None:
     """The other process: sends its URL, then is a radar in real time until terminated."""
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    core = EmulatorCore(Noise())
-    if wire == "udp":
-        serve_udp(core, ServeOptions(port=0), stop, lambda h, p: ready.send(f"udp://{h}:{p}"))
-    else:
-        pty = PtyWire(Framing.USB)
-        ready.send(f"serial://{pty.path}")
-        serve(core, pty, ServeOptions(), stop)
+    serve_udp(EmulatorCore(Noise()), ServeOptions(port=0), stop, lambda h, p: ready.send(f"udp://{h}:{p}"))
 
 
-def memory_mb() -> float:
-    """Resident memory of this process, MB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def cpu_s() -> float:
-    """User and system time of this process, s."""
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return usage.ru_utime + usage.ru_stime
-
-
-def measure(name: str, wire: str, seconds: float, run: Run) -> tuple[object, ...]:
+def measure(name: str, seconds: float, run: Run) -> tuple[object, ...]:
     """The row of one setting, recorded for some seconds of the radar's clock."""
     ours, others = multiprocessing.Pipe()
-    server = multiprocessing.get_context("spawn").Process(target=emulate, args=(wire, others))
+    server = multiprocessing.get_context("spawn").Process(target=emulate, args=(others,))
     server.start()
     path = run.folder / f"{name}.tagid.journal"
     try:
@@ -99,7 +69,7 @@ def measure(name: str, wire: str, seconds: float, run: Run) -> tuple[object, ...
                 scans = Intake(radar, queue, resume_s=0).scans()
                 first = next(scans)
                 settled: float | None = None
-                cpu, wall = cpu_s(), time.monotonic()
+                cpu, wall = time.process_time(), time.monotonic()
                 minute = 60.0
                 for scan in scans:
                     passed = (scan.radar_time_ms - first.radar_time_ms) * 1e-3
@@ -110,7 +80,7 @@ def measure(name: str, wire: str, seconds: float, run: Run) -> tuple[object, ...
                         minute += 60.0
                     if passed >= seconds:
                         break
-                cpu, wall = cpu_s() - cpu, time.monotonic() - wall
+                cpu, wall = time.process_time() - cpu, time.monotonic() - wall
                 grown = memory_mb() - (settled or 0.0)
                 scans.close()  # type: ignore[attr-defined]
             lost, dropped = radar.statistics.lost_scans, queue.dropped
@@ -121,7 +91,7 @@ def measure(name: str, wire: str, seconds: float, run: Run) -> tuple[object, ...
     messages = -(-config.samples // 350)
     setting = f"{config.samples} samples, index {config.base_integration_index}, {messages} message(s) a scan"
     return (
-        setting, f"{wire}, {seconds:g} s", f"{count} ({count / wall:.0f} a second)", lost, dropped,
+        setting, f"UDP, {seconds:g} s", f"{count} ({count / wall:.0f} a second)", lost, dropped,
         f"{100 * cpu / wall:.1f}", f"{grown:+.1f} of {memory_mb():.0f}",
     )  # fmt: skip
 
@@ -129,7 +99,6 @@ def measure(name: str, wire: str, seconds: float, run: Run) -> tuple[object, ...
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Those of `measure`."""
     parser.add_argument("--seconds", type=float, help="of the radar's clock; 60, or 5 for a look")
-    parser.add_argument("--wire", choices=("udp", "usb"), default="udp")
     parser.add_argument("--only", choices=tuple(SETTINGS))
 
 
@@ -139,4 +108,4 @@ def capture(run: Run) -> Iterator[Table]:
     run.seeds = "one run each"
     seconds = given.seconds or (5.0 if run.quick else 60.0)
     names = [name for name in SETTINGS if given.only in (None, name)]
-    yield Table(COLUMNS, [measure(name, given.wire, seconds, run) for name in names])
+    yield Table(COLUMNS, [measure(name, seconds, run) for name in names])

@@ -1,10 +1,9 @@
 """Scenes of every yardstick of `readers.py`, of development seeds alone.
 
 y1 is `bodies_scenes.py`, y2 `reading_bodies_scenes.py`, y3 `unseen_scenes.py` (opened objects), all without
-enrollment; y2e is y2 with body or object enrolled, y4 `enrolled_scenes.py` and `enrolled_designed.py`, y5
-`identification_scenes.py` from number 1000 on, null `train/population.py`, volume `train/volume_objects.py`,
-on which nothing is chosen. y3 requires solved objects in SOLVED: `solve --set unseen` makes them, in about
-half a minute each.
+enrollment; y2e is y2 with body or object enrolled, y4 `enrolled_scenes.py`, y5 `identification_scenes.py`
+from number 1000 on, null `train/population.py`, volume `train/volume_objects.py`, on which nothing is
+chosen. y3 requires solved objects in SOLVED: `solve --set unseen` makes them, in about half a minute each.
 """
 
 from __future__ import annotations
@@ -12,21 +11,19 @@ from __future__ import annotations
 import os
 import random
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from tagid.capture import Capture
 from tagid.errors import TagidError
-from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.pipeline.identify import aspect_spectra
 from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tests.benchmarks import (
     bodies_scenes,
-    enrolled_designed,
     enrolled_scenes,
     identification_scenes,
     reading_bodies_scenes,
@@ -62,11 +59,6 @@ class Scene:
     capture: Capture
     signatures: Sequence[Signature] = ()
     alias: str = ""
-
-    def prepared(self) -> dict[str, Any]:
-        """The same with scans instead of the capture; raises TagidError."""
-        scans = preprocess(self.capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
-        return {**vars(self), "scans": scans, "capture": None}
 
 
 Draws = Iterator[tuple[str, Callable[[], Scene | None]]]
@@ -107,7 +99,7 @@ def y2(turn: int) -> Draws:
     for stratum, cells in strata.items():
         number = 5 if stratum[3] != "tagged" else 13 if stratum[1] == "paper" else 6
         for cell in random.Random(f"{turn}/{stratum}").sample(cells, number):
-            key = "/".join(map(str, ("y2", *asdict(cell).values(), FIRST_READING_BODIES + turn)))
+            key = "/".join(map(str, ("y2", *cell, FIRST_READING_BODIES + turn)))
             yield key, partial(_reading_bodies, key, cell, FIRST_READING_BODIES + turn)
 
 
@@ -121,7 +113,7 @@ def y2e(turn: int) -> Draws:
         number = 8 if stratum[2] == "tagged" else 3
         for i, cell in enumerate(random.Random(f"{turn}/{stratum}").sample(cells, min(number, len(cells)))):
             kind = ("body", "object")[i % 2]
-            key = "/".join(map(str, ("y2e", kind, *asdict(cell).values(), FIRST_READING_BODIES + turn)))
+            key = "/".join(map(str, ("y2e", kind, *cell, FIRST_READING_BODIES + turn)))
             yield key, partial(_known_body, key, cell, FIRST_READING_BODIES + turn, kind)
 
 
@@ -129,7 +121,7 @@ def _known_body(key: str, cell: reading_bodies_scenes.Cell, number: int, kind: S
     scene = _reading_bodies(key, cell, number)
     name = "body" if kind == "body" else scene.truth or "another"
     try:
-        shown = reading_bodies_scenes.enrolment_captures(cell, "development", number, tagged=kind == "object")
+        shown = reading_bodies_scenes.enrolment_captures(cell, number, tagged=kind == "object")
         captures = [Named(f"capture {i + 1}", aspect_spectra(capture)) for i, capture in enumerate(shown)]
         signature = enroll_signature(captures, name, kind).signature
     except TagidError:
@@ -138,7 +130,7 @@ def _known_body(key: str, cell: reading_bodies_scenes.Cell, number: int, kind: S
 
 
 def _reading_bodies(key: str, cell: reading_bodies_scenes.Cell, number: int) -> Scene:
-    drawn = reading_bodies_scenes.draw(cell, "development", number)
+    drawn = reading_bodies_scenes.draw(cell, number)
     group = f"{cell.world}, {cell.body if cell.enrolled == 'paper' else cell.enrolled}"
     return Scene(key, group, cell.body, drawn.name or None, drawn.layouts, drawn.capture)
 
@@ -155,7 +147,7 @@ def y3(turn: int) -> Draws:
 def _unseen(key: str, name: str, how: unseen_scenes.Recording, circumstances: str) -> Scene | None:
     base, truth = unseen_scenes.base_of(name), unseen_scenes.truth_of(name) or None
     try:
-        capture = unseen_scenes.recorded(SOLVED, name, how, unseen_scenes.drawn(circumstances))
+        capture = unseen_scenes.recorded(SOLVED, name, how, circumstances)
     except TagidError:
         return None
     kind = "round body" if base in solved_objects.ROUND else base.rstrip("0123456789")
@@ -165,45 +157,44 @@ def _unseen(key: str, name: str, how: unseen_scenes.Recording, circumstances: st
 def y4(turn: int) -> Draws:
     """Full-wave objects in two of eight places, each with bodies or objects enrolled; designed layouts."""
     positions = [(o, s) for o in enrolled_scenes.OFFSETS_MM for s in enrolled_scenes.SNRS_DB]
-    every = [s for s in enrolled_scenes.scenes(turn // 4 + 1) if s.number == turn // 4]
+    every = enrolled_scenes.scenes(turn // 4)
     kinds = list(dict.fromkeys((s.part, s.solved) for s in every))
     for s in every:
         at = positions.index((s.offset_mm, s.snr_db)) - kinds.index((s.part, s.solved)) - turn
         # A tag of a layout on an object that is not enrolled is right and wrong at once.
         if at % 4 == 0 and (s.part == "body" or s.name or s.solved not in enrolled_scenes.ON_BODIES):
-            key = "/".join(map(str, ("y4", *asdict(s).values())))
+            key = "/".join(map(str, ("y4", *s)))
             yield key, partial(_enrolled, key, s)
-    designed = enrolled_designed.designed_scenes(1, enrolled_scenes.OFFSETS_MM, enrolled_scenes.SNRS_DB)
-    for d in designed[turn % 9 :: 9]:
-        key = "/".join(map(str, ("y4", "designed", *asdict(d).values())))
+    for d in enrolled_scenes.designed_scenes()[turn % 9 :: 9]:
+        key = "/".join(map(str, ("y4", "designed", *d)))
         yield key, partial(_designed, key, d)
 
 
 @cache
 def _signature(part: str, which: Any) -> Signature:
     if part == "designed":
-        return enrolled_designed.enrolled_carrier(which)
+        return enrolled_scenes.enrolled_carrier(which)
     return enrolled_scenes.enrolled(which, "object" if part == "object" else "body")
 
 
 def _enrolled(key: str, s: enrolled_scenes.Scene) -> Scene:
-    where = f"{READ}/{s.number}", s.snr_db, s.offset_mm, enrolled_scenes.VIEWS
+    where = enrolled_scenes.Where(f"{READ}/{s.number}", s.snr_db, s.offset_mm, enrolled_scenes.VIEWS)
     whole = s.part == "object"
     known = enrolled_scenes.OBJECTS if whole else enrolled_scenes.BODIES
     tag = s.solved.split("+")[-1].split("-")[0].split("_")[1:]
     truth = bodies_scenes.NAMES[tag[0]] if s.name else None
-    capture = enrolled_scenes.capture_of(s.solved, *where)
+    capture = enrolled_scenes.capture_of(s.solved, where)
     signatures = [_signature(s.part, name) for name in known]
     group = f"{s.part} enrolled"
     body = enrolled_scenes.HANDLE if s.solved.startswith(enrolled_scenes.HANDLE) else s.solved.split("_")[0]
     return Scene(key, group, body, truth, BUILTIN, capture, signatures, s.name * whole)
 
 
-def _designed(key: str, d: enrolled_designed.DesignedScene) -> Scene:
-    carrier = enrolled_designed.CARRIERS[d.carrier]
-    where = f"{READ}/{d.number}", d.snr_db, d.offset_mm, enrolled_scenes.VIEWS
-    capture = enrolled_designed.capture_of(carrier, d.layout, d.size_mm, *where)
-    signatures = [_signature("designed", i) for i in enrolled_designed.ENROLLED[d.carrier]]
+def _designed(key: str, d: enrolled_scenes.DesignedScene) -> Scene:
+    carrier = enrolled_scenes.CARRIERS[d.carrier]
+    where = enrolled_scenes.Where(f"{READ}/{d.number}", d.snr_db, d.offset_mm, enrolled_scenes.VIEWS)
+    capture = enrolled_scenes.designed_capture(carrier, d.layout, d.size_mm, where)
+    signatures = [_signature("designed", i) for i in enrolled_scenes.ENROLLED[d.carrier]]
     group = f"body enrolled, {carrier.name}"
     return Scene(key, group, carrier.body, d.name or None, carrier.family, capture, signatures)
 
@@ -219,7 +210,7 @@ def y5(turn: int) -> Draws:
     for i, (condition, count) in enumerate(cells):
         for j in range(count):
             number = FIRST_IDENTIFICATION + (5 * i + j + count * turn) % 100
-            key = "/".join(map(str, ("y5", *asdict(condition).values(), number)))
+            key = "/".join(map(str, ("y5", *condition, number)))
             yield key, partial(_identification, key, condition, number)
 
 
@@ -257,20 +248,13 @@ def _volume(key: str, seed: int) -> Scene:
 
 
 YARDSTICKS: dict[str, Callable[[int], Draws]] = {
-    "y1": y1,
-    "y2": y2,
-    "y2e": y2e,
-    "y3": y3,
-    "y4": y4,
-    "y5": y5,
-    "null": null,
-    "volume": volume,
+    work.__name__: work for work in (y1, y2, y2e, y3, y4, y5, null, volume)
 }
 
 
-def drawn(yardstick: str, rounds: int) -> Draws:
-    """Every scene of so many rounds, each round in an order drawn once."""
-    for turn in range(rounds):
-        some = list(YARDSTICKS[yardstick](turn))
-        random.Random(f"{yardstick}/{turn}").shuffle(some)
-        yield from some
+@cache
+def drawn(yardstick: str, turn: int) -> dict[str, Callable[[], Scene | None]]:
+    """Every scene of a round by its key, in an order drawn once."""
+    some = list(YARDSTICKS[yardstick](turn))
+    random.Random(f"{yardstick}/{turn}").shuffle(some)
+    return dict(some)

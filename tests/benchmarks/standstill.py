@@ -13,7 +13,8 @@ import argparse
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,14 +22,13 @@ from tagid.angles.period import NOMINAL_TOLERANCE
 from tagid.angles.standstill import find_standstill
 from tagid.simulate import Acquisition, Placement, parse_body, parse_reflector, simulate_capture
 from tagid.simulate.presets import scene_from_name, scene_on_body
-from tests.benchmarks.reading_bodies_scenes import _reference, full_wave
+from tests.benchmarks.fullwave_scenes import full_wave, single_of
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 
 FINE = 720
 """Views per turn from which a recording is interpolated."""
-FIRST = {"choose": 10, "report": 7000}
-"""First seed of each purpose."""
+FIRST_SEED = 7000
 SNRS_DB = (20, 10, 5)
 STOPS = (0.25, 0.5, 0.75, 0.9)
 PAUSES = {"stops": math.inf, "goes on": 0.3}
@@ -52,14 +52,8 @@ SOLVED = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Clean:
-    """One turn without noise.
-
-    Attributes:
-        samples: (FINE, bins).
-        noise_std: of one sample at 0 dB.
-    """
+class Clean(NamedTuple):
+    """One turn without noise, (FINE, bins), and the standard deviation of the noise of one sample at 0 dB."""
 
     samples: np.ndarray
     noise_std: float
@@ -87,7 +81,7 @@ def clean(name: str, seed: int) -> Clean:
     if name.startswith("full-wave "):
         solved = name.removeprefix("full-wave ")
         scan, _ = full_wave().make(
-            solved, rng, reference=_reference(solved), views=FINE, centre=(x / 2, y / 2), snr_db=300.0
+            solved, rng, reference=single_of(solved), views=FINE, centre=(x / 2, y / 2), snr_db=300.0
         )
         return Clean(scan["samples"].astype(float), 1000 / math.sqrt(2))
     tag, on, body = name.partition(" on ")
@@ -121,38 +115,31 @@ def found(turn: Clean, stop: float, pause: float, snr_db: float, scans: int, rng
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which scenes."""
-    parser.add_argument("--purpose", choices=tuple(FIRST), default="report")
+    """How many scans."""
     parser.add_argument("--scans", type=int, default=468, help="in 1.3 turns")
-    parser.add_argument("--objects", nargs="+", choices=objects(), metavar="NAME")
 
 
 def stops(run: Run) -> Iterator[Table]:
     """How often a stop is imagined in objects that turn, and found in those that stop."""
-    given, seeds = run.options, run.number(4)
-    first = FIRST[given.purpose]
-    run.seeds = f"{first} to {first + seeds - 1} (constants were chosen on 10 to 17)"
+    seeds, scans = run.drawn(4, first=FIRST_SEED), run.options.scans
+    run.seeds += " (constants were chosen on 10 to 17)"
     turning: Counter[tuple[int, bool]] = Counter()
     stopped: Counter[tuple[str, int, float, str]] = Counter()
-    for name in given.objects or (PRESETS[:3] if run.quick else objects()):
-        for seed in range(first, first + seeds):
-            turn = clean(name, seed)
-            rngs = np.random.default_rng([seed, 5]), np.random.default_rng([seed, 5])
-            for snr_db in SNRS_DB:
-                wrong = imagined(turn, snr_db, given.scans, rngs[0])
-                turning[snr_db, wrong] += 1
-                if wrong:
-                    run.say(f"imagined: {name}, seed {seed}, {snr_db} dB")
-                for what, pause in PAUSES.items() if name != "empty" else ():
-                    for stop in STOPS:
-                        result = found(turn, stop, pause, snr_db, given.scans, rngs[1])
-                        stopped[what, snr_db, stop, result] += 1
+    for name, seed in product(PRESETS[:3] if run.quick else objects(), seeds):
+        turn = clean(name, seed)
+        rngs = np.random.default_rng([seed, 5]), np.random.default_rng([seed, 5])
+        for snr_db in SNRS_DB:
+            wrong = imagined(turn, snr_db, scans, rngs[0])
+            turning[snr_db, wrong] += 1
+            if wrong:
+                run.say(f"imagined: {name}, seed {seed}, {snr_db} dB")
+            for (what, pause), stop in product(PAUSES.items(), STOPS) if name != "empty" else ():
+                stopped[what, snr_db, stop, found(turn, stop, pause, snr_db, scans, rngs[1])] += 1
     rows = [(snr, turning[snr, True] + turning[snr, False], turning[snr, True]) for snr in SNRS_DB]
-    yield Table(("SNR, dB", "turning objects", "a stop was reported"), rows)
-    rows = []
-    for what in PAUSES:
-        for snr in SNRS_DB:
-            counts = [[stopped[what, snr, stop, result] for result in RESULTS] for stop in STOPS]
-            rows.append((what, snr, *(f"{c[0]} / {c[1]} / {sum(c)}" for c in counts)))
+    yield Table("SNR, dB | turning objects | a stop was reported", rows)
+    lines = []
+    for what, snr in product(PAUSES, SNRS_DB):
+        counts = [[stopped[what, snr, stop, result] for result in RESULTS] for stop in STOPS]
+        lines.append((what, snr, *(f"{c[0]} / {c[1]} / {sum(c)}" for c in counts)))
     note = "Turning objects that stop at a part of the turn. Cells: right / elsewhere / all."
-    yield Table(("the table", "SNR, dB", *map(str, STOPS)), rows, note)
+    yield Table(("the table", "SNR, dB", *map(str, STOPS)), lines, note)

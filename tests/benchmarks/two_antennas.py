@@ -57,11 +57,7 @@ def antennas(run: Run) -> Iterator[Table]:
             cells = [f"{np.sqrt((e**2).mean()):.2f} ({e.max():.2f})" for e in errors]
             rows.append((f"{apart:g} m apart", name, f"{1e3 * (reach - 1):.1f}", *cells))
     columns = (
-        "antennas",
-        "views",
-        "range error of the axis (mm)",
-        "both antennas",
-        "one, in the middle",
-        "one, axis moved",
+        "antennas | views | range error of the axis (mm) | both antennas | one, in the middle | "
+        "one, axis moved"
     )
     yield Table(columns, rows, NOTE.format(count=count))

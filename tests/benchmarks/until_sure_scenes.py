@@ -1,15 +1,14 @@
 """Turns for the benchmark of `tagid scan --until-sure`: nothing enrolled on the table, and tags.
 
-The kinds are those of the reader's own benchmarks (`train.population`,
-`identification_scenes`, `reading_bodies_scenes` with its full-wave responses), drawn from seeds that none of
-those uses. Each purpose has its own range of seeds: "choose" for constants, "calibrate" for the shipped
-calibration, "report" for the published table.
+The kinds are those of the reader's own benchmarks (`train.population`, `identification_scenes`,
+`reading_bodies_scenes` with its full-wave responses), drawn from seeds that none of those uses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,11 +21,11 @@ from tagid.simulate.scene import Scene
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
 from tests.benchmarks import reading_bodies_scenes as bodies
-from tests.benchmarks.identification_scenes import SETS, Condition, draw_scene, record, record_scene
+from tests.benchmarks.identification_scenes import SETS, Condition, record
 from train.population import draw
 
-FIRST = {"choose": 1_000_000, "calibrate": 2_000_000, "report": 3_000_000}
-"""First number of each purpose; a million numbers each."""
+CALIBRATE, REPORT = 2_000_000, 3_000_000
+"""First numbers of the turns of the shipped calibration, and of those of the table."""
 KINDS = (
     *("population",) * 6,
     *("unenrolled", "unenrolled", "box", "noise"),
@@ -53,42 +52,19 @@ _POPULATION_OFFSET = 40_000_000
 _SCENE_OFFSET = 10_000_000
 
 
-@dataclass(frozen=True)
-class Recording:
-    """Views per turn, SNR and the set of enrolled layouts."""
-
-    views: int
-    snr_db: float
-    enrolled: str
-
-
-@dataclass(frozen=True, eq=False)
-class Turn:
-    """A whole turn.
-
-    Attributes:
-        capture: as recorded, with angles.
-        layouts: the enrolled ones.
-        name: the right name; empty if no name is right.
-        kind: what turned.
-        enrolled: name of the set of layouts.
-        views, snr_db: of the recording.
-    """
+class Turn(NamedTuple):
+    """A whole turn: as recorded, with angles; the enrolled layouts; the right name, if any; its kind."""
 
     capture: Capture
     layouts: Sequence[Layout]
     name: str
     kind: str
-    enrolled: str
-    views: int
-    snr_db: float
 
 
-def null_turn(purpose: str, number: int) -> Turn:
+def null_turn(at: int) -> Turn:
     """The null turn of a number; kind, views, SNR and registry are drawn from it."""
-    at = FIRST[purpose] + number
     rng = np.random.default_rng([at, 15])
-    kind = KINDS[number % len(KINDS)]
+    kind = KINDS[at % len(KINDS)]
     views, snr_db = int(rng.choice(VIEWS)), float(rng.choice(SNRS_DB))
     enrolled = "helmet-16" if rng.uniform() < DESIGNED else "paper"
     layouts: Sequence[Layout] = SETS[enrolled]
@@ -98,52 +74,26 @@ def null_turn(purpose: str, number: int) -> Turn:
         scene = scene_of(kind, rng, _SCENE_OFFSET + at)
         capture, _ = simulate_capture(scene, _acquisition(rng, views, snr_db), _SCENE_OFFSET + at)
     elif kind in ("other tags", "untagged"):
-        group = "untagged" if kind == "untagged" else "unenrolled"
-        condition = Condition(group, "paper", views, snr_db)
-        scene, name = draw_scene(condition, at)
-        capture = record_scene(scene, name, condition, at).capture
+        condition = Condition("untagged" if kind == "untagged" else "unenrolled", "paper", views, snr_db)
+        capture = record(condition, at).capture
     else:
-        if kind.startswith("full-wave"):
+        world, group = kind.split(" ")
+        if world == "full-wave":
             # An object may carry a layout of the paper's, which its registry then lacks.
             enrolled = "paper"
-        capture, layouts = _on_a_body(kind, at, rng, Recording(views, snr_db, enrolled))
+        known = bodies.BODIES if world == "own" else bodies.FULL_WAVE_BODIES
+        body = str(rng.choice([b for b in known if world == "own" or (group, b) in bodies.FULL_WAVE]))
+        offset_mm, pulse = int(rng.choice(bodies.OFFSETS_MM)), str(rng.choice(bodies.PULSES))
+        cell = bodies.Cell(world, group, enrolled, body, offset_mm, int(snr_db), views, pulse)
+        capture, layouts, _ = bodies.draw(cell, at)
     scale = 1 + SCALE_SIGMA * float(np.random.default_rng([at, 16]).standard_normal())
-    return Turn(
-        scaled(capture, scale if number // len(KINDS) % 2 else 1.0),
-        layouts,
-        "",
-        kind,
-        enrolled,
-        views,
-        snr_db,
-    )
+    return Turn(scaled(capture, scale if at // len(KINDS) % 2 else 1.0), layouts, "", kind)
 
 
 def scaled(capture: Capture, scale: float) -> Capture:
     """The capture as a device would record it whose angles are too large by a factor."""
     assert capture.angles_rad is not None
     return replace(capture, angles_rad=capture.angles_rad * scale)
-
-
-def _on_a_body(
-    kind: str, at: int, rng: np.random.Generator, recording: Recording
-) -> tuple[Capture, Sequence[Layout]]:
-    """A foreign or untagged object of `reading_bodies_scenes`."""
-    world, group = kind.split(" ")
-    known = bodies.BODIES if world == "own" else bodies.FULL_WAVE_BODIES
-    fitting = [b for b in known if world == "own" or (group, b) in bodies.FULL_WAVE]
-    cell = bodies.Cell(
-        world=world,
-        group=group,
-        enrolled=recording.enrolled,
-        body=str(rng.choice(fitting)),
-        offset_mm=int(rng.choice(bodies.OFFSETS_MM)),
-        snr_db=int(recording.snr_db),
-        views=recording.views,
-        pulse=str(rng.choice(bodies.PULSES)),
-    )
-    drawn = bodies.draw(cell, "development", at)
-    return drawn.capture, drawn.layouts
 
 
 def unenrolled(rng: np.random.Generator) -> np.ndarray:
@@ -193,16 +143,14 @@ def _acquisition(rng: np.random.Generator, views: int, snr_db: float) -> Acquisi
     )
 
 
-def tagged_turn(purpose: str, number: int, enrolled: str, snr_db: float, scale: float = 1.0) -> Turn:
+def tagged_turn(at: int, enrolled: str, snr_db: float, scale: float) -> Turn:
     """A tag without a body, layouts in turn, as `identification_scenes` records it at 36 views per turn."""
-    recorded = record(Condition("tagged", enrolled, 36, snr_db), FIRST[purpose] + number)
-    capture = scaled(recorded.capture, scale)
-    return Turn(capture, SETS[enrolled], recorded.name, "tagged", enrolled, 36, snr_db)
+    recorded = record(Condition("tagged", enrolled, 36, snr_db), at)
+    return Turn(scaled(recorded.capture, scale), SETS[enrolled], recorded.name, "tagged")
 
 
-def tagged_body_turn(purpose: str, number: int, world: str, body: str, snr_db: float) -> Turn:
+def tagged_body_turn(number: int, world: str, body: str, snr_db: float) -> Turn:
     """A tag on a body, from our simulator ("own") or full-wave responses ("full-wave")."""
     offset = bodies.OFFSETS_MM[number % len(bodies.OFFSETS_MM)]
     cell = bodies.Cell(world, "tagged", "paper", body, offset, int(snr_db), 36, bodies.PULSES[number % 2])
-    drawn = bodies.draw(cell, "development", FIRST[purpose] + number)
-    return Turn(drawn.capture, drawn.layouts, drawn.name, f"{world} {body}", "paper", 36, snr_db)
+    return Turn(*bodies.draw(cell, REPORT + number), f"{world} {body}")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import time
 from collections.abc import Iterator
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +18,9 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.volume import backproject_volume
 from tagid.pipeline.join import join
 from tagid.pipeline.volume import METHODS, VolumeSettings, reconstruct_volume
+from tests.benchmarks.measure import timed
 from tests.benchmarks.run import Run
-from tests.benchmarks.tables import Table, interval
+from tests.benchmarks.tables import Table, column, grouped, interval
 from tests.unit.imaging_scenes import record, turn
 
 SETS = {"3 heights, 0 to 0.3 m": (0.0, 0.15, 0.3), "5 heights, -0.2 to 0.2 m": (-0.2, -0.1, 0.0, 0.1, 0.2)}
@@ -34,12 +35,6 @@ Noise is the least that any volume can reach. Points: five at random places. She
 TIME_NOTE = """Three points, {heights} antenna heights from -0.25 to 0.25 m at 1 m, 360 views each, 320
 samples per scan, into 128 x 128 x {levels} voxels of 0.4 m, on {cores} cores. The time by the clock holds for
 the load of that moment; processor time over cores is that of an idle machine."""
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Size of what is timed."""
-    parser.add_argument("--heights", type=int, help="of the antenna; 100, or 4 for a look")
-    parser.add_argument("--levels", type=int, help="of the volume; 100, or 20 for a look")
 
 
 def scene(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -88,32 +83,24 @@ def residuals(cell: Cell) -> dict[str, float]:
 
 def predicted(run: Run) -> Iterator[Table]:
     """A row for every scene, as seen from few heights."""
-    seeds = run.number(3)
-    run.seeds = f"0 to {seeds - 1}"
-    kinds = KINDS[:1] if run.quick else KINDS
-    results = run.each(
-        residuals, [Cell(name, kind, seed) for name in SETS for kind in kinds for seed in range(seeds)]
-    )
-    rows = []
-    for name in SETS:
-        for kind in kinds:
-            some = [values for cell, values in results.items() if (cell.heights, cell.kind) == (name, kind)]
-            columns = [np.array([item[key] for item in some]) for key in (*METHODS, "noise")]
-            rows.append((name, kind, *(interval(column, 1) for column in columns)))
-    better = sum(item["ats"] < item["bp"] for item in results.values())
-    sparser = sum(item["ats"] < item["sparse"] for item in results.values())
+    seeds, kinds = run.drawn(3), KINDS[:1] if run.quick else KINDS
+    results = run.each(residuals, [Cell(*cell) for cell in product(SETS, kinds, seeds)])
+    rows = [
+        (*place, *(interval(column(some, key), 1) for key in (*METHODS, "noise")))
+        for place, some in grouped(results, lambda cell: cell[:2]).items()
+    ]
+    better, sparser = (sum(r["ats"] < r[other] for r in results.values()) for other in ("bp", "sparse"))
     below = (
         f"ATS is below backprojection in {better} of {len(results)} scenes, and below sparse recovery in "
         f"{sparser} of {len(results)}."
     )
-    note = NOTE.format(views=VIEWS, level=LEVEL_DB, seeds=seeds)
-    yield Table(("antennas", "scene", "bp", "sparse", "ATS", "noise"), rows, note, below=below)
+    note = NOTE.format(views=VIEWS, level=LEVEL_DB, seeds=len(seeds))
+    yield Table("antennas | scene | bp | sparse | ATS | noise", rows, note, below=below)
 
 
 def _recorded(run: Run) -> tuple[Capture, VolumeGrid, str]:
     """What is timed: the joined turns, the volume, and a note of their size."""
-    heights = run.options.heights or run.number(100, 4)
-    levels = run.options.levels or run.number(100, 20)
+    heights, levels = (4, 20) if run.quick else (100, 100)
     run.seeds = "none drawn"
     angles = np.arange(360) * 2 * np.pi / 360
     capture = join(
@@ -142,27 +129,26 @@ def _worst_place_mm(values: np.ndarray, grid: VolumeGrid) -> float:
     return max(errors)
 
 
-def _memory_gb() -> str:
-    return f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB"
+def _rows(values: np.ndarray, grid: VolumeGrid) -> list[tuple[str, str]]:
+    memory_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    return [
+        ("peak memory of the process", f"{memory_gb:.2f} GB"),
+        ("largest error of the brightest voxels' places", f"{_worst_place_mm(values, grid):.1f} mm"),
+    ]
 
 
 def backprojected(run: Run) -> Iterator[Table]:
     """Time and memory of a volume by backprojection, from many turns at different heights."""
     capture, grid, note = _recorded(run)
-    begun = time.perf_counter()
-    scans = preprocess(capture, settings=_settings(True))
-    before = time.perf_counter() - begun
-    begun, busy = time.perf_counter(), time.process_time()
-    made = backproject_volume(scans, grid)
-    seconds, used = time.perf_counter() - begun, time.process_time() - busy
+    scans, before, _ = timed(lambda: preprocess(capture, settings=_settings(True)))
+    made, seconds, used = timed(lambda: backproject_volume(scans, grid))
     pairs = capture.views * grid.voxels
     rows = [
         ("pairs of view and voxel", f"{pairs:.3g}"),
         ("preprocessing", f"{before:.1f} s"),
         ("backprojection", f"{seconds:.1f} s, {used:.1f} s of processor time"),
         ("pairs per second of processor time", f"{pairs / used:.3g}"),
-        ("peak memory of the process", _memory_gb()),
-        ("largest error of the brightest voxels' places", f"{_worst_place_mm(made.values, grid):.1f} mm"),
+        *_rows(made.values, grid),
     ]
     yield Table(("", ""), rows, note)
 
@@ -171,20 +157,17 @@ def fitted(run: Run) -> Iterator[Table]:
     """Time, memory and error of one fit, without the held-out residual, which takes as much again."""
     capture, grid, note = _recorded(run)
     scans, matched = (preprocess(capture, settings=_settings(m)) for m in (False, True))
-    marks: list[float] = []
-    begun, busy = time.perf_counter(), time.process_time()
+    marks, busy = [0.0], time.process_time()
 
     def progress(done: float, total: float, remark: str) -> None:
         if done <= 0.35:
-            marks[:] = [time.process_time() - busy]
+            marks[0] = time.process_time() - busy
 
-    made = fit_volume(matched, scans, grid, progress=progress)
-    seconds, used = time.perf_counter() - begun, time.process_time() - busy
+    made, seconds, used = timed(lambda: fit_volume(matched, scans, grid, progress=progress))
     rows = [
         ("fit with its backprojection", f"{seconds:.0f} s, {used:.0f} s of processor time"),
         ("of this the backprojection", f"{marks[0]:.0f} s of processor time"),
         ("voxels that were fitted", f"{made.settings['active_voxels']:,} of {grid.voxels:,}"),
-        ("peak memory of the process", _memory_gb()),
-        ("largest error of the brightest voxels' places", f"{_worst_place_mm(made.values, grid):.1f} mm"),
+        *_rows(made.values, grid),
     ]
     yield Table(("", ""), rows, note)
