@@ -87,8 +87,8 @@ def run(benchmark: Benchmark, words: list[str], folder: Path) -> int:
     module, _, function = benchmark.work.partition(":")
     loaded = importlib.import_module(f"tests.benchmarks.{module}")
     parser = parser_of(benchmark)
-    if hasattr(loaded, "add_options"):
-        loaded.add_options(parser)
+    for name in ("add_options", f"{function}_options"):
+        getattr(loaded, name, lambda _: None)(parser)
     given = parser.parse_args(words)
     pictures = (RESULTS.parent / "pictures") if given.write else None
     asked = Run(
