@@ -14,8 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.benchmarks.catalogue import BENCHMARKS, Benchmark
-from tests.benchmarks.needs import missing
+from tests.benchmarks.catalogue import BENCHMARKS, Benchmark, missing
 from tests.benchmarks.provenance import ROOT, made_with
 
 RESULTS = ROOT / "docs" / "results"

@@ -7,7 +7,7 @@ coupling between them.
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from train.population import difference_deg, has_enrolled_spacing
 
 NAMES = {"c90": "container-90", "c180": "container-180", "h120": "helmet-120", "lin": "helmet-linear"}
 ANGLES = {"container-90": (0.0, 90.0), "container-180": (0.0, 180.0)}
-UNNAMED = "foreign or untagged"
+NAMELESS = "foreign or untagged"
 FOREIGN_DEG = (
     (), (0,), (0, 40), (0, 60), (0, 70), (0, 110), (0, 125), (0, 135), (0, 150), (0, 160), (0, 120, 240),
     (0, 90, 180), (0, 90, 200), (0, 60, 180), (0, 90, 180, 270), (0, 45, 180, 225), (0, 72, 144, 216, 288),
@@ -33,8 +33,7 @@ LEAST_M = 0.03
 """Octahedra on a ring of 45 mm stand at least so far apart."""
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(NamedTuple):
     """An object of the responses, or a body with reflectors at any angles.
 
     Attributes:
@@ -57,8 +56,7 @@ class Scene:
         return has_enrolled_spacing(RING_M * np.exp(1j * np.deg2rad(self.angles_deg)))
 
 
-@dataclass(frozen=True)
-class Recording:
+class Recording(NamedTuple):
     """How a scene is recorded.
 
     Attributes:
@@ -96,41 +94,35 @@ RECORDINGS = (
 )
 
 
-def tagged() -> list[Scene]:
-    """Bare tags, round bodies, and bodies that are not round, each with an enrolled layout."""
-    results = [
+TAGGED = (
+    *(
         Scene("bare tag", f"free{size}_{kind}", None, name)
         for size in (20, 40)
         for kind, name in NAMES.items()
-    ]
-    results += [Scene("bare tag", "free30_c90", None, "container-90")]
-    for group, body in (("metal can", "can35"), ("metal can", "can28"), ("metal can", "can40")):
-        results += [Scene(group, body, angles, name) for name, angles in ANGLES.items()]
-    results += [Scene("metal can", "can30_c180", None, "container-180")]
-    results += [Scene("ceramic cup", "cup36", angles, name) for name, angles in ANGLES.items()]
-    results += [Scene("helmet shell", f"shell_h120_{size}", None, "helmet-120") for size in (20, 40)]
-    results += [Scene("mug with a handle", "handle34_c90", None, "container-90")]
-    return [scene for scene in results if _solved(scene)]
-
-
-def unnamed() -> list[Scene]:
-    """Untagged bodies and fixed foreign tags."""
-    results = [
-        Scene(UNNAMED, can, tuple(map(float, angles)), None)
-        for can in ("can35", "can28")
-        for angles in FOREIGN_DEG
-    ]
-    names = ("shell", "can35_handle", "free20_one", "free40_one", "can30_foreign", "free20_foreign")
-    names += ("cup36", "handle34", "box", "can30", "can40")
-    results += [Scene(UNNAMED, name, None, None) for name in names]
-    return [scene for scene in results if _solved(scene)]
+    ),
+    Scene("bare tag", "free30_c90", None, "container-90"),
+    *(Scene("metal can", f"can{mm}", angles, name) for mm in (35, 28, 40) for name, angles in ANGLES.items()),
+    Scene("metal can", "can30_c180", None, "container-180"),
+    *(Scene("ceramic cup", "cup36", angles, name) for name, angles in ANGLES.items()),
+    *(Scene("helmet shell", f"shell_h120_{size}", None, "helmet-120") for size in (20, 40)),
+    Scene("mug with a handle", "handle34_c90", None, "container-90"),
+)
+"""Bare tags, round bodies, and bodies that are not round, each with an enrolled layout."""
+_BARE = (
+    *("shell", "can35_handle", "free20_one", "free40_one", "can30_foreign", "free20_foreign"),
+    *("cup36", "handle34", "box", "can30", "can40"),
+)
+UNNAMED = (
+    *(Scene(NAMELESS, can, tuple(map(float, at)), None) for can in ("can35", "can28") for at in FOREIGN_DEG),
+    *(Scene(NAMELESS, name, None, None) for name in _BARE),
+)
+"""Untagged bodies and fixed foreign tags."""
 
 
 def drawn(number: int) -> tuple[Scene, Recording]:
     """A foreign tag of 1 to 5 reflectors, or none, at random angles, recorded at random."""
     rng = np.random.default_rng([number, 29])
-    bodies = [body for body in DRAWN_BODIES if known(f"{body}_one")]
-    body = bodies[int(rng.integers(len(bodies)))]
+    body = DRAWN_BODIES[int(rng.integers(len(DRAWN_BODIES)))]
     free = body.startswith("free")
     layouts = [np.deg2rad(angle) for angle in ANGLES.values()] + [np.deg2rad([0.0, 120.0, 240.0])]
     while True:
@@ -157,10 +149,6 @@ def drawn(number: int) -> tuple[Scene, Recording]:
     )
     name = "bare" if free else "on a body"
     return Scene(f"foreign tag, {name}", body, tuple(np.rad2deg(angles)), None), recording
-
-
-def _solved(scene: Scene) -> bool:
-    return known(scene.name) and (scene.angles_deg is None or known(f"{scene.name}_one"))
 
 
 def _reference(base: str, name: str) -> str:

@@ -30,10 +30,9 @@ from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
 from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
-from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
 from tests.benchmarks.fullwave_scenes import full_wave, recorded
-from tests.benchmarks.identification_scenes import SETS
+from tests.benchmarks.identification_scenes import SETS, is_foreign, least_gap_m
 
 DISTANCE_M = 1.0
 POPULATION = "development/1"
@@ -176,8 +175,8 @@ ENROLLED = ((0, 1, 3), (1, 0, 2), (2, 3, 1), (3, 2, 0))
 """Which bodies are enrolled in the scenes of each carrier, by index: its own first."""
 FOREIGN = 3
 """Foreign tags for every size and SNR, beside one body without a tag."""
-APART_M, SPACING_M = 0.012, 0.04
-"""RMS distance under which a foreign tag counts as an enrolled one, and least spacing of its reflectors."""
+SPACING_M = 0.04
+"""Least spacing of the reflectors of foreign tags."""
 
 
 class DesignedScene(NamedTuple):
@@ -228,13 +227,8 @@ def _foreign(scene: DesignedScene) -> Layout:
     while True:
         angles = rng.uniform(0, 2 * np.pi, int(rng.integers(2, 5)))
         positions = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        gaps = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-        if (gaps + np.eye(len(angles))).min() < SPACING_M:
-            continue
-        layout = Layout("foreign", positions)
-        alike = [item for item in carrier.family if item.size == layout.size]
-        if all(rotational_distance(layout, item).rms_m > APART_M for item in alike):
-            return layout
+        if least_gap_m(positions) >= SPACING_M and is_foreign(positions, carrier.family):
+            return Layout("foreign", positions)
 
 
 def designed_capture(carrier: Carrier, layout: Layout | None, size_mm: int, where: Where) -> Capture:

@@ -5,7 +5,7 @@ Seeds begin at 50 000 000, which no training draws; SNR is per reflector (`tagid
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_layout, scene_from_name
 from tagid.simulate.scattering import Points, Returns
 from tagid.simulate.scene import Scene
+from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.design import DesignRules, design
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.layouts.objects import object_named
@@ -47,6 +48,22 @@ SETS: dict[str, tuple[Layout, ...]] = {
 """The paper's four, 16 designed on a helmet and 8 on a mug (3 reflectors, 12 slots, both rows)."""
 
 
+APART_M = 0.012
+"""Nearer than this in RMS, a foreign tag counts as the enrolled one: enrollment calls them confusable."""
+
+
+def least_gap_m(points: np.ndarray) -> float:
+    """Smallest distance between points, m."""
+    return float((np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(len(points))).min())
+
+
+def is_foreign(points: np.ndarray, enrolled: Sequence[Layout]) -> bool:
+    """Whether a tag is none of the enrolled ones."""
+    layout = Layout("foreign", points)
+    alike = [other for other in enrolled if other.size == layout.size]
+    return all(rotational_distance(layout, other).rms_m > APART_M for other in alike)
+
+
 class Condition(NamedTuple):
     """What is on the table, of which enrolled set, how it is recorded, and one of TWISTS, if any."""
 
@@ -64,8 +81,7 @@ def _unenrolled(kind: str, rng: np.random.Generator) -> np.ndarray:
     count = 3 if kind == "three-random" else 4
     while True:
         points = rng.uniform(-0.11, 0.11, (count, 2))
-        gap = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
-        if gap.min() > 0.04:
+        if least_gap_m(points) > 0.04:
             return points
 
 
@@ -208,6 +224,18 @@ class Recorded(NamedTuple):
     positions: np.ndarray
 
 
+def drawn_acquisition(rng: np.random.Generator, views: int, snr_db: float) -> Acquisition:
+    """Up to 10 mm off the axis, turned, axis distance wrong by up to 15 mm, on a turntable that wobbles."""
+    radius, turn = 0.01 * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
+    return Acquisition(
+        views=views,
+        snr_db=snr_db,
+        placement=Placement((radius * np.cos(turn), radius * np.sin(turn)), rng.uniform(0, 2 * np.pi)),
+        wobble=Wobble(speed=0.01),
+        axis_distance_error_m=rng.uniform(-0.015, 0.015),
+    )
+
+
 def record(condition: Condition, number: int) -> Recorded:
     """One recording with everything random drawn from its number."""
     return record_scene(*draw_scene(condition, number), condition, number)
@@ -216,14 +244,7 @@ def record(condition: Condition, number: int) -> Recorded:
 def record_scene(scene: Scene, name: str, condition: Condition, number: int) -> Recorded:
     """The recording of a scene under a condition, with everything random drawn from a number."""
     rng = np.random.default_rng([FIRST_SEED + number, 1])
-    radius, turn = 0.01 * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
-    acquisition = Acquisition(
-        views=condition.views,
-        snr_db=float(condition.snr_db),
-        placement=Placement((radius * np.cos(turn), radius * np.sin(turn)), rng.uniform(0, 2 * np.pi)),
-        wobble=Wobble(speed=0.01),
-        axis_distance_error_m=rng.uniform(-0.015, 0.015),
-    )
+    acquisition = drawn_acquisition(rng, condition.views, float(condition.snr_db))
     if condition.twist in ACQUISITION_TWISTS:
         acquisition = ACQUISITION_TWISTS[condition.twist](acquisition)
     elif condition.twist in SCENE_TWISTS:

@@ -33,7 +33,7 @@ from train.metrics import localise, pick_peaks, psnr
 __all__ = ["add_options", "methods", "scored"]
 
 MOST_PEAKS = 8
-SHOWN = tuple(r for r in ROWS if r not in ("blank", "ATS 300 steps") and not r.endswith("bare"))
+SHOWN = tuple(row for row in ROWS if row not in ("blank", "ATS 300 steps"))
 """Rows of the figures, and of the tables of objects and tags."""
 BEST = ("BP", "FISTA", "OMP", SLOW, "ATS field")
 """Rows that a page shows of a long table."""

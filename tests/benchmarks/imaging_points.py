@@ -29,6 +29,7 @@ from tests.benchmarks.imaging_scenes import (
     cramer_rao_mm,
     drawn_points,
     held_out_percent,
+    is_sharp,
     perceptual,
 )
 from tests.benchmarks.measure import timed
@@ -44,7 +45,6 @@ APART_MM = (15, 20, 30)
 FINE = ImageGrid(GRID.extent / 2, GRID.pixels)
 """Pixels of 3.6 mm, on which no method's resolution is that of its pixels."""
 MOST_PEAKS = 8
-POINT_ROWS = tuple(row for row in ROWS if not row.endswith("bare"))
 
 
 class PointCell(NamedTuple):
@@ -77,12 +77,12 @@ def score_points(cell: PointCell) -> dict[str, float]:
     """
     problem = drawn_points(cell.views, cell.noise, cell.seed)
     wavenumber = problem.scans(False).wavenumber
-    sharp = f"{cell.row}, bare" in ROWS
+    sharp = is_sharp(cell.row)
     if cell.row in ("oracle", "blank"):
         seconds = float("nan")
         base = oracle(problem, wavenumber) if cell.row == "oracle" else blank(problem.grid)
     else:
-        (base, _), _, seconds = timed(lambda: problem.image(f"{cell.row}, bare" if sharp else cell.row))
+        (base, _), _, seconds = timed(lambda: problem.image(cell.row, bare=True))
     shown = restore(base, wavenumber) if sharp else base
     scores = {"where_mm": float("nan"), "missed": float(len(problem.points)), "false": 0.0}
     scores["amplitude_db"] = float("nan")
@@ -134,7 +134,7 @@ EQUAL = {"psnr_db": ("PSNR (dB)", 1), "lpips": ("LPIPS", 3)}
 
 def points(run: Run) -> Iterator[Table]:
     """Two to four reflectors of 0.5 to 1 in noise: headline figures, and pictures at equal resolution."""
-    seeds, every = run.drawn(10), (*POINT_ROWS, "oracle")
+    seeds, every = run.drawn(10), (*ROWS, "oracle")
     rows, cases = chosen(run, every), CASES[1:2] if run.quick else CASES
     cells = [PointCell(*case, seed, row) for row in rows for case in cases for seed in seeds]
     scores = grouped(run.each(score_points, cells), lambda c: (c.views, c.noise, c.row))
@@ -224,8 +224,7 @@ class CloseCell(NamedTuple):
 def score_close(cell: CloseCell) -> dict[str, float]:
     """Whether exactly the two are seen, each within 8 mm, and how far off they are, mm."""
     problem = close_points(36, 0.1, cell.seed, cell.apart_mm / 1000, FINE)
-    row = f"{cell.row}, bare" if f"{cell.row}, bare" in ROWS else cell.row
-    image, _ = problem.image(row)
+    image, _ = problem.image(cell.row, bare=True)
     located = localise(local_maxima(image), problem.points, 0.008)
     resolved = float(located.missed == 0 and located.false == 0)
     return {"resolved": resolved, "where_mm": located.rmse_m * 1e3 if resolved else float("nan")}
@@ -247,11 +246,11 @@ def local_maxima(image: Image, threshold: float = 0.5) -> np.ndarray:
 def resolution(run: Run) -> Iterator[Table]:
     """Two equal reflectors 15 to 30 mm apart, 36 views, noise 0.1, pixels of 3.6 mm."""
     seeds = run.drawn(10)
-    rows = chosen(run, tuple(row for row in POINT_ROWS if row != "blank"))
+    rows = chosen(run, tuple(row for row in ROWS if row != "blank"))
     cells = [CloseCell(apart, seed, row) for row in rows for apart in APART_MM for seed in seeds]
     scores = grouped(run.each(score_close, cells), lambda c: (c.row, c.apart_mm))
     lines = []
-    for row in (row for row in POINT_ROWS if row in rows):
+    for row in (row for row in ROWS if row in rows):
         line = [row, str(len(seeds))]
         for apart in APART_MM:
             some = scores[row, apart]

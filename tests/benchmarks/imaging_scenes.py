@@ -66,15 +66,17 @@ ROWS = {
     "ATS paper": Row("ats", "paper"),
     "ATS field": Row("ats", "field"),
     "ATS 300 steps": Row("ats", "field", 300),
-    "FISTA, bare": Row("sparse"),
-    "OMP, bare": Row("omp"),
-    "ATS field, bare": Row("ats", "field"),
-    "ATS 300 steps, bare": Row("ats", "field", 300),
 }
 """Rows of the tables. FISTA, OMP and ATS field are shown with the restoring beam, as `tagid reconstruct`
-does; "bare" is the same image without it. "ATS 300 steps" is among reflectors only."""
+does. "ATS 300 steps" is among reflectors only."""
 SLOW = "ATS paper"
 """Row that is computed last, as its images take many seconds each."""
+
+
+def is_sharp(row: str) -> bool:
+    """Whether a row of the tables is shown with the restoring beam."""
+    method, preset, _ = ROWS.get(row, ROWS["blank"])
+    return bool(method) and METHODS[method].sparse and preset != "paper"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -116,8 +118,8 @@ class Problem:
         settings = PreprocessSettings(self.background, matched, extent_m=self.grid.extent)
         return preprocess(self.capture, settings=settings)
 
-    def image(self, row: str) -> tuple[Image, float]:
-        """Image of a row of `ROWS` and its seconds of processor time, preprocessing not counted."""
+    def image(self, row: str, bare: bool = False) -> tuple[Image, float]:
+        """Image of a row, with its beam or bare, and its processor seconds, preprocessing not counted."""
         made_by = method, preset, steps = ROWS[row]
         if not method:
             return blank(self.grid), 0.0
@@ -129,7 +131,7 @@ class Problem:
             )
             self.made[made_by] = image, seconds
         image, seconds = self.made[made_by]
-        if METHODS[method].sparse and preset != "paper" and not row.endswith("bare"):
+        if is_sharp(row) and not bare:
             image = restore(image, scans.wavenumber)
         return image, seconds
 
@@ -206,7 +208,7 @@ def held_out_percent(problem: Problem, row: str) -> float:
         checked = check(scans, raw, problem.grid, None)
         return 100 * checked.residual if checked is not None else float("nan")
     # With the prior and the views a step of the image of all views.
-    facts = problem.image(f"{row}, bare")[0].settings if method == "ats" else {}
+    facts = problem.image(row, bare=True)[0].settings if method == "ats" else {}
     prior = Prior.of(facts)
     ats = settings_of(facts, AtsSettings(steps=steps))
 

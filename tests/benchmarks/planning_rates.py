@@ -15,9 +15,8 @@ from itertools import product
 from typing import NamedTuple
 
 from tagid.errors import TagidError
-from tagid.pipeline.identify import aspect_spectra, identify
+from tagid.pipeline.identify import identify
 from tagid.planning.rates import Measured
-from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature
 from tests.benchmarks import identification_scenes as bare_scenes
 from tests.benchmarks import reading_bodies_scenes as body_scenes
@@ -77,9 +76,7 @@ def _named(task: Task) -> str:
         drawn = body_scenes.draw(cell, FIRST_BODY + turn)
         capture, name, layouts = drawn.capture, drawn.name, drawn.layouts
         if task.mode == "enrolled":
-            shown = body_scenes.enrolment_captures(cell, FIRST_BODY + turn, tagged=False)
-            captures = [Named(f"capture {i}", aspect_spectra(base)) for i, base in enumerate(shown)]
-            signatures = [enroll_signature(captures, "body", "body").signature]
+            signatures = [body_scenes.signature_of(cell, FIRST_BODY + turn, "body", "body")]
     answer = identify(capture, layouts, signatures=signatures)
     if answer.status != "identified" or answer.reading is None:
         return "refused"

@@ -15,6 +15,7 @@ import numpy as np
 
 from tagid.capture import Capture, Pulse
 from tagid.errors import DataError
+from tagid.pipeline.identify import aspect_spectra
 from tagid.simulate import (
     Acquisition,
     Interference,
@@ -28,10 +29,11 @@ from tagid.simulate import (
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
 from tagid.simulate.scene import Scene, StaticReturns
-from tagid.tags.layouts.codebook import rotational_distance
+from tagid.tags.bodies.joint import Named, enroll_signature
+from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout
 from tests.benchmarks.fullwave_scenes import recorded
-from tests.benchmarks.identification_scenes import SETS
+from tests.benchmarks.identification_scenes import SETS, is_foreign, least_gap_m
 from tests.benchmarks.provenance import SHARED
 
 POPULATION = "reading-bodies/development/1"
@@ -42,8 +44,6 @@ OFFSETS_MM = (0, 2, 6, 10)
 SNRS_DB = (20, 10, 5, 0)
 VIEWS = (72, 36, 18, 12)
 PULSES = ("nominal", "measured")
-APART_M = 0.012
-"""Nearer than this in RMS, a foreign tag counts as the enrolled one: enrollment calls them confusable."""
 
 FULL_WAVE = {
     ("tagged", "none"): {
@@ -158,12 +158,7 @@ def _foreign(cell: Cell, rng: np.random.Generator) -> np.ndarray:
         points = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         if count == 1:
             return points
-        gap = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
-        if gap.min() < 0.04:
-            continue
-        same = [other for other in SETS[cell.enrolled] if other.size == count]
-        layout = Layout("foreign", points)
-        if all(rotational_distance(layout, other).rms_m > APART_M for other in same):
+        if least_gap_m(points) >= 0.04 and is_foreign(points, SETS[cell.enrolled]):
             return points
 
 
@@ -234,8 +229,8 @@ def _acquisition(cell: Cell, rng: np.random.Generator) -> Acquisition:
     )
 
 
-def enrolment_captures(cell: Cell, number: int, *, tagged: bool = False) -> tuple[Capture, ...]:
-    """Three captures of the same object's body, without its tag or with it, as `tagid enroll` takes them.
+def signature_of(cell: Cell, number: int, name: str, kind: SignatureKind) -> Signature:
+    """A body, or an object with its tag, enrolled from three captures of it, as `tagid enroll` takes them.
 
     72 views at 20 dB, turned and moved by 2 to 6 mm, at the height of the recording that is to be read, in a
     room of its own, on a turntable as uneven as that of the recording where the tag is enrolled with the
@@ -244,6 +239,7 @@ def enrolment_captures(cell: Cell, number: int, *, tagged: bool = False) -> tupl
     Raises:
         DataError: that layout's reflectors do not stand clear of its wall.
     """
+    tagged = kind == "object"
     rng = _generator(cell, number)
     # As in the recording: the tag's reflectors are drawn first.
     made, _ = _standing(cell, rng)
@@ -253,7 +249,7 @@ def enrolment_captures(cell: Cell, number: int, *, tagged: bool = False) -> tupl
         fitting = _layouts_for(cell)
         positions = made.positions if made.name else _in_space(fitting[number % len(fitting)])
     shown = _scene(made, "tagged" if tagged else "untagged", positions, rng)
-    results = []
+    captures: list[Named] = []
     for off in (2e-3, 4e-3, 6e-3):
         place, turn = rng.uniform(0, 2 * np.pi, 2)
         acquisition = Acquisition(
@@ -262,8 +258,9 @@ def enrolment_captures(cell: Cell, number: int, *, tagged: bool = False) -> tupl
             placement=Placement((off * np.cos(place), off * np.sin(place)), turn, read.placement.height_m),
             wobble=read.wobble if tagged else Wobble(),
         )
-        results.append(simulate_capture(shown, acquisition, int(rng.integers(2**32)))[0])
-    return tuple(results)
+        capture, _ = simulate_capture(shown, acquisition, int(rng.integers(2**32)))
+        captures.append(Named(f"capture {len(captures) + 1}", aspect_spectra(capture)))
+    return enroll_signature(captures, name, kind).signature
 
 
 def _full_wave(cell: Cell, rng: np.random.Generator) -> Drawn:
