@@ -130,7 +130,8 @@ def operate(run: Run) -> Iterator[Table]:
         loads = scan_often(station, server.url, place, run)
         before, began = work.copy(), time.monotonic()
         idle, true_s = wait_idle(run, loads[-1].scans)
-        since, hours = work - before, (time.monotonic() - began) / 3600
+        hours = (time.monotonic() - began) / 3600
+        since = {what: count - before[what] for what, count in work.items()}
         for _ in range(given.after):
             scan_once(station, place)
         page.end()
@@ -147,7 +148,7 @@ def operate(run: Run) -> Iterator[Table]:
         growth = idle[-1].resident_mb - idle[0].resident_mb
         below = (
             f"Idle for {hours:.2f} hours, truly {true_s / 60:.1f} minutes: {growth:+.2f} MB, "
-            f"{growth / hours * 24:+.1f} MB per day. {dict(since)}."
+            f"{growth / hours * 24:+.1f} MB per day. {since}."
         )
         yield Table(COLUMNS, [load.row for load in (*idle, after)], "Every hour.", "idle", below=below)
 
