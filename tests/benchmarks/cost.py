@@ -24,8 +24,8 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import fit_adapted
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.fit_native import OnnxEngine
-from tagid.imaging.ats.problem import FineRange, GridArrays, draw_weights, view_arrays
-from tagid.imaging.ats.settings import AtsSettings
+from tagid.imaging.ats.problem import FieldShape, FineRange, GridArrays, draw_weights, view_arrays
+from tagid.imaging.ats.settings import AtsSettings, FitSettings
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import sparse_recovery
@@ -102,9 +102,9 @@ def backprojection_error() -> float:
 
 def shares(views: int, pixels: int, oversampling: float, repeats: int) -> tuple[float, float, float]:
     """CPU seconds of one ATS step: network and Adam, sums over views and pixels, products over range bins."""
-    raw, settings = scans(views, oversampling), AtsSettings()
+    raw, settings = scans(views, oversampling), FitSettings.of(AtsSettings())
     grid = ImageGrid(EXTENT_M, pixels)
-    shape = settings.shape(grid, raw.wavelength_m)
+    shape = FieldShape.of(grid, raw.wavelength_m, 2 * settings.aspect_harmonics + 1)
     numbers = np.array([1e-4, 1, 1, 1, 1e-3, 1e-4, 1e-5], dtype=np.float32)
     engine = OnnxEngine(draw_weights(shape, grid, 1.0, 0))
     count = min(views, settings.views_per_step)
@@ -165,7 +165,7 @@ import pickle, resource, sys, time, numpy as np
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import fit_adapted
 from tagid.imaging.ats.fit import fit
-from tagid.imaging.ats.settings import AtsSettings
+from tagid.imaging.ats.settings import AtsSettings, FitSettings
 raw, grid = pickle.load(open({scene!r}, "rb")), ImageGrid({extent}, 96)
 seconds = []
 for _ in range({repeats}):
