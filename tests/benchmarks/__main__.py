@@ -14,8 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.benchmarks.catalogue import BENCHMARKS, Benchmark
-from tests.benchmarks.needs import missing
+from tests.benchmarks.catalogue import BENCHMARKS, Benchmark, missing
 from tests.benchmarks.provenance import ROOT, made_with
 
 RESULTS = ROOT / "docs" / "results"
@@ -87,13 +86,13 @@ def run(benchmark: Benchmark, words: list[str], folder: Path) -> int:
     module, _, function = benchmark.work.partition(":")
     loaded = importlib.import_module(f"tests.benchmarks.{module}")
     parser = parser_of(benchmark)
-    if hasattr(loaded, "add_options"):
-        loaded.add_options(parser)
+    for name in ("add_options", f"{function}_options"):
+        getattr(loaded, name, lambda _: None)(parser)
     given = parser.parse_args(words)
-    if benchmark.script:
-        return int(getattr(loaded, function)(given) or 0)
     pictures = (RESULTS.parent / "pictures") if given.write else None
-    asked = Run(given.quick, given, given.jobs, given.keep, folder, pictures, given.seeds)
+    asked = Run(
+        given.quick, given, given.jobs, given.keep, folder, pictures, given.seeds, name=benchmark.name
+    )
     made, began = made_with("SEEDS"), time.monotonic()
     done = []
     try:

@@ -1,33 +1,25 @@
-"""Scenes of the benchmark on bodies read blind: solved responses, and the simulated population.
+"""Scenes of solved bodies and tags, read blind.
 
-Responses come from ../shared/fullwave beside the checkout (or where TAGID_SHARED points), captures from its
-own `scenes.py`, and from tests/data/responses, solved by `train.fullwave`. A tag at other angles is
-a sum of turned copies of what one reflector adds to the body, which leaves out the coupling between them.
+A tag at other angles is a sum of turned copies of what one reflector adds to the body, which leaves out the
+coupling between them.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import zlib
-from dataclasses import dataclass
-from functools import cache
-from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
 from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.reading.arrangement import gaps_deg
-from tagid.simulate.response_file import read_response
-from tests.benchmarks.provenance import ROOT, SHARED
+from tests.benchmarks.fullwave_scenes import full_wave, known, recorded
 from train.population import difference_deg, has_enrolled_spacing
-
-FULLWAVE = SHARED / "fullwave"
-OWN = ROOT / "tests" / "data" / "responses"
 
 NAMES = {"c90": "container-90", "c180": "container-180", "h120": "helmet-120", "lin": "helmet-linear"}
 ANGLES = {"container-90": (0.0, 90.0), "container-180": (0.0, 180.0)}
-UNNAMED = "foreign or untagged"
+NAMELESS = "foreign or untagged"
 FOREIGN_DEG = (
     (), (0,), (0, 40), (0, 60), (0, 70), (0, 110), (0, 125), (0, 135), (0, 150), (0, 160), (0, 120, 240),
     (0, 90, 180), (0, 90, 200), (0, 60, 180), (0, 90, 180, 270), (0, 45, 180, 225), (0, 72, 144, 216, 288),
@@ -41,8 +33,7 @@ LEAST_M = 0.03
 """Octahedra on a ring of 45 mm stand at least so far apart."""
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(NamedTuple):
     """An object of the responses, or a body with reflectors at any angles.
 
     Attributes:
@@ -65,8 +56,7 @@ class Scene:
         return has_enrolled_spacing(RING_M * np.exp(1j * np.deg2rad(self.angles_deg)))
 
 
-@dataclass(frozen=True)
-class Recording:
+class Recording(NamedTuple):
     """How a scene is recorded.
 
     Attributes:
@@ -104,41 +94,35 @@ RECORDINGS = (
 )
 
 
-def tagged() -> list[Scene]:
-    """Bare tags, round bodies, and bodies that are not round, each with an enrolled layout."""
-    results = [
+TAGGED = (
+    *(
         Scene("bare tag", f"free{size}_{kind}", None, name)
         for size in (20, 40)
         for kind, name in NAMES.items()
-    ]
-    results += [Scene("bare tag", "free30_c90", None, "container-90")]
-    for group, body in (("metal can", "can35"), ("metal can", "can28"), ("metal can", "can40")):
-        results += [Scene(group, body, angles, name) for name, angles in ANGLES.items()]
-    results += [Scene("metal can", "can30_c180", None, "container-180")]
-    results += [Scene("ceramic cup", "cup36", angles, name) for name, angles in ANGLES.items()]
-    results += [Scene("helmet shell", f"shell_h120_{size}", None, "helmet-120") for size in (20, 40)]
-    results += [Scene("mug with a handle", "handle34_c90", None, "container-90")]
-    return [scene for scene in results if _solved(scene)]
-
-
-def unnamed() -> list[Scene]:
-    """Untagged bodies and fixed foreign tags."""
-    results = [
-        Scene(UNNAMED, can, tuple(map(float, angles)), None)
-        for can in ("can35", "can28")
-        for angles in FOREIGN_DEG
-    ]
-    names = ("shell", "can35_handle", "free20_one", "free40_one", "can30_foreign", "free20_foreign")
-    names += ("cup36", "handle34", "box", "can30", "can40")
-    results += [Scene(UNNAMED, name, None, None) for name in names]
-    return [scene for scene in results if _solved(scene)]
+    ),
+    Scene("bare tag", "free30_c90", None, "container-90"),
+    *(Scene("metal can", f"can{mm}", angles, name) for mm in (35, 28, 40) for name, angles in ANGLES.items()),
+    Scene("metal can", "can30_c180", None, "container-180"),
+    *(Scene("ceramic cup", "cup36", angles, name) for name, angles in ANGLES.items()),
+    *(Scene("helmet shell", f"shell_h120_{size}", None, "helmet-120") for size in (20, 40)),
+    Scene("mug with a handle", "handle34_c90", None, "container-90"),
+)
+"""Bare tags, round bodies, and bodies that are not round, each with an enrolled layout."""
+_BARE = (
+    *("shell", "can35_handle", "free20_one", "free40_one", "can30_foreign", "free20_foreign"),
+    *("cup36", "handle34", "box", "can30", "can40"),
+)
+UNNAMED = (
+    *(Scene(NAMELESS, can, tuple(map(float, at)), None) for can in ("can35", "can28") for at in FOREIGN_DEG),
+    *(Scene(NAMELESS, name, None, None) for name in _BARE),
+)
+"""Untagged bodies and fixed foreign tags."""
 
 
 def drawn(number: int) -> tuple[Scene, Recording]:
     """A foreign tag of 1 to 5 reflectors, or none, at random angles, recorded at random."""
     rng = np.random.default_rng([number, 29])
-    bodies = [body for body in DRAWN_BODIES if known(f"{body}_one")]
-    body = bodies[int(rng.integers(len(bodies)))]
+    body = DRAWN_BODIES[int(rng.integers(len(DRAWN_BODIES)))]
     free = body.startswith("free")
     layouts = [np.deg2rad(angle) for angle in ANGLES.values()] + [np.deg2rad([0.0, 120.0, 240.0])]
     while True:
@@ -167,41 +151,9 @@ def drawn(number: int) -> tuple[Scene, Recording]:
     return Scene(f"foreign tag, {name}", body, tuple(np.rad2deg(angles)), None), recording
 
 
-def _solved(scene: Scene) -> bool:
-    return known(scene.name) and (scene.angles_deg is None or known(f"{scene.name}_one"))
-
-
-def known(name: str) -> bool:
-    """Whether that response was solved."""
-    return (OWN / f"{name}.npz").is_file() or (FULLWAVE / "responses" / f"{name}.npz").is_file()
-
-
-@cache
-def generator() -> ModuleType:
-    """The module that makes captures of responses; it takes our own responses, too."""
-    spec = importlib.util.spec_from_file_location("scenes", FULLWAVE / "scenes.py")
-    if spec is None or spec.loader is None or not FULLWAVE.is_dir():
-        raise SystemExit(f"{FULLWAVE} is missing: set TAGID_SHARED to the folder that holds fullwave/")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    for path in OWN.glob("*.npz"):
-        if (FULLWAVE / "responses" / path.name).is_file():
-            continue
-        response = read_response(path)
-        rings = {(r.polarisation, round(r.distance_m, 3)): i for i, r in enumerate(response.rings)}
-        if not {("V", 0.8), ("V", 1.0), ("V", 1.2)} <= rings.keys():
-            continue  # solved at other distances, for other benchmarks
-        b = response.scattering_length_m.astype(complex)
-        upright = [b[:, rings["V", d]] for d in (0.8, 1.0, 1.2)]
-        across = [b[:, i] for (polarisation, _), i in rings.items() if polarisation == "H"]
-        four = np.stack([*upright, np.mean(across, axis=0)], axis=1)
-        module._cache[path.stem] = (response.frequency_hz, np.fft.fft(four, axis=2) / four.shape[2])
-    return module
-
-
 def _reference(base: str, name: str) -> str:
     """Response whose echo is that of one reflector of the tag, at the frequencies of the object's."""
-    made = generator()
+    made = full_wave()
     reply = made.response(name)[0]
     if known(f"{base}_one") and len(made.response(f"{base}_one")[0]) == len(reply):
         return f"{base}_one" if base.startswith("free") else f"{base}_one-{base}"
@@ -217,7 +169,7 @@ def _reference(base: str, name: str) -> str:
 
 def _ring_of(name: str, angles_deg: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     """A bare tag on a ring of RING_M, from the response of one reflector about its own middle."""
-    made = generator()
+    made = full_wave()
     around = np.exp(2j * np.pi * np.arange(72) / 72)
     rings = []
     for distance, polarisation in ((0.8, "V"), (1.0, "V"), (1.2, "V"), (1.0, "H")):
@@ -233,7 +185,7 @@ def _ring_of(name: str, angles_deg: tuple[float, ...]) -> tuple[np.ndarray, np.n
 
 def captured(scene: Scene, recording: Recording, seed: int) -> Capture:
     """The capture of a scene, the same for the same seed."""
-    made = generator()
+    made = full_wave()
     name, base = scene.name, scene.name.split("_")[0]
     if scene.angles_deg is not None:
         name = f"{base}@" + ",".join(f"{a:g}" for a in scene.angles_deg)
@@ -248,21 +200,14 @@ def captured(scene: Scene, recording: Recording, seed: int) -> Capture:
     rng = np.random.default_rng([seed, 17, zlib.crc32(name.encode())])
     turn = rng.uniform(0, 2 * np.pi)
     hard = {"pulse": "cr08", "wobble": 0.01, "distance_error": rng.uniform(-0.01, 0.01)}
-    scan, _ = made.make(
+    return recorded(
         name,
         rng,
+        complex(recording.offset_m * np.cos(turn), recording.offset_m * np.sin(turn)),
         reference=_reference(base, name),
         views=recording.views,
         distance=rng.uniform(0.8, 1.2),
-        centre=(recording.offset_m * np.cos(turn), recording.offset_m * np.sin(turn)),
         snr_db=recording.snr_db,
         pol=recording.polarisation,
         **(hard if recording.hard else {}),
-    )
-    return Capture(
-        scan["samples"],
-        scan["range_start_m"],
-        scan["range_step_m"],
-        scan["angles_rad"],
-        axis_distance_m=scan["axis_distance_m"],
     )

@@ -12,17 +12,15 @@ import random
 import statistics
 import threading
 import time
-import tty
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from firmware_tools.virtual.backend import open_backend
 from firmware_tools.virtual.process import BoardProcess
-from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, find
 from tagid.motion.bridge.protocol import Op
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
-from tests.firmware.conftest import DrivingBridge
+from tests.firmware.conftest import DrivingBridge, Wire
 
 CONFIG = {"name": "bench", "passkey": "482913", "uart_tx": 4, "uart_rx": 5}
 DRIVE = bytes((128, 131, 145, 0, 100, 0xFF, 0x9C))
@@ -31,59 +29,46 @@ FRAME = 13
 PERIOD_S = 0.015
 
 
-class Wire:
-    """The robot's end of a pty."""
-
-    def __init__(self) -> None:
-        self.master, self.slave = os.openpty()
-        tty.setraw(self.master)
-        tty.setraw(self.slave)
-        self.path = os.ttyname(self.slave)
-
-
-async def stream(bridge: Bridge, wire: Wire, arrived: list[tuple[float, int]], frames: int) -> list[float]:
-    """Frames of a robot's stream: ms from the last byte on the wire to the callback in the host."""
-    sent: list[float] = []
-
-    def robot() -> None:
-        start = time.perf_counter()
-        for number in range(frames):
-            while time.perf_counter() < start + number * PERIOD_S:
-                time.sleep(0.0005)
-            sent.append(time.perf_counter())
-            os.write(wire.master, bytes(FRAME))
-
-    arrived.clear()
-    thread = threading.Thread(target=robot)
-    thread.start()
-    while sum(count for _, count in arrived) < frames * FRAME:
-        await asyncio.sleep(0.005)
-    thread.join()
-    delays, total, index = [], 0, 0
-    for at, count in arrived:
-        total += count
-        while index < frames and (index + 1) * FRAME <= total:
-            delays.append(1000 * (at - sent[index]))
-            index += 1
-    return delays
-
-
-async def upload(bridge: Bridge, wire: Wire, arrived: list[tuple[float, int]], size: int) -> float:
-    """kB/s from the wire to the host, as fast as the bridge takes it at 115200 Bd's 11.5 kB/s."""
+async def sent_by(
+    wire: Wire, arrived: list[tuple[float, int]], pieces: Sequence[tuple[float, bytes]]
+) -> tuple[float, list[float]]:
+    """Bytes of a robot, each at its time: when the first was due, and when each was written."""
+    written: list[float] = []
     arrived.clear()
     start = time.perf_counter()
 
     def robot() -> None:
-        for done in range(0, size, 115):
-            while time.perf_counter() < start + done / 11520:
+        for at, piece in pieces:
+            while time.perf_counter() < start + at:
                 time.sleep(0.0005)
-            os.write(wire.master, bytes(min(115, size - done)))
+            written.append(time.perf_counter())
+            os.write(wire.master, piece)
 
     thread = threading.Thread(target=robot)
     thread.start()
+    size = sum(len(piece) for _, piece in pieces)
     while sum(count for _, count in arrived) < size:
         await asyncio.sleep(0.002)
     thread.join()
+    return start, written
+
+
+async def stream(wire: Wire, arrived: list[tuple[float, int]], frames: int) -> list[float]:
+    """Frames of a robot's stream: ms from the last byte on the wire to the callback in the host."""
+    pieces = [(number * PERIOD_S, bytes(FRAME)) for number in range(frames)]
+    _, written = await sent_by(wire, arrived, pieces)
+    delays, total = [], 0
+    for at, count in arrived:
+        total += count
+        while len(delays) < frames and (len(delays) + 1) * FRAME <= total:
+            delays.append(1000 * (at - written[len(delays)]))
+    return delays
+
+
+async def upload(wire: Wire, arrived: list[tuple[float, int]], size: int) -> float:
+    """kB/s from the wire to the host, as fast as the bridge takes it at 115200 Bd's 11.5 kB/s."""
+    pieces = [(done / 11520, bytes(min(115, size - done))) for done in range(0, size, 115)]
+    start, _ = await sent_by(wire, arrived, pieces)
     return size / (arrived[-1][0] - start) / 1000
 
 
@@ -109,8 +94,8 @@ async def measure(interval_ms: float, seed: int, short: bool) -> dict[str, float
                     start = time.perf_counter()
                     await bridge.request(Op.ECHO, data=bytes(20))
                     echoes.append(1000 * (time.perf_counter() - start))
-                delays = await stream(bridge, wire, arrived, 100 if short else 1000)
-                rate = await upload(bridge, wire, arrived, 20_000 if short else 100_000)
+                delays = await stream(wire, arrived, 100 if short else 1000)
+                rate = await upload(wire, arrived, 20_000 if short else 100_000)
                 status = await bridge.status()
                 await bridge.arm()
                 await bridge.write(DRIVE)
@@ -124,8 +109,7 @@ async def measure(interval_ms: float, seed: int, short: bool) -> dict[str, float
                 while STOP not in data:
                     data += await asyncio.to_thread(os.read, wire.master, 1)
                 stopped = 1000 * (time.monotonic() - cut)
-    os.close(wire.master)
-    os.close(wire.slave)
+    wire.close()
     return {
         "echo_median": statistics.median(echoes),
         "stream_median": statistics.median(delays),
@@ -147,18 +131,10 @@ def throughput(run: Run) -> Iterator[Table]:
         middle = {key: statistics.median(run[key] for run in runs) for key in runs[0]}
         worst, lost = max(run["stopped"] for run in runs), sum(run["lost"] for run in runs)
         times = [f"{middle[key]:.1f}" for key in ("echo_median", "stream_median", "stream_99")]
-        rows.append(
-            (
-                f"{interval:g}",
-                *times,
-                f"{middle['rate']:.2f}",
-                lost,
-                f"{middle['retries']:.0f}",
-                f"{worst:.0f}",
-            )
-        )
+        counts = (f"{middle['rate']:.2f}", lost, f"{middle['retries']:.0f}", f"{worst:.0f}")
+        rows.append((f"{interval:g}", *times, *counts))
     columns = (
-        "connection interval ms", "echo ms", "frame ms", "99 %", "kB/s", "bytes lost", "sent again",
-        "cut to stop ms, worst",
-    )  # fmt: skip
+        "connection interval ms | echo ms | frame ms | 99 % | kB/s | bytes lost | sent again | "
+        "cut to stop ms, worst"
+    )
     yield Table(columns, rows)

@@ -12,10 +12,10 @@ import pickle
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +36,17 @@ from tagid.imaging.types import BasebandScans
 from tagid.pipeline.prepared import as_prepared
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
+from tagid.storage.hdf5 import write_capture
 from tests.benchmarks.heldout import Task, capture_of
 from tests.benchmarks.imaging_scenes import point_problem
 from tests.benchmarks.imaging_unknowns import RAILS, RailCell, rail_capture
+from tests.benchmarks.measure import best, timed
 from tests.benchmarks.pictures import curves
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 
 EXTENT_M = 0.7
+WORKS: dict[str, Callable[..., object]] = {"BP": backproject, "FISTA": sparse_recovery, "ATS": fit}
 VIEWS, PIXELS, OVERSAMPLINGS = (12, 36, 120, 360), (48, 96, 128, 192), (1.5, 3.0, 6.0)
 
 
@@ -61,25 +64,6 @@ def _repeats(run: Run) -> int:
     return run.number(9, 3)
 
 
-def best(work: Callable[[], object], repeats: int) -> tuple[float, float]:
-    """Least wall and least CPU seconds of some repetitions, after one that is not counted."""
-    work()
-    wall, cpu = [], []
-    for _ in range(repeats):
-        start, used = time.perf_counter(), time.process_time()
-        work()
-        wall.append(time.perf_counter() - start)
-        cpu.append(time.process_time() - used)
-    return min(wall), min(cpu)
-
-
-def once(work: Callable[[], Any]) -> tuple[Any, float]:
-    """What some work gives, and its CPU seconds."""
-    used = time.process_time()
-    result = work()
-    return result, time.process_time() - used
-
-
 def image_times(run: Run) -> Iterator[Table]:
     """The sizes that the targets of speed are stated for.
 
@@ -89,17 +73,14 @@ def image_times(run: Run) -> Iterator[Table]:
     jobs = []
     for name, views, pixels in (("BP", 360, 128), ("FISTA", 36, 96), ("ATS", 36, 96), ("ATS", 360, 96)):
         grid, raw = ImageGrid(EXTENT_M, pixels), scans(views, matched=name == "BP")
-        work = {"BP": backproject, "FISTA": sparse_recovery, "ATS": fit}[name]
-        jobs.append((name, views, pixels, partial(work, raw, grid)))  # type: ignore[operator]
+        jobs.append((name, views, pixels, partial(WORKS[name], raw, grid)))
     rounds = [[best(work, 1) for *_, work in jobs] for _ in range(repeats)]
     rows = []
     for (name, views, pixels, _), times in zip(jobs, zip(*rounds, strict=True), strict=True):
         wall, cpu = min(t[0] for t in times), min(t[1] for t in times)
         rows.append([name, str(views), f"{pixels} x {pixels}", f"{wall * 1e3:.1f}", f"{cpu * 1e3:.1f}"])
     rows.append(["BP, error", "360", "128 x 128", f"{backprojection_error() * 100:.2f} %", ""])
-    yield Table(
-        ("method", "views", "pixels", "wall (ms)", "CPU (ms)"), rows, f"One scene, best of {repeats}."
-    )
+    yield Table("method | views | pixels | wall (ms) | CPU (ms)", rows, f"One scene, best of {repeats}.")
 
 
 PLAIN = Path(__file__).with_name("plain_backprojection.cpp")
@@ -132,26 +113,15 @@ def rivals(run: Run) -> Iterator[Table]:
             ratio, word = max(two / first, first / two), "faster" if first < two else "slower"
             rows.append([name, f"{first * 1e3:.1f}", other, f"{two * 1e3:.1f}", f"{ratio:.1f}", word])
             run.say(str(rows[-1]))
-    columns = ("image", "wall (ms)", "beside", "wall (ms) ", "ratio", "tagid is")
-    yield Table(columns, rows, f"One scene, best of {repeats}, wall clock, all cores.")
+    heading = "image | wall (ms) | beside | wall (ms) | ratio | tagid is"
+    yield Table(heading, rows, f"One scene, best of {repeats}, wall clock, all cores.")
 
 
 def _plain_backprojection(folder: Path, raw: BasebandScans, grid: ImageGrid) -> Callable[[], np.ndarray]:
     """The kernel of `plain_backprojection.cpp` on scans."""
     library = folder / "plain.so"
-    words = [
-        "c++",
-        "-shared",
-        "-fPIC",
-        "-O3",
-        "-march=native",
-        "-ffast-math",
-        "-fopenmp",
-        "-o",
-        library,
-        PLAIN,
-    ]
-    subprocess.run(words, check=True)
+    words = ["c++", "-shared", "-fPIC", "-O3", "-march=native", "-ffast-math", "-fopenmp", "-o"]
+    subprocess.run([*words, library, PLAIN], check=True)
     loaded = ctypes.CDLL(str(library))
     antennas = np.ascontiguousarray(raw.aperture.positions, dtype=np.float32)
     points = np.ascontiguousarray(grid.points, dtype=np.float32)
@@ -245,45 +215,29 @@ def growth(run: Run) -> Iterator[Table]:
     for kind, (views, pixels, oversampling) in cases[:: 2 if run.quick else 1]:
         grid, raw = ImageGrid(EXTENT_M, pixels), scans(views, oversampling)
         seconds = {
-            "BP": best(lambda r=raw, g=grid: backproject(r, g), repeats)[1],  # type: ignore[misc]
-            "FISTA": best(lambda r=raw, g=grid: sparse_recovery(r, g), max(1, repeats // 3))[1],  # type: ignore[misc]
-            "ATS": best(lambda r=raw, g=grid: fit(r, g), max(1, repeats // 3))[1],  # type: ignore[misc]
+            name: best(partial(work, raw, grid), repeats if name == "BP" else max(1, repeats // 3))[1]
+            for name, work in WORKS.items()
         }
         parts = shares(views, pixels, oversampling, repeats)
         names = ("network and Adam", "sums over views and pixels", "products over range bins")
-        bottleneck = names[int(np.argmax(parts))]
-        shown = [f"{1e3 * v:.1f}" for v in seconds.values()]
+        shown = [f"{1e3 * v:.1f}" for v in seconds.values()] + [f"{1e3 * p:.2f}" for p in parts]
         bins = raw.samples.shape[1]
-        rows.append(
-            [
-                kind,
-                str(views),
-                f"{pixels} x {pixels}",
-                str(bins),
-                *shown,
-                *(f"{1000.0 * p:.2f}" for p in parts),
-                bottleneck,
-            ]
-        )
+        size = [kind, str(views), f"{pixels} x {pixels}", str(bins)]
+        rows.append([*size, *shown, names[int(np.argmax(parts))]])
         at = {"views": views, "pixels": pixels**2, "bins": bins}[kind]
         plotted.setdefault(kind, []).append((float(at), seconds))
         run.say(str(rows[-1]))
     figures = []
-    if run.pictures:
-        for kind, result in plotted.items():
-            lines = {name: [np.log10(1e3 * s[name]) for _, s in result] for name in ("BP", "FISTA", "ATS")}
-            x = [float(np.log10(at)) for at, _ in result]
-            curves(
-                x,
-                lines,
-                (f"log10 {kind}", "log10 CPU ms"),
-                run.pictures / f"cost-{kind}.png",
-                f"Cost over {kind}",
-            )
-            figures.append(f"![Time against {kind}](../pictures/cost-{kind}.png)")
-    columns = ("varied", "views", "pixels", "bins", "BP (ms)", "FISTA (ms)", "ATS (ms)")
-    headings = (*columns, "network", "sums", "products (ms a step)", "bottleneck of ATS")
-    yield Table(headings, rows, f"One scene, best of {repeats}.", below="\n".join(figures))
+    for kind, result in plotted.items() if run.pictures else ():
+        lines = {name: [np.log10(1e3 * s[name]) for _, s in result] for name in WORKS}
+        x, path = [float(np.log10(at)) for at, _ in result], run.pictures / f"cost-{kind}.png"
+        curves(x, lines, (f"log10 {kind}", "log10 CPU ms"), path, f"Cost over {kind}")
+        figures.append(f"![Time against {kind}](../pictures/{path.name})")
+    columns = (
+        "varied | views | pixels | bins | BP (ms) | FISTA (ms) | ATS (ms) | network | sums | "
+        "products (ms a step) | bottleneck of ATS"
+    )
+    yield Table(columns, rows, f"One scene, best of {repeats}.", below="\n".join(figures))
 
 
 _ENGINE = """
@@ -306,45 +260,22 @@ print(min(seconds), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 def engines(run: Run) -> Iterator[Table]:
     """Both engines from the same weights: seconds, peak memory of the process, difference of the images."""
     repeats = max(2, _repeats(run) // 3)
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for views in (36, 360):
-            result, scene = {}, str(Path(folder) / "scene")
-            Path(scene).write_bytes(pickle.dumps(scans(views)))
-            for engine in ("torch", "onnx"):
-                out = str(Path(folder) / f"{engine}.npy")
-                what = {"scene": scene, "extent": EXTENT_M, "repeats": repeats, "engine": engine, "out": out}
-                code = _ENGINE.format(**what)
-                done = subprocess.run(
-                    [sys.executable, "-c", code], capture_output=True, text=True, check=True
-                )
-                seconds, megabytes = map(float, done.stdout.split())
-                result[engine] = (seconds, megabytes, np.load(out))
-            torch_s, torch_mb, torch_image = result["torch"]
-            onnx_s, onnx_mb, onnx_image = result["onnx"]
-            difference = float(np.linalg.norm(torch_image - onnx_image) / np.linalg.norm(torch_image))
-            rows.append(
-                [
-                    str(views),
-                    f"{torch_s:.2f}",
-                    f"{onnx_s:.2f}",
-                    f"{onnx_s / torch_s:.2f}",
-                    f"{torch_mb:.0f}",
-                    f"{onnx_mb:.0f}",
-                    f"{onnx_mb / torch_mb:.2f}",
-                    f"{100 * difference:.2f} %",
-                ]
-            )
-    columns = (
-        "views",
-        "torch (CPU s)",
-        "onnx (CPU s)",
-        "ratio",
-        "torch (MB)",
-        "onnx (MB)",
-        "ratio",
-        "difference",
-    )
+    rows, scene, out = [], str(run.folder / "scene"), str(run.folder / "image.npy")
+    for views in (36, 360):
+        figures, images = [], []
+        Path(scene).write_bytes(pickle.dumps(scans(views)))
+        for engine in ("torch", "onnx"):
+            what = {"scene": scene, "extent": EXTENT_M, "repeats": repeats, "engine": engine, "out": out}
+            words = [sys.executable, "-c", _ENGINE.format(**what)]
+            done = subprocess.run(words, capture_output=True, text=True, check=True)
+            figures.append([float(word) for word in done.stdout.split()])
+            images.append(np.load(out))
+        (torch_s, torch_mb), (onnx_s, onnx_mb) = figures
+        difference = float(np.linalg.norm(images[0] - images[1]) / np.linalg.norm(images[0]))
+        seconds = [f"{torch_s:.2f}", f"{onnx_s:.2f}", f"{onnx_s / torch_s:.2f}"]
+        memory = [f"{torch_mb:.0f}", f"{onnx_mb:.0f}", f"{onnx_mb / torch_mb:.2f}"]
+        rows.append([str(views), *seconds, *memory, f"{100 * difference:.2f} %"])
+    columns = "views | torch (CPU s) | onnx (CPU s) | ratio | torch (MB) | onnx (MB) | ratio | difference"
     yield Table(columns, rows, f"One scene, best of {repeats}.")
 
 
@@ -364,47 +295,34 @@ def priors(run: Run) -> Iterator[Table]:
     """What the trials of priors cost beside FISTA, and what they bring on unseen views; each scene once."""
     run.seeds = str(SCENE_SEED)
     rows = []
-    for family, radar in SCENES[:1] if run.quick else SCENES:
-        for views in (36,) if run.quick else (12, 36, 120):
-            capture, extent = capture_of(Task(family, radar, views, SCENE_SEED))
-            settings = ImagingSettings(method="ats", extent_m=extent, pixels=96, focus_m=0.0)
-            prepared = as_prepared(capture, settings)
-            prepared.choose_pulse(None)
-            raw = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched_filter=False))
-            grid = ImageGrid(extent, 96)
-            works = (
-                partial(sparse_recovery, raw, grid),
-                partial(fit, raw, grid),
-                partial(fit_adapted, raw, grid, AtsSettings()),
-            )
-            took = [once(work)[1] for work in works]
-            reported = {
-                m: reconstruct(capture, replace(settings, method=m)).image.settings for m in ("sparse", "ats")
-            }
-            judged = [reported[m]["held_out"]["residual"] for m in ("sparse", "ats")]
-            plain, noise = (reported["ats"]["held_out"][key] for key in ("backprojection", "noise"))
-            rows.append(
-                [f"{family}, {radar}", str(views), *(f"{1e3 * t:.0f}" for t in took)]
-                + [
-                    f"{took[1] / took[0]:.1f}",
-                    f"{took[2] / took[0]:.1f}",
-                    reported["ats"].get("prior", "no trial"),
-                ]
-                + [f"{100 * share:.1f}" for share in (noise, plain, *judged)]
-            )
-            run.say(str(rows[-1]))
+    for (family, radar), views in product(SCENES, (12, 36, 120)) if not run.quick else [(SCENES[0], 36)]:
+        capture, extent = capture_of(Task(family, radar, views, SCENE_SEED))
+        settings = ImagingSettings(method="ats", extent_m=extent, pixels=96, focus_m=0.0)
+        prepared = as_prepared(capture, settings)
+        prepared.choose_pulse(None)
+        raw = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched_filter=False))
+        grid = ImageGrid(extent, 96)
+        works = (
+            partial(sparse_recovery, raw, grid),
+            partial(fit, raw, grid),
+            partial(fit_adapted, raw, grid, AtsSettings()),
+        )
+        took = [timed(work)[2] for work in works]
+        sparse, ats = (
+            reconstruct(capture, replace(settings, method=method)).image.settings
+            for method in ("sparse", "ats")
+        )
+        shares = [ats["held_out"][key] for key in ("noise", "backprojection")]
+        shares += [facts["held_out"]["residual"] for facts in (sparse, ats)]
+        times = [*(f"{1e3 * t:.0f}" for t in took), *(f"{t / took[0]:.1f}" for t in took[1:])]
+        prior = ats.get("prior", "no trial")
+        rows.append([f"{family}, {radar}", str(views), *times, prior, *(f"{100 * s:.1f}" for s in shares)])
+        run.say(str(rows[-1]))
     columns = (
-        "scene",
-        "views",
-        "FISTA (ms)",
-        "one fit (ms)",
-        "with trials (ms)",
-        "fit / FISTA",
-        "trials / FISTA",
-        "prior",
+        "scene | views | FISTA (ms) | one fit (ms) | with trials (ms) | fit / FISTA | trials / FISTA | "
+        "prior | noise (%) | backprojection (%) | FISTA (%) | ATS (%)"
     )
-    headings = (*columns, "noise (%)", "backprojection (%)", "FISTA (%)", "ATS (%)")
-    yield Table(headings, rows, shown=lambda row: row[1] == "36")
+    yield Table(columns, rows, shown=lambda row: row[1] == "36")
 
 
 def echoed(capture: Capture) -> Capture:
@@ -438,34 +356,22 @@ def pulse_estimates(run: Run) -> Iterator[Table]:
                 if "256" in name and method != "bp":
                     continue
                 settings = [ImagingSettings(method=method, pulse=p, **size) for p in ("nominal", "estimate")]
-                results, took = zip(*(once(partial(reconstruct, recorded, s)) for s in settings), strict=True)
-                estimate = results[1].pulse
+                results = [timed(partial(reconstruct, recorded, s)) for s in settings]
+                estimate, took = results[1][0].pulse, [cpu for *_, cpu in results]
                 taken = "yes" if estimate is not None and estimate.taken else "no"
-                rows.append(
-                    [name, said, method, taken, *(f"{t:.2f}" for t in took), f"{took[1] / took[0]:.1f}"]
-                )
+                times = (f"{took[0]:.2f}", f"{took[1]:.2f}", f"{took[1] / took[0]:.1f}")
+                rows.append([name, said, method, taken, *times])
                 run.say(str(rows[-1]))
-    columns = ("path", "pulse", "method", "taken", "without (s)", "with estimate (s)", "ratio")
+    columns = "path | pulse | method | taken | without (s) | with estimate (s) | ratio"
     yield Table(columns, rows, shown=lambda row: str(row[0]).startswith("turn, 36 views"))
 
 
 def process(run: Run) -> Iterator[Table]:
     """The whole process of `tagid reconstruct --method bp` on a file of 360 views."""
-    repeats = max(2, _repeats(run) // 3)
-    from tagid.storage.hdf5 import write_capture
-
+    repeats, file = max(2, _repeats(run) // 3), run.folder / "scene.tagid.h5"
     rng = np.random.default_rng(77)
-    made: Capture = point_problem(rng.uniform(-0.22, 0.22, (4, 2)), 360, 0.316, rng).capture
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "scene.tagid.h5"
-        write_capture(file, made)
-        command = [sys.executable, "-m", "tagid", "reconstruct", str(file), "--method", "bp"]
-        took = []
-        for _ in range(repeats):
-            start = time.perf_counter()
-            subprocess.run(command, capture_output=True, check=True)
-            took.append(time.perf_counter() - start)
-    command_line = "`tagid reconstruct FILE --method bp`, 360 views"
-    yield Table(
-        ("command", "wall (s)"), [(command_line, f"{min(took):.2f}")], f"One scene, best of {repeats}."
-    )
+    write_capture(file, point_problem(rng.uniform(-0.22, 0.22, (4, 2)), 360, 0.316, rng).capture)
+    words = [sys.executable, "-m", "tagid", "reconstruct", str(file), "--method", "bp"]
+    took = [timed(partial(subprocess.run, words, capture_output=True, check=True))[1] for _ in range(repeats)]
+    row = ("`tagid reconstruct FILE --method bp`, 360 views", f"{min(took):.2f}")
+    yield Table("command | wall (s)", [row], f"One scene, best of {repeats}.")

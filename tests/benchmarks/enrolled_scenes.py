@@ -1,24 +1,38 @@
-"""Captures of solved full-wave responses, and the scenes of enrolled bodies and objects.
+"""Scenes of enrolled bodies and objects: solved ones, and designed layouts on enrolled bodies.
 
-Responses are in `shared/fullwave` beside the checkout (or where TAGID_SHARED points), captures are made by
-that folder's own `scenes.py`.
+Designed are 16 layouts on a helmet shell and 8 on a mug with a handle, from two sources of waves, reported
+apart. "own" is `tagid.simulate`: a plastic shell, a porcelain cup with a
+handle, octahedra of 20 or 40 mm with strengths 0.5 dB apart, the tag's middle off the body's by 0.5 mm.
+"full-wave" is a superposition of solved responses, since these layouts were not solved: the untagged body
+plus, for every reflector, what a single one adds. On the shell that is an octahedron alone, moved to its
+place; on the mug it is what one adds to a can without a handle, turned. Heights enter through the distance.
+Coupling between reflectors, and between reflectors and handle or shell, is left out.
+
+Three bodies are enrolled in every designed scene: the one that stands there and two that do not. Foreign tags
+are two to four reflectors at random angles, 40 mm or more apart, of no enrolled arrangement.
 """
 
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
-from functools import lru_cache
-from types import ModuleType
-from typing import Any
+from functools import cache
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tagid.capture import Capture
+from tagid.constants import SPEED_OF_LIGHT
 from tagid.pipeline.identify import aspect_spectra
+from tagid.simulate import Acquisition, Placement, ReflectorSpec, parse_body, simulate_capture
+from tagid.simulate.objects import Variation, object_scene
+from tagid.simulate.presets import room_clutter
 from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
-from tests.benchmarks.reading_bodies_scenes import captured, full_wave
+from tagid.tags.layouts.layout import Layout
+from tests.benchmarks.fullwave_scenes import full_wave, recorded
+from tests.benchmarks.identification_scenes import SETS, is_foreign, least_gap_m
 
 DISTANCE_M = 1.0
 POPULATION = "development/1"
@@ -52,50 +66,23 @@ FOREIGN_OBJECTS = (
 )
 
 
-@lru_cache(maxsize=1)
-def scene_maker() -> ModuleType:
-    """The scene maker beside the responses, which then knows sums too."""
-    module = full_wave()
-    plain = module.response
+class Where(NamedTuple):
+    """Population and number of a capture, SNR against one reflector, distance from the axis, and views."""
 
-    def response(name: str) -> Any:
-        if "+" not in name:
-            return plain(name)
-        first, second = name.split("+")
-        frequencies, reply = response(first)
-        return frequencies, reply + response(second)[1]
-
-    module.response = response
-    return module
+    key: str
+    snr_db: float
+    offset_mm: float
+    views: int
 
 
-def capture_of(solved: str, key: str, snr_db: float, offset_mm: float, views: int) -> Capture:
-    """A capture of a solved object, the same for the same key; SNR against one reflector of its tag."""
-    rng = np.random.default_rng(zlib.crc32(f"{solved}/{key}/{snr_db}/{offset_mm}/{views}".encode()))
-    base = solved.split("_")[0]
-    single = f"free{'40' if solved.endswith('40') else '20'}_one" if base == "shell" else f"{base}_one-{base}"
-    offset = offset_mm * 1e-3 * np.exp(2j * np.pi * rng.uniform())
-    return recorded(solved, rng, single, views, offset, snr_db)
+def capture_of(solved: str, where: Where) -> Capture:
+    """A capture of a solved object, the same for the same arguments; SNR against one reflector of its tag."""
+    rng = np.random.default_rng(zlib.crc32("/".join(map(str, (solved, *where))).encode()))
+    offset = where.offset_mm * 1e-3 * np.exp(2j * np.pi * rng.uniform())
+    return recorded(solved, rng, offset, views=where.views, distance=DISTANCE_M, snr_db=where.snr_db)
 
 
-def recorded(
-    name: str, rng: np.random.Generator, reference: str, views: int, place: complex, snr_db: float
-) -> Capture:
-    """A capture of what the scene maker knows by a name, standing at x + jy, m; SNR against the reference."""
-    scan, _ = scene_maker().make(
-        name,
-        rng,
-        reference=reference,
-        views=views,
-        distance=DISTANCE_M,
-        centre=(place.real, place.imag),
-        snr_db=snr_db,
-    )
-    return captured(scan)
-
-
-@dataclass(frozen=True)
-class Scene:
+class Scene(NamedTuple):
     """One capture to be read.
 
     Attributes:
@@ -120,25 +107,222 @@ def slug(solved: str) -> str:
 
 def enrolled(solved: str, kind: SignatureKind) -> Signature:
     """Signature of a solved object from three captures."""
-    captures = [
-        Named(
-            f"{solved} {i}",
-            aspect_spectra(capture_of(solved, f"{POPULATION}/enrol/{i}", 20, 2 + 2 * i, ENROLMENT_VIEWS)),
+    wheres = [Where(f"{POPULATION}/enrol/{i}", 20, 2 + 2 * i, ENROLMENT_VIEWS) for i in range(3)]
+    shown = [capture_of(solved, where) for where in wheres]
+    return _signature(solved, slug(solved), shown, kind)
+
+
+def _signature(prefix: str, name: str, shown: list[Capture], kind: SignatureKind) -> Signature:
+    captures = [Named(f"{prefix} {i}", aspect_spectra(capture)) for i, capture in enumerate(shown)]
+    return enroll_signature(captures, name, kind).signature
+
+
+def scenes(number: int) -> list[Scene]:
+    """Every scene of solved objects with a number."""
+    results = []
+    for place in product(OFFSETS_MM, SNRS_DB, (number,)):
+        results += [Scene("body", solved, name, *place) for solved, name in ON_BODIES.items()]
+        results += [Scene("body", solved, "", *place) for solved in FOREIGN_ON_BODIES]
+        results += [Scene("object", solved, slug(solved), *place) for solved in OBJECTS]
+        results += [Scene("object", solved, "", *place) for solved in FOREIGN_OBJECTS]
+    return results
+
+
+AZIMUTHS = 72
+RINGS = ((0.8, "V"), (1.0, "V"), (1.2, "V"), (1.0, "H"))
+"""Distances and polarisations of the solved responses."""
+
+
+class Carrier(NamedTuple):
+    """A body with its family of designed layouts.
+
+    Attributes:
+        world: "own" or "full-wave".
+        layouts: key of `identification_scenes.SETS`.
+        body: as `--body` takes it, or the solved body's name.
+        single: solved response of a single reflector, per size in mm; empty for "own".
+        sizes_mm: of the octahedra.
+    """
+
+    world: str
+    layouts: str
+    body: str
+    single: tuple[str, ...]
+    sizes_mm: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """Under which the body is enrolled."""
+        return f"{self.layouts}-{self.world}"
+
+    @property
+    def family(self) -> tuple[Layout, ...]:
+        """Every layout of the family."""
+        return SETS[self.layouts]
+
+
+CARRIERS = (
+    Carrier("own", "helmet-16", "helmet:84mm", (), (20, 40)),
+    Carrier("own", "mug-8", "cup:33mm,wall=4mm,handle", (), (20,)),
+    Carrier("full-wave", "helmet-16", "shell", ("free20_one", "free40_one"), (20, 40)),
+    Carrier("full-wave", "mug-8", "can35_handle", ("can35_one-can35", "can28_one-can28"), (20, 40)),
+)
+"""40 mm octahedra 45 mm from the axis do not fit on a cup of 33 mm radius. The designed upper row, 70 mm from
+the axis and 50 mm up, lies outside the dome of a helmet of 84 mm half axis, and inside the solved shell."""
+
+
+ENROLLED = ((0, 1, 3), (1, 0, 2), (2, 3, 1), (3, 2, 0))
+"""Which bodies are enrolled in the scenes of each carrier, by index: its own first."""
+FOREIGN = 3
+"""Foreign tags for every size and SNR, beside one body without a tag."""
+SPACING_M = 0.04
+"""Least spacing of the reflectors of foreign tags."""
+
+
+class DesignedScene(NamedTuple):
+    """One capture to be read.
+
+    Attributes:
+        carrier: index of CARRIERS.
+        what: index of the layout in its family; -1 for none, less for foreign tags.
+        size_mm, offset_mm, snr_db, number: of the capture.
+    """
+
+    carrier: int
+    what: int
+    size_mm: int
+    offset_mm: int
+    snr_db: int
+    number: int = 0
+
+    @property
+    def layout(self) -> Layout | None:
+        """What the body carries."""
+        if self.what >= 0:
+            return CARRIERS[self.carrier].family[self.what]
+        return None if self.what == -1 else _foreign(self)
+
+    @property
+    def name(self) -> str:
+        """The right name, "" where none is."""
+        return CARRIERS[self.carrier].family[self.what].name if self.what >= 0 else ""
+
+
+def designed_scenes() -> list[DesignedScene]:
+    """Every layout of every carrier in every size and SNR, at one offset each; and what has no name."""
+    return [
+        DesignedScene(c, what, size, OFFSETS_MM[(what + size // 20 + i) % len(OFFSETS_MM)], snr)
+        for c, carrier in enumerate(CARRIERS)
+        for size in carrier.sizes_mm
+        for i, snr in enumerate(SNRS_DB)
+        for what in range(-1 - FOREIGN, len(carrier.family))
+    ]
+
+
+def _foreign(scene: DesignedScene) -> Layout:
+    """A tag of no enrolled arrangement."""
+    carrier = CARRIERS[scene.carrier]
+    rng = np.random.default_rng([7, scene.carrier, -scene.what, scene.size_mm, scene.snr_db, scene.number])
+    radius = max(float(np.hypot(*place)) for place in carrier.family[0].positions)
+    while True:
+        angles = rng.uniform(0, 2 * np.pi, int(rng.integers(2, 5)))
+        positions = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        if least_gap_m(positions) >= SPACING_M and is_foreign(positions, carrier.family):
+            return Layout("foreign", positions)
+
+
+def designed_capture(carrier: Carrier, layout: Layout | None, size_mm: int, where: Where) -> Capture:
+    """A capture of a layout on its body, or of the body alone; the same for the same arguments.
+
+    Args:
+        carrier: body and family.
+        layout: one of its family; None for no tag.
+        size_mm: of the octahedra; also what the SNR refers to.
+        where: how it is recorded.
+    """
+    key, snr_db, offset_mm, views = where
+    words = f"{carrier}/{layout.name if layout else ''}/{size_mm}/{key}/{snr_db}/{offset_mm}/{views}"
+    rng = np.random.default_rng(zlib.crc32(words.encode()))
+    place = offset_mm * 1e-3 * np.exp(2j * np.pi * rng.uniform())
+    if carrier.world == "own":
+        return _own(carrier, layout, size_mm, where, rng, place)
+    single = carrier.single[carrier.sizes_mm.index(size_mm)]
+    made, name = full_wave(), carrier.body
+    if layout is not None:
+        name = f"{carrier.body}@{layout.name}@{size_mm}".replace("-", "~")
+        if name not in made._cache:
+            made._cache[name] = _superposed(carrier.body, single, layout)
+    return recorded(name, rng, place, reference=single, views=views, distance=DISTANCE_M, snr_db=snr_db)
+
+
+def _superposed(body: str, single: str, layout: Layout) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """Frequencies and response (F, ring, order) of a body and reflectors, as `scenes.response` returns."""
+    made = full_wave()
+    frequency, reply = made.response(body)
+    around = np.exp(2j * np.pi * np.arange(AZIMUTHS) / AZIMUTHS)
+    rings = []
+    for distance, polarisation in RINGS:
+        carrier = np.exp(4j * np.pi * frequency[:, None] / SPEED_OF_LIGHT * distance) * distance**2
+        total = np.zeros((len(frequency), AZIMUTHS), dtype=np.complex128)
+        for (x, y), height in zip(layout.positions[:, :2], layout.heights, strict=True):
+            turn = np.exp(-1j * np.angle(complex(x, y)))
+            # A single reflector alone was solved about its own middle; one on a can about the can's axis.
+            origin = complex(x, y) if single.startswith("free") else 0j
+            toward = (distance * around - origin) * turn
+            _, part = made.view(single, np.hypot(np.abs(toward), height), np.angle(toward), polarisation)
+            total += part.T
+        rings.append(total * carrier)
+    return frequency, reply + np.fft.fft(np.stack(rings, axis=1), axis=2) / AZIMUTHS
+
+
+@cache
+def _parts_rad(body: str) -> float:
+    """Direction of the handle: the same specimen in every capture."""
+    return float(np.random.default_rng(zlib.crc32(body.encode())).uniform(0, 2 * np.pi))
+
+
+def _own(
+    carrier: Carrier,
+    layout: Layout | None,
+    size_mm: int,
+    where: Where,
+    rng: np.random.Generator,
+    place: complex,
+) -> Capture:
+    positions = np.zeros((0, 3))
+    ring = np.zeros(2)
+    if layout is not None:
+        positions = np.column_stack([layout.positions[:, :2], layout.heights])
+        ring = rng.normal(0, 0.5e-3, 2)
+    scene = object_scene(
+        carrier.name,
+        positions,
+        parse_body(carrier.body),
+        ReflectorSpec("octahedron", size_mm * 1e-3),
+        rng=rng,
+        room=room_clutter(rng),
+        # The handle's direction is counted from the tag: the tag is glued on anywhere.
+        variation=Variation(_parts_rad(carrier.body), (float(ring[0]), float(ring[1])), 0.5),
+    )
+    acquisition = Acquisition(
+        views=where.views,
+        snr_db=where.snr_db,
+        axis_distance_m=DISTANCE_M,
+        placement=Placement((place.real, place.imag), rng.uniform(0, 2 * np.pi)),
+    )
+    return simulate_capture(scene, acquisition, int(rng.integers(2**32)))[0]
+
+
+def enrolled_carrier(number: int) -> Signature:
+    """Signature of a body of the designed layouts from three captures without a tag."""
+    carrier = CARRIERS[number]
+    shown = [
+        designed_capture(
+            carrier,
+            None,
+            carrier.sizes_mm[0],
+            Where(f"{POPULATION}/enrol/{i}", 20, 2 + 2 * i, ENROLMENT_VIEWS),
         )
         for i in range(3)
     ]
-    return enroll_signature(captures, slug(solved), kind).signature
-
-
-def scenes(numbers: int) -> list[Scene]:
-    """Every scene of solved objects."""
-    results = []
-    for offset in OFFSETS_MM:
-        for snr in SNRS_DB:
-            for number in range(numbers):
-                place = (offset, snr, number)
-                results += [Scene("body", solved, name, *place) for solved, name in ON_BODIES.items()]
-                results += [Scene("body", solved, "", *place) for solved in FOREIGN_ON_BODIES]
-                results += [Scene("object", solved, slug(solved), *place) for solved in OBJECTS]
-                results += [Scene("object", solved, "", *place) for solved in FOREIGN_OBJECTS]
-    return results
+    return _signature(carrier.name, carrier.name, shown, "body")

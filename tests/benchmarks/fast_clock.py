@@ -13,9 +13,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 SOURCE = Path(__file__).with_name("fast_clock.c")
@@ -23,24 +22,18 @@ CHECKED_S = 6.0
 """Length of each wait of `measure`, on the fast clock, s."""
 
 
-def build(folder: Path) -> Path:
-    """Compile the library into a folder. Raises CalledProcessError, FileNotFoundError without a compiler."""
-    compiler = shutil.which("cc")
-    if compiler is None:
-        raise FileNotFoundError("cc")
-    library = folder / "fast_clock.so"
-    words = [compiler, "-shared", "-fPIC", "-O2", "-Wall", "-Werror", "-o", library, SOURCE, "-ldl"]
-    subprocess.run(words, check=True)
-    return library
-
-
 def relaunch() -> None:
-    """Start this program again with the library loaded, at the true speed; returns where it is loaded."""
+    """Start this program again with the library loaded, at the true speed; returns where it is loaded.
+
+    Raises CalledProcessError, FileNotFoundError without a compiler.
+    """
     if not hasattr(ctypes.CDLL(None), "fast_clock_speed"):
-        environment = {**os.environ, "LD_PRELOAD": str(build(Path(tempfile.mkdtemp())))}
-        os.execve(sys.executable, sys.orig_argv, environment)
-    if library := os.environ.pop("LD_PRELOAD", None):
-        shutil.rmtree(Path(library).parent)
+        library = Path(tempfile.mkdtemp()) / "fast_clock.so"
+        words = ["cc", "-shared", "-fPIC", "-O2", "-Wall", "-Werror", "-o", library, SOURCE, "-ldl"]
+        subprocess.run(words, check=True)
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, "LD_PRELOAD": str(library)})
+    if preloaded := os.environ.pop("LD_PRELOAD", None):
+        shutil.rmtree(Path(preloaded).parent)
 
 
 class FastClock:
@@ -61,23 +54,9 @@ class FastClock:
         return float(self._library.fast_clock_true_s())
 
 
-@dataclass(frozen=True)
-class Waited:
-    """Duration of a wait of `CHECKED_S`.
-
-    Attributes:
-        kind: what waited.
-        seconds: on the clock of the process.
-        true_seconds: truly.
-    """
-
-    kind: str
-    seconds: float
-    true_seconds: float
-
-
-def measure(clock: FastClock) -> list[Waited]:
-    """Wait in each way that Python knows, at the present speed."""
+def measure(clock: FastClock) -> Iterator[tuple[str, float, float]]:
+    """Wait for `CHECKED_S` in each way that Python knows, at the present speed: what waited, how long on the
+    clock of the process, and how long truly, s."""
 
     def socket_waits() -> None:
         ours, others = socket.socketpair()
@@ -98,9 +77,7 @@ def measure(clock: FastClock) -> list[Waited]:
         "select": lambda: select.select([], [], [], CHECKED_S),
         "socket": socket_waits,
     }
-    results = []
     for kind, wait in ways.items():
         began, truly = time.monotonic(), clock.true_s()
         wait()
-        results.append(Waited(kind, time.monotonic() - began, clock.true_s() - truly))
-    return results
+        yield kind, time.monotonic() - began, clock.true_s() - truly

@@ -1,4 +1,4 @@
-"""Scenes for the focus benchmark: bodies whose echoes no point model made, at two wavelengths.
+"""Scenes for the focus benchmark: bodies whose echoes no point model made, at two wavelengths, and paths.
 
 Each family draws its own bodies from a seed: isolated reflectors, outlines of rough surface, smooth bodies by
 physical optics, boxes, shells that show both walls, and full-wave responses. Lengths are drawn in
@@ -8,36 +8,24 @@ wavelengths, so the same family serves a P440 and a sonar in air.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from tagid.capture import Capture, Pulse
-from tagid.waveform import analytic_pulse, nominal_pulse
-from tests.benchmarks.reading_bodies_scenes import SHARED, captured, full_wave
-
-FULL_WAVE = SHARED / "fullwave" / "scenes.py"
-"""Full-wave responses are measured data that does not belong to the repository; without them that family is
-left out."""
+from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
+from tagid.waveform import analytic_pulse, nominal_pulse, pulse_at
+from tests.benchmarks.fullwave_scenes import recorded
 
 _FINE = 8
 """Fine range bins per range bin of the capture."""
 
 
-@dataclass(frozen=True)
-class Radar:
-    """A band, a geometry and the medium.
-
-    Attributes:
-        name: for tables.
-        wave_speed_m_s: of the medium.
-        center_frequency_hz, bandwidth_hz: band of the pulse.
-        axis_distance_m: true distance to the rotation axis.
-        range_step_m: range bin.
-    """
+class Radar(NamedTuple):
+    """Name, band of the pulse, true distance to the rotation axis, and range bin."""
 
     name: str
-    wave_speed_m_s: float
     center_frequency_hz: float
     bandwidth_hz: float
     axis_distance_m: float
@@ -46,12 +34,12 @@ class Radar:
     @property
     def wavelength_m(self) -> float:
         """Wavelength of the centre frequency, m."""
-        return self.wave_speed_m_s / self.center_frequency_hz
+        return SPEED_OF_LIGHT / self.center_frequency_hz
 
 
-P440 = Radar("P440", 299_792_458.0, 3.95e9, 1.7e9, 1.0, 0.0091488)
-SONAR = Radar("17 mm", 299_792_458.0, 17.4e9, 7.5e9, 0.85, 0.0020)
-SONAR_WIDE = Radar("17 mm, wide", 299_792_458.0, 17.4e9, 14e9, 0.85, 0.0017)
+P440 = Radar("P440", 3.95e9, 1.7e9, 1.0, 0.0091488)
+SONAR = Radar("17 mm", 17.4e9, 7.5e9, 0.85, 0.0020)
+SONAR_WIDE = Radar("17 mm, wide", 17.4e9, 14e9, 0.85, 0.0017)
 RADARS = (P440, SONAR, SONAR_WIDE)
 
 
@@ -82,13 +70,13 @@ def record(
     bins = 2 * int(np.ceil(half_m / radar.range_step_m)) + 1
     start = radar.axis_distance_m - half_m
     n = 1 << int(np.ceil(np.log2(bins * _FINE * 1.3)))
-    frequency = np.fft.fftfreq(n, 2 * step / radar.wave_speed_m_s)
+    frequency = np.fft.fftfreq(n, 2 * step / SPEED_OF_LIGHT)
     fine_pulse = analytic_pulse(pulse, 1)
     time = (np.arange(len(fine_pulse)) - len(pulse.samples) // 2) * pulse.step
     inside = np.flatnonzero((frequency > 0) & (frequency < 2.2 * radar.center_frequency_hz))
     spectrum = np.zeros(n, dtype=np.complex128)
     spectrum[inside] = (np.exp(-2j * np.pi * np.outer(frequency[inside], time)) @ fine_pulse) * pulse.step
-    spectrum *= radar.wave_speed_m_s / (2 * step)
+    spectrum *= SPEED_OF_LIGHT / (2 * step)
     rows = np.zeros((len(angles), n), dtype=np.complex128)
     for row, angle in zip(rows, angles, strict=True):
         antenna = np.array(
@@ -133,6 +121,11 @@ def _closed(radius: Callable[[np.ndarray], np.ndarray], step: float) -> tuple[np
     return np.column_stack([place.real, place.imag]), np.column_stack([normal.real, normal.imag])
 
 
+def _raised(xy: np.ndarray, heights: np.ndarray) -> np.ndarray:
+    """(n, 3) the points at every height."""
+    return np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in heights])
+
+
 def _blob(rng: np.random.Generator, size: float) -> Callable[[np.ndarray], np.ndarray]:
     orders = np.arange(2, 7)
     a = rng.normal(0, 0.25, len(orders)) / orders
@@ -150,17 +143,12 @@ def points_scene(rng: np.random.Generator, lam: float, count: int | None = None)
     return Body(np.column_stack([xy, np.zeros(count)]), amplitude, np.zeros((count, 2)))
 
 
-def single_scene(rng: np.random.Generator, lam: float) -> Body:
-    """One reflector."""
-    return points_scene(rng, lam, 1)
-
-
 def rough_scene(rng: np.random.Generator, lam: float) -> Body:
     """An outline of rough surface, seen where it faces the antenna, up to two wavelengths high."""
     size = rng.uniform(1.2, 5) * lam
     xy, normals = _closed(_blob(rng, size), lam / 6)
     rows = int(rng.integers(1, 5))
-    points = np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in rng.uniform(-1, 1, rows) * lam])
+    points = _raised(xy, rng.uniform(-1, 1, rows) * lam)
     normals = np.tile(normals, (rows, 1))
     a = rng.standard_normal(len(points)) + 1j * rng.standard_normal(len(points))
     points[:, :2] += rng.uniform(-1.5, 1.5, 2) * lam
@@ -172,7 +160,7 @@ def smooth_scene(rng: np.random.Generator, lam: float) -> Body:
     size = rng.uniform(0.4, 4) * lam
     xy, normals = _closed(_blob(rng, size), lam / 8)
     heights = np.arange(-1, 1.01, 0.25) * lam
-    points = np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in heights])
+    points = _raised(xy, heights)
     points[:, :2] += rng.uniform(-1, 1, 2) * lam
     return Body(points, np.ones(len(points), dtype=complex), np.tile(normals, (len(heights), 1)))
 
@@ -209,7 +197,7 @@ def box_scene(rng: np.random.Generator, lam: float) -> Body:
     edge = rng.uniform(0.5, 2.0)
     amplitude = np.concatenate([np.ones(len(xy) - 4), edge * np.exp(2j * np.pi * rng.random(4))])
     heights = np.arange(-1, 1.01, 0.25) * lam
-    points = np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in heights])
+    points = _raised(xy, heights)
     points, normals = _turned(points, np.tile(normals, (len(heights), 1)), rng.uniform(0, np.pi))
     points[:, :2] += rng.uniform(-1, 1, 2) * lam
     return Body(points, np.tile(amplitude, len(heights)), normals, 0.5)
@@ -225,7 +213,7 @@ def shell_scene(rng: np.random.Generator, lam: float) -> Body:
 
     xy, normals = _closed(radius, lam / 8)
     heights = np.arange(-0.5, 0.51, 0.25) * lam
-    points = np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in heights])
+    points = _raised(xy, heights)
     amplitude = np.full(len(points), 1j * rng.uniform(0.02, 0.3))
     count = int(rng.integers(2, 5))
     at = rng.uniform(0, 2 * np.pi, count)
@@ -250,14 +238,14 @@ def can_scene(rng: np.random.Generator, lam: float) -> Body:
     size = rng.uniform(0.3, 1.0) * lam
     xy, normals = _closed(lambda t: np.full_like(t, size), lam / 16)
     heights = np.arange(-1, 1.01, 0.25) * lam
-    points = np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in heights])
+    points = _raised(xy, heights)
     points[:, :2] += rng.uniform(-1, 1, 2) * lam
     return Body(points, np.ones(len(points), dtype=complex), np.tile(normals, (len(heights), 1)))
 
 
 FAMILIES: dict[str, Callable[[np.random.Generator, float], Body]] = {
     "reflectors": points_scene,
-    "one reflector": single_scene,
+    "one reflector": lambda rng, lam: points_scene(rng, lam, 1),
     "rough outline": rough_scene,
     "smooth body": smooth_scene,
     "body with fittings": detailed_scene,
@@ -274,24 +262,13 @@ FULL_WAVE_OBJECTS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class FocusScene:
-    """A capture whose axis distance may be wrong.
-
-    Attributes:
-        capture: as given to the focus.
-        true_m: true axis distance, m.
-        wavelength_m: of the carrier.
-        extent_m: side of the image.
-        family, radar: where it comes from.
-    """
+class FocusScene(NamedTuple):
+    """A capture whose axis distance may be wrong, the true one, wavelength and side of the image, m."""
 
     capture: Capture
     true_m: float
     wavelength_m: float
     extent_m: float
-    family: str
-    radar: str
 
 
 def draw_error(rng: np.random.Generator, lam: float) -> float:
@@ -302,22 +279,14 @@ def draw_error(rng: np.random.Generator, lam: float) -> float:
 def full_wave_scene(name: str, seed: int) -> FocusScene:
     """A full-wave response, up to 8 mm off the axis, at 0.9 to 1.1 m, in a room."""
     rng = np.random.default_rng([seed, 4, FULL_WAVE_OBJECTS.index(name)])
-    base = name.split("_")[0]
-    if base.startswith("free"):
-        reference = base + "_one"
-    elif base == "shell":
-        reference = "free40_one" if name.endswith("40") else "free20_one"
-    else:
-        reference = f"{base}_one-{base}"
     distance = float(rng.uniform(0.9, 1.1))
-    scan, _ = full_wave().make(
-        name, rng, reference=reference, views=int(rng.choice([36, 72, 120, 360])), distance=distance,
-        centre=tuple(rng.uniform(-0.008, 0.008, 2)), pol=str(rng.choice(["V", "V", "H"])),
-        snr_db=float(rng.uniform(10, 30)), room=bool(rng.random() < 0.7),
-    )  # fmt: skip
-    error = draw_error(rng, P440.wavelength_m)
-    scan["axis_distance_m"] = distance + error
-    return FocusScene(captured(scan), distance, P440.wavelength_m, 0.5, f"full wave: {name}", "P440")
+    # The arguments are drawn in this order.
+    views, place = int(rng.choice([36, 72, 120, 360])), rng.uniform(-0.008, 0.008, 2)
+    polarisation, snr_db = str(rng.choice(["V", "V", "H"])), float(rng.uniform(10, 30))
+    how = {"views": views, "distance": distance, "pol": polarisation, "snr_db": snr_db}
+    capture = recorded(name, rng, complex(*place), room=bool(rng.random() < 0.7), **how)
+    given = replace(capture, axis_distance_m=distance + draw_error(rng, P440.wavelength_m))
+    return FocusScene(given, distance, P440.wavelength_m, 0.5)
 
 
 def draw_scene(family: str, radar: Radar, seed: int, views: int | None = None) -> FocusScene:
@@ -344,4 +313,56 @@ def draw_scene(family: str, radar: Radar, seed: int, views: int | None = None) -
         center_frequency_hz=radar.center_frequency_hz, bandwidth_hz=radar.bandwidth_hz,
     )  # fmt: skip
     extent = 2 * max(reach, lam) + lam
-    return FocusScene(capture, radar.axis_distance_m, lam, extent, family, radar.name)
+    return FocusScene(capture, radar.axis_distance_m, lam, extent)
+
+
+PATHS = ("straight", "leakage and clutter", "bent, unsure positions", "noise alone")
+
+
+def draw_rail(path: str, seed: int) -> tuple[Capture, float]:
+    """300 positions past two to four reflectors 1.5 to 4 m away, and the one-way delay put in, m.
+
+    As an antenna on a rail sees them: leakage that jitters, a beam, clutter, bent and shaky paths.
+    """
+    rng = np.random.default_rng([seed, 8, PATHS.index(path)])
+    views, bins = 300, 800
+    u = np.linspace(-1, 1, views)
+    half = rng.uniform(1.0, 1.8)
+    x, y, z = half * u, np.zeros(views), np.full(views, rng.choice([0.0, 0.3]))
+    if path.startswith("bent"):
+        y = rng.uniform(0.04, 0.12) * rng.choice([-1, 1]) * u**2
+        z = z + 0.06 * np.sin(3 * u)
+    antenna = np.stack([x, y, z], axis=1)
+    shaky = antenna + (0.003 if path.startswith("bent") else 0.001) * rng.standard_normal((views, 3))
+    delay = float(rng.uniform(-0.9, 0.9))
+    count = 0 if path.startswith("noise") else int(rng.integers(2, 5))
+    points = np.column_stack([rng.uniform(-1.2, 1.2, count), rng.uniform(1.5, 4.0, count), np.zeros(count)])
+    strengths = rng.uniform(0.5, 1.0, count)
+    if path.startswith("leakage"):
+        extra = 40
+        clutter = np.column_stack(
+            [rng.uniform(-3, 3, extra), rng.uniform(0.8, 5, extra), rng.uniform(0, 1, extra)]
+        )
+        points, strengths = (
+            np.vstack([points, clutter]),
+            np.concatenate([strengths, rng.uniform(0, 0.15, extra)]),
+        )
+    ranges = 0.1 + RANGE_STEP_M * np.arange(bins)
+    samples = 0.1 * rng.standard_normal((views, bins))
+    pulse = nominal_pulse()
+    for strength, point in zip(strengths, points, strict=True):
+        sight = point - shaky
+        distance = np.linalg.norm(sight, axis=1)
+        beam = np.maximum(sight[:, 1] / distance, 0.05) ** 2
+        echo = pulse_at(pulse, 2 * (ranges - distance[:, None] - delay) / SPEED_OF_LIGHT).real
+        samples += strength * (beam * (2.0 / distance) ** 1.0)[:, None] * echo
+    if path.startswith("leakage"):
+        for at, size in ((0.35, 20.0), (0.5, 10.0), (0.8, 4.0)):
+            jitter = 1 + 0.02 * rng.standard_normal(views)
+            echo = pulse_at(
+                pulse,
+                2 * (ranges[None] - at - delay + 2e-4 * rng.standard_normal((views, 1))) / SPEED_OF_LIGHT,
+            )
+            samples += size * jitter[:, None] * echo.real
+    capture = Capture(samples.astype(np.float32), float(ranges[0]), RANGE_STEP_M, antenna_positions_m=antenna)
+    return capture, delay

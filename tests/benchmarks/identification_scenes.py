@@ -5,8 +5,9 @@ Seeds begin at 50 000 000, which no training draws; SNR is per reflector (`tagid
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_layout, scene_from_name
 from tagid.simulate.scattering import Points, Returns
 from tagid.simulate.scene import Scene
+from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.design import DesignRules, design
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.layouts.objects import object_named
@@ -37,29 +39,39 @@ _FIXED = {
 }
 
 
-def layout_sets() -> dict[str, tuple[Layout, ...]]:
-    """The paper's four, 16 designed on a helmet and 8 on a mug (3 reflectors, 12 slots, both rows)."""
-    rules = DesignRules(3, 12)
-    return {
-        "paper": tuple(builtin_layouts().values()),
-        "helmet-16": design(object_named("helmet").with_rows(2), rules, 16).layouts,
-        "mug-8": design(object_named("mug").with_rows(2), rules, 8).layouts,
-    }
+_RULES = DesignRules(3, 12)
+SETS: dict[str, tuple[Layout, ...]] = {
+    "paper": tuple(builtin_layouts().values()),
+    "helmet-16": design(object_named("helmet").with_rows(2), _RULES, 16).layouts,
+    "mug-8": design(object_named("mug").with_rows(2), _RULES, 8).layouts,
+}
+"""The paper's four, 16 designed on a helmet and 8 on a mug (3 reflectors, 12 slots, both rows)."""
 
 
-SETS = layout_sets()
+APART_M = 0.012
+"""Nearer than this in RMS, a foreign tag counts as the enrolled one: enrollment calls them confusable."""
 
 
-@dataclass(frozen=True)
-class Condition:
-    """One cell: what is on the table, out of which enrolled set, and how it is recorded."""
+def least_gap_m(points: np.ndarray) -> float:
+    """Smallest distance between points, m."""
+    return float((np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(len(points))).min())
+
+
+def is_foreign(points: np.ndarray, enrolled: Sequence[Layout]) -> bool:
+    """Whether a tag is none of the enrolled ones."""
+    layout = Layout("foreign", points)
+    alike = [other for other in enrolled if other.size == layout.size]
+    return all(rotational_distance(layout, other).rms_m > APART_M for other in alike)
+
+
+class Condition(NamedTuple):
+    """What is on the table, of which enrolled set, how it is recorded, and one of TWISTS, if any."""
 
     group: str
     enrolled: str
     views: int
     snr_db: float
     twist: str = ""
-    """Name of a change to scene and acquisition, see TWISTS; empty for none."""
 
 
 def _unenrolled(kind: str, rng: np.random.Generator) -> np.ndarray:
@@ -69,8 +81,7 @@ def _unenrolled(kind: str, rng: np.random.Generator) -> np.ndarray:
     count = 3 if kind == "three-random" else 4
     while True:
         points = rng.uniform(-0.11, 0.11, (count, 2))
-        gap = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
-        if gap.min() > 0.04:
+        if least_gap_m(points) > 0.04:
             return points
 
 
@@ -102,9 +113,8 @@ def _missing(scene: Scene, rng: np.random.Generator) -> Scene:
     p = _points(scene)
     keep = np.arange(len(p.positions)) != rng.integers(len(p.positions))
     facing = None if p.facing_rad is None else p.facing_rad[keep]
-    return _with_points(
-        scene, replace(p, positions=p.positions[keep], amplitudes=p.amplitudes[keep], facing_rad=facing)
-    )
+    changed = replace(p, positions=p.positions[keep], amplitudes=p.amplitudes[keep], facing_rad=facing)
+    return _with_points(scene, changed)
 
 
 def _extra(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -179,9 +189,8 @@ def _askew(scene: Scene, rng: np.random.Generator) -> Scene:
     p = _points(scene)
     assert p.facing_rad is not None
     facing = p.facing_rad + rng.uniform(-1, 1, len(p.positions)) * np.deg2rad(30.0)
-    return _with_points(
-        scene, replace(p, facing_rad=facing, aspect_floor=0.0, aspect_width_rad=np.deg2rad(150.0))
-    )
+    changed = replace(p, facing_rad=facing, aspect_floor=0.0, aspect_width_rad=np.deg2rad(150.0))
+    return _with_points(scene, changed)
 
 
 SCENE_TWISTS: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
@@ -206,15 +215,25 @@ ACQUISITION_TWISTS: dict[str, Callable[[Acquisition], Acquisition]] = {
 TWISTS = (*ACQUISITION_TWISTS, *SCENE_TWISTS)
 
 
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """Scans to be read, with the truth."""
+class Recorded(NamedTuple):
+    """Scans to be read, with the truth: the right name and the places of the reflectors, m."""
 
     capture: Capture
     scans: BasebandScans
     name: str
     positions: np.ndarray
-    range_offset_m: float
+
+
+def drawn_acquisition(rng: np.random.Generator, views: int, snr_db: float) -> Acquisition:
+    """Up to 10 mm off the axis, turned, axis distance wrong by up to 15 mm, on a turntable that wobbles."""
+    radius, turn = 0.01 * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
+    return Acquisition(
+        views=views,
+        snr_db=snr_db,
+        placement=Placement((radius * np.cos(turn), radius * np.sin(turn)), rng.uniform(0, 2 * np.pi)),
+        wobble=Wobble(speed=0.01),
+        axis_distance_error_m=rng.uniform(-0.015, 0.015),
+    )
 
 
 def record(condition: Condition, number: int) -> Recorded:
@@ -225,20 +244,11 @@ def record(condition: Condition, number: int) -> Recorded:
 def record_scene(scene: Scene, name: str, condition: Condition, number: int) -> Recorded:
     """The recording of a scene under a condition, with everything random drawn from a number."""
     rng = np.random.default_rng([FIRST_SEED + number, 1])
-    radius, turn = 0.01 * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
-    acquisition = Acquisition(
-        views=condition.views,
-        snr_db=float(condition.snr_db),
-        placement=Placement((radius * np.cos(turn), radius * np.sin(turn)), rng.uniform(0, 2 * np.pi)),
-        wobble=Wobble(speed=0.01),
-        axis_distance_error_m=rng.uniform(-0.015, 0.015),
-    )
+    acquisition = drawn_acquisition(rng, condition.views, float(condition.snr_db))
     if condition.twist in ACQUISITION_TWISTS:
         acquisition = ACQUISITION_TWISTS[condition.twist](acquisition)
     elif condition.twist in SCENE_TWISTS:
         scene = SCENE_TWISTS[condition.twist](scene, rng)
-    elif condition.twist == "SNR of the summed echo":
-        acquisition = replace(acquisition, snr_reference="summed")
     capture, truth = simulate_capture(scene, acquisition, FIRST_SEED + number)
     scans = preprocess(capture, PreprocessSettings(matched_filter=False, extent_m=0.3))
-    return Recorded(capture, scans, name, truth.positions_m, -acquisition.axis_distance_error_m)
+    return Recorded(capture, scans, name, truth.positions_m)

@@ -5,9 +5,9 @@ Objects: exact series for cans and bottles, physical optics for boxes, noise 20 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,13 +27,13 @@ from tests.benchmarks.imaging_scenes import (
 )
 from tests.benchmarks.pictures import picture_grid
 from tests.benchmarks.run import Run
-from tests.benchmarks.tables import Table, interval
+from tests.benchmarks.tables import Table, column, grouped, interval
 from train.metrics import localise, pick_peaks, psnr
 
-__all__ = ["add_options", "methods", "objects", "partial", "skip_cans", "tags"]
+__all__ = ["add_options", "methods", "scored"]
 
 MOST_PEAKS = 8
-SHOWN = tuple(r for r in ROWS if r not in ("blank", "ATS 300 steps") and not r.endswith("bare"))
+SHOWN = tuple(row for row in ROWS if row not in ("blank", "ATS 300 steps"))
 """Rows of the figures, and of the tables of objects and tags."""
 BEST = ("BP", "FISTA", "OMP", SLOW, "ATS field")
 """Rows that a page shows of a long table."""
@@ -74,113 +74,83 @@ class Cell(NamedTuple):
 
 
 CASES = {
-    "objects": tuple(Case(name, name) for name in OBJECTS),
-    "skip-cans": tuple(Case(f"skip {s} deg", TWO_CANS, 360, s) for s in (10, 20, 30)),
-    "partial": tuple(Case(f"0 to {a} deg", TWO_CANS, a) for a in (90, 180, 270)),
-    "tags": tuple(Case(layout, layout) for layout in TAGS),
+    "imaging-objects": tuple(Case(name, name) for name in OBJECTS),
+    "imaging-skip-cans": tuple(Case(f"skip {s} deg", TWO_CANS, 360, s) for s in (10, 20, 30)),
+    "imaging-partial": tuple(Case(f"0 to {a} deg", TWO_CANS, a) for a in (90, 180, 270)),
+    "imaging-tags": tuple(Case(layout, layout) for layout in TAGS),
 }
 
 
-def object_scene(case: Case, seed: int) -> Problem:
-    """A case seen with noise 20 dB under the peak."""
+def scene_of(case: Case, seed: int) -> Problem:
+    """A tag on its object in a room, or an object seen with noise 20 dB under the peak."""
+    if case.name in TAGS:
+        return field_problem(case.name, seed)
     return object_problem(case.name, np.arange(0, case.last_deg, case.step_deg), 20.0, seed)
 
 
-def score_object(cell: Cell) -> dict[str, float]:
-    """The members of `OBJECT_COLUMNS`.
+def score(cell: Cell) -> dict[str, float]:
+    """The members of `TAG_COLUMNS` or of `OBJECT_COLUMNS`.
 
     The far-off peak is the brightest pixel farther than 4 cm from the outline, against the brightest one; a
     cylinder is seen where the brightest pixel within 2 cm of its surface is at most 10 dB down.
     """
-    problem = object_scene(cell.case, cell.seed)
+    problem = scene_of(cell.case, cell.seed)
+    image, seconds = problem.image(cell.row)
+    scores = {
+        "held_out": held_out_percent(problem, cell.row),
+        "lpips": perceptual(image, problem.truth),
+        "psnr_db": psnr(image.values, problem.truth),
+        "seconds": seconds,
+    }
+    if cell.case.name in TAGS:
+        located = localise(pick_peaks(image, MOST_PEAKS), problem.points)
+        detected = 100 * located.detected / len(problem.points)
+        return {
+            **scores,
+            "where_mm": 1e3 * located.rmse_m,
+            "detected": detected,
+            "false": float(located.false),
+        }
     thing = OBJECTS[cell.case.name]()
     x, y = np.meshgrid(problem.grid.axis, problem.grid.axis)
     near = thing.outline(problem.grid, 0.04) > np.exp(-0.5)
-    image, seconds = problem.image(cell.row)
     magnitude = np.abs(image.values) / max(float(np.abs(image.values).max()), 1e-30)
     seen = [
         float(magnitude[np.hypot(x - cx, y - cy) < radius + 0.02].max()) > 10 ** (-10 / 20)
         for cx, cy, radius in thing.circles
     ]
-    return {
-        "held_out": held_out_percent(problem, cell.row),
-        "lpips": perceptual(image, problem.truth),
-        "psnr_db": psnr(image.values, problem.truth),
-        "far_db": float(20 * np.log10(max(float(magnitude[~near].max()), 1e-6))),
-        "seen": float(np.sum(seen)) if seen else float("nan"),
-        "seconds": seconds,
-    }
+    far_db = float(20 * np.log10(max(float(magnitude[~near].max()), 1e-6)))
+    return {**scores, "far_db": far_db, "seen": float(np.sum(seen)) if seen else float("nan")}
 
 
-def score_tag(cell: Cell) -> dict[str, float]:
-    """The members of `TAG_COLUMNS`, for a tag on its object, clutter removed."""
-    problem = field_problem(cell.case.name, cell.seed)
-    image, seconds = problem.image(cell.row)
-    located = localise(pick_peaks(image, MOST_PEAKS), problem.points)
-    return {
-        "where_mm": located.rmse_m * 1e3,
-        "detected": 100 * located.detected / len(problem.points),
-        "false": float(located.false),
-        "held_out": held_out_percent(problem, cell.row),
-        "lpips": perceptual(image, problem.truth),
-        "psnr_db": psnr(image.values, problem.truth),
-        "seconds": seconds,
-    }
-
-
-def _scored(run: Run, name: str, work: Any, columns: Sequence[tuple[str, str, int]], kind: str) -> Table:
+def scored(run: Run) -> Iterator[Table]:
     """A line for every case and row, with the mean over the seeds and its interval."""
-    seeds = run.number(10)
-    run.seeds = f"0 to {seeds - 1}"
-    rows = chosen(run, SHOWN)
-    cells = [Cell(case, seed, row) for row in rows for case in CASES[name] for seed in range(seeds)]
-    scores = run.each(work, cells)
+    cases, kind = CASES[run.name], "tag" if run.name == "imaging-tags" else "object"
+    columns = TAG_COLUMNS if kind == "tag" else OBJECT_COLUMNS
+    rows, seeds = chosen(run, SHOWN), run.drawn(10)
+    cells = [Cell(case, seed, row) for row in rows for case in cases for seed in seeds]
+    scores = grouped(run.each(score, cells), lambda cell: (cell.case, cell.row))
     lines = []
-    for case in CASES[name]:
+    for case in cases:
         for row in (row for row in SHOWN if row in rows):
-            some = [score for cell, score in scores.items() if (cell.case, cell.row) == (case, row)]
-            values = [interval(np.array([s[key] for s in some], dtype=float), d) for key, _, d in columns]
-            lines.append((case.label, row, str(len(some)), *values))
+            some = scores[case, row]
+            values = [interval(column(some, key), digits) for key, _, digits in columns]
+            lines.append((case.label, row, len(some), *values))
+    figure = ""
+    if run.pictures is not None:
+        problems = {case.label: scene_of(case, 0) for case in cases}
+        figure = _figure(problems, run.pictures, run.name, "truth" if kind == "tag" else "outline")
     headings = (kind, "method", "seeds", *(title for _, title, _ in columns))
-    return Table(headings, lines, shown=lambda line: line[1] in BEST, below=_figure(run, name))
+    yield Table(headings, lines, shown=lambda line: line[1] in BEST, below=figure)
 
 
-def _figure(run: Run, name: str) -> str:
-    """Draw the first seed of every case, where figures are drawn."""
-    if run.pictures is None:
-        return ""
-    make = (
-        (lambda case: field_problem(case.name, 0)) if name == "tags" else (lambda case: object_scene(case, 0))
-    )
-    problems = {case.label: make(case) for case in CASES[name]}
-    return _same_scene_picture(problems, run.pictures, name, "truth" if name == "tags" else "outline")
-
-
-def _same_scene_picture(problems: dict[str, Problem], folder: Path, name: str, truth: str = "truth") -> str:
+def _figure(problems: dict[str, Problem], folder: Path, name: str, truth: str = "truth") -> str:
+    """Draws the problems in every method."""
     pictures = [[p.truth, *(np.abs(p.image(r)[0].values) for r in SHOWN)] for p in problems.values()]
     extents = [p.grid.extent for p in problems.values()]
-    picture_grid(pictures, extents, list(problems), [truth, *SHOWN], folder / f"imaging-{name}.png")
-    return f"![{name}: every method, dB below each maximum](../pictures/imaging-{name}.png)"
-
-
-def objects(run: Run) -> Iterator[Table]:
-    """Can in a cardboard box, two bottles, two cans, metal box: 360 views."""
-    yield _scored(run, "objects", score_object, OBJECT_COLUMNS, "object")
-
-
-def skip_cans(run: Run) -> Iterator[Table]:
-    """Skip angles of 10, 20 and 30 degrees on the two cans."""
-    yield _scored(run, "skip-cans", score_object, OBJECT_COLUMNS, "object")
-
-
-def partial(run: Run) -> Iterator[Table]:
-    """90, 180 and 270 degrees of a turn on the two cans: does the second one stay visible?"""
-    yield _scored(run, "partial", score_object, OBJECT_COLUMNS, "object")
-
-
-def tags(run: Run) -> Iterator[Table]:
-    """The mug's and the helmet's tags, on their objects, in a room, 15 dB SNR, 360 views."""
-    yield _scored(run, "tags", score_tag, TAG_COLUMNS, "tag")
+    picture_grid(pictures, extents, list(problems), [truth, *SHOWN], folder / f"{name}.png")
+    said = name.removeprefix("imaging-")
+    return f"![{said}: every method, dB below each maximum](../pictures/{name}.png)"
 
 
 def methods(run: Run) -> Iterator[Table]:
@@ -191,6 +161,6 @@ def methods(run: Run) -> Iterator[Table]:
         "36 views, noise 0.316": random_points(4, 36, 0.316, 1),
         "12 views": random_points(4, 12, 0.1, 1),
     }
-    figure = _same_scene_picture(problems, run.pictures or Path.cwd(), "methods")
+    figure = _figure(problems, run.pictures or Path.cwd(), run.name)
     note = f"Four points, {GRID.extent} m, dB below each maximum; noise 0.1 where none is said."
     yield Table((), (), note, below=figure)

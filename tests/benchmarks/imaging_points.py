@@ -9,9 +9,7 @@ image.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -31,10 +29,12 @@ from tests.benchmarks.imaging_scenes import (
     cramer_rao_mm,
     drawn_points,
     held_out_percent,
+    is_sharp,
     perceptual,
 )
+from tests.benchmarks.measure import timed
 from tests.benchmarks.run import Run
-from tests.benchmarks.tables import Table, interval
+from tests.benchmarks.tables import Table, column, grouped, interval
 from train.metrics import blank, localise, pick_peaks, psnr, truth_image
 
 __all__ = ["add_options", "paper", "points", "resolution"]
@@ -45,7 +45,6 @@ APART_MM = (15, 20, 30)
 FINE = ImageGrid(GRID.extent / 2, GRID.pixels)
 """Pixels of 3.6 mm, on which no method's resolution is that of its pixels."""
 MOST_PEAKS = 8
-POINT_ROWS = tuple(row for row in ROWS if not row.endswith("bare"))
 
 
 class PointCell(NamedTuple):
@@ -55,31 +54,6 @@ class PointCell(NamedTuple):
     noise: float
     seed: int
     row: str
-
-
-@dataclass(frozen=True)
-class PointScore:
-    """One image of reflectors.
-
-    Attributes:
-        where_mm: root mean square distance of the detected reflectors; nan if there are none.
-        bound_mm: its Cramér-Rao bound.
-        missed, false: reflectors that no peak is near, peaks that are near none.
-        amplitude_db: root mean square error of the detected amplitudes, one common factor fitted.
-        held_out: residual on views that were left out, per cent; nan where a method predicts no scans.
-        psnr_db, lpips: at equal resolution.
-        seconds: of processor time.
-    """
-
-    where_mm: float
-    bound_mm: float
-    missed: float
-    false: float
-    amplitude_db: float
-    held_out: float
-    psnr_db: float
-    lpips: float
-    seconds: float
 
 
 def oracle(problem: Problem, wavenumber: float) -> Image:
@@ -96,29 +70,39 @@ def oracle(problem: Problem, wavenumber: float) -> Image:
 
 
 def score_points(cell: PointCell) -> dict[str, float]:
-    """The members of `PointScore`."""
+    """The members of `OWN` and `EQUAL`, and the Cramér-Rao bound of the distance of detected reflectors.
+
+    Missed are reflectors that no peak is near, false peaks that are near none; for the amplitudes one common
+    factor is fitted; PSNR and LPIPS are at equal resolution, seconds of processor time.
+    """
     problem = drawn_points(cell.views, cell.noise, cell.seed)
     wavenumber = problem.scans(False).wavenumber
-    sharp = f"{cell.row}, bare" in ROWS
-    start = time.process_time()
-    if cell.row == "oracle":
-        base, seconds = oracle(problem, wavenumber), float("nan")
-    elif cell.row == "blank":
-        base, seconds = blank(problem.grid), float("nan")
+    sharp = is_sharp(cell.row)
+    if cell.row in ("oracle", "blank"):
+        seconds = float("nan")
+        base = oracle(problem, wavenumber) if cell.row == "oracle" else blank(problem.grid)
     else:
-        base, _ = problem.image(f"{cell.row}, bare" if sharp else cell.row)
-        seconds = time.process_time() - start
+        (base, _), _, seconds = timed(lambda: problem.image(cell.row, bare=True))
     shown = restore(base, wavenumber) if sharp else base
-    where, missed, false, amplitude = float("nan"), float(len(problem.points)), 0.0, float("nan")
+    scores = {"where_mm": float("nan"), "missed": float(len(problem.points)), "false": 0.0}
+    scores["amplitude_db"] = float("nan")
     if np.any(base.values):
         located = localise(pick_peaks(base, MOST_PEAKS), problem.points)
-        where, missed, false = located.rmse_m * 1e3, float(located.missed), float(located.false)
-        amplitude = amplitude_error_db(shown, problem)
+        scores = {
+            "where_mm": 1e3 * located.rmse_m,
+            "missed": float(located.missed),
+            "false": float(located.false),
+        }
+        scores["amplitude_db"] = amplitude_error_db(shown, problem)
     truth = truth_image(problem.points, problem.grid, problem.amplitudes, beam_sigma_m(wavenumber))
-    held_out = held_out_percent(problem, cell.row) if cell.row in ROWS else float("nan")
-    bound = cramer_rao_mm(problem.points, cell.views, cell.noise, problem.amplitudes)
-    quality, seen = psnr(shown.values, truth), perceptual(shown, truth)
-    return asdict(PointScore(where, bound, missed, false, amplitude, held_out, quality, seen, seconds))
+    return {
+        **scores,
+        "bound_mm": cramer_rao_mm(problem.points, cell.views, cell.noise, problem.amplitudes),
+        "held_out": held_out_percent(problem, cell.row) if cell.row in ROWS else float("nan"),
+        "psnr_db": psnr(shown.values, truth),
+        "lpips": perceptual(shown, truth),
+        "seconds": seconds,
+    }
 
 
 def amplitude_error_db(shown: Image, problem: Problem, radius_m: float = 0.015) -> float:
@@ -137,54 +121,51 @@ def amplitude_error_db(shown: Image, problem: Problem, radius_m: float = 0.015) 
     return float(errors_db.std())
 
 
+OWN = {
+    "where_mm": ("localisation (mm)", 2),
+    "missed": ("missed per scene", 1),
+    "false": ("false per scene", 1),
+    "amplitude_db": ("amplitude error (dB)", 1),
+    "held_out": ("held-out residual (%)", 1),
+    "seconds": ("seconds", 2),
+}
+EQUAL = {"psnr_db": ("PSNR (dB)", 1), "lpips": ("LPIPS", 3)}
+
+
 def points(run: Run) -> Iterator[Table]:
     """Two to four reflectors of 0.5 to 1 in noise: headline figures, and pictures at equal resolution."""
-    seeds = run.number(10)
-    run.seeds = f"0 to {seeds - 1}"
-    every = (*POINT_ROWS, "oracle")
-    rows = chosen(run, every)
-    cells = [
-        PointCell(views, noise, seed, row)
-        for row in rows
-        for views, noise in (CASES[1:2] if run.quick else CASES)
-        for seed in range(seeds)
-    ]
-    scores = run.each(score_points, cells)
+    seeds, every = run.drawn(10), (*ROWS, "oracle")
+    rows, cases = chosen(run, every), CASES[1:2] if run.quick else CASES
+    cells = [PointCell(*case, seed, row) for row in rows for case in cases for seed in seeds]
+    scores = grouped(run.each(score_points, cells), lambda c: (c.views, c.noise, c.row))
     base, equal = [], []
-    for views, noise in dict.fromkeys((c.views, c.noise) for c in cells):
+    for views, noise in cases:
         for row in (row for row in every if row in rows):
-            some = [score for c, score in scores.items() if (c.views, c.noise, c.row) == (views, noise, row)]
-            column = {name: np.array([s[name] for s in some], dtype=float) for name in some[0]}
+            some = scores[views, noise, row]
+            own, alike = (
+                [interval(column(some, name), digits) for name, (_, digits) in columns.items()]
+                for columns in (OWN, EQUAL)
+            )
             first = [f"{views}", f"{noise:g}", row, str(len(some))]
             if row not in ("blank", "oracle"):
-                where = f"{interval(column['where_mm'], 2)} ({column['bound_mm'].mean():.2f})"
-                base.append([*first, where, *(interval(column[n], d) for n, d in OWN[1:])])
-            equal.append([*first, *(interval(column[n], d) for n, d in EQUAL)])
+                base.append([*first, f"{own[0]} ({column(some, 'bound_mm').mean():.2f})", *own[1:]])
+            equal.append([*first, *alike])
     heading = ("views", "noise", "method", "seeds")
     yield Table(
-        (*heading, *OWN_TITLES),
+        (*heading, *(title for title, _ in OWN.values())),
         base,
         "At each method's own resolution: single pixels for FISTA, OMP and ATS. In brackets the Cramér-Rao "
         "bound. Seconds of processor time.",
         shown=lambda line: line[0] == "36",
     )
     yield Table(
-        (*heading, *EQUAL_TITLES),
+        (*heading, *(title for title, _ in EQUAL.values())),
         equal,
         "At equal resolution: FISTA, OMP, ATS and the oracle (true positions and amplitudes) with the same "
         "beam, as wide as the core of the others' point response; truth drawn with that beam.",
         name="equal",
         shown=lambda line: line[0] == "36",
     )
-
-
-OWN = (("where_mm", 2), ("missed", 1), ("false", 1), ("amplitude_db", 1), ("held_out", 1), ("seconds", 2))
-OWN_TITLES = (
-    "localisation (mm)", "missed per scene", "false per scene", "amplitude error (dB)",
-    "held-out residual (%)", "seconds",
-)  # fmt: skip
-EQUAL = (("psnr_db", 1), ("lpips", 3))
-EQUAL_TITLES = ("PSNR (dB)", "LPIPS")
 
 
 class PaperCell(NamedTuple):
@@ -211,27 +192,22 @@ def score_paper(cell: PaperCell) -> dict[str, float]:
 
 def paper(run: Run) -> Iterator[Table]:
     """The table and the skip angles of the paper: one to four reflectors in noise of variance 0.1."""
-    seeds = run.number(10)
-    run.seeds = f"0 to {seeds - 1}"
-    rows = chosen(run, ("BP", "FISTA", SLOW, "ATS field"))
+    seeds, rows, counts = run.drawn(10), chosen(run, ("BP", "FISTA", SLOW, "ATS field")), (1, 2, 3, 4)
     cells = [
         PaperCell(count, skip, seed, row)
         for row in rows
-        for count in (1, 2, 3, 4)
+        for count in counts
         for skip in SKIPS_DEG
-        for seed in range(seeds)
+        for seed in seeds
         if row != SLOW or seed == 0
     ]
-    scores = run.each(score_paper, cells)
+    scores = grouped(run.each(score_paper, cells), lambda c: (c.count, c.row, c.skip_deg))
     lines = []
-    for count in (1, 2, 3, 4):
+    for count in counts:
         for row in rows:
-            line = [str(count), row]
-            for skip in SKIPS_DEG:
-                some = [s for c, s in scores.items() if (c.count, c.skip_deg, c.row) == (count, skip, row)]
-                means = [float(np.mean([item[name] for item in some])) for name in ("psnr", "lpips")]
-                line.append(f"{means[0]:.1f} / {means[1]:.3f}")
-            lines.append(line)
+            some = [scores[count, row, skip] for skip in SKIPS_DEG]
+            means = [(column(item, "psnr").mean(), column(item, "lpips").mean()) for item in some]
+            lines.append([str(count), row, *(f"{quality:.1f} / {seen:.3f}" for quality, seen in means)])
     columns = ("reflectors", "method", *(f"every {skip} deg" for skip in SKIPS_DEG))
     note = "PSNR, dB, and LPIPS, means over the seeds (of the published method one); noise of 0.316."
     yield Table(columns, lines, note)
@@ -248,8 +224,7 @@ class CloseCell(NamedTuple):
 def score_close(cell: CloseCell) -> dict[str, float]:
     """Whether exactly the two are seen, each within 8 mm, and how far off they are, mm."""
     problem = close_points(36, 0.1, cell.seed, cell.apart_mm / 1000, FINE)
-    row = f"{cell.row}, bare" if f"{cell.row}, bare" in ROWS else cell.row
-    image, _ = problem.image(row)
+    image, _ = problem.image(cell.row, bare=True)
     located = localise(local_maxima(image), problem.points, 0.008)
     resolved = float(located.missed == 0 and located.false == 0)
     return {"resolved": resolved, "where_mm": located.rmse_m * 1e3 if resolved else float("nan")}
@@ -270,19 +245,18 @@ def local_maxima(image: Image, threshold: float = 0.5) -> np.ndarray:
 
 def resolution(run: Run) -> Iterator[Table]:
     """Two equal reflectors 15 to 30 mm apart, 36 views, noise 0.1, pixels of 3.6 mm."""
-    seeds = run.number(10)
-    run.seeds = f"0 to {seeds - 1}"
-    rows = chosen(run, tuple(row for row in POINT_ROWS if row != "blank"))
-    cells = [CloseCell(apart, seed, row) for row in rows for apart in APART_MM for seed in range(seeds)]
-    scores = run.each(score_close, cells)
+    seeds = run.drawn(10)
+    rows = chosen(run, tuple(row for row in ROWS if row != "blank"))
+    cells = [CloseCell(apart, seed, row) for row in rows for apart in APART_MM for seed in seeds]
+    scores = grouped(run.each(score_close, cells), lambda c: (c.row, c.apart_mm))
     lines = []
-    for row in (row for row in POINT_ROWS if row in rows):
-        line = [row, str(seeds)]
+    for row in (row for row in ROWS if row in rows):
+        line = [row, str(len(seeds))]
         for apart in APART_MM:
-            some = [score for c, score in scores.items() if (c.row, c.apart_mm) == (row, apart)]
-            where = np.array([s["where_mm"] for s in some], dtype=float)
-            resolved = sum(s["resolved"] for s in some)
-            line.append(f"{resolved:.0f}" + (f" ({np.nanmean(where):.1f})" if resolved else ""))
+            some = scores[row, apart]
+            resolved = column(some, "resolved").sum()
+            where = f" ({np.nanmean(column(some, 'where_mm')):.1f})" if resolved else ""
+            line.append(f"{resolved:.0f}{where}")
         lines.append(line)
     columns = ("method", "pairs", *(f"{apart} mm apart" for apart in APART_MM))
     note = "Pairs of which both are seen and nothing else; in brackets their localisation error, mm."

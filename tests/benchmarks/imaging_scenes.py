@@ -6,7 +6,6 @@ Shared by all imaging experiments, so that every table has the same rows and mea
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -37,6 +36,7 @@ from tagid.simulate import (
 )
 from tagid.simulate import simulate_capture as record_scene
 from tagid.waveform import nominal_pulse, pulse_at
+from tests.benchmarks.measure import timed
 from tests.benchmarks.provenance import SHARED
 from tests.benchmarks.run import Run
 from train.metrics import blank, lpips, truth_image
@@ -66,15 +66,17 @@ ROWS = {
     "ATS paper": Row("ats", "paper"),
     "ATS field": Row("ats", "field"),
     "ATS 300 steps": Row("ats", "field", 300),
-    "FISTA, bare": Row("sparse"),
-    "OMP, bare": Row("omp"),
-    "ATS field, bare": Row("ats", "field"),
-    "ATS 300 steps, bare": Row("ats", "field", 300),
 }
 """Rows of the tables. FISTA, OMP and ATS field are shown with the restoring beam, as `tagid reconstruct`
-does; "bare" is the same image without it. "ATS 300 steps" is among reflectors only."""
+does. "ATS 300 steps" is among reflectors only."""
 SLOW = "ATS paper"
 """Row that is computed last, as its images take many seconds each."""
+
+
+def is_sharp(row: str) -> bool:
+    """Whether a row of the tables is shown with the restoring beam."""
+    method, preset, _ = ROWS.get(row, ROWS["blank"])
+    return bool(method) and METHODS[method].sparse and preset != "paper"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -96,8 +98,7 @@ class Problem:
         capture: the recording; its axis distance is the true one unless an experiment says otherwise.
         grid: pixels of all methods.
         truth: (pixels, pixels) what the magnitude should look like.
-        points: (n, 2) true points, m; empty for extended objects.
-        amplitudes: (n,) complex, of the points.
+        points, amplitudes: (n, 2) m and (n,) complex, true ones; empty for extended objects.
         seed: of methods with random weights.
         background: what is removed from the scans before imaging; point scenes hold no clutter.
         made: images made already, before the restoring beam.
@@ -117,19 +118,20 @@ class Problem:
         settings = PreprocessSettings(self.background, matched, extent_m=self.grid.extent)
         return preprocess(self.capture, settings=settings)
 
-    def image(self, row: str) -> tuple[Image, float]:
-        """Image of a row of `ROWS` and its seconds of processor time, preprocessing not counted."""
+    def image(self, row: str, bare: bool = False) -> tuple[Image, float]:
+        """Image of a row, with its beam or bare, and its processor seconds, preprocessing not counted."""
         made_by = method, preset, steps = ROWS[row]
         if not method:
             return blank(self.grid), 0.0
         scans = self.scans(METHODS[method].matched_filter)
         if made_by not in self.made:
-            start = time.process_time()
-            ats = AtsSettings(steps=steps)
-            image = make_image(scans, self.grid, method, self.seed, preset or "field", ats=ats)
-            self.made[made_by] = image, time.process_time() - start
+            how = (method, self.seed, preset or "field")
+            image, _, seconds = timed(
+                lambda: make_image(scans, self.grid, *how, ats=AtsSettings(steps=steps))
+            )
+            self.made[made_by] = image, seconds
         image, seconds = self.made[made_by]
-        if METHODS[method].sparse and preset != "paper" and not row.endswith("bare"):
+        if is_sharp(row) and not bare:
             image = restore(image, scans.wavenumber)
         return image, seconds
 
@@ -206,7 +208,7 @@ def held_out_percent(problem: Problem, row: str) -> float:
         checked = check(scans, raw, problem.grid, None)
         return 100 * checked.residual if checked is not None else float("nan")
     # With the prior and the views a step of the image of all views.
-    facts = problem.image(f"{row}, bare")[0].settings if method == "ats" else {}
+    facts = problem.image(row, bare=True)[0].settings if method == "ats" else {}
     prior = Prior.of(facts)
     ats = settings_of(facts, AtsSettings(steps=steps))
 
@@ -230,9 +232,7 @@ def random_points(count: int, views: int, noise: float, seed: int) -> Problem:
     return point_problem(rng.uniform(-0.22, 0.22, (count, 2)), views, noise, rng)
 
 
-def close_points(
-    views: int, noise: float, seed: int, apart_m: float = 0.02, grid: ImageGrid = GRID
-) -> Problem:
+def close_points(views: int, noise: float, seed: int, apart_m: float, grid: ImageGrid) -> Problem:
     """Two points `apart_m` apart in a random direction at a random place within the grid's inner half."""
     rng = np.random.default_rng([FIRST_SEED + seed, 77])
     reach = 0.15 * grid.extent / GRID.extent
@@ -241,19 +241,14 @@ def close_points(
     return point_problem(np.array([middle - half, middle + half]), views, noise, rng, grid)
 
 
-def cramer_rao_mm(
-    points: np.ndarray, views: int, noise: float, amplitudes: np.ndarray | None = None
-) -> float:
+def cramer_rao_mm(points: np.ndarray, views: int, noise: float, amplitudes: np.ndarray) -> float:
     """Root of the mean Cramér-Rao bound of the squared distance error over the points, mm.
 
     Unknown are x, y and the complex amplitude of every point; F = 2 / noise^2 Re(J^H J) with J the derivative
     of the samples (Kay, Fundamentals of Statistical Signal Processing, 1993, section 15.7).
     """
-    if noise == 0:
-        return 0.0
     angles = np.arange(views) * 2 * np.pi / views
     ranges, step = window(GRID.extent), 1e-5
-    amplitudes = np.ones(len(points), dtype=complex) if amplitudes is None else amplitudes
     at = echoes(points, angles, ranges)
     peak = np.abs(np.tensordot(amplitudes, at, axes=1)).max()
     columns = []
@@ -271,15 +266,11 @@ def cramer_rao_mm(
     return float(1e3 * np.sqrt(np.mean(item)))
 
 
-CAN = {"radius_m": 0.033, "height_m": 0.122}
-"""A 0.33 l drink can."""
-BOTTLE = {"radius_m": 0.033, "height_m": 0.2}
-"""A 400 ml spray bottle."""
-CANS_APART_M = 0.6858
+CAN, BOTTLE = (0.033, 0.122), (0.033, 0.2)
+"""Radius and height, m, of a 0.33 l drink can and of a 400 ml spray bottle."""
 
 
-@dataclass(frozen=True)
-class Object:
+class Object(NamedTuple):
     """An extended object: bodies, the outline that reflects, and the side of its image.
 
     Attributes:
@@ -312,23 +303,21 @@ class Object:
         return np.exp(-(off**2) / (2 * sigma_m**2))
 
 
-def _cylinder(shape: dict[str, float], x: float = 0.0, y: float = 0.0) -> ConductingCylinder:
-    return ConductingCylinder(shape["radius_m"], shape["height_m"], (x, y))
-
-
-def _pair(shape: dict[str, float], apart_m: float, extent_m: float) -> Object:
-    half = apart_m / 2
-    bodies = (_cylinder(shape, -half), _cylinder(shape, half))
-    circles = ((-half, 0.0, shape["radius_m"]), (half, 0.0, shape["radius_m"]))
-    return Object(bodies, circles, (), extent_m)
+def _pair(shape: tuple[float, float], apart_m: float, extent_m: float) -> Object:
+    places = (-apart_m / 2, apart_m / 2)
+    bodies = tuple(ConductingCylinder(*shape, (x, 0.0)) for x in places)
+    return Object(bodies, tuple((x, 0.0, shape[0]) for x in places), (), extent_m)
 
 
 OBJECTS: dict[str, Callable[[], Object]] = {
     "can in a cardboard box": lambda: Object(
-        (_cylinder(CAN), *cardboard_box(0.25, 0.25)), ((0.0, 0.0, CAN["radius_m"]),), (0.25,), 0.5
+        (ConductingCylinder(*CAN, (0.0, 0.0)), *cardboard_box(0.25, 0.25)),
+        ((0.0, 0.0, CAN[0]),),
+        (0.25,),
+        0.5,
     ),
     "two bottles 17.78 cm apart": lambda: _pair(BOTTLE, 0.1778, 0.5),
-    "two cans 68.58 cm apart": lambda: _pair(CAN, CANS_APART_M, 1.0),
+    "two cans 68.58 cm apart": lambda: _pair(CAN, 0.6858, 1.0),
     "metal box of 24.13 cm": lambda: Object(metal_box(0.2413, 0.2413), (), (0.2413,), 0.5),
 }
 

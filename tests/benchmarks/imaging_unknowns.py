@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tagid.capture import Capture, Pulse
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import DataError
-from tagid.geometry import ImageGrid
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.autofocus import focus_axis_distance
@@ -21,7 +20,6 @@ from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.pulsefit import estimate_pulse
 from tagid.imaging.restore import restore
-from tagid.imaging.types import BasebandScans
 from tagid.pipeline.reconstruct import METHODS, Reconstruction, make_image, reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tagid.report.axes import Axes
@@ -31,10 +29,11 @@ from tagid.simulate import Acquisition, Scene
 from tagid.simulate import simulate_capture as record_scene
 from tagid.waveform import nominal_pulse, pulse_at
 from tests.benchmarks.imaging_scenes import AXIS_DISTANCE_M, FIRST_SEED, GRID, wobbling_problem
+from tests.benchmarks.measure import timed
 from tests.benchmarks.pictures import picture_grid
 from tests.benchmarks.provenance import SHARED
 from tests.benchmarks.run import Run
-from tests.benchmarks.tables import Table, interval
+from tests.benchmarks.tables import Table, column, grouped, interval, rms
 from train.distributions import PulseDistribution
 from train.metrics import localise, pick_peaks, psnr, truth_image
 from train.scenes import draw_pulse
@@ -50,25 +49,11 @@ class Cell(NamedTuple):
     seed: int
 
 
-class Recovered(NamedTuple):
-    """What came out; mm, mrad and dB.
-
-    Attributes:
-        told: how wrong the axis distance was told.
-        focused, fitted, sigma: what is left of it after the autofocus and after ATS, and its standard error.
-        wobble, wobble_left: RMS of the angle error over the turn, as it was and what ATS left of it.
-        z: (8,) error of every part of the four harmonics over its standard error; nan without wobble.
-        psnr: BP as told, BP focused, ATS as told, ATS focused, ATS with calibration.
-    """
-
-    told: float
-    focused: float
-    fitted: float
-    sigma: float
-    wobble: float
-    wobble_left: float
-    z: np.ndarray
-    psnr: tuple[float, ...]
+Recovered = dict[str, Any]
+"""What came out, mm, mrad and dB: how wrong the axis distance was stated ("told"), what remains of it after
+the autofocus ("focused") and after ATS ("fitted"), and its standard error ("sigma"); RMS of the angle error
+over the turn ("wobble") and what ATS leaves of it ("wobble_left"); "z": (8,) error of every part of the four
+harmonics over its standard error; "psnr": BP as told and focused, ATS as told, focused and calibrated."""
 
 
 def recover(cell: Cell) -> Recovered:
@@ -88,66 +73,59 @@ def recover(cell: Cell) -> Recovered:
     parts = np.concatenate([error.real, error.imag]) / np.tile(known.wobble_sigma, 2)
     images = [backproject(matched, problem.grid).values, backproject(focused, problem.grid).values]
     images += [restore(r.image, raw.wavenumber).values for r in (plain, ahead, joint)]
-    return Recovered(
-        reported * 1e3,
-        (focus.axis_distance_m - AXIS_DISTANCE_M) * 1e3,
-        (joint.image.settings["axis_distance_m"] - AXIS_DISTANCE_M) * 1e3,
-        known.sigma_m * 1e3,
-        float(np.sqrt((np.abs(truth) ** 2).sum() / 2)) * 1e3,
-        float(np.sqrt((np.abs(error) ** 2).sum() / 2)) * 1e3,
-        parts,
-        tuple(psnr(values, problem.truth) for values in images),
-    )
+    return {
+        "told": reported * 1e3,
+        "focused": (focus.axis_distance_m - AXIS_DISTANCE_M) * 1e3,
+        "fitted": (joint.image.settings["axis_distance_m"] - AXIS_DISTANCE_M) * 1e3,
+        "sigma": known.sigma_m * 1e3,
+        "wobble": float(np.sqrt((np.abs(truth) ** 2).sum() / 2)) * 1e3,
+        "wobble_left": float(np.sqrt((np.abs(error) ** 2).sum() / 2)) * 1e3,
+        "z": parts.tolist(),
+        "psnr": [psnr(values, problem.truth) for values in images],
+    }
 
 
 def calibration(run: Run) -> Iterator[Table]:
     """Axis distance told wrong by up to 3 cm, a turn that wobbles by 2 %: what comes back, how surely."""
-    seeds = run.number(10)
-    run.seeds = f"0 to {seeds - 1}"
+    seeds = run.drawn(10)
     lines, spots = [], []
-    for wobble in (0.0, 0.02):
-        for views in (36,) if run.quick else (36, 360):
-            results = [*run.each(recover, [Cell(views, wobble, s) for s in range(seeds)]).values()]
-            # The same errors in every case: a little apart, so that their bars are seen.
-            apart = 0.7 * len(lines)
-            spots += [(r.told + apart, r.focused, r.fitted, r.sigma) for r in results]
-            lines.append(_line(views, wobble, results))
+    for wobble, views in product((0.0, 0.02), (36,) if run.quick else (36, 360)):
+        results = [*run.each(recover, [Cell(views, wobble, s) for s in seeds]).values()]
+        # The same errors in every case: a little apart, so that their bars are seen.
+        apart = 0.7 * len(lines)
+        spots += [(r["told"] + apart, r["focused"], r["fitted"], r["sigma"]) for r in results]
+        lines.append(_line(views, wobble, results))
     figure = ""
     if run.pictures:
         _recovered_picture(spots, run.pictures / "imaging-calibration.png")
         figure = "![Error of the axis distance before and after](../pictures/imaging-calibration.png)"
     columns = (
-        "wobble (% of speed)", "views", "seeds", "axis told wrong, rms (mm)", "after autofocus, rms (mm)",
-        "after ATS, rms (mm)", "stated ± (mm)", "axis in 95 % bars", "rms z", "angle error, rms (mrad)",
-        "after ATS (mrad)", "wobble in 95 % bars", "rms z", "BP as told (dB)", "BP focused (dB)",
-        "ATS as told (dB)", "ATS focused (dB)", "ATS calibrated (dB)",
-    )  # fmt: skip
+        "wobble (% of speed) | views | seeds | axis told wrong, rms (mm) | after autofocus, rms (mm) | "
+        "after ATS, rms (mm) | stated ± (mm) | axis in 95 % bars | rms z | angle error, rms (mrad) | "
+        "after ATS (mrad) | wobble in 95 % bars | rms z | BP as told (dB) | BP focused (dB) | "
+        "ATS as told (dB) | ATS focused (dB) | ATS calibrated (dB)"
+    )
     yield Table(columns, lines, below=figure)
 
 
 def _line(views: int, wobble: float, recovered: list[Recovered]) -> list[str]:
-    def rms(values: list[float] | np.ndarray) -> float:
-        return float(np.sqrt(np.mean(np.square(values))))
+    def held(z: np.ndarray) -> list[str]:
+        return [f"{int((np.abs(z) < 1.96).sum())} of {z.size}", f"{rms(z):.2f}"]
 
-    def held(z: np.ndarray) -> str:
-        return f"{int((np.abs(z) < 1.96).sum())} of {z.size}"
+    def size(name: str, digits: int) -> str:
+        return f"{rms(column(recovered, name)):.{digits}f}"
 
-    axis = np.array([r.fitted / r.sigma for r in recovered])
-    parts = np.concatenate([r.z for r in recovered])
-    middle = [f"{rms([r.wobble for r in recovered]):.1f}", f"{rms([r.wobble_left for r in recovered]):.1f}"]
-    middle += [held(parts), f"{rms(parts):.2f}"]
+    middle = ["0", "-", "-", "-"]
+    if wobble:
+        middle = [size("wobble", 1), size("wobble_left", 1), *held(column(recovered, "z").ravel())]
     return [
         f"{100 * wobble:g}",
         str(views),
         str(len(recovered)),
-        f"{rms([r.told for r in recovered]):.1f}",
-        f"{rms([r.focused for r in recovered]):.2f}",
-        f"{rms([r.fitted for r in recovered]):.2f}",
-        f"{rms([r.sigma for r in recovered]):.2f}",
-        held(axis),
-        f"{rms(axis):.2f}",
-        *(middle if wobble else ["0", "-", "-", "-"]),
-        *(interval(np.array([r.psnr[i] for r in recovered]), 1) for i in range(5)),
+        *(size(name, digits) for name, digits in (("told", 1), ("focused", 2), ("fitted", 2), ("sigma", 2))),
+        *held(column(recovered, "fitted") / column(recovered, "sigma")),
+        *middle,
+        *(interval(values, 1) for values in column(recovered, "psnr").T),
     ]
 
 
@@ -170,7 +148,6 @@ def _recovered_picture(spots: list[tuple[float, ...]], path: Path) -> None:
 
 
 PULSE_ROWS = ("bp", "sparse", "ats")
-PULSES = ("nominal", "true", "estimated")
 
 
 class PulseCell(NamedTuple):
@@ -180,21 +157,6 @@ class PulseCell(NamedTuple):
     views: int
     snr_db: float
     seed: int
-
-
-class PulseFound(NamedTuple):
-    """What came of one recording.
-
-    Attributes:
-        taken: whether the estimate was taken.
-        likeness: largest normalised correlation with the true pulse, of the nominal and of the one used.
-        psnr: (methods, pulses) dB; where: the same of the localisation error, mm.
-    """
-
-    taken: bool
-    likeness: tuple[float, float]
-    psnr: np.ndarray
-    where: np.ndarray
 
 
 def pulse_of(kind: str, seed: int) -> Pulse | None:
@@ -208,8 +170,12 @@ def pulse_of(kind: str, seed: int) -> Pulse | None:
         return Pulse(file[names[seed % len(names)]], float(file["dt_ns"]) * 1e-9)
 
 
-def try_pulses(cell: PulseCell) -> PulseFound:
-    """One recording imaged with the nominal, the true and the estimated pulse."""
+def try_pulses(cell: PulseCell) -> dict[str, Any]:
+    """One recording imaged with the nominal, the true and the estimated pulse.
+
+    "likeness" is the largest normalised correlation with the true pulse, of the nominal and of the one used;
+    "psnr", dB, and "where", localisation error in mm, are of (methods, pulses).
+    """
     points = np.random.default_rng([FIRST_SEED + cell.seed, 99]).uniform(-0.2, 0.2, (3, 2))
     pulse = pulse_of(cell.kind, cell.seed)
     acquisition = Acquisition(
@@ -222,26 +188,23 @@ def try_pulses(cell: PulseCell) -> PulseFound:
     capture, _ = record_scene(Scene.of_points(points), acquisition, seed=cell.seed)
     estimate = estimate_pulse(capture, GRID, "none")
     truth = truth_image(points, GRID)
-    quality, where = (np.full((len(PULSE_ROWS), len(PULSES)), np.nan) for _ in range(2))
+    quality, where = (np.full((len(PULSE_ROWS), 3), np.nan) for _ in range(2))
     for i, method in enumerate(PULSE_ROWS):
         for j, used in enumerate((None, pulse, estimate.pulse if estimate.taken else None)):
             if j and used is None:  # the nominal pulse again
                 quality[i, j], where[i, j] = quality[i, 0], where[i, 0]
                 continue
-            scans = _focused(replace(capture, pulse=used), METHODS[method].matched_filter)
+            settings = PreprocessSettings("none", METHODS[method].matched_filter, extent_m=GRID.extent)
+            scans = preprocess(replace(capture, pulse=used), settings=settings)
+            scans = focus_axis_distance(scans, GRID, 0.03)[0]
             image = make_image(scans, GRID, method)
             if METHODS[method].sparse:
                 image = restore(image, scans.wavenumber)
             quality[i, j] = psnr(image.values, truth)
             where[i, j] = localise(pick_peaks(image, len(points)), points).rmse_m * 1e3
     received = pulse or nominal_pulse()
-    likeness = (_likeness(received, nominal_pulse()), _likeness(received, estimate.pulse))
-    return PulseFound(estimate.taken, likeness, quality, where)
-
-
-def _focused(capture: object, matched: bool, grid: ImageGrid = GRID) -> BasebandScans:
-    settings = PreprocessSettings("none", matched, extent_m=grid.extent)
-    return focus_axis_distance(preprocess(capture, settings=settings), grid, 0.03)[0]  # type: ignore[arg-type]
+    likeness = [_likeness(received, other) for other in (nominal_pulse(), estimate.pulse)]
+    return {"taken": estimate.taken, "likeness": likeness, "psnr": quality.tolist(), "where": where.tolist()}
 
 
 def _likeness(a: Pulse, b: Pulse) -> float:
@@ -253,28 +216,26 @@ def _likeness(a: Pulse, b: Pulse) -> float:
 
 def pulses(run: Run) -> Iterator[Table]:
     """Scenes recorded with other pulses than the nominal one, imaged with nominal, true, estimated pulse."""
-    seeds = run.number(10)
-    run.seeds = f"0 to {seeds - 1}"
-    kinds = ["nominal", "drawn", *(["measured"] if MEASURED.is_file() else [])]
-    cases = [(k, v, s) for k in kinds for v, s in ((36, 20.0), (36, 10.0), (12, 20.0))]
+    seeds = run.drawn(10)
+    cases = [
+        (k, v, s) for k in ("nominal", "drawn", "measured") for v, s in ((36, 20.0), (36, 10.0), (12, 20.0))
+    ]
     lines = []
-    for kind, views, snr_db in cases[:: len(cases) // len(kinds)] if run.quick else cases:
-        cells = [PulseCell(kind, views, snr_db, seed) for seed in range(seeds)]
-        results = [*run.each(try_pulses, cells).values()]
-        taken = sum(r.taken for r in results)
-        like = [interval(np.array([r.likeness[i] for r in results]), 3) for i in (0, 1)]
-        change = np.array([r.psnr[:, 2] - r.psnr[:, 0] for r in results])
+    for kind, views, snr_db in cases[::3] if run.quick else cases:
+        results = [*run.each(try_pulses, [PulseCell(kind, views, snr_db, s) for s in seeds]).values()]
+        like = [interval(values, 3) for values in column(results, "likeness").T]
+        quality, where = column(results, "psnr"), column(results, "where")
+        taken = f"{column(results, 'taken').sum():.0f} of {len(results)}"
         for i, method in enumerate(PULSE_ROWS):
-            quality = [interval(np.array([r.psnr[i, j] for r in results]), 1) for j in range(3)]
-            where = [interval(np.array([r.where[i, j] for r in results]), 1) for j in range(3)]
-            worst = f"{change[:, i].min():+.1f}"
-            first = [kind, str(views), f"{snr_db:g}", f"{taken} of {len(results)}", *like]
-            lines.append([*first, METHODS[method].title, *quality, worst, *where])
+            worst = f"{(quality[:, i, 2] - quality[:, i, 0]).min():+.1f}"
+            first = [kind, str(views), f"{snr_db:g}", taken, *like, METHODS[method].title]
+            seen, places = ([interval(values[:, i, j], 1) for j in range(3)] for values in (quality, where))
+            lines.append([*first, *seen, worst, *places])
     columns = (
-        "pulse", "views", "SNR (dB)", "taken", "likeness of nominal", "of estimate", "method",
-        "PSNR nominal (dB)", "true", "estimated", "worst change (dB)", "localisation nominal (mm)", "true",
-        "estimated",
-    )  # fmt: skip
+        "pulse | views | SNR (dB) | taken | likeness of nominal | of estimate | method | "
+        "PSNR nominal (dB) | true | estimated | worst change (dB) | localisation nominal (mm) | true | "
+        "estimated"
+    )
     yield Table(columns, lines, shown=lambda line: line[1:3] == ["36", "20"])
 
 
@@ -325,19 +286,15 @@ def score_rail(cell: RailCell) -> dict[str, float]:
     image that the antenna crosses.
     """
     delay = rail_capture(cell)[1]
-    began = time.process_time()
     try:
-        result = image_rail(cell)
+        result, _, seconds = timed(lambda: image_rail(cell))
     except DataError:
         return {"delay_mm": np.nan, "detected": 0.0, "where_mm": np.nan, "seconds": np.nan, "refused": 1.0}
-    seconds = time.process_time() - began
     assert result.region is not None
-    focus = result.region.focus
-    error = 1e3 * (focus.delay_m - delay) if focus is not None else float("nan")
-    image = result.image
+    focus, image = result.region.focus, result.image
     located = localise(pick_peaks(image, 2, separation_m=0.3) + image.centre_m, RAIL_POINTS, 0.15)
     return {
-        "delay_mm": error,
+        "delay_mm": 1e3 * (focus.delay_m - delay) if focus is not None else float("nan"),
         "detected": located.detected,
         "where_mm": located.rmse_m * 1e3,
         "seconds": seconds,
@@ -347,22 +304,16 @@ def score_rail(cell: RailCell) -> dict[str, float]:
 
 def rails(run: Run) -> Iterator[Table]:
     """Two reflectors 2 to 4 m from a path of 3.4 m, 600 positions, path delay unknown within 1 m."""
-    seeds = run.number(10)
-    run.seeds = f"0 to {seeds - 1}"
+    seeds = run.drawn(10)
     paths = RAILS[:1] if run.quick else RAILS
-    cells = [RailCell(p, seed, m) for p in paths for m in RAIL_ROWS for seed in range(seeds)]
-    results = run.each(score_rail, cells)
+    results = run.each(score_rail, [RailCell(p, s, m) for p in paths for m in RAIL_ROWS for s in seeds])
     lines = []
-    for path in paths:
-        for method in RAIL_ROWS:
-            some = [results[c] for c in cells if (c.path, c.method) == (path, method)]
-            column = {name: np.array([s[name] for s in some], dtype=float) for name in some[0]}
-            delay = np.sqrt(np.mean(column["delay_mm"] ** 2))
-            refused = f"{column['refused'].sum():.0f}"
-            seen = f"{100 * column['detected'].mean() / len(RAIL_POINTS):.0f}"
-            values = [interval(column[name], 1) for name in ("where_mm", "seconds")]
-            first = [path, str(len(some)), f"{delay:.1f}"]
-            lines.append([*first, METHODS[method].title, refused, seen, *values])
+    for (path, method), some in grouped(results, lambda c: (c.path, c.method)).items():
+        seen = f"{100 * column(some, 'detected').mean() / len(RAIL_POINTS):.0f}"
+        refused = f"{column(some, 'refused').sum():.0f}"
+        values = [interval(column(some, name), 1) for name in ("where_mm", "seconds")]
+        first = [path, str(len(some)), f"{rms(column(some, 'delay_mm')):.1f}", METHODS[method].title]
+        lines.append([*first, refused, seen, *values])
     figure = ""
     if run.pictures:
         images = [[image_rail(RailCell(p, 0, m)).image for m in RAIL_ROWS] for p in paths]
@@ -372,13 +323,7 @@ def rails(run: Run) -> Iterator[Table]:
         picture_grid(pictures, extents, list(paths), titles, run.pictures / "imaging-rails.png")
         figure = "![Paths at metre scale in every method](../pictures/imaging-rails.png)"
     columns = (
-        "path",
-        "seeds",
-        "delay, rms error (mm)",
-        "method",
-        "refused",
-        "within 15 cm (%)",
-        "localisation (mm)",
-        "seconds",
+        "path | seeds | delay, rms error (mm) | method | refused | within 15 cm (%) | "
+        "localisation (mm) | seconds"
     )
     yield Table(columns, lines, below=figure, shown=lambda line: line[0] == RAILS[0])

@@ -6,11 +6,12 @@ pinned to one core.
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
+
+import numpy as np
 
 from tagid.enrolling.registry import Registry
 from tagid.live.engine import LiveSettings, LiveView
@@ -23,7 +24,7 @@ from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import RecordingPlan, capture_path, plan_window
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
-from tests.benchmarks.background import started
+from tests.benchmarks.measure import started
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 
@@ -36,26 +37,21 @@ CASES = (
 """Scene, whether the speed is stated, integration index."""
 RPM = 6.0
 COLUMNS = (
-    "scene, speed", "scans", "scans per second", "lost, dropped", "frames", "frames per second",
-    "share of the core", "answer", "after the last scan (s)",
-)  # fmt: skip
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Speed of the table."""
-    parser.add_argument("--rpm", type=float, default=RPM)
+    "scene, speed | scans | scans per second | lost, dropped | frames | frames per second | "
+    "share of the core | answer | after the last scan (s)"
+)
 
 
 def frames(run: Run) -> Iterator[Table]:
     """A row for every scan: a whole turn with a live view."""
     run.seeds = "the emulator's default, 0"
-    rpm, repeats = run.options.rpm, run.number(2)
+    repeats = run.number(2)
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     rows = []
     for scene, stated, integration in CASES[:1] if run.quick else CASES:
-        words = ["emulate", "p440", "--bind", "127.0.0.1:0", "--scene", scene, "--rpm", str(rpm)]
+        words = ["emulate", "p440", "--bind", "127.0.0.1:0", "--scene", scene, "--rpm", str(RPM)]
         with started(words) as emulator:
-            motion = f"free?rpm={rpm:g}" if stated else "free"
+            motion = f"free?rpm={RPM:g}" if stated else "free"
             for _ in range(repeats):
                 label = f"{scene}, {'stated' if stated else 'from the scans'}"
                 rows.append((label, *scan(emulator["url"], motion, integration, run.folder)))
@@ -82,11 +78,8 @@ def scan(url: str, motion_url: str, integration: int, folder: Path) -> tuple[obj
         prepared = PreparedCapture(load_capture(capture))
         answer = identify(prepared, known.layouts)
         view.settle(prepared.given, answer)
-    seconds = (
-        (capture.radar_time_ms[-1] - capture.radar_time_ms[0]) * 1e-3
-        if capture.radar_time_ms is not None
-        else 0
-    )
+    assert capture.radar_time_ms is not None
+    seconds = float(np.ptp(capture.radar_time_ms)) * 1e-3
     rate = round((len(during) - 1) / (during[-1] - during[0]), 2) if during[1:] else "-"
     named = view.state.answer.reading.layout if view.state.answer and view.state.answer.reading else "none"
     return (

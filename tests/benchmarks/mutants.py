@@ -25,9 +25,9 @@ import time
 import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
+from typing import NamedTuple
 
 from tests.benchmarks.provenance import ROOT, commit
 from tests.benchmarks.run import Run
@@ -42,8 +42,7 @@ _stopped = threading.Event()
 """Set where one module failed or the program is to end: the tests of the others end, too."""
 
 
-@dataclass(frozen=True)
-class Mutant:
+class Mutant(NamedTuple):
     """A fault: the text `now` in place of `was`; `reason`: why it may survive, "" if it may not."""
 
     was: str
@@ -51,27 +50,18 @@ class Mutant:
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class Module:
+class Module(NamedTuple):
     """A file, the tests that are to notice a fault in it, and the faults."""
 
     file: str
-    tests: tuple[str, ...]
-    mutants: tuple[Mutant, ...]
+    tests: list[str]
+    mutants: list[Mutant]
 
 
-@dataclass(frozen=True)
-class Result:
-    """What became of a fault.
+class Result(NamedTuple):
+    """What became of a fault: whether a test noticed it, which one or why none did, and the commit."""
 
-    Attributes:
-        module, mutant: which one.
-        killed: whether a test noticed it.
-        remark: the test that did, or why there is none.
-        tree: commit of the run.
-    """
-
-    module: Module
+    file: str
     mutant: Mutant
     killed: bool
     remark: str
@@ -81,7 +71,7 @@ class Result:
 def load() -> list[Module]:
     """The modules of `FILE`."""
     return [
-        Module(item["file"], tuple(item["tests"]), tuple(Mutant(*mutant) for mutant in item["mutants"]))
+        Module(item["file"], item["tests"], [Mutant(*mutant) for mutant in item["mutants"]])
         for item in tomllib.loads(FILE.read_text(encoding="utf-8"))["module"]
     ]
 
@@ -115,30 +105,20 @@ def faults(run: Run) -> Iterator[Table]:
             pool.shutdown(wait=False, cancel_futures=True)
             _stopped.set()
             raise
-    keep(results, tree)
-    run.failed = any(not result.killed and not result.mutant.reason for result in results)
-    yield from report(kept())
-
-
-def keep(results: list[Result], tree: str) -> None:
-    """Store results, in place of those of the same modules."""
     stored = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.is_file() else {}
-    for file, group in itertools.groupby(results, key=lambda result: result.module.file):
-        stored[file] = [[r.mutant.was, r.mutant.now, r.killed, r.remark, tree] for r in group]
+    for file, group in itertools.groupby(results, key=lambda result: result.file):
+        stored[file] = [[*r.mutant[:2], r.killed, r.remark, tree] for r in group]
     KEPT.parent.mkdir(exist_ok=True)
     KEPT.write_text(json.dumps(stored, indent=1), encoding="utf-8")
-
-
-def kept() -> list[Result]:
-    """The results stored for the faults that `FILE` has now."""
-    stored = json.loads(KEPT.read_text(encoding="utf-8"))
-    return [
-        Result(module, mutant, killed, remark if killed else mutant.reason or remark, tree)
+    run.failed = any(not result.killed and not result.mutant.reason for result in results)
+    # Those stored for the faults that `FILE` has now.
+    yield from report([
+        Result(module.file, mutant, killed, remark if killed else mutant.reason or remark, tree)
         for module in load()
         for mutant in module.mutants
         for was, now, killed, remark, tree in stored.get(module.file, [])
-        if (was, now) == (mutant.was, mutant.now)
-    ]
+        if (was, now) == mutant[:2]
+    ])  # fmt: skip
 
 
 def copy_tree(copy: Path) -> Path:
@@ -174,13 +154,13 @@ def try_all(copy: Path, module: Module) -> list[Result]:
     for mutant in module.mutants:
         if source.count(mutant.was) != 1 or mutant.was == mutant.now:
             result = f"text found {source.count(mutant.was)} times: change {FILE.name}"
-            results.append(Result(module, mutant, False, result))
+            results.append(Result(module.file, mutant, False, result))
         else:
             write(path, source.replace(mutant.was, mutant.now))
             survived, output = run_tests(copy, module.tests, limit_s)
             tests = re.findall(r"^(?:FAILED|ERROR) \S*?([^/\s]+?\.py\S*)", output, re.MULTILINE)
             remark = mutant.reason if survived else tests[0] if tests else f"the limit of {limit_s:.0f} s"
-            results.append(Result(module, mutant, not survived, remark))
+            results.append(Result(module.file, mutant, not survived, remark))
         state = "killed" if results[-1].killed else "SURVIVED"
         print(f"{state} {module.file}: {one_line(mutant.now)}: {results[-1].remark}", file=sys.stderr)
     write(path, source)
@@ -193,7 +173,7 @@ def write(path: Path, source: str) -> None:
     os.utime(path, (stamp, stamp))
 
 
-def run_tests(copy: Path, tests: tuple[str, ...], limit_s: float) -> tuple[bool, str]:
+def run_tests(copy: Path, tests: list[str], limit_s: float) -> tuple[bool, str]:
     """Whether all tests pass in this time, and what pytest printed."""
     words = [sys.executable, "-m", "pytest", "-x", "-n", "0", "-p", "no:cacheprovider"]
     words += [f"--basetemp={copy}/temporary", *tests]
@@ -221,20 +201,19 @@ def run_tests(copy: Path, tests: tuple[str, ...], limit_s: float) -> tuple[bool,
 def report(results: list[Result]) -> Iterator[Table]:
     """The tables, of the last run of each module."""
     rows = []
-    for package, group in itertools.groupby(results, key=lambda result: result.module.file.split("/")[1]):
+    for package, group in itertools.groupby(results, key=lambda result: result.file.split("/")[1]):
         outcome = list(group)
         trees = ", ".join(sorted({result.tree for result in outcome}))
         rows.append((package, len(outcome), sum(result.killed for result in outcome), trees))
     note = f"{sum(result.killed for result in results)} of {len(results)} killed."
-    yield Table(("package", "faults", "killed", "commit"), rows, note)
-    columns = ("file", "was", "fault")
+    yield Table("package | faults | killed | commit", rows, note)
     for name, column, killed in (("survivors", "reason", False), ("killed", "first test that fails", True)):
         lines = [
-            (f"`{r.module.file}`", code(r.mutant.was), code(r.mutant.now), r.remark or "**not explained**")
+            (f"`{r.file}`", code(r.mutant.was), code(r.mutant.now), r.remark or "**not explained**")
             for r in results
             if r.killed == killed
         ]
-        yield Table((*columns, column), lines, f"{name.capitalize()}:", name)
+        yield Table(f"file | was | fault | {column}", lines, f"{name.capitalize()}:", name)
 
 
 def one_line(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -35,7 +36,7 @@ def picture_grid(
             decibels = to_decibels(np.abs(values), DYNAMIC_RANGE_DB)[::-1]
             canvas.raster((x, y, x + side, y + side), colourise(decibels, DYNAMIC_RANGE_DB))
             canvas.line([(x, y), (x + side, y), (x + side, y + side), (x, y + side), (x, y)], INK, 1)
-        for k, word in enumerate(_wrap(rows[i], 12)):
+        for k, word in enumerate(textwrap.wrap(rows[i], 12, break_long_words=False, break_on_hyphens=False)):
             canvas.text((8, y + 14 + 20 * k), word, 16)
         canvas.text((remaining, y + side + 6), f"{extent:g} m", 15)
     x = remaining + len(columns) * (side + gap)
@@ -64,12 +65,3 @@ def curves(
         canvas.text((648, 70 + 28 * i), name, 17, anchor="lm")
     axes.frame(*labels, title)
     canvas.save(path)
-
-
-def _wrap(text: str, width: int) -> list[str]:
-    lines = [""]
-    for word in text.split():
-        if lines[-1] and len(lines[-1]) + 1 + len(word) > width:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return lines

@@ -3,41 +3,28 @@
 Bare tags are scenes of `identification_scenes.py` with the paper's four layouts; tags on bodies are those of
 `reading_bodies_scenes.py`, 36 views per turn, with nothing enrolled and with the untagged body enrolled from
 three captures. Offsets from the axis and pulses are taken in turn. Per cent with 95 % Wilson intervals.
-
-    python -m tests.benchmarks planning-rates --jobs 2 --write docs/results
-
-Every reading becomes a line of --keep, so that a run can be stopped and continued. With --write it makes
-`tagid/planning/rates.json`, too, whose sources name the page.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
-import os
-import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import product
-from pathlib import Path
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from typing import NamedTuple
 
 from tagid.errors import TagidError
-from tagid.pipeline.identify import aspect_spectra, identify
+from tagid.pipeline.identify import identify
 from tagid.planning.rates import Measured
-from tagid.proportion import wilson
-from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature
 from tests.benchmarks import identification_scenes as bare_scenes
 from tests.benchmarks import reading_bodies_scenes as body_scenes
-from tests.benchmarks.provenance import ROOT, commit, page, publish
+from tests.benchmarks.provenance import ROOT, commit
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table, grouped, share
 
 RATES = ROOT / "tagid" / "planning" / "rates.json"
-PAGE = "planning-rates.md"
 FIRST_BARE, FIRST_BODY = 2000, 700
 """Numbers of scenes that no other benchmark reads."""
 SNRS_DB = (20, 10, 5, 0)
@@ -46,26 +33,14 @@ TITLES = {"none": "Bare tags", "bodies": "Tags on bodies", "enrolled": "Tags on 
 CELLS = tuple(product(body_scenes.OFFSETS_MM, body_scenes.PULSES))
 
 
-@dataclass(frozen=True)
-class Task:
-    """One reading of a tagged object.
-
-    Attributes:
-        mode: one of TITLES.
-        body, views, snr_db: a row of the table.
-        number: of its scenes.
-    """
+class Task(NamedTuple):
+    """One reading of a tagged object: one of TITLES, a row of its table, and the number of the scene."""
 
     mode: str
     body: str
     views: int
     snr_db: int
     number: int
-
-    @property
-    def key(self) -> str:
-        """In the file of --keep."""
-        return "/".join(map(str, asdict(self).values()))
 
 
 def tasks(bare: int, rounds: int) -> Iterator[Task]:
@@ -78,12 +53,12 @@ def tasks(bare: int, rounds: int) -> Iterator[Task]:
             yield Task(mode, body, BODY_VIEWS, snr, number)
 
 
-def outcome(task: Task) -> str:
+def outcome(task: Task) -> dict[str, str]:
     """Named, wrong or refused."""
     try:
-        return _named(task)
+        return {"outcome": _named(task)}
     except TagidError:
-        return "refused"
+        return {"outcome": "refused"}
 
 
 def _named(task: Task) -> str:
@@ -98,81 +73,46 @@ def _named(task: Task) -> str:
         cell = body_scenes.Cell(
             "own", "tagged", "paper", task.body, offset_mm, task.snr_db, task.views, pulse
         )
-        drawn = body_scenes.draw(cell, "development", FIRST_BODY + turn)
+        drawn = body_scenes.draw(cell, FIRST_BODY + turn)
         capture, name, layouts = drawn.capture, drawn.name, drawn.layouts
         if task.mode == "enrolled":
-            shown = body_scenes.enrolment_captures(cell, "development", FIRST_BODY + turn, tagged=False)
-            captures = [Named(f"capture {i}", aspect_spectra(base)) for i, base in enumerate(shown)]
-            signatures = [enroll_signature(captures, "body", "body").signature]
+            signatures = [body_scenes.signature_of(cell, FIRST_BODY + turn, "body", "body")]
     answer = identify(capture, layouts, signatures=signatures)
     if answer.status != "identified" or answer.reading is None:
         return "refused"
     return "named" if answer.reading.layout == name else "wrong"
 
 
-def rows(outcomes: dict[Task, str]) -> list[Measured]:
-    """The rows of the tables."""
-    made = []
-    for key in dict.fromkeys((t.mode, t.body, t.views, t.snr_db) for t in outcomes):
-        matching = [o for t, o in outcomes.items() if (t.mode, t.body, t.views, t.snr_db) == key]
-        mode, body, views, snr_db = key
-        counts = len(matching), matching.count("named"), matching.count("wrong")
-        made.append(Measured(body, views, float(snr_db), *counts, enrolled=mode == "enrolled"))
-    return made
-
-
-def table(mode: str, outcomes: dict[Task, str]) -> list[str]:
-    """The section of a mode."""
-    lines = [f"## {TITLES[mode]}", "", "| body | views | SNR dB | scenes | named | wrong |", "|---" * 6 + "|"]
-    for row in rows({task: base for task, base in outcomes.items() if task.mode == mode}):
-        cells = [row.body, str(row.views), f"{row.snr_db:g}", str(row.scenes)]
-        for count in (row.named, row.wrong):
-            interval = wilson(count / row.scenes, row.scenes)
-            share, low, high = (100 * rate for rate in (count / row.scenes, interval.low, interval.high))
-            cells.append(f"{share:.1f} ({low:.1f}..{high:.1f})")
-        lines.append(f"| {' | '.join(cells)} |")
-    return [*lines, ""]
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """How many scenes, beside the options of every benchmark."""
+    """How many scenes."""
     parser.add_argument("--bare", type=int, default=100, help="scenes a row of bare tags")
     parser.add_argument("--rounds", type=int, default=2, help="rounds of tags on bodies, 8 scenes a row each")
-    parser.add_argument("--modes", nargs="*", choices=tuple(TITLES), default=tuple(TITLES))
-    parser.add_argument("--most", type=int, help="only the first so many readings, for a check")
 
 
-def rates(given: argparse.Namespace) -> None:
-    """Read, print, and write the page and the rates."""
-    work = given.keep or ROOT / "build" / "planning-rates.jsonl"
-    if given.quick and given.most is None:
-        given.most = 3
-    work.parent.mkdir(parents=True, exist_ok=True)
-    lines = work.read_text().splitlines() if work.is_file() else []
-    known = dict(json.loads(line) for line in lines)
-    wanted = [task for task in tasks(given.bare, given.rounds) if task.mode in given.modes][: given.most]
-    missing = [task for task in wanted if task.key not in known]
-    with multiprocessing.get_context("fork").Pool(given.jobs) as pool, work.open("a") as file:
-        for task, base in zip(missing, pool.imap(outcome, missing), strict=True):
-            known[task.key] = base
-            file.write(json.dumps([task.key, base]) + "\n")
-            file.flush()
-    outcomes = {task: known[task.key] for task in wanted}
-    seeds = f"numbers from {FIRST_BARE} (bare tags) and from {FIRST_BODY} (bodies, development) on"
+def rates(run: Run) -> Iterator[Table]:
+    """A table for every mode; with --write `tagid/planning/rates.json`, too, whose sources name the page."""
+    run.seeds = f"numbers from {FIRST_BARE} (bare tags) and from {FIRST_BODY} (bodies, development) on"
+    yield Table((), (), str(__doc__).split("\n\n", 1)[1])
+    jobs = list(tasks(run.options.bare, run.options.rounds))
     at = commit()  # before the page and the rates change the tree
-    text = page("Rates of the reader, for `tagid plan`", seeds, __doc__)
-    for mode in given.modes:
-        text += table(mode, outcomes)
-    publish(text, given.write, PAGE)
-    if given.write:
-        sources = {mode: f"docs/results/{PAGE}, {title}, commit {at}" for mode, title in TITLES.items()}
-        made = {"format": 1, "sources": sources, "rows": [asdict(row) for row in rows(outcomes)]}
-        RATES.write_text(json.dumps(made, indent=1) + "\n")
-        print(f"{RATES.relative_to(ROOT)} written")
-
-
-if __name__ == "__main__":
-    from tests.benchmarks.__main__ import main
-
-    sys.argv[:1] = [str(Path(__file__).with_name("__main__.py")), "planning-rates"]
-    sys.exit(main())
+    results = run.each(outcome, jobs[:3] if run.quick else jobs)
+    made: dict[str, list[Measured]] = {mode: [] for mode in TITLES}
+    for (mode, body, views, snr_db), some in grouped(results, lambda task: task[:4]).items():
+        said = [item["outcome"] for item in some]
+        counts = len(said), said.count("named"), said.count("wrong")
+        made[mode].append(Measured(body, views, float(snr_db), *counts, enrolled=mode == "enrolled"))
+    for mode, rows in made.items():
+        cells = [
+            (r.body, r.views, f"{r.snr_db:g}", r.scenes, share(r.named, r.scenes), share(r.wrong, r.scenes))
+            for r in rows
+        ]
+        columns = "body | views | SNR dB | scenes | named | wrong"
+        yield Table(columns, cells, f"## {TITLES[mode]}", whole=True)
+    if run.pictures:
+        at = min(run.commits, default=at)
+        sources = {
+            mode: f"docs/results/planning-rates.md, {title}, commit {at}" for mode, title in TITLES.items()
+        }
+        rows = [asdict(row) for some in made.values() for row in some]
+        RATES.write_text(json.dumps({"format": 1, "sources": sources, "rows": rows}, indent=1) + "\n")
+        run.say(f"{RATES.relative_to(ROOT)} written")

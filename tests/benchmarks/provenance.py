@@ -59,22 +59,3 @@ def made_with(seeds: str) -> list[str]:
         f"Machine: {machine()}.",
         f"Date: {datetime.now(UTC):%Y-%m-%d}. Seeds: {seeds}.",
     ]
-
-
-def method(docstring: str | None) -> list[str]:
-    """Lines of a page: what a script says of its method, between its first line and its command."""
-    return str(docstring).split("\n\n", 1)[1].split("    python ")[0].strip().splitlines()
-
-
-def page(title: str, seeds: str, docstring: str | None) -> list[str]:
-    """Lines with which a page begins: its title, what it was made with, and the method of its script."""
-    return [f"# {title}", "", *made_with(seeds), "", *method(docstring), ""]
-
-
-def publish(lines: list[str], folder: Path | None, name: str) -> None:
-    """Print a page, and write it to a folder, if there is one."""
-    text = "\n".join(lines) + "\n"
-    print(text)
-    if folder:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text)

@@ -1,10 +1,9 @@
 """Scenes of every yardstick of `readers.py`, of development seeds alone.
 
 y1 is `bodies_scenes.py`, y2 `reading_bodies_scenes.py`, y3 `unseen_scenes.py` (opened objects), all without
-enrollment; y2e is y2 with body or object enrolled, y4 `enrolled_scenes.py` and `enrolled_designed.py`, y5
-`identification_scenes.py` from number 1000 on, null `train/population.py`, volume `train/volume_objects.py`,
-on which nothing is chosen. y3 requires solved objects in SOLVED: `solve --set unseen` makes them, in about
-half a minute each.
+enrollment; y2e is y2 with body or object enrolled, y4 `enrolled_scenes.py`, y5 `identification_scenes.py`
+from number 1000 on, null `train/population.py`, volume `train/volume_objects.py`, on which nothing is
+chosen. y3 requires solved objects in SOLVED: `solve --set unseen` makes them, in about half a minute each.
 """
 
 from __future__ import annotations
@@ -12,27 +11,24 @@ from __future__ import annotations
 import os
 import random
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
-from typing import Any
 
 from tagid.capture import Capture
 from tagid.errors import TagidError
-from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.pipeline.identify import aspect_spectra
-from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tests.benchmarks import (
     bodies_scenes,
-    enrolled_designed,
     enrolled_scenes,
     identification_scenes,
     reading_bodies_scenes,
     solved_objects,
     unseen_scenes,
 )
+from tests.benchmarks.reading_bodies_scenes import Cell
 from train import population, volume_objects
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,24 +45,21 @@ READ = f"{enrolled_scenes.POPULATION}/read"
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One recording: what it shows, what is enrolled, and the layout that it carries.
+    """One recording: row of the table, the layout that it shows, what is enrolled.
 
     `truth` is None where nothing may be named; `alias` is the name of an enrolled object that is as right.
     """
 
-    key: str
     group: str
-    body: str
     truth: str | None
     layouts: Sequence[Layout]
     capture: Capture
     signatures: Sequence[Signature] = ()
     alias: str = ""
 
-    def prepared(self) -> dict[str, Any]:
-        """The same with scans instead of the capture; raises TagidError."""
-        scans = preprocess(self.capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
-        return {**vars(self), "scans": scans, "capture": None}
+
+def _key(*parts: object) -> str:
+    return "/".join(map(str, parts))
 
 
 Draws = Iterator[tuple[str, Callable[[], Scene | None]]]
@@ -76,71 +69,65 @@ Draws = Iterator[tuple[str, Callable[[], Scene | None]]]
 def y1(turn: int) -> Draws:
     """Full-wave objects in every recording, others in some, and drawn foreign tags."""
     hows = bodies_scenes.RECORDINGS
-    some = [(scene, how) for scene in bodies_scenes.tagged() for how in hows]
-    for i, scene in enumerate(bodies_scenes.unnamed()):
+    some = [(scene, how) for scene in bodies_scenes.TAGGED for how in hows]
+    for i, scene in enumerate(bodies_scenes.UNNAMED):
         some += [(scene, how) for j, how in enumerate(hows) if (i + 3 * j + turn) % 6 == 0]
     for scene, how in some:
         angles = "" if scene.angles_deg is None else "@" + ",".join(f"{a:g}" for a in scene.angles_deg)
-        key = f"y1/{scene.name}{angles}/{how.label}/{2 * turn}"
-        yield key, partial(_fullwave, key, scene, how, 2 * turn)
+        yield f"y1/{scene.name}{angles}/{how.label}/{2 * turn}", partial(_fullwave, scene, how, 2 * turn)
     for number in range(DRAWN * turn, DRAWN * (turn + 1)):
-        yield (
-            f"y1/drawn/{number}",
-            partial(_fullwave, f"y1/drawn/{number}", *bodies_scenes.drawn(number), number),
-        )
+        yield f"y1/drawn/{number}", partial(_fullwave, *bodies_scenes.drawn(number), number)
 
 
-def _fullwave(key: str, scene: bodies_scenes.Scene, how: bodies_scenes.Recording, seed: int) -> Scene | None:
-    base = scene.name.split("_")[0]
-    body = "none" if base.startswith("free") else base
+def _fullwave(scene: bodies_scenes.Scene, how: bodies_scenes.Recording, seed: int) -> Scene | None:
     if scene.is_enrolled_pair:
         return None
-    return Scene(key, scene.group, body, scene.truth, BUILTIN, bodies_scenes.captured(scene, how, seed))
+    return Scene(scene.group, scene.truth, BUILTIN, bodies_scenes.captured(scene, how, seed))
+
+
+def _strata(worlds: tuple[str, ...], bodies: tuple[str, ...]) -> dict[tuple[str, ...], list[Cell]]:
+    """Cells of moderate SNR and views by enrolled set, body and group, and by world of several."""
+    strata: dict[tuple[str, ...], list[Cell]] = {}
+    for cell in reading_bodies_scenes.cells(worlds):
+        if cell.body in bodies and cell.snr_db in (20, 10, 5) and cell.views in (72, 36, 18):
+            world = (cell.world,) if len(worlds) > 1 else ()
+            strata.setdefault((*world, cell.enrolled, cell.body, cell.group), []).append(cell)
+    return strata
 
 
 def y2(turn: int) -> Draws:
     """A sample of the cells of every world, body and group."""
-    strata: dict[tuple[str, ...], list[reading_bodies_scenes.Cell]] = {}
-    for cell in reading_bodies_scenes.cells(("own", "full-wave")):
-        if cell.snr_db in (20, 10, 5) and cell.views in (72, 36, 18):
-            strata.setdefault((cell.world, cell.enrolled, cell.body, cell.group), []).append(cell)
-    for stratum, cells in strata.items():
+    at = FIRST_READING_BODIES + turn
+    for stratum, cells in _strata(("own", "full-wave"), reading_bodies_scenes.BODIES).items():
         number = 5 if stratum[3] != "tagged" else 13 if stratum[1] == "paper" else 6
         for cell in random.Random(f"{turn}/{stratum}").sample(cells, number):
-            key = "/".join(map(str, ("y2", *asdict(cell).values(), FIRST_READING_BODIES + turn)))
-            yield key, partial(_reading_bodies, key, cell, FIRST_READING_BODIES + turn)
+            yield _key("y2", *cell, at), partial(_reading_bodies, cell, at)
 
 
 def y2e(turn: int) -> Draws:
     """A sample of the same with the body, or the whole object, enrolled from captures of its own."""
-    strata: dict[tuple[str, ...], list[reading_bodies_scenes.Cell]] = {}
-    for cell in reading_bodies_scenes.cells(("own",)):
-        if cell.body != "none" and cell.snr_db in (20, 10, 5) and cell.views in (72, 36, 18):
-            strata.setdefault((cell.enrolled, cell.body, cell.group), []).append(cell)
-    for stratum, cells in strata.items():
+    at = FIRST_READING_BODIES + turn
+    for stratum, cells in _strata(("own",), reading_bodies_scenes.BODIES[1:]).items():
         number = 8 if stratum[2] == "tagged" else 3
         for i, cell in enumerate(random.Random(f"{turn}/{stratum}").sample(cells, min(number, len(cells)))):
             kind = ("body", "object")[i % 2]
-            key = "/".join(map(str, ("y2e", kind, *asdict(cell).values(), FIRST_READING_BODIES + turn)))
-            yield key, partial(_known_body, key, cell, FIRST_READING_BODIES + turn, kind)
+            yield _key("y2e", kind, *cell, at), partial(_known_body, cell, at, kind)
 
 
-def _known_body(key: str, cell: reading_bodies_scenes.Cell, number: int, kind: SignatureKind) -> Scene | None:
-    scene = _reading_bodies(key, cell, number)
+def _known_body(cell: Cell, number: int, kind: SignatureKind) -> Scene | None:
+    scene = _reading_bodies(cell, number)
     name = "body" if kind == "body" else scene.truth or "another"
     try:
-        shown = reading_bodies_scenes.enrolment_captures(cell, "development", number, tagged=kind == "object")
-        captures = [Named(f"capture {i + 1}", aspect_spectra(capture)) for i, capture in enumerate(shown)]
-        signature = enroll_signature(captures, name, kind).signature
+        signature = reading_bodies_scenes.signature_of(cell, number, name, kind)
     except TagidError:
         return None
     return replace(scene, group=f"{kind} enrolled, {cell.body}", signatures=(signature,))
 
 
-def _reading_bodies(key: str, cell: reading_bodies_scenes.Cell, number: int) -> Scene:
-    drawn = reading_bodies_scenes.draw(cell, "development", number)
+def _reading_bodies(cell: Cell, number: int) -> Scene:
+    drawn = reading_bodies_scenes.draw(cell, number)
     group = f"{cell.world}, {cell.body if cell.enrolled == 'paper' else cell.enrolled}"
-    return Scene(key, group, cell.body, drawn.name or None, drawn.layouts, drawn.capture)
+    return Scene(group, drawn.name or None, drawn.layouts, drawn.capture)
 
 
 def y3(turn: int) -> Draws:
@@ -148,64 +135,54 @@ def y3(turn: int) -> Draws:
     hows = unseen_scenes.RECORDINGS
     for i, name in enumerate(solved_objects.OPENED):
         how = hows[(3 * i + i // len(hows) + turn) % len(hows)]
-        key = f"y3/{name}/{how.label}/{turn}"
-        yield key, partial(_unseen, key, name, how, f"unseen/1/blind/{name}///{turn}")
+        yield f"y3/{name}/{how.label}/{turn}", partial(_unseen, name, how, f"unseen/1/blind/{name}///{turn}")
 
 
-def _unseen(key: str, name: str, how: unseen_scenes.Recording, circumstances: str) -> Scene | None:
+def _unseen(name: str, how: unseen_scenes.Recording, circumstances: str) -> Scene | None:
     base, truth = unseen_scenes.base_of(name), unseen_scenes.truth_of(name) or None
     try:
-        capture = unseen_scenes.recorded(SOLVED, name, how, unseen_scenes.drawn(circumstances))
+        capture = unseen_scenes.recorded(SOLVED, name, how, circumstances)
     except TagidError:
         return None
     kind = "round body" if base in solved_objects.ROUND else base.rstrip("0123456789")
-    return Scene(key, kind or "bare tag", base or "none", truth, BUILTIN, capture)
+    return Scene(kind or "bare tag", truth, BUILTIN, capture)
 
 
 def y4(turn: int) -> Draws:
     """Full-wave objects in two of eight places, each with bodies or objects enrolled; designed layouts."""
-    positions = [(o, s) for o in enrolled_scenes.OFFSETS_MM for s in enrolled_scenes.SNRS_DB]
-    every = [s for s in enrolled_scenes.scenes(turn // 4 + 1) if s.number == turn // 4]
+    positions = [*product(enrolled_scenes.OFFSETS_MM, enrolled_scenes.SNRS_DB)]
+    every = enrolled_scenes.scenes(turn // 4)
     kinds = list(dict.fromkeys((s.part, s.solved) for s in every))
     for s in every:
         at = positions.index((s.offset_mm, s.snr_db)) - kinds.index((s.part, s.solved)) - turn
         # A tag of a layout on an object that is not enrolled is right and wrong at once.
         if at % 4 == 0 and (s.part == "body" or s.name or s.solved not in enrolled_scenes.ON_BODIES):
-            key = "/".join(map(str, ("y4", *asdict(s).values())))
-            yield key, partial(_enrolled, key, s)
-    designed = enrolled_designed.designed_scenes(1, enrolled_scenes.OFFSETS_MM, enrolled_scenes.SNRS_DB)
-    for d in designed[turn % 9 :: 9]:
-        key = "/".join(map(str, ("y4", "designed", *asdict(d).values())))
-        yield key, partial(_designed, key, d)
+            yield _key("y4", *s), partial(_enrolled, s)
+    for d in enrolled_scenes.designed_scenes()[turn % 9 :: 9]:
+        yield _key("y4", "designed", *d), partial(_designed, d)
 
 
-@cache
-def _signature(part: str, which: Any) -> Signature:
-    if part == "designed":
-        return enrolled_designed.enrolled_carrier(which)
-    return enrolled_scenes.enrolled(which, "object" if part == "object" else "body")
+_enrolled_one = cache(enrolled_scenes.enrolled)
+_enrolled_carrier = cache(enrolled_scenes.enrolled_carrier)
 
 
-def _enrolled(key: str, s: enrolled_scenes.Scene) -> Scene:
-    where = f"{READ}/{s.number}", s.snr_db, s.offset_mm, enrolled_scenes.VIEWS
+def _enrolled(s: enrolled_scenes.Scene) -> Scene:
+    where = enrolled_scenes.Where(f"{READ}/{s.number}", s.snr_db, s.offset_mm, enrolled_scenes.VIEWS)
     whole = s.part == "object"
     known = enrolled_scenes.OBJECTS if whole else enrolled_scenes.BODIES
+    signatures = [_enrolled_one(name, "object" if whole else "body") for name in known]
     tag = s.solved.split("+")[-1].split("-")[0].split("_")[1:]
     truth = bodies_scenes.NAMES[tag[0]] if s.name else None
-    capture = enrolled_scenes.capture_of(s.solved, *where)
-    signatures = [_signature(s.part, name) for name in known]
-    group = f"{s.part} enrolled"
-    body = enrolled_scenes.HANDLE if s.solved.startswith(enrolled_scenes.HANDLE) else s.solved.split("_")[0]
-    return Scene(key, group, body, truth, BUILTIN, capture, signatures, s.name * whole)
+    capture = enrolled_scenes.capture_of(s.solved, where)
+    return Scene(f"{s.part} enrolled", truth, BUILTIN, capture, signatures, s.name * whole)
 
 
-def _designed(key: str, d: enrolled_designed.DesignedScene) -> Scene:
-    carrier = enrolled_designed.CARRIERS[d.carrier]
-    where = f"{READ}/{d.number}", d.snr_db, d.offset_mm, enrolled_scenes.VIEWS
-    capture = enrolled_designed.capture_of(carrier, d.layout, d.size_mm, *where)
-    signatures = [_signature("designed", i) for i in enrolled_designed.ENROLLED[d.carrier]]
-    group = f"body enrolled, {carrier.name}"
-    return Scene(key, group, carrier.body, d.name or None, carrier.family, capture, signatures)
+def _designed(d: enrolled_scenes.DesignedScene) -> Scene:
+    carrier = enrolled_scenes.CARRIERS[d.carrier]
+    where = enrolled_scenes.Where(f"{READ}/{d.number}", d.snr_db, d.offset_mm, enrolled_scenes.VIEWS)
+    capture = enrolled_scenes.designed_capture(carrier, d.layout, d.size_mm, where)
+    signatures = [_enrolled_carrier(i) for i in enrolled_scenes.ENROLLED[d.carrier]]
+    return Scene(f"body enrolled, {carrier.name}", d.name or None, carrier.family, capture, signatures)
 
 
 def y5(turn: int) -> Draws:
@@ -219,58 +196,47 @@ def y5(turn: int) -> Draws:
     for i, (condition, count) in enumerate(cells):
         for j in range(count):
             number = FIRST_IDENTIFICATION + (5 * i + j + count * turn) % 100
-            key = "/".join(map(str, ("y5", *asdict(condition).values(), number)))
-            yield key, partial(_identification, key, condition, number)
+            yield _key("y5", *condition, number), partial(_identification, condition, number)
 
 
-def _identification(key: str, condition: identification_scenes.Condition, number: int) -> Scene:
+def _identification(condition: identification_scenes.Condition, number: int) -> Scene:
     made, twist = identification_scenes.record(condition, number), condition.twist
     foreign = condition.group != "tagged" or twist.startswith("one reflector")
-    body = made.name if condition.group == "untagged" else "none"
     group = twist or (condition.group if condition.enrolled == "paper" else condition.enrolled)
     layouts = identification_scenes.SETS[condition.enrolled]
-    return Scene(key, group, body, None if foreign else made.name, layouts, made.capture)
+    return Scene(group, None if foreign else made.name, layouts, made.capture)
 
 
 def null(turn: int) -> Draws:
     """The population of objects without an enrolled tag."""
     for number in range(FIRST_NULL + NULLS * turn, FIRST_NULL + NULLS * (turn + 1)):
-        yield f"null/{number}", partial(_null, f"null/{number}", number)
+        yield f"null/{number}", partial(_null, number)
 
 
-def _null(key: str, number: int) -> Scene | None:
+def _null(number: int) -> Scene | None:
     drawn = population.draw(number)
-    return (
-        None if drawn.is_enrolled_pair else Scene(key, drawn.body, drawn.body, None, BUILTIN, drawn.capture)
-    )
+    return None if drawn.is_enrolled_pair else Scene(drawn.body, None, BUILTIN, drawn.capture)
 
 
 def volume(turn: int) -> Draws:
     """Drawn objects of every body, solved by cells; no constant of the reader is chosen on them."""
     for seed in volume_objects.DEVELOPMENT[VOLUMES * turn : VOLUMES * (turn + 1)]:
-        yield f"volume/{seed}", partial(_volume, f"volume/{seed}", seed)
+        yield f"volume/{seed}", partial(_volume, seed)
 
 
-def _volume(key: str, seed: int) -> Scene:
+def _volume(seed: int) -> Scene:
     drawn = volume_objects.draw(seed)
-    return Scene(key, drawn.body, drawn.body, drawn.truth, BUILTIN, drawn.capture)
+    return Scene(drawn.body, drawn.truth, BUILTIN, drawn.capture)
 
 
 YARDSTICKS: dict[str, Callable[[int], Draws]] = {
-    "y1": y1,
-    "y2": y2,
-    "y2e": y2e,
-    "y3": y3,
-    "y4": y4,
-    "y5": y5,
-    "null": null,
-    "volume": volume,
+    work.__name__: work for work in (y1, y2, y2e, y3, y4, y5, null, volume)
 }
 
 
-def drawn(yardstick: str, rounds: int) -> Draws:
-    """Every scene of so many rounds, each round in an order drawn once."""
-    for turn in range(rounds):
-        some = list(YARDSTICKS[yardstick](turn))
-        random.Random(f"{yardstick}/{turn}").shuffle(some)
-        yield from some
+@cache
+def drawn(yardstick: str, turn: int) -> dict[str, Callable[[], Scene | None]]:
+    """Every scene of a round by its key, in an order drawn once."""
+    some = list(YARDSTICKS[yardstick](turn))
+    random.Random(f"{yardstick}/{turn}").shuffle(some)
+    return dict(some)

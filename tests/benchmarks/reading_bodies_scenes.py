@@ -1,27 +1,21 @@
 """Scenes of the benchmark on real bodies: tagged, foreign and untagged objects, from two sources of waves.
 
-"own" scenes come from `tagid.simulate`; "full-wave" scenes from the solved responses in `shared/fullwave`
-beside the checkout (or where TAGID_SHARED points), through that folder's own `scenes.py`. SNR is per
-reflector (`tagid.simulate.snr`) in both.
-
-Seeds come in two populations. "development" is for choosing constants. "sealed" is for reporting: nothing may
-be chosen on it.
+"own" scenes come from `tagid.simulate`; "full-wave" scenes from solved responses. SNR is per reflector
+(`tagid.simulate.snr`) in both. The seeds are those of development: constants were chosen on them.
 """
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import zlib
-from dataclasses import asdict, dataclass
 from functools import lru_cache
-from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tagid.capture import Capture, Pulse
 from tagid.errors import DataError
+from tagid.pipeline.identify import aspect_spectra
 from tagid.simulate import (
     Acquisition,
     Interference,
@@ -35,12 +29,14 @@ from tagid.simulate import (
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
 from tagid.simulate.scene import Scene, StaticReturns
-from tagid.tags.layouts.codebook import rotational_distance
+from tagid.tags.bodies.joint import Named, enroll_signature
+from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout
-from tests.benchmarks.identification_scenes import SETS
+from tests.benchmarks.fullwave_scenes import recorded
+from tests.benchmarks.identification_scenes import SETS, is_foreign, least_gap_m
 from tests.benchmarks.provenance import SHARED
 
-POPULATIONS = {"development": "reading-bodies/development/1", "sealed": "reading-bodies/sealed/1"}
+POPULATION = "reading-bodies/development/1"
 
 BODIES = ("none", "cup", "cup-handle", "can", "helmet", "box")
 FULL_WAVE_BODIES = ("none", "can", "helmet")
@@ -48,8 +44,6 @@ OFFSETS_MM = (0, 2, 6, 10)
 SNRS_DB = (20, 10, 5, 0)
 VIEWS = (72, 36, 18, 12)
 PULSES = ("nominal", "measured")
-APART_M = 0.012
-"""Nearer than this in RMS, a foreign tag counts as the enrolled one: enrollment calls them confusable."""
 
 FULL_WAVE = {
     ("tagged", "none"): {
@@ -70,8 +64,7 @@ FULL_WAVE = {
 the set's layouts, which is left out of the registry for that scene."""
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """One cell of the grid.
 
     Attributes:
@@ -94,45 +87,37 @@ class Cell:
     pulse: str
 
 
-@dataclass(frozen=True, eq=False)
-class Drawn:
+class Drawn(NamedTuple):
     """A recording, what is enrolled, and the right name; empty if no name is right."""
 
     capture: Capture
     layouts: tuple[Layout, ...]
     name: str
-    what: str
 
 
-def seed_of(population: str, number: int) -> int:
-    """The seed of a scene: the first 8 bytes of a hash of the population's key and the number."""
-    digest = hashlib.sha256(f"{POPULATIONS[population]}/{number}".encode()).digest()
-    return int.from_bytes(digest[:8], "big")
-
-
-def draw(cell: Cell, population: str, number: int) -> Drawn:
+def draw(cell: Cell, number: int) -> Drawn:
     """The recording of a cell and a number, independent of all others."""
-    rng = _generator(cell, population, number)
-    return _own(cell, rng) if cell.world == "own" else _full_wave(cell, rng)
+    rng = _generator(cell, number)
+    if cell.world == "full-wave":
+        return _full_wave(cell, rng)
+    made, scene = _standing(cell, rng)
+    capture, _ = simulate_capture(scene, _acquisition(cell, rng), int(rng.integers(2**32)))
+    return Drawn(capture, SETS[cell.enrolled], made.name)
 
 
-def _generator(cell: Cell, population: str, number: int) -> np.random.Generator:
-    words = "/".join(str(value) for value in asdict(cell).values())
-    return np.random.default_rng([seed_of(population, number), zlib.crc32(words.encode())])
+def _generator(cell: Cell, number: int) -> np.random.Generator:
+    digest = hashlib.sha256(f"{POPULATION}/{number}".encode()).digest()
+    return np.random.default_rng(
+        [int.from_bytes(digest[:8], "big"), zlib.crc32("/".join(map(str, cell)).encode())]
+    )
 
 
 @lru_cache(maxsize=1)
-def _measured_pulses() -> tuple[Pulse, ...]:
-    """Pulses recorded with P440 radars."""
+def _measured_pulses() -> dict[str, Pulse]:
+    """Pulses recorded with P440 radars, by name."""
     with np.load(SHARED / "data" / "p440" / "pulse.npz", allow_pickle=False) as file:
         step = float(file["dt_ns"]) * 1e-9
-        return tuple(Pulse(file[name] - file[name].mean(), step) for name in _pulse_names())
-
-
-@lru_cache(maxsize=1)
-def _pulse_names() -> tuple[str, ...]:
-    with np.load(SHARED / "data" / "p440" / "pulse.npz", allow_pickle=False) as file:
-        return tuple(sorted(name for name in file if name != "dt_ns"))
+        return {name: Pulse(file[name] - file[name].mean(), step) for name in sorted(file) if name != "dt_ns"}
 
 
 def _layouts_for(cell: Cell) -> tuple[Layout, ...]:
@@ -173,27 +158,13 @@ def _foreign(cell: Cell, rng: np.random.Generator) -> np.ndarray:
         points = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         if count == 1:
             return points
-        gap = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
-        if gap.min() < 0.04:
-            continue
-        same = [other for other in SETS[cell.enrolled] if other.size == count]
-        layout = Layout("foreign", points)
-        if all(rotational_distance(layout, other).rms_m > APART_M for other in same):
+        if least_gap_m(points) >= 0.04 and is_foreign(points, SETS[cell.enrolled]):
             return points
 
 
-@dataclass(frozen=True, eq=False)
-class _Object:
-    """An object of our simulator in its room.
-
-    Attributes:
-        name: of its layout; empty if it carries none of the enrolled ones.
-        positions: (K, 3) reflectors, m.
-        body: as `--body` takes it.
-        size_mm: of the reflectors.
-        variation: deviations of the object from the nominal one.
-        room: clutter.
-    """
+class _Object(NamedTuple):
+    """An object of our simulator in its room: the enrolled layout that it carries ("" for none), reflectors
+    (K, 3), m, and their size, its body as `--body` takes it, and how it deviates from the nominal one."""
 
     name: str
     positions: np.ndarray
@@ -203,6 +174,11 @@ class _Object:
     room: StaticReturns
 
 
+def _in_space(layout: Layout) -> np.ndarray:
+    """(K, 3) reflectors, m."""
+    return np.concatenate([layout.positions, np.asarray(layout.heights)[:, None]], axis=1)
+
+
 def _own_object(cell: Cell, rng: np.random.Generator) -> _Object:
     fitting = _layouts_for(cell)
     layout = fitting[int(rng.integers(len(fitting)))]
@@ -210,8 +186,7 @@ def _own_object(cell: Cell, rng: np.random.Generator) -> _Object:
     body = _body_text(cell.body, size_mm, rng)
     name, positions = "", np.zeros((0, 3))
     if cell.group == "tagged":
-        name = layout.name
-        positions = np.concatenate([layout.positions, np.asarray(layout.heights)[:, None]], axis=1)
+        name, positions = layout.name, _in_space(layout)
     elif cell.group == "foreign":
         positions = _foreign(cell, rng)
     ring = rng.normal(0, 0.5e-3, 2)
@@ -221,15 +196,9 @@ def _own_object(cell: Cell, rng: np.random.Generator) -> _Object:
 
 
 def _scene(made: _Object, group: str, positions: np.ndarray, rng: np.random.Generator) -> Scene:
-    return object_scene(
-        group,
-        positions,
-        parse_body(made.body),
-        ReflectorSpec("octahedron", made.size_mm * 1e-3),
-        rng=rng,
-        room=made.room,
-        variation=made.variation,
-    )
+    reflector = ReflectorSpec("octahedron", made.size_mm * 1e-3)
+    how: dict[str, Any] = {"rng": rng, "room": made.room, "variation": made.variation}
+    return object_scene(group, positions, parse_body(made.body), reflector, **how)
 
 
 def _standing(cell: Cell, rng: np.random.Generator) -> tuple[_Object, Scene]:
@@ -242,33 +211,11 @@ def _standing(cell: Cell, rng: np.random.Generator) -> tuple[_Object, Scene]:
             continue
 
 
-def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
-    base = _own_recording(cell, rng)
-    capture, _ = simulate_capture(base.scene, base.acquisition, base.seed)
-    what = f"{base.made.name or cell.group} {base.made.size_mm:g}mm on {base.made.body}"
-    return Drawn(capture, SETS[cell.enrolled], base.made.name, what)
-
-
-@dataclass(frozen=True, eq=False)
-class OwnRecording:
-    """An object, its scene, how it is recorded, and the recording's seed."""
-
-    made: _Object
-    scene: Scene
-    acquisition: Acquisition
-    seed: int
-
-
-def _own_recording(cell: Cell, rng: np.random.Generator) -> OwnRecording:
-    made, scene = _standing(cell, rng)
-    return OwnRecording(made, scene, _acquisition(cell, rng), int(rng.integers(2**32)))
-
-
 def _acquisition(cell: Cell, rng: np.random.Generator) -> Acquisition:
     place = rng.uniform(0, 2 * np.pi)
     off = cell.offset_mm * 1e-3
     pulse_number, tone, colour = int(rng.integers(7)), rng.uniform() < 0.2, rng.uniform(0, 1)
-    pulses = _measured_pulses() if cell.pulse == "measured" else (None,)
+    pulses = (*_measured_pulses().values(),) if cell.pulse == "measured" else (None,)
     return Acquisition(
         views=cell.views,
         snr_db=float(cell.snr_db),
@@ -282,10 +229,8 @@ def _acquisition(cell: Cell, rng: np.random.Generator) -> Acquisition:
     )
 
 
-def enrolment_captures(
-    cell: Cell, population: str, number: int, *, tagged: bool = False
-) -> tuple[Capture, ...]:
-    """Three captures of the same object's body, without its tag or with it, as `tagid enroll` takes them.
+def signature_of(cell: Cell, number: int, name: str, kind: SignatureKind) -> Signature:
+    """A body, or an object with its tag, enrolled from three captures of it, as `tagid enroll` takes them.
 
     72 views at 20 dB, turned and moved by 2 to 6 mm, at the height of the recording that is to be read, in a
     room of its own, on a turntable as uneven as that of the recording where the tag is enrolled with the
@@ -294,56 +239,28 @@ def enrolment_captures(
     Raises:
         DataError: that layout's reflectors do not stand clear of its wall.
     """
-    rng = _generator(cell, population, number)
+    tagged = kind == "object"
+    rng = _generator(cell, number)
     # As in the recording: the tag's reflectors are drawn first.
     made, _ = _standing(cell, rng)
     read = _acquisition(cell, rng)
-    positions = _enrolled_positions(cell, made, number) if tagged else np.zeros((0, 3))
+    positions = np.zeros((0, 3))
+    if tagged:
+        fitting = _layouts_for(cell)
+        positions = made.positions if made.name else _in_space(fitting[number % len(fitting)])
     shown = _scene(made, "tagged" if tagged else "untagged", positions, rng)
-    results = []
-    for i in range(3):
+    captures: list[Named] = []
+    for off in (2e-3, 4e-3, 6e-3):
         place, turn = rng.uniform(0, 2 * np.pi, 2)
-        off = (2 + 2 * i) * 1e-3
         acquisition = Acquisition(
             views=72,
             snr_db=20.0,
             placement=Placement((off * np.cos(place), off * np.sin(place)), turn, read.placement.height_m),
             wobble=read.wobble if tagged else Wobble(),
         )
-        results.append(simulate_capture(shown, acquisition, int(rng.integers(2**32)))[0])
-    return tuple(results)
-
-
-def _enrolled_positions(cell: Cell, made: _Object, number: int) -> np.ndarray:
-    """(K, 3) reflectors of the layout that an object is enrolled with, m."""
-    if made.name:
-        return made.positions
-    fitting = _layouts_for(cell)
-    layout = fitting[number % len(fitting)]
-    return np.concatenate([layout.positions, np.asarray(layout.heights)[:, None]], axis=1)
-
-
-@lru_cache(maxsize=1)
-def full_wave() -> ModuleType:
-    """`scenes.py` of the folder with the solved responses."""
-    path = SHARED / "fullwave" / "scenes.py"
-    if not path.is_file():
-        raise SystemExit(f"{path} is missing: set TAGID_SHARED, or leave out --worlds full-wave")
-    spec = importlib.util.spec_from_file_location("fullwave_scenes", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def _reference(solved: str) -> str:
-    """The object whose echo is that of one reflector: a tag alone, or what it adds to its body."""
-    base = solved.split("_")[0]
-    if base.startswith("free"):
-        return f"{base}_one"
-    if base == "shell":
-        return "free40_one" if solved.endswith("40") else "free20_one"
-    return f"{base}_one-{base}"
+        capture, _ = simulate_capture(shown, acquisition, int(rng.integers(2**32)))
+        captures.append(Named(f"capture {len(captures) + 1}", aspect_spectra(capture)))
+    return enroll_signature(captures, name, kind).signature
 
 
 def _full_wave(cell: Cell, rng: np.random.Generator) -> Drawn:
@@ -354,31 +271,19 @@ def _full_wave(cell: Cell, rng: np.random.Generator) -> Drawn:
         carried = FULL_WAVE["tagged", cell.body][solved]
         layouts, name = tuple(layout for layout in layouts if layout.name != carried), ""
     place, off = rng.uniform(0, 2 * np.pi), cell.offset_mm * 1e-3
-    names = _pulse_names()
+    names = (*_measured_pulses(),)
     pulse = names[int(rng.integers(len(names)))]
-    scan, _ = full_wave().make(
+    capture = recorded(
         solved,
         rng,
-        reference=_reference(solved),
+        complex(off * np.cos(place), off * np.sin(place)),
         views=cell.views,
-        centre=(off * np.cos(place), off * np.sin(place)),
         pulse=pulse if cell.pulse == "measured" else "gauss",
         snr_db=float(cell.snr_db),
         wobble=0.01,
         distance_error=rng.uniform(-0.015, 0.015),
     )
-    return Drawn(captured(scan), layouts, name, solved)
-
-
-def captured(scan: dict[str, Any]) -> Capture:
-    """A scan of the scene maker as a capture."""
-    return Capture(
-        samples=scan["samples"],
-        range_start_m=float(scan["range_start_m"]),
-        range_step_m=float(scan["range_step_m"]),
-        angles_rad=scan["angles_rad"],
-        axis_distance_m=float(scan["axis_distance_m"]),
-    )
+    return Drawn(capture, layouts, name)
 
 
 def cells(worlds: tuple[str, ...]) -> list[Cell]:

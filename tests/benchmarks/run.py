@@ -36,6 +36,7 @@ class Run:
         seeds: what the page says of them; the benchmark sets it.
         commits: that kept results were made at, where they are not all of this run.
         failed: whether what the benchmark tries did not hold; it sets that, too.
+        name: of the benchmark.
     """
 
     quick: bool
@@ -48,12 +49,19 @@ class Run:
     seeds: str = "none"
     commits: set[str] = field(default_factory=set)
     failed: bool = False
+    name: str = ""
 
     def number(self, usual: int, quick: int = 1) -> int:
         """How many scenes: those asked for, or the usual number, or the one for a look."""
         if self.scenes is not None:
             return self.scenes
         return quick if self.quick else usual
+
+    def drawn(self, usual: int, quick: int = 1, first: int = 0) -> range:
+        """Seeds of the scenes, from the first on, which the page names."""
+        count = self.number(usual, quick)
+        self.seeds = f"{first} to {first + count - 1}"
+        return range(first, first + count)
 
     def say(self, text: str) -> None:
         """A line of progress."""

@@ -9,9 +9,10 @@ shapes differ from those of ../shared/fullwave.
 from __future__ import annotations
 
 import argparse
-import time
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,10 @@ import numpy as np
 
 from tagid.simulate.response import Ring
 from tagid.simulate.response_file import write_response
+from tests.benchmarks.measure import timed
 from tests.benchmarks.provenance import ROOT
+from tests.benchmarks.run import Run
+from tests.benchmarks.tables import Table
 from train.fullwave import Mesh, Sweep, shapes, solve_response
 
 LAYOUTS = {"c90": "container-90", "c180": "container-180", "h120": "helmet-120", "lin": "helmet-linear"}
@@ -133,19 +137,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, help="folder of the files")
 
 
-def solve(given: argparse.Namespace) -> int:
+def solve(run: Run) -> Iterator[Table]:
     """Solve objects into response files."""
+    given = run.options
     objects, sweep, folder = SETS[given.set]
-    out = given.out or folder
+    out, rows = given.out or folder, []
     out.mkdir(parents=True, exist_ok=True)
     for name in given.names or [n for n in objects if not (out / f"{n}.npz").exists()]:
         if name not in objects:
-            print(f"there is no object {name} in the set {given.set}")
-            return 2
-        begun, cpu = time.monotonic(), time.process_time()
+            raise SystemExit(f"there is no object {name} in the set {given.set}")
         thing = objects[name]
-        response = solve_response(name, thing.mesh(), sweep, thing.reflectors_m)
-        write_response(out / f"{name}.npz", response)
-        spent = f"{time.monotonic() - begun:.0f} s, {time.process_time() - cpu:.0f} s of one core"
-        print(f"{name}: {response.provenance['mesh']}; {spent}", flush=True)
-    return 0
+        solved, wall, cpu = timed(partial(solve_response, name, thing.mesh(), sweep, thing.reflectors_m))
+        write_response(out / f"{name}.npz", solved)
+        rows.append((name, solved.provenance["mesh"], f"{wall:.0f}", f"{cpu:.0f}"))
+        run.say(str(rows[-1]))
+    yield Table("object | mesh | s | s of one core", rows)

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +21,9 @@ from tagid.proportion import wilson
 LONG = 17
 """A table of more rows is a CSV file, and the page shows a part of it."""
 Row = Sequence[object]
+Job = TypeVar("Job")
+Key = TypeVar("Key")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +31,12 @@ class Table:
     """One table of a benchmark.
 
     Attributes:
-        columns, rows: headings and cells.
+        columns, rows: headings, one text of them with " | " between, and cells.
         note: paragraphs above it: the condition, what the columns mean.
         name: of its CSV file after the benchmark's name, where a benchmark has several.
         shown: rows that a page shows of a long table; none of them where it is not given.
         below: paragraphs below it.
+        whole: whether the page shows all of it, however long it is.
     """
 
     columns: Sequence[str]
@@ -39,16 +45,22 @@ class Table:
     name: str = ""
     shown: Callable[[Row], bool] | None = None
     below: str = ""
+    whole: bool = False
+
+    @property
+    def headings(self) -> Sequence[str]:
+        """Of the columns."""
+        return self.columns.split(" | ") if isinstance(self.columns, str) else self.columns
 
     @property
     def long(self) -> bool:
         """Whether it is a CSV file."""
-        return len(self.rows) > LONG
+        return len(self.rows) > LONG and not self.whole
 
     def markdown(self, rows: Sequence[Row] | None = None, link: str = "") -> str:
         """The table, or these rows of it and a link to all, between its notes."""
         some = self.rows if rows is None else rows
-        lines = [markdown(self.columns), "|" + "---|" * len(self.columns), *map(markdown, some)]
+        lines = [markdown(self.headings), "|" + "---|" * len(self.headings), *map(markdown, some)]
         parts = [self.note, "\n".join(lines) if some else "", link, self.below]
         return "\n\n".join(part.strip() for part in parts if part.strip())
 
@@ -74,7 +86,7 @@ def write(page: Path, name: str, title: str, made: Sequence[str], tables: Sequen
         if table.long:
             with (page.parent / file).open("w", encoding="utf-8", newline="") as out:
                 out.write(f"# {' '.join(made)}\n")
-                csv.writer(out, lineterminator="\n").writerows([table.columns, *table.rows])
+                csv.writer(out, lineterminator="\n").writerows([table.headings, *table.rows])
     text = page.read_text(encoding="utf-8") if page.exists() else f"# {title}\n"
     block = f"<!-- {name} -->\n" + "\n\n".join(parts) + f"\n<!-- end {name} -->"
     there = re.compile(rf"<!-- {re.escape(name)} -->\n.*?<!-- end {re.escape(name)} -->", re.DOTALL)
@@ -83,6 +95,19 @@ def write(page: Path, name: str, title: str, made: Sequence[str], tables: Sequen
     else:
         text = f"{text.rstrip()}\n\n## {title}\n\n{block}\n"
     page.write_text(text, encoding="utf-8")
+
+
+def grouped(results: Mapping[Job, Result], key: Callable[[Job], Key]) -> dict[Key, list[Result]]:
+    """The results by a key of their jobs, in order."""
+    groups = defaultdict(list)
+    for job, result in results.items():
+        groups[key(job)].append(result)
+    return dict(groups)
+
+
+def column(some: Iterable[Mapping[str, Any]], name: str) -> np.ndarray:
+    """One member of some results."""
+    return np.array([item[name] for item in some], dtype=float)
 
 
 def interval(values: np.ndarray, digits: int) -> str:
@@ -96,9 +121,22 @@ def interval(values: np.ndarray, digits: int) -> str:
     return f"{known.mean():.{digits}f} ± {half:.{digits}f}"
 
 
+def rms(values: Any) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
 def share(count: int, total: int) -> str:
     """Per cent with the 95 % Wilson interval."""
     if total == 0:
         return "-"
     sure = wilson(count / total, total)
     return f"{100 * count / total:.1f} ({100 * sure.low:.1f}..{100 * sure.high:.1f})"
+
+
+def counted(count: int, total: int) -> str:
+    """A count with the 95 % Wilson interval of its rate, per cent."""
+    if total == 0:
+        return "-"
+    sure = wilson(count / total, total)
+    return f"{count} ({100 * sure.low:.0f} to {100 * sure.high:.0f})"

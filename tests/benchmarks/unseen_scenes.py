@@ -9,9 +9,9 @@ times sqrt(2 / K) for K reflectors, each of which an opaque body hides for half 
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,17 +24,14 @@ from tagid.simulate.render import PulseTable, render_bodies
 from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import ResponseBody
-from tagid.simulate.scattering import Body, Returns
 from tagid.simulate.scene import Scene, StaticReturns
-from tagid.types import Floats
 from tests.benchmarks.solved_objects import LAYOUTS, OBJECTS
 
 TURN = 2 * np.pi * np.arange(24) / 24
 """Angles at which echoes are measured for the SNR and the room."""
 
 
-@dataclass(frozen=True)
-class Recording:
+class Recording(NamedTuple):
     """Number of views, and SNR in dB, of a recording."""
 
     views: int
@@ -42,37 +39,18 @@ class Recording:
 
     @property
     def label(self) -> str:
-        """Heading of its column."""
+        """In the key of a scene."""
         return f"{self.views} views, {self.snr_db:.0f} dB"
 
 
-RECORDINGS = (
-    Recording(36, 20),
-    Recording(36, 10),
-    Recording(18, 20),
-    Recording(18, 10),
-    Recording(24, 20),
-    Recording(72, 20),
-    Recording(72, 10),
-    Recording(12, 20),
-    Recording(36, 5),
-    Recording(36, 0),
+RECORDINGS = tuple(
+    Recording(*how)
+    for how in (
+        *((36, 20), (36, 10), (18, 20), (18, 10), (24, 20)),
+        *((72, 20), (72, 10), (12, 20), (36, 5), (36, 0)),
+    )
 )
 """Recordings of every object."""
-
-
-@dataclass(frozen=True, eq=False)
-class Beside:
-    """A body that stands elsewhere on the same turntable, at (x, y), m."""
-
-    body: Body
-    place_m: tuple[float, float]
-
-    def returns(self, antennas: Floats) -> Returns:
-        """As of the body there; waves that go from one body to the other are left out."""
-        shift = np.array([*self.place_m, 0.0])
-        base = self.body.returns(antennas - shift)
-        return Returns(base.points + shift, base.amplitudes)
 
 
 def base_of(name: str) -> str:
@@ -108,28 +86,8 @@ def level(folder: Path, name: str, acquisition: Acquisition, polarisation: str) 
     return float(np.sqrt((peak**2).mean() * 2 / max(len(OBJECTS[tagged].places), 2)))
 
 
-@dataclass(frozen=True)
-class Circumstances:
-    """Everything else about a recording; the same for the same draw.
-
-    Attributes:
-        acquisition: without views and SNR.
-        polarisation: "V" or "H".
-        seed: of noise, wobble and room.
-    """
-
-    acquisition: Acquisition
-    polarisation: str
-    seed: int
-
-
-def drawn(key: str, *, enrolled: bool = False) -> Circumstances:
-    """Circumstances drawn for a key.
-
-    Args:
-        key: any text.
-        enrolled: height, polarisation and pulse are those of the enrollment, which the caller sets.
-    """
+def recorded(folder: Path, name: str, how: Recording, key: str) -> Capture:
+    """A capture of an object under circumstances that are drawn for a key."""
     rng = np.random.default_rng(zlib.crc32(key.encode()))
     polarisation = "H" if rng.uniform() < 0.25 else "V"
     # Heights between the solved ones are interpolated, which costs 3 % of a body's echo.
@@ -139,32 +97,22 @@ def drawn(key: str, *, enrolled: bool = False) -> Circumstances:
     colour = float(rng.uniform() * (rng.uniform() < 0.5))
     pulse = random_pulse(rng) if rng.uniform() < 0.5 else None
     acquisition = Acquisition(
-        axis_distance_m=float(rng.uniform(0.92, 1.1) if enrolled else rng.uniform(0.8, 1.25)),
+        axis_distance_m=float(rng.uniform(0.8, 1.25)),
         axis_distance_error_m=float(rng.uniform(-0.02, 0.02)),
         pulse=pulse,
         noise=NoiseShape(colour, tone),
         placement=Placement((offset.real, offset.imag), float(rng.uniform(0, 2 * np.pi)), height),
         wobble=Wobble(speed=0.01 if rng.uniform() < 0.5 else 0.0),
+        views=how.views,
+        snr_db=how.snr_db,
     )
-    return Circumstances(acquisition, polarisation, int(rng.integers(2**31)))
-
-
-def recorded(
-    folder: Path, name: str, how: Recording, where: Circumstances, second: str | None = None
-) -> Capture:
-    """A capture of an object, or of two side by side, the same for the same arguments."""
-    acquisition = replace(where.acquisition, views=how.views, snr_db=how.snr_db)
+    rng = np.random.default_rng(int(rng.integers(2**31)))
     distance = acquisition.axis_distance_m
-    unit = level(folder, name, acquisition, where.polarisation)
-    body = ResponseBody(response(folder, name), where.polarisation, distance, 1 / unit)
-    bodies: tuple[Body, ...] = (body,)
-    if second is not None:
-        other = ResponseBody(response(folder, second), where.polarisation, distance, 1 / unit)
-        bodies = (Beside(body, (0.075, 0.0)), Beside(other, (-0.075, 0.01)))
-    rng = np.random.default_rng(where.seed)
+    unit = level(folder, name, acquisition, polarisation)
+    body = ResponseBody(response(folder, name), polarisation, distance, 1 / unit)
     antennas = Aperture.turntable(TURN, distance, 0.0).positions
-    out = render_bodies(bodies, Placement(), antennas, acquisition, PulseTable.of(acquisition.pulse))
+    out = render_bodies((body,), Placement(), antennas, acquisition, PulseTable.of(acquisition.pulse))
     room = room_clutter(rng)
     room = StaticReturns(room.ranges_m, room.amplitudes * max(1.0, float(np.abs(out).max())))
-    scene = Scene(name, bodies, room=room, reference_amplitude=1.0)
+    scene = Scene(name, (body,), room=room, reference_amplitude=1.0)
     return simulate_capture(scene, acquisition, int(rng.integers(2**31)))[0]

@@ -31,32 +31,29 @@ from tagid.motion.bridge.protocol import (
     Status,
     encode,
 )
-from tests.firmware.conftest import CONFIG, PASSKEY, STOP, Wire, bridge_on, host
+from tests.firmware.conftest import CONFIG, PASSKEY, STOP, Wire, bridge_on, host, on_loop
 
 AFTER_ONE_FAILED_S = 2.1
 """Longer than the bridge waits after one failed try."""
 
 
-def test_bytes_cross_both_ways_unchanged_and_in_order(board: BoardProcess, wire: Wire) -> None:
+@on_loop
+async def test_bytes_cross_both_ways_unchanged_and_in_order(board: BoardProcess, wire: Wire) -> None:
     random.seed(4)
     to_robot, from_robot = random.randbytes(900), random.randbytes(3000)
     received = bytearray()
-
-    async def run() -> None:
-        async with host(board, on_bytes=received.extend) as bridge:
-            await bridge.arm(5000)  # a busy machine may take longer than the usual 400 ms
-            await bridge.write(to_robot)
-            assert await asyncio.to_thread(wire.read, len(to_robot)) == to_robot
-            await asyncio.to_thread(wire.write, from_robot)
-            async with asyncio.timeout(20):
-                while len(received) < len(from_robot):
-                    await asyncio.sleep(0.01)
-            status = await bridge.status()
-            assert (status.to_robot, status.from_robot) == (3 * len(STOP) + 900, 3000)
-            assert (status.lost_to_robot, status.lost_from_robot) == (0, 0)
-            await bridge.disarm()
-
-    asyncio.run(run())
+    async with host(board, on_bytes=received.extend) as bridge:
+        await bridge.arm(5000)  # a busy machine may take longer than the usual 400 ms
+        await bridge.write(to_robot)
+        assert await asyncio.to_thread(wire.read, len(to_robot)) == to_robot
+        await asyncio.to_thread(wire.write, from_robot)
+        async with asyncio.timeout(20):
+            while len(received) < len(from_robot):
+                await asyncio.sleep(0.01)
+        status = await bridge.status()
+        assert (status.to_robot, status.from_robot) == (3 * len(STOP) + 900, 3000)
+        assert (status.lost_to_robot, status.lost_from_robot) == (0, 0)
+        await bridge.disarm()
     assert bytes(received) == from_robot
 
 
@@ -146,81 +143,70 @@ def test_legacy_pairing_with_the_right_passkey_arms_nothing(board: BoardProcess,
     asyncio.run(_owner(board))
 
 
-def test_a_bond_survives_the_boards_restart(wire: Wire, tmp_path_factory: pytest.TempPathFactory) -> None:
+@on_loop
+async def test_a_bond_survives_the_boards_restart(
+    wire: Wire, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     folder = str(tmp_path_factory.mktemp("board"))
+    from bumble.keys import MemoryKeyStore
 
-    async def run() -> None:
-        from bumble.keys import MemoryKeyStore
+    store = MemoryKeyStore()
+    for passkey in (PASSKEY, None):  # the second time no key is typed
+        with bridge_on(wire, CONFIG, "--folder", folder) as board:
+            async with open_backend(board.hci, passkey, store=store, address="F2:00:00:00:00:09") as pair:
+                backends = Backends(*pair)
+                heard = await find(board.address, 20.0, backends)
+                from tagid.motion.bridge.client import Bridge
 
-        store = MemoryKeyStore()
-        for passkey in (PASSKEY, None):  # the second time no key is typed
-            with bridge_on(wire, CONFIG, "--folder", folder) as board:
-                async with open_backend(board.hci, passkey, store=store, address="F2:00:00:00:00:09") as pair:
-                    backends = Backends(*pair)
-                    heard = await find(board.address, 20.0, backends)
-                    from tagid.motion.bridge.client import Bridge
-
-                    async with Bridge(heard, passkey=passkey, backends=backends, timeout=20.0) as bridge:
-                        uptime_us = int.from_bytes((await bridge.request(Op.TIME))[:8], "little")
-                        assert 0 < uptime_us < 600e6, "the clock of a board that has just started"
-
-    asyncio.run(run())
+                async with Bridge(heard, passkey=passkey, backends=backends, timeout=20.0) as bridge:
+                    uptime_us = int.from_bytes((await bridge.request(Op.TIME))[:8], "little")
+                    assert 0 < uptime_us < 600e6, "the clock of a board that has just started"
 
 
-def test_notifications_that_the_radio_refuses_are_sent_again(wire: Wire) -> None:
+@on_loop
+async def test_notifications_that_the_radio_refuses_are_sent_again(wire: Wire) -> None:
     """At a connection interval of 300 ms the stack's dozen buffers are full most of the time."""
     random.seed(5)
     data = random.randbytes(4000)
     received = bytearray()
-
-    async def run() -> None:
-        with bridge_on(wire, CONFIG, "--interval-ms", "300") as board:
-            async with host(board, on_bytes=received.extend) as bridge:
-                for start in range(0, len(data), 20):
-                    wire.write(data[start : start + 20])
-                    await asyncio.sleep(0.001)
-                async with asyncio.timeout(30):
-                    while len(received) < len(data):
-                        await asyncio.sleep(0.01)
-                status = await bridge.status()
-                assert status.notify_retries > 0 and status.lost_from_robot == 0
-
-    asyncio.run(run())
+    with bridge_on(wire, CONFIG, "--interval-ms", "300") as board:
+        async with host(board, on_bytes=received.extend) as bridge:
+            for start in range(0, len(data), 20):
+                wire.write(data[start : start + 20])
+                await asyncio.sleep(0.001)
+            async with asyncio.timeout(30):
+                while len(received) < len(data):
+                    await asyncio.sleep(0.01)
+            status = await bridge.status()
+            assert status.notify_retries > 0 and status.lost_from_robot == 0
     assert bytes(received) == data
 
 
-def test_what_is_lost_is_counted_and_told(wire: Wire) -> None:
+@on_loop
+async def test_what_is_lost_is_counted_and_told(wire: Wire) -> None:
     events: list[Event] = []
     received = bytearray()
-
-    async def run() -> None:
-        with bridge_on(wire, {**CONFIG, "baud": 300, "deadman_ms": 5000}) as board:
-            async with host(board, on_bytes=received.extend, on_event=events.append) as bridge:
-                # At 300 Bd a second carries 30 bytes: the queue of 1024 is full at the fifth packet.
-                for _ in range(8):
-                    await bridge.write(bytes(240))
-                status = await bridge.status()
-                assert 4 * 240 <= 8 * 240 - status.lost_to_robot <= 1024 + 240
-                assert status.lost_to_robot % 240 == 0, "a packet is lost whole, or a command would be cut"
-                async with asyncio.timeout(20):
-                    while not [
-                        e for e in events if isinstance(e, Overflow) and e.lost == status.lost_to_robot
-                    ]:
-                        await asyncio.sleep(0.01)
-
-    asyncio.run(run())
+    with bridge_on(wire, {**CONFIG, "baud": 300, "deadman_ms": 5000}) as board:
+        async with host(board, on_bytes=received.extend, on_event=events.append) as bridge:
+            # At 300 Bd a second carries 30 bytes: the queue of 1024 is full at the fifth packet.
+            for _ in range(8):
+                await bridge.write(bytes(240))
+            status = await bridge.status()
+            assert 4 * 240 <= 8 * 240 - status.lost_to_robot <= 1024 + 240
+            assert status.lost_to_robot % 240 == 0, "a packet is lost whole, or a command would be cut"
+            async with asyncio.timeout(20):
+                while not [e for e in events if isinstance(e, Overflow) and e.lost == status.lost_to_robot]:
+                    await asyncio.sleep(0.01)
 
 
-def test_brc_pulses_have_the_width_and_number_asked_for(board: BoardProcess) -> None:
-    async def run() -> None:
-        async with host(board) as bridge:
-            await bridge.request(Op.BRC, 80, 3, 40)
-            busy = [bridge.ask(Op.BRC, 200, 1, 0), bridge.ask(Op.BRC, 200, 1, 0)]
-            assert sorted(reply.status for reply in await asyncio.gather(*busy)) == [Status.OK, Status.BUSY]
-            with pytest.raises(DeviceRejectedError, match="out of range"):
-                await bridge.request(Op.BRC, 2001, 1, 0)
-
-    asyncio.run(run())
+@on_loop
+async def test_brc_pulses_have_the_width_and_number_asked_for(board: BoardProcess) -> None:
+    async with host(board) as bridge:
+        await bridge.request(Op.BRC, 80, 3, 40)
+        busy = [bridge.ask(Op.BRC, 200, 1, 0), bridge.ask(Op.BRC, 200, 1, 0)]
+        assert sorted(reply.status for reply in await asyncio.gather(*busy)) == [Status.OK, Status.BUSY]
+        with pytest.raises(DeviceRejectedError, match="out of range"):
+            await bridge.request(Op.BRC, 2001, 1, 0)
     board.command("index")
     edges = [line for line in board.changes if "pin" in line]
     assert [edge["value"] for edge in edges] == [1, 0] * 4  # through the transistor: high pulls BRC low
@@ -229,69 +215,60 @@ def test_brc_pulses_have_the_width_and_number_asked_for(board: BoardProcess) -> 
         assert wanted - 1 <= width <= wanted + 2000
 
 
-def test_index_pulses_are_stamped_on_the_clock_that_the_host_can_read(board: BoardProcess) -> None:
+@on_loop
+async def test_index_pulses_are_stamped_on_the_clock_that_the_host_can_read(board: BoardProcess) -> None:
     pulses: list[IndexPulse] = []
-
-    async def run() -> None:
-        async with host(board, on_event=pulses.append) as bridge:
-            before = int.from_bytes(await bridge.request(Op.TIME), "little")
-            for number in range(3):
-                await asyncio.to_thread(board.command, "index")
-                await asyncio.sleep(0.08)  # longer than the bounce that is ignored
-                async with asyncio.timeout(20):
-                    while len(pulses) <= number:
-                        await asyncio.sleep(0.01)
-            after = int.from_bytes(await bridge.request(Op.TIME), "little")
-            stamps = [pulse.stamp_us for pulse in pulses]
-            assert before <= stamps[0] < stamps[1] < stamps[2] <= after
-            assert [pulse.number for pulse in pulses] == [1, 2, 3]
-            assert (await bridge.status()).index_count == 3
-
-    asyncio.run(run())
+    async with host(board, on_event=pulses.append) as bridge:
+        before = int.from_bytes(await bridge.request(Op.TIME), "little")
+        for number in range(3):
+            await asyncio.to_thread(board.command, "index")
+            await asyncio.sleep(0.08)  # longer than the bounce that is ignored
+            async with asyncio.timeout(20):
+                while len(pulses) <= number:
+                    await asyncio.sleep(0.01)
+        after = int.from_bytes(await bridge.request(Op.TIME), "little")
+        stamps = [pulse.stamp_us for pulse in pulses]
+        assert before <= stamps[0] < stamps[1] < stamps[2] <= after
+        assert [pulse.number for pulse in pulses] == [1, 2, 3]
+        assert (await bridge.status()).index_count == 3
 
 
-def test_self_tests_and_baud(board: BoardProcess, wire: Wire) -> None:
-    async def run() -> None:
+@on_loop
+async def test_self_tests_and_baud(board: BoardProcess, wire: Wire) -> None:
+    async with host(board) as bridge:
+        payload = bytes(range(bridge.mtu - 6))
+        assert await bridge.request(Op.ECHO, data=payload) == payload
+        with pytest.raises(DeviceRejectedError, match="no echo"):  # this wire ends at a robot
+            await bridge.request(Op.LOOPBACK, 64)
+        pattern = wire.waiting()
+        assert pattern and all(0x40 <= byte < 0x80 for byte in pattern), "no opcode of a robot"
+        await bridge.request(Op.BAUD, 19200)
+        assert termios.tcgetattr(wire.master)[4] == termios.B19200
+        reply = await bridge.ask(Op.VERSION, data=b"too much")
+        assert reply.status == Status.BAD_ARGUMENT
+
+
+@on_loop
+async def test_loopback_of_joined_pins() -> None:
+    with BoardProcess(CONFIG) as board:
         async with host(board) as bridge:
-            payload = bytes(range(bridge.mtu - 6))
-            assert await bridge.request(Op.ECHO, data=payload) == payload
-            with pytest.raises(DeviceRejectedError, match="no echo"):  # this wire ends at a robot
-                await bridge.request(Op.LOOPBACK, 64)
-            pattern = wire.waiting()
-            assert pattern and all(0x40 <= byte < 0x80 for byte in pattern), "no opcode of a robot"
-            await bridge.request(Op.BAUD, 19200)
-            assert termios.tcgetattr(wire.master)[4] == termios.B19200
-            reply = await bridge.ask(Op.VERSION, data=b"too much")
-            assert reply.status == Status.BAD_ARGUMENT
-
-    asyncio.run(run())
+            reply = await bridge.request(Op.LOOPBACK, 512)
+            assert reply[:4] == bytes((0, 2, 0, 2))
 
 
-def test_loopback_of_joined_pins() -> None:
-    async def run() -> None:
-        with BoardProcess(CONFIG) as board:
-            async with host(board) as bridge:
-                reply = await bridge.request(Op.LOOPBACK, 512)
-                assert reply[:4] == bytes((0, 2, 0, 2))
+@on_loop
+async def test_a_bridge_without_configuration_drives_nothing() -> None:
+    with BoardProcess(None) as board:
+        async with open_backend(board.hci) as pair:
+            backends = Backends(*pair)
+            heard = await find(board.address, 20.0, backends)
+            from tagid.motion.bridge.client import Bridge
 
-    asyncio.run(run())
-
-
-def test_a_bridge_without_configuration_drives_nothing() -> None:
-    async def run() -> None:
-        with BoardProcess(None) as board:
-            async with open_backend(board.hci) as pair:
-                backends = Backends(*pair)
-                heard = await find(board.address, 20.0, backends)
-                from tagid.motion.bridge.client import Bridge
-
-                assert heard.name == "tagid-setup"
-                async with Bridge(heard, backends=backends, timeout=20.0) as bridge:
-                    assert Flag.PROVISIONED not in bridge.info.flags
-                    with pytest.raises(DeviceRejectedError, match="no valid configuration"):
-                        await bridge.request(Op.ARM, 0)
-
-    asyncio.run(run())
+            assert heard.name == "tagid-setup"
+            async with Bridge(heard, backends=backends, timeout=20.0) as bridge:
+                assert Flag.PROVISIONED not in bridge.info.flags
+                with pytest.raises(DeviceRejectedError, match="no valid configuration"):
+                    await bridge.request(Op.ARM, 0)
 
 
 def once_heard(scanner: type[BaseBleakScanner], names: list[str]) -> type[BaseBleakScanner]:
@@ -311,22 +288,20 @@ def once_heard(scanner: type[BaseBleakScanner], names: list[str]) -> type[BaseBl
     return Scanner
 
 
-def test_names_that_are_absent_or_ambiguous(board: BoardProcess) -> None:
-    async def run() -> None:
-        async with open_backend(board.hci) as pair, open_backend(board.hci) as twin:
-            alone = Backends(once_heard(pair[0], ["robot-7"]), pair[1])
-            with pytest.raises(DeviceGoneError, match=r"robot-7 \(F0:F1"):
-                await find("robot-8", 0.1, alone)
-            impostor = twin[1].device  # type: ignore[attr-defined]
-            service = bytes.fromhex("11079ecadc240ee5a9e093f3a3b50100406e")
-            await impostor.start_advertising(advertising_data=service + b"\x08\x09robot-7")
-            with pytest.raises(UsageError, match="2 bridges have the name 'robot-7'"):
-                await find("robot-7", 0.1, Backends(once_heard(pair[0], ["robot-7", "robot-7"]), pair[1]))
-            theirs = Backends(once_heard(twin[0], ["robot-7"]), twin[1])
-            assert (await find("ROBOT-7", 0.1, theirs)).address == board.address
-            assert (await find(board.address, 20.0, Backends(*pair))).address == board.address
-
-    asyncio.run(run())
+@on_loop
+async def test_names_that_are_absent_or_ambiguous(board: BoardProcess) -> None:
+    async with open_backend(board.hci) as pair, open_backend(board.hci) as twin:
+        alone = Backends(once_heard(pair[0], ["robot-7"]), pair[1])
+        with pytest.raises(DeviceGoneError, match=r"robot-7 \(F0:F1"):
+            await find("robot-8", 0.1, alone)
+        impostor = twin[1].device  # type: ignore[attr-defined]
+        service = bytes.fromhex("11079ecadc240ee5a9e093f3a3b50100406e")
+        await impostor.start_advertising(advertising_data=service + b"\x08\x09robot-7")
+        with pytest.raises(UsageError, match="2 bridges have the name 'robot-7'"):
+            await find("robot-7", 0.1, Backends(once_heard(pair[0], ["robot-7", "robot-7"]), pair[1]))
+        theirs = Backends(once_heard(twin[0], ["robot-7"]), twin[1])
+        assert (await find("ROBOT-7", 0.1, theirs)).address == board.address
+        assert (await find(board.address, 20.0, Backends(*pair))).address == board.address
 
 
 def test_a_watchdog_whose_report_nobody_reads_fires_all_the_same() -> None:

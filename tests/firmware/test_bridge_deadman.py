@@ -17,7 +17,7 @@ import pytest
 from firmware_tools.virtual.process import BoardProcess
 from tagid.errors import DeviceRejectedError
 from tagid.motion.bridge.protocol import Event, Op, Reply, Status, Tripped
-from tests.firmware.conftest import CONFIG, PASSKEY, STOP, Wire, bridge_on, host
+from tests.firmware.conftest import CONFIG, PASSKEY, STOP, Wire, bridge_on, host, on_loop
 
 pytestmark = pytest.mark.realtime
 
@@ -89,46 +89,41 @@ def test_a_killed_host_stops_the_wheels(board: BoardProcess, wire: Wire) -> None
         process.wait()
 
 
-def test_silence_trips_and_nothing_drives_until_armed_again(board: BoardProcess, wire: Wire) -> None:
+@on_loop
+async def test_silence_trips_and_nothing_drives_until_armed_again(board: BoardProcess, wire: Wire) -> None:
     events: list[Event] = []
-
-    async def run() -> None:
-        async with host(board, on_event=events.append) as bridge:
-            # Without a heartbeat: a plain terminal program that only writes.
-            await bridge.write(DRIVE)
-            data = await asyncio.to_thread(wire.read, len(DRIVE))
-            assert data == DRIVE
-            await asyncio.to_thread(read_until_stopped, wire)
-            async with asyncio.timeout(20):
-                while not events:
-                    await asyncio.sleep(0.01)
-            assert isinstance(events[0], Tripped) and events[0].cause == "silence of the host"
-            assert events[0].silent_ms >= 400
-            repeats = await asyncio.to_thread(wire.read, 2 * 16)
-            assert repeats.count(STOP_WHEELS) == 4 and stops(repeats)
-            await bridge.write(DRIVE)
-            reply: Reply = await bridge.ask(Op.HEARTBEAT)
-            assert reply.status == Status.TRIPPED and wire.waiting() == b""
-            assert (await bridge.status()).lost_to_robot == len(DRIVE)
-            await bridge.arm(1000)
-            await bridge.write(DRIVE)
-            assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
-            await bridge.disarm()
-
-    asyncio.run(run())
+    async with host(board, on_event=events.append) as bridge:
+        # Without a heartbeat: a plain terminal program that only writes.
+        await bridge.write(DRIVE)
+        data = await asyncio.to_thread(wire.read, len(DRIVE))
+        assert data == DRIVE
+        await asyncio.to_thread(read_until_stopped, wire)
+        async with asyncio.timeout(20):
+            while not events:
+                await asyncio.sleep(0.01)
+        assert isinstance(events[0], Tripped) and events[0].cause == "silence of the host"
+        assert events[0].silent_ms >= 400
+        repeats = await asyncio.to_thread(wire.read, 2 * 16)
+        assert repeats.count(STOP_WHEELS) == 4 and stops(repeats)
+        await bridge.write(DRIVE)
+        reply: Reply = await bridge.ask(Op.HEARTBEAT)
+        assert reply.status == Status.TRIPPED and wire.waiting() == b""
+        assert (await bridge.status()).lost_to_robot == len(DRIVE)
+        await bridge.arm(1000)
+        await bridge.write(DRIVE)
+        assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
+        await bridge.disarm()
 
 
-def test_heartbeats_keep_the_wheels_turning(board: BoardProcess, wire: Wire) -> None:
-    async def run() -> None:
-        async with host(board) as bridge:
-            await bridge.arm(2000)  # a busy machine may be late with a heartbeat, but not by three of them
-            await bridge.write(DRIVE)
-            await asyncio.sleep(3.0)
-            assert wire.waiting() == DRIVE and (await bridge.status()).state == "armed"
-            await bridge.disarm()
-            assert await asyncio.to_thread(wire.read, 3 * len(STOP)) == 3 * STOP
-
-    asyncio.run(run())
+@on_loop
+async def test_heartbeats_keep_the_wheels_turning(board: BoardProcess, wire: Wire) -> None:
+    async with host(board) as bridge:
+        await bridge.arm(2000)  # a busy machine may be late with a heartbeat, but not by three of them
+        await bridge.write(DRIVE)
+        await asyncio.sleep(3.0)
+        assert wire.waiting() == DRIVE and (await bridge.status()).state == "armed"
+        await bridge.disarm()
+        assert await asyncio.to_thread(wire.read, 3 * len(STOP)) == 3 * STOP
     time.sleep(0.3)
     assert wire.waiting() == b"", "a host that said goodbye leaves nothing more to stop"
 
@@ -214,31 +209,27 @@ def test_an_interrupt_that_fails_stops_the_robot(wire: Wire, tmp_path: Path) -> 
         assert board.process.wait(20) == 71
 
 
-def test_disarming_a_robot_that_may_be_moving_stops_it(board: BoardProcess, wire: Wire) -> None:
-    async def run() -> None:
-        async with host(board) as bridge:
-            await bridge.arm(5000)
-            await bridge.write(DRIVE)
-            assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
-            await bridge.disarm()
-            # The next drive command waits until the last stop is out.
-            await bridge.arm(5000)
-            await bridge.write(DRIVE)
-            assert await asyncio.to_thread(wire.read, 3 * len(STOP)) == 3 * STOP
-            assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
-            with pytest.raises(DeviceRejectedError, match="busy"):
-                await bridge.request(Op.BAUD, 19200)
-            await bridge.disarm()
-
-    asyncio.run(run())
+@on_loop
+async def test_disarming_a_robot_that_may_be_moving_stops_it(board: BoardProcess, wire: Wire) -> None:
+    async with host(board) as bridge:
+        await bridge.arm(5000)
+        await bridge.write(DRIVE)
+        assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
+        await bridge.disarm()
+        # The next drive command waits until the last stop is out.
+        await bridge.arm(5000)
+        await bridge.write(DRIVE)
+        assert await asyncio.to_thread(wire.read, 3 * len(STOP)) == 3 * STOP
+        assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
+        with pytest.raises(DeviceRejectedError, match="busy"):
+            await bridge.request(Op.BAUD, 19200)
+        await bridge.disarm()
 
 
-def test_no_passkey_means_open_and_says_so(wire: Wire) -> None:
-    async def run() -> None:
-        with bridge_on(wire, {**CONFIG, "passkey": None}) as board:
-            async with host(board, None) as bridge:
-                assert bridge.info.flags & 6 == 4
-                await bridge.request(Op.TIME)
-
-    asyncio.run(run())
+@on_loop
+async def test_no_passkey_means_open_and_says_so(wire: Wire) -> None:
+    with bridge_on(wire, {**CONFIG, "passkey": None}) as board:
+        async with host(board, None) as bridge:
+            assert bridge.info.flags & 6 == 4
+            await bridge.request(Op.TIME)
     assert PASSKEY

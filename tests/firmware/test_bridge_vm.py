@@ -17,6 +17,7 @@ from firmware_tools.build import SOURCE, compile_firmware, write_build
 from tagid.motion.bridge.protocol import (
     BridgeInfo,
     BridgeStatus,
+    Event,
     Flag,
     IndexPulse,
     Op,
@@ -32,7 +33,7 @@ from tests.firmware.microvm import needs_vm, run_in_vm
 
 pytestmark = needs_vm
 
-DRIVE = "9100 64ff9c".replace(" ", "")
+DRIVE = "910064ff9c"
 STOP = "00000000" + "9100000000" + "83" + "9100000000" + "80"
 HELLO: list[list[Any]] = [[10, "connect", 247], [11, "trust", 1]]
 
@@ -48,6 +49,18 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def of(result: dict[str, Any], what: str) -> list[tuple[float, str]]:
     """What happened after the boot."""
     return [(ms, text) for ms, kind, text in result["log"] if kind == what and ms > 0]
+
+
+def texts(result: dict[str, Any], what: str) -> list[str]:
+    return [text for _, text in of(result, what)]
+
+
+def events_of(result: dict[str, Any]) -> list[Event]:
+    return [decode_event(bytes.fromhex(text)) for text in texts(result, "event")]
+
+
+def replies_of(result: dict[str, Any]) -> list[Reply]:
+    return [event for event in events_of(result) if isinstance(event, Reply)]
 
 
 def at_boot(result: dict[str, Any], what: str) -> list[tuple[float, str]]:
@@ -88,7 +101,7 @@ def test_nothing_is_written_where_nothing_was_driven(board: Path) -> None:
     goodbye = {"end_ms": 900, "actions": [*HELLO, [30, "rx", "80"], command(40, Op.DISARM), [300, "lose", 0]]}
     only_asked, said_goodbye = run_in_vm(board, asked, goodbye)
     assert of(only_asked, "uart") == []
-    assert [text for _, text in of(said_goodbye, "uart")] == ["80"]
+    assert texts(said_goodbye, "uart") == ["80"]
 
 
 def test_every_boot_stops_the_robot_three_times(board: Path) -> None:
@@ -110,7 +123,7 @@ def test_a_disarmed_robot_that_may_move_is_stopped_and_no_command_overtakes_the_
         command(61, Op.ARM, 5000), [62, "rx", DRIVE], [600, "lose", 0],
     ]  # fmt: skip
     (result,) = run_in_vm(board, {"end_ms": 900, "actions": actions})
-    assert [text for _, text in of(result, "uart")] == [DRIVE, STOP, STOP, STOP, DRIVE, STOP, STOP, STOP]
+    assert texts(result, "uart") == [DRIVE, STOP, STOP, STOP, DRIVE, STOP, STOP, STOP]
 
 
 def test_what_waits_for_a_slow_line_gives_way_to_the_stops(board: Path) -> None:
@@ -120,12 +133,8 @@ def test_what_waits_for_a_slow_line_gives_way_to_the_stops(board: Path) -> None:
     gone = [*driven, command(210, Op.DISARM), [215, "lose", 0]]
     queued = [*HELLO, [30, "rx", "80"], [32, "rx", drives], command(40, Op.DISARM)]
     silent = [*HELLO, command(20, Op.ARM, 400), [30, "rx", drives]]
-    valid = (board / "bridge.json").read_text()
-    try:
-        (board / "bridge.json").write_text(json.dumps({**CONFIG, "baud": 300}))
-        results = run_in_vm(board, *[{"end_ms": 900, "actions": item} for item in (gone, queued, silent)])
-    finally:
-        (board / "bridge.json").write_text(valid)
+    slow = {"end_ms": 900, "files": {"bridge.json": json.dumps({**CONFIG, "baud": 300})}}
+    results = run_in_vm(board, *[{**slow, "actions": item} for item in (gone, queued, silent)])
     for result, bytes_sent in zip(results, (6, 1, 12), strict=True):
         sent = of(result, "uart")
         pieces = [text for _, text in sent]
@@ -139,13 +148,13 @@ def test_after_each_opcode_that_moves_the_robot_disarming_stops_it(board: Path) 
     drives = (134, 135, 136, 137, 143, 144, 145, 146)
     actions = [[*HELLO, [30, "rx", f"80{drive:02x}0000"], command(50, Op.DISARM)] for drive in drives]
     for result in run_in_vm(board, *[{"end_ms": 300, "actions": action} for action in actions]):
-        assert [text for _, text in of(result, "uart")][1:] == [STOP] * 3
+        assert texts(result, "uart")[1:] == [STOP] * 3
 
 
 def test_bytes_alone_keep_the_wheels_turning(board: Path) -> None:
     bytes_only = [[ms, "rx", DRIVE] for ms in range(30, 1500, 300)]
     (result,) = run_in_vm(board, {"end_ms": 1600, "actions": [*HELLO, *bytes_only]})
-    assert [text for _, text in of(result, "uart")] == [DRIVE] * 5
+    assert texts(result, "uart") == [DRIVE] * 5
 
 
 def test_without_the_passkey_no_byte_reaches_the_robot(board: Path) -> None:
@@ -153,8 +162,7 @@ def test_without_the_passkey_no_byte_reaches_the_robot(board: Path) -> None:
     actions = [[10, "connect", 247], [11, "trust", 0], [20, "rx", DRIVE], command(30, Op.BRC, 100, 1, 0)]
     (result,) = run_in_vm(board, {"end_ms": 70_000, "actions": actions, "round_us": 9000})
     assert of(result, "uart") == [] and of(result, "pin") == []
-    replies = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
-    assert [r.status for r in replies if isinstance(r, Reply)] == [Status.NOT_PAIRED]
+    assert [r.status for r in replies_of(result)] == [Status.NOT_PAIRED]
     # Who does not pair must not keep the owner out for ever.
     (ended,) = of(result, "disconnect")
     assert 60_000 <= ended[0] - 10 <= 60_100
@@ -173,7 +181,7 @@ def test_failed_passkeys_wait_longer_each_time_and_then_close_the_door(board: Pa
     late = at + 900_000
     actions += [[late, "connect", 247], [late + 100, "passkey", 0]]
     (result,) = run_in_vm(board, {"end_ms": late + 300, "actions": actions, "round_us": 49_000})
-    assert [text for _, text in of(result, "passkey")] == ["482913"] * 5
+    assert texts(result, "passkey") == ["482913"] * 5
     assert len(of(result, "disconnect")) == 5
 
 
@@ -221,7 +229,7 @@ def test_only_secure_connections_are_trusted(board: Path) -> None:
     flags = [BridgeInfo.from_bytes(bytes.fromhex(result["info"])).flags for result in (trusted, unpaired)]
     assert [Flag.TRUSTED in flag for flag in flags] == [True, False]
     assert of(refused, "uart") == [] and len(of(refused, "disconnect")) == 1
-    assert [text for _, text in of(trusted, "uart")][:1] == [DRIVE]
+    assert texts(trusted, "uart")[:1] == [DRIVE]
     assert of(unpaired, "uart") == []
 
 
@@ -257,7 +265,7 @@ def test_notifications_fill_the_mtu_and_a_refused_one_is_sent_again(board: Path)
         [90, "room", 99],
     ]
     (result,) = run_in_vm(board, {"end_ms": 300, "actions": actions})
-    pieces = [text for _, text in of(result, "bytes")]
+    pieces = texts(result, "bytes")
     assert "".join(pieces) == data
     assert [len(piece) // 2 for piece in pieces] == [244] * 8 + [2000 - 8 * 244]
 
@@ -301,7 +309,7 @@ def test_who_works_on_the_board_finds_a_prompt_and_a_patient_watchdog(board: Pat
     actions = [*HELLO, [30, "rx", DRIVE], [100, "interrupt", 0]]
     (result,) = run_in_vm(board, {"end_ms": 500, "actions": actions})
     assert result["ended"] == "prompt"
-    assert [text for _, text in of(result, "uart")] == [DRIVE, STOP, STOP, STOP]
+    assert texts(result, "uart") == [DRIVE, STOP, STOP, STOP]
     assert [text for _, text in at_boot(result, "wdt") + of(result, "wdt")] == ["1000", "600000"]
     assert result["fed"] > 50
 
@@ -318,7 +326,7 @@ def test_a_fault_of_an_interrupt_stops_the_robot_three_times_and_restarts_the_bo
 def test_a_fault_of_the_loop_stops_the_robot_three_times_and_restarts_the_board(board: Path) -> None:
     actions = [*HELLO, [30, "rx", DRIVE], [100, "fault", 0]]
     (result,) = run_in_vm(board, {"end_ms": 2000, "actions": actions})
-    assert [text for _, text in of(result, "uart")] == [DRIVE, STOP, STOP, STOP] and of(result, "reset")
+    assert texts(result, "uart") == [DRIVE, STOP, STOP, STOP] and of(result, "reset")
 
 
 def test_index_pulses_of_a_busy_loop_come_late_and_are_lost_beyond_the_scheduler(board: Path) -> None:
@@ -330,29 +338,23 @@ def test_index_pulses_of_a_busy_loop_come_late_and_are_lost_beyond_the_scheduler
         [1500, "pulse", 0],
     ]
     (result,) = run_in_vm(board, {"end_ms": 2000, "actions": actions})
-    pulses = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
+    pulses = events_of(result)
     # All eight that waited bear the same moment, so seven are taken for bounces.
     assert [pulse.number for pulse in pulses if isinstance(pulse, IndexPulse)] == [1, 2]
 
 
 def test_an_invalid_configuration_drives_nothing_and_says_so(board: Path) -> None:
-    valid = (board / "bridge.json").read_text()
-    try:
-        for text in ("{", json.dumps({**CONFIG, "baud": 115201}), json.dumps({**CONFIG, "uart_tx": 5})):
-            (board / "bridge.json").write_text(text)
-            driving = [
-                command(20, Op.ARM, 0), command(21, Op.BRC, 9, 1, 0), command(22, Op.LOOPBACK, 9),
-                command(23, Op.BAUD, 9600),
-            ]  # fmt: skip
-            actions = [[10, "connect", 247], *driving, [30, "rx", DRIVE]]
-            (result,) = run_in_vm(board, {"end_ms": 600, "actions": actions})
-            replies = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
-            assert [r.status for r in replies if isinstance(r, Reply)] == [Status.NOT_PROVISIONED] * 4
-            assert of(result, "uart") == []
-            info = BridgeInfo.from_bytes(bytes.fromhex(result["info"]))
-            assert info.name == "tagid-setup" and Flag.PROVISIONED not in info.flags
-    finally:
-        (board / "bridge.json").write_text(valid)
+    driving = [
+        command(20, Op.ARM, 0), command(21, Op.BRC, 9, 1, 0), command(22, Op.LOOPBACK, 9),
+        command(23, Op.BAUD, 9600),
+    ]  # fmt: skip
+    plan = {"end_ms": 600, "actions": [[10, "connect", 247], *driving, [30, "rx", DRIVE]]}
+    wrong = ("{", json.dumps({**CONFIG, "baud": 115201}), json.dumps({**CONFIG, "uart_tx": 5}))
+    for result in run_in_vm(board, *[{**plan, "files": {"bridge.json": text}} for text in wrong]):
+        assert [r.status for r in replies_of(result)] == [Status.NOT_PROVISIONED] * 4
+        assert of(result, "uart") == []
+        info = BridgeInfo.from_bytes(bytes.fromhex(result["info"]))
+        assert info.name == "tagid-setup" and Flag.PROVISIONED not in info.flags
 
 
 IDLE_MS = [round(m * 60_000) for m in (9, 17, 27)] + [round(d * 86_400_000) for d in (6.3, 12.5, 30)]
@@ -438,7 +440,7 @@ def test_a_pulse_and_a_fault_tell_how_long_ago_it_was(board: Path) -> None:
         for idle_ms in idles
     ]
     for idle_ms, result in zip(idles, run_in_vm(board, *plans), strict=True):
-        *_, pulse, fault = (decode_event(bytes.fromhex(text)) for _, text in of(result, "event"))
+        *_, pulse, fault = events_of(result)
         assert isinstance(pulse, IndexPulse) and isinstance(fault, Tripped)
         assert pulse.age_us == pytest.approx(min((idle_ms + 30) * 1000, 0xFFFFFFFF), abs=3000)
         assert pulse.stamp_us < 1_000_000
@@ -468,10 +470,9 @@ def test_nothing_of_a_lost_link_reaches_the_next_one(board: Path) -> None:
         {"end_ms": 400, "actions": [*HELLO, *looping, *after]},
     )
     for result in (first, second):
-        replies = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
-        assert [(r.seq, r.status) for r in replies if isinstance(r, Reply)] == [(6, Status.OK)]
+        assert [(r.seq, r.status) for r in replies_of(result)] == [(6, Status.OK)]
         assert of(result, "bytes") == []
-        assert "80" in [text for _, text in of(result, "uart")]
+        assert "80" in texts(result, "uart")
 
 
 def test_arguments_are_bounded_as_the_protocol_says(board: Path) -> None:
@@ -491,8 +492,7 @@ def test_arguments_are_bounded_as_the_protocol_says(board: Path) -> None:
     ]  # fmt: skip
     actions = [[20 + 4 * n, "command", frame.hex()] for n, (frame, _) in enumerate(asked)]
     (result,) = run_in_vm(board, {"end_ms": 200, "actions": [*HELLO, *actions]})
-    replies = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
-    statuses = [(r.op, r.status) for r in replies if isinstance(r, Reply)]
+    statuses = [(r.op, r.status) for r in replies_of(result)]
     assert statuses == [(frame[0], status) for frame, status in asked]
 
 
@@ -503,7 +503,7 @@ def test_the_status_counts_and_each_loss_is_told_once(board: Path) -> None:
         command(1000, Op.STATUS),
     ]  # fmt: skip
     (result,) = run_in_vm(board, {"end_ms": 1100, "actions": actions})
-    events = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
+    events = events_of(result)
     assert [e for e in events if isinstance(e, Overflow)] == [Overflow("to the robot", 5)]
     (reply,) = (e for e in events if isinstance(e, Reply))
     status = BridgeStatus.from_bytes(reply.payload)
@@ -521,7 +521,7 @@ def test_pulses_that_nobody_takes_are_lost_from_the_oldest_on(board: Path) -> No
     pulses = [[100 + 60 * n, "pulse", 0] for n in range(20)]
     actions = [*HELLO, [20, "room", 0], *replies, *pulses, [1400, "room", 99]]
     (result,) = run_in_vm(board, {"end_ms": 1600, "actions": actions})
-    events = [decode_event(bytes.fromhex(text)) for _, text in of(result, "event")]
+    events = events_of(result)
     assert [e.number for e in events if isinstance(e, IndexPulse)] == list(range(5, 21))
     assert [e for e in events if isinstance(e, Overflow)] == [Overflow("index pulses", 4)]
 

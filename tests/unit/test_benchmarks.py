@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.benchmarks import needs
+from tests.benchmarks import catalogue
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import LONG, Table, write
 
@@ -60,8 +60,8 @@ def test_a_block_of_a_page_is_replaced_and_the_rest_stays(tmp_path: Path) -> Non
 
 
 def test_needs_are_checked_before_anything_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(needs.NEEDS, "torch", (lambda: False, "pip install '.[ats]'"))
-    assert needs.missing(("torch", "linux")) == ["torch is missing: pip install '.[ats]'"]
+    monkeypatch.setitem(catalogue.NEEDS, "torch", (False, "pip install '.[ats]'"))
+    assert catalogue.missing(("torch", "linux")) == ["torch is missing: pip install '.[ats]'"]
     words = [sys.executable, "-m", "tests.benchmarks", "no-such-benchmark"]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 2 and "tests.benchmarks list" in done.stderr

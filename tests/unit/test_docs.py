@@ -21,8 +21,7 @@ import tagid
 from tagid.cli.app import app
 from tagid.pipeline.answer import Identification
 from tagid.reading.verdict import ADVICE, Code
-from tests.benchmarks.catalogue import BENCHMARKS
-from tests.benchmarks.needs import NEEDS
+from tests.benchmarks.catalogue import BENCHMARKS, NEEDS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

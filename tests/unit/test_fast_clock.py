@@ -19,8 +19,8 @@ clock = fast_clock.FastClock()
 began = [time.monotonic(), time.time(), clock.true_s()]
 clock.run_at(1000.0)
 fast_clock.CHECKED_S = 60.0
-for one in fast_clock.measure(clock):
-    assert one.seconds >= 59.9 and one.true_seconds < one.seconds / 100, one
+for kind, seconds, true_seconds in fast_clock.measure(clock):
+    assert seconds >= 59.9 and true_seconds < seconds / 100, (kind, seconds, true_seconds)
 clock.run_at(1.0)
 ended = [time.monotonic(), time.time(), clock.true_s()]
 monotonic, wall, truly = [now - then for now, then in zip(ended, began)]
