@@ -184,16 +184,17 @@ class Bridge:
 
     def _answer(self, op, seq, args):
         """(status, payload); the status is None if the reply comes later."""
-        if op not in _COMMANDS:
+        if op not in _ARGUMENTS:
             return _UNKNOWN, b""
-        form, size, handler = _COMMANDS[op]
-        if form is not None and len(args) != size:
+        form = _ARGUMENTS[op]
+        if form is not None and len(args) != form[1]:
             return _BAD, b""
+        values = () if form is None else unpack(form[0], args)
         if not self._provisioned and op in _DRIVING:
             return _NOT_PROVISIONED, b""
         if self.robot.state == TRIPPED and op == 0x04:
             return _TRIPPED, pack("<Q", clock.us())
-        return handler(self, seq, args if form is None else unpack(form, args))
+        return _HANDLERS[op](self, seq, args if form is None else values)
 
     def _version(self, seq, values):
         return _OK, self._info()
@@ -324,18 +325,30 @@ class Bridge:
             self.radio.set_info(self._info())
 
 
-# Struct format and length of each command's arguments (None for any bytes), and what obeys it.
-_COMMANDS = {
-    0x01: ("<", 0, Bridge._version),
-    0x02: ("<", 0, Bridge._status),
-    0x03: ("<H", 2, Bridge._arm),
-    0x04: ("<", 0, Bridge._time),
-    0x05: ("<", 0, Bridge._disarm),
-    _BRC: ("<HBH", 5, Bridge._brc),
-    0x07: (None, 0, Bridge._echo),
-    _LOOPBACK: ("<H", 2, Bridge._loopback),
-    0x09: ("<I", 4, Bridge._baud),
-    0x0A: ("<", 0, Bridge._time),
+# Arguments of each command: struct format and length, or None for any bytes.
+_ARGUMENTS = {
+    0x01: ("<", 0),
+    0x02: ("<", 0),
+    0x03: ("<H", 2),
+    0x04: ("<", 0),
+    0x05: ("<", 0),
+    _BRC: ("<HBH", 5),
+    0x07: None,
+    _LOOPBACK: ("<H", 2),
+    0x09: ("<I", 4),
+    0x0A: ("<", 0),
+}
+_HANDLERS = {
+    0x01: Bridge._version,
+    0x02: Bridge._status,
+    0x03: Bridge._arm,
+    0x04: Bridge._time,
+    0x05: Bridge._disarm,
+    _BRC: Bridge._brc,
+    0x07: Bridge._echo,
+    _LOOPBACK: Bridge._loopback,
+    0x09: Bridge._baud,
+    0x0A: Bridge._time,
 }
 _DRIVING = (0x03, _BRC, _LOOPBACK, 0x09)
 
