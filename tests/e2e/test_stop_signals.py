@@ -73,14 +73,18 @@ def test_every_stop_signal_ends_a_recording_alike(tmp_path: Path, command: str, 
 
 @pytest.mark.parametrize(
     ("program", "kind"),
-    [("tagid", signal.SIGINT), ("tagid", signal.SIGHUP), ("firmware_tools", signal.SIGTERM)],
+    [
+        ("tagid.cli.app", signal.SIGINT),
+        ("tagid.cli.app", signal.SIGHUP),
+        ("firmware_tools.cli", signal.SIGTERM),
+    ],
 )
 def test_a_signal_after_the_last_write_changes_nothing(kind: signal.Signals, program: str) -> None:
     """Between the result and the end of the interpreter, where exit code and message are decided."""
     script = (
         "import os\n"
         "from tagid.cli import frame\n"
-        f"from {program}.cli.app import main\n"
+        f"from {program} import main\n"
         "def exiting(code):\n"
         f"    os.kill(os.getpid(), {int(kind)})\n"
         "    raise SystemExit(code)\n"

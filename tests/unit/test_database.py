@@ -154,7 +154,7 @@ def test_only_a_damaged_file_is_to_be_moved_away(tmp_path: Path) -> None:
 
 
 def test_a_value_that_sqlite_cannot_hold_is_an_error_of_use(history: History) -> None:
-    for wanted in (Filter(file="\udcff"), Filter(number=1 << 70)):
+    for wanted in (Filter(file="\udcff"), Filter(numbers=(1 << 70,))):
         with pytest.raises(UsageError):
             list(history.find(wanted))
     assert DiskFullError.code == "disk_full"
