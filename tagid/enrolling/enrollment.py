@@ -22,6 +22,7 @@ from tagid.tags.layouts.codebook import (
     LayoutDistance,
     best_pairing,
     in_space,
+    rotational_distance,
 )
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 
@@ -174,20 +175,12 @@ def _by_nearness(neighbours: Sequence[Neighbour]) -> tuple[Neighbour, ...]:
 
 def neighbour(layout: Layout, other: Layout, basis: Basis) -> Neighbour:
     """Distance of two layouts; of the nearer mirror image if the direction is unknown."""
-    straight = _neighbour(layout, other, False, basis.height_weight)
+    weight = basis.height_weight
+    straight = Neighbour(other.name, rotational_distance(layout, other, height_weight=weight))
     if basis.direction_known:
         return straight
-    image = _neighbour(layout.mirrored(), other, True, basis.height_weight)
+    image = Neighbour(other.name, rotational_distance(layout.mirrored(), other, height_weight=weight), True)
     return image if image.nearness_m < straight.nearness_m - 1e-9 else straight
-
-
-def _neighbour(layout: Layout, other: Layout, mirrored: bool, height_weight: float) -> Neighbour:
-    small, large = (layout, other) if layout.size <= other.size else (other, layout)
-    pair = best_pairing(in_space(small, height_weight), in_space(large, height_weight), CENTRE_TOLERANCE_M)
-    turn = float(np.rad2deg(pair.rotation_rad if small is layout else -pair.rotation_rad) % 360)
-    if layout.size != other.size:
-        return Neighbour(other.name, LayoutDistance(np.inf, np.inf, turn, pair.worst_m), mirrored)
-    return Neighbour(other.name, LayoutDistance(pair.rms_m, pair.worst_m, turn), mirrored)
 
 
 def _unsure(layout: Layout, other: Layout, height_weight: float) -> float:

@@ -42,12 +42,35 @@ static inline int refused(const char *why)
     return 0;
 }
 
-/* The end of every call: None, or the error that is set. */
+/* Room for so many doubles, from where a layout has come to. */
+static inline double *room(double **at, int64_t count)
+{
+    double *here = *at;
+    *at += (count + 3) / 4 * 4;
+    return here;
+}
+
+/* The end of a call for which there is no room. */
+static inline PyObject *no_memory(Held *h)
+{
+    release(h);
+    return PyErr_NoMemory();
+}
+
+/* The end of every other call: None, or the error that is set. */
 static inline PyObject *finished(Held *h)
 {
     release(h);
     return PyErr_Occurred() ? NULL : Py_BuildValue("");
 }
+
+/* Defines a method by what it returns for `args`. */
+#define METHOD(name, result)                                                                                 \
+    static PyObject *name(PyObject *self, PyObject *args)                                                    \
+    {                                                                                                        \
+        (void)self;                                                                                          \
+        return result;                                                                                       \
+    }
 
 /* Defines a module of these methods. `ARGUMENTS` counts the changes of their arguments: Python uses no build
  * of others. */

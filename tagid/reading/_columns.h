@@ -54,13 +54,6 @@ typedef struct {
     Lanes *lower_inverse;                 /* (blocks, columns) of the Cholesky factor */
 } Work;
 
-static inline double *room(double **at, int64_t count)
-{
-    double *here = *at;
-    *at += (count + 1) / 2 * 2;
-    return here;
-}
-
 /* Lays the work out from a base; the doubles that it takes. */
 static int64_t lay_out(const Problem *g, Work *w, double *base)
 {
@@ -128,21 +121,6 @@ INLINE void prepare_bounces(const Problem *g, const Work *w, const double *place
             for (int64_t i = 0; i < 3; i++)
                 apart[i] = place[3 * k + i] - place[3 * j + i];
             apart[3] = sqrt(apart[0] * apart[0] + apart[1] * apart[1] + apart[2] * apart[2] + g->touch_m * g->touch_m);
-        }
-    }
-}
-
-/* So many waves (count, 2, V) at the next frequency: each times its step. */
-INLINE void advance(double *waves, const double *steps, int64_t count, int64_t V)
-{
-    for (int64_t i = 0; i < count; i++) {
-        double *restrict wave = waves + 2 * i * V;
-        const double *restrict step = steps + 2 * i * V;
-#pragma omp simd
-        for (int64_t v = 0; v < V; v++) {
-            const double re = wave[v], im = wave[V + v];
-            wave[v] = re * step[v] - im * step[V + v];
-            wave[V + v] = re * step[V + v] + im * step[v];
         }
     }
 }
@@ -284,16 +262,6 @@ INLINE void at_frequency(const Problem *g, const Work *w, int64_t f, int with_sl
         }
 }
 
-/* out += a b, all planes. */
-INLINE void add_product(const double *restrict a, const double *restrict b, double *restrict out, int64_t V)
-{
-#pragma omp simd
-    for (int64_t v = 0; v < V; v++) {
-        out[v] += a[v] * b[v] - a[V + v] * b[V + v];
-        out[V + v] += a[v] * b[V + v] + a[V + v] * b[v];
-    }
-}
-
 /* The planes of all columns. */
 INLINE void columns_of(const Problem *g, const Work *w)
 {
@@ -309,11 +277,11 @@ INLINE void columns_of(const Problem *g, const Work *w)
     wave += g->body ? 2 * V : 0;
     for (int64_t k = 0; k < g->k; k++) {
         for (int64_t p = 0; p < g->p; p++)
-            add_product(w->pattern + 2 * (k * g->p + p) * V, wave + 2 * k * V, to + 2 * p * V, V);
+            add_product(w->pattern + 2 * (k * g->p + p) * V, wave + 2 * k * V, 1.0, V, to + 2 * p * V);
         if (g->k > 1)
-            add_product(w->pattern + 2 * k * g->p * V, wave + 2 * k * V, to + 2 * (g->p + g->bounces + k) * V, V);
+            add_product(w->pattern + 2 * k * g->p * V, wave + 2 * k * V, 1.0, V, to + 2 * (g->p + g->bounces + k) * V);
         if (g->bounces)
-            add_product(w->half + 2 * k * V, w->back + 2 * k * V, to + 2 * g->p * V, V);
+            add_product(w->half + 2 * k * V, w->back + 2 * k * V, 1.0, V, to + 2 * g->p * V);
     }
     for (int64_t v = 0; g->bounces && v < 2 * V; v++)
         to[2 * g->p * V + v] *= 0.5; /* there and back are one path */
@@ -381,8 +349,8 @@ INLINE void slopes_of(const Problem *g, const Work *w, int64_t f, const double *
         memset(scratch, 0, (size_t)(2 * two) * sizeof(double));
         for (int64_t p = 0; p < g->p + (g->k > 1); p++) {
             const int64_t of = (k * g->p + (p < g->p ? p : 0)) * two, from = (p < g->p ? p : p + g->bounces + k) * two;
-            add_product(w->pattern + of, weight + from, sum, V);
-            add_product(w->turned + of, weight + from, turned, V);
+            add_product(w->pattern + of, weight + from, 1.0, V, sum);
+            add_product(w->turned + of, weight + from, 1.0, V, turned);
         }
         for (int64_t v = 0; v < two; v++)
             turned[v] = -turned[v];
@@ -391,7 +359,7 @@ INLINE void slopes_of(const Problem *g, const Work *w, int64_t f, const double *
         add_slope(w, s, sum, kappa, 0.0, 1.0, out + two, V);
         add_slope(w, s, sum, kappa, -radius * d, radius * c, spun, V);
         add_slope(w, s, sum, kappa, c, d, drawn, V);
-        add_product(turned, w->wave + s * two, spun, V);
+        add_product(turned, w->wave + s * two, 1.0, V, spun);
         double *risen = out + (g->head + g->turns + g->stretches + g->group[3 * g->k + k]) * two;
         if (g->lifts)
             add_rise(w, s, sum, kappa, risen, V);

@@ -713,10 +713,8 @@ static PyObject *computed(PyObject *args, int one, int given)
         return finished(&held);
     const int64_t size = lay_out(&g, &w, NULL);
     double *base = malloc((size_t)(size + 1 + 3 * g.t + 2 * g.t * g.t) * sizeof(double));
-    if (!base) {
-        release(&held);
-        return PyErr_NoMemory();
-    }
+    if (!base)
+        return no_memory(&held);
     lay_out(&g, &w, base);
     Py_BEGIN_ALLOW_THREADS if (one > 1) descend_all(&g, &w, way.rounds, way.far, way.enough, base + size);
     else if (given) (one ? expanded : all_values)(&g, &w);
@@ -731,35 +729,11 @@ static PyObject *computed(PyObject *args, int one, int given)
     return finished(&held);
 }
 
-static PyObject *values(PyObject *self, PyObject *args)
-{
-    (void)self;
-    return computed(args, 0, 0);
-}
-
-static PyObject *expand(PyObject *self, PyObject *args)
-{
-    (void)self;
-    return computed(args, 1, 0);
-}
-
-static PyObject *descend(PyObject *self, PyObject *args)
-{
-    (void)self;
-    return computed(args, 2, 0);
-}
-
-static PyObject *given_values(PyObject *self, PyObject *args)
-{
-    (void)self;
-    return computed(args, 0, 1);
-}
-
-static PyObject *given_expand(PyObject *self, PyObject *args)
-{
-    (void)self;
-    return computed(args, 1, 1);
-}
+METHOD(values, computed(args, 0, 0))
+METHOD(expand, computed(args, 1, 0))
+METHOD(descend, computed(args, 2, 0))
+METHOD(given_values, computed(args, 0, 1))
+METHOD(given_expand, computed(args, 1, 1))
 
 #define ARGUMENTS_OF                                                                                         \
     "views, kappa, clutter, white, basis, tag, group, tables, pull, near, least, x, power, sigma, out, "           \

@@ -335,10 +335,8 @@ static PyObject *grow(PyObject *self, PyObject *args)
     const int64_t tried = g.n * (g.n > 2 * grown ? g.n / 2 + 1 : grown);
     int32_t parents[GROWN * MEMBERS];
     g.log = malloc((size_t)tried * (sizeof(double) + MEMBERS * sizeof(int32_t)));
-    if (!g.log) {
-        release(&buffers);
-        return PyErr_NoMemory();
-    }
+    if (!g.log)
+        return no_memory(&buffers);
     g.sets = (int32_t *)(g.log + tried);
     Py_BEGIN_ALLOW_THREADS all_grown(&g, &t, parents);
     free(g.log);
@@ -461,10 +459,8 @@ static PyObject *turned(PyObject *args, int pairs)
     if (!g.out)
         return finished(&buffers);
     g.w.in = malloc((size_t)(6 * v) * sizeof(Eight));
-    if (!g.w.in) {
-        release(&buffers);
-        return PyErr_NoMemory();
-    }
+    if (!g.w.in)
+        return no_memory(&buffers);
     g.w.mid = g.w.in + 2 * v, g.w.out = g.w.mid + 2 * v;
     Py_BEGIN_ALLOW_THREADS if (pairs) all_pairs(&g);
     else all_against(&g);
@@ -472,17 +468,8 @@ static PyObject *turned(PyObject *args, int pairs)
     return finished(&buffers);
 }
 
-static PyObject *pairs(PyObject *self, PyObject *args)
-{
-    (void)self;
-    return turned(args, 1);
-}
-
-static PyObject *against(PyObject *self, PyObject *args)
-{
-    (void)self;
-    return turned(args, 0);
-}
+METHOD(pairs, turned(args, 1))
+METHOD(against, turned(args, 0))
 
 static PyMethodDef methods[] = {
     {"pairs", pairs, METH_VARARGS, "pairs(columns, turn, out, f, b, p): the table of `scores`, on an even turn"},

@@ -9,7 +9,7 @@
  * aspects: it is found at Q aspects of one, at a fixed distance, and interpolated by its harmonics. By
  * reciprocity every reflector costs one answer, for all antennas.
  *
- * Planes (.., 2, columns) hold real and imaginary parts apart; columns are filled up to a multiple of UNIT.
+ * The columns of planes are filled up to a multiple of UNIT.
  */
 #include "_wave.h"
 #include <stdlib.h>
@@ -63,13 +63,6 @@ typedef struct {
     double *seen;                         /* (1 + SUMS, 2, V) a reflector's column, and its slopes */
 } Work;
 
-static inline double *room(double **at, int64_t count)
-{
-    double *here = *at;
-    *at += (count + 3) / 4 * 4;
-    return here;
-}
-
 static int64_t lay_out(const Sheet *g, Work *w, double *base)
 {
     double *at = base;
@@ -121,28 +114,6 @@ INLINE void times(const double *a, const double *x, int64_t N, int64_t Q, double
             *(Four *)(out + 2 * i * Q + q) = re, *(Four *)(out + (2 * i + 1) * Q + q) = im;
             *(Four *)(out + 2 * other * Q + q) = re2, *(Four *)(out + (2 * other + 1) * Q + q) = im2;
         }
-}
-
-/* Adds a x b, complex planes of Q, times a factor to sum. */
-INLINE void add_product(const double *restrict a, const double *restrict b, double factor, int64_t Q,
-                        double *restrict sum)
-{
-#pragma omp simd
-    for (int64_t q = 0; q < Q; q++) {
-        sum[q] += factor * (a[q] * b[q] - a[Q + q] * b[Q + q]);
-        sum[Q + q] += factor * (a[q] * b[Q + q] + a[Q + q] * b[q]);
-    }
-}
-
-/* wave *= turn, planes of Q. */
-INLINE void next(double *restrict wave, const double *restrict turn, int64_t Q)
-{
-#pragma omp simd
-    for (int64_t q = 0; q < Q; q++) {
-        const double re = wave[q], im = wave[Q + q];
-        wave[q] = re * turn[q] - im * turn[Q + q];
-        wave[Q + q] = re * turn[Q + q] + im * turn[q];
-    }
 }
 
 /* The inverse of a (N, N, 2) in place, by pivots of the largest size in their column. */
@@ -753,21 +724,21 @@ WIDE static void compute(const Sheet *g, const Work *w)
     prepare_reflectors(g, w);
     for (int64_t f = 0; f < g->f; f++) {
         const double k = g->wavenumber[f];
-        for (int64_t i = 0; f && i < 4 * N; i++)
-            next(w->wave + 2 * i * Q, w->turn + 2 * i * Q, Q);
+        if (f)
+            advance(w->wave, w->turn, 4 * N, Q);
         solve(g, w, k);
         echo(g, w, k);
         sheet_seen(g, w, f);
         if (!g->sources)
             continue;
         for (int64_t i = 0; f && i < 4 * N; i++)
-            next(w->cell + (7 * i + 3) * V, w->cell + (7 * i + 5) * V, V);
+            advance(w->cell + (7 * i + 3) * V, w->cell + (7 * i + 5) * V, 1, V);
         answer_sources(g, w, k);
         for (int64_t s = 0; s < g->sources; s++) {
-            if (f)
-                next(w->source + (9 * s + 4) * V, w->source + (9 * s + 6) * V, V);
-            if (f)
-                next(w->near_wave + 4 * s * V, w->near_wave + (4 * s + 2) * V, V);
+            if (f) {
+                advance(w->source + (9 * s + 4) * V, w->source + (9 * s + 6) * V, 1, V);
+                advance(w->near_wave + 4 * s * V, w->near_wave + (4 * s + 2) * V, 1, V);
+            }
             if (s < g->k || !g->past[s - g->k])
                 field_at(g, w, k, s);
             else
@@ -777,62 +748,62 @@ WIDE static void compute(const Sheet *g, const Work *w)
     }
 }
 
-static PyObject *columns(PyObject *self, PyObject *args)
+/* Problem and buffers from Python; 0 with an error set. */
+static int taken_sheet(PyObject *args, Held *held, Sheet *g)
 {
-    (void)self;
     PyObject *o[11];
+    long long round, odd, aspects;
+    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOddddLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
+                          o + 9, o + 10, &g->distance, &g->aspect_m, &g->from, &g->step, &round, &odd, &aspects))
+        return 0;
+    g->round = round, g->odd = odd, g->q = PADDED(aspects);
+    if (!(g->views = take(held, o[0], -1, 0)) || (g->v = odd < 0 ? 0 : taken(held) / (24 + 8 * odd)) < 1 ||
+        taken(held) != (24 + 8 * odd) * g->v ||
+        !(g->wavenumber = take(held, o[1], -1, 0)) || (g->f = taken(held) / 8) < 1 ||
+        !(g->unit = take(held, o[2], -1, 0)) || (g->n = taken(held) / 16) < 1 || g->n > MOST_CELLS ||
+        !(g->table = take(held, o[3], -1, 0)) || (g->entries = taken(held) / 16) < 2 ||
+        !(g->tag = take(held, o[4], -1, 0)))
+        return refused("views, frequencies, contour or table");
+    g->k = taken(held) / 24;
+    if (!(g->group = take(held, o[5], 16 * g->k, 0)))
+        return 0;
+    for (int64_t i = 0; i < g->k; i++) {
+        if (g->group[i] < 0 || g->group[g->k + i] < 0)
+            return refused("groups");
+        g->turns = g->group[i] >= g->turns ? g->group[i] + 1 : g->turns;
+        g->stretches = g->group[g->k + i] >= g->stretches ? g->group[g->k + i] + 1 : g->stretches;
+    }
+    g->sources = g->k + g->odd, g->t = HEAD + 2 + g->turns + g->stretches + 2 * g->odd;
+    g->columns = SHAPES + (g->k > 0) + (g->k > 1 ? g->k : 0) + g->odd;
+    if (g->q < UNIT)
+        return refused("aspects or odd scatterers");
+    if (!(g->x = take(held, o[6], 8 * g->t, 0)) || !(g->shape = take(held, o[7], 48, 0)) ||
+        !(g->values = take(held, o[8], 16 * g->f * g->columns * g->v, 1)) ||
+        !(g->past = take(held, o[9], 8 * g->odd, 0)) || !(g->rates = take(held, o[10], -1, 1)))
+        return 0;
+    g->with_slopes = taken(held) > 0;
+    if (g->with_slopes && taken(held) != 16 * g->t * g->f * g->columns * g->v)
+        return refused("sizes of the results");
+    return 1;
+}
+
+static PyObject *computed(PyObject *args)
+{
     Sheet g = {0};
     Work w;
     Held held = {0};
-    long long round, odd, aspects;
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOddddLLL", o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
-                          o + 9, o + 10, &g.distance, &g.aspect_m, &g.from, &g.step, &round, &odd, &aspects))
-        return NULL;
-    g.round = round, g.odd = odd, g.q = PADDED(aspects);
-    if (!(g.views = take(&held, o[0], -1, 0)) || (g.v = odd < 0 ? 0 : taken(&held) / (24 + 8 * odd)) < 1 ||
-        taken(&held) != (24 + 8 * odd) * g.v ||
-        !(g.wavenumber = take(&held, o[1], -1, 0)) || (g.f = taken(&held) / 8) < 1 ||
-        !(g.unit = take(&held, o[2], -1, 0)) || (g.n = taken(&held) / 16) < 1 || g.n > MOST_CELLS ||
-        !(g.table = take(&held, o[3], -1, 0)) || (g.entries = taken(&held) / 16) < 2 ||
-        !(g.tag = take(&held, o[4], -1, 0))) {
-        refused("views, frequencies, contour or table");
+    if (!taken_sheet(args, &held, &g))
         return finished(&held);
-    }
-    g.k = taken(&held) / 24;
-    if (!(g.group = take(&held, o[5], 16 * g.k, 0)))
-        return finished(&held);
-    for (int64_t i = 0; i < g.k; i++) {
-        if (g.group[i] < 0 || g.group[g.k + i] < 0) {
-            refused("groups");
-            return finished(&held);
-        }
-        g.turns = g.group[i] >= g.turns ? g.group[i] + 1 : g.turns;
-        g.stretches = g.group[g.k + i] >= g.stretches ? g.group[g.k + i] + 1 : g.stretches;
-    }
-    g.sources = g.k + g.odd, g.t = HEAD + 2 + g.turns + g.stretches + 2 * g.odd;
-    g.columns = SHAPES + (g.k > 0) + (g.k > 1 ? g.k : 0) + g.odd;
-    if (g.odd < 0 || g.q < UNIT || !(g.x = take(&held, o[6], 8 * g.t, 0)) || !(g.shape = take(&held, o[7], 48, 0)) ||
-        !(g.values = take(&held, o[8], 16 * g.f * g.columns * g.v, 1)) || !(g.past = take(&held, o[9], 8 * g.odd, 0)) ||
-        !(g.rates = take(&held, o[10], -1, 1))) {
-        if (!PyErr_Occurred())
-            refused("aspects or odd scatterers");
-        return finished(&held);
-    }
-    g.with_slopes = taken(&held) > 0;
-    if (g.with_slopes && taken(&held) != 16 * g.t * g.f * g.columns * g.v) {
-        refused("sizes of the results");
-        return finished(&held);
-    }
     double *base = malloc((size_t)lay_out(&g, &w, NULL) * sizeof(double));
-    if (!base) {
-        release(&held);
-        return PyErr_NoMemory();
-    }
+    if (!base)
+        return no_memory(&held);
     lay_out(&g, &w, base);
     Py_BEGIN_ALLOW_THREADS compute(&g, &w);
     Py_END_ALLOW_THREADS free(base);
     return finished(&held);
 }
+
+METHOD(columns, computed(args))
 
 static PyMethodDef methods[] = {
     {"columns", columns, METH_VARARGS,

@@ -1,4 +1,5 @@
-/* Waves without a call to the library of C, so that loops over them become vectors. */
+/* Waves without a call to the library of C, so that loops over them become vectors. Planes (.., 2, V) hold real
+ * and imaginary parts apart. */
 #ifndef TAGID_WAVE_H
 #define TAGID_WAVE_H
 #include "_buffers.h"
@@ -22,6 +23,32 @@ INLINE void wave_of(double x, double *re, double *im)
     s = s * q - 1.6666666666666666e-01, c = c * q + 4.1666666666666664e-02;
     *im = -sign * (r + r * q * s);
     *re = sign * (1.0 + q * (c * q - 0.5));
+}
+
+/* So many waves (count, 2, V) at the next frequency: each times its step. */
+INLINE void advance(double *waves, const double *steps, int64_t count, int64_t V)
+{
+    for (int64_t i = 0; i < count; i++) {
+        double *restrict wave = waves + 2 * i * V;
+        const double *restrict step = steps + 2 * i * V;
+#pragma omp simd
+        for (int64_t v = 0; v < V; v++) {
+            const double re = wave[v], im = wave[V + v];
+            wave[v] = re * step[v] - im * step[V + v];
+            wave[V + v] = re * step[V + v] + im * step[v];
+        }
+    }
+}
+
+/* sum += factor a b, all planes. */
+INLINE void add_product(const double *restrict a, const double *restrict b, double factor, int64_t V,
+                        double *restrict sum)
+{
+#pragma omp simd
+    for (int64_t v = 0; v < V; v++) {
+        sum[v] += factor * (a[v] * b[v] - a[V + v] * b[V + v]);
+        sum[V + v] += factor * (a[v] * b[V + v] + a[V + v] * b[v]);
+    }
 }
 
 #endif

@@ -23,9 +23,8 @@ from tagid.reading.hypotheses import TRANSFERS
 from tagid.reading.hypothesis import Arranged, Candidate, disc_of
 from tagid.reading.spectra import MODEL_ERROR, Spectra
 from tagid.reading.transfers.plain import BARE
-from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.transfer import Transfer
-from tagid.reading.transfers.wall import WALLS
+from tagid.reading.transfers.wall import RODS, WALLS
 from tagid.tags.layouts.codebook import best_pairing
 from tagid.tags.layouts.layout import Layout
 from tagid.types import Floats
@@ -34,10 +33,9 @@ ENERGY_0DB = 0.13
 """Energy of a reflector's echo per view and frequency over the noise's at an SNR of 0 dB (`tagid simulate`),
 where its loudest sample is as loud as the noise."""
 _KAPPA = 4 * np.pi / SPEED_OF_LIGHT * np.linspace(3.3e9, 4.7e9, 9)
-_UPRIGHT = tuple(wall for wall in (*WALLS, *RODS) if wall.name.endswith("V"))
 BODIES: dict[str, tuple[Transfer, ...]] = {"helmet": (BARE,)}
 """What objects of a kind may be, for upright antennas: a helmet's shell hardly changes its reflectors."""
-_ANY: tuple[Transfer, ...] = (BARE, *_UPRIGHT)
+_ANY: tuple[Transfer, ...] = (BARE, *(wall for wall in (*WALLS, *RODS) if wall.name.endswith("V")))
 _TURNS, _TRIED, _REFINED = 24, 3, 2
 """Turns tried on the true body, those of them tried on every body, and starts that are refined."""
 

@@ -174,7 +174,6 @@ class Model:
 
     @property
     def parameters(self) -> int:
-        """Number of parameters."""
         tag = 0 if self.tag is None else self.tag.turns + self.tag.stretches
         return self.head + tag + self.lifts + self.spot * self.odd
 
@@ -190,7 +189,6 @@ class Model:
 
     @property
     def columns(self) -> int:
-        """Number of columns."""
         return (
             self.body_columns
             + (0 if self.tag is None else len(self.transfer.power) + self.bounces + self.unlike)
@@ -491,8 +489,7 @@ class Columns:
         if body:
             parts.append(waves[:, :1])
             if model.oval:
-                twice = 2 * spectra.direction
-                oval = np.stack([np.cos(twice), np.sin(twice)])
+                oval = _twice(spectra.direction)
                 parts.append(waves[:, :1] * oval)
         if tag is not None:
             facing = tag.angle + turn[tag.turn]
@@ -547,11 +544,7 @@ class Columns:
         return out, turned
 
     def slopes(self, weights: Complex) -> Complex:
-        """(P, F, V) change of the sum of weights times columns with the parameters.
-
-        Args:
-            weights: (F, n, 1) amplitudes, or (F, n, V) any weights.
-        """
+        """See `Seen`; weights: (F, n, 1) amplitudes, or (F, n, V) any."""
         model, x = self.model, self.x
         sources, turned = self._weighted(weights)
         moved = sources * self.waves * (-1j * self.spectra.kappa[:, None, None] - 2 / self.range_m)

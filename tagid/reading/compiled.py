@@ -118,9 +118,6 @@ class Compiled:
             _POWERS[kind, some] = power
         return power
 
-    def foresee(self, x: Floats) -> None:
-        """A descent begins here."""
-
 
 class Given(Compiled):
     """The same of a model whose columns are given: of a sheet, and values alone of any other."""
@@ -130,14 +127,12 @@ class Given(Compiled):
         self._last: list[tuple[bytes, Complex, Complex | None]] = []
 
     def values(self, x: Floats, some: Sequence[Amplitudes], clutter: Sequence[float]) -> Floats:
-        """See `Compiled.values`."""
         out = np.empty((len(clutter), len(some)))
         columns, _ = self.columns(x, slopes=False)
         self._given(_evidence.given_values, columns, np.zeros(0), tuple(some), clutter, out)
         return out + self.model.log_prior(x)[0]
 
     def expanded(self, x: Floats, powers: Amplitudes, clutter: float) -> tuple[float, Floats, Floats]:
-        """See `Compiled.expanded`."""
         p = len(x)
         out = np.empty(1 + p + p * p)
         columns, rates = self.columns(x, slopes=True)
@@ -156,10 +151,6 @@ class Given(Compiled):
         expanded = here.expanded if isinstance(here, SheetColumns) and slopes else (here.values, None)
         self._last = [(place, *expanded), *self._last[:_KEPT]]
         return expanded
-
-    def foresee(self, x: Floats) -> None:
-        """See `Compiled.foresee`: the columns come with slopes at once."""
-        self.columns(x, slopes=True)
 
     def _given(
         self,

@@ -94,7 +94,8 @@ def settled(named: Joint | None, other: Joint, untagged: Joint, needed: Needed =
     if other.mixed and winner is other:
         return refused("unknown", f"one of the recordings shows {words(rival)}", rival, Code.DISAGREE)
     if winner.log_z - untagged.log_z < SURE:
-        return refused("no_tag", words(untagged.shown), untagged.shown, _without_tag(untagged.shown))
+        code = Code.NO_ECHO if _silent(untagged.shown) else Code.NO_TAG
+        return refused("no_tag", words(untagged.shown), untagged.shown, code)
     if best is None:
         return refused("unknown", _stranger(rival), rival, Code.OTHER)
     if rival.name is not None:
@@ -124,11 +125,6 @@ def _silent(hypothesis: Hypothesis) -> bool:
     """Whether nothing turns but noise."""
     model = hypothesis.estimate.model
     return not (model.transfer.body or model.odd or hypothesis.estimate.powers.clutter)
-
-
-def _without_tag(winner: Hypothesis) -> Code:
-    """Whether an untagged hypothesis is that nothing turns there but noise."""
-    return Code.NO_ECHO if _silent(winner) else Code.NO_TAG
 
 
 def _difference(winner: Hypothesis, best: Hypothesis) -> Code:

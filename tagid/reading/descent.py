@@ -13,7 +13,7 @@ from tagid.reading.columns import Model
 from tagid.reading.compiled import Amplitudes, Compiled, Given, fits
 from tagid.reading.evidence import fit, log_evidence
 from tagid.reading.spectra import Spectra
-from tagid.types import Floats
+from tagid.types import Complex, Floats
 from tagid.workers import check_wanted
 
 CLUTTER = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)
@@ -43,6 +43,11 @@ class Powers:
     tag: float = 0.3
     oval: float = 1e-3
 
+    @property
+    def amplitudes(self) -> Amplitudes:
+        """Those of the columns."""
+        return self.body, self.tag, self.oval
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -61,6 +66,14 @@ class Estimate:
     log: float
     log_z: float
     centre_sd_m: float
+
+    def whitened(self, spectra: Spectra) -> tuple[Complex, Complex, Floats, Floats]:
+        """Columns and data in the basis of the whitener, their variance, and powers: see `evidence.fit`."""
+        model = self.model
+        columns = spectra.whiteners[model.disc].apply(model.at(spectra, self.x, slopes=False).values)
+        lam = variance(spectra, model, self.powers.clutter)
+        power = model.power(spectra.moving, *self.powers.amplitudes)
+        return columns, spectra.white[model.disc], lam, power
 
     def beside(self, spectra: Spectra) -> NDArray[np.complex128]:
         """(F, n, V) columns of the reflectors."""
@@ -133,9 +146,6 @@ class _Numpy:
         variances = [variance(spectra, model, sigma)[None] for sigma in clutter]
         logs = [log_evidence(columns, spectra.white[model.disc], lam, power) for lam in variances]
         return np.stack(logs) + model.log_prior(x)[0]
-
-    def foresee(self, x: Floats) -> None:
-        pass
 
     def expanded(self, x: Floats, powers: Amplitudes, clutter: float) -> tuple[float, Floats, Floats]:
         spectra, model = self.spectra, self.model
@@ -229,7 +239,7 @@ def climbed(
 
 def descend(spectra: Spectra, model: Model, x: Floats, powers: Powers, rounds: int) -> tuple[Floats, Here]:
     """To the most probable parameters near x at fixed powers."""
-    likelihood, given = _likelihood(spectra, model), ((powers.body, powers.tag, powers.oval), powers.clutter)
+    likelihood, given = _likelihood(spectra, model), (powers.amplitudes, powers.clutter)
     if isinstance(likelihood, Compiled) and not isinstance(likelihood, Given):
         x, log, gradient, hessian = likelihood.descended(x, *given, rounds, FAR_M, ENOUGH)
         return x, Here(log, gradient, hessian)
@@ -259,7 +269,9 @@ def refined(
     """
     check_wanted()
     x = np.asarray(x, dtype=float)
-    _likelihood(spectra, model).foresee(x)
+    likelihood = _likelihood(spectra, model)
+    if isinstance(likelihood, Given):
+        likelihood.columns(x, slopes=True)  # a descent will want the slopes, which come at once
     for clutter in stages:
         used, _ = best_powers(spectra, model, x, clutter)
         x, here = descend(spectra, model, x, used, rounds)

@@ -20,7 +20,6 @@ from tagid.reading.calibration import Bound
 from tagid.reading.looks import LOOKS, SPENT, Look, agreed
 
 FORMAT_VERSION = 2
-_MOST_VIEWS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,7 @@ class EndingCalibration:
     @cache
     def shipped(cls) -> EndingCalibration:
         """The package's own. Raises ModelError if the file is damaged."""
-        text = (resources.files("tagid.reading") / "ending.json").read_text("utf-8")
-        return cls.from_json(text)
+        return cls.from_json((resources.files("tagid.reading") / "ending.json").read_text("utf-8"))
 
     @classmethod
     def from_json(cls, text: str) -> EndingCalibration:
@@ -105,7 +103,7 @@ class EndingCalibration:
         """
         _, score = agreed(looks)
         newest = looks[-1]
-        if newest.views_per_turn < self.fewest_views:
+        if newest.views / newest.share < self.fewest_views:
             return self._bound(1.0, false_accept, 0)
         reached = sum(reached_score >= score for reached_score in self.scores)
         p_value = 1.0 if score == -inf else min((reached + 1) / (self.turns + 1), 1.0)

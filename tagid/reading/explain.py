@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tagid.fields.thin_shell import BoxShell
 from tagid.reading.decision import is_same, words
-from tagid.reading.descent import Estimate, variance
+from tagid.reading.descent import Estimate
 from tagid.reading.evidence import fit
 from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.reading import Explanation, Kind, Reflector, Residuals
@@ -48,12 +48,8 @@ class Explained:
     @classmethod
     def of(cls, spectra: Spectra, hypothesis: Hypothesis) -> Explained:
         """That of a hypothesis of a recording."""
-        estimate, model = hypothesis.estimate, hypothesis.estimate.model
-        columns = spectra.whiteners[model.disc].apply(model.at(spectra, estimate.x, slopes=False).values)
-        data = spectra.white[model.disc]
-        powers = estimate.powers
-        power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
-        amplitudes = fit(columns, data, variance(spectra, model, powers.clutter), power).amplitudes
+        columns, data, lam, power = hypothesis.estimate.whitened(spectra)
+        amplitudes = fit(columns, data, lam, power).amplitudes
         residual = data - (amplitudes[:, None] @ columns)[:, 0]
         noise = data.shape[1] * (1 - MODEL_ERROR**2 * spectra.moving).sum()
         unexplained = (np.abs(residual) ** 2).sum() - noise

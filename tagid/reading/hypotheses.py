@@ -17,6 +17,7 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import PLANE_SD_M, RING_M, Model, Priors
 from tagid.reading.descent import FAR_M, TAG, Estimate, Powers, best_powers, refined
 from tagid.reading.hypothesis import (
+    MOST_ODD,
     Arranged,
     Candidate,
     Hypothesis,
@@ -31,36 +32,41 @@ from tagid.reading.hypothesis import (
 )
 from tagid.reading.odd import OddMap
 from tagid.reading.remainder import anywhere
-from tagid.reading.resized import resized
 from tagid.reading.sheet import KINDS, Kind, SheetModel
 from tagid.reading.signature import EnrolledBody, SignatureModel
 from tagid.reading.signature_search import Poses, altered
 from tagid.reading.smooth import smoothed
 from tagid.reading.spectra import Spectra
-from tagid.reading.starts import FREE_RINGS_M, Wanted, starts_about
+from tagid.reading.starts import (
+    FREE_RINGS_M,
+    GRID_M,
+    RoundBodies,
+    Wanted,
+    nothing,
+    resized,
+    round_bodies,
+    starts_about,
+    with_clutter,
+)
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
-from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADES
 from tagid.reading.transfers.transfer import Transfer
-from tagid.reading.transfers.wall import WALLS
+from tagid.reading.transfers.wall import RODS, WALLS
 from tagid.reading.uneven import Turned, straightened
-from tagid.reading.untagged import GRID_M, RoundBodies, nothing, round_bodies, with_clutter
 from tagid.tags.layouts.layout import Layout
 from tagid.types import Floats
 
 TRANSFERS: tuple[Transfer, ...] = (BARE, POINTS, *WALLS, *RODS, *SHADES)
 SEARCHED = frozenset((BARE, POINTS, *WALLS[:4], RODS[0], SHADES[1]))
 """Behind which arrangements are looked for; what is found is tried behind the others, too."""
-MOST_ODD, MOST_ODD_UNTAGGED = 2, 5
-"""Odd scatterers that one search adds beside a tag, and where there is none."""
+MOST_ODD_UNTAGGED = 5
+"""Odd scatterers that one search adds where there is no tag."""
 STRAIGHTENED = 3
 """Times at most that the angles of a part of a turn are found: first by hypotheses that wrong ones bent."""
 LIMIT_ODD, LIMIT_ODD_UNTAGGED = 4, 7
 """Odd scatterers beside a tag, and where there is none, at most."""
 EVENED = 8
 """Kinds of rivals that get as many odd scatterers as what they compete with."""
-MOST_REFLECTORS = 5
-"""Reflectors of an arrangement that is not enrolled."""
 FIRST, THEN = 16, 8
 """Starts that are refined under much clutter, and those of them that are refined wholly."""
 STRAYS_M = (-9e-3, -4.5e-3, 0.0, 4.5e-3, 9e-3)
@@ -100,8 +106,6 @@ class Contest:
     sheets: Sequence[Kind] = KINDS
     enrolled: Sequence[EnrolledBody] = ()
     priors: Priors = field(default_factory=Priors)
-    most_odd: int = MOST_ODD
-    most_reflectors: int = MOST_REFLECTORS
     hypotheses: list[Hypothesis] = field(default_factory=list, init=False)
     _centres: list[complex] = field(default_factory=list, init=False)
     _tried: set[Estimate] = field(default_factory=set, init=False)
@@ -115,7 +119,7 @@ class Contest:
     @property
     def wanted(self) -> Wanted:
         """What is looked for."""
-        return Wanted(self.spectra, self.layouts, self._planes, self.most_reflectors)
+        return Wanted(self.spectra, self.layouts, self._planes)
 
     @cached_property
     def _odd(self) -> OddMap:
@@ -173,11 +177,11 @@ class Contest:
         body = bodies.best
         centres = [body.centre, *GRID_M]
         # A loud tag moves the centre that a body alone seems to have.
-        near = distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)], 1e-3)
+        near = distinct([body.centre, *self._centres, *(body.centre + step for step in _NEAR_M)])
         powers, self._shapes = bodies.powers, bodies.shapes
         known = body.centre_sd_m < _KNOWN_M
         self._look(centres, near if known else centres, powers, self._shapes, GRID_M[::2])
-        self._beside_others(self._shapes)
+        self._beside_others()
         best = max(self.hypotheses, key=lambda hypothesis: hypothesis.log_z).estimate
         if known and min(abs(best.centre - centre) for centre in near) > ELSEWHERE_M:
             self._look([best.centre], [best.centre], [with_clutter(best.powers)] * 2, [np.zeros(2)] * 2)
@@ -202,7 +206,7 @@ class Contest:
         self._as_free()
         self._raised()
         self._one_more()
-        self._beside_others(self._shapes)
+        self._beside_others()
         self._by_hand()
         self._unbound()
         self._evened()
@@ -238,9 +242,9 @@ class Contest:
         for hypothesis in self._best(9, enrolled=True):
             layouts.setdefault(hypothesis.layout, hypothesis)
         for layout in list(layouts.values())[:RESIZED]:
-            starts = resized(self.spectra, self.searched, FREE_RINGS_M, layout)
+            starts = resized(self.spectra, self.searched, layout)
             for start in sorted(starts, key=lambda start: -start.log)[:RESIZED]:
-                self.grow(self._placed(None, start.model, start.x), self.most_odd)
+                self.grow(self._placed(None, start.model, start.x), MOST_ODD)
 
     def _refine(self, starts: list[Candidate], powers: Sequence[Powers]) -> None:
         """The best starts of every kind under the clutter that a body leaves; the best of those wholly."""
@@ -274,7 +278,7 @@ class Contest:
             done.append((layout, estimate))
             self.add(layout, estimate, starts[i].middle)
 
-    def _beside_others(self, shapes: Sequence[Floats]) -> None:
+    def _beside_others(self) -> None:
         """The best pose of every layout and of free arrangements of every number, beside all but sheets."""
         best: dict[tuple[str, int], Hypothesis] = {}
         for hypothesis in sorted(self.hypotheses, key=lambda hypothesis: -hypothesis.log_z):
@@ -291,7 +295,7 @@ class Contest:
                     arranged = Arranged.of(hypothesis.layout, walled.covers_middle)
                     tag, middle = arranged.tag, arranged.middle
                 walled = replace(walled, tag=tag)
-                shape = estimate.x[2:4] if model.shapes else shapes[model.disc]
+                shape = estimate.x[2:4] if model.shapes else self._shapes[model.disc]
                 x = np.r_[estimate.x[:2], shape[: walled.shapes], estimate.x[model.head :]]
                 outward = np.zeros(len(x))
                 outward[walled.head + tag.turns :][: tag.stretches] = 1.0
@@ -314,9 +318,8 @@ class Contest:
             if hypothesis.estimate in self._tried:
                 continue
             self._tried.add(hypothesis.estimate)
-            for layout, model, x, middle in as_layouts(hypothesis.estimate, self.layouts, self.most_odd):
-                best = self.add(layout, refined(self.spectra, model, x, (1e-2, None)), middle)
-                self.grow(best, self.most_odd - model.odd)
+            for layout, model, x, middle in as_layouts(hypothesis.estimate, self.layouts):
+                self.grow(self._placed(layout, model, x, middle=middle), MOST_ODD - model.odd)
 
     def _as_free(self) -> None:
         """Free arrangements where the best layouts stand, about the body's own centre."""
@@ -327,24 +330,19 @@ class Contest:
             head = estimate.x[: model.head].copy()
             if model.about.start:
                 head[model.about] = 0.0
-            freed = replace(
-                model,
-                tag=Arrangement.about(estimate.positions - complex(estimate.x[0], estimate.x[1])),
-                odd=0,
-            )
-            best = refined(
-                self.spectra, freed, np.r_[head, np.zeros(freed.parameters - model.head)], (None,), 8
-            )
-            self.grow(self.add(None, best), self.most_odd)
+            tag = Arrangement.about(estimate.positions - complex(estimate.x[0], estimate.x[1]))
+            freed = replace(model, tag=tag, odd=0)
+            x = np.r_[head, np.zeros(freed.parameters - model.head)]
+            self.grow(self._placed(None, freed, x, (None,), 8), MOST_ODD)
 
     def _facing(self) -> None:
         """The best bare tags, of reflectors that return less from behind."""
         for enrolled in (True, False):
             every = self._best(len(self.hypotheses), enrolled=enrolled)
             for hypothesis in [h for h in every if h.estimate.model.transfer is BARE][:3]:
-                model = replace(hypothesis.estimate.model, transfer=FACING)
-                best = refined(self.spectra, model, hypothesis.estimate.x, (1e-3, None))
-                self.add(hypothesis.layout, best, hypothesis.middle, hypothesis.prior)
+                model, x = replace(hypothesis.estimate.model, transfer=FACING), hypothesis.estimate.x
+                facing = refined(self.spectra, model, x, (1e-3, None))
+                self.add(hypothesis.layout, facing, hypothesis.middle, hypothesis.prior)
 
     def _hidden(self) -> None:
         """The best bare tags, not seen from a sector of directions: behind a post or a hand."""
@@ -353,17 +351,11 @@ class Contest:
             bare = [hypothesis for hypothesis in self._rough if hypothesis.estimate.model.transfer is BARE]
             bare = [hypothesis for hypothesis in bare if (hypothesis.layout is not None) == enrolled]
             for hypothesis in sorted(bare, key=lambda hypothesis: -hypothesis.log_z)[:2]:
-                starts = 2 * np.pi * np.arange(12) / 12
-                sectors = [
-                    replace(hypothesis.estimate.model, hidden=(s, w)) for s in starts for w in HIDDEN_RAD
-                ]
-                logs = [best_powers(self.spectra, model, hypothesis.estimate.x, 1e-2)[1] for model in sectors]
-                model = sectors[int(np.argmax(logs))]
-                self.add(
-                    hypothesis.layout,
-                    refined(self.spectra, model, hypothesis.estimate.x, (1e-2, None)),
-                    hypothesis.middle,
-                )
+                model, x = hypothesis.estimate.model, hypothesis.estimate.x
+                every = product(2 * np.pi * np.arange(12) / 12, HIDDEN_RAD)
+                sectors = [replace(model, hidden=sector) for sector in every]
+                logs = [best_powers(self.spectra, sector, x, 1e-2)[1] for sector in sectors]
+                self._placed(hypothesis.layout, sectors[int(np.argmax(logs))], x, middle=hypothesis.middle)
 
     def _one_less(self) -> None:
         """The best layouts without one of their reflectors, which then is missing or was never there."""
@@ -374,7 +366,7 @@ class Contest:
             for k in range(tag.count):
                 model = replace(estimate.model, tag=tag.of(np.delete(np.arange(tag.count), k)))
                 prior = float(np.log(LOST / tag.count))
-                self.add(None, refined(self.spectra, model, estimate.x, (None,)), prior=prior)
+                self._placed(None, model, estimate.x, (None,), prior=prior)
 
     def _raised(self) -> None:
         """The best layouts' plans with any heights, where heights are in question."""
@@ -394,8 +386,9 @@ class Contest:
             starts = [np.append(estimate.x[:first], heights + rise) for rise in rises]
             logs = [best_powers(self.spectra, raised, x, 1e-2)[1] for x in starts]
             for i in np.argsort(logs)[::-1][:2]:
-                best = refined(self.spectra, raised, starts[i], (1e-2, None))
-                self.grow(self.add(None, best, hypothesis.middle, float(np.log(RAISED))), self.most_odd)
+                prior = float(np.log(RAISED))
+                best = self._placed(None, raised, starts[i], middle=hypothesis.middle, prior=prior)
+                self.grow(best, MOST_ODD)
 
     def _untagged(self) -> RoundBodies:
         """Nothing, and a round body, with clutter of either disc."""
@@ -413,7 +406,7 @@ class Contest:
             disc = disc_of(body.signature.radius_m)
             alone = SignatureModel.of(body, POINTS, disc, self.spectra.levels, self.priors)
             poses = Poses(self.spectra, body, alone.disc)
-            starts = [np.r_[pose.head, 0.0, 0.0] for pose in poses.best(POSES)]
+            starts = [np.r_[pose, 0.0, 0.0] for pose in poses.best(POSES)]
             if alone.whole:
                 rough = [refined(self.spectra, alone, x) for x in starts]
                 alone = alone.levelled(self.spectra, max(rough, key=lambda estimate: estimate.log_z).x)
@@ -426,7 +419,7 @@ class Contest:
                 continue
             for guest in guests:
                 (pose,) = poses.best(1, guest.estimate.beside(self.spectra))
-                placed.append(self._placed(guest.layout, *alone.with_guest(guest.estimate, pose.head)))
+                placed.append(self._placed(guest.layout, *alone.with_guest(guest.estimate, pose)))
             stands += [Stand.of(self.spectra, estimate) for estimate in bodies_apart(placed)]
         if not stands:
             return
@@ -445,8 +438,7 @@ class Contest:
         ]
         powers = Powers(1e-2, estimate.powers.body)
         for model, x in altered(self.spectra, models, estimate.x, powers, MOST_ALTERED):
-            again = refined(self.spectra, model, x, (1e-2, None))
-            self.add(None, again, prior=float(np.log(LOST / len(TAG))))
+            self._placed(None, model, x, prior=float(np.log(LOST / len(TAG))))
 
     def _about(self, stands: Sequence[Stand], near: Sequence[complex]) -> list[list[Candidate]]:
         """Reflectors beside enrolled bodies in their poses, about centres near theirs, if any are given."""
@@ -455,16 +447,25 @@ class Contest:
             for stand, starts in zip(stands, by_stand, strict=True):
                 if transfer.body:
                     model = SignatureModel.of(stand.body, transfer, 0, self.spectra.levels, self.priors)
-                    centres = distinct(
-                        [*stand.centres, *(stand.centres[-1] + 2 * step for step in near)], 1e-3
-                    )
+                    centres = distinct([*stand.centres, *(stand.centres[-1] + 2 * step for step in near)])
                     starts += starts_about(
                         self.wanted, model, centres, [stand.powers] * 2, stand=stand, wide=1 if near else 0
                     )
         return by_stand
 
-    def _placed(self, layout: Layout | None, model: Model, x: Floats) -> Hypothesis:
-        return self.add(layout, refined(self.spectra, model, x, (1e-2, None)))
+    def _placed(
+        self,
+        layout: Layout | None,
+        model: Model,
+        x: Floats,
+        stages: tuple[float | None, ...] = (1e-2, None),
+        rounds: int = 6,
+        *,
+        middle: bool = False,
+        prior: float = 0.0,
+    ) -> Hypothesis:
+        """Enter a model at its most probable parameters near x (P,); stages and rounds as of `refined`."""
+        return self.add(layout, refined(self.spectra, model, x, stages, rounds), middle, prior)
 
     def _guests(self) -> list[Hypothesis]:
         """The best layouts, and the best free arrangement."""
@@ -480,10 +481,6 @@ class Contest:
         some = [hypothesis for hypothesis in some if (hypothesis.layout is not None) == enrolled]
         return sorted(some, key=lambda hypothesis: -hypothesis.log_z)[:count]
 
-    def _untagged_best(self, count: int) -> list[Hypothesis]:
-        some = [hypothesis for hypothesis in self.hypotheses if hypothesis.estimate.model.tag is None]
-        return sorted(some, key=lambda hypothesis: -hypothesis.log_z)[:count]
-
     def _sheets(self) -> None:
         """Thin sheets, alone, beside what the points have shown, and with all that their tables show."""
 
@@ -496,55 +493,42 @@ class Contest:
 
     def _beside_odd(self) -> None:
         """The best of every kind beside odd scatterers, added while they pay."""
-        kinds: tuple[tuple[list[Hypothesis], int], ...] = (
-            (self._untagged_best(6), MOST_ODD_UNTAGGED),
-            (self._best(5, enrolled=True), self.most_odd),
-            (self._best(9, enrolled=False), self.most_odd),
-        )
-        for some, most in kinds:
-            for hypothesis in some:
-                self.grow(hypothesis, most)
+        untagged = [hypothesis for hypothesis in self.hypotheses if hypothesis.estimate.model.tag is None]
+        untagged.sort(key=lambda hypothesis: -hypothesis.log_z)
+        tagged = self._best(5, enrolled=True) + self._best(9, enrolled=False)
+        for hypothesis in untagged[:6]:
+            self.grow(hypothesis, MOST_ODD_UNTAGGED)
+        for hypothesis in tagged:
+            self.grow(hypothesis, MOST_ODD)
 
     def _anywhere(self) -> None:
         """Alike reflectors on no ring, in the open or before a body, and beside what is loudest."""
-        for rough in anywhere(self.spectra, self.hypotheses, self._planes[-1], self.most_reflectors):
-            best = self.add(None, refined(self.spectra, rough.model, rough.x, (None,)))
-            self.grow(best, self.most_odd - rough.model.odd)
+        for rough in anywhere(self.spectra, self.hypotheses, self._planes[-1]):
+            self.grow(self._placed(None, rough.model, rough.x, (None,)), MOST_ODD - rough.model.odd)
 
     def grow(self, hypothesis: Hypothesis, most: int) -> Hypothesis:
         """The best of a hypothesis beside up to so many odd scatterers, added while they pay."""
         best = self._grown(hypothesis, most)
         if any(best.estimate.model.faced[hypothesis.estimate.model.odd :]):
             # A face that pays most at first may stand where several points pay more.
-            best = max(
-                best, self._grown(hypothesis, most, faces=False), key=lambda hypothesis: hypothesis.log_z
-            )
+            points = self._grown(hypothesis, most, faces=False)
+            best = points if points.log_z > best.log_z else best
         return best
 
     def _grown(self, hypothesis: Hypothesis, most: int, *, faces: bool = True) -> Hypothesis:
         limit = LIMIT_ODD_UNTAGGED if hypothesis.estimate.model.tag is None else LIMIT_ODD
         for _ in range(min(most, limit - hypothesis.estimate.model.odd)):
+            before = hypothesis.estimate
             some = [
-                refined(
-                    self.spectra,
-                    hypothesis.estimate.model.and_odd(face),
-                    np.append(hypothesis.estimate.x, place),
-                    (None,),
-                    8,
-                )
-                for place, face in self._odd.likeliest(hypothesis.estimate, faces=faces)
+                refined(self.spectra, before.model.and_odd(face), np.append(before.x, place), (None,), 8)
+                for place, face in self._odd.likeliest(before, faces=faces)
             ]
-            estimate = max(some, key=lambda estimate: estimate.log_z, default=hypothesis.estimate)
-            if estimate.log_z < hypothesis.estimate.log_z + 1:
+            estimate = max(some, key=lambda estimate: estimate.log_z, default=before)
+            if estimate.log_z < before.log_z + 1:
                 break
-            other = estimate.model.identity != hypothesis.estimate.model.identity
             # An odd scatterer is all that tells another object from the enrolled one.
-            hypothesis = self.add(
-                hypothesis.layout,
-                estimate,
-                hypothesis.middle,
-                hypothesis.prior + (float(np.log(LOST)) if other else 0.0),
-            )
+            lost = float(np.log(LOST)) if estimate.model.identity != before.model.identity else 0.0
+            hypothesis = self.add(hypothesis.layout, estimate, hypothesis.middle, hypothesis.prior + lost)
         return hypothesis
 
     def _one_more(self) -> None:
@@ -552,8 +536,8 @@ class Contest:
         some = [h for h in self._best(len(self.hypotheses), enrolled=True) if h.estimate.model.odd]
         for hypothesis in some[:3]:
             for odd in hypothesis.estimate.odd:
-                best = refined(self.spectra, *hypothesis.estimate.and_alike(odd), (None,))
-                self.grow(self.add(None, best, hypothesis.middle), self.most_odd)
+                alike = hypothesis.estimate.and_alike(odd)
+                self.grow(self._placed(None, *alike, (None,), middle=hypothesis.middle), MOST_ODD)
 
     def _about_own_middle(self) -> None:
         """The best layout and an odd scatterer as one tag about their own middle: loud ones move a body's."""
@@ -576,21 +560,20 @@ class Contest:
                 x[:2] = centre.real, centre.imag
                 starts.append((best_powers(self.spectra, model, x, 1e-2)[1], model, x))
             for _, model, x in sorted(starts, key=lambda start: -start[0])[:2]:
-                self.grow(self._placed(None, model, x), self.most_odd)
+                self.grow(self._placed(None, model, x), MOST_ODD)
 
     def _by_hand(self) -> None:
         """The best layouts with every reflector a little off its place, as they were glued."""
         for hypothesis in self._best(3, enrolled=True):
-            glued = refined(self.spectra, *hypothesis.estimate.by_hand(), (None,))
-            best = self.add(hypothesis.layout, glued, hypothesis.middle)
-            self.grow(best, self.most_odd - hypothesis.estimate.model.odd)
+            glued = hypothesis.estimate.by_hand()
+            best = self._placed(hypothesis.layout, *glued, (None,), middle=hypothesis.middle)
+            self.grow(best, MOST_ODD - hypothesis.estimate.model.odd)
 
     def _unbound(self) -> None:
         """The best layouts' reflectors as free ones: far from their places they are another tag."""
         for hypothesis in self._best(RESIZED, enrolled=True):
             freed, start = hypothesis.estimate.unbound()
-            best = self.add(None, refined(self.spectra, freed, start, (None,)))
-            self.grow(best, self.most_odd - freed.odd)
+            self.grow(self._placed(None, freed, start, (None,)), MOST_ODD - freed.odd)
 
     def _evened(self) -> None:
         """The best rivals of every kind, beside as many odd scatterers as the best with a name has."""

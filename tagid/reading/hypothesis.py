@@ -18,6 +18,10 @@ from tagid.reading.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 from tagid.types import Complex, Floats
 
+MOST_ODD = 2
+"""Odd scatterers that one search adds beside a tag."""
+MOST_REFLECTORS = 5
+"""Reflectors of an arrangement that is not enrolled."""
 FITS_M = 0.012
 """A layout is tried where a free arrangement differs from it by less, m."""
 MIDDLE_M = 5e-3
@@ -32,7 +36,7 @@ class Hypothesis:
 
     Attributes:
         layout: the enrolled one; None for none or an arrangement that is not enrolled.
-        found: the model at its most probable parameters.
+        estimate: the model at its most probable parameters.
         log_z: log evidence, nats.
         middle: the layout has a reflector in the middle, which looks like the body.
         prior: log probability of it, in `log_z`.
@@ -149,11 +153,11 @@ def best_bare(hypotheses: Sequence[Hypothesis], name: str) -> Hypothesis | None:
     return max(bare, key=lambda hypothesis: hypothesis.log_z, default=None)
 
 
-def distinct(positions: Sequence[complex], apart_m: float) -> list[complex]:
-    """Places x + jy, m, without those that stand nearer to one before them."""
+def distinct(positions: Sequence[complex]) -> list[complex]:
+    """Places x + jy, m, without those that stand within 1 mm of one before them."""
     out: list[complex] = []
     for place in positions:
-        if all(abs(place - other) > apart_m for other in out):
+        if all(abs(place - other) > 1e-3 for other in out):
             out.append(place)
     return out
 
@@ -192,9 +196,7 @@ def pose_of(tag: Arrangement, positions: Complex) -> tuple[complex, float] | Non
     return pose
 
 
-def as_layouts(
-    estimate: Estimate, layouts: Sequence[Layout], most_odd: int
-) -> Iterator[tuple[Layout, Model, Floats, bool]]:
+def as_layouts(estimate: Estimate, layouts: Sequence[Layout]) -> Iterator[tuple[Layout, Model, Floats, bool]]:
     """Layouts where points of a hypothesis, alike or odd, stand about as theirs do; the other points are odd.
 
     Gives layout, model, parameters, and whether the body covers the layout's middle.
@@ -209,7 +211,7 @@ def as_layouts(
         arranged = Arranged.of(layout, model.covers_middle)
         for some in combinations(range(len(points)), arranged.tag.count):
             rest = [] if some == alike else [i for i in range(len(points)) if i not in some]
-            pose = pose_of(arranged.tag, points[list(some)]) if len(rest) <= most_odd else None
+            pose = pose_of(arranged.tag, points[list(some)]) if len(rest) <= MOST_ODD else None
             if pose is None:
                 continue
             head[model.about] = (pose[0] - origin).real, (pose[0] - origin).imag
@@ -268,7 +270,7 @@ def same_place(estimate: Estimate, other: Estimate) -> bool:
 
 
 def differ_in_height(estimate: Estimate, other: Estimate) -> bool:
-    """Whether reflectors of `one` stand at other heights than the nearest of `other`, or at any.
+    """Whether reflectors of `estimate` stand at other heights than the nearest of `other`, or at any.
 
     A height that is common to all is that of the object's plane.
     """

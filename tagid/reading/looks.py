@@ -59,11 +59,6 @@ class Look:
     layout: str | None = None
     score: float = -inf
 
-    @property
-    def views_per_turn(self) -> float:
-        """Views as a number per whole turn."""
-        return self.views / self.share
-
 
 def part_of_turn(capture: Capture, share: float) -> Capture:
     """The first part of a turn, averaged into views where there are more scans than `VIEWS_PER_TURN`.

@@ -21,7 +21,7 @@ from tagid.reading.columns import (
     Face,
     seen_of,
 )
-from tagid.reading.descent import Estimate, variance
+from tagid.reading.descent import Estimate
 from tagid.reading.sheet import SheetModel
 from tagid.reading.spectra import Spectra
 from tagid.signal import median
@@ -97,11 +97,8 @@ class OddMap:
         """
         spectra, model, (positions, heights) = self._spectra, estimate.model, self._spots_of
         spots, _ = self._whitened(model.disc)
-        lam = variance(spectra, model, estimate.powers.clutter)
-        columns = spectra.whiteners[model.disc].apply(model.at(spectra, estimate.x, slopes=False).values)
-        columns = columns / np.sqrt(lam)[:, None]
-        y = spectra.white[model.disc] / np.sqrt(lam)
-        power = model.power(spectra.moving, estimate.powers.body, estimate.powers.tag, estimate.powers.oval)
+        columns, data, lam, power = estimate.whitened(spectra)
+        columns, y = columns / np.sqrt(lam)[:, None], data / np.sqrt(lam)
         matrix = columns.conj() @ np.swapaxes(columns, 1, 2) + np.eye(columns.shape[1]) / power[:, None, :]
         held = np.linalg.solve(np.linalg.cholesky(matrix), columns.conj())
         residual = y - ((held @ y[..., None])[..., 0][:, None] @ held.conj())[:, 0]

@@ -14,8 +14,7 @@ from tagid.reading.descent import refined
 from tagid.reading.hypotheses import Contest
 from tagid.reading.hypothesis import Candidate
 from tagid.reading.spectra import Spectra
-from tagid.reading.starts import starts_about
-from tagid.reading.untagged import GRID_M, nothing, round_bodies
+from tagid.reading.starts import GRID_M, nothing, round_bodies, starts_about
 from tagid.tags.layouts.layout import Layout
 
 REFINED = 2

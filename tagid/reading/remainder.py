@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import APART_M, REACH_M, Model
 from tagid.reading.descent import Estimate, Powers, refined, variance
-from tagid.reading.hypothesis import Hypothesis
+from tagid.reading.hypothesis import MOST_REFLECTORS, Hypothesis
 from tagid.reading.search import Blocks, Choice, Tables, about, held_in
 from tagid.reading.spectra import Spectra, Whitener
 from tagid.reading.transfers.transfer import Transfer
@@ -48,7 +48,7 @@ class Remainder:
         whitener = spectra.whiteners[model.disc]
         root = np.sqrt(variance(spectra, model, powers.clutter))
         columns = whitener.apply(values) / root[:, None]
-        prior = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
+        prior = model.power(spectra.moving, *powers.amplitudes)
         within = columns @ np.swapaxes(columns.conj(), 1, 2) + np.eye(prior.shape[1]) / prior[:, None]
         factor = np.linalg.cholesky(within)
         q = np.asarray(np.linalg.solve(factor, columns))
@@ -98,8 +98,8 @@ def sets(table: Tables, positions: Complex, most: int) -> list[tuple[float, Comp
     return [(log, positions[chosen]) for log, chosen in best]
 
 
-def anywhere(spectra: Spectra, before: Sequence[Hypothesis], height_m: float, most: int) -> list[Estimate]:
-    """The best arrangements of one to `most` alike reflectors anywhere, under much clutter.
+def anywhere(spectra: Spectra, before: Sequence[Hypothesis], height_m: float) -> list[Estimate]:
+    """The best arrangements of one to `MOST_REFLECTORS` alike reflectors anywhere, under much clutter.
 
     Args:
         before: hypotheses; beside the best untagged ones of points with one odd scatterer and without.
@@ -119,7 +119,7 @@ def anywhere(spectra: Spectra, before: Sequence[Hypothesis], height_m: float, mo
         spots = remainder.whitened(waves)
         chosen = remainder.likeliest(spots)
         table = remainder.tables(spots[:, chosen], len(chosen))
-        for _, points in sets(table, nodes[chosen], most):
+        for _, points in sets(table, nodes[chosen], MOST_REFLECTORS):
             tagged = replace(model, tag=Arrangement.points(points - body.centre))
             moved = np.r_[np.zeros(2 * len(points)), [height_m] * tagged.lifts]
             x = np.r_[body.x[: model.head], moved, body.x[model.head :]]

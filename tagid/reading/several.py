@@ -19,7 +19,16 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.decision import Decision, Needed, decide, has_middle, is_same, settled
 from tagid.reading.descent import Estimate, best_powers, refined
 from tagid.reading.hypotheses import Contest
-from tagid.reading.hypothesis import Arranged, Candidate, Hypothesis, Joint, best_bare, disc_of, pose_of
+from tagid.reading.hypothesis import (
+    MOST_ODD,
+    Arranged,
+    Candidate,
+    Hypothesis,
+    Joint,
+    best_bare,
+    disc_of,
+    pose_of,
+)
 from tagid.reading.smooth import smoothed
 from tagid.tags.layouts.layout import Layout
 
@@ -49,23 +58,14 @@ def decide_together(contests: Sequence[Contest], needed: Needed = Needed()) -> D
         return decide(contests[0].hypotheses, needed)
     untagged = _sum([best_of(contest, None) for contest in contests])
     named: dict[str, Joint] = {}
-    for layout in {
-        hypothesis.layout.name: hypothesis.layout
-        for contest in contests
-        for hypothesis in contest.hypotheses
-        if hypothesis.layout
-    }.values():
-        known = [best_of(contest, layout.name) or look_for(contest, layout) for contest in contests]
-        named[layout.name] = _sum(known)
-    for name in {
-        hypothesis.name
-        for contest in contests
-        for hypothesis in contest.hypotheses
-        if hypothesis.name and not hypothesis.layout
-    }:
-        objects = [best_of(contest, name) for contest in contests]
-        if all(objects):
-            named[name] = _sum(objects)
+    every = [hypothesis for contest in contests for hypothesis in contest.hypotheses]
+    layouts = {hypothesis.layout.name: hypothesis.layout for hypothesis in every if hypothesis.layout}
+    for name in dict.fromkeys(hypothesis.name for hypothesis in every if hypothesis.name):
+        known = [best_of(contest, name) for contest in contests]
+        if layout := layouts.get(name):
+            known = [best or look_for(contest, layout) for contest, best in zip(contests, known, strict=True)]
+        if all(known):
+            named[name] = _sum(known)
     if not named:
         return settled(None, untagged, untagged, needed)
     first = clearest(contests)
@@ -78,9 +78,9 @@ def decide_together(contests: Sequence[Contest], needed: Needed = Needed()) -> D
     same = best_of(first, best)
     for contest in contests:
         for hypothesis in _shown(contest, best):
-            there = (
-                hypothesis if contest is first else freed(first, look_for(first, None, _rigid(hypothesis)))
-            )
+            there = hypothesis
+            if contest is not first:
+                there = freed(first, look_for(first, None, _rigid(hypothesis)))
             if same is None or not is_same(there, same):
                 others.append(_chain(contests, first, there, best))
     others += _mixed(contests, best)
@@ -95,10 +95,7 @@ def _mixed(contests: Sequence[Contest], name: str) -> list[Joint]:
     """The recordings as of a name or, where they show something else clearly, of another object."""
     total, another = 0.0, None
     for contest in contests:
-        winner, named = (
-            max(contest.hypotheses, key=lambda hypothesis: hypothesis.log_z),
-            best_of(contest, name),
-        )
+        winner, named = max(contest.hypotheses, key=_log_z), best_of(contest, name)
         if named is None or winner.log_z + ANOTHER > named.log_z:
             total, another = total + winner.log_z + ANOTHER, winner
         else:
@@ -209,7 +206,7 @@ def look_for(
     before = len(contest.hypotheses)
     for start in starts[:LOOKED_FOR]:
         estimate = refined(contest.spectra, start.model, start.x, (1e-2, None))
-        contest.grow(contest.add(layout, estimate, start.middle), contest.most_odd)
+        contest.grow(contest.add(layout, estimate, start.middle), MOST_ODD)
     some = [hypothesis for hypothesis in contest.hypotheses[before:] if same is None or not same(hypothesis)]
     # What another recording has shown is no hypothesis of this one.
     del contest.hypotheses[before:]

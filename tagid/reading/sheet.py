@@ -99,16 +99,8 @@ BOX = Kind(
     _transfer("box", "a box of thin walls", True), BoxShell, 0.063, 0.5, 10e-3, _sizes(0.025, 35), THIN_M
 )
 METAL = Kind(_transfer("metal box", "a box of metal"), BoxShell, 0.055, 0.5, 3e-3, _sizes(0.02, 39), METAL_M)
-CAN = Kind(
-    _transfer("metal can", "a body of metal"),
-    EllipticShell,
-    size_m=0.036,
-    size_sd=0.35,
-    tag_sd_m=MOUNTING_SD_M,
-    sizes_m=_sizes(0.02, 22),
-    strength_m=METAL_M,
-    tagged_m=(0.032, 0.04),
-)
+_CAN = _transfer("metal can", "a body of metal")
+CAN = Kind(_CAN, EllipticShell, 0.036, 0.35, MOUNTING_SD_M, _sizes(0.02, 22), METAL_M, (0.032, 0.04))
 CUP = Kind(
     _transfer("cup", "a cup", True), EllipticShell, 0.037, 0.25, MOUNTING_SD_M, _sizes(0.025, 15), CERAMIC_M
 )
@@ -136,7 +128,6 @@ class SheetModel(Model):
 
     @property
     def body_parameters(self) -> int:
-        """Parameters of the body."""
         return HEAD
 
     @property
@@ -151,19 +142,11 @@ class SheetModel(Model):
 
     @property
     def body_columns(self) -> int:
-        """Number of columns of the sheet."""
         return OBLIQUITIES
 
     @property
     def columns(self) -> int:
-        """Number of columns."""
         return OBLIQUITIES + (self.tag is not None) + self.unlike + self.odd
-
-    @property
-    def heights(self) -> Floats:
-        """(K + odd,) of the reflectors and the odd scatterers, m."""
-        tagged = np.zeros(0) if self.tag is None else self.tag.height_m
-        return np.concatenate([tagged, np.zeros(self.odd)])
 
     @property
     def past(self) -> NDArray[np.bool_]:
@@ -217,7 +200,6 @@ class SheetModel(Model):
         return np.concatenate([super().crowding(x), np.maximum(CLEAR_M - outside, 0) / CLOSE_SD_M], axis=-1)
 
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SheetColumns:
-        """The columns at parameters x (P,)."""
         return SheetColumns(self, spectra, x)
 
 
@@ -249,7 +231,7 @@ class SheetColumns:
     @cached_property
     def view(self) -> ShellView:
         """The sheet from all antennas."""
-        return _view(self._field, self.spectra, self.x)
+        return self._field.seen_from(in_frame(self.x, self.spectra.antenna))
 
     def reflectors(self, positions: Complex, heights: Floats) -> Complex:
         """(F, K, V) echoes of small reflectors at places x + jy, m."""
@@ -257,16 +239,15 @@ class SheetColumns:
 
     @cached_property
     def values(self) -> Complex:
-        """(F, n, V)."""
         return self._seen(self.view, self.x) if _sheet is None else self._compiled(False)[0]
 
     def _seen(self, view: ShellView, x: Floats) -> Complex:
         model = self.model
-        tag, odd = model.positions(x), model.split(x)[3]
+        odd = model.split(x)[3]
         echoes = view.echoes(OBLIQUITIES)
         parts = [echoes / np.sqrt((np.abs(echoes[:, :1]) ** 2).mean(axis=2, keepdims=True))]
-        if len(tag):
-            seen = _reflectors(view, self.spectra, x, tag, model.heights[: len(tag)])
+        if model.tag is not None:
+            seen = _reflectors(view, self.spectra, x, model.positions(x), model.tag.height_m)
             parts += [seen.sum(axis=1, keepdims=True), *([seen] if model.unlike else [])]
         if len(odd):
             parts.append(self._odd(view, x, odd))
@@ -291,14 +272,14 @@ class SheetColumns:
             there = x.copy()
             there[i] += _STEP[i]
             sheet = self if i < 3 else SheetColumns(model, spectra, there)
-            seen = self._seen(_view(sheet._field, spectra, there), there)
+            seen = self._seen(sheet._field.seen_from(in_frame(there, spectra.antenna)), there)
             out[i] = (seen - self.values) / _STEP[i]
         centre, turn, _, odd = model.split(x)
         step = float(_STEP[0])
         if model.tag is not None:
             tag, positions = model.tag, model.positions(x)
             near = np.concatenate([positions, positions + step, positions + 1j * step])
-            seen = self.reflectors(near, np.tile(model.heights[: tag.count], 3))
+            seen = self.reflectors(near, np.tile(tag.height_m, 3))
             here, right, up = np.split(seen, 3, axis=1)
             along_x, along_y = (right - here) / step, (up - here) / step
             first = model.head
@@ -322,7 +303,6 @@ class SheetColumns:
         return out
 
     def slopes(self, weights: Complex) -> Complex:
-        """(P, F, V) change of the sum of weights (F, n, 1 or V) times columns with the parameters."""
         return np.asarray((self.expanded[1] * weights).sum(axis=2))
 
 
@@ -353,10 +333,6 @@ def quadrant(kappa: Floats, shell: ThinShell) -> int:
     """Aspects of a quadrant that hold all harmonics of a sheet's echo, which are even."""
     orders = kappa[-1] * shell.radius_m
     return int(np.ceil((orders + 2 * orders ** (1 / 3) + 2) / 2))
-
-
-def _view(field: ShellField, spectra: Spectra, x: Floats) -> ShellView:
-    return field.seen_from(in_frame(x, spectra.antenna))
 
 
 def _reflectors(view: ShellView, spectra: Spectra, x: Floats, positions: Complex, heights: Floats) -> Complex:

@@ -213,20 +213,6 @@ def _unlike(starts: Sequence[Start], count: int) -> list[Start]:
     return kept
 
 
-@dataclass(frozen=True, eq=False)
-class Beside:
-    """Single reflectors about a sheet.
-
-    Attributes:
-        layouts: tables of layouts, in `RING` turns.
-        spots: tables of some that lie anywhere; places: (N,) theirs, x + jy, m.
-    """
-
-    layouts: Tables
-    spots: Tables
-    positions: Complex
-
-
 def beside(
     spectra: Spectra,
     model: SheetModel,
@@ -234,12 +220,16 @@ def beside(
     tags: Sequence[Arrangement],
     centre: complex,
     powers: Powers,
-) -> Beside:
+) -> tuple[Tables, Tables, Complex]:
     """Tables of reflectors about a sheet.
 
     Args:
         x: parameters of the untagged model.
         tags: of the layouts, about a centre x + jy, m.
+
+    Returns:
+        Tables of the layouts, in `RING` turns; of single reflectors that lie anywhere; and their places (N,),
+        x + jy, m.
     """
     rings_of_tags = [list(zip(np.round(tag.radius_m, 4), tag.height_m, strict=True)) for tag in tags]
     rings = sorted({spot_ring for some in rings_of_tags for spot_ring in some})
@@ -256,14 +246,10 @@ def beside(
     turned = []
     for tag, some in zip(tags, rings_of_tags, strict=True):
         steps = np.rint(tag.angle / (2 * np.pi / RING)).astype(np.intp) + np.arange(RING)[:, None]
-        turned.append(
-            ring[:, np.array([rings.index(spot_ring) for spot_ring in some]) * RING + steps % RING].sum(
-                axis=2
-            )
-        )
+        rows = np.array([rings.index(spot_ring) for spot_ring in some]) * RING + steps % RING
+        turned.append(ring[:, rows].sum(axis=2))
     level = np.repeat([z == 0 for _, z in rings], RING) & (np.arange(len(positions)) % 2 == 0)
     spots = np.concatenate([ring[:, level], spots[:, chosen]], axis=1)
     every = np.concatenate([positions[level], anywhere[chosen]])
-    return Beside(
-        remainder.tables(np.concatenate(turned, axis=1), RING), remainder.tables(spots, len(every)), every
-    )
+    whole = remainder.tables(np.concatenate(turned, axis=1), RING)
+    return whole, remainder.tables(spots, len(every)), every

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import Priors
 from tagid.reading.descent import BODY, OVAL, Estimate, Powers, best_powers, refined
 from tagid.reading.evidence import log_evidence
+from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.remainder import sets
 from tagid.reading.sheet import HEAD, Kind, SheetModel
 from tagid.reading.sheet_search import Seeker, beside
@@ -37,24 +38,11 @@ MOST = 4
 Enter = Callable[[Layout | None, Estimate, int], Estimate]
 
 
-class Entry(Protocol):
-    """A hypothesis that was tried before."""
-
-    @property
-    def layout(self) -> Layout | None: ...
-
-    @property
-    def estimate(self) -> Estimate: ...
-
-    @property
-    def log_z(self) -> float: ...
-
-
 def explain(
     spectra: Spectra,
     layouts: Sequence[Layout],
     kinds: Sequence[Kind],
-    before: Sequence[Entry],
+    before: Sequence[Hypothesis],
     enter: Enter,
     priors: Priors = Priors(),
 ) -> None:
@@ -79,9 +67,8 @@ def explain(
     def fit_best(some: list[_Start], most: tuple[int, int]) -> None:
         some.sort(key=lambda start: -start.log)
         for named, count in zip((True, False), most, strict=True):
-            for _, layout, model, x in [start for start in some if (start.layout is not None) == named][
-                :count
-            ]:
+            best_starts = [start for start in some if (start.layout is not None) == named]
+            for _, layout, model, x in best_starts[:count]:
                 fitted(layout, model, x)
 
     alone = Seeker(spectra)
@@ -207,7 +194,7 @@ def _disc(half_m: float) -> int:
     return 0 if half_m < 0.07 else 1
 
 
-def _guests(before: Sequence[Entry]) -> list[tuple[Layout | None, Estimate]]:
+def _guests(before: Sequence[Hypothesis]) -> list[tuple[Layout | None, Estimate]]:
     """The best layouts, and the best free arrangements of different numbers."""
     out: dict[tuple[Layout | None, int], Estimate] = {}
     for entry in sorted(before, key=lambda entry: -entry.log_z):
@@ -247,11 +234,11 @@ def _about(
         off = centre - sheet_centre
         head = np.r_[x[:HEAD], off.real, off.imag]
         powers = replace(powers, clutter=1e-2, tag=0.3)
-        near = beside(spectra, model, x, arranged, centre, powers)
-        for layout, a, turns in zip(layouts, arranged, search.turned(near.layouts, 2), strict=True):
+        whole, spots, places = beside(spectra, model, x, arranged, centre, powers)
+        for layout, a, turns in zip(layouts, arranged, search.turned(whole, 2), strict=True):
             for turn in turns:
                 yield _Start(turn.log, layout, replace(model, tag=a), np.r_[head, turn.angles[0], 0.0, odd])
-        for log, positions in sets(near.spots, near.positions, MOST):
+        for log, positions in sets(spots, places, MOST):
             tag = Arrangement.points(positions - sheet_centre)
             free = np.r_[x[: HEAD + 2], np.zeros(2 * tag.count), odd]
             yield _Start(log, None, replace(model, tag=tag), free)

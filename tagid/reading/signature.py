@@ -5,9 +5,9 @@ takes up another pulse, and its change from one frequency to the next, which tak
 pulse is cut by the range window: of what a depth r returns late by tau the window keeps W(tau) + r W'(tau),
 and a factor r is a slope over the wavenumber. The parameters of a model begin with those
 of the body: its centre x, y, its turn, how uneven the turn was, and how oval its wall is, which turns the
-reflectors on it. Those of `tagid.reading.columns.Model`
-follow; their centre is that of the tag about the body's. Every harmonic of an object may differ a little from
-the enrolled one, with a random phase: the variance of that is the same whichever way it is turned.
+reflectors on it. Those of `tagid.reading.columns.Model` follow; their centre is that of the tag about the
+body's. Every harmonic of an object may differ a little from the enrolled one, with a random phase: the
+variance of that is the same whichever way it is turned.
 """
 
 from __future__ import annotations
@@ -69,6 +69,7 @@ class EnrolledBody:
     harmonics: Complex
 
     @classmethod
+    @lru_cache(maxsize=64)
     def of(cls, signature: Signature) -> EnrolledBody:
         """That of a signature."""
         energy = np.abs(signature.harmonics) ** 2
@@ -94,16 +95,11 @@ class EnrolledBody:
 
     def at(self, spectra: Spectra) -> Complex:
         """(F, 2 M + 1) harmonics as they arrive at the recording's distance."""
-        return self._nearest(self.harmonics, spectra.kappa) * near_field(
-            spectra.kappa, self.order, spectra.distance_m
-        )
+        near = near_field(spectra.kappa, self.order, spectra.distance_m)
+        return self.nearest(self.harmonics, spectra.kappa) * near
 
-    def error_at(self, spectra: Spectra, disc: int) -> Floats:
-        """(F, M) variance of a unit echo in the basis of a clutter's disc, whichever way it is turned."""
-        basis = np.abs(spectra.whiteners[disc].apply(_harmonics(spectra, self.order))) ** 2
-        return np.asarray((self._nearest(self.error, spectra.kappa)[:, None] @ basis)[:, 0])
-
-    def _nearest(self, values: NDArray[Any], kappa: Floats) -> NDArray[Any]:
+    def nearest(self, values: NDArray[Any], kappa: Floats) -> NDArray[Any]:
+        """(F, ..) values at the frequencies of the signature that are nearest to wavenumbers (F,), rad/m."""
         every = np.abs(self.signature.wavenumbers - kappa[:, None]).argmin(axis=1)
         return np.asarray(values[every])
 
@@ -130,23 +126,19 @@ class SignatureModel(Model):
 
     @property
     def body(self) -> EnrolledBody:
-        """The enrolled body."""
         assert self.enrolled is not None
         return self.enrolled
 
     @property
     def body_parameters(self) -> int:
-        """Parameters of the body."""
         return HEAD
 
     @property
     def body_columns(self) -> int:
-        """Number of columns of the body."""
         return OWN
 
     @property
     def columns(self) -> int:
-        """Number of columns."""
         return OWN + self.rest.columns
 
     @property
@@ -172,26 +164,15 @@ class SignatureModel(Model):
 
     @property
     def words(self) -> str:
-        """The body in words."""
         return f"the enrolled {self.body.signature.kind} {self.body.signature.name}"
 
     @cached_property
     def rest(self) -> Model:
         """What stands beside the body."""
-        return Model(
-            _alone(self.transfer),
-            self.tag,
-            False,
-            self.disc,
-            self.odd,
-            self.hidden,
-            self.levels,
-            priors=self.priors,
-            faces=self.faces,
-        )
+        beside = self.disc, self.odd, self.hidden, self.levels, self.priors, self.faces
+        return Model(_alone(self.transfer), self.tag, False, *beside)
 
     def error(self, spectra: Spectra) -> Floats | float:
-        """(F, M) variance of what differs from the enrolled echo."""
         return 0.0 if self.level is None else self.level[:, None] * _error(self.body, spectra, self.disc)
 
     def levelled(self, spectra: Spectra, x: Floats) -> SignatureModel:
@@ -210,34 +191,24 @@ class SignatureModel(Model):
         return joined, np.r_[head, off.real, off.imag, turn, stretch, np.zeros(joined.lifts)]
 
     def power(self, moving: Floats, body: float, tag: float, oval: float) -> Floats:
-        """(F, n) prior variances of the amplitudes."""
         body_powers = moving[:, None] * body * np.array([1.0, SLOPE**2])
         return np.concatenate([body_powers, self.rest.power(moving, body, tag, oval)], axis=1)
 
     def _sds(self) -> Floats:
         rest = super()._sds()
         rest[:2] = TAG_SD_M
-        return np.concatenate(
-            [
-                [self.priors.centre_m] * 2,
-                [2 * np.pi / np.sqrt(12)],
-                np.repeat(CYCLES_RAD, 2),
-                [TILT_RAD] * 2,
-                rest,
-            ]
-        )
+        turn, uneven = 2 * np.pi / np.sqrt(12), np.repeat(CYCLES_RAD, 2)
+        return np.asarray(np.r_[[self.priors.centre_m] * 2, turn, uneven, [TILT_RAD] * 2, rest])
 
     @cached_property
     def _normal(self) -> NDArray[np.bool_]:
         return np.concatenate([np.arange(HEAD) != 2, super()._normal])
 
     def _log_prior(self, x: Floats) -> tuple[float, Floats, Floats]:
-        """See `Model`."""
         log, slope, hessian = super()._log_prior(x)
         return log - float(np.log(2 * np.pi)), slope, hessian
 
     def at(self, spectra: Spectra, x: Floats, slopes: bool = True) -> SignatureColumns:
-        """The columns at parameters x (P,)."""
         beside = np.append(x[:2] + x[HEAD : HEAD + 2], x[HEAD + 2 :])
         # What stands beside the body turns with it, as unevenly.
         rows = cycles(spectra.direction)
@@ -280,12 +251,10 @@ class SignatureColumns:
 
     @cached_property
     def values(self) -> Complex:
-        """(F, n, V)."""
         echo = self._carrier[0] * self._patterns[0]
         return np.concatenate([np.stack([echo, np.gradient(echo, axis=0)], axis=1), self.rest.values], axis=1)
 
     def slopes(self, weights: Complex) -> Complex:
-        """(P, F, V) change of the sum of weights (F, n, 1 or V) times columns with the parameters."""
         (carrier, range_m), (pattern, bent) = self._carrier, self._patterns
         across = self.spectra.antenna - self._centre
         echo, turned = carrier * pattern, carrier * bent
@@ -320,13 +289,11 @@ def _table(transfer: Transfer, kappa: Floats, radius_m: float) -> Complex:
 
 @lru_cache(maxsize=64)
 def _error(body: EnrolledBody, spectra: Spectra, disc: int) -> Floats:
-    return body.error_at(spectra, disc)
-
-
-def _harmonics(spectra: Spectra, order: int) -> Complex:
-    """(F, 2 M + 1, V)."""
-    waves = angular(spectra.direction, order).T
-    return np.broadcast_to(waves, (len(spectra.kappa), *waves.shape))
+    """(F, M) variance of a unit echo in the basis of a clutter's disc, whichever way it is turned."""
+    waves = angular(spectra.direction, body.order).T
+    waves = np.broadcast_to(waves, (len(spectra.kappa), *waves.shape))
+    basis = np.abs(spectra.whiteners[disc].apply(waves)) ** 2
+    return np.asarray((body.nearest(body.error, spectra.kappa)[:, None] @ basis)[:, 0])
 
 
 def enrolled_in(scans: BasebandScans, signatures: Sequence[Signature]) -> tuple[EnrolledBody, ...]:
@@ -341,10 +308,5 @@ def enrolled_in(scans: BasebandScans, signatures: Sequence[Signature]) -> tuple[
             not enrolled_bodies
             or same_wavenumbers(signature.wavenumbers, enrolled_bodies[0].signature.wavenumbers)
         ):
-            enrolled_bodies.append(_body(signature))
+            enrolled_bodies.append(EnrolledBody.of(signature))
     return tuple(enrolled_bodies)
-
-
-@lru_cache(maxsize=64)
-def _body(signature: Signature) -> EnrolledBody:
-    return EnrolledBody.of(signature)

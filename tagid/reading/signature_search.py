@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,19 +24,6 @@ PER_ORDER = 8
 """Turns that are tried, over the largest harmonic."""
 DIFFERENT_RAD, DIFFERENT_M = np.deg2rad(20.0), 6e-3
 """Poses that differ by less are one."""
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """Where a body stands.
-
-    Attributes:
-        score: log evidence up to what all poses share, nats.
-        head: (HEAD,) its parameters, of an even turn.
-    """
-
-    score: float
-    head: Floats
 
 
 class Poses:
@@ -69,8 +56,8 @@ class Poses:
         whitener = self._spectra.whiteners[self._disc].thinned(2)
         return np.asarray(whitener.apply(columns) / self._root[:, None])
 
-    def best(self, count: int, beside: Complex | None = None) -> list[Pose]:
-        """The best poses that differ.
+    def best(self, count: int, beside: Complex | None = None) -> list[Floats]:
+        """Parameters (HEAD,), of an even turn, of the best poses that differ.
 
         Args:
             beside: (F, j, V) columns of what else stands there, with any amplitudes.
@@ -90,7 +77,7 @@ class Poses:
             score = np.maximum(score, (right / (1 / p + size) - np.log1p(p * size)).sum(axis=0))
         return list(self._distinct(score, count))
 
-    def _distinct(self, score: Floats, count: int) -> Iterator[Pose]:
+    def _distinct(self, score: Floats, count: int) -> Iterator[Floats]:
         taken: list[tuple[complex, float]] = []
         for i in np.argsort(-score)[:2000]:
             c, t = divmod(int(i), len(self._turns))
@@ -101,7 +88,7 @@ class Poses:
                 for there, other in taken
             ):
                 taken.append((centre, turn))
-                yield Pose(float(score[i]), np.append([centre.real, centre.imag, turn], np.zeros(HEAD - 3)))
+                yield np.append([centre.real, centre.imag, turn], np.zeros(HEAD - 3))
             if len(taken) == count:
                 return
 

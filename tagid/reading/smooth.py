@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tagid.reading.descent import Estimate, variance
+from tagid.reading.descent import Estimate
 from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.spectra import Spectra
 from tagid.types import Complex, Floats
@@ -65,12 +65,9 @@ def _firsts(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 def gains(spectra: Spectra, estimate: Estimate, root: Complex) -> Floats:
     """(D,) what a fitted model with reflectors gains for every delay, nats."""
-    model, powers = estimate.model, estimate.powers
-    columns = spectra.whiteners[model.disc].apply(model.at(spectra, estimate.x, slopes=False).values)
-    power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
-    lam = variance(spectra, model, powers.clutter)
+    fitted, model = estimate.whitened(spectra), estimate.model
     tagged = slice(model.body_columns, model.columns - model.odd)
-    logs = [log_evidence(columns, spectra.white[model.disc], lam, power, tagged, root, free) for free in FREE]
+    logs = [log_evidence(*fitted, tagged, root, free) for free in FREE]
     return np.asarray(np.logaddexp.reduce(logs, axis=0) - logs[-1] - np.log(len(FREE)))
 
 
@@ -89,7 +86,7 @@ def log_evidence(
     """(D,) log Z; columns (F, n, M), data, lam and power as of `evidence.fit`.
 
     Args:
-        own: columns whose amplitudes are smooth.
+        tagged: columns whose amplitudes are smooth.
         root: (D, F, R) of their covariance over frequency.
         free: share of them that is free.
     """

@@ -18,7 +18,7 @@ from tagid.geometry import SAME_HEIGHT_M, views_of_heights
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
 from tagid.reading.views import EVEN_RAD, fold_views
-from tagid.tags.bodies.spectra import BAND_SHARE, FREQUENCIES, range_window
+from tagid.tags.bodies.spectra import BAND_SHARE, FREQUENCIES, transformed
 from tagid.types import Complex, Floats
 
 AnyComplex = TypeVar("AnyComplex", np.complex64, np.complex128)
@@ -117,7 +117,6 @@ class Spectra:
         cls,
         scans: BasebandScans,
         radius_m: float = RADIUS_M,
-        model_error: float = MODEL_ERROR,
         kappa: Floats | None = None,
     ) -> Spectra:
         """Spectra of scans made without a matched filter.
@@ -125,7 +124,6 @@ class Spectra:
         Args:
             scans: (views, bins); many views of a turn are folded to what the radius needs.
             radius_m: of the object, m.
-            model_error: see `MODEL_ERROR`.
             kappa: (F,) to take, equally spaced, rad/m; those of enrolled signatures.
 
         Raises:
@@ -136,23 +134,16 @@ class Spectra:
         scans = fold_views(scans, radius_m)
         gain = (scans.noise_std / before) ** 2 if before > 0 else 1.0
         positions = scans.aperture.positions
-        distance, taper = range_window(scans)
         offsets = np.linspace(-0.5, 0.5, FREQUENCIES) * BAND_SHARE * scans.bandwidth_hz
         turn = 4 * np.pi / scans.wave_speed_m_s * offsets if kappa is None else kappa - 2 * scans.wavenumber
-        data = np.exp(-1j * turn[:, None] * (scans.ranges_m - distance)[None]) @ (scans.samples * taper).T
-        data = data * np.exp(2j * scans.wavenumber * distance)
+        data, distance, noise = transformed(scans, turn, gain)
         height = np.ascontiguousarray(positions[:, 2])
         rooms = _rooms(height)
         data = data - (data @ rooms.T) @ rooms
-        density = scans.noise_density * gain
-        if not density:
-            size = scans.samples.size
-            density = scans.noise_std**2 * size / (scans.independent_samples or size)
-        noise = density * float((taper**2).sum(axis=1).mean())
         moving = np.maximum((np.abs(data) ** 2).mean(axis=1) - noise, 0.02 * noise)
         if noise + moving.sum() <= 0:
             raise DataError("nothing changes over the views", "Check that the object turned.")
-        unit = noise + model_error**2 * moving
+        unit = noise + MODEL_ERROR**2 * moving
         antenna = positions[:, 0] + 1j * positions[:, 1]
         return cls(
             data / np.sqrt(unit)[:, None],
@@ -167,7 +158,6 @@ class Spectra:
 
     @property
     def views(self) -> int:
-        """Number of views V."""
         return int(self.data.shape[1])
 
     @property

@@ -1,22 +1,35 @@
-"""Starts of the search: layouts at their best turns, free arrangements on rings, about given centres."""
+"""Starts of the search: nothing or a round body, and the clutter that it leaves; then layouts at their best
+turns and free arrangements on rings, about given centres.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 
 from tagid.reading import search
 from tagid.reading.arrangement import Arrangement
-from tagid.reading.columns import APART_M, Model
-from tagid.reading.descent import Powers
-from tagid.reading.hypothesis import Arranged, Candidate, Stand, disc_of, unlike
+from tagid.reading.columns import APART_M, Model, Priors
+from tagid.reading.descent import Estimate, Powers, best_powers, refined
+from tagid.reading.hypothesis import MOST_REFLECTORS, Arranged, Candidate, Hypothesis, Stand, disc_of, unlike
 from tagid.reading.spectra import Spectra
+from tagid.reading.transfers.plain import BARE, POINTS
+from tagid.reading.transfers.transfer import Transfer
 from tagid.tags.layouts.layout import Layout
 from tagid.types import Complex, Floats
 
+GRID_M = tuple(complex(x, y) for x in 4e-3 * np.arange(-2, 3) for y in 4e-3 * np.arange(-2, 3))
+"""Centres that are tried, x + jy."""
+SHAPES_M = tuple(r * np.exp(1j * np.pi / 3 * np.arange(6)) for r in (4e-3, 8e-3, 12e-3))
+"""Two-fold parts of a body's support function that are tried, m."""
+BODIES_M = (*((c, 0j) for c in GRID_M), *((0j, complex(s)) for ring in SHAPES_M for s in ring))
+"""Centres and shapes of a body that are tried."""
+LEAST_CLUTTER = 1e-3
+"""Least power of the clutter under which reflectors are looked for: a body alone takes some of theirs."""
 FREE_RINGS_M = (0.028, 0.036, 0.045, 0.054, 0.063, 0.072, 0.082, 0.09, 0.1, 0.11)
 """Radii of rings on which an arrangement that is not enrolled is looked for."""
 
@@ -27,13 +40,11 @@ class Wanted:
 
     Attributes:
         planes: heights of the reflectors' plane, m.
-        most_reflectors: of an arrangement that is not enrolled.
     """
 
     spectra: Spectra
     layouts: Sequence[Layout]
     planes: Sequence[float]
-    most_reflectors: int
 
 
 @dataclass(frozen=True)
@@ -129,9 +140,89 @@ def _free(wanted: Wanted, bodies: _Bodies, number: int, wide: int) -> Iterator[C
     pairs = [search.free(ring, gap, 2, 1)[-1].log for ring, gap in zip(rings, apart, strict=True)]
     for i in np.argsort(pairs)[::-1][:wide]:
         radius, rise = raised[i]
-        for start in search.free(rings[i], apart[i], wanted.most_reflectors, 2):
+        for start in search.free(rings[i], apart[i], MOST_REFLECTORS, 2):
             tag = Arrangement.ring(radius, np.array(start.angles))
             on_ring = replace(model, tag=tag)
             turns = np.zeros(tag.turns + tag.stretches)
             x = np.concatenate([head, turns, [rise] * on_ring.lifts])
             yield Candidate(start.log, None, on_ring, x, False)
+
+
+def resized(spectra: Spectra, transfers: Sequence[Transfer], hypothesis: Hypothesis) -> Iterator[Candidate]:
+    """A layout's angles on rings of other radii, at their best turns about the centre where it stands.
+
+    At another distance from the centre they are another tag.
+
+    Args:
+        hypothesis: of a layout.
+    """
+    assert hypothesis.layout is not None
+    estimate, of_layout = hypothesis.estimate, hypothesis.estimate.model
+    powers = Powers(max(estimate.powers.clutter, 1e-3), estimate.powers.body)
+    rise = float(of_layout.heights_of(estimate.x)[0].min())
+    for transfer, disc in product(transfers, (0, 1)):
+        model = Model(transfer, None, transfer.body, disc, levels=of_layout.levels, priors=of_layout.priors)
+        shape = estimate.x[2:4] if of_layout.shapes else np.zeros(2)
+        head = np.r_[estimate.centre.real, estimate.centre.imag, shape[: model.shapes]]
+        arranged = Arranged.of(hypothesis.layout, model.covers_middle)
+        radii = [radius for radius in FREE_RINGS_M if disc_of(radius) == disc]
+        rings = [replace(arranged, tag=arranged.tag.resized(radius)) for radius in radii]
+        echo = model.at(spectra, head, slopes=False).values[:, 0] if transfer.body else spectra.data
+        groups = [ring.group(rise) for ring in rings]
+        (table,) = search.tables(spectra, model, [estimate.centre], groups, powers, echo[None])
+        for ring, starts in zip(rings, search.turned(table, 1), strict=True):
+            tagged = replace(model, tag=ring.tag)
+            for start in starts:
+                x = np.r_[head, start.angles[0], 0.0, [rise] * tagged.lifts]
+                yield Candidate(start.log, None, tagged, x, False)
+
+
+@dataclass(frozen=True, eq=False)
+class RoundBodies:
+    """A round body in the clutter of either disc.
+
+    Attributes:
+        estimates: of the likeliest starts, for each disc.
+    """
+
+    estimates: Sequence[Sequence[Estimate]]
+
+    @cached_property
+    def of_disc(self) -> list[Estimate]:
+        """The best of each disc."""
+        return [max(some, key=lambda estimate: estimate.log_z) for some in self.estimates]
+
+    @property
+    def best(self) -> Estimate:
+        return max(self.of_disc, key=lambda estimate: estimate.log_z)
+
+    @property
+    def powers(self) -> list[Powers]:
+        """Under which reflectors are looked for, for each disc."""
+        return [with_clutter(estimate.powers) for estimate in self.of_disc]
+
+    @property
+    def shapes(self) -> list[Floats]:
+        """(2,) two-fold parts of the support function, m, for each disc."""
+        return [estimate.x[2:4] for estimate in self.of_disc]
+
+
+def with_clutter(powers: Powers) -> Powers:
+    """Powers with `LEAST_CLUTTER` at least."""
+    return replace(powers, clutter=max(powers.clutter, LEAST_CLUTTER))
+
+
+def round_bodies(spectra: Spectra, priors: Priors) -> RoundBodies:
+    """A round body in the clutter of either disc."""
+    model = Model(POINTS, None, True, 0, levels=spectra.levels, priors=priors)
+    starts = [np.array([c.real, c.imag, s.real, s.imag]) for c, s in BODIES_M]
+    values = [best_powers(spectra, model, x, 1e-2)[1] for x in starts]
+    order = np.argsort(values)[::-1][:2]
+    models = [replace(model, disc=disc) for disc in (0, 1)]
+    return RoundBodies([[refined(spectra, m, starts[i], (1e-2, None), 12) for i in order] for m in models])
+
+
+def nothing(spectra: Spectra, priors: Priors) -> list[Estimate]:
+    """No body, in the clutter of either disc."""
+    models = [Model(BARE, None, False, disc, levels=spectra.levels, priors=priors) for disc in (0, 1)]
+    return [refined(spectra, model, np.zeros(2), (None,), 1) for model in models]

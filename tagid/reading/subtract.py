@@ -6,11 +6,9 @@ its wall and the sidelobes of that. Its echo is known once its centre is: one am
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
@@ -50,70 +48,35 @@ def without_body(capture: Capture, hypothesis: Hypothesis) -> Capture:
         around = np.fft.fftfreq(n, 1 / rate)
         frequency = around + np.round((capture.center_frequency_hz - around) / rate) * rate
     low, high = (capture.center_frequency_hz + side * BAND * capture.bandwidth_hz for side in (-1, 1))
-    band = _Band.of(spectrum, frequency, max(low, 0.0), high, positions, capture.range_start_m)
-    taken = band.echo(hypothesis)
+    used = np.flatnonzero((frequency >= max(low, 0.0)) & (frequency <= high))
+    used = used[np.argsort(frequency[used])]
+    distance = float(np.linalg.norm(positions, axis=1).mean())
+    kappa = np.asarray(4 * np.pi * frequency[used] / SPEED_OF_LIGHT, dtype=np.float64)
+    reference = np.exp(-1j * kappa * (capture.range_start_m - distance))
+    data = np.asarray((spectrum[:, used] * reference).T, dtype=np.complex128)
+    moving = np.maximum((np.abs(data - data.mean(axis=1, keepdims=True)) ** 2).mean(axis=1), 1e-30)
+    antenna, height = positions[:, 0] + 1j * positions[:, 1], np.ascontiguousarray(positions[:, 2])
+    spectra = Spectra(data, kappa, antenna, height, distance, moving, full_turn=False)
+    taken = np.zeros(spectrum.shape, dtype=np.complex128)
+    taken[:, used] = _echo(spectra, hypothesis).T / reference
     inverse = np.fft.irfft(taken, n, axis=1) if is_real else np.fft.ifft(taken, axis=1)
     samples = capture.samples - inverse[:, : capture.bins]
     return replace(capture, samples=samples.astype(np.float32 if is_real else np.complex64))
 
 
-@dataclass(frozen=True, eq=False)
-class _Band:
-    """The frequencies of a transform over range at which a body's echo is subtracted.
-
-    Attributes:
-        spectra: of the moving echo at these frequencies.
-        reference: (F,) what turns a value of the transform into one of `spectra`.
-        used: (F,) their indices in the transform.
-        shape: (views, bins) of the transform.
-    """
-
-    spectra: Spectra
-    reference: NDArray[np.complex128]
-    used: NDArray[np.intp]
-    shape: tuple[int, ...]
-
-    @classmethod
-    def of(
-        cls,
-        spectrum: NDArray[Any],
-        frequency_hz: NDArray[np.floating],
-        low_hz: float,
-        high_hz: float,
-        positions: NDArray[np.float64],
-        range_start_m: float,
-    ) -> _Band:
-        """Of a transform (views, n) from the first range bin on."""
-        distance = float(np.linalg.norm(positions, axis=1).mean())
-        used = np.flatnonzero((frequency_hz >= low_hz) & (frequency_hz <= high_hz))
-        used = used[np.argsort(frequency_hz[used])]
-        kappa = np.asarray(4 * np.pi * frequency_hz[used] / SPEED_OF_LIGHT, dtype=np.float64)
-        reference = np.exp(-1j * kappa * (range_start_m - distance))
-        data = (spectrum[:, used] * reference).T
-        data = np.asarray(data, dtype=np.complex128)
-        moving = np.maximum((np.abs(data - data.mean(axis=1, keepdims=True)) ** 2).mean(axis=1), 1e-30)
-        antenna = positions[:, 0] + 1j * positions[:, 1]
-        height = np.ascontiguousarray(positions[:, 2])
-        spectra = Spectra(data, kappa, antenna, height, distance, moving, full_turn=False)
-        return cls(spectra, reference, used, spectrum.shape)
-
-    def echo(self, hypothesis: Hypothesis) -> Complex:
-        """(views, n) transform of the body's echo."""
-        estimate, spectra = hypothesis.estimate, self.spectra
-        # As points, reflectors have amplitudes of their own at every frequency, whatever a wall does to them.
-        as_they_are = isinstance(estimate.model, SheetModel) or not estimate.model.transfer.body
-        model = estimate.model if as_they_are else replace(estimate.model, transfer=POINTS)
-        values = model.at(spectra, estimate.x, slopes=False).values
-        powers = estimate.powers
-        power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
-        rooms = spectra.rooms
-        columns = values - (values @ rooms.T) @ rooms
-        data = spectra.data - (spectra.data @ rooms.T) @ rooms
-        matrix = columns.conj() @ np.swapaxes(columns, 1, 2)
-        matrix = matrix + np.eye(columns.shape[1]) * (NOISE * spectra.moving[:, None] / power)[:, None]
-        right = columns.conj() @ data[..., None]
-        amplitudes = np.linalg.solve(matrix, right)
-        body = slice(0, model.body_columns)
-        taken = np.zeros(self.shape, dtype=np.complex128)
-        taken[:, self.used] = (amplitudes[:, body] * values[:, body]).sum(axis=1).T / self.reference
-        return taken
+def _echo(spectra: Spectra, hypothesis: Hypothesis) -> Complex:
+    """(F, V) echo of the body."""
+    estimate = hypothesis.estimate
+    # As points, reflectors have amplitudes of their own at every frequency, whatever a wall does to them.
+    as_they_are = isinstance(estimate.model, SheetModel) or not estimate.model.transfer.body
+    model = estimate.model if as_they_are else replace(estimate.model, transfer=POINTS)
+    values = model.at(spectra, estimate.x, slopes=False).values
+    power = model.power(spectra.moving, *estimate.powers.amplitudes)
+    rooms = spectra.rooms
+    columns = values - (values @ rooms.T) @ rooms
+    data = spectra.data - (spectra.data @ rooms.T) @ rooms
+    matrix = columns.conj() @ np.swapaxes(columns, 1, 2)
+    matrix = matrix + np.eye(columns.shape[1]) * (NOISE * spectra.moving[:, None] / power)[:, None]
+    amplitudes = np.linalg.solve(matrix, columns.conj() @ data[..., None])
+    body = slice(0, model.body_columns)
+    return np.asarray((amplitudes[:, body] * values[:, body]).sum(axis=1))

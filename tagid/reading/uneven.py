@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 
@@ -140,7 +141,7 @@ def _expanded(
     """Log density of parameters and errors of the angles, its gradient and its curvature."""
     rows, whitener, white = errors(spectra), spectra.whiteners[model.disc], spectra.white[model.disc]
     lam = variance(spectra, model, powers.clutter)
-    power = model.power(spectra.moving, powers.body, powers.tag, powers.oval)
+    power = model.power(spectra.moving, *powers.amplitudes)
     size = model.parameters
 
     def expanded(z: Floats) -> tuple[float, Floats, Floats]:
@@ -176,13 +177,8 @@ def straightened(
         return None
     kinds: dict[tuple[bool, int, int], Estimate] = {}
     for estimate in sorted(every, key=lambda estimate: -estimate.log_z):
-        turns, count = (
-            (0, 0) if estimate.model.tag is None else (estimate.model.tag.turns, estimate.model.tag.count)
-        )
-        kinds.setdefault((estimate.model.odd > 0, turns, count), estimate)
+        tag = estimate.model.tag
+        moves = (0, 0) if tag is None else (tag.turns, tag.count)
+        kinds.setdefault((estimate.model.odd > 0, *moves), estimate)
     turned = [fitted(spectra, kind, best + PAYS, start) for kind in list(kinds.values())[:MOST]]
-    return max(
-        (turned_scans for turned_scans in turned if turned_scans is not None),
-        key=lambda turned_scans: turned_scans.log_z,
-        default=None,
-    )
+    return max(filter(None, turned), key=attrgetter("log_z"), default=None)

@@ -15,7 +15,6 @@ from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
 from tagid.tags.bodies import joint, posing, signature
 from tagid.tags.bodies.joint import (
-    Basis,
     Joint,
     Named,
     Residual,
@@ -25,9 +24,8 @@ from tagid.tags.bodies.joint import (
     estimate,
 )
 from tagid.tags.bodies.likeness import compare, least_tag
-from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.posing import PoseSearch, match, refine, round_centre
-from tagid.tags.bodies.signature import Signature, angular, order_of
+from tagid.tags.bodies.signature import Pose, Signature, angular, order_of
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.bodies.steadying import steadied
 
@@ -197,9 +195,8 @@ def test_an_oval_is_enrolled_in_poses_in_which_its_round_part_agrees() -> None:
 def test_gains_and_harmonics_are_improved_together(mug: Joint) -> None:
     """From gains far off, at the right poses, back to what the joint estimate leaves."""
     rng = np.random.default_rng(3)
-    basis = Basis(mug.signature.wavenumbers, mug.signature.radius_m)
-    work = _Estimate([item.spectra for item in mug.placed], mug.signature, basis)
-    work.placed = dict(enumerate(mug.placed))
+    work = _Estimate([item.spectra for item in mug.placed], "mug", "body", mug.signature.radius_m)
+    work.placed, basis = dict(enumerate(mug.placed)), work.basis
     best = _residual_energy(work.placed.values(), basis)
     off = 0.3 * rng.standard_normal((3, 2, len(basis.mask)))
     off[work.order[0]] = 0

@@ -11,7 +11,7 @@ from scipy.special import h2vp, hankel2, jv, jvp, yv, yvp
 from tagid.fields.bessel import bessel, first_kind
 from tagid.imaging.bilinear import bilinear
 from tagid.imaging.restore import blurred
-from tagid.tags.layouts.assignment import least_assignment
+from tagid.tags.layouts.codebook import least_assignment
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from tagid.counting import counted
 from tagid.errors import DataError
-from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.posing import PoseSearch, matches, noise_of, refine, round_centre
 from tagid.tags.bodies.signature import (
+    Pose,
     Signature,
     SignatureKind,
     Standpoint,
@@ -188,6 +188,15 @@ class Basis:
         noise = np.where(turning, variance, 0).sum(axis=1) / np.maximum(turning.sum(axis=1), 1)
         return harmonics, np.maximum(noise, 0)
 
+    def residuals(
+        self, captures: Collection[Placed], harmonics: NDArray[np.complex128]
+    ) -> list[NDArray[np.complex128]]:
+        """(F, V) of every capture, in units of its noise: what harmonics leave."""
+        return [
+            _whitened(capture.spectra) - (self.columns(capture) @ harmonics[..., None])[..., 0]
+            for capture in captures
+        ]
+
 
 def _whitened(spectra: Spectra) -> NDArray[np.complex128]:
     return np.asarray(spectra.data / np.sqrt(noise_of(spectra)))
@@ -210,12 +219,20 @@ def best_gain(
 class _Estimate:
     """State of the alternation between harmonics, poses and gains."""
 
-    def __init__(self, captures: Sequence[Spectra], blank: Signature, basis: Basis) -> None:
-        self.captures = captures
-        self.basis = basis
+    def __init__(self, captures: Sequence[Spectra], name: str, kind: SignatureKind, radius_m: float) -> None:
+        self.captures, self.name, self.kind = captures, name, kind
         self.order = sorted(range(len(captures)), key=lambda i: -captures[i].views)
         self.placed: dict[int, Placed] = {}
-        self.signature = blank
+        self.resize(radius_m)
+
+    def resize(self, radius_m: float) -> None:
+        """Begin harmonics of another radius, m."""
+        first = self.captures[0]
+        self.basis = Basis(first.wavenumbers, radius_m)
+        ones = np.ones((len(first.wavenumbers), len(self.basis.m)), complex)
+        noise, height = np.zeros(len(first.wavenumbers)), float(first.height_m.mean())
+        at = radius_m, first.distance_m, height
+        self.signature = Signature(self.name, self.kind, first.wavenumbers, ones, noise, *at)
 
     def start(self) -> None:
         """Harmonics of the capture with the most views; then every other capture, matched with them."""
@@ -246,7 +263,7 @@ class _Estimate:
 
     def solve(self, ridge: float = RIDGE) -> None:
         """Harmonics for the present poses and gains."""
-        harmonics, noise = self.basis.solve(list(self.placed.values()), ridge)
+        harmonics, noise = self.basis.solve(self.placed.values(), ridge)
         self.signature = replace(self.signature, harmonics=harmonics, noise=noise)
 
     def alternate(self, rounds: int) -> None:
@@ -264,7 +281,7 @@ class _Estimate:
         Gains and harmonics are a product: improved in turns, they creep towards their common best.
         """
         for _ in range(steps):
-            harmonics, _ = self.basis.solve(list(self.placed.values()))
+            harmonics, _ = self.basis.solve(self.placed.values())
             parts = {i: self.basis.columns(placed) for i, placed in self.placed.items()}
             columns = np.concatenate(list(parts.values()), axis=1)
             data = np.concatenate([_whitened(placed.spectra) for placed in self.placed.values()], axis=1)
@@ -300,12 +317,8 @@ class _Estimate:
         x = np.concatenate([[*self.placed[i].pose.centre_m, self.placed[i].pose.turn_rad] for i in moving])
 
         def rest(x: NDArray[np.float64]) -> NDArray[np.float64]:
-            now = self._moved(moving, x)
-            harmonics, _ = self.basis.solve(list(now.values()))
-            parts = [
-                _whitened(placed.spectra) - (self.basis.columns(placed) @ harmonics[..., None])[..., 0]
-                for placed in now.values()
-            ]
+            now = self._moved(moving, x).values()
+            parts = self.basis.residuals(now, self.basis.solve(now)[0])
             flat = np.concatenate([part.ravel() for part in parts])
             return np.concatenate([flat.real, flat.imag])
 
@@ -346,8 +359,7 @@ class _Estimate:
     def _moved(self, moving: list[int], x: NDArray[np.float64]) -> dict[int, Placed]:
         new = dict(self.placed)
         for i, (cx, cy, turn) in zip(moving, x.reshape(-1, 3), strict=True):
-            pose = Pose((float(cx), float(cy)), float(turn))
-            new[i] = Placed(self.placed[i].spectra, pose, self.placed[i].gain)
+            new[i] = replace(self.placed[i], pose=Pose((float(cx), float(cy)), float(turn)))
         return new
 
 
@@ -372,8 +384,7 @@ def estimate(
             key=lambda pair: _score(spectra, *pair),
         )
         if chosen != work.signature.radius_m:
-            basis = Basis(spectra[0].wavenumbers, chosen)
-            work.basis, work.signature = basis, _blank(spectra[0], name, kind, basis, chosen)
+            work.resize(chosen)
             work.solve()
             work.alternate(2)
             work.balance()
@@ -388,16 +399,8 @@ def estimate(
     return Joint(signature, tuple(work.placed[i] for i in range(len(captures))), residuals)
 
 
-def _blank(spectra: Spectra, name: str, kind: SignatureKind, basis: Basis, radius_m: float) -> Signature:
-    ones = np.ones((len(spectra.wavenumbers), len(basis.m)), complex)
-    noise = np.zeros(len(spectra.wavenumbers))
-    height = float(spectra.height_m.mean())
-    return Signature(name, kind, spectra.wavenumbers, ones, noise, radius_m, spectra.distance_m, height)
-
-
 def _joint(spectra: Sequence[Spectra], name: str, kind: SignatureKind, radius_m: float) -> _Estimate:
-    basis = Basis(spectra[0].wavenumbers, radius_m)
-    work = _Estimate(spectra, _blank(spectra[0], name, kind, basis, radius_m), basis)
+    work = _Estimate(spectra, name, kind, radius_m)
     work.start()
     before = np.inf
     for _ in range(_ROUNDS):
@@ -413,16 +416,8 @@ def _joint(spectra: Sequence[Spectra], name: str, kind: SignatureKind, radius_m:
 
 def _residual_energy(captures: Collection[Placed], basis: Basis) -> float:
     """Residual energy of captures after the least squares of a basis, in units of their noise."""
-    harmonics, _ = basis.solve(captures)
-    return sum(
-        float(
-            np.sum(
-                np.abs(_whitened(capture.spectra) - (basis.columns(capture) @ harmonics[..., None])[..., 0])
-                ** 2
-            )
-        )
-        for capture in captures
-    )
+    residuals = basis.residuals(captures, basis.solve(captures)[0])
+    return sum(float(np.sum(np.abs(residual) ** 2)) for residual in residuals)
 
 
 def _score(spectra: Sequence[Spectra], work: _Estimate, radius_m: float) -> float:
@@ -485,8 +480,7 @@ def enroll_signature(captures: Sequence[Named], name: str, kind: SignatureKind) 
                 "is round and exactly centred looks like the room.",
             )
     joint = estimate(captures, name, kind)
-    bad = [residual for residual in joint.residuals if not residual.is_noise]
-    if bad:
+    if not all(residual.is_noise for residual in joint.residuals):
         raise _refusal(captures, joint, kind)
     _check_poses(captures, joint)
     return joint
@@ -541,8 +535,6 @@ def _odd_captures(captures: Sequence[Named], signature: Signature, kind: Signatu
 
     Several groups where each would do.
     """
-    if len(captures) < CAPTURES:
-        return []
     rest = []
     for i in range(len(captures)):
         others = [capture for k, capture in enumerate(captures) if k != i]

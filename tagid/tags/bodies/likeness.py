@@ -5,13 +5,12 @@ Answered from the signatures alone, before any capture: one signature's echo is 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.posing import match, round_centre
-from tagid.tags.bodies.signature import Signature, echo, same_wavenumbers
+from tagid.tags.bodies.signature import Pose, Signature, echo, same_wavenumbers
 from tagid.tags.bodies.spectra import Spectra, centred
 
 VIEWS = 90
@@ -55,10 +54,9 @@ def spectra_of(signature: Signature) -> Spectra:
     antenna = signature.distance_m * np.exp(-1j * angles)
     height = np.full(VIEWS, signature.height_m)
     empty = np.zeros((len(signature.wavenumbers), VIEWS), complex)
-    bare = Spectra(empty, signature.wavenumbers, antenna, height, signature.distance_m, 0.0)
-    data = centred(echo(bare, signature, Pose((OFF_AXIS_M, 0.0))))
     noise = float(signature.noise.mean())
-    return Spectra(data, signature.wavenumbers, antenna, height, signature.distance_m, noise)
+    bare = Spectra(empty, signature.wavenumbers, antenna, height, signature.distance_m, noise)
+    return replace(bare, data=centred(echo(bare, signature, Pose((OFF_AXIS_M, 0.0)))))
 
 
 def compare(signature: Signature, other: Signature) -> Likeness:

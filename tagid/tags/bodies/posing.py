@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.signature import (
+    Pose,
     Signature,
     Standpoint,
     angular,
@@ -49,19 +49,6 @@ class Linear:
     slopes: NDArray[np.complex128]
 
 
-@dataclass(frozen=True, eq=False)
-class Descent:
-    """End of a descent.
-
-    Attributes:
-        x: (P,) parameters.
-        residual: energy not explained, in the units of the spectra.
-    """
-
-    x: NDArray[np.float64]
-    residual: float
-
-
 @dataclass(frozen=True)
 class Match:
     """A signature in a capture.
@@ -86,7 +73,7 @@ def descend(
     x: NDArray[np.float64],
     iterations: int = 12,
     sigmas: NDArray[np.float64] | None = None,
-) -> Descent:
+) -> tuple[NDArray[np.float64], float]:
     """Levenberg-Marquardt with the linear amplitudes eliminated (variable projection, Kaufman 1975).
 
     Args:
@@ -96,6 +83,9 @@ def descend(
         iterations: at most.
         sigmas: (P,) standard deviations of the parameters about 0, inf where they are free; None: those of
             the centre are CENTRE_SIGMA_M, the others are free.
+
+    Returns:
+        Parameters, and the energy not explained, in the units of the spectra.
     """
     if sigmas is None:
         sigmas = np.full(len(x), np.inf)
@@ -141,7 +131,7 @@ def descend(
             damping *= 6
         if gain < 1e-5 * cost:
             break
-    return Descent(x, float(np.sum(np.abs(residual) ** 2)))
+    return x, float(np.sum(np.abs(residual) ** 2))
 
 
 def round_centre(spectra: Spectra) -> tuple[complex, float]:
@@ -163,8 +153,8 @@ def round_centre(spectra: Spectra) -> tuple[complex, float]:
         at = Standpoint(spectra, complex(x[0], x[1]))
         return Linear(at.carrier[..., None], at.carrier_slopes()[..., None])
 
-    descent = descend(spectra, model, np.array([start.real, start.imag]))
-    return complex(descent.x[0], descent.x[1]), descent.residual
+    x, residual = descend(spectra, model, np.array([start.real, start.imag]))
+    return complex(x[0], x[1]), residual
 
 
 def at_pose(at: Standpoint, weights: NDArray[np.complex128]) -> Linear:
@@ -205,10 +195,8 @@ def refine(
             slopes = np.concatenate([round_slopes, slopes], axis=-1)
         return Linear(columns, slopes)
 
-    start = np.array([*pose.centre_m, pose.turn_rad])
-    descent = descend(spectra, model, start, iterations)
-    turn = float(np.mod(descent.x[2], 2 * np.pi))
-    return Match(Pose((float(descent.x[0]), float(descent.x[1])), turn), descent.residual)
+    x, residual = descend(spectra, model, np.array([*pose.centre_m, pose.turn_rad]), iterations)
+    return Match(Pose((float(x[0]), float(x[1])), float(np.mod(x[2], 2 * np.pi))), residual)
 
 
 class PoseSearch:
@@ -266,7 +254,8 @@ class PoseSearch:
         poses: list[Pose] = []
         for index in np.argsort(energies, axis=None)[:400]:
             i, turn = np.unravel_index(index, energies.shape)
-            pose = self._pose(int(i), int(turn))
+            at = complex(self._centres[i])
+            pose = Pose((at.real, at.imag), 2 * np.pi * int(turn) / ROTATIONS)
             if all(
                 abs(np.angle(np.exp(1j * (pose.turn_rad - other.turn_rad)))) > APART_RAD for other in poses
             ):
@@ -274,10 +263,6 @@ class PoseSearch:
             if len(poses) == count:
                 break
         return poses
-
-    def _pose(self, centre: int, turn: int) -> Pose:
-        at = complex(self._centres[centre])
-        return Pose((at.real, at.imag), 2 * np.pi * turn / ROTATIONS)
 
     def _energies(self, signature: Signature) -> NDArray[np.float64]:
         """(C, ROTATIONS) residual energy with every centre and rotation."""
@@ -296,24 +281,23 @@ class PoseSearch:
         loudest = max(float(np.abs(weights).max()), 1e-300)
         weights = (weights / loudest).astype(np.complex64)
         along, room, body = (
-            _over_rotation(weights.conj() * part[..., cut], ROTATIONS)
-            for part in (self._data, self._room, self._round)
+            _over_rotation(weights.conj() * part[..., cut]) for part in (self._data, self._room, self._round)
         )
         pairs = np.stack([np.correlate(w, w, "full") for w in weights.conj()])
         wide = slice(2 * (self._order - order), 2 * (self._order + order) + 1)
-        size = _over_rotation(pairs * self._lags[..., wide].conj(), ROTATIONS).real
+        size = _over_rotation(pairs * self._lags[..., wide].conj()).real
         size -= np.abs(room) ** 2 + np.abs(body) ** 2
         noise = signature.noise[:: self._step] / loudest**2 * 2 * order * self._thin.views
         explained = np.sum(np.abs(along) ** 2 / (np.maximum(size, 0) + noise[:, None] + 1e-300), axis=1)
         return np.asarray(self._left[:, None] - self._scale**2 * explained)
 
 
-def _over_rotation(values: NDArray[np.complex64], rotations: int) -> NDArray[np.complex64]:
-    """(..., rotations) sum over m = -M..M of values (..., 2 M + 1) times exp(j m g) at every rotation g."""
+def _over_rotation(values: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """(..., ROTATIONS) sum over m = -M..M of values (..., 2 M + 1) times exp(j m g) at every rotation g."""
     most = values.shape[-1] // 2
-    spectrum = np.zeros((*values.shape[:-1], rotations), np.complex64)
-    spectrum[..., np.arange(-most, most + 1) % rotations] = values
-    return np.asarray(np.fft.ifft(spectrum, axis=-1) * rotations)
+    spectrum = np.zeros((*values.shape[:-1], ROTATIONS), np.complex64)
+    spectrum[..., np.arange(-most, most + 1) % ROTATIONS] = values
+    return np.asarray(np.fft.ifft(spectrum, axis=-1) * ROTATIONS)
 
 
 def match(spectra: Spectra, signature: Signature) -> Match:

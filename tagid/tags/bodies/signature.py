@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError, UsageError
-from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import is_name
 
@@ -45,6 +44,24 @@ FREQUENCY_STEP_HZ = 0.2e9
 vary over c / (2 x 0.65 m) = 0.23 GHz. The frequencies are multiples of it, whatever pulse and window are."""
 SignatureKind = Literal["body", "object"]
 KINDS = ("body", "object")
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a body stands on the turntable.
+
+    Attributes:
+        centre_m: (x, y) of its own centre in the turntable's frame, m.
+        turn_rad: its turn counter-clockwise about that centre, rad; 0 for a body of revolution.
+    """
+
+    centre_m: tuple[float, float] = (0.0, 0.0)
+    turn_rad: float = 0.0
+
+    @property
+    def centre(self) -> complex:
+        """The centre as x + jy, m."""
+        return complex(*self.centre_m)
 
 
 @dataclass(frozen=True, eq=False)

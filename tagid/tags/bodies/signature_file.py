@@ -30,6 +30,8 @@ _COUNTS = ("captures", "frequencies", "order")
 
 def to_bytes(signature: Signature) -> bytes:
     """The bytes of a signature; `from_bytes` takes them back."""
+    if np.abs(signature.harmonics).max() > 1e30:
+        raise FileFormatError(f"the signature of {signature.name} is too large to be stored")
     header: dict[str, Any] = {name: getattr(signature, name) for name in (*_NUMBERS, *_TEXTS)}
     header |= {"captures": signature.captures, "order": signature.order}
     header["frequencies"] = len(signature.wavenumbers)
@@ -41,16 +43,10 @@ def to_bytes(signature: Signature) -> bytes:
             text,
             signature.wavenumbers.astype("<f8").tobytes(),
             signature.noise.astype("<f8").tobytes(),
-            _scaled(signature).astype("<c8").tobytes(),
+            signature.harmonics.astype("<c8").tobytes(),
         ]
     )
     return body + hashlib.sha256(body).digest()
-
-
-def _scaled(signature: Signature) -> np.ndarray[Any, Any]:
-    if np.abs(signature.harmonics).max() > 1e30:
-        raise FileFormatError(f"the signature of {signature.name} is too large to be stored")
-    return signature.harmonics
 
 
 def from_bytes(data: bytes, where: str) -> Signature:

@@ -6,7 +6,7 @@ known, and everything that is linear in the amplitudes is solved frequency by fr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,19 +57,10 @@ class Spectra:
 
         Raises DataError where fewer than 4 range bins lie in the window.
         """
-        positions = scans.aperture.positions
-        distance, taper = range_window(scans)
-        size = scans.samples.size
-        independent = scans.independent_samples if scans.independent_samples > 0 else float(size)
-        turn = wavenumbers - 2 * scans.wavenumber
-        kernel = np.exp(-1j * turn[:, None] * (scans.ranges_m - distance)[None])
-        data = kernel @ (scans.samples * taper).T.astype(np.complex128)
-        data *= np.exp(2j * scans.wavenumber * distance)
-        data -= data.mean(axis=1, keepdims=True)
-        density = scans.noise_density or scans.noise_std**2 * size / independent
-        noise = density * float((taper**2).sum(axis=1).mean())
+        positions, turn = scans.aperture.positions, wavenumbers - 2 * scans.wavenumber
+        data, distance, noise = transformed(scans, turn)
         return cls(
-            data,
+            data - data.mean(axis=1, keepdims=True),
             2 * scans.wavenumber + turn,
             positions[:, 0] + 1j * positions[:, 1],
             np.ascontiguousarray(positions[:, 2]),
@@ -89,19 +80,11 @@ class Spectra:
 
     @property
     def views(self) -> int:
-        """Number of views V."""
         return int(self.data.shape[1])
 
     def thinned(self, step: int) -> Spectra:
         """Every `step`-th frequency only, for coarse searches."""
-        return Spectra(
-            self.data[::step],
-            self.wavenumbers[::step],
-            self.antenna,
-            self.height_m,
-            self.distance_m,
-            self.noise,
-        )
+        return replace(self, data=self.data[::step], wavenumbers=self.wavenumbers[::step])
 
     def waves(self, distance_m: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(F, ...) exp(-j kappa (R - d)) at distances R (...), m, by recurrence over equal steps of kappa."""
@@ -115,8 +98,15 @@ class Spectra:
         return out
 
 
-def range_window(scans: BasebandScans) -> tuple[float, NDArray[np.float64]]:
-    """Mean distance from axis to antenna, m, and the taper (views, bins) about the axis.
+def transformed(
+    scans: BasebandScans, turn: NDArray[np.float64], gain: float = 1.0
+) -> tuple[NDArray[np.complex128], float, float]:
+    """Spectra (F, V) in a window about the axis, mean distance from axis to antenna, m, and noise variance.
+
+    Args:
+        scans: made without a matched filter.
+        turn: (F,) kappa over that of the carrier, rad/m.
+        gain: by which the density of the noise has changed.
 
     Raises DataError where fewer than 4 range bins lie in the window.
     """
@@ -131,7 +121,13 @@ def range_window(scans: BasebandScans) -> tuple[float, NDArray[np.float64]]:
             f"{distance:.2f} m",
             "Check the axis distance, or record a range window that holds the object.",
         )
-    return distance, taper
+    data = np.exp(-1j * turn[:, None] * (scans.ranges_m - distance)[None]) @ (scans.samples * taper).T
+    density = scans.noise_density * gain
+    if not density:
+        size = scans.samples.size
+        density = scans.noise_std**2 * size / (scans.independent_samples or size)
+    noise = density * float((taper**2).sum(axis=1).mean())
+    return data * np.exp(2j * scans.wavenumber * distance), distance, noise
 
 
 def centred(columns: NDArray[np.complex128]) -> NDArray[np.complex128]:

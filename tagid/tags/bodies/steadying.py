@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.bodies.pose import Pose
 from tagid.tags.bodies.posing import CENTRE_SIGMA_M, Linear, at_pose, descend
-from tagid.tags.bodies.signature import Signature, Standpoint, turned
+from tagid.tags.bodies.signature import Pose, Signature, Standpoint, turned
 from tagid.tags.bodies.spectra import Spectra
 
 HARMONICS = 4
@@ -60,13 +59,10 @@ def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
 
     sigmas = SIGMA_RAD / np.repeat(np.arange(1, HARMONICS + 1), 2)
     start = np.concatenate([[*pose.centre_m, pose.turn_rad], np.zeros(2 * HARMONICS)])
-    descent = descend(
-        spectra, model, start, sigmas=np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, *sigmas])
-    )
-    x, y, turn = (float(value) for value in descent.x[:3])
-    return Steadied(
-        Pose((x, y), turn % (2 * np.pi)), _turned_by(spectra, descent.x[3:] @ shapes), descent.residual
-    )
+    sigmas = np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, *sigmas])
+    end, residual = descend(spectra, model, start, sigmas=sigmas)
+    x, y, turn = (float(value) for value in end[:3])
+    return Steadied(Pose((x, y), turn % (2 * np.pi)), _turned_by(spectra, end[3:] @ shapes), residual)
 
 
 def _harmonics(antenna: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -87,11 +87,9 @@ def least_of(distance: NDArray[np.float64], chosen: list[int]) -> float:
     return float(part.min())
 
 
-def clique(
-    compatible: NDArray[np.bool_], count: int, rng: np.random.Generator, restarts: int = RESTARTS
-) -> list[int] | None:
+def clique(compatible: NDArray[np.bool_], count: int, rng: np.random.Generator) -> list[int] | None:
     """`count` mutually compatible rows of a symmetric matrix (n, n), or None if none were found."""
-    members = largest_clique(compatible, rng, restarts)
+    members = largest_clique(compatible, rng)
     return members[:count] if len(members) >= count else None
 
 
@@ -117,18 +115,18 @@ def largest_clique(
 
 
 class _Search:
-    """The branches of `exact_clique`; sets of rows are bits of integers."""
+    """The branches of `exact_clique`; sets of rows are bits of integers.
+
+    Attributes:
+        budget: branches that may still be opened.
+        near: rows compatible with each.
+    """
 
     def __init__(self, nodes: int = NODES) -> None:
         self.budget = nodes
         self.near: list[int] = []
 
-    def run(self, near: list[int], count: int) -> list[int] | None:
-        """`count` rows of a clique, or None; `near` are the rows compatible with each, as bits."""
-        self.near = near
-        return self._expand((1 << len(near)) - 1, count)
-
-    def _expand(self, rest: int, wanted: int) -> list[int] | None:
+    def expand(self, rest: int, wanted: int) -> list[int] | None:
         """`wanted` compatible rows of the set `rest`, or None."""
         if wanted == 0:
             return []
@@ -136,7 +134,7 @@ class _Search:
         if self.budget < 0:
             raise SearchTooLongError
         for row in reversed(self._branches(rest, wanted)):
-            branch = self._expand(rest & self.near[row], wanted - 1)
+            branch = self.expand(rest & self.near[row], wanted - 1)
             if branch is not None:
                 return [row, *branch]
             rest &= ~(1 << row)
@@ -180,6 +178,7 @@ def exact_clique(
     order = np.flatnonzero(alive)
     order = order[np.argsort(graph[np.ix_(order, order)].sum(axis=1), kind="stable")[::-1]]
     part = graph[np.ix_(order, order)]
-    near = [sum(1 << int(j) for j in np.flatnonzero(row)) for row in part]
-    members = (search or _Search()).run(near, count)
+    search = search or _Search()
+    search.near = [sum(1 << int(j) for j in np.flatnonzero(row)) for row in part]
+    members = search.expand((1 << len(order)) - 1, count)
     return None if members is None else [int(order[i]) for i in members]

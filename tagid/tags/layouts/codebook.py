@@ -5,7 +5,7 @@ A family of tags is rated by its minimum distance, as AprilTag families are by t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from math import perm
@@ -13,7 +13,6 @@ from math import perm
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.layouts.assignment import least_assignment
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 
 CONFUSABLE_M = 12e-3
@@ -54,9 +53,8 @@ class LayoutDistance:
 def height_weight(antenna_heights_m: Sequence[float], axis_distance_m: float) -> float:
     """Displacement in the plane that changes the echoes as much as a height difference of 1 m does.
 
-    From an antenna at the height h and the distance D, a height difference s changes the range by -s h / D
-    and
-    what is equal at all antenna heights, which is lost in the phase of the echo: s std(h) / D in the mean
+    From an antenna at the height h and the distance D, a height difference s changes the range by -s h / D.
+    What is equal at all antenna heights is lost in the phase of the echo: s std(h) / D is left in the mean
     (RMS). A displacement s in the plane changes it by s / sqrt(2) in the mean over a turn. 0 for one antenna
     height.
 
@@ -209,42 +207,34 @@ def _held_turn(
 
     Args:
         cross: (n,) mean of conj(p) q of the centred points, m^2.
-        own, other: (n,) means of the points and of their partners, m.
+        centroid, other_centroid: (n,) means of the points and of their partners, m.
         tolerance_m: longest shift, m.
     """
     begin = np.angle(cross)
     arc = np.angle(other_centroid * centroid.conj() * np.exp(-1j * begin))
+
+    def slope_at(part: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivative of `_misfit` with respect to the part of the arc, m^2."""
+        turn = np.exp(1j * (begin + part * arc))
+        gap = other_centroid - turn * centroid
+        length = np.maximum(np.abs(gap), 1e-30)
+        beyond = np.maximum(length - tolerance_m, 0)
+        pull = (gap.conj() * turn * centroid).imag / length
+        return np.asarray((2 * beyond * pull - 2 * (turn.conj() * cross).imag) * arc)
+
     grid = np.linspace(0, 1, _ARC_STEPS + 1)[:, None]
     best = np.argmin(_misfit(begin + grid * arc, cross, centroid, other_centroid, tolerance_m), axis=0)
     low, high = (np.clip(best + step, 0, _ARC_STEPS) / _ARC_STEPS for step in (-1, 1))
-    fall, rise = (
-        _slope(begin + t * arc, cross, centroid, other_centroid, tolerance_m) * arc for t in (low, high)
-    )
+    fall, rise = slope_at(low), slope_at(high)
     for _ in range(_SECANTS):
         # Illinois: a secant method that halves the slope of a retained end, so that both ends converge.
         middle = low + (high - low) * np.clip(fall / np.minimum(fall - rise, -1e-300), 0.0, 1.0)
         middle = np.where((fall < 0) & (rise > 0), middle, np.where(fall >= 0, low, high))
-        slope = _slope(begin + middle * arc, cross, centroid, other_centroid, tolerance_m) * arc
+        slope = slope_at(middle)
         up = slope > 0
         low, high = np.where(up, low, middle), np.where(up, middle, high)
         fall, rise = np.where(up, fall / 2, slope), np.where(up, slope, rise / 2)
     return np.asarray(begin + middle * arc)
-
-
-def _slope(
-    angle: NDArray[np.float64],
-    cross: NDArray[np.complex128],
-    centroid: NDArray[np.complex128],
-    other_centroid: NDArray[np.complex128],
-    tolerance_m: float,
-) -> NDArray[np.float64]:
-    """Derivative of `_misfit` with respect to the angle, m^2."""
-    turn = np.exp(1j * angle)
-    gap = other_centroid - turn * centroid
-    length = np.maximum(np.abs(gap), 1e-30)
-    beyond = np.maximum(length - tolerance_m, 0)
-    pull = (gap.conj() * turn * centroid).imag / length
-    return np.asarray(2 * beyond * pull - 2 * (turn.conj() * cross).imag)
 
 
 def all_distances(
@@ -334,13 +324,43 @@ def _nearest_pairing(small: NDArray[np.float64], large: NDArray[np.float64], tol
     return best
 
 
-def confusable(
-    layout: Layout, others: Iterable[Layout], tolerance_m: float = CONFUSABLE_M
-) -> dict[str, LayoutDistance]:
-    """Other layouts, by name, whose worst reflector is within the tolerance of the layout's."""
-    near = {}
-    for other in others:
-        distance = rotational_distance(layout, other)
-        if distance.worst_m < tolerance_m:
-            near[other.name] = distance
-    return near
+def least_assignment(cost: NDArray[np.floating]) -> NDArray[np.intp]:
+    """(rows,) column of each row such that no column is taken twice and the sum of the costs is least.
+
+    Shortest augmenting paths with potentials (R. Jonker, A. Volgenant, Computing 38, 1987).
+
+    Args:
+        cost: (rows, columns) with no more rows than columns.
+    """
+    rows, columns = cost.shape
+    by_row, by_column = np.zeros(rows), np.zeros(columns)
+    owner = np.full(columns, -1)
+    for row in range(rows):
+        reach = np.full(columns, np.inf)
+        before = np.full(columns, -1)
+        done = np.zeros(columns, dtype=bool)
+        here, last, length = row, -1, 0.0
+        while True:
+            step = length + cost[here] - by_row[here] - by_column
+            nearer = ~done & (step < reach)
+            reach[nearer], before[nearer] = step[nearer], last
+            last = int(np.argmin(np.where(done, np.inf, reach)))
+            length = float(reach[last])
+            done[last] = True
+            if owner[last] < 0:
+                break
+            here = int(owner[last])
+        # Potentials keep the reduced costs of all pairs non-negative, and those of assigned pairs zero.
+        by_row[row] += length
+        for column in np.flatnonzero(done):
+            if owner[column] >= 0:
+                by_row[owner[column]] += length - reach[column]
+            by_column[column] -= length - reach[column]
+        while last >= 0:
+            previous = int(before[last])
+            owner[last] = row if previous < 0 else owner[previous]
+            last = previous
+    assigned = np.empty(rows, dtype=np.intp)
+    taken = np.flatnonzero(owner >= 0)
+    assigned[owner[taken]] = taken
+    return assigned

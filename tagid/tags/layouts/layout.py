@@ -56,7 +56,7 @@ def rotation_matrix(angle_rad: float | NDArray[np.floating]) -> NDArray[np.float
     return out
 
 
-def rotational_symmetry(positions: NDArray[np.float64], tolerance_m: float = SYMMETRY_TOLERANCE_M) -> int:
+def rotational_symmetry(positions: NDArray[np.float64]) -> int:
     """Largest n for which a rotation by 360/n degrees about z maps points (K, 2) or (K, 3) onto themselves.
 
     >>> rotational_symmetry(np.array([[0.1, 0.0], [-0.1, 0.0]]))
@@ -66,7 +66,7 @@ def rotational_symmetry(positions: NDArray[np.float64], tolerance_m: float = SYM
         turned = positions.copy()
         turned[:, :2] = positions[:, :2] @ rotation_matrix(2 * np.pi / order).T
         gap = np.linalg.norm(turned[:, None] - positions[None], axis=2)
-        if (gap.min(axis=1) <= tolerance_m).all():
+        if (gap.min(axis=1) <= SYMMETRY_TOLERANCE_M).all():
             return order
     return 1
 
@@ -136,15 +136,14 @@ class Layout:
                 f"layout {self.name}: positions are not pairs of numbers",
                 "Give each reflector as [x, y] in metres.",
             ) from None
-        if positions.ndim == 2 and positions.shape[1] == 2 and not 2 <= len(positions) <= MAX_REFLECTORS:
-            raise UsageError(
-                f"layout {self.name}: {len(positions)} positions given",
-                f"Give 2 to {MAX_REFLECTORS} reflectors as [x, y] in metres.",
-            )
+        wrong = ""
         if positions.ndim != 2 or positions.shape[1] != 2:
+            wrong = f"positions have shape {positions.shape}, expected (K, 2)"
+        elif not 2 <= len(positions) <= MAX_REFLECTORS:
+            wrong = f"{len(positions)} positions given"
+        if wrong:
             raise UsageError(
-                f"layout {self.name}: positions have shape {positions.shape}, expected (K, 2)",
-                f"Give 2 to {MAX_REFLECTORS} reflectors as [x, y] in metres.",
+                f"layout {self.name}: {wrong}", f"Give 2 to {MAX_REFLECTORS} reflectors as [x, y] in metres."
             )
         if not np.isfinite(positions).all():
             raise UsageError(

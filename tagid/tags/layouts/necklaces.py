@@ -6,6 +6,7 @@ An object's orientation on the table is arbitrary, so words that are rotations o
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations, pairwise, product
 from math import comb
 
 from tagid.errors import UsageError
@@ -19,21 +20,8 @@ Bead = tuple[int, int]
 
 def _gaps(slots: int, weight: int) -> Iterator[tuple[int, ...]]:
     """Compositions of `slots` into `weight` positive parts."""
-    if weight == 1:
-        yield (slots,)
-        return
-    for first in range(1, slots - weight + 2):
-        for rest in _gaps(slots - first, weight - 1):
-            yield (first, *rest)
-
-
-def _colourings(weight: int, colours: int) -> Iterator[tuple[int, ...]]:
-    if weight == 0:
-        yield ()
-        return
-    for rest in _colourings(weight - 1, colours):
-        for colour in range(colours):
-            yield (*rest, colour)
+    for cuts in combinations(range(1, slots), weight - 1):
+        yield tuple(end - start for start, end in pairwise((0, *cuts, slots)))
 
 
 def _turned(word: tuple[Bead, ...]) -> list[tuple[Bead, ...]]:
@@ -82,7 +70,7 @@ def necklaces(
     for gaps in _gaps(slots, weight):
         if min(gaps) < gaps[0]:
             continue
-        for colouring in _colourings(weight, colours):
+        for colouring in product(range(colours), repeat=weight):
             word = tuple(zip(gaps, colouring, strict=True))
             if word != min(_turned(word)):
                 continue

@@ -13,10 +13,9 @@ import numpy as np
 
 from tagid.errors import UsageError
 from tagid.files import parse_toml
-from tagid.tags.layouts.layout import KINDS, MAX_RADIUS_M
+from tagid.tags.layouts.layout import KINDS, MAX_HEIGHT_M, MAX_RADIUS_M
 
 MAX_ROWS = 4
-MAX_HEIGHT_M = 1.0
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ def test_a_body_is_found_where_it_stands_alone_and_beside_a_tag() -> None:
     (beside,) = Poses(spectra, body, 0).best(1, tag)
     for pose in (alone, beside):
         # The enrolment's first capture had the centre at 2, -3 mm, and was turned by 0.3.
-        assert pose.head[2] == pytest.approx(1.0 - 0.3, abs=0.06)
+        assert pose[2] == pytest.approx(1.0 - 0.3, abs=0.06)
 
 
 def test_another_tag_on_an_enrolled_body_is_not_named() -> None:

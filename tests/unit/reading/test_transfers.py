@@ -9,10 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
-from tagid.fields.shells import Shell, echoes
-from tagid.reading.transfers.rod import RODS
+from tagid.fields.shells import Shell, echoes, orders, reflection
 from tagid.reading.transfers.transfer import ANGLES, Transfer, aspects
-from tagid.reading.transfers.wall import STRENGTHS, WALLS, Walls, beside, wall
+from tagid.reading.transfers.wall import RODS, STRENGTHS, WALLS, Walls, patterns, wall
 from tagid.simulate.response_file import read_response
 
 RESPONSES = Path(__file__).parents[2] / "data" / "responses"
@@ -25,19 +24,24 @@ def table(transfer: Transfer) -> NDArray[np.complex128]:
     return transfer.table(KAPPA, RADIUS_M)
 
 
+def patterns_beside(shell: Shell) -> NDArray[np.complex128]:
+    coefficients = reflection(KAPPA / 2, [shell], orders(KAPPA / 2, RADIUS_M))
+    return patterns(KAPPA / 2, coefficients, np.array([True]), RADIUS_M, 2)
+
+
 @pytest.mark.parametrize("transfer", [*WALLS, *RODS], ids=lambda transfer: transfer.name)
 def test_a_pattern_is_alike_to_either_side_and_of_falling_power(transfer: Transfer) -> None:
-    patterns = table(transfer)
-    assert patterns.shape == (len(transfer.power), len(KAPPA), ANGLES)
-    np.testing.assert_allclose(patterns[..., 1:], patterns[..., :0:-1], atol=1e-12)
-    energy = (np.abs(patterns[..., : BEHIND + 1]) ** 2).sum(axis=2)
+    seen = table(transfer)
+    assert seen.shape == (len(transfer.power), len(KAPPA), ANGLES)
+    np.testing.assert_allclose(seen[..., 1:], seen[..., :0:-1], atol=1e-12)
+    energy = (np.abs(seen[..., : BEHIND + 1]) ** 2).sum(axis=2)
     assert (np.diff(energy, axis=0) <= 0).all()
 
 
 def test_a_wall_of_air_is_free_space() -> None:
-    patterns = table(wall("air", "air", Walls((0.003,), (1.0,)), 2))
-    np.testing.assert_allclose(patterns[0], np.sqrt(np.sum(STRENGTHS)), atol=1e-6)
-    assert np.abs(patterns[1:]).max() < 1e-6
+    seen = table(wall("air", "air", Walls((0.003,), (1.0,)), 2))
+    np.testing.assert_allclose(seen[0], np.sqrt(np.sum(STRENGTHS)), atol=1e-6)
+    assert np.abs(seen[1:]).max() < 1e-6
 
 
 @pytest.mark.parametrize("transfer", WALLS, ids=lambda transfer: transfer.name)
@@ -49,22 +53,22 @@ def test_rings_of_nearly_one_radius_have_patterns_of_one_phase(transfer: Transfe
 def test_the_patterns_hold_the_second_moment_of_the_fields() -> None:
     """Between front and back, too: the sign of the phase and of the delay shows there alone."""
     shell = Shell(0.030, 0.0, 1.0, True)
-    patterns = beside(lambda radius_m: [shell], 2)(KAPPA, RADIUS_M)
+    seen = patterns_beside(shell)
     place = aspects()[[FRONT, BEHIND]]
     free = np.exp(1j * KAPPA[:, None] * RADIUS_M * np.cos(place))
     fields = echoes(KAPPA / 2, [shell], RADIUS_M, place)[:, 0] / free
     expected = np.einsum("pfa,pq,qfb->fab", fields, STRENGTHS, fields.conj())
-    held = patterns[..., [FRONT, BEHIND]]
+    held = seen[..., [FRONT, BEHIND]]
     np.testing.assert_allclose(np.einsum("pfa,pfb->fab", held, held.conj()), expected, atol=1e-9)
 
 
 def test_behind_a_low_loss_filling_a_reflector_is_late_and_strong() -> None:
     """Powder of permittivity 2.5: 30 mm late and 12 dB above the front in solved waves of a finite vessel."""
     powder = Shell(0.028, 0.0025, 2.6, False, "V", 2.5)
-    patterns = beside(lambda radius_m: [powder], 2)(KAPPA, RADIUS_M)
-    turn = np.unwrap(np.angle((patterns[..., BEHIND] * patterns[..., FRONT].conj()).sum(axis=0)))
+    seen = patterns_beside(powder)
+    turn = np.unwrap(np.angle((seen[..., BEHIND] * seen[..., FRONT].conj()).sum(axis=0)))
     assert -np.polyfit(KAPPA, turn, 1)[0] == pytest.approx(0.030, abs=0.008)
-    level = (np.abs(patterns) ** 2).sum(axis=0).mean(axis=0)
+    level = (np.abs(seen) ** 2).sum(axis=0).mean(axis=0)
     assert level[BEHIND] > 2 * level[FRONT]
 
 
