@@ -23,8 +23,9 @@ from tagid.reading.hypotheses import TRANSFERS
 from tagid.reading.hypothesis import Arranged, Candidate, disc_of
 from tagid.reading.spectra import MODEL_ERROR, Spectra
 from tagid.reading.transfers.plain import BARE
+from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.transfer import Transfer
-from tagid.reading.transfers.wall import RODS, WALLS
+from tagid.reading.transfers.wall import WALLS
 from tagid.tags.layouts.codebook import best_pairing
 from tagid.tags.layouts.layout import Layout
 from tagid.types import Floats

@@ -49,9 +49,10 @@ from tagid.reading.starts import (
     with_clutter,
 )
 from tagid.reading.transfers.plain import BARE, FACING, POINTS
+from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADES
 from tagid.reading.transfers.transfer import Transfer
-from tagid.reading.transfers.wall import RODS, WALLS
+from tagid.reading.transfers.wall import WALLS
 from tagid.reading.uneven import Turned, straightened
 from tagid.tags.layouts.layout import Layout
 from tagid.types import Floats

@@ -99,8 +99,16 @@ BOX = Kind(
     _transfer("box", "a box of thin walls", True), BoxShell, 0.063, 0.5, 10e-3, _sizes(0.025, 35), THIN_M
 )
 METAL = Kind(_transfer("metal box", "a box of metal"), BoxShell, 0.055, 0.5, 3e-3, _sizes(0.02, 39), METAL_M)
-_CAN = _transfer("metal can", "a body of metal")
-CAN = Kind(_CAN, EllipticShell, 0.036, 0.35, MOUNTING_SD_M, _sizes(0.02, 22), METAL_M, (0.032, 0.04))
+CAN = Kind(
+    _transfer("metal can", "a body of metal"),
+    EllipticShell,
+    size_m=0.036,
+    size_sd=0.35,
+    tag_sd_m=MOUNTING_SD_M,
+    sizes_m=_sizes(0.02, 22),
+    strength_m=METAL_M,
+    tagged_m=(0.032, 0.04),
+)
 CUP = Kind(
     _transfer("cup", "a cup", True), EllipticShell, 0.037, 0.25, MOUNTING_SD_M, _sizes(0.025, 15), CERAMIC_M
 )

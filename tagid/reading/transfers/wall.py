@@ -1,4 +1,4 @@
-"""Reflectors before a round wall or a filled vessel, by the exact fields around a cylinder.
+"""Reflectors before a round wall, by the exact fields around a cylinder.
 
 A small reflector answers the electric and the magnetic field of a wave, and by reciprocity the echo takes the
 same ways back (`tagid.fields.shells.echoes`). Beside a known wall two amplitudes per frequency are left; a
@@ -148,7 +148,3 @@ WALLS = tuple(
         wall("plastic", "a wall of plastic", PLASTIC, 3, polarisation),
     )
 )
-FILLED = Walls((2e-3,), (2.5,), filling=(2.0, 2.3, 2.6, 3.0, 3.5))
-"""A plastic vessel with a filling of low loss: a lens, behind which a reflector is seen late, and stronger
-than in front. Relative permittivities of oil and powder are 2 to 3, of rice and granulate more."""
-RODS = tuple(wall("rod", "a filled vessel", FILLED, 4, polarisation) for polarisation in ("V", "H"))

@@ -18,8 +18,8 @@ from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, Powers, _Numpy, desc
 from tagid.reading.odd import OddMap
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE
+from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADES
-from tagid.reading.transfers.wall import RODS
 
 SPECTRA = {
     "even": spectra_of("container-90", views=36),

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.fields.shells import Shell, echoes, orders, reflection
+from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.transfer import ANGLES, Transfer, aspects
-from tagid.reading.transfers.wall import RODS, STRENGTHS, WALLS, Walls, patterns, wall
+from tagid.reading.transfers.wall import STRENGTHS, WALLS, Walls, patterns, wall
 from tagid.simulate.response_file import read_response
 
 RESPONSES = Path(__file__).parents[2] / "data" / "responses"
