@@ -69,6 +69,15 @@ def test_a_turning_helmet_is_named_and_everything_is_left_on_disk(
     assert NOT_COMMISSIONED not in done.json["messages"], "a name needs no rig that is trusted"
 
 
+def test_a_rig_that_is_not_commissioned_is_said_where_nothing_is_named(
+    tagid: Callable[..., Ran], home: dict[str, str]
+) -> None:
+    with emulator(home, "--scene", "empty", "--rpm", "40", "--rate", "0", "--seed", "3") as (url, _):
+        twice = scan(tagid, url, "--motion", "free?rpm=40", "--repeat", "2")
+    assert twice.code == 3, twice
+    assert twice.json["messages"].count(NOT_COMMISSIONED) == 1
+
+
 def test_a_radar_that_dies_costs_nothing_that_arrived(home: dict[str, str], tmp_path: Path) -> None:
     with emulator(home, "--scene", "helmet-120", "--rpm", "1") as (url, process):
         client = subprocess.Popen(
