@@ -41,7 +41,9 @@ def remember_in(module: Any, folder: str) -> None:
 
 def shared(folder: Path) -> dict[str, str]:
     """What the environment of a child process needs for it."""
-    return {"REMEMBERED": str(folder), "PYTHONPATH": str(Path(__file__).parent / "children")}
+    modules = " ".join(module for module, _ in FUNCTIONS)
+    children = str(Path(__file__).parent / "children")
+    return {"REMEMBERED": str(folder), "REMEMBERED_OF": modules, "PYTHONPATH": children}
 
 
 def _remember(function: Any, name: str, folder: Path) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from tagid.errors import DataError
 from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import backproject
+from tagid.imaging.facts import HeldOutFacts
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans, Image
@@ -75,7 +75,7 @@ class HeldOut:
         """Whether the neighbouring scans predict the views better than the image."""
         return self.neighbours < self.residual
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> HeldOutFacts:
         """Plain JSON values."""
         return {
             "residual": self.residual,

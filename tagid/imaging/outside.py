@@ -12,12 +12,12 @@ where it would cost more than half of what the image costs.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.geometry import ImageGrid, VolumeGrid
+from tagid.imaging.facts import OutsideFacts
 from tagid.imaging.lengths import coarsest_pixel_m
 from tagid.imaging.operator import ForwardOperator, envelope, products
 from tagid.imaging.preprocess import select_views
@@ -88,7 +88,7 @@ class Outside:
         echoes = ForwardOperator(scans, self.points).forward(self.amplitudes)
         return replace(scans, samples=scans.samples - echoes)
 
-    def facts(self, subtracted: bool) -> dict[str, Any]:
+    def facts(self, subtracted: bool) -> OutsideFacts:
         """Plain JSON values; whether the image was made without these echoes."""
         return {"share": self.share, "points": len(self.points), "subtracted": subtracted}
 

@@ -20,6 +20,7 @@ from tagid.imaging.ats.settings import AtsSettings, Prior
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning, closure_warning
 from tagid.imaging.copies import path_warning
+from tagid.imaging.facts import OutsideFacts
 from tagid.imaging.heldout import HeldOut, check, left_out
 from tagid.imaging.lengths import finest_cell_m, pixel_warning
 from tagid.imaging.outside import NOT_SEARCHED, Outside, find_outside, views_searched
@@ -255,7 +256,7 @@ def _facts(
     image: Image,
     focus: AxisFocus | None,
     region: Region | None,
-    outside: dict[str, Any] | None,
+    outside: OutsideFacts | None,
     predicted: HeldOut | None,
     warnings: list[str | None],
 ) -> dict[str, Any]:

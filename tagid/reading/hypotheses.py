@@ -161,6 +161,11 @@ class Contest:
         return self.hypotheses
 
     @property
+    def _ranked(self) -> list[Hypothesis]:
+        """All so far, the best first."""
+        return sorted(self.hypotheses, key=lambda hypothesis: -hypothesis.log_z)
+
+    @property
     def _highest(self) -> float:
         return max(hypothesis.estimate.log_z for hypothesis in self.hypotheses)
 
@@ -282,7 +287,7 @@ class Contest:
     def _beside_others(self) -> None:
         """The best pose of every layout and of free arrangements of every number, beside all but sheets."""
         best: dict[tuple[str, int], Hypothesis] = {}
-        for hypothesis in sorted(self.hypotheses, key=lambda hypothesis: -hypothesis.log_z):
+        for hypothesis in self._ranked:
             if type(hypothesis.estimate.model) is Model and hypothesis.estimate.model.tag is not None:
                 name = "" if hypothesis.layout is None else hypothesis.layout.name
                 best.setdefault((name, 0 if name else hypothesis.estimate.model.tag.count), hypothesis)
@@ -342,8 +347,14 @@ class Contest:
             every = self._best(len(self.hypotheses), enrolled=enrolled)
             for hypothesis in [h for h in every if h.estimate.model.transfer is BARE][:3]:
                 model, x = replace(hypothesis.estimate.model, transfer=FACING), hypothesis.estimate.x
-                facing = refined(self.spectra, model, x, (1e-3, None))
-                self.add(hypothesis.layout, facing, hypothesis.middle, hypothesis.prior)
+                self._placed(
+                    hypothesis.layout,
+                    model,
+                    x,
+                    (1e-3, None),
+                    middle=hypothesis.middle,
+                    prior=hypothesis.prior,
+                )
 
     def _hidden(self) -> None:
         """The best bare tags, not seen from a sector of directions: behind a post or a hand."""
@@ -471,16 +482,15 @@ class Contest:
     def _guests(self) -> list[Hypothesis]:
         """The best layouts, and the best free arrangement."""
         out: list[Hypothesis] = []
-        for hypothesis in sorted(self.hypotheses, key=lambda hypothesis: -hypothesis.log_z):
+        for hypothesis in self._ranked:
             if hypothesis.tagged and all(hypothesis.layout is not other.layout for other in out):
                 out.append(hypothesis)
         return out[:GUESTS]
 
     def _best(self, count: int, *, enrolled: bool) -> list[Hypothesis]:
         """The best hypotheses with reflectors, of layouts or of arrangements that are not enrolled."""
-        some = [h for h in self.hypotheses if h.estimate.model.tag and not h.estimate.model.whole]
-        some = [hypothesis for hypothesis in some if (hypothesis.layout is not None) == enrolled]
-        return sorted(some, key=lambda hypothesis: -hypothesis.log_z)[:count]
+        some = [h for h in self._ranked if h.estimate.model.tag and not h.estimate.model.whole]
+        return [hypothesis for hypothesis in some if (hypothesis.layout is not None) == enrolled][:count]
 
     def _sheets(self) -> None:
         """Thin sheets, alone, beside what the points have shown, and with all that their tables show."""
@@ -494,8 +504,7 @@ class Contest:
 
     def _beside_odd(self) -> None:
         """The best of every kind beside odd scatterers, added while they pay."""
-        untagged = [hypothesis for hypothesis in self.hypotheses if hypothesis.estimate.model.tag is None]
-        untagged.sort(key=lambda hypothesis: -hypothesis.log_z)
+        untagged = [hypothesis for hypothesis in self._ranked if hypothesis.estimate.model.tag is None]
         tagged = self._best(5, enrolled=True) + self._best(9, enrolled=False)
         for hypothesis in untagged[:6]:
             self.grow(hypothesis, MOST_ODD_UNTAGGED)

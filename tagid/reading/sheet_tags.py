@@ -234,11 +234,11 @@ def _about(
         off = centre - sheet_centre
         head = np.r_[x[:HEAD], off.real, off.imag]
         powers = replace(powers, clutter=1e-2, tag=0.3)
-        whole, spots, places = beside(spectra, model, x, arranged, centre, powers)
+        whole, spots, nodes = beside(spectra, model, x, arranged, centre, powers)
         for layout, a, turns in zip(layouts, arranged, search.turned(whole, 2), strict=True):
             for turn in turns:
                 yield _Start(turn.log, layout, replace(model, tag=a), np.r_[head, turn.angles[0], 0.0, odd])
-        for log, positions in sets(spots, places, MOST):
+        for log, positions in sets(spots, nodes, MOST):
             tag = Arrangement.points(positions - sheet_centre)
             free = np.r_[x[: HEAD + 2], np.zeros(2 * tag.count), odd]
             yield _Start(log, None, replace(model, tag=tag), free)

@@ -6,14 +6,12 @@ Python imports this module at its start where the folder is on PYTHONPATH; it lo
 import os
 import sys
 
-MODULES = ("tagid.reading.reader", "tagid.reading.alike", "tagid.tags.bodies.joint")
-
 
 class _Finder:
     """Has `remembered` wrap the functions of a module as soon as it is imported."""
 
     def find_spec(self, name, path=None, target=None):
-        if name not in MODULES:
+        if name not in os.environ["REMEMBERED_OF"].split():
             return None
         specs = (finder.find_spec(name, path, target) for finder in sys.meta_path if finder is not self)
         spec = next((spec for spec in specs if spec is not None), None)

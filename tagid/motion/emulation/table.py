@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections import deque
 from enum import Enum
 from typing import Final
@@ -62,7 +63,7 @@ class Steps(Enum):
     NONE = "never"
 
 
-class _TableCore:
+class _TableCore(ABC):
     """An emulated table; its commands end in a semicolon. Times are seconds of one clock.
 
     Args:
@@ -91,9 +92,9 @@ class _TableCore:
         self.table.advance(now_s)
         return b""
 
+    @abstractmethod
     def _answer(self, text: str) -> bytes:
         """Obey a command, without its semicolon."""
-        raise NotImplementedError
 
 
 class ComximCore(_TableCore):
