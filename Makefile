@@ -60,9 +60,12 @@ browser:
 # Scans wait for radars and tables in real time: three processes keep two cores busy, two do not.
 WORKERS = $(shell $(BIN)/python -c "import os; print(max(2, 3 * (os.cpu_count() or 1) // 2))")
 
+# Byte code is kept, whatever the environment says: seven processes collect the tests, and commands start by hundreds.
+PYTEST = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/pytest --dist worksteal
+
 check: $(VENV)/.torch browser
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not realtime"
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal -m realtime
+	$(PYTEST) -n $(WORKERS) -m "not realtime"
+	$(PYTEST) -n 2 -m realtime
 
 clean:
 	rm -rf $(VENV) $(DEMO_DIR) build dist *.egg-info
