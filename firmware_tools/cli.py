@@ -357,3 +357,7 @@ for declared in commands_of(__name__):
 def main() -> None:
     """Entry point."""
     run_program(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -214,9 +214,11 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
             kind += f", in {setting.unit} or with its unit: {', '.join(UNITS[setting.unit])}"
         raise ConfigError(f"{where}: {name} is {raw!r:.60}, not a number", _another(setting, kind)) from None
     if name == "motion.axis_distance_m" and IMPLAUSIBLE_AXIS_M <= value < inf:
+        # Of the two units the one that gives the more usual distance.
+        unit, parts = ("mm", 1000) if value > 320 else ("cm", 100)
         raise ConfigError(
             f"{where}: {name} is {value:g}. {value:g} m? Give metres",
-            f"e.g. {value / 100:g} for {value:g} cm; a turntable is usually about 1 m from the antennas.",
+            f"e.g. {value / parts:g} for {value:g} {unit}; a turntable is usually about 1 m from the antennas.",
         )
     if setting.low is not None and setting.high is not None and not setting.low <= value <= setting.high:
         raise ConfigError(

@@ -206,7 +206,7 @@ def _item(record: ItemRecord) -> None:
 
 
 def _remark(done: int, of: int, rate: float, remaining_s: float | None) -> str:
-    words = f"{done}/{of}, {rate:.1f}/s"
+    words = f"{done}/{of}, {rate:.2g}/s"
     if remaining_s is None:
         return words
     minutes, seconds = divmod(round(remaining_s), 60)
@@ -297,5 +297,5 @@ def _remarks(plan: BatchPlan, finished: Finished) -> list[str]:
     remarks += [f"cannot read folder {folder}" for folder in plan.inputs.unreadable[:5]]
     expected = finished.summary["expected"]
     if expected and expected["not_in_manifest"]:
-        remarks.append(f"not in the manifest: {counted(expected['not_in_manifest'], 'capture')}")
+        remarks.append(f"not in the manifest: {counted(expected['not_in_manifest'], 'file')}")
     return remarks

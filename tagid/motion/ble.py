@@ -78,11 +78,14 @@ GROUP: Final = "tagid.virtual_bluetooth"
 
 def virtual_bluetooth(part: str) -> Any:
     """A member of the group. Raises MissingExtraError if there is no provider, or it lacks its packages."""
+    why = ""
     for entry in metadata.entry_points(group=GROUP, name=part):
-        with contextlib.suppress(ImportError):
+        try:
             return entry.load()
+        except ImportError as error:
+            why = f": {error}"
     raise MissingExtraError(
-        "this installation has no virtual Bluetooth controllers",
+        f"this installation has no virtual Bluetooth controllers{why}",
         "In a checkout of tagid: pip install ./firmware_tools",
     )
 

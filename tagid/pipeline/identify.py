@@ -102,7 +102,7 @@ def ended_early(capture: Capture) -> bool:
 def of_the_part(reading: Reading, captures: Sequence[Capture]) -> Reading:
     """The reading as far as the parts of a turn that were seen carry it.
 
-    A name, and that no tag shows, is withheld unless one of the captures shows every side of the object: in
+    What they show is withheld, but for two likely names, unless one of the captures shows every side of the object: in
     several, the object may lie in other directions. The bound on false accept is withheld where a capture is
     not of a whole turn, for which it is calibrated, unless the recording ended early with its own bound.
 
@@ -118,14 +118,15 @@ def of_the_part(reading: Reading, captures: Sequence[Capture]) -> Reading:
         for share, capture in zip(shares, captures, strict=True)
     ):
         reading = replace(reading, bound=None)
-    if not unseen or reading.status not in ("identified", "no_tag"):
+    if not unseen or reading.status == "ambiguous":
         return reading
-    covered = f"the views cover {max(shares) * 360:.0f} of 360 degrees"
-    if reading.status == "no_tag":
-        return reading.refused(Code.PARTIAL, f"{covered}, and in these no tag shows")
-    shows = f"the scans show {reading.layout}, but not every side"
+    shows = {
+        "identified": f"the scans show {reading.layout}, but not every side",
+        "no_tag": "no tag shows",
+    }.get(reading.status, reading.reason)
     resolved = captures[int(np.argmax(shares))].motion.resolved
-    if resolved is None or resolved.standstill is None:
+    if resolved is None or resolved.standstill is None or reading.status == "no_tag":
+        covered = f"the views cover {max(shares) * 360:.0f} of 360 degrees"
         return reading.refused(Code.PARTIAL, f"{covered}, and in these {shows}")
     return reading.refused(Code.STOPPED, f"{stopped_words(resolved.standstill)}, and until then {shows}")
 

@@ -103,7 +103,12 @@ def settled(named: Joint | None, other: Joint, untagged: Joint, needed: Needed =
     if winner is other:
         return refused("unknown", _stranger(rival), rival, _difference(rival, best))
     code = Code.WEAK if np.isfinite(needed.lead) else Code.UNCALIBRATED
-    return refused("unknown", f"{words(best)}, or nearly as likely: {words(rival)}", best, code)
+    but = f", or nearly as likely: {words(rival)}"
+    if lead >= SURE:
+        but = ", but other objects look as much like it with so few views"
+        if code is Code.UNCALIBRATED:
+            but = ", but no calibration covers so few views or so small a tags.false_accept"
+    return refused("unknown", words(best) + but, best, code)
 
 
 def _stranger(winner: Hypothesis) -> str:
@@ -124,7 +129,7 @@ def _untagged(hypotheses: Sequence[Hypothesis]) -> Joint:
 def _silent(hypothesis: Hypothesis) -> bool:
     """Whether nothing turns but noise."""
     model = hypothesis.estimate.model
-    return not (model.transfer.body or model.odd or hypothesis.estimate.powers.clutter)
+    return not (model.transfer.body or model.tag or model.odd or hypothesis.estimate.powers.clutter)
 
 
 def _difference(winner: Hypothesis, best: Hypothesis) -> Code:
@@ -226,7 +231,7 @@ def words(hypothesis: Hypothesis) -> str:
     positions = hypothesis.estimate.positions - hypothesis.estimate.centre
     count = len(positions)
     if count == 1:
-        return f"one reflector{where}{odd}"
+        return f"one reflector{where or ' or round body'}{odd}"
     gaps = gaps_deg(np.angle(positions))
     gaps = np.sort(gaps)[:-1] if count == 2 else gaps
     *others, last = (f"{gap:.0f}" for gap in gaps)

@@ -107,7 +107,7 @@ class Explained:
 def kind_of(hypothesis: Hypothesis) -> Kind:
     """What stands there by a hypothesis."""
     model = hypothesis.estimate.model
-    if not model.tagged:
+    if not hypothesis.tagged:
         return Kind.NO_TAG
     if isinstance(model, SignatureModel):
         return Kind.OBJECT if model.whole else Kind.BODY

@@ -483,7 +483,8 @@ class Contest:
         """The best layouts, and the best free arrangement."""
         out: list[Hypothesis] = []
         for hypothesis in self._ranked:
-            if hypothesis.tagged and all(hypothesis.layout is not other.layout for other in out):
+            tagged = hypothesis.estimate.model.tagged
+            if tagged and all(hypothesis.layout is not other.layout for other in out):
                 out.append(hypothesis)
         return out[:GUESTS]
 

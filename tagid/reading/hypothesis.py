@@ -50,8 +50,10 @@ class Hypothesis:
 
     @property
     def tagged(self) -> bool:
-        """It has reflectors."""
-        return self.estimate.model.tagged
+        """It has a tag. One reflector alone has no arrangement, and echoes as a small round body does."""
+        model = self.estimate.model
+        single = model.tag is not None and model.tag.count == 1 and not model.whole
+        return model.tagged and (self.layout is not None or not single)
 
     @property
     def name(self) -> str | None:

@@ -41,7 +41,7 @@ ADVICE = {
     Code.RADIUS: "Check the reflectors' distance from the axis, or enroll the tag as it is.",
     Code.WEAK: f"Record more views, or {_LARGER}.",
     Code.AMBIGUOUS: "Record more views, or enroll layouts that differ more.",
-    Code.UNCALIBRATED: "Record 12 views or more; if there are as many, accept a larger tags.false_accept.",
+    Code.UNCALIBRATED: "Record 24 views or more, or accept a larger tags.false_accept.",
     Code.DISAGREE: "Check that all recordings are of one object, and record it again.",
     Code.STOPPED: "Check what holds the table, and its supply, then record a full turn again.",
     Code.PARTIAL: "Record the object from all sides: slightly more than one full turn.",

@@ -118,7 +118,7 @@ def write_image(path: Path, image: Image) -> None:
 def _npz(arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> bytes:
     buffer = io.BytesIO()
     np.savez_compressed(
-        buffer, allow_pickle=False, **arrays, settings=np.array(json.dumps(settings, default=str))
+        buffer, **arrays, settings=np.array(json.dumps(settings, default=str))
     )
     return buffer.getvalue()
 

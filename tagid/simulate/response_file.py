@@ -97,7 +97,6 @@ def write_response(path: Path, response: Response) -> None:
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
-        allow_pickle=False,
         format=np.array(FORMAT),
         format_version=np.int64(FORMAT_VERSION),
         name=np.array(response.name),

@@ -179,7 +179,8 @@ class JournalWriter:
         path: the file to create; it must not exist.
         header: the fields of a Capture besides the scans: `range_start_m`, `range_step_m` and, if known,
             `axis_distance_m`, `antenna_height_m`, `antenna_separation_m`, `center_frequency_hz`,
-            `bandwidth_hz`, `uuid`, `created_utc`, `tool_version` and the dicts `radar`, `motion`, `object`.
+            `bandwidth_hz`, `wave_speed_m_s`, `uuid`, `created_utc`, `tool_version` and the dicts `radar`,
+            `motion`, `object`.
         sync_every: number of records (scans or motion readings) after which the disk is synced; a power cut
             loses those that are not (a killed process loses nothing). 0 leaves it to the operating system.
         sync_seconds: minimum time between syncs, s. Whoever appends calls `sync` when `seconds_to_sync` says

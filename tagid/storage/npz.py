@@ -194,7 +194,7 @@ def encode_npz(capture: Capture) -> bytes:
     ours |= {**metadata_of(capture), VERSION_KEY: METADATA_VERSION}
     arrays |= {"object": encode_settings(capture.object.to_json()), "tagid": encode_settings(ours)}
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
 
 

@@ -155,7 +155,7 @@ def _check_positions(path: Path, capture: Capture) -> None:
 
 
 def check_units(path: Path, capture: Capture) -> None:
-    """Reject angles that are degrees, ranges that are millimetres, and positions that are not metres.
+    """Reject angles that are degrees, ranges that are millimetres, axes and positions that are not metres.
 
     Angles are no radians if steps of 0.1 or more, most of them about even, make up one turn of 360 or 400; in
     radians, these would be 57.3 turns of at most 63 views. Steps of 0.9 or more need no whole turn, only more
@@ -186,7 +186,22 @@ def check_units(path: Path, capture: Capture) -> None:
             f"They may be {_either(fitting or [name for name, _ in _STEPS])}: convert range_start_m, "
             "range_step_m and axis_distance_m; if they are metres, add bandwidth_hz.",
         )
+    _check_axis(path, capture)
     _check_positions(path, capture)
+
+
+def _check_axis(path: Path, capture: Capture) -> None:
+    """Reject an axis beyond the recorded ranges that another unit brings into them."""
+    axis, ranges = capture.axis_distance_m, capture.ranges_m
+    if axis is None or axis <= ranges[-1]:
+        return
+    fitting = [name for name, parts in _LENGTHS if ranges[0] < axis / parts < ranges[-1]]
+    if fitting:
+        raise FileFormatError(
+            f"{path}: axis_distance_m is {axis:g}, but the scans reach from {ranges[0]:.3g} to "
+            f"{ranges[-1]:.3g} m: these are not metres",
+            f"Store metres in axis_distance_m; they may be {_either(fitting)}.",
+        )
 
 
 def _step(angles: NDArray[np.float64]) -> float:

@@ -88,3 +88,11 @@ def test_without_held_out_views_no_residual_is_told(tagid, wobbly) -> None:
     settings = tagid("reconstruct", wobbly, *words, "--output", "json").json["data"]["settings"]
     assert "held_out" not in settings
     assert settings["held_out_share"] == pytest.approx(0.04)
+
+
+def test_the_published_method_ends_with_an_image(tagid, wobbly) -> None:
+    pytest.importorskip("torch", reason="the published model needs the extra 'ats'")
+    words = ("--preset", "paper", "--pixels", 16, "--extent", 0.3, "--png", "paper.png")
+    done = tagid("reconstruct", wobbly, *words)
+    assert done.code == 0, done.err
+    assert "paper.png" in done.out

@@ -255,7 +255,7 @@ class PaperSettings:
         ray_spacing_wavelengths: rays' distance at the middle of the scene, in wavelengths of the carrier.
         lambert_floor: least value of the Lambertian factor.
         opacity: factor of |sigma| in the transmission, see `synthesize_profile`.
-        outside: weight of the residual outside of the pulse's band.
+        stopband: weight of the residual outside of the pulse's band.
         output_scale: the network's unit output in 1/m; a reflector that returns the peak of the scans has
             about 80.
         levels, features, coarsest, log2_entries: of the hash encoding; its finest cell is a tenth of the
@@ -273,7 +273,7 @@ class PaperSettings:
     ray_spacing_wavelengths: float = 1 / 3
     lambert_floor: float = 0.2
     opacity: float = 0.02
-    outside: float = 0.1
+    stopband: float = 0.1
     output_scale: float = 100.0
     levels: int = 8
     features: int = 2
@@ -328,13 +328,13 @@ def _radio_frequency(scans: BasebandScans) -> tuple[NDArray[np.float64], NDArray
     return radii[keep][::every], np.ascontiguousarray(fine.real[:, keep][:, ::every])
 
 
-def _band_limit(scans: BasebandScans, radii: NDArray[np.float64], outside: float) -> NDArray[np.complex64]:
-    """(bins, bins) matrix by which profiles on `radii` keep the scans' band, the rest times `outside`."""
+def _band_limit(scans: BasebandScans, radii: NDArray[np.float64], stopband: float) -> NDArray[np.complex64]:
+    """(bins, bins) matrix by which profiles on `radii` keep the scans' band, the rest times `stopband`."""
     n = 2 * len(radii)
     step = float(radii[1] - radii[0])
     wavenumber = np.abs(np.pi * np.fft.fftfreq(n, step))
     half = np.pi / scans.range_step_m / 2 * 0.9
-    keep = np.where(np.abs(wavenumber - scans.wavenumber) < half, 1.0, outside)
+    keep = np.where(np.abs(wavenumber - scans.wavenumber) < half, 1.0, stopband)
     spectrum = np.fft.fft(np.eye(len(radii)), n, axis=1) * keep
     return np.fft.ifft(spectrum, axis=1)[:, : len(radii)].astype(np.complex64)
 
@@ -365,7 +365,7 @@ class _Fit:
         with torch.no_grad():
             self.network.weights[-1].mul_(_FIRST_OUTPUT)
             self.network.biases[-1].zero_()
-        self.band = torch.from_numpy(_band_limit(scans, radii, settings.outside))
+        self.band = torch.from_numpy(_band_limit(scans, radii, settings.stopband))
         self.kept: dict[int, tuple[RaySamples, Any]] = {}
         self.room = _KEPT_BYTES
         self.scale = settings.output_scale
