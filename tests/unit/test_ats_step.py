@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the reference engine needs the extra 'ats'")
 
-from imaging_scenes import record, turn  # noqa: E402
+from imaging_scenes import record, scans_from, turn  # noqa: E402
 
 from tagid.geometry import ImageGrid  # noqa: E402
 from tagid.imaging.ats import fit_torch  # noqa: E402
@@ -21,7 +21,6 @@ from tagid.imaging.ats.problem import (  # noqa: E402
     view_arrays,
 )
 from tagid.imaging.operator import ForwardOperator  # noqa: E402
-from tagid.imaging.preprocess import PreprocessSettings, preprocess  # noqa: E402
 
 GRID = ImageGrid(0.3, 20)
 SHAPE = FieldShape((4, 9), features=3, width=5, channels=3)
@@ -32,7 +31,7 @@ RNG = np.random.default_rng(4)
 def scans():
     points, amplitudes = [[0.05, -0.08], [-0.1, 0.02]], [1.0, 0.6j]
     capture = record(points, amplitudes, turn(24), analytic=True, noise=0.05, seed=1)
-    return preprocess(capture, settings=PreprocessSettings("none", False, extent_m=0.3))
+    return scans_from(capture, 0.3)
 
 
 def problem(scans):
@@ -73,43 +72,6 @@ def test_the_gradient_is_that_of_the_loss_by_autograd(scans) -> None:
     assert loss == pytest.approx(float(total.detach()), rel=1e-4)
     for mine, leaf in zip(written_out, leaves, strict=True):
         assert float((mine - leaf.grad).norm()) < 2e-3 * float(leaf.grad.norm()), leaf.shape
-
-
-def test_the_gradient_is_that_of_the_loss_by_finite_differences(scans, monkeypatch) -> None:
-    """The very step of the engine in double precision, along random directions of every parameter."""
-    weights, grid, fine, aspect, confidence, shadow = problem(scans)
-    views = view_arrays(scans, GRID.points, fine, confidence, aspect, shadow)
-    numbers = np.array([0, 1, 1, 3.0, 2e-3, 1e-3, 1e-8], dtype=np.float32)
-    seen = []
-    optimise = fit_torch.optimise
-    monkeypatch.setattr(fit_torch, "optimise", lambda s: seen.append(s) or optimise(s))
-    TorchEngine(weights).step(grid, views, fine, numbers)
-
-    def double(value):
-        if isinstance(value, list):
-            return [double(v) for v in value]
-        return value.double() if value.is_floating_point() else value
-
-    state = fit_torch.Step(*(double(value) for value in seen[0]))
-    parameters = [*state.tables, *state.weights, *state.biases]
-    _, *updated = optimise(state)
-    count = len(parameters)
-    gradients = [m / (1 - fit_torch.BETA1) for m in updated[count : 2 * count]]
-    rng = torch.Generator().manual_seed(0)
-    for at, (parameter, gradient) in enumerate(zip(parameters, gradients, strict=True)):
-        direction = torch.randn(parameter.shape, generator=rng, dtype=torch.float64)
-        ends = []
-        for sign in (1, -1):
-            moved = [p + sign * 1e-6 * direction if i == at else p for i, p in enumerate(parameters)]
-            tables, layers = len(state.tables), len(state.weights)
-            there = state._replace(
-                tables=moved[:tables],
-                weights=moved[tables : tables + layers],
-                biases=moved[tables + layers :],
-            )
-            ends.append(float(optimise(there)[0]))
-        expected = float((gradient * direction).sum())
-        assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(expected, rel=1e-3, abs=1e-7), at
 
 
 def matrix_of_nearest_bins(scans, fine):

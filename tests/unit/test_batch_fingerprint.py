@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import fields, replace
 from typing import Any
 
@@ -55,9 +56,7 @@ def test_every_setting_of_imaging_changes_it() -> None:
             other = replace(value, seed=value.seed + 1)
         else:
             continue
-        changed = ImagingSettings.__new__(ImagingSettings)
-        for item in fields(settings):
-            object.__setattr__(changed, item.name, getattr(settings, item.name))
+        changed = copy(settings)
         object.__setattr__(changed, field.name, other)
         assert job(settings=changed).fingerprint() != job().fingerprint(), field.name
 
