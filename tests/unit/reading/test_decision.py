@@ -156,6 +156,11 @@ def test_recordings_that_name_nothing_alone_name_the_tag_together() -> None:
     alone, joint = together(placed("container-90"), -1.5)
     assert [design.name for design in alone] == [None] * 3
     assert (joint.status, joint.name) == ("identified", "container-90")
+
+
+def test_more_recordings_lead_farther() -> None:
+    alone, joint = together(placed("helmet-120"), 5.0)
+    assert joint.name == "helmet-120"
     assert joint.lead > max(design.lead for design in alone)
 
 

@@ -31,7 +31,7 @@ def decided(capture: Capture) -> Decision:
     return decide(base.run())
 
 
-@pytest.mark.parametrize(("layout", "raised"), [(FLAT, 0.05), (OTHER, -0.04)])
+@pytest.mark.parametrize(("layout", "raised"), [(UP, 0.0), (FLAT, 0.05), (OTHER, -0.04)])
 def test_a_layout_is_named_wherever_its_plane_lies(layout: Layout, raised: float) -> None:
     decision = read(layout, SEVERAL, raised)
     assert decision.name == layout.name

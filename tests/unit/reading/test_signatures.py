@@ -103,8 +103,9 @@ def test_an_enrolled_object_and_its_layout_on_the_enrolled_body_are_both_right()
     assert read(MUG.plus(TAG), mug(), mug_7()).name in ("mug-7", "container-90")
 
 
-def test_another_object_is_not_the_enrolled_one() -> None:
-    answer = read(MUG.plus(ring(100)), mug_7())
+@pytest.mark.parametrize("other", [MUG, MUG.plus(ring(100))])
+def test_another_object_is_not_the_enrolled_one(other: Thing) -> None:
+    answer = read(other, mug_7())
     assert answer.name is None
     assert "the enrolled object mug-7" in answer.reason
 
