@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.geometry import Aperture
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans
 
 C = 299_792_458.0
 FC, BANDWIDTH = 3.95e9, 1.7e9
@@ -85,3 +87,8 @@ def record(
         antenna_positions_m=transmit if free else None,
         receive_positions_m=receive if free and apart else None,
     )
+
+
+def scans_from(capture: Capture, extent_m: float, *, matched: bool = False) -> BasebandScans:
+    """Its scans for an image of `extent_m`, m, nothing of the room taken off."""
+    return preprocess(capture, settings=PreprocessSettings("none", matched, extent_m=extent_m))

@@ -45,7 +45,6 @@ def test_a_name_takes_three_lines(answer: Answer) -> None:
 
 def test_a_part_of_a_turn_and_a_missing_bound_are_always_shown(answer: Answer) -> None:
     result = answer.identification
-    assert result.reading is not None
     part = replace(result, coverage=0.42, reading=replace(result.reading, bound=None))
     assert shown(replace(answer, identification=part))[1] == (
         "  no bound on wrong names: the views cover 151 of 360 degrees"

@@ -57,10 +57,16 @@ def test_a_name_that_moved_is_given_with_a_warning_that_names_its_module() -> No
         assert line and getattr(importlib.import_module(line[1]), line[2]) is value
 
 
-def test_every_type_that_a_public_name_takes_or_gives_has_a_documented_module(page: ModuleType) -> None:
-    """Nested and private types, and those of private modules, could not be imported as the page says."""
-    text = page.render()
-    types = page.types_by_module()
+def test_every_public_name_and_each_type_that_one_takes_or_gives_is_on_the_page(page: ModuleType) -> None:
+    """With words; nested and private types, and those of private modules, could not be imported."""
+    text, types = page.render(), page.types_by_module()
+    sections = dict(re.findall(r"^### (\w+)\n(.*?)(?=^##|\Z)", text, re.M | re.S))
+    names = {item.__name__ for members in types.values() for item in members}
+    assert sorted(sections) == sorted([*tagid.__all__, *names])
+    for name, words in sections.items():
+        if name != "__version__":
+            assert f"```python\n{name}(" in words, f"{name} has no signature"
+            assert len(words.split("```")[2].split()) > 3, f"{name} has no docstring"
     for module, members in types.items():
         section = text.partition(f"\n## {module}\n")[2].partition("\n## ")[0]
         home = importlib.import_module(module)
@@ -68,8 +74,27 @@ def test_every_type_that_a_public_name_takes_or_gives_has_a_documented_module(pa
         for item in members:
             assert getattr(home, item.__qualname__, None) is item and not item.__name__.startswith("_")
             assert f"\n### {item.__name__}\n" in section
-    names = {member.__name__ for members in types.values() for member in members}
     assert {"Aperture", "Code", "Comparison", "DiskFullError", "Image", "RadarInfo", "Reflector"} <= names
+
+
+def test_the_script_turns_sections_into_lists_and_leaves_equations_readable(page: ModuleType) -> None:
+    def example(a_b: int, *, c: str = "x") -> None:
+        """y = <A x_0, y> * 2.
+
+        Args:
+            a_b: first,
+                and more.
+            c: second.
+
+        Raises:
+            KeyError and its kinds: never.
+        """
+
+    assert page.signature("example", example) == "example(a_b: int, *, c: str = 'x') -> None"
+    text = page.prose(example)
+    assert text.startswith("y = &lt;A x\\_0, y&gt; \\* 2.")
+    assert "- `a_b`: first,\n  and more.\n- `c`: second." in text
+    assert "**Raises**\n\n- KeyError and its kinds: never." in text
 
 
 def test_types_inside_of_containers_and_behind_properties_are_found(page: ModuleType) -> None:
@@ -92,33 +117,6 @@ def test_importing_tagid_imports_nothing_else() -> None:
     )
     done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "['tagid._version']"
-
-
-def test_a_notebook_goes_from_a_scene_to_a_name() -> None:
-    capture, truth = tagid.simulate_capture(
-        tagid.scene_from_name("helmet-120", 3), tagid.Acquisition(views=36, snr_db=20), seed=3
-    )
-    prepared = tagid.PreparedCapture(tagid.prepare(capture), tagid.ImagingSettings(method="bp", pixels=48))
-    image = tagid.reconstruct(prepared).image
-    assert image.values.shape == (48, 48)
-    answer = tagid.identify(prepared, tuple(tagid.builtin_layouts().values()))
-    assert (answer.status, answer.reading.layout) == ("identified", "helmet-120")
-    assert truth.positions_m.shape == (3, 2)
-
-
-def test_an_operator_is_called_like_a_matrix() -> None:
-    """<A x, y> = <x, A^H y>, with the shape that the operator states."""
-    capture, _ = tagid.simulate_capture(
-        tagid.scene_from_name("helmet-120", 3), tagid.Acquisition(views=12), seed=3
-    )
-    prepared = tagid.PreparedCapture(tagid.prepare(capture))
-    scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
-    A = tagid.ForwardOperator(scans, tagid.ImageGrid(0.3, 16))
-    rng = np.random.default_rng(0)
-    x = (rng.standard_normal(256) + 1j * rng.standard_normal(256)).astype(np.complex64)
-    y = (rng.standard_normal(scans.samples.shape) + 1j).astype(np.complex64)
-    assert A.shape == (scans.samples.size, 256)
-    np.testing.assert_allclose(np.vdot(A(x), y), np.vdot(x, A.adjoint(y)), rtol=1e-4)
 
 
 def test_a_workplace_refuses_what_it_does_not_know(

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 
+from tagid.capture import Capture
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats import adapt, problem
 from tagid.imaging.ats.adapt import (
@@ -23,34 +26,39 @@ from tagid.imaging.ats.problem import FirstImages
 from tagid.imaging.ats.settings import AtsSettings, FieldPrior, FitSettings, Prior
 from tagid.imaging.heldout import Prediction, left_out, residual
 from tagid.imaging.operator import ForwardOperator
-from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
+from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import column_norm, sparse_recovery
 from tagid.imaging.types import BasebandScans
 from tagid.operate.words import prior_words
-from tests.unit.imaging_scenes import record, turn
+from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.settings import ImagingSettings
+from tests.unit.imaging_scenes import record, scans_from, turn
 
 GRID = ImageGrid(0.3, 40)
 QUICK = AtsSettings(steps=40)
 
 
-def faced(points: np.ndarray, normals: np.ndarray, phases: np.ndarray, views: int) -> BasebandScans:
-    """Scans of scatterers, each seen only where its side faces the antenna."""
+def facing(points: np.ndarray, normals: np.ndarray, phases: np.ndarray, views: int) -> Capture:
+    """A turn of scatterers, each seen only where its side faces the antenna."""
     normals = normals / np.linalg.norm(normals, axis=1)[:, None]
     aperture = turn(views)
     rows = []
     for view in range(views):
         sight = aperture.positions[view, :2] - points
-        facing = (sight * normals).sum(axis=1) / np.linalg.norm(sight, axis=1)
-        seen = phases * np.maximum(facing, 0)
+        cosine = (sight * normals).sum(axis=1) / np.linalg.norm(sight, axis=1)
         single = aperture.select(np.array([view]))
+        seen = phases * np.maximum(cosine, 0)
         rows.append(record(points, seen, single, start_m=0.4, analytic=True).samples)
     whole = record(points, phases, aperture, start_m=0.4, analytic=True)
-    return preprocess(
-        replace(whole, samples=np.vstack(rows)),
-        settings=PreprocessSettings("none", False, extent_m=GRID.extent),
-    )
+    return replace(whole, samples=np.vstack(rows))
 
 
+def faced(points: np.ndarray, normals: np.ndarray, phases: np.ndarray, views: int) -> BasebandScans:
+    """Its scans."""
+    return scans_from(facing(points, normals, phases, views), GRID.extent)
+
+
+@cache
 def rough(views: int) -> BasebandScans:
     """Scans of an ellipse of 64 scatterers of random phase, each seen only where it faces the antenna."""
     phases = np.exp(2j * np.pi * np.random.default_rng(4).random(64))
@@ -63,6 +71,12 @@ def rough(views: int) -> BasebandScans:
 def left_out_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Priors are chosen by views that are left out, however few there are."""
     monkeypatch.setattr(adapt, "FEW_VIEWS", 0)
+
+
+@cache
+def quick_facts() -> dict[str, Any]:
+    """Of the image of 36 rough views, whose prior is chosen as by `left_out_in_turn`."""
+    return fit_adapted(rough(36), GRID, QUICK).image.settings
 
 
 def flat_sides(views: int) -> BasebandScans:
@@ -103,10 +117,10 @@ def test_sparse_pixels_make_the_image_where_they_predict_more_than_a_field() -> 
     assert "sparse solution without a field" in prior_words(image.settings)[0]
 
 
-def test_a_dozen_views_that_the_defaults_explain_keep_them_and_are_all_fitted() -> None:
-    scans = preprocess(
-        record([[0.07, 0.03], [-0.06, 0.01], [0.01, -0.08]], [1, 1, 1], turn(12), noise=0.1),
-        settings=PreprocessSettings("none", False, extent_m=GRID.extent),
+@pytest.mark.parametrize("views", [12, 36])
+def test_points_keep_the_default_prior_without_a_trial_and_all_views_are_fitted(views: int) -> None:
+    scans = scans_from(
+        record([[0.07, 0.03], [-0.06, 0.01], [0.01, -0.08]], [1, 1, 1], turn(views), noise=0.1), GRID.extent
     )
     image = fit_adapted(scans, GRID, AtsSettings()).image
     assert "prior" not in image.settings
@@ -136,7 +150,6 @@ def test_an_outline_seen_from_its_side_gets_a_prior_that_predicts_better_than_ba
     assert {"default", "linear 0", *LINEAR} <= set(tried)
     assert tried[chosen] == min(tried.values()) or chosen == "default"
     field = Prior(chosen).field
-    assert field is not None
     shaded = [name for name in SHADED if name in tried]
     assert set(shaded) <= set(SHADED) and all(SHADED[name] in tried for name in shaded)
     for name, value in asdict(field).items():
@@ -184,21 +197,12 @@ def test_few_views_of_an_outline_show_it_at_least_as_well_as_sparse_pixels_do() 
     assert remaining < residual(between, image_without_field(scans, GRID, Prior.LINEAR_0)) - 0.03
 
 
-@pytest.mark.parametrize("views", [12, 18])
-def test_few_views_are_shown_hardly_worse_than_by_the_better_of_dense_field_and_pixels(views: int) -> None:
-    scans, between = two_cans(views), two_cans(180)
+def test_few_views_are_shown_hardly_worse_than_by_the_better_of_dense_field_and_pixels() -> None:
+    scans, between = two_cans(12), two_cans(180)
     remaining = residual(between, fit_adapted(scans, GRID, AtsSettings()).image)
     dense = fit(scans, GRID, FitSettings().with_prior(Prior.DENSE)).image
     pixels = residual(between, image_without_field(scans, GRID, Prior.PIXELS))
     assert remaining < min(pixels, residual(between, dense)) + 0.02
-
-
-def test_points_keep_the_default_prior_without_a_trial() -> None:
-    scans = preprocess(
-        record([[0.05, 0.02], [-0.06, 0.01]], [1, 1], turn(36), noise=0.02),
-        settings=PreprocessSettings("none", False, extent_m=GRID.extent),
-    )
-    assert "prior" not in fit_adapted(scans, GRID, AtsSettings()).image.settings
 
 
 def test_a_prior_given_by_hand_is_not_changed() -> None:
@@ -247,12 +251,8 @@ def test_the_views_of_the_last_judgement_take_no_part_in_the_choice() -> None:
     scans = rough(36)
     wild = scans.samples.copy()
     wild[left_out(36)] *= -3j
-    trials = [
-        fit_adapted(replace(scans, samples=s), GRID, QUICK).image.settings.get("prior_trials")
-        for s in (scans.samples, wild)
-    ]
-    assert trials[0] is not None
-    assert trials[0] == trials[1]
+    tried = fit_adapted(replace(scans, samples=wild), GRID, QUICK).image.settings["prior_trials"]
+    assert tried == quick_facts()["prior_trials"]
 
 
 @pytest.mark.usefixtures("left_out_in_turn")
@@ -292,12 +292,11 @@ def test_a_shared_first_image_changes_nothing() -> None:
 def test_of_a_large_image_some_priors_are_left_out_and_the_result_says_which(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    scans = rough(36)
-    every = fit_adapted(scans, GRID, QUICK).image.settings
+    every = quick_facts()
     assert "priors_not_tried" not in every
     assert "not tried" not in "".join(prior_words(every))
     monkeypatch.setattr(adapt, "LARGE_PAIRS", 36 * GRID.pixels**2 // 2)
-    image = fit_adapted(scans, GRID, QUICK).image.settings
+    image = fit_adapted(rough(36), GRID, QUICK).image.settings
     skipped, tried = image["priors_not_tried"], image["prior_trials"]
     assert set(skipped) | set(tried) == set(every["prior_trials"])
     assert not set(skipped) & set(tried)
@@ -311,3 +310,26 @@ def test_of_a_large_image_some_priors_are_left_out_and_the_result_says_which(
     assert "linear 1" in tried
     assert LINEAR[-len([name for name in LINEAR if name in skipped]) :] == [n for n in LINEAR if n in skipped]
     assert all(name in prior_words(image)[0] for name in skipped)
+
+
+def test_a_dense_outline_is_drawn_by_default_and_its_axis_stays() -> None:
+    """A rough surface of about 4 wavelengths radius: no part of it is a point model's."""
+    t = np.arange(180) * 2 * np.pi / 180
+    place = 0.3 * (1 + 0.16 * np.cos(2 * t + 0.4) + 0.09 * np.cos(3 * t + 2)) * np.exp(1j * t)
+    normal = -1j * np.gradient(np.concatenate([place[-2:], place, place[:2]]))[2:-2]
+    rng = np.random.default_rng(8)
+    surface = rng.standard_normal(180) + 1j * rng.standard_normal(180)
+    points, normals = (np.column_stack([z.real, z.imag]) for z in (place, normal))
+    capture = facing(points, normals, surface, 120)
+    noise = 0.02 * np.abs(capture.samples).max() * rng.standard_normal(capture.samples.shape)
+    noisy = replace(capture, samples=(capture.samples.real + noise).astype(np.float32))
+    result = reconstruct(noisy, ImagingSettings(extent_m=0.95, free_pixels=True))
+    settings = result.image.settings
+    assert result.method == "ats"
+    assert settings["axis_distance_m"] == pytest.approx(1.0, abs=0.0759 / 8)
+    power = np.abs(result.image.values.ravel()) ** 2
+    distance = np.linalg.norm(result.image.grid.points[:, None] - points, axis=2)
+    # A bright pixel within half a wavelength, and the energy within one.
+    assert (distance[power > power.max() * 10**-2.5] < 0.038).any(axis=0).mean() > 0.8
+    assert power[distance.min(axis=1) < 0.0759].sum() > 0.8 * power.sum()
+    assert settings["held_out"]["residual"] < settings["held_out"]["backprojection"]

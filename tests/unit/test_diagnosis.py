@@ -9,21 +9,17 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tagid.capture import Capture, ViewFlag
 from tagid.errors import DataError
 from tagid.metadata import Ending, MotionInfo, RadarInfo, ResolvedMotion, Standstill
 from tagid.pipeline import diagnosis
-from tagid.pipeline.diagnosis import circling, recording_remarks, with_causes
-from tagid.pipeline.identify import (
-    identify,
-    identify_together,
-    of_the_part,
-    reader_settings,
-    widest_gap,
-)
+from tagid.pipeline.answer import Identification
+from tagid.pipeline.diagnosis import circling, named_in, recentred, recording_remarks, with_causes
+from tagid.pipeline.identify import identify, identify_together, of_the_part, widest_gap
 from tagid.pipeline.prepared import PreparedCapture, load_capture
-from tagid.reading.reader import read
+from tagid.pipeline.settings import ImagingSettings
 from tagid.reading.reading import Kind, Reading
 from tagid.reading.verdict import ADVICE, Code
 from tagid.simulate import Placement, parse_body, parse_reflector
@@ -51,14 +47,12 @@ def test_lost_scans_are_the_cause_of_a_gap_inside_a_full_turn(turns: float) -> N
     assert remark.startswith(
         f"2496 scans were lost: the views cover 288 of 360 degrees, although {turns:.2f}"
     )
-    assert recording_remarks(load_capture(turns_with_a_hole(turns, RadarInfo(scans_lost=1))))[0].startswith(
-        "1 scan was lost: "
-    )
+    (single,) = recording_remarks(replace(capture, radar=RadarInfo(scans_lost=1)))
+    assert single.startswith("1 scan was lost: ")
 
 
 def test_a_gap_in_which_the_object_did_not_turn_is_none_of_lost_scans() -> None:
     whole = turns_with_a_hole(1.0, RadarInfo(scans_lost=3))
-    assert whole.angles_rad is not None
     part = whole.select(whole.angles_rad < np.deg2rad(201))
     part = replace(part, motion=MotionInfo(resolved=ResolvedMotion(turns=200 / 360)))
     assert recording_remarks(part)[0].startswith("the views cover 2")
@@ -67,7 +61,6 @@ def test_a_gap_in_which_the_object_did_not_turn_is_none_of_lost_scans() -> None:
 @pytest.mark.parametrize(("first", "lost"), [(False, True), (True, False)])
 def test_without_recorded_turns_the_flags_beside_the_gap_decide(first: bool, lost: bool) -> None:
     capture = turns_with_a_hole(1.0, RadarInfo())
-    assert capture.angles_rad is not None
     flags = np.zeros(capture.views, dtype=np.uint8)
     flags[np.argmax(capture.angles_rad > np.deg2rad(250))] = ViewFlag.AFTER_LOSS | (
         ViewFlag.FIRST if first else ViewFlag.NONE
@@ -79,7 +72,6 @@ def test_without_recorded_turns_the_flags_beside_the_gap_decide(first: bool, los
 def test_a_refused_answer_names_lost_scans_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(diagnosis, "named_in", lambda *_: None)
     capture, _ = simulate_capture(scene_from_name("empty", 3), Acquisition(views=36, snr_db=10.0), seed=3)
-    assert capture.angles_rad is not None
     hole = (capture.angles_rad > np.deg2rad(200)) & (capture.angles_rad < np.deg2rad(272))
     scans = replace(
         capture.select(np.flatnonzero(~hole)),
@@ -87,39 +79,44 @@ def test_a_refused_answer_names_lost_scans_with_the_remedy(monkeypatch: pytest.M
         motion=MotionInfo(resolved=ResolvedMotion(turns=1.0)),
     )
     prepared = PreparedCapture(load_capture(scans))
-    answer = with_causes(identify(prepared, LAYOUTS), prepared, LAYOUTS)
-    assert answer.status == "no_tag"
-    (cause,) = answer.causes
+    (cause,) = with_causes(refused(Code.NO_TAG), prepared, LAYOUTS).causes
     assert cause.code == "scans_lost" and "35 scans were lost" in cause.text
     assert "tagid radar monitor" in cause.remedy and "one full turn" not in cause.remedy
 
 
-def part_of_a_turn(scene: str, share: float) -> PreparedCapture:
-    capture, _ = simulate_capture(scene_from_name(scene, 3), Acquisition(views=60, snr_db=20.0), seed=3)
-    assert capture.angles_rad is not None
+def turn_of(layout: str, views: int, **more: Placement) -> Capture:
+    return simulate_capture(scene_from_name(layout, 3), Acquisition(views=views, snr_db=20.0, **more), 3)[0]
+
+
+def part_of_a_turn(share: float) -> PreparedCapture:
+    capture = turn_of("helmet-120", 60)
     return PreparedCapture(load_capture(capture.select(capture.angles_rad < share * 2 * np.pi)))
 
 
 @cache
-def whole_turn(scene: str) -> Reading:
-    reading = identify(part_of_a_turn(scene, 1.0), LAYOUTS).reading
-    assert reading is not None
-    return reading
+def whole_answer() -> Identification:
+    return identify(part_of_a_turn(1.0), LAYOUTS)
+
+
+def whole_turn() -> Reading:
+    return whole_answer().reading
+
+
+def refused(code: Code) -> Identification:
+    """The same without its name, as of an object on a round body."""
+    reading = replace(whole_turn().refused(code, ""), kind=Kind.ROUND)
+    return replace(whole_answer(), status="unknown", advice="", reading=reading)
 
 
 def test_a_part_of_a_turn_shows_no_absence() -> None:
-    whole = whole_turn("empty")
-    assert whole.status == "no_tag"
-    part = of_the_part(whole, [part_of_a_turn("empty", 0.4).given])
+    whole = replace(whole_turn(), status="no_tag", layout=None)
+    part = of_the_part(whole, [part_of_a_turn(0.4).given])
     assert (part.status, part.layout) == ("unknown", None)
     assert part.code == "partial_turn" and "144 of 360 degrees" in part.reason
 
 
 def test_a_name_at_a_wrong_axis_distance_comes_with_the_one_that_fits() -> None:
-    capture, _ = simulate_capture(
-        scene_from_name("helmet-120", 3), Acquisition(views=12, snr_db=20.0), seed=3
-    )
-    prepared = PreparedCapture(load_capture(replace(capture, axis_distance_m=0.88)))
+    prepared = PreparedCapture(load_capture(replace(turn_of("helmet-120", 12), axis_distance_m=0.88)))
     answer = with_causes(identify(prepared, LAYOUTS), prepared, LAYOUTS)
     assert answer.status == "identified"
     (remark,) = answer.remarks
@@ -129,20 +126,11 @@ def test_a_name_at_a_wrong_axis_distance_comes_with_the_one_that_fits() -> None:
     assert with_causes(right, prepared, LAYOUTS).remarks == ()
 
 
-@cache
-def part_alone(share: float) -> str | None:
-    """The name that part of a turn has, whatever sides it shows."""
-    prepared = part_of_a_turn("helmet-120", share)
-    scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
-    return read(scans, LAYOUTS, reader_settings(prepared.settings)).layout
-
-
 def test_scans_of_one_side_alone_show_the_layout_and_do_not_name_it() -> None:
-    """The scans do: what is withheld is withheld for the sides that were not seen."""
-    assert part_alone(0.55) == "helmet-120"
-    answer = identify(part_of_a_turn("helmet-120", 0.55), LAYOUTS)
-    assert answer.status == "unknown" and answer.reading is not None
-    assert answer.reading.code == "partial_turn" and answer.reading.nearest == "helmet-120"
+    """What is withheld is withheld for the sides that were not seen."""
+    answer = identify(part_of_a_turn(0.55), LAYOUTS)
+    assert (answer.status, answer.reading.code) == ("unknown", "partial_turn")
+    assert "the scans show helmet-120" in answer.reading.reason and answer.reading.nearest == "helmet-120"
     assert answer.coverage == pytest.approx(0.55, abs=0.01)
 
 
@@ -151,12 +139,14 @@ def test_scans_of_one_side_alone_show_the_layout_and_do_not_name_it() -> None:
 def test_a_name_needs_most_of_a_turn_however_the_recording_ended(
     ended: Ending | None, share: float, named: bool
 ) -> None:
-    given = part_of_a_turn("helmet-120", share).given
+    given = part_of_a_turn(share).given
     short = replace(given, radar=replace(given.radar, ended=ended))
-    reading = of_the_part(whole_turn("helmet-120"), [short])
+    reading = of_the_part(whole_turn(), [short])
     assert (reading.status, reading.layout) == (("identified", "helmet-120") if named else ("unknown", None))
+    # The bound is of whole turns, and of those that ended early with their own.
+    assert whole_turn().bound is not None and (reading.bound is None) == (ended is None or not named)
     if not named:
-        assert reading.code == "partial_turn" and reading.bound is None
+        assert reading.code == "partial_turn"
         assert reading.reason == (
             f"the views cover {360 * share:.0f} of 360 degrees, and in these the scans show helmet-120, "
             "but not every side"
@@ -170,30 +160,22 @@ def as_positions(capture: Capture) -> Capture:
                    antenna_positions_m=positions)  # fmt: skip
 
 
-def turn_share(capture: Capture) -> float:
-    gap = widest_gap(capture)
-    assert gap is not None
-    return gap.share
-
-
 def test_positions_cover_the_directions_in_which_they_lie() -> None:
     """Also two scans from opposite sides, a gap inside a whole turn, and positions in any order."""
-    whole = part_of_a_turn("helmet-120", 1.0).given
+    whole = part_of_a_turn(1.0).given
     angles = whole.angles_rad
-    assert angles is not None
     inside = [angles < np.deg2rad(100), (angles < np.deg2rad(60)) | (angles > np.deg2rad(220))]
     for mask, share in zip(inside, (102 / 360, 198 / 360), strict=True):
         part = whole.select(np.random.default_rng(2).permutation(np.flatnonzero(mask)))
         for capture in (part, as_positions(part)):
-            assert turn_share(capture) == pytest.approx(share, abs=0.01)
-            reading = of_the_part(whole_turn("helmet-120"), [capture])
+            assert widest_gap(capture).share == pytest.approx(share, abs=0.01)
+            reading = of_the_part(whole_turn(), [capture])
             assert reading.layout is None and reading.code == "partial_turn"
     free = as_positions(whole)
     both = replace(free, receive_positions_m=free.antenna_positions_m)
-    assert turn_share(both) == turn_share(free) == pytest.approx(1.0)
+    assert widest_gap(both).share == widest_gap(free).share == pytest.approx(1.0)
     (remark,) = recording_remarks(as_positions(whole.select(inside[0])))
     assert "the views cover 102 of 360 degrees" in remark
-    assert identify(free, LAYOUTS).reading.layout == "helmet-120"  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
@@ -202,40 +184,34 @@ def test_positions_cover_the_directions_in_which_they_lie() -> None:
     ids=["two views apart", "coarse gap of 168 degrees"],
 )
 def test_single_views_and_coarse_steps_show_no_further_side(degrees: Sequence[int]) -> None:
-    whole, _ = simulate_capture(scene_from_name("helmet-120", 1), Acquisition(views=360, snr_db=25.0), seed=1)
-    reading = of_the_part(whole_turn("helmet-120"), [whole.select(np.array(degrees))])
+    whole = turn_of("helmet-120", 360)
+    reading = of_the_part(whole_turn(), [whole.select(np.array(degrees))])
     assert (reading.status, reading.layout, reading.code) == ("unknown", None, "partial_turn")
 
 
 def test_a_joint_name_needs_one_recording_that_shows_every_side() -> None:
-    short, longer = (part_of_a_turn("helmet-120", share).given for share in (0.4, 0.7))
-    named = whole_turn("helmet-120")
+    short, longer = (part_of_a_turn(share).given for share in (0.4, 0.7))
+    named = whole_turn()
     assert of_the_part(named, [short, short]).code == "partial_turn"
     still = Standstill(65, 80, 145, 20.0, 144.0)
-    stopped = part_of_a_turn("helmet-120", 0.45).given
+    stopped = part_of_a_turn(0.45).given
     stopped = replace(stopped, motion=MotionInfo(resolved=ResolvedMotion(turns=0.45, standstill=still)))
     assert of_the_part(named, [short, stopped]).code == "turn_stopped"
     joint, alone = identify_together([short, longer], LAYOUTS)
     assert [item.status for item in (joint, *alone)] == ["identified", "unknown", "identified"]
-    assert joint.reading is not None and joint.reading.bound is None and joint.coverage == pytest.approx(0.7)
-
-
-def test_the_bound_is_of_whole_turns() -> None:
-    whole = whole_turn("helmet-120")
-    assert whole.status == "identified" and whole.bound is not None
-    part = of_the_part(whole, [part_of_a_turn("helmet-120", 0.8).given])
-    assert part.status == "identified" and part.bound is None
+    assert joint.reading.bound is None and joint.coverage == pytest.approx(0.7)
 
 
 def test_views_from_one_place_show_nothing() -> None:
-    prepared = part_of_a_turn("helmet-120", 1.0)
+    prepared = part_of_a_turn(1.0)
     still = replace(prepared.given, angles_rad=np.zeros(prepared.given.views))
     with pytest.raises(DataError, match="from one place"):
         identify(PreparedCapture(still), LAYOUTS)
 
 
-def can_off_the_axis(off_m: float, body: str, layout: str = "container-90") -> PreparedCapture:
-    scene = scene_on_body(layout, parse_body(body), parse_reflector("octahedron:20mm"))
+@cache
+def can_off_the_axis(off_m: float, body: str) -> PreparedCapture:
+    scene = scene_on_body("container-90", parse_body(body), parse_reflector("octahedron:20mm"))
     placed = Placement((0.8 * off_m, 0.6 * off_m), 0.4)
     capture, _ = simulate_capture(scene, Acquisition(views=36, snr_db=20.0, placement=placed), seed=3)
     return PreparedCapture(load_capture(capture))
@@ -246,9 +222,8 @@ def can_off_the_axis(off_m: float, body: str, layout: str = "container-90") -> P
 )
 def test_a_can_beside_the_axis_is_told_by_the_circle_of_its_echo(off_mm: float, stated: str) -> None:
     circle = diagnosis._off_the_axis(circling(can_off_the_axis(1e-3 * off_mm, "can:35mm").given))
-    assert circle is not None
     cause = diagnosis._of_a_round_body(circle)
-    assert cause is not None and cause.code == "off_centre" and "Place" in cause.remedy
+    assert cause.code == "off_centre" and "Place" in cause.remedy
     assert re.search(f"a round body {stated} off it$", cause.text)
 
 
@@ -261,26 +236,21 @@ def test_a_can_far_beside_the_axis_is_the_cause_of_a_refusal() -> None:
 
 def test_the_circle_is_about_the_bodys_middle() -> None:
     result = circling(can_off_the_axis(0.05, "can:35mm").given)
-    assert result is not None and result.share == 1.0 and result.spread_m < 0.006
+    assert result.share == 1.0 and result.spread_m < 0.006
     assert np.hypot(result.centre_m[0] - 0.04, result.centre_m[1] - 0.03) < 0.005
 
 
 def test_a_handle_circles_but_is_no_body_off_the_axis(monkeypatch: pytest.MonkeyPatch) -> None:
-    prepared = can_off_the_axis(0.002, "can:35mm,handle")
-    answer = with_causes(identify(prepared, LAYOUTS), prepared, LAYOUTS)
-    assert answer.status == "identified" and not answer.causes and answer.reading is not None
+    prepared, other = can_off_the_axis(0.002, "can:35mm,handle"), refused(Code.OTHER)
     # A body is to be centred before it is enrolled, if it may stand off the axis.
-    other = replace(answer, status="unknown", advice="", reading=answer.reading.refused(Code.OTHER, ""))
     monkeypatch.setattr(diagnosis, "named_in", lambda *_: None)
     said = with_causes(other, can_off_the_axis(0.03, "can:35mm"), LAYOUTS)
     assert said.what_to_do().startswith("Place the object") and ADVICE[Code.OTHER][1:] in said.what_to_do()
     assert said.to_dict()["advice"] == said.what_to_do()
     assert with_causes(other, prepared, LAYOUTS).what_to_do() == ADVICE[Code.OTHER]
     # Of a layout that too few views show nothing else is wrong.
-    few = replace(other, reading=answer.reading.refused(Code.UNCALIBRATED, ""))
-    assert with_causes(few, can_off_the_axis(0.03, "can:35mm"), LAYOUTS).causes == ()
+    assert with_causes(refused(Code.UNCALIBRATED), can_off_the_axis(0.03, "can:35mm"), LAYOUTS).causes == ()
     # Without a body there is nothing to enroll but the tag, and an empty scene is not to be centred.
-    assert other.reading is not None
     winner = replace(other.reading.hypotheses[0], unexplained=0.01)
     alone = replace(other.reading, kind=Kind.BARE, hypotheses=(winner,))
     radar = RadarInfo(kind="simulated")
@@ -295,13 +265,12 @@ def test_a_handle_circles_but_is_no_body_off_the_axis(monkeypatch: pytest.Monkey
         assert simulated == measured != unmeasured and "tagid commission" in unmeasured
         assert "recorded range" in simulated or code is Code.NO_ECHO
     # Scans that do not reach the object do not show that its speed is wrong.
-    nothing = replace(other, reading=other.reading.refused(Code.NO_TAG, ""))
     noise = np.random.default_rng(1).standard_normal(prepared.given.samples.shape).astype(np.float32)
     motion = MotionInfo(resolved=ResolvedMotion(nominal_rpm=2.0, repeats=False))
     for delay_ps, codes in ((0.0, []), (800.0, ["speed"])):
         recorded = replace(prepared.given, samples=noise, motion=motion)
         recorded = replace(recorded, radar=RadarInfo(kind="p440", cable_delay_ps=delay_ps))
-        said = with_causes(nothing, PreparedCapture(recorded, prepared.settings), LAYOUTS)
+        said = with_causes(refused(Code.NO_TAG), PreparedCapture(recorded, prepared.settings), LAYOUTS)
         assert [cause.code for cause in said.causes] == codes
 
 
@@ -311,9 +280,7 @@ def test_a_search_that_returns_to_the_given_axis_distance_states_no_cause(
 ) -> None:
     # The image is brightest 20 mm nearer, from where the reader itself finds the distance to a few mm.
     monkeypatch.setattr(diagnosis, "bright_offsets", lambda *_: [-0.020])
-    capture, _ = simulate_capture(
-        scene_from_name("container-90", 3), Acquisition(views=36, snr_db=20.0), seed=3
-    )
+    capture = turn_of("container-90", 36)
     true_m = capture.axis_distance_m or 0.0
     prepared = PreparedCapture(load_capture(replace(capture, axis_distance_m=true_m + error_m)))
     result = diagnosis._of_the_axis(prepared, LAYOUTS)
@@ -324,11 +291,64 @@ def test_a_search_that_returns_to_the_given_axis_distance_states_no_cause(
 
 
 def test_the_place_of_an_object_off_the_axis_is_told_to_a_millimetre() -> None:
-    placed = Placement((0.050, 0.030), 0.4)
-    acquisition = Acquisition(views=36, snr_db=20.0, placement=placed)
-    capture, _ = simulate_capture(scene_from_name("container-180", 3), acquisition, seed=3)
+    capture = turn_of("container-180", 36, placement=Placement((0.050, 0.030), 0.4))
     prepared = PreparedCapture(load_capture(capture))
     (cause,) = with_causes(identify(prepared, LAYOUTS), prepared, LAYOUTS).causes
     x_mm, y_mm = map(int, re.findall(r"-?\d+", cause.text.rpartition("at ")[2]))
     assert cause.code == "off_centre" and "container-180" in cause.text
     assert (x_mm, y_mm) == (pytest.approx(50, abs=1), pytest.approx(30, abs=1))
+
+
+START_M, STEP_M, DISTANCE_M, VIEWS = 0.5, 0.009, 1.0, 36
+ANGLES = 2 * np.pi * np.arange(VIEWS) / VIEWS
+CENTRE = (0.03, -0.02)
+
+
+def antennas() -> NDArray[np.complex128]:
+    """x + jy in the turntable's frame, m."""
+    return np.asarray(DISTANCE_M * np.exp(-1j * ANGLES))
+
+
+def echo(ranges_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(VIEWS, 110) scans of one echo at these ranges: 3.9 GHz, 1 GHz wide."""
+    away = START_M + STEP_M * np.arange(110) - ranges_m[:, None]
+    return np.asarray(np.exp(-((away / 0.08) ** 2)) * np.cos(2 * np.pi * away / 0.0385))
+
+
+def scans(samples: NDArray[np.float64]) -> Capture:
+    return Capture(samples.astype(np.float32), START_M, STEP_M, ANGLES, axis_distance_m=DISTANCE_M)
+
+
+def test_the_room_and_a_round_body_about_the_new_axis_are_left_out() -> None:
+    room = echo(np.full(VIEWS, 1.03))
+    body = echo(np.abs(antennas() - complex(*CENTRE)) - 0.035)
+    remaining = recentred(scans(5 * room + body), CENTRE).samples
+    assert (remaining**2).sum() < 1e-3 * (body**2).sum()
+    whole = np.rint(1e4 * (5 * room + body)).astype(np.int32)
+    counts = recentred(Capture(whole, START_M, STEP_M, ANGLES, axis_distance_m=DISTANCE_M), CENTRE).samples
+    assert counts.dtype == np.float32 and np.allclose(1e-4 * counts, remaining, atol=2e-4)
+    # About another point the body moves, and stays.
+    other = recentred(scans(5 * room + body), (-0.03, 0.02)).samples
+    assert (other**2).sum() > 0.5 * (body**2).sum()
+
+
+def test_a_reflector_keeps_its_place_about_the_new_axis() -> None:
+    place = complex(0.01, 0.05)
+    moved = recentred(scans(echo(np.abs(antennas() - place))), CENTRE)
+    seen = DISTANCE_M * np.exp(-1j * moved.angles_rad)
+    expected = echo(np.abs(seen - (place - complex(*CENTRE))))
+    alike = (moved.samples * expected).sum(axis=1)
+    sizes = np.linalg.norm(moved.samples, axis=1) * np.linalg.norm(expected, axis=1)
+    assert np.median(alike / sizes) > 0.95
+
+
+def test_an_object_is_named_elsewhere_with_the_settings_of_the_answer() -> None:
+    right = load_capture(turn_of("helmet-120", 24))
+    wrong, away = (replace(right, axis_distance_m=right.axis_distance_m + error_m) for error_m in (0.07, 9.0))
+    prepared = PreparedCapture(wrong)
+    result = named_in(prepared, right, LAYOUTS)
+    assert result is not None and result.layout == "helmet-120" and abs(result.offset_m) < 3e-3
+    # Where the scans do not hold the object's range, it is not there.
+    assert named_in(prepared, away, LAYOUTS) is None
+    strict = PreparedCapture(wrong, ImagingSettings(false_accept=1e-6))
+    assert named_in(strict, right, LAYOUTS) is None

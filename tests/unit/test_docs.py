@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import re
 import subprocess
 import sys
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
-from types import ModuleType
 from urllib.parse import urlsplit
 
 import pytest
@@ -26,46 +24,6 @@ from tests.benchmarks.catalogue import BENCHMARKS, NEEDS
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PROVENANCE = ("Command", "Commit", "Machine", "Date", "Seeds")
-
-
-def api_script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_api", DOCS / "make_api.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_the_api_page_has_every_public_name_with_a_signature_and_words() -> None:
-    page = api_script().render()
-    sections = dict(re.findall(r"^### (\w+)\n(.*?)(?=^##|\Z)", page, re.M | re.S))
-    types = [item.__name__ for types in api_script().types_by_module().values() for item in types]
-    assert sorted(sections) == sorted([*tagid.__all__, *types])
-    for name, text in sections.items():
-        if name != "__version__":
-            assert f"```python\n{name}(" in text, f"{name} has no signature"
-            assert len(text.split("```")[2].split()) > 3, f"{name} has no docstring"
-
-
-def test_the_script_turns_sections_into_lists_and_leaves_equations_readable() -> None:
-    def example(a_b: int, *, c: str = "x") -> None:
-        """y = <A x_0, y> * 2.
-
-        Args:
-            a_b: first,
-                and more.
-            c: second.
-
-        Raises:
-            KeyError and its kinds: never.
-        """
-
-    script = api_script()
-    assert script.signature("example", example) == "example(a_b: int, *, c: str = 'x') -> None"
-    text = script.prose(example)
-    assert text.startswith("y = &lt;A x\\_0, y&gt; \\* 2.")
-    assert "- `a_b`: first,\n  and more.\n- `c`: second." in text
-    assert "**Raises**\n\n- KeyError and its kinds: never." in text
 
 
 def rows_with(word: str, page: str) -> list[list[str]]:

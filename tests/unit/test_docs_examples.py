@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from tagid.reading.evidence import log_evidence
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "examples.md"
 TAGS = PAGE.with_name("tags.md")
+Run = Callable[..., dict[str, Any]]
 
 
 def program(heading: str, page: Path = PAGE) -> str:
@@ -25,12 +27,19 @@ def program(heading: str, page: Path = PAGE) -> str:
     return match[1]
 
 
-def run(heading: str, folder: Path, monkeypatch: pytest.MonkeyPatch, page: Path = PAGE) -> dict[str, Any]:
-    """The names that the program leaves behind, run in a folder of its own."""
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run the program under a heading in an empty folder; the names that it leaves behind."""
+    folder = tmp_path / "empty"
+    folder.mkdir()
     monkeypatch.chdir(folder)
-    names: dict[str, Any] = {"__name__": "example"}
-    exec(compile(program(heading, page), f"{page.name}: {heading}", "exec"), names)
-    return names
+
+    def names_of(heading: str, page: Path = PAGE) -> dict[str, Any]:
+        names: dict[str, Any] = {"__name__": "example"}
+        exec(compile(program(heading, page), f"{page.name}: {heading}", "exec"), names)
+        return names
+
+    return names_of
 
 
 def test_every_program_of_the_page_is_run_here() -> None:
@@ -39,10 +48,7 @@ def test_every_program_of_the_page_is_run_here() -> None:
 
 
 def test_five_lines_record_name_and_read_again_in_an_empty_folder(
-    tmp_path: Path,
-    home: dict[str, str],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    run: Run, home: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first = program("Record and name an object")
     readme = (PAGE.parents[1] / "README.md").read_text()
@@ -52,25 +58,19 @@ def test_five_lines_record_name_and_read_again_in_an_empty_folder(
     # A shorter test: fewer scans, and an image whose method does not affect the name.
     monkeypatch.setenv("TAGID_RADAR_INTEGRATION", "15")
     monkeypatch.setenv("TAGID_IMAGING_METHOD", "bp")
-    folder = tmp_path / "empty"
-    folder.mkdir()
-    answer = run("Record and name an object", folder, monkeypatch)["answer"]
+    answer = run("Record and name an object")["answer"]
     assert capsys.readouterr().out == "identified helmet-120 helmet-120\n"
     assert (answer.notes, answer.causes) == ((), ())
-    capture = folder / answer.file
-    assert sorted(folder.iterdir()) == [capture.with_name(capture.name.replace(".tagid.h5", ".png")), capture]
+    capture = Path(answer.file)
+    assert sorted(Path().iterdir()) == [capture.with_name(capture.name.replace(".tagid.h5", ".png")), capture]
     with closing(sqlite3.connect(Path(home["TAGID_DATA"]) / "history.sqlite")) as history:
-        assert history.execute("SELECT count(*), count(DISTINCT run_id) FROM identification").fetchone() == (
-            2,
-            1,
-        )
+        counts = history.execute("SELECT count(*), count(DISTINCT run_id) FROM identification")
+        assert counts.fetchone() == (2, 1)
 
 
-def test_a_capture_becomes_a_picture_with_the_reflectors_where_they_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    names = run("Image a capture and plot it", tmp_path, monkeypatch)
-    with Image.open(tmp_path / "helmet.png") as picture:
+def test_a_capture_becomes_a_picture_with_the_reflectors_where_they_are(run: Run) -> None:
+    names = run("Image a capture and plot it")
+    with Image.open("helmet.png") as picture:
         assert picture.size == (940, 900)
         assert len(picture.convert("RGB").getcolors(maxcolors=1 << 20) or []) > 100
     magnitude, axis = np.abs(names["result"].image.values), names["result"].image.grid.axis
@@ -81,9 +81,9 @@ def test_a_capture_becomes_a_picture_with_the_reflectors_where_they_are(
 
 
 def test_a_refusal_names_a_reason_of_the_page_on_refusals(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    names = run("Identify, and explain a refusal", tmp_path, monkeypatch)
+    names = run("Identify, and explain a refusal")
     answer = names["answer"]
     assert (answer.status, answer.reading.layout) == ("unknown", None)
     assert answer.reading.code == "another_arrangement"
@@ -96,9 +96,9 @@ def test_a_refusal_names_a_reason_of_the_page_on_refusals(
 
 
 def test_the_log_evidence_of_one_reflector_is_that_of_the_reader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    names = run("Recompute one term", tmp_path, monkeypatch, TAGS)
+    names = run("Recompute one term", TAGS)
     positions = names["truth"].positions_m[:, :2]
     assert np.abs(positions[:, 0] + 1j * positions[:, 1] - names["best"]).min() < 3e-3
     spectra, at = names["spectra"], int(names["log_evidence"].argmax())
@@ -110,10 +110,8 @@ def test_the_log_evidence_of_one_reflector_is_that_of_the_reader(
     assert "nats over none" in capsys.readouterr().out
 
 
-def test_methods_are_scored_on_views_that_they_have_not_seen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    names = run("Score a method of your own", tmp_path, monkeypatch)
+def test_methods_are_scored_on_views_that_they_have_not_seen(run: Run) -> None:
+    names = run("Score a method of your own")
     scores, unexplained, size = names["scores"], names["unexplained"], names["A"].shape[1]
     assert unexplained(np.zeros(size, np.complex64)) == pytest.approx(1.0)
     assert set(scores) == {"own", "sparse", "omp", "ats"}

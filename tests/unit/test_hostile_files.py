@@ -77,14 +77,14 @@ def test_every_csv_neutralises_what_a_spreadsheet_runs(tmp_path: Path, start: st
         assert value.isprintable()
 
 
-@pytest.mark.parametrize("text", ["=1+1", " -1", "@x", "+1", "a\tb", "a\x1b[31m", "a\x00", "\u202eabc"])
-@pytest.mark.parametrize("field", ["label", "notes"])
-def test_such_texts_are_refused_at_enrolment(tmp_path: Path, text: str, field: str) -> None:
+def test_such_texts_are_refused_at_enrolment(tmp_path: Path) -> None:
     registry = Registry(tmp_path / "r.sqlite")
     before = registry.version
-    with pytest.raises(UsageError, match=field):
-        registry.add(Layout("mine", POINTS, **{field: text}), "a test")
-    assert registry.version == before
+    for text in ("=1+1", " -1", "@x", "+1", "a\tb", "a\x1b[31m", "a\x00", "\u202eabc"):
+        for field in ("label", "notes"):
+            with pytest.raises(UsageError, match=field):
+                registry.add(Layout("mine", POINTS, **{field: text}), "a test")
+            assert registry.version == before, text
 
 
 def test_no_control_character_reaches_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:

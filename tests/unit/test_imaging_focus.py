@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from imaging_scenes import BANDWIDTH, FC, C, record, turn
+from imaging_scenes import BANDWIDTH, FC, C, record, scans_from, turn
 
 from tagid.capture import Capture
 from tagid.errors import UsageError
@@ -22,7 +23,7 @@ from tagid.imaging.autofocus import (
     focus_axis_distance,
 )
 from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, PointSearch, band_delays
-from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.preprocess import preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.operate.words import focus_words
 from tagid.pipeline.prepared import PreparedCapture
@@ -35,34 +36,41 @@ POINTS = [(0.05, 0.03), (-0.04, 0.06)]
 LAM = C / FC
 
 
-def resonant(edge_m: float, error_m: float = 0.0) -> Capture:
-    """Two points whose echo comes from `edge_m` farther at the upper edge of the band and as much nearer at
-    the lower one; the axis distance stated `error_m` too long."""
+def turned(capture: Capture, axis_distance_m: float = 1.0) -> Capture:
+    """A whole turn, its axis distance as stated."""
+    angles = np.arange(capture.views) * 2 * np.pi / capture.views
+    return replace(capture, angles_rad=angles, axis_distance_m=axis_distance_m)
+
+
+def through(response: Callable[[np.ndarray], np.ndarray], error_m: float = 0.0) -> Capture:
+    """Two points of such a response over frequency (Hz); the axis distance stated `error_m` too long."""
     capture = record(POINTS, [1.0, 1.0], turn(36), noise=0.05, analytic=True)
     rate = C / (2 * capture.range_step_m)
     # The band of a carrier under the sampling rate of complex samples.
     frequency = np.fft.fftfreq(capture.bins, 1 / rate) % rate
-    phase = 2 * np.pi * (2 / C) * edge_m * (frequency - FC) ** 2 / BANDWIDTH
-    spectrum = np.fft.fft(capture.samples, axis=1) * np.exp(-1j * phase)
+    spectrum = np.fft.fft(capture.samples, axis=1) * response(frequency)
     samples = np.fft.ifft(spectrum, axis=1).astype(np.complex64)
-    angles = np.arange(36) * 2 * np.pi / 36
-    return replace(capture, samples=samples, angles_rad=angles, axis_distance_m=1.0 + error_m)
+    return turned(replace(capture, samples=samples), 1.0 + error_m)
+
+
+def resonant(edge_m: float, error_m: float = 0.0) -> Capture:
+    """An echo from `edge_m` farther at the upper edge of the band, and as much nearer at the lower one."""
+    return through(lambda f: np.exp(-4j * np.pi / C * edge_m * (f - FC) ** 2 / BANDWIDTH), error_m)
 
 
 def resonator(resonance_hz: float, quality: float, error_m: float) -> Capture:
-    """Two points whose echo is that of a damped resonator, h = x^2 / (1 - x^2 + jx / Q) with x = f / f0: the
-    current of a short dipole, E ~ f^2 far below its resonance, late by up to Q / (pi f0) at it."""
-    capture = record(POINTS, [1.0, 1.0], turn(36), noise=0.05, analytic=True)
-    rate = C / (2 * capture.range_step_m)
-    x = (np.fft.fftfreq(capture.bins, 1 / rate) % rate) / resonance_hz
-    spectrum = np.fft.fft(capture.samples, axis=1) * x**2 / (1 - x**2 + 1j * x / quality)
-    samples = np.fft.ifft(spectrum, axis=1).astype(np.complex64)
-    angles = np.arange(36) * 2 * np.pi / 36
-    return replace(capture, samples=samples, angles_rad=angles, axis_distance_m=1.0 + error_m)
+    """The echo of a damped resonator, h = x^2 / (1 - x^2 + jx / Q) with x = f / f0: the current of a short
+    dipole, E ~ f^2 far below its resonance, late by up to Q / (pi f0) at it."""
+
+    def response(frequency: np.ndarray) -> np.ndarray:
+        x = frequency / resonance_hz
+        return x**2 / (1 - x**2 + 1j * x / quality)
+
+    return through(response, error_m)
 
 
 def scans_of(capture: Capture) -> BasebandScans:
-    return preprocess(capture, settings=PreprocessSettings("none", False, extent_m=GRID.extent))
+    return scans_from(capture, GRID.extent)
 
 
 @pytest.mark.parametrize("edge_wavelengths", [0.0, 0.2])
@@ -120,13 +128,11 @@ def test_the_noise_of_the_halves_of_the_band_is_not_taken_for_a_resonance() -> N
 
 def test_every_method_images_about_the_same_axis() -> None:
     """Each on its own filter, the methods found axes up to millimetres apart in one capture."""
-    capture = record(POINTS, [1.0, 0.7], turn(36), noise=0.3, seed=3)
-    given = replace(capture, angles_rad=np.arange(36) * 2 * np.pi / 36, axis_distance_m=1.02)
+    given = turned(record(POINTS, [1.0, 0.7], turn(36), noise=0.3, seed=3), 1.02)
     results = []
     for method in ("bp", "bp-raw", "polar", "sparse"):
         settings = ImagingSettings(method=method, extent_m=0.4, pixels=48, background="none", held_out=False)
         result = reconstruct(given, settings, tell_outside=False)
-        assert result.focus is not None
         assert result.focus.reliable
         assert result.image.settings["axis_distance_m"] == result.focus.axis_distance_m
         results.append(result.focus.axis_distance_m)
@@ -135,11 +141,7 @@ def test_every_method_images_about_the_same_axis() -> None:
 
 
 def test_the_search_is_made_once_for_a_prepared_capture() -> None:
-    capture = replace(
-        record(POINTS, [1.0, 0.7], turn(36), noise=0.1),
-        angles_rad=np.arange(36) * 2 * np.pi / 36,
-        axis_distance_m=1.02,
-    )
+    capture = turned(record(POINTS, [1.0, 0.7], turn(36), noise=0.1), 1.02)
     settings = ImagingSettings(method="bp", extent_m=0.4, pixels=48, background="none")
     prepared = PreparedCapture(capture, settings)
     assert prepared.focus() is prepared.focus()
@@ -149,12 +151,8 @@ def test_the_search_is_made_once_for_a_prepared_capture() -> None:
 
 def test_a_distance_beyond_the_search_is_found_by_a_wider_one(tagid: Any, tmp_path: Path) -> None:
     """1.2 wavelengths off; the command that can widen the search says so, and no other."""
-    error = 1.2 * LAM
-    capture = replace(
-        record(POINTS, [1.0, 0.7], turn(120), noise=0.05, start_m=0.2, bins=220),
-        angles_rad=np.arange(120) * 2 * np.pi / 120,
-        axis_distance_m=1.0 + error,
-    )
+    recorded = record(POINTS, [1.0, 0.7], turn(120), noise=0.05, start_m=0.2, bins=220)
+    capture = turned(recorded, 1.0 + 1.2 * LAM)
     settings = ImagingSettings(method="bp", extent_m=0.4, pixels=48, background="none", held_out=False)
     near = reconstruct(capture, settings, tell_outside=False).focus
     assert near is not None and not near.reliable
@@ -167,13 +165,9 @@ def test_a_distance_beyond_the_search_is_found_by_a_wider_one(tagid: Any, tmp_pa
     assert far.axis_distance_m == pytest.approx(1.0, abs=0.002)
 
 
-@pytest.mark.parametrize("change", [{"towards_m": (0.0, 1.0)}, {"delay_m": 0.5}])
+@pytest.mark.parametrize("change", [{"towards_m": (0.0, 1.0)}, {"delay_m": 0.5}, {"centre_m": (0.1, 0.0)}])
 def test_searches_of_paths_are_refused_for_a_turntable(change: dict[str, Any]) -> None:
-    capture = replace(
-        record(POINTS, [1.0, 0.7], turn(12)),
-        angles_rad=np.arange(12) * 2 * np.pi / 12,
-        axis_distance_m=1.0,
-    )
+    capture = turned(record(POINTS, [1.0, 0.7], turn(12)))
     with pytest.raises(UsageError, match="turntable"):
         reconstruct(capture, ImagingSettings(method="bp", **change))
     positions = replace(capture, angles_rad=None, antenna_positions_m=turn(12).positions)

@@ -20,12 +20,13 @@ def complex_noise(*shape):
     return (RNG.standard_normal(shape) + 1j * RNG.standard_normal(shape)).astype(np.complex64)
 
 
-@pytest.fixture(params=["compiled", "numpy"])
+compiled = pytest.mark.skipif(not kernel.is_compiled(), reason="no compiler was present at installation")
+
+
+@pytest.fixture(params=[pytest.param("compiled", marks=compiled), "numpy"])
 def engine(request, monkeypatch):
     if request.param == "numpy":
         monkeypatch.setattr(kernel, "_compiled", None)
-    elif not kernel.is_compiled():
-        pytest.skip("no compiler was present at installation")
     return request.param
 
 
@@ -66,9 +67,8 @@ def test_channels_are_mixed_by_every_view(engine, channels):
         np.testing.assert_allclose(part, where.gather(rows * light[:, channel, None]), atol=1e-3)
 
 
+@compiled
 def test_light_that_does_not_fit_is_refused():
-    if not kernel.is_compiled():
-        pytest.skip("no compiler was present at installation")
     with pytest.raises(ValueError, match="fit"):
         geometry().scatter(complex_noise(2, len(POINTS)), complex_noise(len(ANTENNA) - 1, 2))
 
@@ -84,24 +84,14 @@ def test_threads_do_not_change_the_sums(monkeypatch):
     np.testing.assert_array_equal(single[1], many[1])
 
 
+@compiled
 def test_buffers_that_do_not_fit_are_refused():
-    if not kernel.is_compiled():
-        pytest.skip("no compiler was present at installation")
     where = geometry()
+    buffers = np.zeros(0, np.complex64), complex_noise(23, 500), complex_noise(70)
     for bins in (0, 1, 499, 501, -5, 1 << 40):
         with pytest.raises(ValueError, match="fit"):
             kernel._compiled.gather(
-                where.antenna,
-                where.second,
-                where.x,
-                where.y,
-                where.z,
-                np.zeros(0, np.complex64),
-                complex_noise(23, 500),
-                complex_noise(70),
-                bins,
-                0.0,
-                1,
+                where.antenna, where.second, where.x, where.y, where.z, *buffers, bins, 0.0, 1
             )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,6 @@ from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.farfield import polar_format, range_doppler
-from tagid.imaging.pathside import is_straight
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.rangefocus import focus_delay
 from tagid.imaging.region import choose_region
@@ -17,23 +18,47 @@ from tagid.operate.words import region_words
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
-from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, turn
+from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, scans_from, turn
 from train.metrics import localise, pick_peaks
 
 POINTS = np.array([[-0.6, 2.3], [0.5, 3.6]])
 
 
-def rail(delay_m: float, points: np.ndarray = POINTS, views: int = 600, seed: int = 0) -> Capture:
-    """Scans (views, 960) float32 whose ranges are `delay_m` too long, from a rail along x at y = 0."""
-    rng = np.random.default_rng(seed)
-    x = np.linspace(-1.7, 1.7, views)
-    antenna = np.stack([x, np.zeros(views), np.zeros(views)], axis=1)
-    ranges = STEP_M * np.arange(960)
-    samples = 0.05 * rng.standard_normal((views, 960))
+def passing(
+    antenna: np.ndarray,
+    points: Sequence[Sequence[float]],
+    delay_m: float,
+    noise: float,
+    seed: int = 5,
+    window: tuple[float, int] = (0.0, 960),
+) -> Capture:
+    """Scans float32 of `window` (start in m, bins) past two reflectors, their ranges `delay_m` too long."""
+    ranges = window[0] + STEP_M * np.arange(window[1])
+    samples = noise * np.random.default_rng(seed).standard_normal((len(antenna), window[1]))
     for amplitude, point in zip((1.0, 0.7), points, strict=True):
-        distance = np.hypot(x - point[0], point[1])
+        distance = np.linalg.norm(antenna - [*point, *np.zeros(3 - len(point))], axis=1)
         samples += amplitude * analytic_echo(ranges - distance[:, None] - delay_m).real
-    return Capture(samples.astype(np.float32), 0.0, STEP_M, antenna_positions_m=antenna)
+    return Capture(samples.astype(np.float32), window[0], STEP_M, antenna_positions_m=antenna)
+
+
+def rail(delay_m: float, points: np.ndarray = POINTS) -> Capture:
+    """Scans from a rail along x at y = 0."""
+    u = np.linspace(-1, 1, 150)
+    return passing(np.stack([1.7 * u, 0 * u, 0 * u], axis=1), points, delay_m, 0.05, 0)
+
+
+def bent(sagitta_m: float, delay_m: float) -> Capture:
+    """Scans from a path along x that bends by its sagitta, off its targets' middle, at changing heights."""
+    u = np.linspace(-1, 1, 300)
+    antenna = np.stack([1.7 * u + 0.8, sagitta_m * u**2 - 1.0, 0.25 + 0.08 * np.sin(3 * u)], axis=1)
+    return passing(antenna, [[0.4, 1.6], [1.6, 2.4]], delay_m, 0.2)
+
+
+def bowed(sagitta_m: float) -> Capture:
+    """Scans of a rail along x that bows, past two reflectors at y > 1; the origin is on the other side."""
+    u = np.linspace(-1, 1, 150)
+    antenna = np.stack([1.7 * u, 1.0 + sagitta_m * (1 - u**2), 0 * u], axis=1)
+    return passing(antenna, [[-0.6, 3.4], [0.7, 3.9]], 0.3, 0.03, window=(0.8, 480))
 
 
 @pytest.mark.parametrize("delay_m", [0.42, -0.83])
@@ -47,25 +72,12 @@ def test_the_path_delay_is_found_within_a_metre(delay_m: float) -> None:
     assert located.detected == 2
 
 
-def bent(sagitta_m: float, delay_m: float, noise: float = 0.2) -> Capture:
-    """Scans from a path along x that bends by its sagitta, off its targets' middle, at changing heights."""
-    u = np.linspace(-1, 1, 300)
-    antenna = np.stack([1.7 * u + 0.8, sagitta_m * u**2 - 1.0, 0.25 + 0.08 * np.sin(3 * u)], axis=1)
-    ranges = STEP_M * np.arange(960)
-    samples = noise * np.random.default_rng(5).standard_normal((300, 960))
-    for amplitude, point in zip((1.0, 0.7), ([0.4, 1.6, 0], [1.6, 2.4, 0]), strict=True):
-        distance = np.linalg.norm(antenna - point, axis=1)
-        samples += amplitude * analytic_echo(ranges - distance[:, None] - delay_m).real
-    return Capture(samples.astype(np.float32), 0.0, STEP_M, antenna_positions_m=antenna)
-
-
 @pytest.mark.parametrize(("sagitta_m", "delay_m"), [(0.0, -0.5), (-0.1, 0.3)])
 def test_a_bent_path_off_the_middle_knows_its_delay_and_its_side(sagitta_m: float, delay_m: float) -> None:
     """A path in one upright plane has two sides alike; a few centimetres of bend leave ghosts there."""
     region = choose_region(
         bent(sagitta_m, delay_m), ImageGrid(0.5, 128), None, free_extent=True, free_pixels=True
     )
-    assert region.focus is not None
     assert region.focus.reliable
     assert region.focus.delay_m == pytest.approx(delay_m, abs=0.008)
     assert region.mirrored == (sagitta_m == 0)
@@ -75,31 +87,19 @@ def test_a_bent_path_off_the_middle_knows_its_delay_and_its_side(sagitta_m: floa
     assert (located.detected, located.false) == (2, 0)
 
 
-def bowed(sagitta_m: float, delay_m: float) -> Capture:
-    """Scans of a rail along x that bows, past two reflectors at y > 1; the origin is on the other side."""
-    u = np.linspace(-1, 1, 150)
-    antenna = np.stack([1.7 * u, 1.0 + sagitta_m * (1 - u**2), 0 * u], axis=1)
-    ranges = 0.8 + STEP_M * np.arange(480)
-    samples = 0.03 * np.random.default_rng(5).standard_normal((150, 480))
-    for amplitude, point in zip((1.0, 0.8), ([-0.6, 3.4, 0], [0.7, 3.9, 0]), strict=True):
-        distance = np.linalg.norm(antenna - point, axis=1)
-        samples += amplitude * analytic_echo(ranges - distance[:, None] - delay_m).real
-    return Capture(samples.astype(np.float32), 0.8, STEP_M, antenna_positions_m=antenna)
-
-
 def test_a_path_that_bows_a_little_is_imaged_on_its_true_side() -> None:
     """Its mirror image is in focus at another delay, with 5 to 10 % less power."""
-    region = choose_region(bowed(0.009, 0.3), ImageGrid(0.5, 128), None, free_extent=True)
+    region = choose_region(bowed(0.009), ImageGrid(0.5, 128), None, free_extent=True)
     assert region.focus is not None and region.focus.alike is False and not region.mirrored
     assert min(p.y_m for p in region.points) > 1
     if region.focus.reliable:
         assert region.focus.delay_m == pytest.approx(0.3, abs=3 * region.focus.sigma_m)
-    chosen = choose_region(bowed(0.009, 0.3), ImageGrid(0.5, 128), None, towards_m=(0, 0), free_extent=True)
+    chosen = choose_region(bowed(0.009), ImageGrid(0.5, 128), None, towards_m=(0, 0), free_extent=True)
     assert max(p.y_m for p in chosen.points) < 1
 
 
 def test_sides_that_explain_the_scans_alike_are_called_alike() -> None:
-    region = choose_region(bowed(0.001, 0.3), ImageGrid(0.5, 128), None, free_extent=True)
+    region = choose_region(bowed(0.001), ImageGrid(0.5, 128), None, free_extent=True)
     assert region.focus is not None and region.focus.alike is True and region.mirrored
     assert max(p.y_m for p in region.points) < 1
     assert "explain the scans alike" in region_words(region)[-1]
@@ -109,14 +109,8 @@ def test_the_flank_of_a_delay_is_no_rival_of_its_top() -> None:
     """Past reflectors far off its middle, a raised path focuses echoes a little at 0.15 m from the delay."""
     u = np.linspace(-1, 1, 300)
     antenna = np.stack([1.7 * u + 0.7, 0 * u, 0.4 + 0 * u], axis=1)
-    ranges = STEP_M * np.arange(960)
-    samples = 0.1 * np.random.default_rng(5).standard_normal((300, 960))
-    for amplitude, point in zip((1.0, 0.7), ([-0.6, 2.2, 0], [0.5, 3.6, 0]), strict=True):
-        distance = np.linalg.norm(antenna - point, axis=1)
-        samples += amplitude * analytic_echo(ranges - distance[:, None] - 0.41).real
-    capture = Capture(samples.astype(np.float32), 0.0, STEP_M, antenna_positions_m=antenna)
+    capture = passing(antenna, [[-0.6, 2.2], [0.5, 3.6]], 0.41, 0.1)
     region = choose_region(capture, ImageGrid(0.5, 128), None, free_extent=True, free_pixels=True)
-    assert region.focus is not None
     assert region.focus.reliable, region.focus.reason
     assert region.focus.delay_m == pytest.approx(0.41, abs=0.006)
 
@@ -126,7 +120,7 @@ def test_one_echo_that_a_round_body_explains_gives_no_delay(delay_m: float, take
     """Its wall is nearer than its axis in every view: a delay below zero may be a radius."""
     alone = np.array([[0.1, 2.0], [0.1, 2.0]])
     wide = PreprocessSettings("none", True, extent_m=12.0, margin_m=1.0)
-    _, focus = focus_delay(preprocess(rail(delay_m, alone, views=100), settings=wide), 0.5)
+    _, focus = focus_delay(preprocess(rail(delay_m, alone), settings=wide), 0.5)
     assert focus.reliable == taken
     assert taken or "round body" in focus.reason
 
@@ -143,11 +137,10 @@ def test_noise_alone_gives_no_delay() -> None:
         focus_delay(scans, 5.0)
 
 
-@pytest.mark.parametrize("method", ["bp", "polar", "omp"])
+@pytest.mark.parametrize("method", ["polar", "omp"])
 def test_methods_image_a_rail_without_being_told_where_to_look(method: str) -> None:
     settings = ImagingSettings(method=method, free_extent=True, free_pixels=True)
-    result = reconstruct(prepare(rail(0.42, views=150)), settings)
-    assert result.region is not None
+    result = reconstruct(prepare(rail(0.42)), settings)
     assert result.region.mirrored
     assert result.views == 150
     # A plane wave instead of a sphere moves points off the middle: half a wave at 2.9 m is 0.3 m aside.
@@ -160,31 +153,20 @@ def test_an_image_about_the_origin_must_show_all_strong_echoes() -> None:
     """The strongest echo lies inside the default square, the other does not."""
     near = np.array([[0.1, 0.4], [0.5, 3.6]])
     region = choose_region(
-        rail(0.0, near, views=300), ImageGrid(1.0, 128), None, 0.0, free_extent=True, free_pixels=True
+        rail(0.0, near), ImageGrid(1.0, 128), None, 0.0, free_extent=True, free_pixels=True
     )
     reach = np.abs(near - np.array(region.centre_m)).max()
     assert reach < region.grid.extent / 2
-    given = choose_region(rail(0.0, near, views=300), ImageGrid(1.0, 128), None, 0.0)
+    given = choose_region(rail(0.0, near), ImageGrid(1.0, 128), None, 0.0)
     assert (given.centre_m, given.grid.extent) == ((0.0, 0.0), 1.0)
 
 
 def test_a_given_centre_is_imaged_and_the_delay_left_alone() -> None:
     settings = ImagingSettings(method="bp", extent_m=0.5, pixels=64, centre_m=(0.5, 3.6), delay_m=0.0)
-    result = reconstruct(prepare(rail(0.0, views=300)), settings)
+    result = reconstruct(prepare(rail(0.0)), settings)
     peak = pick_peaks(result.image, 1)[0] + np.array(result.image.centre_m)
     assert np.hypot(*(peak - POINTS[1])) < 0.015
     assert result.image.grid.extent == 0.5
-
-
-def test_a_turntable_has_no_other_centre() -> None:
-    capture = record([[0.05, 0.0]], [1.0], turn(36))
-    with pytest.raises(UsageError):
-        reconstruct(capture, ImagingSettings(method="bp", centre_m=(0.1, 0.0)))
-
-
-def test_straightness_of_a_path() -> None:
-    assert is_straight(rail(0.0, views=20).antenna_positions_m, 0.0759)
-    assert not is_straight(turn(20).positions, 0.0759)
 
 
 def test_positions_of_a_partial_turn_equal_its_angles() -> None:
@@ -203,9 +185,7 @@ def test_far_field_methods_find_points_of_a_small_distant_object(method: object)
     grid = ImageGrid(0.3, 75)
     points = np.array([[0.06, 0.03], [-0.05, -0.04]])
     few = Aperture.turntable(np.deg2rad(np.arange(-30, 30, 0.5)), 8.0)
-    scans = preprocess(
-        record(points, [1, 1], few), settings=PreprocessSettings("none", True, extent_m=grid.extent)
-    )
+    scans = scans_from(record(points, [1, 1], few), grid.extent, matched=True)
     image = method(scans, grid)
     assert localise(pick_peaks(image, 2, 0.05), points, 0.03).detected == 2
     assert np.abs(image.values).max() == pytest.approx(1.0, abs=0.35)
@@ -215,10 +195,7 @@ def test_polar_format_of_a_far_turn_is_the_backprojection() -> None:
     from tagid.imaging.backprojection import backproject
 
     grid = ImageGrid(0.3, 75)
-    scans = preprocess(
-        record([[0.06, 0.032]], [1.0], turn(180, 30.0)),  # the middle of a pixel
-        settings=PreprocessSettings("none", True, extent_m=grid.extent),
-    )
+    scans = scans_from(record([[0.06, 0.032]], [1.0], turn(180, 30.0)), grid.extent, matched=True)
     polar, exact = polar_format(scans, grid), backproject(scans, grid)
     a, b = (np.abs(i.values) / np.abs(i.values).max() for i in (polar, exact))
     assert np.unravel_index(a.argmax(), a.shape) == np.unravel_index(b.argmax(), b.shape)
@@ -229,13 +206,12 @@ def test_polar_format_of_a_far_turn_is_the_backprojection() -> None:
 def test_ranges_as_given_are_imaged_about_the_strong_echoes() -> None:
     """`--no-focus` with free positions: no delay is searched, and the image is not about the origin."""
     settings = ImagingSettings(method="bp", delay_m=0.0, free_extent=True, free_pixels=True)
-    result = reconstruct(prepare(rail(0.0, views=150)), settings)
-    assert result.region is not None
+    result = reconstruct(prepare(rail(0.0)), settings)
     assert result.region.focus is None
     assert np.hypot(*(np.array(result.image.centre_m) - POINTS.mean(axis=0))) < 0.05
     peaks = pick_peaks(result.image, 2, 0.25) + np.array(result.image.centre_m)
     assert localise(peaks, POINTS, 0.03).detected == 2
-    late = reconstruct(prepare(rail(0.42, views=150)), settings)
+    late = reconstruct(prepare(rail(0.42)), settings)
     far = np.hypot(*np.array(late.image.centre_m)) - np.hypot(*POINTS.mean(axis=0))
     assert far == pytest.approx(0.42, abs=0.15)  # the delay stays in the ranges
 
@@ -244,8 +220,7 @@ def test_ranges_as_given_are_imaged_about_the_strong_echoes() -> None:
 def test_one_side_of_a_straight_path_is_chosen(side: float) -> None:
     """A straight rail cannot tell its sides apart; a point on one of them says which is wanted."""
     settings = ImagingSettings(method="bp", free_extent=True, free_pixels=True, towards_m=(0.0, side))
-    result = reconstruct(prepare(rail(0.42, views=150)), settings)
-    assert result.region is not None
+    result = reconstruct(prepare(rail(0.42)), settings)
     assert result.region.mirrored
     outcome = np.array([[p.x_m, p.y_m] for p in result.region.points])
     assert localise(outcome, POINTS * [1, side], 0.03).detected == 2
@@ -275,7 +250,6 @@ def test_copies_beside_a_coarsely_sampled_path_are_no_echoes_and_warned_of() -> 
     )
     coarse, dense = (reconstruct(coarse_path(views), settings) for views in (34, 400))
     for made in (coarse, dense):
-        assert made.region is not None
         (x, y), extent = made.region.centre_m, made.region.grid.extent
         assert np.hypot(x - 0.1, y - 0.8) < 0.6 and extent < 3.7
         assert np.hypot(made.region.points[0].x_m - 0.3, made.region.points[0].y_m - 0.8) < 0.05

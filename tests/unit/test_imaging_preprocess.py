@@ -81,20 +81,6 @@ def test_static_clutter_is_removed(background):
     assert np.abs(with_clutter.samples - without.samples).max() < 1e-4 * 50
 
 
-def test_a_single_bright_view_moves_the_median_less_than_the_mean():
-    capture = record([(0.1, 0.0)], [1.0], turn(36))
-    samples = capture.samples.copy()
-    samples[7] += 100
-    remaining = {}
-    for background in ("mean", "median"):
-        scans = preprocess(
-            replace(capture, samples=samples), settings=PreprocessSettings(background=background)
-        )
-        clean = preprocess(capture, settings=PreprocessSettings(background=background))
-        remaining[background] = np.abs(np.delete(scans.samples - clean.samples, 7, axis=0)).max()
-    assert remaining["median"] <= remaining["mean"]
-
-
 @pytest.mark.parametrize("matched", [True, False])
 @pytest.mark.parametrize("window", [{"bins": 1152, "start_m": -3.0}, {}], ids=["off-target bins", "off-band"])
 def test_noise_is_estimated_beside_a_target(matched, window):

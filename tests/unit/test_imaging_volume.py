@@ -19,7 +19,7 @@ from tagid.imaging.ats import volume as volume_fit
 from tagid.imaging.ats.volume import Field, Interpolation, fit_volume
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.imaging.volume import backproject_volume, sparse_volume
+from tagid.imaging.volume import backproject_volume
 from tagid.pipeline.join import heights_of, join
 from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
 from tagid.report.arrays import isosurface, write_surface, write_volume
@@ -53,8 +53,7 @@ def brightest(values: np.ndarray, grid: VolumeGrid, count: int, apart_m: float) 
     return np.array(result)
 
 
-@pytest.mark.parametrize("apart", [0.0, 0.2])
-@pytest.mark.parametrize("method", ["bp", "sparse", "ats"])
+@pytest.mark.parametrize(("method", "apart"), [("bp", 0.0), ("sparse", 0.2), ("ats", 0.2)])
 def test_two_reflectors_of_one_radius_are_told_apart_by_height(method: str, apart: float) -> None:
     settings = VolumeSettings(method, 0.24, 24, (-0.12, 0.12), 12)
     made = reconstruct_volume(join(captures(apart=apart)), settings)
@@ -96,17 +95,6 @@ def test_a_volume_is_the_matched_filter_of_every_voxel(monkeypatch: pytest.Monke
     assert calls == sorted(calls)
     assert len(calls) > 10
     assert calls[-1] == 1
-
-
-def test_sparse_voxels_are_points_of_their_amplitude() -> None:
-    settings = PreprocessSettings("none", False, extent_m=0.24, heights_m=(-0.12, 0.12))
-    place = GRID.points()[1000]
-    joined = join([record([place], [2.0], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
-    scans = preprocess(joined, settings=settings)
-    made = sparse_volume(scans, GRID)
-    assert np.argmax(np.abs(made.values)) == 1000
-    remaining = scans.samples - ForwardOperator(scans, GRID.points()).forward(made.values.ravel())
-    assert np.vdot(remaining, remaining).real < 0.05 * np.vdot(scans.samples, scans.samples).real
 
 
 def test_a_fit_begins_as_the_backprojection_and_ends_below_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,6 +186,9 @@ def test_joined_captures_keep_their_positions_and_heights() -> None:
         join([parts[0], replace(parts[0], uuid="another of the same height")])
     with pytest.raises(UsageError, match="captures 1 and 2 are the same recording"):
         join([parts[0], parts[0]])
+    with pytest.raises(DataError, match="in the wave speed"):
+        join([parts[0], replace(parts[1], wave_speed_m_s=2.0e8)])
+    assert joined.complete and not join([*parts[:2], replace(parts[2], complete=False)]).complete
 
 
 def test_files_are_read_back(tmp_path: Path) -> None:
@@ -314,18 +305,6 @@ def test_from_the_command_line(tagid, tmp_path: Path) -> None:
     wrong = tagid("reconstruct", "all.npz", "--levels", 5)
     assert wrong.code == 2
     assert "--volume" in wrong.err
-
-
-def test_a_joined_capture_is_complete_if_all_its_parts_are() -> None:
-    parts = captures()
-    assert join(parts).complete
-    assert not join([*parts[:2], replace(parts[2], complete=False)]).complete
-
-
-def test_captures_through_different_media_are_not_joined() -> None:
-    parts = captures()
-    with pytest.raises(DataError, match="in the wave speed"):
-        join([parts[0], replace(parts[1], wave_speed_m_s=2.0e8)])
 
 
 def test_levels_sample_the_vertical_resolution_three_times_and_are_no_thinner_than_a_pixel() -> None:

@@ -58,7 +58,6 @@ def test_a_turning_object_does_not_pass_for_noise() -> None:
 @pytest.mark.parametrize("views", [2, 3])
 def test_noise_of_very_few_views_is_roughly_right(views: int) -> None:
     power = noise_power_of(analytic(resting(views)))
-    assert power is not None
     assert np.sqrt(power / 2) == pytest.approx(20.0, rel=0.3)
 
 
@@ -103,7 +102,6 @@ def test_the_strongest_return_is_tracked_to_a_fraction_of_a_bin() -> None:
     shift = rng.uniform(-1.0, 1.0, 50)
     samples = np.stack([1000 * burst(300 + s) for s in shift]) + rng.normal(0, 20, (50, BINS))
     result = inspect(capture_of(samples.astype(np.float32))).strongest
-    assert result is not None
     assert abs(result.bin - 300) <= 1
     error = result.bins - result.bins.mean() - (shift - shift.mean())
     assert np.abs(error).max() < 0.35
@@ -115,7 +113,6 @@ def test_two_equal_returns_at_rest_do_not_make_the_bin_jump() -> None:
     maxima = np.abs(analytic(samples)).argmax(axis=1)
     assert np.ptp(maxima) > 200  # what a plain maximum does
     result = inspect(capture_of(samples.astype(np.float32))).strongest
-    assert result is not None
     assert result.spread_bins < 2
     assert result.coherence > 0.8
 
@@ -138,11 +135,9 @@ def turning(turns: float, period_s: float = 6.0, sigma: float = 20.0) -> Capture
 def test_the_period_of_a_turning_object_is_found() -> None:
     summary = inspect(turning(1.5))
     assert summary.period_s == pytest.approx(6.0, rel=5e-3)
-    assert summary.period_sigma_s is not None
     assert abs(summary.period_s - 6.0) < 5 * max(summary.period_sigma_s, 0.005)
     assert "n-fold" in summary.period_note  # without a nominal speed the ambiguity is reported
     assert summary.changing_range_m == pytest.approx(2.0 + 350 * RANGE_STEP_M, abs=15 * RANGE_STEP_M)
-    assert summary.strongest is not None
     assert summary.strongest.bin == pytest.approx(80, abs=1)
 
 
@@ -157,7 +152,6 @@ def test_the_period_of_a_turning_object_is_found() -> None:
 def test_a_known_speed_takes_the_doubt_away(known: dict[str, object]) -> None:
     capture = turning(2.5)
     if "angles" in known:
-        assert capture.radar_time_ms is not None
         known = {"angles_rad": 2 * np.pi * capture.radar_time_ms / 6e3, "axis_distance_m": 5.0}
     summary = inspect(replace(capture, **known))  # type: ignore[arg-type]
     assert summary.period_s == pytest.approx(6.0, rel=5e-3)
@@ -166,7 +160,6 @@ def test_a_known_speed_takes_the_doubt_away(known: dict[str, object]) -> None:
 
 def test_a_period_found_in_the_same_scans_is_no_second_witness() -> None:
     capture = turning(2.5)
-    assert capture.radar_time_ms is not None
     angles = 2 * np.pi * capture.radar_time_ms / 6e3
     result = ResolvedMotion(source="data", period_s=6.0)
     motion = MotionInfo(resolved=result)
@@ -227,13 +220,10 @@ def recording(name: str) -> Capture:
 def test_the_real_corner_reflector_stands_still() -> None:
     summary = inspect(recording("corner-reflector-scan08.out"))
     assert (summary.views, summary.bins, summary.lost_scans) == (200, 1152, 0)
-    assert summary.strongest is not None
     assert 665 <= summary.strongest.bin <= 770
     assert summary.strongest.spread_bins <= 2
     assert summary.clipped_fraction == 0
-    assert summary.noise is not None
     assert 90 <= summary.noise <= 160  # what this radar's noise was measured to be at index 11
-    assert summary.strongest_over_noise_db is not None
     assert 25 < summary.strongest_over_noise_db < 40
     assert summary.scan_rate_hz == pytest.approx(1 / 0.021573, rel=2e-3)
     assert summary.period_s is None
@@ -243,7 +233,6 @@ def test_the_real_corner_reflector_stands_still() -> None:
 def test_the_real_light_pole_has_a_summary() -> None:
     summary = inspect(recording("light-pole-scan04.out"))
     assert (summary.views, summary.bins, summary.lost_scans) == (200, 1152, 0)
-    assert summary.strongest is not None
     assert summary.strongest.coherence < 0.5  # the radar moved
     assert summary.clipped_fraction == 0
 

@@ -41,7 +41,6 @@ def test_what_exceeds_a_turn_makes_no_view_in_either_direction(direction: int) -
     views = GrowingViews(GRID, (), IMAGING)
     views.update(replace(plain, samples=samples), direction * more)
     assert views.count == 60
-    assert views.capture is not None
     np.testing.assert_allclose(views.capture.angles_rad, direction * angles, atol=1e-9)
 
 
@@ -49,10 +48,10 @@ def test_a_correction_by_a_degree_forms_the_views_again() -> None:
     plain, angles = a_turn()
     views, exact = (GrowingViews(GRID, (), IMAGING) for _ in range(2))
     views.update(plain.select(slice(0, 30)), angles[:30] * (1 + np.radians(1) / angles[29]))
+    assert views.count == 29 and views.image() is not None, "the last one is still open"
     for item in (views, exact):
         item.update(plain, angles)
     corrected, right = views.image(), exact.image()
-    assert corrected is not None and right is not None
     np.testing.assert_allclose(corrected.values, right.values, atol=1e-6 * np.abs(right.values).max())
 
 
@@ -63,7 +62,6 @@ def test_measured_angles_begin_at_the_first_scan_wherever_the_device_stands() ->
     some = range(50, 150)
     scans = [Scan(n, 20 * n, int(arrivals[n]), np.zeros(4, np.int32), 0, 1, 2) for n in some]
     angles = _measured(scans, track)
-    assert angles is not None
     np.testing.assert_allclose(angles, -0.5 * (times_s[50:150] - times_s[50]), atol=2e-3)
 
 

@@ -1,4 +1,5 @@
-"""Which geometry a loaded capture has, and how many views of it the image needs."""
+"""Which geometry a loaded capture has, how many views of it the image needs, and captures that begin at
+different angles."""
 
 from __future__ import annotations
 
@@ -8,8 +9,10 @@ import numpy as np
 import pytest
 
 from tagid.capture import Capture
+from tagid.errors import DataError
 from tagid.imaging.lengths import views_needed
 from tagid.metadata import MotionInfo
+from tagid.pipeline.alignment import aligned, rotated
 from tagid.pipeline.prepared import LoadDefault, LoadSettings, load_capture, prepare
 from tagid.pipeline.resolve import clock_of, one_turn
 from tests.unit.imaging_scenes import record, turn
@@ -78,3 +81,44 @@ def test_a_file_from_elsewhere_keeps_what_it_says_of_its_turn_and_place() -> Non
     assert [ours.yielding.motion_for(capture) for capture in (turned, unturned)] == [None, "free?rpm=9"]
     assert load_capture(turned, ours, turn=False).axis_distance_m == 1.5
     assert load_capture(turned, ours.yielding, turn=False).axis_distance_m == 1.0
+
+
+POINTS = np.array([[0.11, 0.0, 0.04], [-0.03, 0.07, -0.05], [-0.06, -0.09, 0.0]])
+
+
+def upright(height: float, begin: float, points: np.ndarray = POINTS, seed: int = 0) -> Capture:
+    """A turn whose stated angles are smaller than the true ones by `begin`, rad."""
+    recorded = record(points, np.ones(len(points)), turn(36, 1.0, height), start_m=0.5, noise=0.1, seed=seed)
+    return replace(recorded, angles_rad=recorded.angles_rad - begin)
+
+
+@pytest.mark.parametrize("begin", [0.0, 1.0, -2.5])
+def test_each_capture_is_rotated_to_the_first(begin: float) -> None:
+    parts = [upright(0.0, 0.0), upright(0.1, begin, seed=1), upright(0.2, 2 * begin, seed=2)]
+    done, alignment = aligned(parts)
+    for number, (item, turn_found) in enumerate(zip(done, alignment, strict=True)):
+        error = np.angle(np.exp(1j * (turn_found.rotation_rad - number * begin)))
+        assert np.rad2deg(abs(error)) < 0.15, "a third of the step between the angles of an image"
+        difference = np.exp(1j * (item.angles_rad - turn(36).angles))
+        assert abs(np.angle(difference)).max() < np.deg2rad(0.5)
+
+
+def test_a_tag_that_is_symmetric_only_from_above_is_turned_to_its_own_heights() -> None:
+    """Three reflectors at the corners of a triangle: three rotations look alike in the plane."""
+    angle = np.arange(3) * 2 * np.pi / 3
+    triangle = np.column_stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), [0.06, -0.06, 0.03]])
+    parts = [upright(0.15, 0.0, triangle), upright(0.3, 2.4, triangle, 1), upright(0.45, 0.7, triangle, 2)]
+    _, alignment = aligned(parts)
+    for first, begin in zip(alignment, (0.0, 2.4, 0.7), strict=True):
+        assert abs(np.angle(np.exp(1j * (first.rotation_rad - begin)))) < np.deg2rad(1)
+
+
+def test_captures_that_show_nothing_in_common_are_refused() -> None:
+    empty = upright(0.1, 0.0, np.array([[5.0, 5.0, 0.0]]), 3)
+    with pytest.raises(DataError, match="rotation of capture 2"):
+        aligned([upright(0.0, 0.0), empty])
+    free = replace(upright(0.1, 0.0), angles_rad=None, antenna_positions_m=turn(36).positions)
+    with pytest.raises(DataError, match="capture 2 has antenna positions"):
+        aligned([upright(0.0, 0.0), free])
+    with pytest.raises(DataError):
+        rotated(free, 1.0)

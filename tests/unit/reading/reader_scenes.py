@@ -22,7 +22,6 @@ class Shaded(Points):
     """Reflectors that are seen within 65 degrees of their outward side alone."""
 
     def returns(self, antennas: np.ndarray) -> Returns:
-        assert self.facing_rad is not None
         seen = super().returns(antennas)
         apart = antennas[:, None, :2] - self.positions[None, :, :2]
         away = np.angle(np.exp(1j * (np.arctan2(apart[..., 1], apart[..., 0]) - self.facing_rad)))

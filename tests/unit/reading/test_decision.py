@@ -1,6 +1,8 @@
-"""Names, refusals and their reasons on simulated recordings."""
+"""Names, refusals and their reasons on simulated recordings, of one and of several of an object."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,12 +12,13 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.reading.decision import SURE, Decision, decide
 from tagid.reading.hypotheses import Contest
+from tagid.reading.several import decide_together
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
 from tagid.reading.transfers.shade import SHADES
 from tagid.reading.transfers.wall import WALLS
 from tagid.reading.verdict import Code
-from tagid.tags.layouts.layout import Layout
+from tagid.tags.layouts.layout import Layout, builtin_layouts
 from train.population import draw
 
 
@@ -51,10 +54,14 @@ STRANGERS = {
 }
 
 
+@cache
+def stranger(kind: str) -> Decision:
+    return bare(scans_at(STRANGERS[kind][0]))
+
+
 @pytest.mark.parametrize("kind", STRANGERS)
 def test_a_stranger_is_described_and_not_named(kind: str) -> None:
-    positions, words = STRANGERS[kind]
-    answer = bare(scans_at(positions))
+    answer, words = stranger(kind), STRANGERS[kind][1]
     # One alone is no tag: a round body echoes as it does.
     assert answer.status == ("no_tag" if kind == "one" else "unknown") and answer.name is None
     assert answer.lead < SURE
@@ -63,8 +70,7 @@ def test_a_stranger_is_described_and_not_named(kind: str) -> None:
 
 def test_two_of_three_reflectors_are_found_where_they_stand() -> None:
     """Their angle depends on the centre, which little but the prior tells; their distance does not."""
-    answer = bare(scans_at(STRANGERS["one less"][0]))
-    assert answer.rival is not None
+    answer = stranger("one less")
     first, other = answer.rival.estimate.positions
     assert abs(first - other) == pytest.approx(2 * 0.11 * np.sin(np.pi / 3), abs=2e-3)
 
@@ -128,3 +134,50 @@ def test_a_layout_far_from_its_places_is_another_tag() -> None:
     scans = preprocess(specimen.capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
     answer = decide(Contest(Spectra.of(scans), LAYOUTS, sheets=()).run())
     assert answer.name is None and answer.lead < -20
+
+
+@cache
+def contested(positions: tuple[tuple[float, float], ...], seed: int, snr_db: float) -> Contest:
+    scans = scans_at(np.array(positions), views=18, snr_db=snr_db, seed=seed, offset_m=0.002 + 0.001 * seed)
+    result = Contest(Spectra.of(scans), LAYOUTS, (BARE, POINTS), ())
+    result.run()
+    return result
+
+
+def placed(name: str) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in builtin_layouts()[name].positions)
+
+
+def together(positions: tuple[tuple[float, float], ...], snr_db: float) -> tuple[list[Decision], Decision]:
+    contests = [contested(positions, seed, snr_db) for seed in (1, 2, 3)]
+    return [decide(contest.hypotheses) for contest in contests], decide_together(contests)
+
+
+def test_recordings_that_name_nothing_alone_name_the_tag_together() -> None:
+    alone, joint = together(placed("container-90"), -1.5)
+    assert [design.name for design in alone] == [None] * 3
+    assert (joint.status, joint.name) == ("identified", "container-90")
+
+
+def test_more_recordings_lead_farther() -> None:
+    alone, joint = together(placed("helmet-120"), 5.0)
+    assert joint.name == "helmet-120"
+    assert joint.lead > max(design.lead for design in alone)
+
+
+def test_a_stranger_loses_farther_with_more_recordings() -> None:
+    positions = tuple((0.045 * np.cos(a), 0.045 * np.sin(a)) for a in np.deg2rad([0, 130]))
+    alone, joint = together(positions, 5.0)
+    assert joint.status == "unknown" and joint.reason.startswith("2 reflectors")
+    assert joint.lead < min(design.lead for design in alone)
+
+
+def test_recordings_of_two_tags_are_not_named() -> None:
+    contests = [contested(placed(name), 2, 15.0) for name in ("container-90", "container-180")]
+    assert [decide(contest.hypotheses).name for contest in contests] == ["container-90", "container-180"]
+    assert decide_together(contests).name is None
+
+
+def test_one_recording_is_decided_as_alone() -> None:
+    single = contested(placed("container-90"), 2, 15.0)
+    assert decide_together([single]).lead == decide(single.hypotheses).lead

@@ -1,4 +1,5 @@
-"""The log evidence of columns: against the dense formula, its slopes, and the compiled loop against numpy."""
+"""The log evidence of columns: against the dense formula, its slopes, the compiled loop against numpy, and
+amplitudes that are smooth over frequency."""
 
 from __future__ import annotations
 
@@ -15,7 +16,12 @@ from tagid.reading.bounce import BOUNCE_M
 from tagid.reading.columns import CLOSE_SD_M, PAST, REACH_M, Columns, Face, Model
 from tagid.reading.compiled import Compiled
 from tagid.reading.descent import BODY, CLUTTER, OVAL, TAG, Powers, _Numpy, descend, refined, variance
+from tagid.reading.evidence import fit
+from tagid.reading.hypothesis import Hypothesis
 from tagid.reading.odd import OddMap
+from tagid.reading.smooth import DELAYS_M, SPREAD_M, gains, roots, smoothed
+from tagid.reading.smooth import FREE as SHARES
+from tagid.reading.smooth import log_evidence as smooth_evidence
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE
 from tagid.reading.transfers.rod import RODS
@@ -93,12 +99,10 @@ def test_a_density_does_not_depend_on_those_asked_before(faces: tuple[Face | Non
     "kind",
     ["body", "layout", "free", "glued", "glued at heights", "face", "hidden", "plane", "lifted", "tall"],
 )
-@pytest.mark.parametrize("way", [compiled, _Numpy])
-def test_the_gradient_is_that_of_finite_differences(
-    turn: str, kind: str, way: type[Compiled] | type[_Numpy]
-) -> None:
+def test_the_gradient_is_that_of_finite_differences(turn: str, kind: str) -> None:
+    """Of numpy's, which that of the compiled loop equals."""
     model = MODELS[kind]
-    likelihood, x = way(SPECTRA[turn], model), somewhere(model)
+    likelihood, x = _Numpy(SPECTRA[turn], model), somewhere(model)
     value, gradient, hessian = likelihood.expanded(x, POWERS, 1e-3)
     assert value == pytest.approx(likelihood.values(x, [POWERS], [1e-3])[0, 0], rel=1e-12)
     assert np.linalg.eigvalsh(hessian)[0] > -1e-9 * np.abs(hessian).max()
@@ -220,3 +224,64 @@ def test_a_flat_wall_is_found_as_a_face() -> None:
     assert np.angle(result.odd[0]) == pytest.approx(0.8, abs=0.1)
     point = refined(spectra, nothing.model.and_odd(), np.append(nothing.x, spot), (None,))
     assert result.log_z > point.log_z + 50
+
+
+RNG = np.random.default_rng(3)
+F, N, M, OWN = 5, 4, 7, slice(1, 3)
+KAPPA = np.linspace(140.0, 190.0, F)
+SOME = RNG.normal(size=(F, N, M, 2)) @ [1, 1j]
+SEEN = RNG.normal(size=(F, M, 2)) @ [1, 1j]
+LAM, SIZES = RNG.uniform(0.5, 2, (F, M)), RNG.uniform(0.1, 3, (F, N))
+
+
+def dense(free: float, delay_m: float) -> float:
+    offset = np.subtract.outer(KAPPA, KAPPA)
+    kernel = np.exp(-0.5 * (SPREAD_M * offset) ** 2 - 1j * delay_m * offset)
+    wide = np.zeros((F, M, N, F), dtype=complex)
+    wide[np.arange(F), :, :, np.arange(F)] = np.swapaxes(SOME, 1, 2)
+    covariance = np.diag(LAM.ravel()).astype(complex)
+    for c in range(N):
+        share = free if OWN.start <= c < OWN.stop else 1.0
+        size = np.sqrt(SIZES[:, c])
+        prior = np.outer(size, size) * ((1 - share) * kernel + share * np.eye(F))
+        column = wide[:, :, c].reshape(F * M, F)
+        covariance += column @ prior @ column.conj().T
+    y = SEEN.ravel()
+    return float(-(y.conj() @ np.linalg.solve(covariance, y)).real - np.linalg.slogdet(covariance)[1])
+
+
+@pytest.mark.parametrize("free", [0.1, 0.3])
+def test_the_evidence_is_that_of_all_frequencies_together(free: float) -> None:
+    result = smooth_evidence(SOME, SEEN, LAM, SIZES, OWN, roots(KAPPA), free)
+    np.testing.assert_allclose(result, [dense(free, delay) for delay in DELAYS_M], atol=1e-3)
+
+
+def test_free_amplitudes_have_the_evidence_of_every_frequency_by_itself() -> None:
+    alone = fit(SOME, SEEN, LAM, SIZES).log
+    np.testing.assert_allclose(
+        smooth_evidence(SOME, SEEN, LAM, SIZES, OWN, roots(KAPPA), 1.0), alone, atol=1e-9
+    )
+    uncoupled = np.broadcast_to(np.eye(F), (1, F, F)).astype(complex)
+    np.testing.assert_allclose(smooth_evidence(SOME, SEEN, LAM, SIZES, OWN, uncoupled, 0.3), alone, atol=1e-9)
+
+
+def test_a_tag_of_one_amplitude_gains_and_one_of_any_does_not() -> None:
+    spectra = spectra_of("container-90", views=18, snr_db=5.0)
+    model = Model(BARE, Arrangement.of_layout(LAYOUTS[0].positions, LAYOUTS[0].heights), False, 0)
+    result = refined(spectra, model, np.zeros(model.parameters), (1e-2, None))
+    assert gains(spectra, result, roots(spectra.kappa)).max() > 5
+    phases = np.exp(1j * RNG.uniform(0, 2 * np.pi, (len(spectra.kappa), 1)))
+    mixed = replace(spectra, data=spectra.data * phases)
+    assert gains(mixed, result, roots(spectra.kappa)).max() < 0
+
+
+def test_the_best_of_a_kind_are_scored_at_the_delay_of_the_likeliest() -> None:
+    spectra = spectra_of("container-90", views=18, snr_db=5.0)
+    model = Model(BARE, Arrangement.of_layout(LAYOUTS[0].positions, LAYOUTS[0].heights), False, 0)
+    tagged = refined(spectra, model, np.zeros(model.parameters), (1e-2, None))
+    bare = refined(spectra, replace(model, tag=None), np.zeros(2), (1e-2, None))
+    some = [Hypothesis(LAYOUTS[0], tagged, log) for log in (3.0, 2.0)] + [Hypothesis(None, bare, 1.0)]
+    first, untagged, second = smoothed(spectra, some)
+    assert first.log_z == pytest.approx(3.0 + gains(spectra, tagged, roots(spectra.kappa)).max())
+    assert untagged.log_z == 1.0
+    assert second.log_z == pytest.approx(2.0 - np.log(len(SHARES)))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.reading import sheet, sheet_tags
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import Model
@@ -19,15 +21,34 @@ from tagid.reading.sheet import HEAD, KINDS, METAL, SHELL, Kind, SheetColumns, S
 from tagid.reading.sheet_search import Seeker
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE, POINTS
+from tagid.simulate import Acquisition, Placement, Wobble, simulate_capture
+from tagid.simulate.presets import room_clutter
+from tagid.simulate.response_file import read_response
+from tagid.simulate.response_scene import response_scene
 from tagid.tags.layouts.layout import Layout, builtin_layouts
-from tests.unit.solved_shells import recorded_at
 
+DATA = Path(__file__).parents[2] / "data"
 LAYOUTS = builtin_layouts()
 
 
 @cache
 def spectra_of(folder: str, name: str) -> Spectra:
-    return Spectra.of(recorded_at((-0.003, 0.004), folder, name, views=18))
+    """Of a thin shell that was solved by the method of moments (tests/data): off the axis, wobbling, the axis
+    distance wrong by 8 mm, in a room."""
+    acquisition = Acquisition(
+        views=18,
+        snr_db=20.0,
+        placement=Placement((-0.003, 0.004), 1.0),
+        wobble=Wobble(speed=0.005),
+        axis_distance_error_m=0.008,
+    )
+    shell, reply = (
+        read_response(DATA / folder / f"{name}.npz"),
+        read_response(DATA / "responses/free30_one.npz"),
+    )
+    room = room_clutter(np.random.default_rng(len(name)))
+    capture, _ = simulate_capture(response_scene(shell, acquisition, "V", reply, room), acquisition, 1)
+    return Spectra.of(preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5)))
 
 
 @cache

@@ -48,7 +48,6 @@ def test_an_object_that_turns_with_the_antenna_looks_the_same(name: str) -> None
 
 def error_of(spectra: Spectra) -> np.ndarray:
     """(V,) by which the antenna was turned, rad."""
-    assert spectra.stated is not None
     return np.angle(spectra.antenna / spectra.stated.antenna)
 
 
@@ -98,14 +97,12 @@ def test_every_height_has_a_speed_and_a_beginning_of_its_own() -> None:
     data = spectra.data - (spectra.data @ spectra.rooms.T) @ spectra.rooms
     spectra = replace(spectra, data=data)
     turned = fitted(spectra, refined(spectra, model, x))
-    assert turned is not None
     off = error_of(turned.spectra) - truth @ rows
     assert np.std(off) < 0.02 * np.std(truth @ rows)
 
 
 def scaled(scans: BasebandScans, scale: float) -> BasebandScans:
     angles, distance = scans.aperture.angles, scans.aperture.axis_distance
-    assert angles is not None and distance is not None
     return replace(scans, aperture=scans.aperture.turned(scale * angles, distance))
 
 
