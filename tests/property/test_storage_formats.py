@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
@@ -128,7 +128,7 @@ def comparable(capture: Capture) -> list[Any]:
 
 
 @given(captures())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_round_trip(capture: Capture) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name in ("a.npz", "a.mat", "a.tagid.h5"):
