@@ -11,7 +11,7 @@ import io
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -33,7 +33,6 @@ from tagid.operate.turn import Answer, ReadingSetup
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.prepared import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
-from tagid.recording import session
 from tagid.report.records import Thumbnails
 from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.history import Filter, History
@@ -109,7 +108,7 @@ def _command(*words: str) -> int:
 
 
 def _record_radar() -> None:
-    out = ["--save-dir", "captures/today", "--seconds", os.environ.get("POWER_CUT_SECONDS", "2")]
+    out = ["--save-dir", "captures/today", "--seconds", "2"]
     code = _command("radar", "record", "--radar", "emulator://points-3?rate=1", "--axis-distance", "1", *out)
     assert code == 0, code
     _tell(_DONE)
@@ -134,29 +133,20 @@ def _journal() -> None:
                 journal.append_motion({"host_time_ns": [1], "angle_rad": [0.1], "sigma_rad": [0.01]})
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """A scan record in the journal: until when it may be lost."""
-
-    row: int
-    written: Write
-    records: int
-
-
 def _journal_promise(sync_every: int, sync_s: float) -> Callable[[Recording], Promise]:
     """The check of a journal that is synced once `sync_every` records and `sync_s` have passed, and of the
     capture that it becomes."""
 
     def promise(recording: Recording) -> Promise:
-        (inode,) = recording.named(".tagid.journal")
-        name = recording.paths[inode]
+        ((inode, name),) = (item for item in recording.paths.items() if item[1].endswith(".tagid.journal"))
         content = recording.contents[inode]
         matching = [
             operation for operation in recording.operations if getattr(operation, "inode", None) == inode
         ]
         steps = [operation for operation in matching if isinstance(operation, Write | Close)]
         writes = [step for step in steps if isinstance(step, Write)]
-        kept: list[_Kept] = []
+        # The write that ends each record, and how many records there are then: of the scans, and of all.
+        kept: list[tuple[Write, int]] = []
         written: list[tuple[Write, int]] = []
         truth = []
         end = PREAMBLE.size
@@ -165,7 +155,7 @@ def _journal_promise(sync_every: int, sync_s: float) -> Callable[[Recording], Pr
             by = next(write for write in writes if write.offset + len(write.data) >= end)
             written.append((by, records))
             if kind == _SCAN_KIND:
-                kept.append(_Kept(len(kept), by, records))
+                kept.append((by, records))
                 truth.append(np.frombuffer(payload, "<i4", offset=32))
         assert end == len(content) and len(kept) > 30, (end, len(content), len(kept))
         closed = next(step for step in steps if isinstance(step, Close))
@@ -181,8 +171,9 @@ def _journal_promise(sync_every: int, sync_s: float) -> Callable[[Recording], Pr
             if not back:
                 return 0
             last, count = back[-1]
-            old = [item for item in kept if last.time_s - item.written.time_s > sync_s]
-            return sum(item.records <= count - sync_every for item in old)
+            return sum(
+                records <= count - sync_every and last.time_s - by.time_s > sync_s for by, records in kept
+            )
 
         def check(place: Path, cut: int) -> str:
             wanted = acknowledged(cut)
@@ -278,13 +269,11 @@ def _configs() -> list[dict[str, Any]]:
 # Databases: after each report the change is there, and the file can always be opened and changed.
 
 
-def _enrolled() -> Iterator[str]:
-    for number in range(4):
-        yield f"new-{number}"
+_ENROLLED = tuple(f"new-{number}" for number in range(4))
 
 
 def _registry() -> None:
-    for number, name in enumerate(_enrolled()):
+    for number, name in enumerate(_ENROLLED):
         points = [f"{0.1 + 0.01 * number},0", "-0.02,0.06", f"-0.05,{-0.04 - 0.01 * number}"]
         words = [word for point in points for word in ("--point", point)]
         assert _command("enroll", name, "--kind", "other", *words, "--yes", "--force") == 0
@@ -295,7 +284,7 @@ def _registry() -> None:
 
 def _registries() -> list[list[str]]:
     results = [sorted(builtin_layouts())]
-    for name in _enrolled():
+    for name in _ENROLLED:
         results.append(sorted([*results[-1], name]))
     return [*results, [name for name in results[-1] if name != "new-0"]]
 
@@ -442,19 +431,13 @@ CASES: Mapping[str, Case] = {
 }
 """By name; "scan" and "report" write most."""
 
-SYNC_S = session.SYNC_S
-
 
 def unsynced(recording: Recording, kind: str) -> Recording:
-    """The recording as if one kind of sync were missing from the code: "files", "folders" or "all"."""
-    folders = {operation.inode for operation in recording.operations if isinstance(operation, Sync)} - set(
-        recording.contents
-    )
-    chosen = {"folders": folders, "files": set(recording.contents), "all": folders | set(recording.contents)}
+    """The recording as if one kind of sync were missing from the code: "files" or "folders"."""
     kept = tuple(
         operation
         for operation in recording.operations
-        if not (isinstance(operation, Sync) and operation.inode in chosen[kind])
+        if not (isinstance(operation, Sync) and (operation.inode in recording.contents) == (kind == "files"))
     )
     return replace(recording, operations=kept)
 

@@ -42,13 +42,11 @@ class State:
         cut: line of the trace; operations that started later never happened.
         files: content by name, relative to the folder.
         folders: names of the folders.
-        why: which operations of those not synced are there.
     """
 
     cut: int
     files: Mapping[str, bytes]
     folders: tuple[str, ...]
-    why: str
 
     def put(self, place: Path) -> None:
         """Write the state into an empty folder."""
@@ -93,12 +91,8 @@ def states(
                 yield state
 
 
-@dataclass(frozen=True)
-class _Choice:
-    """Pending operations that are on disk, by position, and how much of each write."""
-
-    why: str
-    kept: Mapping[int, str]
+_Choice = Mapping[int, str]
+"""Pending operations that are on disk, by position, and how much of each write."""
 
 
 def _objects(operation: _Effect) -> int:
@@ -144,7 +138,7 @@ class _Disk:
         contents = dict(self._contents)
         names = {folder: dict(entries) for folder, entries in self._names.items()}
         copied: set[int] = set()
-        for position, how in sorted(choice.kept.items()):
+        for position, how in sorted(choice.items()):
             single = self.pending[position]
             if isinstance(single, Write | Truncate) and single.inode not in copied:
                 contents[single.inode] = bytearray(contents.get(single.inode, b""))
@@ -164,7 +158,7 @@ class _Disk:
                         files[prefix + name] = random.Random(cut).randbytes(len(files[prefix + name]))
 
         walk(ROOT, "")
-        return State(cut, files, tuple(folders), choice.why)
+        return State(cut, files, tuple(folders))
 
 
 def _durable_at(operation: _Effect, operations: Sequence[Operation]) -> float:
@@ -225,29 +219,23 @@ def _choices(
     pending: Sequence[_Effect], extending: set[int], most: int, rng: random.Random
 ) -> Iterator[_Choice]:
     everything = range(len(pending))
-    yield _Choice("nothing", {})
+    yield {}
     if not pending:
         return
     names = [i for i in everything if not isinstance(pending[i], Write | Truncate)]
-    data = [i for i in everything if i not in set(names)]
-    yield _whole("everything", everything)
-    yield _whole("names without data", names)
-    yield _whole("data without names", data)
+    for there in (everything, names, sorted(set(everything) - set(names))):
+        yield dict.fromkeys(there, "whole")
     choices: list[_Choice] = []
     for i in everything:
-        choices.append(_whole(f"all but {i}", [j for j in everything if j != i]))
-        choices.append(_whole(f"{i} alone", [i]))
+        choices += [dict.fromkeys((j for j in everything if j != i), "whole"), {i: "whole"}]
         # Zeros in place of old data would be a damaged disk: only what extends the file may be missing so.
         for how in ("cut off", "sectors", *(["zeros"] if pending[i].end in extending else [])):
             if isinstance(pending[i], Write):
-                choices.append(_Choice(f"all, {i} {how}", dict.fromkeys(everything, "whole") | {i: how}))
-                before = dict.fromkeys(range(i), "whole")
-                choices.append(_Choice(f"up to {i}, {how}", before | {i: how}))
+                choices += [dict.fromkeys(reach, "whole") | {i: how} for reach in (everything, range(i))]
     for _ in range(max(4, most // 4)):
         share = rng.choice((0.2, 0.5, 0.8, 0.95))
-        there = [i for i in everything if rng.random() < share]
-        kept = {i: rng.choice(("whole", "whole", "cut off", "sectors")) for i in there}
-        choices.append(_Choice(f"random {sorted(kept.items())[:40]}", kept))
+        present = [i for i in everything if rng.random() < share]
+        choices.append({i: rng.choice(("whole", "whole", "cut off", "sectors")) for i in present})
     yield from rng.sample(choices, min(most, len(choices)))
 
 
@@ -265,10 +253,6 @@ def _extending(operations: Sequence[Operation]) -> set[int]:
                 sizes.get(operation.inode, 0), operation.offset + len(operation.data)
             )
     return result
-
-
-def _whole(why: str, positions: Sequence[int]) -> _Choice:
-    return _Choice(why, dict.fromkeys(positions, "whole"))
 
 
 def _digest(state: State) -> bytes:

@@ -27,7 +27,7 @@ sys.path[:0] = [str(TESTS.parent), str(TESTS / "property")]
 
 from power_cut_cases import CASES, recorded, unsynced  # noqa: E402
 from power_cut_states import Density, states  # noqa: E402
-from robustness_page import Section, write_section  # noqa: E402
+from robustness_page import write_section  # noqa: E402
 from syscalls import Recording, unavailable  # noqa: E402
 
 
@@ -111,7 +111,7 @@ def main() -> int:
             " if the code did not sync files, or folders."
         )
         columns = ("case", "operations", "states", "with a fault", "files not synced", "folders not synced")
-        write_section(Section("Power cuts", text, str(given.seed), columns, rows))
+        write_section("Power cuts", text, str(given.seed), columns, rows)
     return 1 if bad else 0
 
 

@@ -123,10 +123,6 @@ class Recording:
     contents: Mapping[int, bytes]
     final: Mapping[str, bytes]
 
-    def named(self, ending: str) -> list[int]:
-        """Inodes whose last name ended so; an empty ending gives all, with the folder itself."""
-        return [inode for inode, path in self.paths.items() if path.endswith(ending)]
-
     def marked(self, cut: int) -> list[str]:
         """Lines that the process had written to its output before `cut`."""
         return [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -21,27 +20,22 @@ DENSITY = {
 """Cases, and how many states of each."""
 
 
-@dataclass(frozen=True)
-class Traced:
-    """A case, and the system calls that it made."""
-
-    name: str
-    recording: Recording
-
-
 @pytest.fixture(scope="module", params=DENSITY)
-def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Traced:
-    return Traced(request.param, recorded(request.param, tmp_path_factory.mktemp("recorded")))
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Recording]:
+    return request.param, recorded(request.param, tmp_path_factory.mktemp("recorded"))
 
 
-def test_nothing_acknowledged_is_lost_in_any_state(case: Traced, tmp_path: Path) -> None:
-    outcomes = try_all(case.name, case.recording, tmp_path, DENSITY[case.name])
+def test_nothing_acknowledged_is_lost_in_any_state(case: tuple[str, Recording], tmp_path: Path) -> None:
+    outcomes = try_all(*case, tmp_path, DENSITY[case[0]])
     total = outcomes.pop("")
     assert not outcomes, outcomes.most_common(5)
     assert total > 10, "states without a fault"
 
 
 @pytest.mark.parametrize("kind", ["files", "folders"])
-def test_the_states_show_what_a_missing_sync_loses(case: Traced, kind: str, tmp_path: Path) -> None:
-    outcomes = try_all(case.name, unsynced(case.recording, kind), tmp_path, Density(0, 20), first=True)
+def test_the_states_show_what_a_missing_sync_loses(
+    case: tuple[str, Recording], kind: str, tmp_path: Path
+) -> None:
+    name, recording = case
+    outcomes = try_all(name, unsynced(recording, kind), tmp_path, Density(0, 20), first=True)
     assert sum(outcomes.values()) > outcomes[""], f"no state shows that {kind} are not synced"

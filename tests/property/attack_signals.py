@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import numpy as np  # noqa: E402
-from robustness_page import Section, write_section  # noqa: E402
+from robustness_page import write_section  # noqa: E402
 
 from tagid.errors import TagidError  # noqa: E402
 from tagid.storage.hdf5 import read_capture  # noqa: E402
@@ -118,14 +118,8 @@ def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> b
     return False
 
 
-def attack(
-    command: str,
-    folder: Path,
-    rng: random.Random,
-    truth: Path | None = None,
-    kinds: tuple[signal.Signals, ...] = KINDS,
-) -> Outcome:
-    """One try; `folder` is new, `truth` the output of an undisturbed `simulate`, `kinds` what is sent."""
+def attack(command: str, folder: Path, rng: random.Random, truth: Path | None = None) -> Outcome:
+    """One try; `folder` is new, `truth` the output of an undisturbed `simulate`."""
     out = folder / "out"
     if command == "report":
         source = truth or ROOT
@@ -137,7 +131,7 @@ def attack(
         if recording and rng.random() < 0.5:
             enough = rng.randint(50_000, 1_500_000)
             wait_for(lambda: _longest_journal(out) > enough, process)
-            process.send_signal(rng.choice(kinds))
+            process.send_signal(rng.choice(KINDS))
         aimed = wait_for(lambda: any(path.name.endswith(".tmp") for path in out.iterdir()), process)
         for number, journal in enumerate(out.glob("*.tagid.journal")):
             with suppress(FileNotFoundError):  # it may go at any moment
@@ -145,7 +139,7 @@ def attack(
         time.sleep(rng.random() * 0.02)
         for _ in range(rng.randint(1, 3)):
             if process.poll() is None:
-                process.send_signal(rng.choice(kinds))
+                process.send_signal(rng.choice(KINDS))
             time.sleep(rng.random() * 0.02)
         try:
             _, err = process.communicate(timeout=_LONGEST_S)
@@ -216,16 +210,12 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--tries", type=int, default=100, help="of all commands together")
-    parser.add_argument("--commands", default=",".join(COMMANDS))
-    parser.add_argument("--signals", default="INT,TERM,HUP")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--log", type=Path, help="a line for each try; those in it are not repeated")
     parser.add_argument("--page", action="store_true", help="write the section of docs/results/robustness.md")
     given = parser.parse_args()
     for kind in KINDS:  # a shell has its background processes ignore them, and their children do as well
         signal.signal(kind, signal.default_int_handler)
-    commands = given.commands.split(",")
-    kinds = tuple(signal.Signals[f"SIG{name}"] for name in given.signals.split(","))
     log = given.log or Path(os.devnull)
     before = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
     outcomes = [(str(item.pop("command")), Outcome(**item)) for item in before]
@@ -234,11 +224,11 @@ def main() -> int:
             undisturbed.communicate()
         truth = Path(place) / "truth" / "out" / "a.tagid.h5"
         for number in range(len(outcomes), given.tries):
-            command = commands[number % len(commands)]
+            command = COMMANDS[number % len(COMMANDS)]
             folder = Path(place) / str(number)
             folder.mkdir()
             expected = truth if command in ("simulate", "report") else None
-            outcome = attack(command, folder, random.Random(f"{given.seed}-{number}"), expected, kinds)
+            outcome = attack(command, folder, random.Random(f"{given.seed}-{number}"), expected)
             outcomes.append((command, outcome))
             lines.write(json.dumps({"command": command, **asdict(outcome)}) + "\n")
             lines.flush()
@@ -267,7 +257,7 @@ def _told(outcomes: list[tuple[str, Outcome]], seed: int, page: bool) -> int:
             "code, or a process that does not end."
         )
         columns = ("command", "tries", "during a write", "exit code: tries", "faults")
-        write_section(Section("Stop signals", text, str(seed), columns, rows))
+        write_section("Stop signals", text, str(seed), columns, rows)
     return 1 if bad else 0
 
 

@@ -230,13 +230,11 @@ def _response_seeds() -> list[bytes]:
     return seeds
 
 
-def _stored_npz() -> bytes:
+def stored_npz(capture: Capture) -> bytes:
     """Not compressed, so that mutations reach the arrays and not only the deflate stream."""
     buffer = io.BytesIO()
-    single = example()
-    np.savez(
-        buffer, samples=single.samples, range_start_m=1.5, range_step_m=0.01, timestamps_s=np.arange(4.0)
-    )
+    times = np.asarray(capture.radar_time_ms)
+    np.savez(buffer, samples=capture.samples, range_start_m=1.5, range_step_m=0.01, timestamps_s=times)
     return buffer.getvalue()
 
 
@@ -272,19 +270,16 @@ def _resaved() -> list[bytes]:
     return [semicolons.encode(), quoted.encode(), text.encode("utf-16"), text.replace(", ", "\t").encode()]
 
 
-def _layouts(suffix: str) -> Callable[[bytes], None]:
-    def run(data: bytes) -> None:
-        path = _folder() / f"layouts{suffix}"
-        path.write_bytes(data)
-        try:
-            result = read_layouts(path)
-        except TagidError as error:
-            assert path.name in error.message
-            return
-        for layout in result:
-            assert layout_from_dict(layout.to_dict()).to_dict() == layout.to_dict()
-
-    return run
+def _layouts(data: bytes) -> None:
+    path = _folder() / "layouts.toml"
+    path.write_bytes(data)
+    try:
+        result = read_layouts(path)
+    except TagidError as error:
+        assert path.name in error.message
+        return
+    for layout in result:
+        assert layout_from_dict(layout.to_dict()).to_dict() == layout.to_dict()
 
 
 def _layout_seeds() -> list[bytes]:
@@ -303,8 +298,8 @@ def _contract_seeds() -> list[bytes]:
     return [Contract(1.0, 0.0, 1.0, 0.0, 1.0, {"0.1": 0.5, "0.01": 0.9}, {"seed": 0}).to_text().encode()]
 
 
-def _seeds_of(*suffixes: str) -> Callable[[], list[bytes]]:
-    return lambda: [encoded(suffix) for suffix in suffixes] + [encoded(s, example(400, 2)) for s in suffixes]
+def _seeds_of(suffix: str) -> Callable[[], list[bytes]]:
+    return lambda: [encoded(suffix), encoded(suffix, example(400, 2))]
 
 
 TARGETS = (
@@ -318,11 +313,11 @@ TARGETS = (
     Target("mrm-ret", _importer, _seeds_of(".csv"), 0.006, 8000),
     Target("resaved", _importer, _resaved, 0.002, 8000),
     Target("journal", _importer, _seeds_of(".tagid.journal"), 0.01, 8000),
-    Target("npz", _importer, lambda: [*_seeds_of(".npz")(), _stored_npz()], 0.008, 8000),
+    Target("npz", _importer, lambda: [*_seeds_of(".npz")(), stored_npz(example())], 0.008, 8000),
     Target("matlab", _importer, _matlab, 0.003, 8000),
     Target("response", _response, _response_seeds, 0.003, 6000),
     Target("hdf5", _importer, _seeds_of(".tagid.h5"), 0.003, 30_000),
-    Target("layouts", _layouts(".toml"), _layout_seeds, 0.005, 2000),
+    Target("layouts", _layouts, _layout_seeds, 0.005, 2000),
     Target("contract", _contract, _contract_seeds, 0.005, 2000),
 )
 """Every parser there is; the shares add up to 1 and go by what an execution costs."""

@@ -1,4 +1,4 @@
-"""Any capture comes back equal from each lossless format, and any bytes give a capture or one clear error."""
+"""Any capture comes back equal from each lossless format, and any scans from a journal."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
@@ -25,7 +24,9 @@ from tagid.metadata import (
 )
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
+from tagid.storage.journal import JournalWriter
 from tagid.storage.recordings import encode_recording
+from tests.unit.storage_samples import read_journal
 
 NUMBER = st.floats(-1e7, 1e7)
 POSITIVE = st.floats(1.0, 1e4)
@@ -75,18 +76,18 @@ def captures(draw: st.DrawFn) -> Capture:
     """Captures of a few views, each optional field there or not."""
     views, bins = draw(st.integers(1, 5)), draw(st.integers(1, 9))
     dtype = draw(st.sampled_from(["int32", "float32", "complex64"]))
-    finite: dict[str, Any] = {"allow_nan": False, "allow_infinity": False}
+    real = st.floats(width=32, allow_nan=False, allow_infinity=False)
     elements = {
         "int32": st.integers(-(2**31), 2**31 - 1),
-        "float32": st.floats(width=32, **finite),
-        "complex64": st.builds(complex, st.floats(width=32, **finite), st.floats(width=32, **finite)),
+        "float32": real,
+        "complex64": st.builds(complex, real, real),
     }[dtype]
 
     def vector(kind: str, values: st.SearchStrategy[Any]) -> Any:
         return draw(st.none() | npst.arrays(kind, views, elements=values))
 
-    shape = st.sampled_from(["angles", "positions", "neither"])
-    place = draw(shape)
+    place = draw(st.sampled_from(["angles", "positions", "neither"]))
+    positions = npst.arrays("float64", (views, 3), elements=NUMBER)
     pulse = draw(st.none() | npst.arrays("float64", st.integers(2, 9), elements=st.floats(0.5, 2)))
     return Capture(
         samples=draw(npst.arrays(dtype, (views, bins), elements=elements)),
@@ -96,9 +97,9 @@ def captures(draw: st.DrawFn) -> Capture:
         angle_sigma_rad=vector("float64", NUMBER),
         axis_distance_m=draw(st.none() | POSITIVE),
         antenna_height_m=draw(NUMBER),
-        antenna_positions_m=draw(npst.arrays("float64", (views, 3), elements=NUMBER))
-        if place == "positions"
-        else None,
+        antenna_separation_m=draw(st.floats(0, 10)),
+        antenna_positions_m=draw(positions) if place == "positions" else None,
+        receive_positions_m=draw(st.none() | positions) if place == "positions" else None,
         host_time_ns=vector("int64", INT64),
         radar_time_ms=vector("float64", NUMBER),
         scan_id=vector("int64", INT64),
@@ -126,14 +127,14 @@ def comparable(capture: Capture) -> list[Any]:
     return values
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".mat", ".tagid.h5"])
 @given(captures())
-@settings(max_examples=30, deadline=None)
-def test_round_trip(suffix: str, capture: Capture) -> None:
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_round_trip(capture: Capture) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"a{suffix}"
-        export(capture, path)
-        assert comparable(read_any(path)) == comparable(capture)
+        for name in ("a.npz", "a.mat", "a.tagid.h5"):
+            export(capture, Path(folder) / name)
+            assert comparable(read_any(Path(folder) / name)) == comparable(capture), name
+        assert len(list(Path(folder).iterdir())) == 3
 
 
 @given(
@@ -164,3 +165,40 @@ def test_recording_written_and_read_and_written(
     np.testing.assert_array_equal(again.scan_id, capture.scan_id)
     np.testing.assert_array_equal(again.radar_time_ms, capture.radar_time_ms)
     assert encode_recording(again) == data
+
+
+HEADER = {"range_start_m": 0.0, "range_step_m": 0.01}
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@st.composite
+def recordings(draw: st.DrawFn) -> list[tuple[Any, ...]]:
+    """Scans of one length and dtype, with any numbers and times."""
+    dtype = draw(st.sampled_from(["int32", "float32", ">i4"]))
+    bins = draw(st.integers(1, 40))
+    values = None if dtype != "float32" else st.floats(width=32, allow_nan=False)
+    samples = npst.arrays(dtype, bins, elements=values)
+    single = st.tuples(INT64, INT64, FINITE, samples, st.integers(0, 255))
+    return draw(st.lists(single, max_size=6))
+
+
+SUMMARY = st.dictionaries(
+    st.text(max_size=9), st.none() | st.booleans() | INT64 | FINITE | st.text(), max_size=4
+)
+
+
+@given(recordings(), st.none() | SUMMARY)
+@settings(max_examples=60, deadline=None)
+def test_journal_round_trip(scans: list[tuple[Any, ...]], summary: dict[str, Any] | None) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "j"
+        with JournalWriter(path, HEADER, sync_every=0) as journal:
+            for scan in scans:
+                journal.append(*scan)
+            if summary is not None:
+                journal.close(summary)
+        stored = read_journal(path)
+    assert stored.header == HEADER and stored.summary == summary and stored.bytes_dropped == 0
+    for scan, (number, host_ns, radar_ms, samples, flags) in zip(stored.scans, scans, strict=True):
+        assert (scan.scan_id, scan.host_time_ns, scan.radar_time_ms) == (number, host_ns, radar_ms)
+        assert scan.flags == flags and np.array_equal(scan.samples, samples)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -32,17 +32,9 @@ def random_layout(seed: int, count: int = 3) -> Layout:
 
 
 @pytest.mark.parametrize(
-    ("slots", "weight", "count"),
-    [(8, 2, 4), (8, 3, 7), (12, 2, 6), (12, 3, 19), (12, 4, 43), (16, 2, 8), (16, 3, 35), (16, 4, 116)],
+    ("slots", "weight", "colours"), [(6, 3, 2), (7, 2, 3), (8, 4, 1), (12, 3, 1), (5, 5, 2)]
 )
-def test_necklaces_are_as_many_as_the_known_table_says(slots: int, weight: int, count: int) -> None:
-    assert len(necklaces(slots, weight)) == count
-
-
-@pytest.mark.parametrize(("slots", "weight", "colours"), [(6, 3, 2), (7, 2, 3), (8, 4, 1), (5, 5, 2)])
 def test_necklaces_against_brute_force(slots: int, weight: int, colours: int) -> None:
-    from itertools import product
-
     def least(word: tuple[int, ...]) -> tuple[int, ...]:
         return min(word[i:] + word[:i] for i in range(slots))
 

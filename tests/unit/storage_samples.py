@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -57,13 +60,18 @@ def assert_equal(a: Capture, b: Capture) -> None:
             assert first == two, field.name
 
 
-FREE = {"angles_rad": None, "angle_sigma_rad": None, "antenna_positions_m": np.arange(27.0).reshape(9, 3)}
-PAIRS = {**FREE, "receive_positions_m": np.arange(27.0).reshape(9, 3)[::-1] / 7}
-BARE = dict.fromkeys(("angles_rad", "angle_sigma_rad", "axis_distance_m", "host_time_ns", "pulse"))
-COMPLEX = {"samples": (np.arange(360).reshape(9, 40) * (1 - 2j)).astype(np.complex64)}
 FLOAT = {"samples": np.linspace(-1, 1, 360, dtype=np.float32).reshape(9, 40)}
-TINY = {**BARE, "samples": np.ones((1, 1), np.int32), "radar_time_ms": None, "scan_id": None, "flags": None}
-LONG = {"radar": RadarInfo(extra={"notes": "x" * 300_000})}
+
+
+@contextmanager
+def file_size_limit(most_bytes: int) -> Iterator[None]:
+    """A full disk, as this process sees it."""
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, usual[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
 
 
 @dataclass(frozen=True)

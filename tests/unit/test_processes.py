@@ -31,14 +31,14 @@ def owned(folder: Path) -> list[str]:
     return [path.name for path in folder.parent.glob("owned-*")]
 
 
-def run(folder: Path, code: str) -> str:
-    """Output of a program that runs in a folder but does not import from it."""
+def run(folder: Path, code: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """A program that runs in a folder but does not import from it."""
     done = subprocess.run(
-        [sys.executable, "-P", "-W", "error", "-c", code], cwd=folder, capture_output=True, text=True,
+        [sys.executable, "-P", "-W", "error", "-c", code, *words], cwd=folder, capture_output=True, text=True,
         env={**os.environ, "OMP_NUM_THREADS": "1"}, timeout=60,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    return done.stdout
+    return done
 
 
 def test_no_child_runs_code_of_the_current_folder(hostile: Path) -> None:
@@ -55,8 +55,8 @@ assert "PYTHONSAFEPATH" not in os.environ, "the caller's own environment is kept
 sys.stdout.flush()
 processes.replace("tagid", "--version")
 """
-    output = run(hostile, code)
-    assert output.splitlines()[:2] == ["tagid", "(1, 3)"] and output.splitlines()[2].startswith("tagid ")
+    name, result, again = run(hostile, code).stdout.splitlines()
+    assert (name, result) == ("tagid", "(1, 3)") and again.startswith("tagid ")
     assert owned(hostile) == []
 
 
@@ -74,7 +74,7 @@ with processes.start("tagid.where", stdout=subprocess.PIPE) as child:
     print(child.stdout.read().decode())
 """
     (clone / "tagid" / "where.py").write_text("import tagid\nprint(tagid.__file__)\n")
-    assert run(clone, code).strip() == str(clone / "tagid" / "__init__.py")
+    assert run(clone, code).stdout.strip() == str(clone / "tagid" / "__init__.py")
 
 
 def test_the_guardian_and_its_command_run_no_code_of_the_current_folder(hostile: Path) -> None:
@@ -95,14 +95,7 @@ assert guard._process.poll() is None
 guard.release(farewell=False)
 """
     for words in ([], ["removed"]):
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", code, *words],
-            cwd=hostile,
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
-        assert done.returncode == 0, done.stderr
+        done = run(hostile, code, *words)
         assert "NOWHERE" in done.stderr and "speed is 0" in done.stderr, done.stderr
         assert "x could not be stopped. It may still be turning" in done.stderr
         assert owned(hostile) == []
@@ -125,7 +118,6 @@ if __name__ == "__main__":
         time.sleep(60)
 """
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
     worker = int(parent.stdout.readline())
     parent.send_signal(signal.SIGKILL)
     parent.communicate()

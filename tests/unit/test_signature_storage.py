@@ -1,4 +1,4 @@
-"""What is kept of signatures: in a registry, in files of layouts, and as bytes; damage is seen."""
+"""What is kept of signatures, in a registry, in files, as bytes, and what a new one is compared with."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from bodies_synthetic import MUG, TAG, enrolled
 
 from tagid.enrolling.enrollment import Basis
 from tagid.enrolling.layout_file import read_entries, write_layouts
-from tagid.enrolling.registry import Registry
+from tagid.enrolling.registry import Registry, RegistryContents
 from tagid.errors import DataError, FileFormatError, LayoutConflictError, RegistryError, UsageError
 from tagid.pipeline.enrollment import propose_layout, propose_signature
-from tagid.tags.bodies.signature import Signature
+from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.bodies.signature_file import MAX_BYTES, from_bytes, to_bytes
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
@@ -68,9 +68,6 @@ def test_a_signature_is_stored_as_bytes_and_any_damage_is_seen(mug: Signature) -
 def test_impossible_signatures_are_refused(mug: Signature, change: dict[str, object]) -> None:
     with pytest.raises(DataError, match="mug"):
         replace(mug, **change)  # type: ignore[arg-type]
-
-
-def test_names_of_signatures_are_those_of_layouts(mug: Signature) -> None:
     with pytest.raises(UsageError, match="not valid"):
         replace(mug, name="../mug")
 
@@ -177,3 +174,33 @@ def test_files_carry_signatures(tmp_path: Path, mug: Signature, tagged: Signatur
             read_entries(path)
     write_layouts(LAYOUTS, path)
     assert "version = 1" in path.read_text("utf-8")
+
+
+WAVENUMBERS = 2 * np.pi / 0.0385 * np.linspace(0.9, 1.1, 6)
+
+
+def drawn(name: str, changed: float, kind: SignatureKind = "object") -> Signature:
+    """An echo of random harmonics, of which a share is that of another object."""
+    mine, other = (
+        np.random.default_rng(seed).standard_normal((6, 17, 2)) @ (1, 1j) for seed in (1, len(name))
+    )
+    echo = np.sqrt(1 - changed) * mine + np.sqrt(changed) * other
+    return Signature(name, kind, WAVENUMBERS, echo, np.full(6, 1e-3), 0.08, 1.0)
+
+
+def test_the_most_similar_object_is_shown_first_and_a_confusable_one_refused() -> None:
+    enrolled = [drawn("unlike-it", 1.0), drawn("twin", 0.005), drawn("cousin", 0.3)]
+    proposal = propose_signature(RegistryContents(4, [], enrolled), drawn("new", 0.0))
+    assert [likeness.second for likeness in proposal.likenesses] == ["twin", "cousin", "unlike-it"]
+    assert proposal.alike == ("twin",)
+    assert "confused with twin" in proposal.conflict.message
+    apart = propose_signature(RegistryContents(4, [], enrolled[::2]), drawn("new", 0.0))
+    assert apart.conflict is None and apart.taken is None
+
+
+@pytest.mark.parametrize("name", ["twin", "helmet-120"])
+def test_a_name_of_an_object_or_a_layout_is_taken_but_one_of_a_body_is_not(name: str) -> None:
+    bodies = [drawn("can", 0.0, "body")]
+    contents = RegistryContents(4, list(builtin_layouts().values()), [drawn("twin", 0.5), *bodies])
+    assert propose_signature(contents, drawn(name, 0.0)).taken is not None
+    assert propose_signature(contents, drawn("can", 0.0)).taken is None

@@ -47,7 +47,6 @@ from tagid.simulate.noise import draw_noise
 from tagid.simulate.objects import METAL, WATER, Variation, tagged_object
 from tagid.simulate.response_file import read_response
 from tagid.simulate.scatterers import Mounted, Octahedron, Rod, unit_of
-from tagid.simulate.scene import Tag
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.simulate.specification import parse_length
 
@@ -87,37 +86,15 @@ def scene_of(text: str, tagged: bool = True) -> Scene:
 
 @pytest.mark.parametrize("text", [*BODIES, "helmet-120", "untagged", "can", "box"])
 def test_everything_on_an_object_moves_with_it(text: str) -> None:
-    """Shifted by +x, the object is seen from +x (view 0) as from an antenna that much nearer, and from -x
-    (half a turn later) as from one that much farther."""
+    """Shifted by +x, the object is seen from +x as from an antenna that much nearer, and from -x, half a turn
+    later, as from one that much farther."""
     scene = replace(scene_of(text), room=None)
-    moved = clean(scene, placement=Placement((0.01, 0.0)))
-    np.testing.assert_allclose(moved[0], clean(scene, axis_distance_m=0.99)[0], atol=1e-9)
-    np.testing.assert_allclose(moved[2], clean(scene, axis_distance_m=1.01)[2], atol=1e-9)
+    moved = clean(scene, 2, placement=Placement((0.01, 0.0)))
+    for view, distance_m in enumerate((0.99, 1.01)):
+        np.testing.assert_allclose(moved[view], clean(scene, 2, axis_distance_m=distance_m)[view], atol=1e-9)
 
 
-@pytest.mark.parametrize("text", ["helmet-120", "can:35mm", "cup:38mm", "helmet:98mm", "box:120mm"])
-def test_the_bodys_own_echo_comes_earlier_when_it_moves_to_the_radar(text: str) -> None:
-    scene = scene_of(text)
-    body = replace(scene, room=None, object=tuple(b for b in scene.object if not isinstance(b, Tag)))
-    here, nearer = clean(body), clean(body, placement=Placement((0.02, 0.0)))
-    bins = np.arange(FIXED.bins)
-    centre = [float((np.abs(row) ** 2 @ bins) / (np.abs(row) ** 2).sum()) for row in (here[0], nearer[0])]
-    assert (centre[0] - centre[1]) * FIXED.step_m == pytest.approx(0.02, abs=2e-4)
-    # What removing the mean over the views leaves of a body off the axis is no small part of it.
-    turn = clean(body, 36, placement=Placement((0.006, 0.0)))
-    assert np.abs(turn - turn.mean(axis=0)).max() > 0.2 * np.abs(turn).max()
-
-
-@pytest.mark.parametrize(("place", "view"), [((0.045, 0.0), 0), ((0.0, 0.045), 3), ((0.0, -0.045), 1)])
-def test_a_tag_on_a_can_is_bright_where_it_faces_the_radar(place: tuple[float, float], view: int) -> None:
-    """The object turns counter-clockwise, so what points to +y comes round last."""
-    made = tagged_object(np.array([place]), parse_body("can:35mm"), ReflectorSpec(), np.random.default_rng(0))
-    strength = np.abs(clean(Scene("tag", made[:1]))).max(axis=1)
-    assert int(np.argmax(strength)) == view
-    assert np.sort(strength)[-2] < 0.4 * strength[view]
-
-
-@pytest.mark.parametrize("text", BODIES)
+@pytest.mark.parametrize("text", [*BODIES, "helmet-120", "can", "box"])
 def test_objects_turn_with_their_placement(text: str) -> None:
     scene = replace(scene_of(text), room=None)
     turned = clean(scene, 36, placement=Placement(rotation_rad=2 * np.pi * 5 / 36))
@@ -127,13 +104,9 @@ def test_objects_turn_with_their_placement(text: str) -> None:
 @pytest.mark.parametrize(("size_mm", "levels"), [(20, (-45.1, -40.5, -36.8)), (40, (-26.9, -25.1, -25.9))])
 def test_octahedra_have_the_solved_cross_section(size_mm: float, levels: tuple[float, ...]) -> None:
     assert dbsm(Octahedron(size_mm * 1e-3).scattering_length(BAND_HZ)) == pytest.approx(levels, abs=0.3)
-
-
-def test_small_octahedra_follow_rayleighs_law() -> None:
-    b = np.abs(Octahedron(0.008).scattering_length(np.array([3e9, 4e9])))
-    assert b[1] / b[0] == pytest.approx((4 / 3) ** 2)
-    half, full = (np.abs(Octahedron(d).scattering_length(np.array([3e9]))[0]) for d in (0.005, 0.010))
-    assert full / half == pytest.approx(8)
+    # Rayleigh's law of small ones: the square of the frequency, and the cube of the size.
+    small, double = (np.abs(Octahedron(d).scattering_length(np.array([3e9, 4e9]))) for d in (0.005, 0.010))
+    assert (small[1] / small[0], double[0] / small[0]) == pytest.approx(((4 / 3) ** 2, 8))
 
 
 def test_cans_and_shells_have_the_solved_cross_section() -> None:
@@ -145,14 +118,6 @@ def test_cans_and_shells_have_the_solved_cross_section() -> None:
     # Front and back wall interfere: 13 to 18 dB over a turn between the 10 % quantiles and more at the nulls.
     low, high = np.quantile(dbsm(shell), [0.1, 0.9], axis=1)
     assert ((high - low > 7) & (high - low < 20)).all()
-
-
-def test_a_can_stands_20_db_over_a_tag_on_it() -> None:
-    scene = scene_on_body("container-90", parse_body("can:35mm"), ReflectorSpec(), 0)
-    tag, can = (clean(Scene("part", (body,)), 36) for body in scene.object)
-    single = clean(Scene("one", (scene.tag.single(0),)), 36)  # type: ignore[union-attr]
-    assert np.abs(tag).max() >= np.abs(single).max() * 0.99
-    assert 20 * np.log10(np.abs(can).max() / np.abs(single).max()) == pytest.approx(20, abs=2)
 
 
 @pytest.mark.parametrize("body", [RoundBody((Layer(0.035, METAL),), 0.1), Shell()])
@@ -201,11 +166,6 @@ def test_a_reflector_in_a_carton_is_seen_through_its_walls() -> None:
         carton.around(np.array([0.0, 0.0535]))
 
 
-def test_reflectors_do_not_pass_the_antenna() -> None:
-    with pytest.raises(UsageError, match="the antenna stands at"):
-        simulate_capture(scene_from_name("helmet-120"), Acquisition(views=12, axis_distance_m=0.1))
-
-
 def test_a_sheet_keeps_the_energy() -> None:
     reflection, transmission = sheet(BAND_HZ, 0.003, 2.8)
     assert np.abs(reflection) ** 2 + np.abs(transmission) ** 2 == pytest.approx(np.ones(3))
@@ -239,14 +199,6 @@ def test_the_field_passes_a_thin_wall_continuously() -> None:
     assert np.abs(wall.field(0.04, AROUND) - wall.field(0.040001, AROUND)).max() < 1e-3
     with pytest.raises(DataError):
         wall.field(0.0400005, AROUND)
-
-
-@pytest.mark.parametrize("standoff_m", [0.005, 0.010, 0.019])
-def test_a_large_metal_cylinder_is_a_mirror(standoff_m: float) -> None:
-    """The image has the opposite sign, so the field before it is 2 sin(k d)."""
-    k = 2 * np.pi * 4e9 / SPEED_OF_LIGHT
-    seen = np.abs(Multipoles.of(np.array([k]), (Layer(1.0, METAL),)).field(1.0 + standoff_m, np.zeros(1)))
-    assert seen[0, 0] == pytest.approx(2 * np.sin(k * standoff_m), rel=0.02)
 
 
 def test_double_bounce_turns_the_phase_and_the_body_shadows() -> None:
@@ -369,7 +321,6 @@ def test_snr_is_measured_on_the_samples(reference: str, index: int) -> None:
     noise = float((capture.samples - truth.clean).std())
     same = {"placement": how.placement}
     tag = scene.tag
-    assert tag is not None
     single = max(np.abs(clean(Scene("x", (tag.single(i),)), 180, **same)).max() for i in range(2))
     both = np.abs(clean(Scene("x", (tag,)), 180, **same)).max()
     measured = [20 * np.log10(level / noise) for level in (single, both)]
@@ -441,18 +392,20 @@ def test_the_truth_is_in_the_capture() -> None:
 
 def test_the_emulator_sees_a_body_off_the_axis_as_the_simulator_does() -> None:
     scene = scene_of("can:35mm,handle,seam")
-    placed = Placement((0.006, -0.003), 0.4, 0.05)
     config = SimpleNamespace(samples=288, scan_start_ps=3000, base_integration_index=11)
-    source = TurningScene(scene, rpm=3.0, seed=6, acquisition=Acquisition(placement=placed))
-    gain = source.counts_per_unit(config)
     how = Acquisition(
-        views=5, window=source.window(config), placement=placed, recording=Recording(counts_per_unit=gain)
+        views=10, placement=Placement((0.006, -0.003), 0.4, 0.05), wobble=Wobble(0.02), range_law=True
     )
+    source = TurningScene(scene, rpm=3.0, seed=6, acquisition=how)
+    window, gain = source.window(config), source.counts_per_unit(config)
+    assert (window.start_m, window.bins) == (pytest.approx(3e-9 * SPEED_OF_LIGHT / 2), 288)
+    how = replace(how, window=window, recording=Recording(counts_per_unit=gain))
     truth = simulate_capture(scene, how, seed=6)[1]
-    for view in range(5):
-        np.testing.assert_allclose(source.clean(view * 4.0, config), truth.clean[view], atol=1e-6 * gain)
+    for view in range(10):
+        np.testing.assert_allclose(source.clean(view * 2.0, config), truth.clean[view], atol=1e-6 * gain)
+        assert source.angle(view * 2.0) == pytest.approx(truth.angles_rad[view])
     assert source.snr.reflector_db == pytest.approx(20.0)
-    assert source.snr.summed_db is not None and source.snr.summed_db > 20
+    assert source.snr.summed_db > 20
 
 
 def test_the_true_pose_of_an_emulated_scene_is_that_at_time_zero() -> None:
@@ -465,7 +418,7 @@ def test_the_true_pose_of_an_emulated_scene_is_that_at_time_zero() -> None:
 
     source, start_s = turning(30.0), 10.0
     reported = source.about().truth
-    assert reported is not None and reported.rotation_deg == pytest.approx(30)
+    assert reported.rotation_deg == pytest.approx(30)
     then = turning(30.0 + 6 * source.rpm * start_s).clean(0.0, config)
     np.testing.assert_allclose(source.clean(start_s, config), then, atol=1e-6 * np.abs(then).max())
     assert not np.allclose(source.clean(0.0, config), then, atol=1e-2 * np.abs(then).max())
@@ -567,28 +520,11 @@ def test_bodies_are_read_and_written(text: str, spec: BodySpec) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "",
-        "can:35",
-        "can:35 mm",
-        "can:mm",
-        "can:-35mm",
-        "can:1e1mm",
-        "can:nanmm",
-        "can:9m",
-        "can:",
-        "cone:3mm",
-        "can:35mm,",
-        "can:35mm,spout",
-        "can:35mm,handle,handle",
-        "can:35mm,wall=3mm",
-        "can:35mm,height=3",
-        "none:3mm",
-        "none,handle",
-        "box:120mm,handle",
-        "can,35mm",
-        "can:35mm,height=3cm,height=4cm",
+        "", "can:35", "can:35 mm", "can:mm", "can:-35mm", "can:1e1mm", "can:nanmm", "can:9m", "can:",
+        "cone:3mm", "can:35mm,", "can:35mm,spout", "can:35mm,handle,handle", "can:35mm,wall=3mm", "can,35mm",
+        "none:3mm", "none,handle", "box:120mm,handle", "can:35mm,height=3", "can:35mm,height=3cm,height=4cm",
     ],
-)
+)  # fmt: skip
 def test_bodies_that_cannot_be_read_say_what_can(text: str) -> None:
     with pytest.raises(UsageError) as error:
         parse_body(text)
@@ -610,6 +546,8 @@ def test_other_texts_are_read_strictly() -> None:
 
 
 def test_objects_that_cannot_be_built_are_refused() -> None:
+    with pytest.raises(UsageError, match="the antenna stands at"):
+        simulate_capture(scene_from_name("helmet-120"), Acquisition(views=12, axis_distance_m=0.1))
     with pytest.raises(UsageError, match="inside the wall"):
         scene_on_body("container-90", parse_body("can:50mm"), ReflectorSpec())
     for scene in ("empty", "corner", "box"):

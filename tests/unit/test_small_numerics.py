@@ -1,4 +1,4 @@
-"""Small numerical parts that need numpy only, against scipy's functions of the same purpose."""
+"""Small numerical parts: peaks, proportions, and what needs numpy only against scipy's functions."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from scipy.special import h2vp, hankel2, jv, jvp, yv, yvp
 from tagid.fields.bessel import bessel, first_kind
 from tagid.imaging.bilinear import bilinear
 from tagid.imaging.restore import blurred
+from tagid.proportion import Interval, wilson
+from tagid.signal import fitted_peak, median, vertex
 from tagid.tags.layouts.codebook import least_assignment
 
 
@@ -68,3 +70,60 @@ def test_values_between_samples(held: bool, mode: str) -> None:
 def test_the_restoring_beam_is_a_gaussian_to_the_edges() -> None:
     values = np.random.default_rng(2).standard_normal((33, 40))
     np.testing.assert_allclose(blurred(values, 1.7), gaussian_filter(values, 1.7), atol=1e-12)
+
+
+@pytest.mark.parametrize("top", [-0.4, 0.0, 0.23])
+def test_the_vertex_of_a_parabola_is_exact(top: float) -> None:
+    before, at, after = (5.0 - 2.0 * (x - top) ** 2 for x in (-1, 0, 1))
+    assert vertex(before, at, after) == pytest.approx(top)
+    assert vertex(-before, -at, -after) == pytest.approx(top)
+    assert vertex(1.0, 2.0, 3.0) == 0.0
+
+
+@pytest.mark.parametrize("half", [2, 3])
+@pytest.mark.parametrize("top", [-0.31, 0.02, 0.9])
+def test_a_fitted_peak_is_the_vertex_in_the_units_of_its_positions(half: int, top: float) -> None:
+    at = np.array([-1.0, -0.8, -0.5, -0.3, -0.1, 0.1, 0.2, 0.5, 0.8, 1.0])  # uneven steps
+    values = 3.0 - 7.0 * (at - top) ** 2
+    assert fitted_peak(at, values, int(np.argmax(values)), half) == pytest.approx(top)
+
+
+def test_a_fitted_peak_averages_the_noise_of_its_neighbours() -> None:
+    rng = np.random.default_rng(5)
+    at = np.linspace(-1.0, 1.0, 21)
+    values = -((at - 0.04) ** 2) + 0.01 * rng.standard_normal((200, 21))
+    fitted = np.array([fitted_peak(at, v, 10, 10) for v in values])
+    through_three = np.array([at[10] + 0.1 * vertex(*v[9:12]) for v in values])
+    assert abs(fitted.mean() - 0.04) < 1e-3
+    assert fitted.std() < 0.1 * through_three.std()
+
+
+def test_without_a_maximum_the_best_sample_is_the_answer() -> None:
+    at = np.linspace(0.0, 1.0, 9)
+    assert fitted_peak(at, at**2, 8, 3) == 1.0
+    assert fitted_peak(at, -((at - 2.0) ** 2), 8, 3) == 1.0  # never beyond the samples used
+
+
+@pytest.mark.parametrize(("axis", "keepdims"), [(None, False), (0, False), (-1, True)])
+@pytest.mark.parametrize("shape", [(5, 4), (6, 7)])
+def test_the_median_is_numpys(shape: tuple[int, int], axis: int | None, keepdims: bool) -> None:
+    values = np.random.default_rng(3).standard_normal(shape).astype(np.float32)
+    wanted = np.median(values, axis=axis, keepdims=keepdims and axis is not None)
+    assert np.array_equal(median(values, axis=axis, keepdims=keepdims), wanted)
+
+
+@pytest.mark.parametrize(("hits", "trials"), [(1, 2), (9, 10), (50, 100), (3, 7), (999, 1000)])
+def test_each_limit_is_a_proportion_that_the_count_just_contradicts(hits: int, trials: int) -> None:
+    """Wilson's definition: the limits p solve |share - p| = z sqrt(p (1 - p) / trials)."""
+    share = hits / trials
+    interval = wilson(share, trials)
+    assert 0 <= interval.low < share < interval.high <= 1
+    for limit in (interval.low, interval.high):
+        assert abs(share - limit) == pytest.approx(1.959964 * (limit * (1 - limit) / trials) ** 0.5)
+
+
+def test_a_count_without_exceptions_still_leaves_room_and_no_count_leaves_all() -> None:
+    none, every = wilson(0.0, 100), wilson(1.0, 100)
+    assert none.low == pytest.approx(0.0, abs=1e-12) and none.high == pytest.approx(0.0370, abs=1e-4)
+    assert every.low == pytest.approx(1 - none.high) and every.high == pytest.approx(1.0)
+    assert wilson(0.0, 0) == Interval(0.0, 1.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import resource
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +27,7 @@ from tagid.simulate import (
 from tagid.station.enrolling import MOST, Enrolling, EnrolmentState, Subject, Taken
 from tagid.station.errors import EnrolmentError
 from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tests.unit.storage_samples import file_size_limit
 
 MINE = Layout("mine", np.array([(0.11, 0.0), (-0.02, 0.09), (-0.05, -0.07)]))
 POSES = ((0.006, -0.002, 10.0), (-0.004, 0.005, 130.0), (0.001, 0.008, 250.0))
@@ -119,25 +119,23 @@ def test_an_object_that_is_enrolled_already_is_refused(
     enrolling: Enrolling, registry: Registry, captures
 ) -> None:
     registry.add(Layout("before", MINE.positions), "by hand")
-    enrolling.describe(Subject("twin"))
+    enrolling.describe(Subject("gate-4"))
     state = add(enrolling, *captures[:3])
     assert isinstance(state.trouble, LayoutConflictError) and "before" in state.trouble.message
     with pytest.raises(LayoutConflictError):
         enrolling.store()
-    assert "twin" not in [layout.name for layout in registry.layouts()]
-    assert enrolling.store(force=True).name == "twin"
-    assert "twin" in [layout.name for layout in registry.layouts()]
+    assert "gate-4" not in [layout.name for layout in registry.layouts()]
+    assert enrolling.store(force=True).name == "gate-4"
+    assert "gate-4" in [layout.name for layout in registry.layouts()]
 
 
 def test_an_object_that_was_not_moved_is_noticed(enrolling: Enrolling, captures) -> None:
     enrolling.describe(Subject("gate-4"))
     x, y, turn = POSES[0]
     state = add(enrolling, captures[0], capture(MINE, (x, y, turn)))
-    assert state.measured is not None
     assert any(remark.startswith("capture 1 and capture 2 show") for remark in state.measured.remarks)
     enrolling.drop(2)
     state = add(enrolling, captures[1])
-    assert state.measured is not None
     assert not any("same place" in remark for remark in state.measured.remarks)
 
 
@@ -146,52 +144,39 @@ def test_undo_takes_back_its_own_enrolment_and_no_other(
 ) -> None:
     with pytest.raises(EnrolmentError):
         enrolling.undo()
-    for name in ("gate-4", "gate-5"):
-        enrolling.describe(Subject(name))
+    for again in (False, True):
+        enrolling.describe(Subject("gate-4"))
         add(enrolling, *captures[:3])
         done = enrolling.store()
-        assert (done.name, done.registry_version, done.has_layout) == (name, registry.version, True)
-        if name == "gate-4":
-            assert registry.contents().signatures[0].name == "gate-4"
+        assert (done.name, done.registry_version, done.has_layout) == ("gate-4", registry.version, True)
+        assert registry.contents().signatures[0].name == "gate-4"
+        if not again:
             enrolling.undo()
             assert enrolling.state.undone == "gate-4" and registry.contents().signatures == []
     before = registry.add(Layout("theirs", 1.3 * MINE.positions), "another program")
     with pytest.raises(EnrolmentError, match="changed since"):
         enrolling.undo()
     assert registry.version == before
-    assert {"theirs", "gate-5"} <= {layout.name for layout in registry.layouts()}
+    assert {"theirs", "gate-4"} <= {layout.name for layout in registry.layouts()}
 
 
 def test_a_full_disk_stores_no_half_enrolment(enrolling: Enrolling, registry: Registry, captures) -> None:
     enrolling.describe(Subject("gate-4"))
     add(enrolling, *captures[:3])
     before = registry.version
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-    try:
-        with pytest.raises(TagidError) as refused:
-            enrolling.store()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with file_size_limit(1000), pytest.raises(TagidError) as refused:
+        enrolling.store()
     assert refused.value.remedy and registry.version == before
     state = enrolling.state
     assert state.proposal is not None and len(state.captures) == 3, "nothing has to be recorded again"
     enrolling.store()
 
 
-@pytest.mark.parametrize(
-    ("name", "kind", "label"),
-    [
-        ("Gate 4", "other", ""),
-        ("../x", "other", ""),
-        ("x", "cup", ""),
-        ("x", "other", "=1+1"),
-        ("", "other", ""),
-    ],
-)
-def test_a_bad_name_kind_or_label_is_refused_at_once(name: str, kind: str, label: str) -> None:
-    with pytest.raises(UsageError):
-        Subject(name, kind, label)
+def test_a_bad_name_kind_or_label_is_refused_at_once() -> None:
+    for name, kind, label in (("Gate 4", "other", ""), ("../x", "other", ""), ("", "other", ""),
+                              ("x", "cup", ""), ("x", "other", "=1+1")):  # fmt: skip
+        with pytest.raises(UsageError):
+            Subject(name, kind, label)
 
 
 def test_a_taken_name_is_refused_before_anything_is_recorded(enrolling: Enrolling) -> None:

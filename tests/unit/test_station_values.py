@@ -49,12 +49,14 @@ def test_a_picture_has_y_upwards_its_peak_white_and_its_floor_black() -> None:
     assert levels(sinogram, "columns").max() == 255 and sinogram["range_m"] == [0.5, 1.5]
 
 
-def test_a_scan_is_described_in_degrees_with_rounded_evidence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ScanRun:
     monkeypatch.setenv("TAGID_DATA", str(tmp_path))
     place = Workplace({"radar.url": "emulator://empty", "motion.url": "free?rpm=2", "imaging.method": "bp"})
-    run = ScanRun(3, place, RecordingPlan(None, 1.0), threading.Lock())
+    return ScanRun(3, place, RecordingPlan(None, 1.0), threading.Lock())
+
+
+def test_a_scan_is_described_in_degrees_with_rounded_evidence(run: ScanRun) -> None:
     evidence = LayoutEvidence("b", 30.04, 12.04), LayoutEvidence("c", 18.0, -12.04)
     run.view._publish(phase=Phase.TURNING, turned_rad=2.5 * np.pi, evidence=evidence)
     described = wire.scan(run)
@@ -65,12 +67,7 @@ def test_a_scan_is_described_in_degrees_with_rounded_evidence(
     ]
 
 
-def test_only_a_radar_that_the_recording_waits_for_is_silent(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("TAGID_DATA", str(tmp_path))
-    place = Workplace({"radar.url": "emulator://empty", "motion.url": "free", "imaging.method": "bp"})
-    run = ScanRun(1, place, RecordingPlan(None, 1.0), threading.Lock())
+def test_only_a_radar_that_the_recording_waits_for_is_silent(run: ScanRun) -> None:
     stream = ScanStream(cast(Session, None))
     run._watch().began(stream)
     assert run.view.silent_s == 0, "before the first scan"

@@ -5,10 +5,8 @@ from __future__ import annotations
 import io
 import json
 import pickle
-import sqlite3
 import struct
 import tarfile
-import wave
 import zipfile
 import zlib
 from pathlib import Path
@@ -76,10 +74,7 @@ def test_the_structs_of_the_vendors_reader(tmp_path: Path, kind: str, compressed
     capture = read_any(tmp_path / "a.mat")
     np.testing.assert_array_equal(capture.samples, SAMPLES)
     assert capture.range_step_m == pytest.approx(RANGE_STEP_M)
-    assert capture.radar_time_ms is not None and capture.radar_time_ms.tolist() == [
-        1000 + 20 * i for i in range(5)
-    ]
-    assert capture.radar.config is not None
+    assert capture.radar_time_ms.tolist() == [1000 + 20 * i for i in range(5)]
     assert capture.radar.config.base_integration_index == (None if kind == "only scans" else 11)
     if kind == "filtered":
         assert remarks(capture) == ("ignored: 5 filtered scans of the same radar",)
@@ -132,12 +127,6 @@ def _written(write: Any) -> bytes:
     return buffer.getvalue()
 
 
-def _wave(buffer: io.BytesIO) -> None:
-    with wave.open(buffer, "wb") as file:
-        file.setparams((1, 2, 8000, 0, "NONE", ""))
-        file.writeframes(bytes(64))
-
-
 def _tar(buffer: io.BytesIO) -> None:
     with tarfile.open(fileobj=buffer, mode="w") as archive:
         archive.addfile(tarfile.TarInfo("a"))
@@ -155,12 +144,6 @@ def _matlab_7_3(buffer: io.BytesIO) -> None:
     buffer.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
 
 
-def _database(path: str = ":memory:") -> bytes:
-    with sqlite3.connect(path) as database:
-        database.execute("create table scans (a)")
-        return database.serialize()
-
-
 CONTAINERS = {
     "Excel workbook": _zip("[Content_Types].xml", "xl/workbook.xml"),
     "OpenDocument": _zip("mimetype", "content.xml"),
@@ -169,8 +152,8 @@ CONTAINERS = {
     "pickle": pickle.dumps({"scans": [1, 2]}),
     "npy": _written(lambda buffer: np.save(buffer, SAMPLES)),
     "JSON": json.dumps({"scans": SAMPLES.tolist()}).encode(),
-    "WAV": _written(_wave),
-    "SQLite": _database(),
+    "WAV": b"RIFF\x64\0\0\0WAVEfmt " + bytes(99),
+    "SQLite": b"SQLite format 3\0" + bytes(99),
     "tar": _written(_tar),
     "gzip": zlib.compress(b"x" * 99, wbits=31),
     "Parquet": b"PAR1" + bytes(99) + b"PAR1",

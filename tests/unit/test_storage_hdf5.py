@@ -3,27 +3,17 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from storage_samples import BARE, COMPLEX, FLOAT, FREE, LONG, PAIRS, TINY, assert_equal, capture
+from storage_samples import FLOAT, assert_equal, capture, file_size_limit
 
-from tagid import files
-from tagid.errors import DiskFullError, FileFormatError, StorageError, TagidError
+from tagid.errors import DiskFullError, FileFormatError, StorageError
+from tagid.metadata import RadarInfo
 from tagid.storage.hdf5 import FORMAT_VERSION, read_capture, write_capture
-
-
-@pytest.mark.parametrize("changes", [{}, FREE, PAIRS, BARE, COMPLEX, FLOAT, TINY, LONG, {"complete": True}])
-def test_round_trip(tmp_path: Path, changes: dict[str, Any]) -> None:
-    shown = capture(**changes)
-    write_capture(tmp_path / "a.tagid.h5", shown)
-    assert_equal(shown, read_capture(tmp_path / "a.tagid.h5"))
-    assert [p.name for p in tmp_path.iterdir()] == ["a.tagid.h5"]
 
 
 def test_layout_is_the_documented_one(tmp_path: Path) -> None:
@@ -38,46 +28,14 @@ def test_layout_is_the_documented_one(tmp_path: Path) -> None:
 
 
 def test_overwrites_whole_and_leaves_no_temporary_file(tmp_path: Path) -> None:
-    write_capture(tmp_path / "a", capture())
-    write_capture(tmp_path / "a", capture(**FLOAT))
-    assert read_capture(tmp_path / "a").samples.dtype == np.float32
-    assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_capture(tmp_path / "a", capture())
-    before = (tmp_path / "a").read_bytes()
-
-    def full(descriptor: int, data: Any) -> int:
-        raise OSError(28, os.strerror(28))
-
-    monkeypatch.setattr(files.os, "write", full)
-    with pytest.raises(DiskFullError) as caught:
-        write_capture(tmp_path / "a", capture(**FLOAT))
-    monkeypatch.undo()
+    for shown in (capture(radar=RadarInfo(extra={"notes": "x" * 300_000})), capture(**FLOAT)):
+        write_capture(tmp_path / "a", shown)
+        assert_equal(shown, read_capture(tmp_path / "a"))
+    with file_size_limit(5000), pytest.raises(DiskFullError, match="the disk is full") as caught:
+        write_capture(tmp_path / "a", capture())
     assert "Free some space" in caught.value.remedy
-    assert (tmp_path / "a").read_bytes() == before and len(list(tmp_path.iterdir())) == 1
-
-
-def test_real_limit_of_the_file_size(tmp_path: Path) -> None:
-    code = (
-        "import resource, sys\nfrom pathlib import Path\nimport numpy as np\n"
-        "from tagid.capture import Capture\nfrom tagid.errors import DiskFullError\n"
-        "from tagid.storage.hdf5 import write_capture\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))\n"
-        "noise = np.random.default_rng(0).standard_normal((50, 100)).astype(np.float32)\n"
-        "try:\n    write_capture(Path(sys.argv[1]), Capture(noise, 0.0, 0.01))\n"
-        "except DiskFullError as error:\n    print('full')\n"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "a.tagid.h5")],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
-    )
-    assert result.stdout == "full\n", result.stderr
-    assert list(tmp_path.iterdir()) == []
+    assert_equal(shown, read_capture(tmp_path / "a"))
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_where_nothing_can_be_written(tmp_path: Path) -> None:
@@ -166,23 +124,3 @@ def test_bad_files_are_refused(tmp_path: Path, name: str) -> None:
     assert str(path) in caught.value.message
     if name == "newer version":
         assert "upgrade" in caught.value.remedy
-
-
-def test_damage_never_gives_other_samples(tmp_path: Path) -> None:
-    shown = capture()
-    write_capture(tmp_path / "a", shown)
-    data = (tmp_path / "a").read_bytes()
-    rng = np.random.default_rng(3)
-    refused = 0
-    for turn in range(300):
-        bad = bytearray(data)
-        if turn % 3:
-            bad[rng.integers(len(bad))] ^= 1 << rng.integers(8)
-        else:
-            bad = bad[: rng.integers(len(bad))]
-        (tmp_path / "b").write_bytes(bad)
-        try:
-            assert_equal(shown, read_capture(tmp_path / "b"))
-        except TagidError:
-            refused += 1
-    assert refused > 200

@@ -1,7 +1,8 @@
-"""The journal's durability policy, stated in the calls that implement it.
+"""The journal's durability policy, stated in the calls that implement it, and its mark while it is recorded.
 
 A journal's name and header are on disk before the first scan is taken. Everything that was written is there
-after every `sync_every` records, but not more often than every `sync_seconds`, and at the end.
+after every `sync_every` records, but not more often than every `sync_seconds`, and at the end. It says that
+it is being recorded, from its creation until its capture is written.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import subprocess
+import sys
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,9 +20,14 @@ import numpy as np
 import pytest
 
 from tagid import files, interrupts
-from tagid.errors import DiskFullError, StorageError
+from tagid.batch.inputs import collect, is_recording
+from tagid.errors import DataError, DiskFullError, StorageError
+from tagid.recording import session
+from tagid.recording.long_recording import RecordingLimits, RecordingWatch, record_long
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.radars import open_radar
 from tagid.storage import journal as journal_module
-from tagid.storage.journal import JournalScan, JournalWriter
+from tagid.storage.journal import JournalScan, JournalWriter, being_recorded
 from tagid.storage.journal_queue import JournalQueue
 from tests.unit.storage_samples import read_journal
 
@@ -59,12 +67,21 @@ def append(journal: JournalWriter, count: int, at_once: bool = False) -> None:
         journal.append_all(batch)
 
 
-def test_the_header_and_then_the_name_are_on_disk_before_the_first_scan(tmp_path: Path, syncs: Syncs) -> None:
-    journal = JournalWriter(tmp_path / "j", HEADER)
-    size = (tmp_path / "j").stat().st_size
-    assert size > 12
-    assert syncs.take() == [("file", size), ("folder", 0)]
-    journal.close()
+def test_header_and_name_come_first_then_fifty_records_at_most_and_the_end_however_it_comes(
+    tmp_path: Path, syncs: Syncs
+) -> None:
+    with pytest.raises(RuntimeError, match="fault"), JournalWriter(tmp_path / "j", HEADER) as journal:
+        assert journal.size > 12
+        assert syncs.take() == [("file", journal.size), ("folder", 0)]
+        append(journal, 49)
+        assert syncs.take() == []
+        append(journal, 1)
+        assert syncs.take() == [("file", journal.size)]
+        append(journal, 2)
+        assert syncs.take() == []
+        raise RuntimeError("fault")
+    assert syncs.take() == [("file", (tmp_path / "j").stat().st_size)]
+    assert read_journal(tmp_path / "j").summary is None
 
 
 def test_every_so_many_records_are_synced_with_all_before_them(tmp_path: Path, syncs: Syncs) -> None:
@@ -80,15 +97,6 @@ def test_every_so_many_records_are_synced_with_all_before_them(tmp_path: Path, s
         assert syncs.take() == []  # counted again from the last sync
 
 
-def test_fifty_records_are_the_most_that_a_power_cut_takes(tmp_path: Path, syncs: Syncs) -> None:
-    with JournalWriter(tmp_path / "j", HEADER) as journal:
-        syncs.take()
-        append(journal, 49)
-        assert syncs.take() == []
-        append(journal, 1)
-        assert syncs.take() == [("file", journal.size)]
-
-
 def test_without_a_number_only_the_end_is_synced(tmp_path: Path, syncs: Syncs) -> None:
     with JournalWriter(tmp_path / "j", HEADER, sync_every=0) as journal:
         syncs.take()
@@ -97,15 +105,6 @@ def test_without_a_number_only_the_end_is_synced(tmp_path: Path, syncs: Syncs) -
         journal.close({"turns": 1})
         assert syncs.take() == [("file", (tmp_path / "j").stat().st_size)]
     assert syncs.take() == []  # it is closed already
-
-
-def test_a_recording_that_ends_without_its_end_record_is_synced_too(tmp_path: Path, syncs: Syncs) -> None:
-    with pytest.raises(RuntimeError, match="fault"), JournalWriter(tmp_path / "j", HEADER) as journal:
-        append(journal, 2)
-        syncs.take()
-        raise RuntimeError("fault")
-    assert syncs.take() == [("file", (tmp_path / "j").stat().st_size)]
-    assert read_journal(tmp_path / "j").summary is None
 
 
 def test_syncs_are_at_least_so_many_seconds_apart(
@@ -249,3 +248,64 @@ def test_the_time_until_the_next_sync_is_told(
     with JournalWriter(tmp_path / "k", HEADER, sync_every=0) as journal:
         append(journal, 1)
         assert journal.seconds_to_sync() is None  # left to the operating system
+
+
+def test_a_recording_is_left_out_until_its_capture_is_verified(
+    tmp_path: Path, tagid, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, journal = tmp_path / "a.tagid.h5", tmp_path / "a.tagid.journal"
+    (tmp_path / "other.tagid.journal").write_bytes(b"of an earlier recording that was killed")
+    seen: list[bool] = []
+    original = session.check_all_read
+
+    def look(where: Path, read: int, written: int) -> None:
+        seen.append(being_recorded(where))
+        original(where, read, written)
+
+    monkeypatch.setattr(session, "check_all_read", look)
+    refused: list[tuple[int, str]] = []
+
+    def progress(state: object) -> None:
+        if refused or not journal.exists():
+            return
+        result = collect([str(tmp_path)])
+        assert [Path(source.location).name for source in result.sources] == ["other.tagid.journal"]
+        assert result.being_recorded == (str(journal),) and not result.passed_over
+        ran = tagid("recover", journal)
+        refused.append((ran.code, ran.err))
+
+    plan = RecordingPlan(None, 1.0)
+    limits, watch = RecordingLimits(scans=300), RecordingWatch(progress)
+    record_long(open_radar("emulator://helmet-120"), plan, limits, path, watch)
+    assert refused and refused[0][0] == 1 and "still being recorded" in refused[0][1]
+    assert seen == [True], "the capture is compared with a journal that nobody else may take"
+    assert path.exists() and not journal.exists()
+
+
+def test_the_mark_ends_with_the_process_however_it_ends(tmp_path: Path) -> None:
+    journal = tmp_path / "killed.tagid.journal"
+    code = (
+        "import sys; from pathlib import Path; from tagid.storage.journal import JournalWriter\n"
+        f"kept = JournalWriter(Path({str(journal)!r}), {HEADER!r})\n"
+        "print('recording', flush=True); sys.stdin.read()\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdout.readline() == b"recording\n"
+    assert being_recorded(journal) and not is_recording(journal)
+    with pytest.raises(DataError, match="still being recorded"):
+        collect([str(tmp_path)])
+    process.kill()
+    process.wait()
+    process.stdin.close()
+    process.stdout.close()
+    assert not being_recorded(journal) and is_recording(journal)
+
+
+def test_what_is_no_journal_is_not_being_recorded(tmp_path: Path) -> None:
+    assert not being_recorded(tmp_path / "absent")
+    assert not being_recorded(tmp_path)
+    with JournalWriter(tmp_path / "a.tagid.journal", HEADER) as writer:
+        with writer.locked():
+            writer.close()
+            assert being_recorded(writer.path)
+        assert not being_recorded(writer.path)

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import h5py
 import numpy as np
@@ -53,14 +54,7 @@ def injecting(monkeypatch: pytest.MonkeyPatch, at: int, do: Callable[[], Any]) -
     return operations
 
 
-def raising(error: BaseException) -> Callable[[], None]:
-    def do() -> None:
-        raise error
-
-    return do
-
-
-def parts(count: int = 3) -> list[Any]:
+def parts(count: int = 2) -> list[Any]:
     """Parts of a long capture; appending makes HDF5 read back what it wrote."""
     rng = np.random.default_rng(4)
     rows = rng.integers(-(2**20), 2**20, (count, 9, 40)).astype(np.int32)
@@ -83,21 +77,27 @@ def operations_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return operations
 
 
-@pytest.mark.parametrize("kind", [KeyboardInterrupt, OSError])
+@pytest.mark.parametrize(
+    ("kind", "expected", "every"), [(OSError, StorageError, 1), (KeyboardInterrupt, KeyboardInterrupt, 3)]
+)
 def test_an_exception_in_any_operation_leaves_what_was_there(
-    tmp_path: Path, unsynced: None, monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]
+    tmp_path: Path,
+    unsynced: None,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: type[BaseException],
+    expected: type[BaseException],
+    every: int,
 ) -> None:
     operations = operations_of(tmp_path, monkeypatch)
     assert {"write", "seek", "truncate"} <= set(operations)
-    path = tmp_path / "a"
+    path, pieces = tmp_path / "a", parts()
     write_capture(path, capture(**FLOAT))
     before = path.read_bytes()
-    expected = StorageError if kind is OSError else kind
-    for position in range(len(operations)):
+    for position in range(0, len(operations), every):
         with monkeypatch.context() as patch:
-            injecting(patch, position, raising(kind("injected")))
+            injecting(patch, position, Mock(side_effect=kind("injected")))
             with pytest.raises(expected):
-                write_parts(path, parts())
+                write_parts(path, pieces)
         assert path.read_bytes() == before, (position, operations[position])
         assert [item.name for item in tmp_path.iterdir()] == ["a"]
 
@@ -106,17 +106,18 @@ def test_signals_in_any_operation_leave_the_whole_file(
     tmp_path: Path, unsynced: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     operations = operations_of(tmp_path, monkeypatch)
-    path = tmp_path / "a"
-    for position in range(len(operations)):
+    path, pieces = tmp_path / "a", parts()
+    samples = np.concatenate([piece.samples for piece in pieces])
+
+    def signals() -> None:
+        for number in (*interrupts.SIGNALS, signal.SIGINT):
+            signal.raise_signal(number)
+
+    for position in range(0, len(operations), 3):
         with monkeypatch.context() as patch, interrupts.handled():
-            injecting(
-                patch,
-                position,
-                lambda: [signal.raise_signal(number) for number in (*interrupts.SIGNALS, signal.SIGINT)],
-            )
+            injecting(patch, position, signals)
             with pytest.raises(KeyboardInterrupt):
-                write_parts(path, parts())
-        samples = np.concatenate([piece.samples for piece in parts()])
+                write_parts(path, pieces)
         np.testing.assert_array_equal(read_capture(path).samples, samples, err_msg=operations[position])
         assert [item.name for item in tmp_path.iterdir()] == ["a"]
         path.unlink()
@@ -134,70 +135,36 @@ def test_reads_of_appended_parts_may_fail_as_well(tmp_path: Path) -> None:
         assert stream.readinto(buffer) == 5 and bytes(buffer) == b"abc\0\0"
 
 
-def damaged_after_sync(monkeypatch: pytest.MonkeyPatch, damage: Callable[[Path], None]) -> None:
-    """Damage the file after it was synced, as a bad disk would."""
-
-    def forget(path: Path) -> None:
-        damage(path)
-
-    monkeypatch.setattr(files, "forget_cached", forget)
-
-
-def flipped(path: Path, where: int) -> None:
-    with path.open("r+b") as file:
-        file.seek(where)
-        byte = file.read(1)
-        file.seek(where)
-        file.write(bytes([byte[0] ^ 0x10]))
-
-
-def change_attribute(name: str, value: Any) -> Callable[[Path], None]:
+def edited(change: Callable[[Any], object]) -> Callable[[Path], None]:
     def damage(path: Path) -> None:
         with h5py.File(path, "r+", locking=False) as file:
-            file.attrs[name] = value
+            change(file)
 
     return damage
 
 
-def zero_rows(path: Path) -> None:
-    with h5py.File(path, "r+", locking=False) as file:
-        file["scans/samples"][3:5] = 0
-
-
-def shorten(path: Path) -> None:
-    with h5py.File(path, "r+", locking=False) as file:
-        for name in file["scans"]:
-            file["scans"][name].resize(8, axis=0)
-
-
-def without(name: str) -> Callable[[Path], None]:
-    def damage(path: Path) -> None:
-        with h5py.File(path, "r+", locking=False) as file:
-            del file[name]
-
-    return damage
-
-
+ZERO_ROWS = edited(lambda file: file["scans/samples"].__setitem__(slice(3, 5), 0))
 DAMAGE: dict[str, Callable[[Path], None]] = {
-    "rows of zeros": zero_rows,
-    "fewer rows": shorten,
-    "samples gone": without("scans/samples"),
-    "angles gone": without("scans/angles_rad"),
-    "pulse gone": without("pulse"),
-    "complete": change_attribute("complete", True),
-    "range": change_attribute("range_start_m", 0.3100001),
-    "settings": change_attribute("radar", np.bytes_(b"{}")),
-    "one attribute more": change_attribute("more", 1.0),
+    "rows of zeros": ZERO_ROWS,
+    "fewer rows": edited(lambda file: [dataset.resize(8, axis=0) for dataset in file["scans"].values()]),
+    "samples gone": edited(lambda file: file.pop("scans/samples")),
+    "angles gone": edited(lambda file: file.pop("scans/angles_rad")),
+    "pulse gone": edited(lambda file: file.pop("pulse")),
+    "complete": edited(lambda file: file.attrs.update(complete=True)),
+    "range": edited(lambda file: file.attrs.update(range_start_m=0.3100001)),
+    "settings": edited(lambda file: file.attrs.update(radar=np.bytes_(b"{}"))),
+    "one attribute more": edited(lambda file: file.attrs.update(more=1.0)),
     "cut off": lambda path: os.truncate(path, path.stat().st_size // 2),
     "empty": lambda path: os.truncate(path, 0),
 }
+"""Of a file after it was synced, as a bad disk would."""
 
 
 @pytest.mark.parametrize("name", DAMAGE)
 def test_a_file_that_reads_back_differently_is_not_accepted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    damaged_after_sync(monkeypatch, DAMAGE[name])
+    monkeypatch.setattr(files, "forget_cached", DAMAGE[name])
     with pytest.raises(StorageError, match="read back"):
         write_capture(tmp_path / "a", capture())
     assert list(tmp_path.iterdir()) == []
@@ -211,9 +178,15 @@ def test_any_flipped_bit_is_noticed_or_changes_nothing(
     size = (tmp_path / "whole").stat().st_size
     rng = np.random.default_rng(1)
     refused = 0
-    for where in rng.integers(size, size=80):
+
+    def flip(path: Path) -> None:
+        content = bytearray(path.read_bytes())
+        content[rng.integers(size)] ^= 0x10
+        path.write_bytes(content)
+
+    for _ in range(80):
         with monkeypatch.context() as patch:
-            damaged_after_sync(patch, lambda path, at=int(where): flipped(path, at))
+            patch.setattr(files, "forget_cached", flip)
             try:
                 write_capture(tmp_path / "a", shown)
             except StorageError:
@@ -234,7 +207,7 @@ def test_a_long_recording_is_read_back_part_by_part(tmp_path: Path, monkeypatch:
 
     def noted(temporary: Path, path: Path, written: Any) -> None:
         if len(checked) == 2:
-            zero_rows(temporary)
+            ZERO_ROWS(temporary)
         checked.append(path.name)
         real(temporary, path, written)
 
@@ -260,13 +233,8 @@ with files.replacing(Path(sys.argv[1])) as stream:
 
 
 def writer(path: Path, how: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(path), how],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
-    )
+    command = [sys.executable, "-c", KILLED, str(path), how]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
 
 def test_the_next_writer_clears_what_killed_ones_left_and_nothing_else(tmp_path: Path) -> None:
@@ -280,7 +248,7 @@ def test_the_next_writer_clears_what_killed_ones_left_and_nothing_else(tmp_path:
     (remaining,) = [path.name for path in tmp_path.iterdir() if path.name not in foreign]
     assert remaining.endswith(".tmp")
     with writer(tmp_path / "b", "wait") as alive:
-        assert alive.stdout is not None and alive.stdout.readline() == "writing\n"
+        assert alive.stdout.readline() == "writing\n"
         files.write_bytes(tmp_path / "c", b"whole")
         names = {path.name for path in tmp_path.iterdir()}
         assert remaining not in names

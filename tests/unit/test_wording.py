@@ -101,7 +101,7 @@ def test_a_conflict_is_overridden_by_an_option_or_a_button() -> None:
     layout, *others = builtin_layouts().values()
     twin = Layout("twin", layout.positions)
     conflict = outlook(twin, [layout, *others]).conflict()
-    assert conflict is not None and "`force`" in conflict.remedy
+    assert "`force`" in conflict.remedy
     assert "override with --force;" in in_options(conflict.remedy)
     sent = wire.to_text({"trouble": wire.error_entry(conflict)})
     page = (ROOT / "station" / "page_files" / "index.html").read_text()
