@@ -12,7 +12,7 @@ from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.simulate import Acquisition, Recording, Scene, simulate_capture
-from tagid.simulate.electromagnetic import (
+from tests.benchmarks.electromagnetic import (
     BAND_HZ,
     ConductingCylinder,
     Plate,
