@@ -202,6 +202,6 @@ def test_a_dozen_views_of_reflectors_are_predicted_better_than_by_fista() -> Non
         sparse = check(scans, scans, grid, lambda some, grid=grid: sparse_recovery(some, grid))
         ats = check(scans, scans, grid, lambda some, grid=grid: fit(some, grid).image)
         assert sparse is not None and ats is not None
-        remaining.append((ats.residual, sparse.residual))
+        remaining.append((ats["residual"], sparse["residual"]))
     ours, theirs = np.sum(remaining, axis=0)
     assert ours < theirs
