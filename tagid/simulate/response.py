@@ -144,11 +144,6 @@ class Response:
         """Depth in range after which the response repeats, because its frequencies are discrete, m."""
         return float(SPEED_OF_LIGHT / 2 / (self.frequency_hz[1] - self.frequency_hz[0]))
 
-    def rcs_dbsm(self) -> Floats:
-        """(f, rings, aspects) radar cross-section, dB relative to one square metre."""
-        power = 4 * np.pi * np.abs(self.scattering_length_m.astype(np.complex128)) ** 2
-        return np.asarray(10 * np.log10(np.maximum(power, 1e-30)))
-
     def _nodes(self, polarisation: str) -> tuple[Floats, Floats, NDArray[np.int64]]:
         """Distances (d,), heights (h,), and the ring (h, d) of every combination."""
         ring_of = {
