@@ -27,20 +27,13 @@ _LOAD = 1e-9
 
 
 def position_covariances(field: MatchedField, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Covariance of least-squares positions with free complex amplitudes: the inverse Fisher information.
+    """(K, 2, 2) covariance, m^2, of least-squares positions (K, 2), m, with free complex amplitudes.
 
-    Let S be the templates, a the amplitudes, and J the derivatives of S a with respect to the coordinates,
-    made orthogonal to S because the amplitudes are fitted too. The covariance is (2 / v Re(J^H J))^-1 (Kay
-    1993, section 15.7), v being the variance of a complex sample. v is the noise variance or the variance of
-    the residual, whichever is larger, so unexplained echoes of the object count as noise. Correlations
-    between reflectors are omitted from the result.
-
-    Args:
-        field: matched field of the scans.
-        positions: (K, 2) m, at the least-squares solution.
-
-    Returns:
-        (K, 2, 2), m^2.
+    It is the inverse Fisher information. Let S be the templates, a the amplitudes, and J the derivatives of S
+    a with respect to the coordinates, made orthogonal to S because the amplitudes are fitted too. The
+    covariance is (2 / v Re(J^H J))^-1 (Kay 1993, section 15.7), v being the variance of a complex sample. v
+    is the noise variance or the variance of the residual, whichever is larger, so unexplained echoes of the
+    object count as noise. Correlations between reflectors are omitted from the result.
     """
     k = len(positions)
     templates = field.templates(positions).astype(np.complex128)

@@ -31,17 +31,12 @@ _ROWS_AT_ONCE = 90
 
 
 def backproject(scans: BasebandScans, grid: ImageGrid) -> Image:
-    """f(p) = 1/views sum_v z_v(d_vp) exp(2j k d_vp), z_v the baseband scan of view v at range d_vp.
+    """f(p) = 1/views sum_v z_v(d_vp) exp(2j k d_vp), z_v the baseband scan of view v at range d_vp, of any
+    aperture.
 
     A unit point far from others gives |f| = 1 at its place. With matched-filtered scans this is the matched
     filter in angle and range; it equals the adjoint of `ForwardOperator` up to the range response and scale.
-
-    Args:
-        scans: baseband scans, any aperture.
-        grid: pixels, in the plane z = 0.
-
-    Raises:
-        UsageError: it would not fit into memory.
+    Raises UsageError if it would not fit into memory.
     """
     views, pixels = scans.aperture.views, grid.pixels**2
     require_memory(

@@ -76,14 +76,9 @@ class RangeGeometry:
         range_m: tuple[float, float],
         bins: int,
     ) -> RangeGeometry:
-        """Geometry of an aperture and of points (points, 2) in the plane z = 0 or (points, 3), in m.
-
-        Args:
-            range_m: one-way range of the first bin, and between bins, m.
-            bins: bins of a row, 2 to 2^24.
-
-        Raises:
-            UsageError: a number of bins that a row cannot have.
+        """Geometry of an aperture and of points (points, 2) in the plane z = 0 or (points, 3), in m, on rows
+        of `bins` bins that begin at the one-way range range_m[0], range_m[1] apart, m. Raises UsageError for
+        a number of bins that a row cannot have, 2 to 2^24.
         """
         if not 2 <= bins <= MAX_BINS:
             raise UsageError(

@@ -147,14 +147,9 @@ def _peaks(correlation: NDArray[np.float64]) -> list[float]:
 
 
 def _sharpest(captures: Sequence[Capture], turns: list[float], rivals: Sequence[list[float]]) -> list[float]:
-    """The rotations so far and one of each list of rivals, with which the volume is sharpest.
-
-    Of several that are equally sharp (a symmetric object) those with the smallest rotations are returned.
-
-    Args:
-        captures: all of them.
-        turns: rotations of the first ones, rad.
-        rivals: rotations of each of the next ones relative to the one before it, rad.
+    """The rotations so far, rad, and one of each list of rivals, relative to the capture before, with which
+    the volume is sharpest. Of several that are equally sharp (a symmetric object) those with the smallest
+    rotations.
     """
     tried = [turns + list(np.cumsum([turns[-1], *steps])[1:]) for steps in itertools.product(*rivals)]
     if len(tried) == 1:

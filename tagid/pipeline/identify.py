@@ -100,15 +100,12 @@ def ended_early(capture: Capture) -> bool:
 
 
 def of_the_part(reading: Reading, captures: Sequence[Capture]) -> Reading:
-    """The reading as far as the parts of a turn that were seen carry it.
+    """The reading of one capture, or of several jointly, as far as the parts of a turn that were seen carry
+    it.
 
     A name, and that no tag shows, is withheld unless one of the captures shows every side of the object: in
     several, the object may lie in other directions. The bound on false accept is withheld where a capture is
     not of a whole turn, for which it is calibrated, unless the recording ended early with its own bound.
-
-    Args:
-        reading: of one capture, or of several jointly.
-        captures: those that were read.
     """
     gaps = [widest_gap(capture) for capture in captures]
     shares = [0.0 if gap is None else gap.share for gap in gaps]

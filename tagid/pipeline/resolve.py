@@ -183,12 +183,10 @@ class TurnStoppedError(DataError):
 
 
 def held(capture: Capture, resolved_capture: Capture, table: Motion) -> Capture | None:
-    """The capture with its angle held where the object stood; None if the scans show no stop.
+    """The capture as recorded, with its angle held where the object stood; None if the scans show no stop.
 
-    Args:
-        capture: as recorded.
-        resolved_capture: the same with angles, as if it had turned throughout.
-        table: the motion of these angles: a stated speed, or measured.
+    `resolved_capture` is the same with the angles of `table`, a stated speed or measured, as if it had turned
+    throughout.
     """
     resolved, angles = resolved_capture.motion.resolved, resolved_capture.angles_rad
     if resolved is None or angles is None or capture.views < 3:
