@@ -57,12 +57,9 @@ def uniform_grid(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
     """Scans on a uniform time grid, lost ones are zero.
 
-    Returns:
-        (scans, bins) float32 (of complex samples real and imaginary parts side by side), (scans,) True where
-        received, and the step in s.
-
-    Raises:
-        DataError: times not increasing, not as many as scans, or too uneven for one grid.
+    Returns (scans, bins) float32 (of complex samples real and imaginary parts side by side), (scans,) True
+    where received, and the step in s. Raises DataError: times not increasing, not as many as scans, or too
+    uneven for one grid.
     """
     x = np.asarray(samples)
     t = np.asarray(times_s, dtype=np.float64)

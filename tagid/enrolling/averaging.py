@@ -146,18 +146,12 @@ def average(
     Reflectors are paired, rotated and shifted onto their mean (generalised Procrustes analysis, Gower 1975).
     Each is weighted by the inverse of its covariance in that capture plus a scatter common to all captures,
     which is estimated from what noise does not explain (Paule and Mandel 1982): wobble, aspect, a displaced
-    axis. The origin is the mean position of the turntable's axis on the object, so errors in centring average
-    out.
+    axis; with fewer than three it is assumed. The origin is the mean position of the turntable's axis on the
+    object, so errors in centring average out. Mirror images also agree unless every capture turned in the
+    configured direction.
 
-    Args:
-        sightings: one per capture; with fewer than three, the scatter is assumed rather than estimated.
-        name: of the layout.
-        direction_known: whether every capture turned in the configured direction; if not, mirror images also
-            agree.
-
-    Raises:
-        DataError: fewer than two reflectors are seen, or a capture does not agree with the others; the
-            message names it and the difference.
+    Raises DataError: fewer than two reflectors are seen, or a capture does not agree with the others; the
+    message names it and the difference.
     """
     if not sightings:
         raise DataError("no capture to measure a layout on", "Give at least one capture of the object.")

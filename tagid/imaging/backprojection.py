@@ -67,9 +67,8 @@ def upsample_at_carrier(
 ) -> tuple[NDArray[np.complex64], float, float]:
     """Scans z(R) exp(2j k R) on a range grid so fine that linear interpolation will do.
 
-    Returns:
-        samples (views, fine bins) complex64, range of the first (m), range step (m). The first and the last
-        sample are zero, for all that lies outside the data.
+    Returns samples (views, fine bins) complex64, range of the first and step, m. The first and the last
+    sample are zero, for all that lies outside the data.
     """
     baseband = scans.samples[views]
     bins = baseband.shape[1]

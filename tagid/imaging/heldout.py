@@ -163,14 +163,11 @@ def check(
     make: Callable[[BasebandScans], Image] | None,
     predicted: Callable[[BasebandScans, NDArray[np.intp]], float] | None = None,
 ) -> HeldOutFacts | None:
-    """Residual of an image made without some views, on those views; None if there are too few, or no data.
+    """Figures of an image made without some views, on those views; None if there are too few, or no data.
 
-    Args:
-        scans: as the method takes them, with or without matched filter.
-        unfiltered: the same views without the matched filter, on which all methods are compared.
-        make: gives the method's image of scans, at bare pixels; None: backprojection itself.
-        predicted: for a model that is more than its image: gives its own residual on those of all views that
-            `left_out` names. None: the image's.
+    `scans` are as the method takes them; all methods are compared on the `unfiltered` ones. `make` gives the
+    method's image of scans, at bare pixels; None: backprojection itself. For a model that is more than its
+    image, `predicted` gives its own residual on those of all views that `left_out` names.
     """
     unseen = left_out(scans.aperture.views)
     if not len(unseen):

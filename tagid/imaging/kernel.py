@@ -121,14 +121,11 @@ class RangeGeometry:
     def gather(
         self, rows: NDArray[np.complexfloating], light: NDArray[np.complex64] | None = None
     ) -> NDArray[np.complex64]:
-        """out[p] = sum_v of row v at the distance of point p, by linear interpolation between bins.
+        """(points,) complex64 sum_v of row v at the distance of every point, by linear interpolation between
+        bins.
 
-        Args:
-            rows: (views, bins) complex. Beyond its ends a row is continued by its first and last value.
-            light: (views, channels) what each view adds to every channel; None: each adds its row.
-
-        Returns:
-            (points,) complex64, with `light` (channels, points).
+        Beyond its ends a row (bins,) is continued by its first and last value. With `light`, (views,
+        channels), which every view adds to each channel, it is (channels, points).
         """
         z = np.ascontiguousarray(rows, dtype=np.complex64).reshape(self.views, self.bins)
         out = np.zeros((1 if light is None else light.shape[1], self.points), dtype=np.complex64)

@@ -60,7 +60,8 @@ class Alignment:
 
 
 def aligned(captures: Sequence[Capture]) -> tuple[list[Capture], list[Alignment]]:
-    """The captures with their angles referred to the first one's pose.
+    """The captures, prepared: each with angles and its own antenna height, with their angles referred to the
+    first one's pose.
 
     The rotation is the peak of the circular correlation of the captures' backprojections |f(r, phi)|^2. These
     are images of the plane z = 0; a reflector at another height appears there as a small ring about its
@@ -68,12 +69,8 @@ def aligned(captures: Sequence[Capture]) -> tuple[list[Capture], list[Alignment]
     are told apart by the sharpness of the joint volume, which takes three heights, 0.15 m apart at 1 m, and
     none of them at the object's own level, from where heights hardly show.
 
-    Args:
-        captures: prepared: each with angles and its own antenna height.
-
-    Raises:
-        DataError: a capture without angles, one that cannot be imaged, or two that do not show the same
-            rotating object clearly enough.
+    Raises DataError: a capture without angles, one that cannot be imaged, or two that do not show the same
+    rotating object clearly enough.
     """
     for number, capture in enumerate(captures, start=1):
         if capture.angles_rad is None:

@@ -186,23 +186,11 @@ def identify(
     signatures: Sequence[Signature] = (),
     spent: float = 0.0,
 ) -> Identification:
-    """Name the object of a prepared capture.
+    """Name the object of a prepared capture; arguments and errors as `tagid.operate.turn.identify`.
 
-    The tag is read in the scans and not in an image, whose artefacts could mislead it.
-
-    Args:
-        capture: the result of `prepare`, or a `PreparedCapture`, which has its own settings.
-        layouts: the candidates.
-        settings: only with a plain capture.
-        registry_version: stored in the answer.
-        signatures: enrolled bodies and objects.
-        spent: share of the false-accept probability that was used before, by readings of parts of the turn;
-            this reading has the rest.
-
-    Raises:
-        DataError: too few views or bins, the object lies outside the range window, or the samples are no
-            waveform in the assumed band.
-        RegistryError: no layout is enrolled.
+    The tag is read in the scans and not in an image, whose artefacts could mislead it. `spent` is the share
+    of the false-accept probability that was used before, by readings of parts of the turn; this reading has
+    the rest.
     """
     from tagid.reading.reader import read
 

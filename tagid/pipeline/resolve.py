@@ -50,13 +50,10 @@ def clock_of(capture: Capture) -> UniformClock:
 def with_angles(capture: Capture, motion: str | None = None) -> Capture:
     """The capture with an angle and its sigma for every scan.
 
-    Args:
-        capture: any capture.
-        motion: URL of the motion device. None keeps the angles or antenna positions of the capture, or else
-            estimates the period from the data. Measuring devices use the angles of the recording.
+    Without the URL of a motion device the capture keeps its angles or antenna positions, or else the period
+    is estimated from the data. Measuring devices use the angles of the recording.
 
-    Raises:
-        UsageError: invalid URL. DataError: no times, or no period in the data and no speed given.
+    Raises UsageError: invalid URL. DataError: no times, or no period in the data and no speed given.
     """
     known = has_angles(capture)
     if motion is None and known:

@@ -89,16 +89,11 @@ class VolumeReconstruction:
 def reconstruct_volume(
     capture: Capture, settings: VolumeSettings | None = None, progress: Progress | None = None
 ) -> VolumeReconstruction:
-    """Image a capture in three dimensions.
+    """Image a capture with antenna positions or angles in three dimensions; `tagid.pipeline.join` joins
+    several.
 
-    Args:
-        capture: with antenna positions or angles; `tagid.pipeline.join` joins several into one.
-        settings: see `VolumeSettings`.
-        progress: called with (done, total, remark).
-
-    Raises:
-        DataError: all antenna positions have one height, or the scans cannot be preprocessed.
-        UsageError: a volume that reaches beyond the recorded ranges or would not fit into memory.
+    Raises DataError: all antenna positions have one height, or the scans cannot be preprocessed. UsageError:
+    a volume that reaches beyond the recorded ranges or would not fit into memory.
     """
     settings = settings or VolumeSettings()
     square = ImageGrid(settings.extent_m, settings.pixels)

@@ -134,12 +134,10 @@ class Unknowns:
 def begin(scans: BasebandScans, grid: ImageGrid, what: tuple[str, ...], harmonics: int) -> Unknowns:
     """Where the fit starts: the axis distance of the sharpest backprojection, and what sparse scenes teach.
 
-    Derivatives reach a centimetre, the tape measure that gave the distance may be off by three. A wobble of
-    2 % draws the neural scene to places from which it does not always come back, so that distance and wobble
-    are first learned with a few sparse scenes.
-
-    Raises:
-        UsageError: axis or wobble is to be learned from free antenna positions.
+    Derivatives reach a centimetre, the tape measure that gave the distance may be off by three. A wobble of 2
+    % draws the neural scene to places from which it does not always come back, so that distance and wobble
+    are first learned with a few sparse scenes. Raises UsageError: axis or wobble is to be learned from free
+    antenna positions.
     """
     start = Unknowns.none(scans, harmonics)
     wrong = sorted({"axis", "wobble"} & set(what)) if scans.aperture.angles is None else []

@@ -74,15 +74,11 @@ def in_space(layout: Layout, height_weight: float) -> NDArray[np.float64]:
 def rotational_distance(
     a: Layout, b: Layout, centre_tolerance_m: float = CENTRE_TOLERANCE_M, height_weight: float = 0.0
 ) -> LayoutDistance:
-    """Smallest distance of two layouts over rotations, shifts up to the tolerance, and pairings.
+    """Smallest distance of two layouts over rotations, shifts up to the tolerance, m, and pairings.
 
     Mirror images are distinct: an object is never seen from below. Heights are compared after the best common
-    shift, because the height of the object's plane is not known exactly.
-
-    Args:
-        a, b: the layouts.
-        centre_tolerance_m: longest shift, m.
-        height_weight: see `height_weight`; 0: heights do not distinguish layouts.
+    shift, because the height of the object's plane is not known exactly; with a `height_weight` of 0 they do
+    not distinguish layouts.
 
     >>> from tagid.tags.layouts.layout import builtin_layouts
     >>> b = builtin_layouts()
