@@ -218,7 +218,7 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
         unit, parts = ("mm", 1000) if value > 320 else ("cm", 100)
         raise ConfigError(
             f"{where}: {name} is {value:g}. {value:g} m? Give metres",
-            f"e.g. {value / parts:g} for {value:g} {unit}; a turntable is usually about 1 m from the antennas.",
+            f"e.g. {value / parts:g} for {value:g} {unit}; a turntable is usually 1 m from the antennas.",
         )
     if setting.low is not None and setting.high is not None and not setting.low <= value <= setting.high:
         raise ConfigError(

@@ -118,7 +118,7 @@ def _hankel(x: Floats) -> NDArray[np.complex64]:
 def echo(cells: Cells, frequency_hz: Floats, antennas_m: Complex) -> Complex:
     """Monostatic S (F, P) for line antennas at x + jy (P,), m: E = S H0(kR)^2, R from the antenna to z = 0.
 
-    Far away and for a cylinder about the origin it is that of `tagid.simulate.electromagnetic`, and the
+    Far away and for a cylinder about the origin it is that of `tagid.simulate.multipole`, and the
     scattering length of a height h is j h S / pi. A point at another distance d has H0(kd)^2 / H0(kR)^2: the
     phase of a real antenna, and R / d of its amplitude instead of (R / d)^2.
     """

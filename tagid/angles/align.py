@@ -128,16 +128,11 @@ def _refuse_step(times_s: Floats, arrivals_s: Floats) -> None:
 
 
 def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) -> Alignment:
-    """Angles of scans from a track.
+    """Angles of scans, of which the clock and the arrival times (scans,) are known, from a track of two
+    readings or more.
 
-    Args:
-        clock: clock of the scans, from the radar's timestamps.
-        host_time_ns: (scans,) arrival times.
-        track: motion readings; at least two.
-
-    Raises:
-        DataError: no readings, or not one of them during the recording; NotAlignedError where scans arrived
-            late throughout a part of the recording, or the host's clock was set meanwhile.
+    Raises DataError: no readings, or not one of them during the recording; NotAlignedError where scans
+    arrived late throughout a part of the recording, or the host's clock was set meanwhile.
     """
     if len(track) < 2:
         raise DataError(
@@ -200,20 +195,13 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
 def turn_in_own_angle(
     samples: NDArray[Any], angles_rad: NDArray[np.floating], scale_sigma: float
 ) -> PeriodEstimate:
-    """The device's angle of a full turn, from the repetition of the scans over that angle.
+    """The device's angle of a full turn, and its sigma, rad, from the repetition of the scans over that
+    angle.
 
-    The search is over angle instead of time and so independent of speed variations.
+    It is 2 pi for a correct scale. The search is over the device's angles (scans,), rad, instead of time and
+    so independent of speed variations; `scale_sigma` is the relative standard deviation of their scale.
 
-    Args:
-        samples: (scans, bins).
-        angles_rad: (scans,) from the device, rad.
-        scale_sigma: relative standard deviation of the device's scale.
-
-    Returns:
-        the period and its sigma in the device's radians: 2 pi for a correct scale.
-
-    Raises:
-        DataError: less than 1.1 turns, or no repetition near a full turn.
+    Raises DataError: less than 1.1 turns, or no repetition near a full turn.
     """
     turned = np.abs(np.asarray(angles_rad, dtype=np.float64) - angles_rad[0])
     steps = np.diff(turned, prepend=turned[0])
@@ -237,16 +225,8 @@ def turn_in_own_angle(
 def measured_angles(
     samples: NDArray[Any], clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track
 ) -> Angles:
-    """Angle and sigma of every scan from readings, scaled by the radar's period if it is found.
-
-    Args:
-        samples: (scans, bins).
-        clock: clock of the scans.
-        host_time_ns: (scans,) arrival times.
-        track: motion readings.
-
-    Raises:
-        DataError: see `align`.
+    """Angle and sigma of every scan from readings, scaled by the radar's period if it is found; arguments and
+    errors as `align`.
     """
     aligned = align(clock, host_time_ns, track)
     scale_sigma = float(track.info.get("scale_sigma", _DEFAULT_SCALE_SIGMA))

@@ -47,12 +47,9 @@ def fit_clock(
 ) -> UniformClock:
     """Fit the uniform clock, least squares without outliers (the first scan is often one).
 
-    Args:
-        radar_time_ms: (scans,) stamps, whole ms; wraps of the u32 counter are removed.
-        scan_id: (scans,) unwrapped scan numbers; without them, lost scans are inferred from time gaps.
-
-    Raises:
-        DataError: fewer than two scans, stamps that do not advance, ids that do not increase.
+    The stamps (scans,) are whole ms; wraps of the u32 counter are removed. Without unwrapped scan numbers
+    (scans,), lost scans are inferred from time gaps. Raises DataError: fewer than two scans, stamps that do
+    not advance, ids that do not increase.
     """
     stamps = np.array(radar_time_ms, dtype=np.float64)
     if stamps.ndim != 1 or len(stamps) < 2 or not np.isfinite(stamps).all():

@@ -26,18 +26,15 @@ def _products(x: NDArray[np.complex128], received: NDArray[np.bool_], lag: int) 
 def kinematic_period(scans: NDArray[np.float32], received: NDArray[np.bool_], step_s: float) -> float | None:
     """Rotation period, s, to about ten per cent at 20 dB; None if the echoes are too weak.
 
-    A reflector at radius r has range -r cos(w t) and range rate r w sin(w t), so over one turn
-    w^2 = <rate^2> / var(range). The rate's mean square is the curvature of the slow-time autocorrelation at
-    lag zero, 2 (1 - rho(tau)) / tau^2, divided by the mean square wavenumber of the range profile; the
-    range variance is that of the echo energy over range bins, minus that of the pulse, 1 / (4
-    var(wavenumber)). Energies are products of neighbouring scans, unbiased by noise. All lengths are in bins
-    and cancel. Weak echoes give too short a period (a factor of 2 at 10 dB, of 5 at 0 dB), boxes too: it can
-    warn of a longer period, but not exclude one.
+    A reflector at radius r has range -r cos(w t) and range rate r w sin(w t), so over one turn w^2 = <rate^2>
+    / var(range). The rate's mean square is the curvature of the slow-time autocorrelation at lag zero, 2 (1 -
+    rho(tau)) / tau^2, divided by the mean square wavenumber of the range profile; the range variance is that
+    of the echo energy over range bins, minus that of the pulse, 1 / (4 var(wavenumber)). Energies are
+    products of neighbouring scans, unbiased by noise. All lengths are in bins and cancel. Weak echoes give
+    too short a period (a factor of 2 at 10 dB, of 5 at 0 dB), boxes too: it can warn of a longer period, but
+    not exclude one.
 
-    Args:
-        scans: (scans, bins) real, mean removed, on a uniform grid.
-        received: (scans,) True where received.
-        step_s: scan period, s.
+    The scans (scans, bins) are real, mean removed, on a grid of `step_s`; those `received` (scans,) count.
     """
     spectrum = np.fft.rfft(scans.astype(np.float64), axis=1)
     wavenumber = 2 * np.pi * np.fft.rfftfreq(scans.shape[1])
@@ -226,26 +223,21 @@ def find_period(
     tolerance: float = NOMINAL_TOLERANCE,
     marker: bool = False,
 ) -> PeriodEstimate:
-    """Rotation period from the autocorrelation of the mean-removed sinogram.
+    """Rotation period from the autocorrelation of the mean-removed sinogram (scans, bins), real RF or
+    complex.
 
     The peak is measured by a parabola on the longest multiple of the period that still overlaps, which
-    divides the error by that multiple.
-
-    Args:
-        samples: (scans, bins) real RF or complex, any units.
-        times_s: (scans,) s, increasing; see `fit_clock`.
-        nominal_s: expected period, s; if None, the shortest repetition is used.
-        tolerance: relative tolerance around the nominal period.
-        marker: an off-axis marker breaks the target's symmetry: a clearly better later repetition is used.
+    divides the error by that multiple. The times (scans,), s, increase; see `fit_clock`. Without a nominal
+    period, s, to a relative tolerance, the shortest repetition is used. If an off-axis marker breaks the
+    target's symmetry, a clearly better later repetition is used.
 
     Simulated at 20 scans/s and 20..30 s/turn: worst of 12 errors 0.08, 0.02, 0.02 % at 10 dB with 1.3, 2.3
     and 3.2 turns for four points in 20 cm, up to 0.26 % for a container's tag. At 0 dB a search without a
-    nominal period sometimes finds a multiple or fraction, mostly but not always reported: give a
-    nominal period.
+    nominal period sometimes finds a multiple or fraction, mostly but not always reported: give a nominal
+    period.
 
-    Raises:
-        DataError: nothing moves; NoPeriodError for less than 1.1 turns or no repetition, NotRepeatingError
-            where the scans contradict the nominal period.
+    Raises DataError: nothing moves; NoPeriodError for less than 1.1 turns or no repetition, NotRepeatingError
+    where the scans contradict the nominal period.
     """
     ac = autocorrelate(samples, times_s)
     rho = ac.values

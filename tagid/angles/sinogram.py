@@ -57,12 +57,9 @@ def uniform_grid(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
     """Scans on a uniform time grid, lost ones are zero.
 
-    Returns:
-        (scans, bins) float32 (of complex samples real and imaginary parts side by side), (scans,) True where
-        received, and the step in s.
-
-    Raises:
-        DataError: times not increasing, not as many as scans, or too uneven for one grid.
+    Returns (scans, bins) float32 (of complex samples real and imaginary parts side by side), (scans,) True
+    where received, and the step in s. Raises DataError: times not increasing, not as many as scans, or too
+    uneven for one grid.
     """
     x = np.asarray(samples)
     t = np.asarray(times_s, dtype=np.float64)
@@ -119,15 +116,11 @@ def _band_filtered(x: NDArray[np.float32], both: NDArray[np.bool_], parts: int) 
 
 
 def moving_echo(x: NDArray[np.float32], both: NDArray[np.bool_], parts: int = 1) -> NDArray[np.float32]:
-    """The columns of scans in which an echo changes, weighted by its share of their energy.
+    """(scans, columns) of scans (scans, bins), without their mean, in which an echo changes, weighted by its
+    share of their energy; no columns where nothing correlates between scans.
 
-    Args:
-        x: (scans, bins) without their mean.
-        both: (scans - 1,) True where a scan and the next one were received.
-        parts: 2 where real and imaginary parts are side by side.
-
-    Returns:
-        (scans, columns); no columns where nothing correlates between scans.
+    `both` (scans - 1,) says where a scan and the next one were received; `parts` is 2 where real and
+    imaginary parts are side by side.
     """
     x = _band_filtered(x, both, parts)
     weights = _repeating_share(x, both)
@@ -136,10 +129,8 @@ def moving_echo(x: NDArray[np.float32], both: NDArray[np.bool_], parts: int = 1)
 
 
 def _slow_time_lowpass(x: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]:
-    """Scans after a low-pass that keeps 98 % of the energy above the noise's flat slow-time spectrum.
-
-    Returns:
-        the scans, and the remaining number of independent noise samples per scan, 0..1.
+    """Scans after a low-pass that keeps 98 % of the energy above the noise's flat slow-time spectrum, and the
+    remaining number of independent noise samples per scan, 0..1.
     """
     spectrum = np.fft.rfft(x, axis=0)
     power = (np.abs(spectrum) ** 2).sum(axis=1)
@@ -155,14 +146,10 @@ def _slow_time_lowpass(x: NDArray[np.float32]) -> tuple[NDArray[np.float32], flo
 
 
 def autocorrelate(samples: NDArray[np.generic], times_s: NDArray[np.floating]) -> Autocorrelation:
-    """Autocorrelation over slow time of the mean-removed sinogram.
+    """Autocorrelation over slow time of the mean-removed sinogram (scans, bins), real RF or complex.
 
-    Args:
-        samples: (scans, bins) real RF or complex.
-        times_s: (scans,) s, increasing; gaps are lost scans.
-
-    Raises:
-        DataError: see `uniform_grid`; or nothing in the scans moves.
+    Gaps between the increasing times (scans,), s, are lost scans. Raises DataError: see `uniform_grid`; or
+    nothing in the scans moves.
     """
     x, received, step = uniform_grid(samples, times_s)
     x[received] -= x[received].mean(axis=0)

@@ -59,12 +59,10 @@ class Still:
 def find_standstill(
     samples: NDArray[np.generic], turns: NDArray[np.floating], tolerance: float
 ) -> Still | None:
-    """The longest standstill of a recording; None if the scans show none.
+    """The longest standstill of a recording (scans, bins), real RF or complex; None if the scans show none.
 
-    Args:
-        samples: (scans, bins) real RF or complex, any units.
-        turns: (scans,) the turns that the object should have made since the first scan, increasing.
-        tolerance: relative uncertainty of them.
+    `turns` (scans,) are those that the object should have made since the first scan, increasing, to a
+    relative tolerance.
     """
     step = float(np.median(np.diff(turns))) if len(turns) > 1 else 0.0
     if step <= 0 or len(turns) != len(samples):
@@ -88,13 +86,8 @@ def find_standstill(
 
 
 def _longest_still(echo: Floats, turns: Floats) -> Still | None:
-    """The longest part that differs from its own mean by noise only, however short.
-
-    None if not even an anchor is still.
-
-    Args:
-        echo: (scans, columns) the moving echo.
-        turns: (scans,) expected.
+    """The longest part that differs from its own mean by noise only, however short; None if not even an
+    anchor is still. Arguments as of `_Witness`.
     """
     per_turn = 1 / float(np.median(np.diff(turns)))
     width = _odd(per_turn * _SMOOTHED_TURNS)
@@ -120,12 +113,8 @@ def _longest_still(echo: Floats, turns: Floats) -> Still | None:
 
 
 class _Witness:
-    """Compares a still part with the rest of the recording.
-
-    Args:
-        echo: (scans, columns) the moving echo.
-        turns: (scans,) expected.
-        still: the part.
+    """Compares a still part with the rest of the recording, of moving echo (scans, columns) and expected
+    turns (scans,).
     """
 
     def __init__(self, echo: Floats, turns: Floats, still: Still) -> None:

@@ -47,12 +47,8 @@ def first_turn(angles_rad: NDArray[np.floating]) -> NDArray[np.int64]:
 
 
 def mean_scans(samples: NDArray[Any], slot: NDArray[np.integer], count: NDArray[np.integer]) -> NDArray[Any]:
-    """Means (V, bins) of scans by slot, in single precision.
-
-    Args:
-        samples: (scans, bins).
-        slot: (scans,) number of the mean that each scan belongs to.
-        count: (V,) scans in each slot.
+    """Means (V, bins), in single precision, of scans (scans, bins), each in a slot (scans,) that has so many
+    scans (V,).
     """
     complex_data = np.iscomplexobj(samples)
     total = np.zeros((len(count), samples.shape[1]), dtype=np.complex128 if complex_data else np.float64)
@@ -61,22 +57,16 @@ def mean_scans(samples: NDArray[Any], slot: NDArray[np.integer], count: NDArray[
 
 
 def average_into_views(capture: Capture, views: int) -> Capture:
-    """Average scans into evenly spaced angular sectors: noise falls by sqrt(scans per view).
+    """Average scans with angles into evenly spaced angular sectors: noise falls by sqrt(scans per view).
 
     Scans in a sector are smeared over its width w: the echo of a reflector at radius r changes its phase by
-    up to 4 pi r w / lambda across the sector and loses sinc(2 r w / lambda). That is 1 dB at
-    w = 0.13 lambda / r, at 3.95 GHz 5.7 deg for r = 0.1 m and 1.7 deg for 0.34 m.
+    up to 4 pi r w / lambda across the sector and loses sinc(2 r w / lambda). That is 1 dB at w = 0.13 lambda
+    / r, at 3.95 GHz 5.7 deg for r = 0.1 m and 1.7 deg for 0.34 m.
 
-    Args:
-        capture: with angles; integer samples become float32.
-        views: sectors per turn.
+    The capture has one view per non-empty sector of `views` per turn, at the mean angle of its scans. Integer
+    samples become float32, flags are combined; times, scan numbers and antenna positions are dropped.
 
-    Returns:
-        a capture with one view per non-empty sector, at the mean angle of its scans. Flags are
-        combined; times, scan numbers and antenna positions are dropped.
-
-    Raises:
-        DataError: the capture has no angles. UsageError: views is not positive.
+    Raises DataError: the capture has no angles. UsageError: views is not positive.
     """
     if capture.angles_rad is None:
         raise DataError(

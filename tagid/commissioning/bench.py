@@ -95,17 +95,12 @@ class Bench:
 
     Args:
         config: settings of radar and motion.
-        changes: what the person measured by tape now.
+        changes: what the person measured by tape now; `tape` is what was measured now or before.
         seconds: how long the link is watched.
         scans: of a recording of a scene that stands still.
-        progress: called with (done, total, remark).
         stop: whether to end a recording; asked about ten times per second.
 
-    Attributes:
-        tape: what was measured by tape, now or before.
-
-    Raises:
-        StorageError: the folder cannot be read. ConfigError: it holds damaged files.
+    Raises StorageError: the folder cannot be read. ConfigError: it holds damaged files.
     """
 
     def __init__(

@@ -122,13 +122,10 @@ def _speed_levels(wobble: Floats) -> Floats:
 
 
 def fit_card(capture: Capture, angles: Floats, marks: Floats, known: Known) -> CardFit:
-    """Fit the card to a recording of at least one turn.
+    """Fit the card, whose reflectors are at the marks (marks, 2), m, to a recording of at least one turn.
 
-    Args:
-        capture: scans (views, bins) with the path delay subtracted from their ranges.
-        angles: (views,) rad, of constant speed, or as a device measured them.
-        marks: (marks, 2) positions of the reflectors on the card, m.
-        known: see `Known`.
+    The path delay is subtracted from the capture's ranges; its angles (views,), rad, are of constant speed,
+    or as a device measured them.
     """
     few = slice(None, None, -(-len(angles) // _FIT_VIEWS))
     capture, angles = capture.select(few), angles[few]

@@ -52,14 +52,10 @@ _COLUMNS_MM: Final = (14.0, 40.0, 40.0, 86.0)
 
 
 def write_page(path: Path, reports: Sequence[tuple[str, StepReport]], profile: RigProfile | None) -> None:
-    """Write the page atomically.
+    """Write the page atomically, a PDF of vectors or else HTML, by the path's suffix.
 
-    Args:
-        path: the file; .pdf for a PDF of vectors, else HTML.
-        reports: of the steps done, in their order, each after its title.
-        profile: the profile, if there is one already.
-
-    Raises StorageError, DiskFullError.
+    It has the reports of the steps done, in their order, each after its title, and the profile, if there is
+    one already. Raises StorageError, DiskFullError.
     """
     if path.suffix.lower() == ".pdf":
         write_bytes(path, to_pdf(reports, profile))

@@ -51,12 +51,8 @@ class EchoPulse:
 
 
 def echo_pulse(scan: Floats, at: float, target: Target) -> EchoPulse:
-    """The pulse in a mean scan.
-
-    Args:
-        scan: (bins,) mean of the scans less the empty room, counts.
-        at: range bin where the echo peaks behind the matched filter, between samples.
-        target: what returned the echo.
+    """The pulse in a mean scan (bins,) less the empty room, counts, in which the echo of a target peaks
+    behind the matched filter at a range bin, between samples.
     """
     t = (np.arange(len(scan)) - at) * SAMPLE_STEP_S
     edge = np.clip(np.minimum(t + _BEFORE_S, _AFTER_S - t) / _TAPER_S, 0, 1)

@@ -49,9 +49,7 @@ def write_result(bench: Bench) -> StepReport:
 
 def verdict(reports: Mapping[str, StepReport], name: str) -> Row:
     """Whether a step stands: it passed, later than the steps that it uses, with the radar of the link.
-
-    Args:
-        reports: of the steps that were done, by their names.
+    `reports` are of the steps that were done, by their names.
     """
     report = reports.get(name)
     if report is None:

@@ -51,9 +51,8 @@ _RESPONSE_SHARE: Final = 0.15
 def measure_target(bench: Bench) -> StepReport:
     """Record the reference target and measure delay, pulse and gain.
 
-    Raises:
-        ConfigError: the empty room was not recorded. UsageError: the target's distance is not known.
-        DataError: no echo stands out. DeviceError and its subclasses.
+    Raises ConfigError: the empty room was not recorded. UsageError: the target's distance is not known.
+    DataError: no echo stands out. DeviceError and its subclasses.
     """
     distance = bench.tape.target_distance_m
     if distance is None:

@@ -247,9 +247,7 @@ def _ends_row(capture: Capture, period_s: float, measures: bool) -> Row:
 def repetition(capture: Capture, period_s: float) -> Floats:
     """(parts,) time after which each part of the later turns repeats an earlier one, s, in their order.
 
-    Args:
-        capture: more than a turn.
-        period_s: about the time of a turn.
+    The capture is of more than a turn, which takes about so many seconds.
     """
     grid, received, step_s = uniform_grid(capture.samples, _times_s(capture))
     grid[received] -= grid[received].mean(axis=0)

@@ -38,11 +38,7 @@ def alternatives(
 ) -> list[str]:
     """Settings that lead to a set which can be enrolled, e.g. "`rows=2`" or "`count=4`"; at most two.
 
-    Args:
-        target: the object with all its rows.
-        rows: number of them requested.
-        rules, count: as requested.
-        enrolled: layouts already in use.
+    `rows` of all rows of the object were requested, `enrolled` layouts are already in use.
     """
     suggestions: list[str] = []
     for words, used, tried, number in _variations(target, rows, rules, count):

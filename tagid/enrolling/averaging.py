@@ -27,20 +27,13 @@ _LOAD = 1e-9
 
 
 def position_covariances(field: MatchedField, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Covariance of least-squares positions with free complex amplitudes: the inverse Fisher information.
+    """(K, 2, 2) covariance, m^2, of least-squares positions (K, 2), m, with free complex amplitudes.
 
-    Let S be the templates, a the amplitudes, and J the derivatives of S a with respect to the coordinates,
-    made orthogonal to S because the amplitudes are fitted too. The covariance is (2 / v Re(J^H J))^-1 (Kay
-    1993, section 15.7), v being the variance of a complex sample. v is the noise variance or the variance of
-    the residual, whichever is larger, so unexplained echoes of the object count as noise. Correlations
-    between reflectors are omitted from the result.
-
-    Args:
-        field: matched field of the scans.
-        positions: (K, 2) m, at the least-squares solution.
-
-    Returns:
-        (K, 2, 2), m^2.
+    It is the inverse Fisher information. Let S be the templates, a the amplitudes, and J the derivatives of S
+    a with respect to the coordinates, made orthogonal to S because the amplitudes are fitted too. The
+    covariance is (2 / v Re(J^H J))^-1 (Kay 1993, section 15.7), v being the variance of a complex sample. v
+    is the noise variance or the variance of the residual, whichever is larger, so unexplained echoes of the
+    object count as noise. Correlations between reflectors are omitted from the result.
     """
     k = len(positions)
     templates = field.templates(positions).astype(np.complex128)
@@ -153,18 +146,12 @@ def average(
     Reflectors are paired, rotated and shifted onto their mean (generalised Procrustes analysis, Gower 1975).
     Each is weighted by the inverse of its covariance in that capture plus a scatter common to all captures,
     which is estimated from what noise does not explain (Paule and Mandel 1982): wobble, aspect, a displaced
-    axis. The origin is the mean position of the turntable's axis on the object, so errors in centring average
-    out.
+    axis; with fewer than three it is assumed. The origin is the mean position of the turntable's axis on the
+    object, so errors in centring average out. Mirror images also agree unless every capture turned in the
+    configured direction.
 
-    Args:
-        sightings: one per capture; with fewer than three, the scatter is assumed rather than estimated.
-        name: of the layout.
-        direction_known: whether every capture turned in the configured direction; if not, mirror images also
-            agree.
-
-    Raises:
-        DataError: fewer than two reflectors are seen, or a capture does not agree with the others; the
-            message names it and the difference.
+    Raises DataError: fewer than two reflectors are seen, or a capture does not agree with the others; the
+    message names it and the difference.
     """
     if not sightings:
         raise DataError("no capture to measure a layout on", "Give at least one capture of the object.")

@@ -42,13 +42,7 @@ class Capacity:
 def capacity(
     target: TaggedObject, rules: DesignRules, error_rate: float, conditions: Conditions = Conditions()
 ) -> Capacity:
-    """The largest family found on an object with no more readings without a name than allowed.
-
-    Args:
-        target: object with the rows to use.
-        rules: reflectors, slots and physical limits.
-        error_rate: allowed share of the readings.
-        conditions: of the recordings.
+    """The largest family found on an object with no more readings without a name than a share of them.
 
     Raises UsageError for an impossible rate, or number of candidates.
     """

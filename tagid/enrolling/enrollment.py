@@ -269,13 +269,10 @@ def merge(
     checked: int | None = None,
     signatures: Sequence[Signature] = (),
 ) -> int:
-    """Add several layouts to the registry, all or none; identical entries are left unchanged.
+    """Add several layouts of unique names to the registry, all or none; identical entries are left unchanged.
 
-    Args:
-        registry, source, basis, signatures: as of `enroll`.
-        layouts: with unique names.
-        force: replace layouts of the same names, and accept layouts that could be confused.
-        checked: registry version for which `refusal` found nothing.
+    With `force` they replace layouts of the same names, and may be confusable. `checked` is a registry
+    version for which `refusal` found nothing; the other arguments are those of `enroll`.
 
     Raises LayoutConflictError: a name is taken by a different layout, or two layouts could be confused.
     """

@@ -199,13 +199,9 @@ def _range_basis(
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex64]]:
     """Orthonormal basis (bins, rank) of range profiles, and their coordinates (n, rank).
 
-    The last ones are kept: captures of one radar at one distance have the same.
-
-    Args:
-        response: samples of a `PointResponse`, complex128.
-        step_m: between them, m.
-        ranges: (bins,) of a scan, float64, m.
-        fine: (n,) distances of the profiles, float64, m.
+    From the complex128 samples of a `PointResponse`, step_m apart, the ranges (bins,) of a scan and the
+    distances (n,) of the profiles, float64, m. The last ones are kept: captures of one radar at one distance
+    have the same.
     """
     given = PointResponse(np.frombuffer(response, dtype=np.complex128), step_m)
     profiles = given(np.frombuffer(ranges)[:, None] - np.frombuffer(fine)[None])

@@ -146,14 +146,11 @@ def _signatures(path: Path, tables: Any) -> tuple[Signature, ...]:
 
 
 def named_layouts(file: Path | None, registry: Path) -> dict[str, Layout]:
-    """Every layout that can be named, by name.
+    """Every layout that can be named, by name: those of a TOML or JSON file first, e.g. of `tagid layouts
+    design --out`.
 
-    Args:
-        file: TOML or JSON file of layouts, e.g. of `tagid layouts design --out`; its layouts come first.
-        registry: registry file; it is only read, and not made where it does not exist.
-
-    Raises:
-        RegistryError, StorageError, FileFormatError: a file cannot be read.
+    The registry file is only read, and not made where it does not exist. Raises RegistryError, StorageError,
+    FileFormatError: a file cannot be read.
     """
     layouts = {**builtin_layouts(), TEST_CARD: test_card()}
     if registry.exists():

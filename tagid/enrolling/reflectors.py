@@ -35,16 +35,10 @@ _BLOCK = 1 << 18
 
 
 class SearchDisc:
-    """|b|^2 on the pixels of a disc, also after some points have been subtracted.
+    """|b|^2 on the pixels of a disc about the axis, at `points` (n, 2), m, also after some points have been
+    subtracted.
 
     Pixels are kept as the range profile and the phase in every view: an eighth of their templates' memory.
-
-    Args:
-        field: matched field of the scans.
-        radius_m: of the disc, m.
-
-    Attributes:
-        points: (n, 2) pixels, m.
     """
 
     def __init__(self, field: MatchedField, radius_m: float) -> None:
@@ -79,13 +73,8 @@ class SearchDisc:
 
 
 def find_reflectors(scans: BasebandScans, radius_m: float = 0.16) -> tuple[Reflector, ...]:
-    """Reflectors in focused scans, found without knowledge of any layout, strongest first.
-
-    Args:
-        scans: see above.
-        radius_m: radius of the disc around the axis that is searched, m.
-
-    Raises DataError if the scans do not cover the object's range.
+    """Reflectors in focused scans within a radius of the axis, m, found without knowledge of any layout,
+    strongest first. Raises DataError if the scans do not cover the object's range.
     """
     reach = radius_m + 0.02
     field = MatchedField(fold_views(scans, reach), reach)

@@ -53,12 +53,8 @@ class Shell:
 def reflection(
     wavenumber: NDArray[np.float64], shells: Sequence[Shell], order: int
 ) -> NDArray[np.complex128]:
-    """Coefficients R_n of the orders 0 to `order`, (S, F, order + 1); R_-n = R_n.
-
-    Args:
-        wavenumber: (F,) in free space, rad/m.
-        shells: (S,) bodies.
-        order: highest order.
+    """(S, F, order + 1) coefficients R_n of shells (S,) of the orders 0 to `order`, at wavenumbers (F,) in
+    free space, rad/m; R_-n = R_n.
     """
     # What the polarisation does not change is found once.
     bodies = [replace(shell, polarisation="V") for shell in shells]
@@ -111,21 +107,16 @@ def _through(
 def echoes(
     wavenumber: NDArray[np.float64], shells: Sequence[Shell], radius_m: float, angle_rad: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Two-way responses of a small isotropic reflector next to every shell, (2, S, F, P).
+    """(2, S, F, P) two-way responses of a small isotropic reflector next to every shell (S,), at wavenumbers
+    (F,), rad/m.
 
     First that of an electric dipole, E . E, then that of a magnetic one, H . H, in units of the incident
     field. In free space both are exp(2jk r cos phi), and only their sum is known; next to a wall they differ.
     By reciprocity they hold the direct way, those by way of the body once and twice; only what bounces
     between reflector and body more than once is missing.
 
-    Args:
-        wavenumber: (F,), rad/m.
-        shells: (S,) bodies.
-        radius_m: r of the reflector, at least that of every shell, m.
-        angle_rad: (P,) its direction from the axis relative to the antenna, rad.
-
-    Raises:
-        DataError: the reflector lies inside a shell.
+    The reflector is r, m, from the axis, in the directions phi (P,), rad, relative to the antenna. Raises
+    DataError if it lies inside a shell.
     """
     if any(shell.radius_m > radius_m for shell in shells):
         raise DataError(f"a reflector {radius_m * 1e3:g} mm from the axis lies inside a shell")

@@ -31,17 +31,12 @@ _ROWS_AT_ONCE = 90
 
 
 def backproject(scans: BasebandScans, grid: ImageGrid) -> Image:
-    """f(p) = 1/views sum_v z_v(d_vp) exp(2j k d_vp), z_v the baseband scan of view v at range d_vp.
+    """f(p) = 1/views sum_v z_v(d_vp) exp(2j k d_vp), z_v the baseband scan of view v at range d_vp, of any
+    aperture.
 
     A unit point far from others gives |f| = 1 at its place. With matched-filtered scans this is the matched
     filter in angle and range; it equals the adjoint of `ForwardOperator` up to the range response and scale.
-
-    Args:
-        scans: baseband scans, any aperture.
-        grid: pixels, in the plane z = 0.
-
-    Raises:
-        UsageError: it would not fit into memory.
+    Raises UsageError if it would not fit into memory.
     """
     views, pixels = scans.aperture.views, grid.pixels**2
     require_memory(
@@ -72,9 +67,8 @@ def upsample_at_carrier(
 ) -> tuple[NDArray[np.complex64], float, float]:
     """Scans z(R) exp(2j k R) on a range grid so fine that linear interpolation will do.
 
-    Returns:
-        samples (views, fine bins) complex64, range of the first (m), range step (m). The first and the last
-        sample are zero, for all that lies outside the data.
+    Returns samples (views, fine bins) complex64, range of the first and step, m. The first and the last
+    sample are zero, for all that lies outside the data.
     """
     baseband = scans.samples[views]
     bins = baseband.shape[1]

@@ -170,10 +170,8 @@ def _holding(power: NDArray[np.float64]) -> tuple[int, int]:
 
 
 def closure_warning(scans: BasebandScans) -> str | None:
-    """A warning where the ends of a whole turn are no neighbours; else None.
-
-    Args:
-        scans: without matched filter, in the order of their angles.
+    """A warning where the ends of a whole turn are no neighbours, of scans without matched filter in the
+    order of their angles; else None.
     """
     if scans.aperture.angles is None or scans.aperture.views < _LEAST_VIEWS:
         return None

@@ -14,12 +14,8 @@ def bilinear(
     column: NDArray[np.floating],
     held: bool = False,
 ) -> NDArray[Any]:
-    """(..., *row.shape) values (..., rows, columns) at fractional places.
-
-    Args:
-        values: samples, at integer rows and columns.
-        row, column: places, of one shape.
-        held: outside, the value at the nearest edge instead of 0.
+    """(..., *row.shape) values (..., rows, columns) at fractional rows and columns, of one shape; outside 0,
+    or the value at the nearest edge if `held`.
     """
     last = values.shape[-2] - 1, values.shape[-1] - 1
     y, x = np.clip(row, 0, last[0]), np.clip(column, 0, last[1])

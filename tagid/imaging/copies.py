@@ -57,12 +57,9 @@ def height_warning(scans: BasebandScans, rise_m: float, heights: int) -> str | N
 
 
 def strongest_copy(scans: BasebandScans, direction: Floats, reach_m: float) -> tuple[float, float]:
-    """Distance, m, and relative amplitude of the strongest copy of the origin along a direction, or (0, 0).
-
-    Args:
-        scans: matched-filtered, whose aperture is seen from the middle of the scene.
-        direction: unit vector (3,).
-        reach_m: distance up to which copies count.
+    """Distance, m, and relative amplitude of the strongest copy of the origin along a unit vector (3,), or
+    (0, 0). Copies count up to `reach_m`; the aperture of the matched-filtered scans is seen from the middle
+    of the scene.
     """
     across = float(np.ptp(scans.aperture.positions @ direction))
     distance = float(np.median(scans.aperture.distances(np.zeros((1, 3)))))
@@ -76,12 +73,8 @@ def strongest_copy(scans: BasebandScans, direction: Floats, reach_m: float) -> t
 
 
 def are_copies(scans: BasebandScans, points: Floats, amplitudes: Floats) -> list[bool]:
-    """Whether each of some echoes is a copy of a stronger one.
-
-    Args:
-        scans: matched-filtered, in whose frame the points lie.
-        points: (n, 2) m, strongest first.
-        amplitudes: (n,).
+    """Whether each of some echoes, at points (n, 2), m, strongest first, is a copy of a stronger one; the
+    scans are matched-filtered.
     """
     positions = scans.aperture.positions
     distance = np.median(scans.aperture.distances(points))

@@ -6,8 +6,11 @@ from typing import Any, NotRequired, TypedDict, cast
 
 
 class HeldOutFacts(TypedDict):
-    """How well an image predicts held-out views, shares of their energy; documents of earlier versions lack
-    the neighbours."""
+    """How well an image predicts held-out views, shares of their energy; None where it is not known.
+
+    `neighbours` is of the mean of the two neighbouring scans, without any image, and `noise` the least that
+    any image can reach. Documents of earlier versions lack the neighbours.
+    """
 
     views: int
     residual: float

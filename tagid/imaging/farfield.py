@@ -30,15 +30,8 @@ def range_doppler(scans: BasebandScans, grid: ImageGrid) -> Image:
     that no point moves by more than a range cell (c / 2B); the pieces are joined by their power, since their
     phases do not agree beyond the piece (Ausherman et al., IEEE Trans. AES 20, 1984).
 
-    Args:
-        scans: matched-filtered scans of an aperture in or near one plane.
-
-    Returns:
-        Image of non-negative real values; a unit point far from others gives about 1.
-
-    Raises:
-        DataError: the antenna passes through the image's centre, so that there is no line of sight.
-        UsageError: it would not fit into memory.
+    The scans are matched-filtered, of an aperture in or near one plane. The values are real and not negative;
+    a unit point far from others gives about 1. Errors are those of `polar_format`.
     """
     distance, bearing = _polar(scans)
     centred = grid.points
@@ -76,15 +69,11 @@ def polar_format(scans: BasebandScans, grid: ImageGrid) -> Image:
     scene's two-dimensional spectrum at the wave vector -2k u_v, u_v the direction from the centre to the
     antenna (a plane wave). Each sample, weighted by the area |k| dk dphi that it stands for, is spread
     bilinearly onto a Cartesian spectrum, whose inverse transform is the image (Walker, IEEE Trans. AES 16,
-    1980). The neglected curvature of the wave is a phase of k |p across|^2 / r: half a turn at 19 cm from
-    the centre for a P440 at 1 m.
+    1980); a unit point at the centre gives about 1. The neglected curvature of the wave is a phase of k |p
+    across|^2 / r: half a turn at 19 cm from the centre for a P440 at 1 m.
 
-    Returns:
-        Complex image; a unit point at the centre gives about 1.
-
-    Raises:
-        DataError: the antenna passes through the image's centre.
-        UsageError: it would not fit into memory.
+    Raises DataError: the antenna passes through the image's centre, so that there is no line of sight.
+    UsageError: it would not fit into memory.
     """
     distance, bearing = _polar(scans)
     wavenumbers, spectrum, strength = _range_spectrum(scans, distance)

@@ -28,64 +28,37 @@ SHARE = 1 / 12
 _MOST_NOISE = 1.25
 """Estimated noise over what a prediction leaves, from which on it was clutter that was taken for noise. The
 noise's own energy in two views of 40 independent samples varies by a ninth."""
+_WORSE = 1e-3
+"""Backprojection predicts better where it leaves less by this share of the energy."""
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """Prediction of views that were left out.
+def held_out_facts(
+    residual: float, backprojection: float, scans: BasebandScans, unseen: NDArray[np.intp]
+) -> HeldOutFacts:
+    """How well views that were left out are predicted, as shares of their energy.
 
-    Attributes:
-        residual: energy of what the image leaves over of them, over their energy: 1 for a blank image. One
-            complex factor is fitted.
+    Args:
+        residual: what the image leaves over of them: 1 for a blank image. One complex factor is fitted.
         backprojection: the same for backprojection from the same views; of scans as they are or correlated
             with the pulse, whichever predicts better.
-        neighbours: the same for the mean of the two neighbouring scans, without any image; nan where not
-            known.
-        noise: share of the energy that is noise, the least that any image can reach; nan where not known.
-        views: how many were left out.
+        scans: all views, without matched filter.
+        unseen: numbers of those that were left out.
     """
-
-    residual: float
-    backprojection: float
-    neighbours: float
-    noise: float
-    views: int
-
-    @classmethod
-    def of(
-        cls, residual: float, backprojection: float, scans: BasebandScans, unseen: NDArray[np.intp]
-    ) -> HeldOut:
-        """The prediction of the views `unseen` of all `scans` (without matched filter) by an image and by
-        backprojection, beside that of the neighbouring scans and the noise."""
-        samples = scans.samples[unseen]
-        energy = float((np.abs(samples) ** 2).sum(dtype=np.float64))
-        neighbours = neighbours_residual(scans, unseen)
-        noise = scans.noise_std**2 * samples.size / energy if scans.noise_std > 0 and energy > 0 else np.nan
-        least = float(np.fmin(residual, neighbours))
-        noise = min(noise, least) if noise <= _MOST_NOISE * least else np.nan
-        return cls(residual, backprojection, neighbours, noise, len(unseen))
-
-    @property
-    def worse(self) -> bool:
-        """Whether backprojection predicts the views better, by more than a thousandth of their energy."""
-        return self.residual > self.backprojection + 1e-3
-
-    @property
-    def smooth(self) -> bool:
-        """Whether the neighbouring scans predict the views better than the image."""
-        return self.neighbours < self.residual
-
-    def facts(self) -> HeldOutFacts:
-        """Plain JSON values."""
-        return {
-            "residual": self.residual,
-            "backprojection": self.backprojection,
-            "neighbours": self.neighbours if np.isfinite(self.neighbours) else None,
-            "noise": self.noise if np.isfinite(self.noise) else None,
-            "views": self.views,
-            "worse_than_backprojection": self.worse,
-            "worse_than_neighbours": self.smooth,
-        }
+    samples = scans.samples[unseen]
+    energy = float((np.abs(samples) ** 2).sum(dtype=np.float64))
+    neighbours = neighbours_residual(scans, unseen)
+    noise = scans.noise_std**2 * samples.size / energy if scans.noise_std > 0 and energy > 0 else np.nan
+    least = float(np.fmin(residual, neighbours))
+    noise = min(noise, least) if noise <= _MOST_NOISE * least else np.nan
+    return {
+        "residual": residual,
+        "backprojection": backprojection,
+        "neighbours": neighbours if np.isfinite(neighbours) else None,
+        "noise": noise if np.isfinite(noise) else None,
+        "views": len(unseen),
+        "worse_than_backprojection": residual > backprojection + _WORSE,
+        "worse_than_neighbours": neighbours < residual,
+    }
 
 
 def left_out(views: int) -> NDArray[np.intp]:
@@ -151,10 +124,8 @@ class Prediction:
 def residual(scans: BasebandScans, image: Image) -> float:
     """||y - A x||^2 / ||y||^2 on scans that were not used for the reconstruction: 1 for a blank image.
 
-    The image's scale and phase are fitted, so that the normalisation of backprojection does not count.
-
-    Raises:
-        DataError: the scans are all zero.
+    The image's scale and phase are fitted, so that the normalisation of backprojection does not count. Raises
+    DataError: the scans are all zero.
     """
     if not np.any(scans.samples):
         raise DataError("the held-out scans are zero")
@@ -163,14 +134,12 @@ def residual(scans: BasebandScans, image: Image) -> float:
 
 
 def neighbours_residual(scans: BasebandScans, unseen: NDArray[np.intp]) -> float:
-    """What the mean of the two neighbouring scans leaves of some views, over their energy; nan without any.
+    """What the mean of the two neighbouring scans leaves of the views `unseen`, over their energy; nan
+    without any.
 
-    The neighbours of a view are the nearest antenna position among the other views, and the nearest on its
-    far side (the nearest alone at the end of a path). One complex factor is fitted to all views.
-
-    Args:
-        scans: all views, without matched filter.
-        unseen: numbers of the views to predict; they are no neighbours.
+    The neighbours of a view are the nearest antenna position among the other views of the scans (without
+    matched filter), and the nearest on its far side (the nearest alone at the end of a path). One complex
+    factor is fitted to all views.
     """
     seen = np.setdiff1d(np.arange(scans.aperture.views), unseen)
     if not len(seen):
@@ -193,15 +162,12 @@ def check(
     grid: ImageGrid,
     make: Callable[[BasebandScans], Image] | None,
     predicted: Callable[[BasebandScans, NDArray[np.intp]], float] | None = None,
-) -> HeldOut | None:
-    """Residual of an image made without some views, on those views; None if there are too few, or no data.
+) -> HeldOutFacts | None:
+    """Figures of an image made without some views, on those views; None if there are too few, or no data.
 
-    Args:
-        scans: as the method takes them, with or without matched filter.
-        unfiltered: the same views without the matched filter, on which all methods are compared.
-        make: gives the method's image of scans, at bare pixels; None: backprojection itself.
-        predicted: for a model that is more than its image: gives its own residual on those of all views that
-            `left_out` names. None: the image's.
+    `scans` are as the method takes them; all methods are compared on the `unfiltered` ones. `make` gives the
+    method's image of scans, at bare pixels; None: backprojection itself. For a model that is more than its
+    image, `predicted` gives its own residual on those of all views that `left_out` names.
     """
     unseen = left_out(scans.aperture.views)
     if not len(unseen):
@@ -219,4 +185,4 @@ def check(
         best = (
             residual(test, make(select_views(scans, seen))) if predicted is None else predicted(scans, unseen)
         )
-    return HeldOut.of(best, plain, unfiltered, unseen)
+    return held_out_facts(best, plain, unfiltered, unseen)

@@ -76,14 +76,9 @@ class RangeGeometry:
         range_m: tuple[float, float],
         bins: int,
     ) -> RangeGeometry:
-        """Geometry of an aperture and of points (points, 2) in the plane z = 0 or (points, 3), in m.
-
-        Args:
-            range_m: one-way range of the first bin, and between bins, m.
-            bins: bins of a row, 2 to 2^24.
-
-        Raises:
-            UsageError: a number of bins that a row cannot have.
+        """Geometry of an aperture and of points (points, 2) in the plane z = 0 or (points, 3), in m, on rows
+        of `bins` bins that begin at the one-way range range_m[0], range_m[1] apart, m. Raises UsageError for
+        a number of bins that a row cannot have, 2 to 2^24.
         """
         if not 2 <= bins <= MAX_BINS:
             raise UsageError(
@@ -126,14 +121,11 @@ class RangeGeometry:
     def gather(
         self, rows: NDArray[np.complexfloating], light: NDArray[np.complex64] | None = None
     ) -> NDArray[np.complex64]:
-        """out[p] = sum_v of row v at the distance of point p, by linear interpolation between bins.
+        """(points,) complex64 sum_v of row v at the distance of every point, by linear interpolation between
+        bins.
 
-        Args:
-            rows: (views, bins) complex. Beyond its ends a row is continued by its first and last value.
-            light: (views, channels) what each view adds to every channel; None: each adds its row.
-
-        Returns:
-            (points,) complex64, with `light` (channels, points).
+        Beyond its ends a row (bins,) is continued by its first and last value. With `light`, (views,
+        channels), which every view adds to each channel, it is (channels, points).
         """
         z = np.ascontiguousarray(rows, dtype=np.complex64).reshape(self.views, self.bins)
         out = np.zeros((1 if light is None else light.shape[1], self.points), dtype=np.complex64)

@@ -19,15 +19,12 @@ _SHOWN_PIXEL_WAVELENGTHS = 0.26
 
 
 def views_needed(extent_m: float, wavelength_m: float) -> int:
-    """Views per turn that an image needs; denser scans can be averaged into as many.
+    """Views per turn that an image of some width needs at a wavelength, m; denser scans can be averaged into
+    as many.
 
     Between neighbours an echo at half the image's width then moves by 0.0575 wavelengths at most, 4.4 mm: one
     degree, the paper's step, for a P440 and an image of 0.5 m. Its phase turns by 0.72 rad, so that averaging
     the scans in between costs 2 % of it. 360 views are never reduced.
-
-    Args:
-        extent_m: width of the image, m.
-        wavelength_m: at the centre of the band, m.
     """
     return max(360, round(math.pi * extent_m / (0.0575 * wavelength_m)))
 
@@ -52,13 +49,7 @@ def coarsest_pixel_m(wavelength_m: float) -> float:
 
 
 def pixel_warning(extent_m: float, pixels: int, wavelength_m: float) -> str | None:
-    """A warning where points may fall between the pixels of an image; else None.
-
-    Args:
-        extent_m: width of the image, m.
-        pixels: per side.
-        wavelength_m: at the centre of the band, m.
-    """
+    """A warning where points may fall between the pixels of an image of some width, m, and pixels a side."""
     step = extent_m / pixels
     if step <= _SHOWN_PIXEL_WAVELENGTHS * wavelength_m:
         return None

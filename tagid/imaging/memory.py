@@ -79,15 +79,9 @@ def _fields(path: Path) -> dict[str, int]:
 
 
 def require_memory(wanted: int, what: str, advice: str) -> None:
-    """Refuse work that would not fit.
+    """Raise UsageError if more bytes are wanted than `SHARE` of what is free.
 
-    Args:
-        wanted: bytes it will take.
-        what: the work and its sizes, as the subject of a sentence in the plural.
-        advice: what to change.
-
-    Raises:
-        UsageError: more is wanted than `SHARE` of what is free.
+    `what` names the work and its sizes, as the subject of a sentence in the plural, `advice` what to change.
     """
     free = free_memory()
     if free is not None and wanted > SHARE * free:

@@ -130,12 +130,9 @@ class ForwardOperator:
 
 
 def envelope(scans: BasebandScans, points: NDArray[np.float64]) -> NDArray[np.float32]:
-    """(points,) what `ForwardOperator.adjoint` of the scans gives at most, whatever the phases of the views:
-    the sum of their magnitudes. It changes with the range resolution, not with the wavelength.
-
-    Args:
-        scans: with their samples.
-        points: (points, 2) in the plane z = 0 or (points, 3), m.
+    """(points,) what `ForwardOperator.adjoint` of the scans gives at most at points (points, 2) or (points,
+    3), m, whatever the phases of the views: the sum of their magnitudes. It changes with the range
+    resolution, not with the wavelength.
     """
     near, far = reach_of(scans.aperture, points)
     step = scans.range_step_m / _ENVELOPE_STEPS

@@ -121,18 +121,15 @@ def find_outside(
     *,
     subtracts: bool = True,
 ) -> Outside | None:
-    """What lies outside the image and echoes in these scans; None where nothing much does.
+    """What lies outside the image or volume and echoes in these scans; None where nothing much does.
 
     argmin_x 1/2 ||A x - y||^2 + lambda ||x||_1 over the brightest pixels of a square (of a volume: voxels of
     a box) of three times the side, of which x inside the image is left to the method that makes the image.
     The outside is believed only where the image's square alone leaves clearly more of the scans over: few
     views of many points have sidelobes as bright as points.
 
-    Args:
-        scans: baseband scans without matched filter.
-        grid: of the image or volume.
-        progress: called after every iteration of the fits.
-        subtracts: whether the image is a fit, which the echoes are subtracted from; it may take longer.
+    The scans are without matched filter. An image that is a fit, which the echoes are subtracted from
+    (`subtracts`), may take longer.
     """
     energy, views = _energy(scans.samples), views_searched(scans, grid, subtracts)
     if energy == 0 or views == 0:
@@ -256,10 +253,9 @@ class _Bright:
 def _may_be_bright(scans: BasebandScans, box: _Box, level: float) -> NDArray[np.float64]:
     """Pixels (n, 2) or (n, 3), m, outside the box whose backprojection may exceed a level.
 
-    They are at most so many that all views and they are `_LOOK_PAIRS`.
-
-    |A^H y| at a point is at most the sum of its envelopes over the views, which changes with the range
-    resolution only and is looked at in cells of many pixels. The most promising cells come first.
+    They are at most so many that all views and they are `_LOOK_PAIRS`. |A^H y| at a point is at most the sum
+    of its envelopes over the views, which changes with the range resolution only and is looked at in cells of
+    many pixels. The most promising cells come first.
     """
     middles = box.lattice()
     around = envelope(scans, middles).reshape(box.counts[::-1])

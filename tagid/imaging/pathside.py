@@ -46,13 +46,11 @@ def side_towards(positions: Floats, towards: tuple[float, float]) -> Floats:
 def sides_to_search(
     positions: Floats, wavelength_m: float, towards: tuple[float, float], compare: bool
 ) -> list[Floats | None]:
-    """Sides of a path on which its echoes are searched, as unit normals (2,); None is all directions.
+    """Sides of a path (views, 3), m, on which its echoes are searched, as unit normals (2,); None is all
+    directions.
 
-    Args:
-        positions: (views, 3) m.
-        wavelength_m: of the carrier.
-        towards: a point (x, y) on the side that is meant, m.
-        compare: whether the other side is searched, too, where the path may tell them apart.
+    That of the point `towards` is first; the other is searched, too, if `compare` and the path may tell them
+    apart.
     """
     off = off_line_m(positions)
     if off >= DISTINCT_WAVELENGTHS * wavelength_m:

@@ -88,12 +88,7 @@ class BandDelays:
 
 
 class PointSearch:
-    """The search for points that explain scans, under one aperture after another.
-
-    Args:
-        scans: baseband scans with or without matched filter.
-        grid: the square; its pixels are not used.
-    """
+    """The search for points in a square that explain scans, under one aperture after another."""
 
     def __init__(self, scans: BasebandScans, grid: ImageGrid) -> None:
         pixels = int(
@@ -143,16 +138,13 @@ class PointSearch:
 
 
 def band_delays(scans: BasebandScans, explained: Explained) -> BandDelays:
-    """How much farther than the points the echo comes from in each part of the band.
+    """How much farther than the points that were fitted to scans the echo comes from in each part of the
+    band.
 
     The phase of sum_v M(v, f)* D(v, f), with M the points' and D the measured spectrum, is -2 pi f d for an
     echo that is farther by d, f in cycles per metre of range; its slope over a part is a weighted least
     squares fit. A reflector gives the same d everywhere. What resonates, and the waves that creep about a
     body, arrive later in one part than in another.
-
-    Args:
-        scans: those to which the points were fitted.
-        explained: the points; no delays without any.
     """
     if not len(explained.points):
         return BandDelays(np.zeros(BAND_PARTS), 0.0, 0.0)

@@ -82,7 +82,8 @@ def estimate_pulse(
     focus_m: float | None = None,
     progress: Progress | None = None,
 ) -> PulseEstimate:
-    """The received pulse, from the scans of one capture.
+    """The received pulse, from the scans of one capture, whose angles or antenna positions, and path delay,
+    are known.
 
     The estimate is sum_m q_m p(t - 2 m D / c): the assumed pulse p (the capture's, or the nominal one of its
     band) seen again after m range bins D of the baseband scans, q by least squares with the prior that it is
@@ -92,16 +93,8 @@ def estimate_pulse(
     assumed pulse. Every fourth view is kept out; only where they speak for the estimate by `LEAST_EVIDENCE`
     is it taken, and only then made again from all views.
 
-    Args:
-        capture: with known angles or antenna positions; for free positions, with the path delay subtracted.
-        grid: the square that holds the scene.
-        background: as in `PreprocessSettings`.
-        focus_m: half width of the search for the axis distance, m; 0 takes it as given, None: as wide as
-            `search_range_m`.
-        progress: called after every scene that was fitted.
-
-    Raises:
-        DataError: as `preprocess`.
+    The grid holds the scene. The axis distance is searched to +-`focus_m`; 0 takes it as given, None:
+    `search_range_m`. Raises DataError as `preprocess`.
     """
     assumed = assumed_pulse(capture)
     resolution = capture.wave_speed_m_s / (2 * capture.bandwidth_hz)

@@ -75,12 +75,10 @@ def design_filter(pulse: Pulse, capture: Capture, *, matched: bool, oversampling
     """Filter H(f) = conj(P(f)) W(f) (matched) or W(f), scaled for a response of peak 1.
 
     P is the spectrum of the pulse, W a raised cosine that is flat over the pulse's -10 dB band and ends at
-    half the decimated rate, so that the decimation folds nothing back.
+    half the decimated rate, so that the decimation folds nothing back. The last few filters are kept: the
+    captures of a batch mostly have one pulse and one range window.
 
-    The last few filters are kept: the captures of a batch mostly have one pulse and one range window.
-
-    Raises:
-        DataError: the capture's range step is too coarse for the band, or the pulse is absurdly long.
+    Raises DataError: the capture's range step is too coarse for the band, or the pulse is absurdly long.
     """
     samples = np.ascontiguousarray(pulse.samples)
     axis = _Axis(

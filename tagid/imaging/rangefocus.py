@@ -351,11 +351,7 @@ def _not_taken(few: BasebandScans, reference: Floats, echoes: Floats, focus: Del
 
 
 def find_echoes(scans: BasebandScans, towards: tuple[float, float] = (0.0, 0.0)) -> tuple[EchoPoint, ...]:
-    """Places of the strong echoes with the ranges as they are, strongest first.
-
-    Args:
-        scans, towards: see `focus_delay`.
-    """
+    """Places of the strong echoes at the ranges as given, strongest first; arguments of `focus_delay`."""
     (side,) = sides_to_search(scans.aperture.positions, scans.wavelength_m, towards, compare=False)
     reference, echoes = _strong_echoes(scans, side)
     return _in_focus(_thinned(scans), reference, echoes, 0.0) if len(echoes) else ()

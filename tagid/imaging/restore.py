@@ -29,12 +29,7 @@ def restore(image: Image, wavenumber: float) -> Image:
 
     As in CLEAN (Högbom, Astron. Astrophys. Suppl. 15, 1974), with peak 1: pixels whose sum is a point's
     amplitude give a spot of that amplitude. Complex values are convolved, so that pixels of one reflector add
-    up in phase.
-
-    Args:
-        image: of a method whose pixels are reflectivities (FISTA, OMP, ATS); not a backprojection, which has
-            the width of the data already.
-        wavenumber: k of the carrier, rad/m.
+    up in phase. Not for a backprojection, which has the width of the data already.
     """
     width = beam_sigma_m(wavenumber) / image.grid.step
     middle = image.grid.pixels // 2

@@ -62,13 +62,8 @@ def sparse_recovery(
     """argmin_x 1/2 ||A x - y||^2 + lambda ||x||_1 by FISTA (Beck and Teboulle, SIAM J. Imaging Sci. 2, 2009).
 
     The soft threshold is the complex one, x max(0, 1 - t / |x|); the momentum restarts when it points uphill
-    (O'Donoghue and Candes, Found. Comput. Math. 15, 2015).
-
-    Args:
-        scans: baseband scans y, best without matched filter (the operator holds the response).
-        settings: see `SparseSettings`.
-        progress: called after every iteration.
-        operator: A for these scans and this grid, where it is at hand already.
+    (O'Donoghue and Candes, Found. Comput. Math. 15, 2015). The scans y are best without matched filter (the
+    operator A holds the response); A is made unless it is given.
     """
     x, facts = sparse_amplitudes(scans, grid.points, settings, progress, operator)
     facts = {"method": "sparse", "axis_distance_m": scans.aperture.axis_distance, **facts}
@@ -96,7 +91,7 @@ def sparse_amplitudes(
         return np.zeros(len(points), dtype=np.complex64), {**facts, "iterations_done": 0}
     floor = settings.noise_factor * scans.noise_std * column_norm(scans)
     weight = min(max(settings.regularisation * top, floor), 0.95 * top)
-    x, done = _by_active_set(_Problem(scans, points, operator, back, weight), settings, progress, start)
+    x, done = _by_active_set(scans, points, operator, back, weight, settings, progress, start)
     return x, {**facts, "lambda": weight, "iterations_done": done}
 
 
@@ -117,12 +112,8 @@ def omp(
 ) -> Image:
     """Orthogonal matching pursuit (Pati, Rezaiifar, Krishnaprasad, Asilomar 1993) on the grid's pixels.
 
-    Args:
-        points: how many pixels are chosen at most.
-        stop: ends when no correlation exceeds this many standard deviations of noise; 0 never ends early.
-
-    Raises:
-        UsageError: `points` is not between 1 and the number of pixels.
+    It ends with so many points, 1 to 1000, else UsageError, or when no correlation exceeds `stop` standard
+    deviations of noise.
     """
     if not 1 <= points <= min(grid.pixels**2, scans.samples.size, 1000):
         raise UsageError(f"matching pursuit of {points} points", "Give between 1 and 1000.")
@@ -157,60 +148,54 @@ def soft_threshold(x: NDArray[np.complexfloating], level: float) -> NDArray[np.c
     return np.asarray(x * gain, dtype=np.complex64)
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """min_x 1/2 ||A x - y||^2 + weight ||x||_1 with back = A^H y."""
-
-    scans: BasebandScans
-    points: NDArray[np.float64]
-    operator: ForwardOperator
-    back: NDArray[np.complex64]
-    weight: float
-
-
 def _by_active_set(
-    problem: _Problem,
+    scans: BasebandScans,
+    points: NDArray[np.float64],
+    operator: ForwardOperator,
+    back: NDArray[np.complex64],
+    weight: float,
     settings: SparseSettings,
     progress: Progress | None,
     start: NDArray[np.complex64] | None,
 ) -> tuple[NDArray[np.complex64], int]:
-    """FISTA on the pixels that may be non-zero; those that break the optimality conditions join in rounds.
+    """min_x 1/2 ||A x - y||^2 + weight ||x||_1, with back = A^H y, on the pixels that may be non-zero.
 
-    The solution is that of all pixels: outside the support it needs |A^H (y - A x)| <= weight, which is
-    checked. A tag's image is nearly empty, so the small operator costs a tenth.
+    Those that break the optimality conditions join in rounds. The solution is that of all pixels: outside
+    the support it needs |A^H (y - A x)| <= weight, which is checked. A tag's image is nearly empty, so the
+    small operator costs a tenth.
     """
-    strength = np.abs(problem.back)
-    active = strength > max(problem.weight, _FIRST_SHARE * float(strength.max()))
-    x = np.zeros_like(problem.back) if start is None else start.astype(np.complex64)
+    strength = np.abs(back)
+    active = strength > max(weight, _FIRST_SHARE * float(strength.max()))
+    x = np.zeros_like(back) if start is None else start.astype(np.complex64)
     active |= x != 0
     done = 0
     budget = settings.iterations
 
-    def solve(operator: ForwardOperator, among: NDArray[np.bool_], limit: int) -> int:
+    def solve(some: ForwardOperator, among: NDArray[np.bool_], limit: int) -> int:
         effort = replace(settings, iterations=max(1, min(limit, budget - done)))
 
         def report(count: int, _: int) -> None:
             if progress is not None:
                 progress(min(done + count, budget), budget)
 
-        x[among], count = _fista(operator, problem.back[among], problem.weight, effort, report, x[among])
+        x[among], count = _fista(some, back[among], weight, effort, report, x[among])
         return count
 
     for _ in range(_ROUNDS):
         if active.mean() > _ACTIVE_SHARE or not active.any():
             break
-        some = ForwardOperator(problem.scans, problem.points[active])
+        some = ForwardOperator(scans, points[active])
         for limit in (_ROUGH_ITERATIONS, budget):
             done += solve(some, active, limit)
-            slope = np.abs(problem.back - problem.operator.adjoint(some.forward(x[active])))
-            missing = (slope > _SLACK * problem.weight) & ~active
+            slope = np.abs(back - operator.adjoint(some.forward(x[active])))
+            missing = (slope > _SLACK * weight) & ~active
             if missing.any():
                 break
         else:
             return x, done
         # What stayed zero goes again, so that the operator keeps the size of the image's support.
         active = (active & (x != 0)) | missing
-    return x, done + solve(problem.operator, np.ones_like(active), budget)
+    return x, done + solve(operator, np.ones_like(active), budget)
 
 
 def _fista(

@@ -47,14 +47,8 @@ class Volume:
 def backproject_volume(scans: BasebandScans, grid: VolumeGrid, progress: Progress | None = None) -> Volume:
     """f(p) = 1/views sum_v z_v(d_vp) exp(2j k d_vp) at every voxel, as `backproject` in the plane.
 
-    Views and voxels are taken in blocks, so that beside the result little memory is used.
-
-    Args:
-        scans: baseband scans, best with matched filter.
-        progress: called after every block with the pairs of view and voxel that are done.
-
-    Raises:
-        UsageError: the volume would not fit into memory.
+    Views and voxels are taken in blocks, so that beside the result little memory is used. The scans are best
+    matched-filtered; `progress` counts pairs of view and voxel. Raises UsageError: no memory for the volume.
     """
     require_memory(
         16 * grid.voxels + 24 * _VIEW_VALUES + 100 * _SLAB_VOXELS,
@@ -83,10 +77,7 @@ def backproject_volume(scans: BasebandScans, grid: VolumeGrid, progress: Progres
 
 
 def sparse_volume(scans: BasebandScans, grid: VolumeGrid, progress: Progress | None = None) -> Volume:
-    """argmin_x 1/2 ||A x - y||^2 + lambda ||x||_1 over the voxels, as `sparse_recovery` in the plane.
-
-    Args and errors as `backproject_volume`, `sparse_recovery`.
-    """
+    """argmin_x 1/2 ||A x - y||^2 + lambda ||x||_1 over the voxels, as `sparse_recovery` in the plane."""
 
     def steps(done: int, of: int) -> None:
         if progress is not None:
@@ -95,6 +86,16 @@ def sparse_volume(scans: BasebandScans, grid: VolumeGrid, progress: Progress | N
     x, facts = sparse_amplitudes(scans, grid.points(), progress=steps)
     shape = (grid.levels, grid.square.pixels, grid.square.pixels)
     return Volume(x.reshape(shape), grid, {"method": "sparse", **facts})
+
+
+def part_of(progress: Progress | None, begin: float, end: float, what: str = "") -> Progress:
+    """Progress of one of several stages as part of the whole, from 0 to 1; `what` where it has no remark."""
+
+    def report(done: float, total: float, remark: str) -> None:
+        if progress is not None:
+            progress(begin + (end - begin) * done / max(total, 1), 1.0, remark or what)
+
+    return report
 
 
 def vertical_resolution_m(scans: BasebandScans) -> float:

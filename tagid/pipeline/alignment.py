@@ -60,7 +60,8 @@ class Alignment:
 
 
 def aligned(captures: Sequence[Capture]) -> tuple[list[Capture], list[Alignment]]:
-    """The captures with their angles referred to the first one's pose.
+    """The captures, prepared: each with angles and its own antenna height, with their angles referred to the
+    first one's pose.
 
     The rotation is the peak of the circular correlation of the captures' backprojections |f(r, phi)|^2. These
     are images of the plane z = 0; a reflector at another height appears there as a small ring about its
@@ -68,12 +69,8 @@ def aligned(captures: Sequence[Capture]) -> tuple[list[Capture], list[Alignment]
     are told apart by the sharpness of the joint volume, which takes three heights, 0.15 m apart at 1 m, and
     none of them at the object's own level, from where heights hardly show.
 
-    Args:
-        captures: prepared: each with angles and its own antenna height.
-
-    Raises:
-        DataError: a capture without angles, one that cannot be imaged, or two that do not show the same
-            rotating object clearly enough.
+    Raises DataError: a capture without angles, one that cannot be imaged, or two that do not show the same
+    rotating object clearly enough.
     """
     for number, capture in enumerate(captures, start=1):
         if capture.angles_rad is None:
@@ -147,14 +144,9 @@ def _peaks(correlation: NDArray[np.float64]) -> list[float]:
 
 
 def _sharpest(captures: Sequence[Capture], turns: list[float], rivals: Sequence[list[float]]) -> list[float]:
-    """The rotations so far and one of each list of rivals, with which the volume is sharpest.
-
-    Of several that are equally sharp (a symmetric object) those with the smallest rotations are returned.
-
-    Args:
-        captures: all of them.
-        turns: rotations of the first ones, rad.
-        rivals: rotations of each of the next ones relative to the one before it, rad.
+    """The rotations so far, rad, and one of each list of rivals, relative to the capture before, with which
+    the volume is sharpest. Of several that are equally sharp (a symmetric object) those with the smallest
+    rotations.
     """
     tried = [turns + list(np.cumsum([turns[-1], *steps])[1:]) for steps in itertools.product(*rivals)]
     if len(tried) == 1:

@@ -24,11 +24,8 @@ _GRID = ImageGrid(0.5, 72)
 def bright_offsets(capture: Capture, background: Background = "mean") -> list[float]:
     """Offsets of the axis distance, m, with the brightest image, outside the reader's own search range.
 
-    The measure is sum |f|^8 of the backprojection, as in `tagid.imaging.autofocus`.
-
-    Args:
-        capture: one turn, with angles and axis distance.
-        background: static background to remove.
+    The capture is of one turn, with angles and axis distance. The measure is sum |f|^8 of the backprojection,
+    as in `tagid.imaging.autofocus`.
     """
     wide = PreprocessSettings(background, matched_filter=True, extent_m=_GRID.extent, margin_m=AXIS_SEARCH_M)
     every = max(1, capture.views // _VIEWS)

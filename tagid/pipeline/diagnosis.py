@@ -26,6 +26,7 @@ from tagid.pipeline.resolve import REMEDY, one_of, speed_contradiction, stopped_
 from tagid.reading.reading import Kind, Reading, Reflector
 from tagid.reading.verdict import ADVICE, Code
 from tagid.signal import analytic, median, peak_place
+from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_places
 from tagid.tags.layouts.layout import Layout
 
 _FEWEST = 8
@@ -57,14 +58,12 @@ class Circling:
 
 
 def circling(capture: Capture) -> Circling | None:
-    """The circle that the range of each view's strongest moving echo describes; None for too few views.
+    """The circle that the range of each view's strongest moving echo describes; None for too few views, or
+    without angles.
 
-    The front of a round body of radius a about the point c is at |antenna - c| - a, to first order in c at
-    D - a - c . u with the direction u of the antenna. Reflectors, handles and noise are the strongest in some
+    The front of a round body of radius a about the point c is at |antenna - c| - a, to first order in c at D
+    - a - c . u with the direction u of the antenna. Reflectors, handles and noise are the strongest in some
     views; these are left out in turns.
-
-    Args:
-        capture: of a turntable, with angles.
     """
     if capture.angles_rad is None or capture.views < _FEWEST:
         return None
@@ -98,18 +97,14 @@ def named_in(prepared: PreparedCapture, capture: Capture, layouts: Sequence[Layo
 
 
 def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:
-    """The scans as they would be if the point `centre` of the turntable were its axis.
+    """The scans as they would be if the point `centre`, (x, y), m, of the turntable were its axis.
 
     Each view is shifted in range by the difference between the distances of that point and of the axis, and
     its angle becomes the direction of the antenna from that point. What is the same in every view before the
     shift, the room, is subtracted; so is what is the same in every view after it, a round body about the new
-    axis. The two are told apart by least squares, because the mean over the views of an echo that moves
-    would be left behind as one that moves the other way. The remaining error is the change of curvature,
-    under 1 mm for an object of 0.1 m at 1 m.
-
-    Args:
-        capture: of a turntable, with angles and axis distance.
-        centre: (x, y), m.
+    axis. The two are told apart by least squares, because the mean over the views of an echo that moves would
+    be left behind as one that moves the other way. The remaining error is the change of curvature, under 1 mm
+    for an object of 0.1 m at 1 m.
     """
     if capture.angles_rad is None or capture.axis_distance_m is None:
         raise DataError("only scans of a turntable can be moved to another axis")
@@ -430,8 +425,6 @@ def _of_a_round_body(circle: Circling) -> Cause | None:
 
 def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -> list[tuple[float, float]]:
     """Centres, m, outside the reader's search range where reflectors fit a layout, strongest first."""
-    from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_places
-
     strong = [r for r in reflectors if r.amplitude_db > -_ALIKE_DB][:_MOST_REFLECTORS]
     positions = np.array([[r.x_m, r.y_m] for r in strong])
     power = np.array([abs(r.amplitude) ** 2 for r in strong])

@@ -9,21 +9,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.enrolling.averaging import UNKNOWN_SCATTER_M, LayoutEstimate, Sighting, average, trusted
+from tagid.enrolling.enrollment import Basis, Outlook, enroll, outlook, undisturbed
+from tagid.enrolling.registry import Key, Registry, RegistryContents, taken
 from tagid.errors import DataError, LayoutConflictError, RegistryError, UsageError
+from tagid.pipeline.identify import aspect_spectra, sight_reflectors
 from tagid.pipeline.prepared import LoadSettings, load_capture
 from tagid.pipeline.settings import ImagingSettings
-
-if TYPE_CHECKING:
-    from tagid.capture import Capture
-    from tagid.enrolling.averaging import LayoutEstimate, Sighting
-    from tagid.enrolling.enrollment import Basis, Outlook
-    from tagid.enrolling.registry import Key, Registry, RegistryContents
-    from tagid.tags.bodies.joint import Joint
-    from tagid.tags.bodies.likeness import Likeness
-    from tagid.tags.bodies.signature import Signature, SignatureKind
-    from tagid.tags.layouts.layout import Layout
+from tagid.tags.bodies.joint import CAPTURES, Joint, Named, enroll_signature
+from tagid.tags.bodies.likeness import Likeness, compare
+from tagid.tags.bodies.signature import Signature, SignatureKind
+from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_pairing
+from tagid.tags.layouts.layout import Layout
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,18 +59,11 @@ class LayoutProposal:
 
         Raises LayoutConflictError, RegistryError.
         """
-        from tagid.enrolling.enrollment import enroll
-
         signatures = () if self.signature is None else (self.signature,)
-        outlook, version = enroll(
-            registry,
-            self.layout,
-            source,
-            force=force,
-            basis=self.basis,
-            signatures=signatures,
+        compared, version = enroll(
+            registry, self.layout, source, force=force, basis=self.basis, signatures=signatures
         )
-        return replace(self, outlook=outlook), version
+        return replace(self, outlook=compared), version
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +100,6 @@ class SignatureProposal:
 
     def store(self, registry: Registry, source: str, force: bool = False) -> int:
         """As `LayoutProposal.store`; returns the new registry version."""
-        from tagid.enrolling.enrollment import undisturbed
 
         def compared() -> int | None:
             current = registry.version == self.version
@@ -129,9 +123,6 @@ def propose_layout(
 
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
-    from tagid.enrolling.enrollment import outlook
-    from tagid.enrolling.registry import taken
-
     outlook_of = outlook(layout, contents.layouts, basis, contents.version)
     error = taken(("layout", layout.name), _keys(contents))
     own = None
@@ -142,9 +133,6 @@ def propose_layout(
 
 def propose_signature(contents: RegistryContents, signature: Signature) -> SignatureProposal:
     """A signature compared with those enrolled of the same kind."""
-    from tagid.enrolling.registry import taken
-    from tagid.tags.bodies.likeness import compare
-
     kind, name = signature.kind, signature.name
     others = [other for other in contents.signatures if other.kind == kind and other.name != name]
     pairs = sorted((compare(signature, other) for other in others), key=lambda pair: pair.difference)
@@ -221,8 +209,6 @@ def prepare_files(paths: Sequence[Path], loading: LoadSettings) -> list[Prepared
 
 def sight(prepared: Prepared, imaging: ImagingSettings) -> Sighted:
     """The reflectors that a capture shows. Raises DataError as `sight_reflectors` does."""
-    from tagid.pipeline.identify import sight_reflectors
-
     name, capture = prepared.name, prepared.capture
     return Sighted(name, capture, sight_reflectors(capture, name, imaging))
 
@@ -237,9 +223,6 @@ def measure(
 
     Raises DataError, with both reasons, if neither positions nor a signature could be determined.
     """
-    from tagid.enrolling.averaging import average, trusted
-    from tagid.tags.bodies.joint import CAPTURES
-
     positions: DataError | None = None
     estimate: LayoutEstimate | None = None
     seen = [capture.sighting for capture in captures]
@@ -280,9 +263,6 @@ def measure(
 
 def _doubt(captures: Sequence[Sighted], imaging: ImagingSettings) -> str:
     """Why reflectors of few captures are not to be trusted; empty also where these cannot tell."""
-    from tagid.enrolling.averaging import trusted
-    from tagid.pipeline.identify import aspect_spectra
-
     try:
         spectra = [aspect_spectra(capture.capture, imaging) for capture in captures]
     except DataError:  # free antenna positions, or fewer views than a signature needs
@@ -296,11 +276,6 @@ def _unmoved(seen: Sequence[Sighting], estimate: LayoutEstimate | None) -> tuple
     The rotation axis is then at the same place on the object, so that errors in centring and of the aspect do
     not average out. Places closer than twice `UNKNOWN_SCATTER_M` cannot be told apart.
     """
-    import numpy as np
-
-    from tagid.enrolling.averaging import UNKNOWN_SCATTER_M
-    from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_pairing
-
     if estimate is None:
         return ()
     axes = []
@@ -326,9 +301,6 @@ def signature(
     progress: Remark = lambda what: None,
 ) -> Joint:
     """Signature of a body or object. Raises DataError if its captures do not confirm it."""
-    from tagid.pipeline.identify import aspect_spectra
-    from tagid.tags.bodies.joint import Named, enroll_signature
-
     spectra = []
     for capture in captures:
         try:

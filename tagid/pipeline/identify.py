@@ -100,15 +100,12 @@ def ended_early(capture: Capture) -> bool:
 
 
 def of_the_part(reading: Reading, captures: Sequence[Capture]) -> Reading:
-    """The reading as far as the parts of a turn that were seen carry it.
+    """The reading of one capture, or of several jointly, as far as the parts of a turn that were seen carry
+    it.
 
-    What they show is withheld, but for two likely names, unless one of the captures shows every side of the object: in
-    several, the object may lie in other directions. The bound on false accept is withheld where a capture is
-    not of a whole turn, for which it is calibrated, unless the recording ended early with its own bound.
-
-    Args:
-        reading: of one capture, or of several jointly.
-        captures: those that were read.
+    What they show is withheld, but for two likely names, unless one of the captures shows every side of the
+    object: in several, the object may lie in other directions. The bound on false accept is withheld where a
+    capture is not of a whole turn, for which it is calibrated, unless the recording ended early with its own.
     """
     gaps = [widest_gap(capture) for capture in captures]
     shares = [0.0 if gap is None else gap.share for gap in gaps]
@@ -190,23 +187,11 @@ def identify(
     signatures: Sequence[Signature] = (),
     spent: float = 0.0,
 ) -> Identification:
-    """Name the object of a prepared capture.
+    """Name the object of a prepared capture; arguments and errors as `tagid.operate.turn.identify`.
 
-    The tag is read in the scans and not in an image, whose artefacts could mislead it.
-
-    Args:
-        capture: the result of `prepare`, or a `PreparedCapture`, which has its own settings.
-        layouts: the candidates.
-        settings: only with a plain capture.
-        registry_version: stored in the answer.
-        signatures: enrolled bodies and objects.
-        spent: share of the false-accept probability that was used before, by readings of parts of the turn;
-            this reading has the rest.
-
-    Raises:
-        DataError: too few views or bins, the object lies outside the range window, or the samples are no
-            waveform in the assumed band.
-        RegistryError: no layout is enrolled.
+    The tag is read in the scans and not in an image, whose artefacts could mislead it. `spent` is the share
+    of the false-accept probability that was used before, by readings of parts of the turn; this reading has
+    the rest.
     """
     from tagid.reading.reader import read
 

@@ -21,15 +21,11 @@ _SAME_M = 1e-6
 
 
 def join(captures: Sequence[Capture]) -> Capture:
-    """One capture with the antenna positions of all.
+    """One capture with the antenna positions of all, whose angles or positions are known.
 
-    Args:
-        captures: prepared: angles or antenna positions known. The first one gives the band, the pulse and
-            the metadata of radar and object.
-
-    Raises:
-        UsageError: fewer than two captures, or one of them twice.
-        DataError: different range windows, bands or media, or no geometry.
+    The first one gives the band, the pulse and the metadata of radar and object. Raises UsageError: fewer
+    than two captures, or one of them twice. DataError: different range windows, bands or media, or no
+    geometry.
     """
     if len(captures) < 2:
         raise UsageError("one capture cannot be joined", "Give two or more captures of the same object.")

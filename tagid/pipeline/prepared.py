@@ -117,11 +117,8 @@ class PreparedCapture:
         return PreparedCapture(capture, replace(self.settings, pulse="auto"))
 
     def at_axis(self, distance_m: float, held_out: bool = True) -> PreparedCapture:
-        """The same scans with the axis at a known distance, m, which is not searched for.
-
-        Args:
-            distance_m: of the axis.
-            held_out: whether images say how well they predict held-out views, if the settings ask for it.
+        """The same scans with the axis at a known distance, m, which is not searched for; without `held_out`
+        images do not say how well they predict held-out views, whatever the settings ask for.
         """
         settings = replace(self.settings, focus_m=0.0, held_out=self.settings.held_out and held_out)
         return PreparedCapture(replace(self.given, axis_distance_m=distance_m), settings)
@@ -154,10 +151,7 @@ class PreparedCapture:
         """The search for the axis distance, one for all methods and for reading; None without a search.
 
         It takes the scans without the matched filter, whatever the method takes: the same capture has the
-        same axis in every image.
-
-        Raises:
-            DataError: as `scans`. UsageError: the search is too wide.
+        same axis in every image. Raises DataError as `scans`. UsageError: the search is too wide.
         """
         settings = self.settings
         if settings.focus_m == 0 or self.given.antenna_positions_m is not None:

@@ -14,20 +14,23 @@ from tagid._version import __version__
 from tagid.capture import Capture
 from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.adapt import image_without_field, settings_of
+from tagid.imaging.ats.adapt import fit_adapted, image_without_field, settings_of
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings, Prior
 from tagid.imaging.autofocus import AxisFocus
+from tagid.imaging.backprojection import backproject
 from tagid.imaging.bandcheck import band_warning, closure_warning
 from tagid.imaging.copies import path_warning
-from tagid.imaging.facts import OutsideFacts
-from tagid.imaging.heldout import HeldOut, check, left_out
+from tagid.imaging.facts import HeldOutFacts, OutsideFacts
+from tagid.imaging.farfield import polar_format, range_doppler
+from tagid.imaging.heldout import check, left_out
 from tagid.imaging.lengths import finest_cell_m, pixel_warning
 from tagid.imaging.outside import NOT_SEARCHED, Outside, find_outside, views_searched
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.pulsefit import PulseEstimate
 from tagid.imaging.region import Region, choose_region
 from tagid.imaging.restore import restore
+from tagid.imaging.sparse import omp, sparse_recovery
 from tagid.imaging.types import BasebandScans, Image
 from tagid.pipeline.prepared import PreparedCapture, as_prepared, check_moved, remarked
 from tagid.pipeline.settings import MOST_FREE_PIXELS, ImagingSettings, Stopwatch
@@ -75,16 +78,10 @@ def make_image(
     progress: Progress | None = None,
     ats: AtsSettings | None = None,
 ) -> Image:
-    """Image of scans by a method of `METHODS`.
+    """Image of scans, preprocessed as its `MethodInfo` requires, by a method of `METHODS`.
 
-    Args:
-        scans: preprocessed as the method's `MethodInfo` requires.
-        grid: image grid about the origin.
-        method: a key of `METHODS`.
-        seed: random seed.
-        preset: "field" or "paper", for ats.
-        progress: called during the slow methods.
-        ats: settings of ats with the preset "field"; its seed is `seed`.
+    The preset of ats is "field", with the settings `ats` but for their seed, or "paper". `progress` is called
+    during the slow methods.
     """
 
     def steps(step: int, of: int, loss: float) -> None:
@@ -92,20 +89,12 @@ def make_image(
             progress(step, of, f"loss {loss:.3g}")
 
     if method in ("bp", "bp-raw"):
-        from tagid.imaging.backprojection import backproject
-
         return backproject(scans, grid)
     if method == "sparse":
-        from tagid.imaging.sparse import sparse_recovery
-
         return sparse_recovery(scans, grid)
     if method == "omp":
-        from tagid.imaging.sparse import omp
-
         return omp(scans, grid, OMP_POINTS, OMP_STOP)
     if method in ("range-doppler", "polar"):
-        from tagid.imaging.farfield import polar_format, range_doppler
-
         return (polar_format if method == "polar" else range_doppler)(scans, grid)
     if preset == "paper":
         if importlib.util.find_spec("torch") is None:
@@ -116,8 +105,6 @@ def make_image(
         from tagid.imaging.ats.fit_paper import PaperSettings, fit_paper
 
         return fit_paper(scans, grid, PaperSettings(seed=seed), steps)
-    from tagid.imaging.ats.adapt import fit_adapted
-
     return fit_adapted(scans, grid, replace(ats or AtsSettings(), seed=seed), steps).image
 
 
@@ -257,7 +244,7 @@ def _facts(
     focus: AxisFocus | None,
     region: Region | None,
     outside: OutsideFacts | None,
-    predicted: HeldOut | None,
+    predicted: HeldOutFacts | None,
     warnings: list[str | None],
 ) -> dict[str, Any]:
     """What the image's settings say of its data, as JSON values; `warnings` are those known already."""
@@ -281,7 +268,7 @@ def _facts(
     if every:
         facts["warnings"] = every
     if predicted is not None:
-        facts["held_out"] = predicted.facts()
+        facts["held_out"] = predicted
     learned = image.settings.get("calibration", {}).get("axis")
     if learned:
         facts["axis_distance_m"] = learned["distance_m"]
@@ -314,7 +301,7 @@ def _held_out(
     made: Image,
     outside: bool,
     progress: Callable[[int, int], None],
-) -> HeldOut | None:
+) -> HeldOutFacts | None:
     """Prediction of held-out views by this method, with the priors of the image.
 
     Echoes from outside the image, found in the other views alone, are subtracted from all if `outside`.

@@ -50,13 +50,10 @@ def clock_of(capture: Capture) -> UniformClock:
 def with_angles(capture: Capture, motion: str | None = None) -> Capture:
     """The capture with an angle and its sigma for every scan.
 
-    Args:
-        capture: any capture.
-        motion: URL of the motion device. None keeps the angles or antenna positions of the capture, or else
-            estimates the period from the data. Measuring devices use the angles of the recording.
+    Without the URL of a motion device the capture keeps its angles or antenna positions, or else the period
+    is estimated from the data. Measuring devices use the angles of the recording.
 
-    Raises:
-        UsageError: invalid URL. DataError: no times, or no period in the data and no speed given.
+    Raises UsageError: invalid URL. DataError: no times, or no period in the data and no speed given.
     """
     known = has_angles(capture)
     if motion is None and known:
@@ -183,12 +180,10 @@ class TurnStoppedError(DataError):
 
 
 def held(capture: Capture, resolved_capture: Capture, table: Motion) -> Capture | None:
-    """The capture with its angle held where the object stood; None if the scans show no stop.
+    """The capture as recorded, with its angle held where the object stood; None if the scans show no stop.
 
-    Args:
-        capture: as recorded.
-        resolved_capture: the same with angles, as if it had turned throughout.
-        table: the motion of these angles: a stated speed, or measured.
+    `resolved_capture` is the same with the angles of `table`, a stated speed or measured, as if it had turned
+    throughout.
     """
     resolved, angles = resolved_capture.motion.resolved, resolved_capture.angles_rad
     if resolved is None or angles is None or capture.views < 3:

@@ -58,16 +58,12 @@ def _outside(capture: Capture) -> DataError | None:
 def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
     """The capture with angles; a period estimated from the data is checked for being a fraction of a turn.
 
-    Where the scans show that the object stopped, its angle is held. Where measured angles cannot be assigned
-    to the scans, the period in the scans takes their place.
+    Existing angles and positions are kept unless the URL of a motion is given. Where the scans show that the
+    object stopped, its angle is held. Where measured angles cannot be assigned to the scans, the period in
+    the scans takes their place.
 
-    Args:
-        capture: any capture; existing angles and positions are kept unless a motion is given.
-        motion: device URL; None estimates the period from the data.
-
-    Raises:
-        DataError: no times, or no period; TurnStoppedError where the object stopped before one was seen.
-        UsageError: a bad URL.
+    Raises DataError: no times, or no period; TurnStoppedError where the object stopped before one was seen.
+    UsageError: a bad URL.
     """
     if motion is None and has_angles(capture):
         return capture

@@ -12,7 +12,8 @@ from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid, VolumeGrid
 from tagid.imaging.copies import height_warning
-from tagid.imaging.heldout import HeldOut, left_out
+from tagid.imaging.facts import HeldOutFacts
+from tagid.imaging.heldout import held_out_facts, left_out
 from tagid.imaging.lengths import pixel_warning
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
@@ -22,6 +23,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.imaging.volume import (
     Volume,
     backproject_volume,
+    part_of,
     sparse_volume,
     vertical_resolution_m,
 )
@@ -87,16 +89,11 @@ class VolumeReconstruction:
 def reconstruct_volume(
     capture: Capture, settings: VolumeSettings | None = None, progress: Progress | None = None
 ) -> VolumeReconstruction:
-    """Image a capture in three dimensions.
+    """Image a capture with antenna positions or angles in three dimensions; `tagid.pipeline.join` joins
+    several.
 
-    Args:
-        capture: with antenna positions or angles; `tagid.pipeline.join` joins several into one.
-        settings: see `VolumeSettings`.
-        progress: called with (done, total, remark).
-
-    Raises:
-        DataError: all antenna positions have one height, or the scans cannot be preprocessed.
-        UsageError: a volume that reaches beyond the recorded ranges or would not fit into memory.
+    Raises DataError: all antenna positions have one height, or the scans cannot be preprocessed. UsageError:
+    a volume that reaches beyond the recorded ranges or would not fit into memory.
     """
     settings = settings or VolumeSettings()
     square = ImageGrid(settings.extent_m, settings.pixels)
@@ -120,7 +117,7 @@ def reconstruct_volume(
     levels = settings.levels or _levels(unfiltered, square, high - low)
     grid = VolumeGrid(square, low, high, levels)
     with watch.stage("volume"):
-        whole = _part(progress, 0.0, 0.5 if settings.held_out else 1.0, "")
+        whole = part_of(progress, 0.0, 0.5 if settings.held_out else 1.0)
         fits = settings.method != "bp" and settings.outside
         outside = find_outside(unfiltered, grid) if fits else None
         clear, clear_unfiltered = _without(outside, matched, unfiltered)
@@ -149,10 +146,10 @@ def reconstruct_volume(
         facts["warnings"] = warnings
     if settings.held_out:
         with watch.stage("held out"):
-            again = _part(progress, 0.5, 1.0, "held-out views")
+            again = part_of(progress, 0.5, 1.0, "held-out views")
             predicted = _held_out(settings.method, matched, unfiltered, grid, outside is not None, again)
         if predicted is not None:
-            facts["held_out"] = predicted.facts()
+            facts["held_out"] = predicted
     volume = replace(volume, settings={**volume.settings, **facts}, centre_m=centre_m)
     return VolumeReconstruction(volume, capture.views, len(heights_of(capture)), watch.seconds)
 
@@ -169,18 +166,6 @@ def _without(
 def _levels(scans: BasebandScans, square: ImageGrid, rise_m: float) -> int:
     thin = max(vertical_resolution_m(scans) / 3, square.step)
     return int(np.clip(np.ceil(rise_m / thin), 2, _MOST_LEVELS))
-
-
-def _part(progress: Progress | None, begin: float, end: float, what: str) -> Progress | None:
-    """Progress of one of several stages as part of the whole, from 0 to 1."""
-    if progress is None:
-        return None
-    shown = progress
-
-    def report(done: float, total: float, remark: str) -> None:
-        shown(begin + (end - begin) * done / max(total, 1), 1.0, remark or what)
-
-    return report
 
 
 def _make(
@@ -209,7 +194,7 @@ def _held_out(
     grid: VolumeGrid,
     outside: bool,
     progress: Progress | None = None,
-) -> HeldOut | None:
+) -> HeldOutFacts | None:
     """Residual on views held out from the volume, and that of backprojection; None with too few views.
 
     Echoes from outside the volume, found in the other views alone, are subtracted from all if `outside`.
@@ -228,7 +213,7 @@ def _held_out(
     first = backproject_volume(some if method == "bp" else plain, grid, progress if method == "bp" else None)
     back = _residual(test, first)
     plain_residual = back if method == "bp" else _residual(test, _make(method, some, plain, grid, progress))
-    return HeldOut.of(plain_residual, back, unfiltered, unseen)
+    return held_out_facts(plain_residual, back, unfiltered, unseen)
 
 
 def _residual(test: BasebandScans, volume: Volume) -> float:

@@ -25,6 +25,7 @@ from tagid.simulate.scatterers import Octahedron, unit_of
 from tagid.simulate.source import noise_counts
 from tagid.simulate.specification import BodySpec, ReflectorSpec
 from tagid.tags.layouts.layout import Layout
+from tagid.types import Floats
 
 _LEVEL_VIEWS = 72
 _HANDLES = 6
@@ -184,11 +185,7 @@ def _on_body(
         return 0.0, None
     layouts = {layout.name: layout}
     scene = scene_on_body(layout.name, body, reflector, 0, layouts=layouts)
-    acquisition = Acquisition(
-        axis_distance_m=distance_m, range_law=True, window=RangeWindow.around(distance_m)
-    )
-    angles = np.arange(_LEVEL_VIEWS) * 2 * np.pi / _LEVEL_VIEWS
-    antenna = antennas(angles, np.full(_LEVEL_VIEWS, distance_m), 0.0)
+    acquisition, antenna = _turn(distance_m)
     table = PulseTable.of(None)
     level = echo_levels(scene, acquisition, antenna, table).reflector
     others = tuple(item for item in scene.object if item is not scene.tag)
@@ -199,16 +196,22 @@ def _on_body(
     return mounted, 20 * float(np.log10(np.abs(echo).max() / level))
 
 
+def _turn(distance_m: float) -> tuple[Acquisition, Floats]:
+    """A turn at a distance, and the antenna positions (views, 3), m, that its levels are computed from."""
+    angles = np.arange(_LEVEL_VIEWS) * 2 * np.pi / _LEVEL_VIEWS
+    window = RangeWindow.around(distance_m)
+    acquisition = Acquisition(axis_distance_m=distance_m, range_law=True, window=window)
+    return acquisition, antennas(angles, np.full(_LEVEL_VIEWS, distance_m), 0.0)
+
+
 def planned_snr_db(setup: Setup) -> float:
     """Planned SNR of a recording, see `tagid.signal.snr_db`, dB.
 
     Reflectors at the same range add up, and those that a body hides add nothing in half of the views.
     """
     layout, distance = setup.layout, setup.distance_m
-    acquisition = Acquisition(axis_distance_m=distance, range_law=True, window=RangeWindow.around(distance))
+    acquisition, antenna = _turn(distance)
     table = PulseTable.of(setup.pulse)
-    angles = np.arange(_LEVEL_VIEWS) * 2 * np.pi / _LEVEL_VIEWS
-    antenna = antennas(angles, np.full(_LEVEL_VIEWS, distance), 0.0)
     # The handle's place among the reflectors is not known: the mean over some places.
     seeds = range(_HANDLES if setup.body.parts else 1)
     power = 0.0
@@ -289,13 +292,8 @@ GAP_DB = 8.0
 
 
 def gap(capture: Capture, noise: float, measured_db: float, setup: Setup) -> Gap:
-    """Compare a recording with its plan.
-
-    Args:
-        capture: the recording.
-        noise: standard deviation of the noise of one of its samples, counts.
-        measured_db: its SNR, see `tagid.signal.snr_db`.
-        setup: the recorded setup.
+    """Compare a recording with its plan, from the standard deviation of the noise of one of its samples,
+    counts, and its SNR, dB, see `tagid.signal.snr_db`.
     """
     usual = noise_counts(setup.budget.integration)
     planned = planned_snr_db(setup)

@@ -79,18 +79,12 @@ def _table() -> tuple[tuple[Measured, ...], dict[str, str]]:
 
 
 def expected(body: str, views: int, snr_db: float, *, enrolled: bool = False) -> Expected:
-    """The rates of a recording, linear in SNR between the rows of the table.
+    """The rates of a recording, linear in SNR between the rows of the table, dB, per reflector in one sample
+    of a view.
 
-    Views beyond the largest number in the table add energy: each doubling counts as 3 dB. Between numbers of
-    views the rates are linear in their logarithm. The interval is that of the row with the fewest scenes.
-
-    Args:
-        body: of a row of the table.
-        views: views per turn.
-        snr_db: per reflector in one sample of one view, dB.
-        enrolled: whether the untagged body is enrolled.
-
-    Raises UsageError for a body without a table.
+    Views per turn beyond the largest number in the table add energy: each doubling counts as 3 dB. Between
+    numbers of views the rates are linear in their logarithm. The interval is that of the row with the fewest
+    scenes. Raises UsageError for a body without a table.
     """
     measured, sources = _table()
     rows = tuple(row for row in measured if row.body == body and row.enrolled == enrolled)

@@ -115,11 +115,9 @@ def write_image(path: Path, image: Image) -> None:
     )
 
 
-def _npz(arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> bytes:
+def _npz(arrays: dict[str, Any], settings: dict[str, Any]) -> bytes:
     buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer, **arrays, settings=np.array(json.dumps(settings, default=str))
-    )
+    np.savez_compressed(buffer, **arrays, settings=np.array(json.dumps(settings, default=str)))
     return buffer.getvalue()
 
 

@@ -5,7 +5,6 @@ The same scenes feed the capture simulator and the radar emulator.
 
 from tagid.simulate.acquisition import Acquisition, Placement, RangeWindow, Recording, Wobble
 from tagid.simulate.capture import Truth, simulate_capture
-from tagid.simulate.electromagnetic import ConductingCylinder, Plate, cardboard_box, metal_box
 from tagid.simulate.noise import Interference, NoiseShape
 from tagid.simulate.presets import preset_names, scene_from_layout, scene_from_name, scene_on_body
 from tagid.simulate.pulses import random_pulse
@@ -20,13 +19,11 @@ __all__ = [
     "Acquisition",
     "BodySpec",
     "Box",
-    "ConductingCylinder",
     "Cylinder",
     "EchoLevels",
     "Interference",
     "NoiseShape",
     "Placement",
-    "Plate",
     "Points",
     "RangeWindow",
     "Recording",
@@ -38,8 +35,6 @@ __all__ = [
     "Truth",
     "TurningScene",
     "Wobble",
-    "cardboard_box",
-    "metal_box",
     "parse_body",
     "parse_elevation",
     "parse_reflector",

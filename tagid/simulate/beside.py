@@ -49,11 +49,8 @@ class BesideRound:
         return True
 
     def effect(self, frequency_hz: Floats, angle_rad: Floats) -> Complex:
-        """(F, A) echo over that in free space, by the exact series of the cylinder.
-
-        Args:
-            frequency_hz: (F,) Hz.
-            angle_rad: (A,) azimuth of the antenna less that of the scatterer, both seen from the body's axis.
+        """(F, A) echo over that in free space at (F,) Hz, by the exact series of the cylinder. The angles
+        (A,), rad, are the azimuth of the antenna less that of the scatterer, both seen from the body's axis.
         """
         k = wavenumber(frequency_hz)
         field = solve(k, self.layers).field(self.radius_m, angle_rad)

@@ -38,17 +38,11 @@ def _along_sight(
 
 
 def height_factor(distance_m: Floats, antenna_z_m: Floats, low_m: float, high_m: float) -> Complex:
-    """Echo of an upright wall from low_m to high_m, relative to one in phase over its whole height.
+    """(views,) echo of an upright wall from low_m to high_m, relative to one in phase over its whole height.
 
-    (1 / h) integral exp(-jk [(z - z_a)^2 - z_a^2] / R) dz at 4 GHz, phase reference at height zero: the
-    curvature of the wave, and the wall's vertical beam when the antenna stands above or below it.
-
-    Args:
-        distance_m, antenna_z_m: (views,) horizontal distance and height of the antenna, m.
-        low_m, high_m: ends of the wall, m.
-
-    Returns:
-        (views,) complex128.
+    (1 / h) integral exp(-jk [(z - z_a)^2 - z_a^2] / R) dz at 4 GHz, phase reference at height zero, for
+    antennas at the horizontal distances and heights (views,), m: the curvature of the wave, and the wall's
+    vertical beam when the antenna stands above or below it.
     """
     nodes, weights = np.polynomial.legendre.leggauss(24)
     z = (low_m + high_m) / 2 + nodes * (high_m - low_m) / 2
@@ -121,11 +115,7 @@ def _round_taps(layers: tuple[Layer, ...]) -> tuple[Floats, Complex]:
     """Offsets (T,), m, and amplitudes (T,) of j S / pi: a round body of unit height."""
     a = layers[-1].radius_m
     offset = tap_offsets(-a - 0.1, a + ring_m(layers))
-
-    def response(frequency_hz: Floats) -> Complex:
-        return 1j / np.pi * solve(wavenumber(frequency_hz), layers).backscatter()
-
-    return offset, fit_taps(response, offset)
+    return offset, fit_taps(RoundBody(layers, 1.0).scattering_length, offset)
 
 
 def sheet(frequency_hz: Floats, thickness_m: float, permittivity: float) -> tuple[Complex, Complex]:

@@ -123,11 +123,8 @@ class LinkBudget:
         return float(10 * np.log10(ratio) - self.loss_db)
 
     def clipping_margin_db(self, snr_db: float, noise_counts: float) -> float:
-        """Margin of an echo's peak below saturation, dB.
-
-        Args:
-            snr_db: SNR of the strongest echo, at this integration.
-            noise_counts: standard deviation of the noise of a sample at this integration, counts.
+        """Margin of an echo's peak below saturation, dB, from its SNR and the standard deviation of the noise
+        of a sample, counts, both at this integration.
         """
         clip = CLIP_COUNTS_PER_INTEGRATION * 2.0**self.integration
         return float(20 * np.log10(clip / noise_counts) - snr_db)

@@ -90,10 +90,8 @@ class Multipoles:
         """Solve a body.
 
         E and dE/dr are continuous at every interface (all layers are non-magnetic), so the pair is carried
-        from the axis outwards; the Wronskian of J_n and Y_n inverts each step.
-
-        Raises:
-            DataError: no layer, radii that do not increase, or metal outside the innermost layer.
+        from the axis outwards; the Wronskian of J_n and Y_n inverts each step. Raises DataError: no layer,
+        radii that do not increase, or metal outside the innermost layer.
         """
         radii = [layer.radius_m for layer in layers]
         if not layers or radii != sorted(set(radii)) or any(layer.metal for layer in layers[1:]):
@@ -132,21 +130,14 @@ class Multipoles:
         return np.asarray(self.reflected @ (np.where(n == 0, 1, 2) * (-1.0) ** n), dtype=np.complex128)
 
     def field(self, radius_m: float, angle_rad: Floats) -> Complex:
-        """Field at points outside the body or in its core, relative to the incident field on the axis.
+        """(F, P) field at points outside the body or in its core, relative to the incident field on the axis.
 
         By reciprocity a small scatterer at such a point returns its free-space echo times this field squared:
         directly both ways, once via the body, and via the body both ways. Only multiple reflection between
         scatterer and body is neglected.
 
-        Args:
-            radius_m: distance of the points from the axis, m.
-            angle_rad: (P,) their directions seen from the axis, relative to the antenna, rad.
-
-        Returns:
-            (F, P) complex128.
-
-        Raises:
-            DataError: the points are inside metal or a wall.
+        The points are radius_m from the axis, in the directions (P,), rad, relative to the antenna's. Raises
+        DataError if they are inside metal or a wall.
         """
         outside = radius_m >= self.layers[-1].radius_m
         core = self.layers[0]

@@ -62,14 +62,8 @@ class NoiseShape:
 def draw_noise(
     shape: NoiseShape, ranges_m: NDArray[np.float64], views: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Noise of unit standard deviation per sample, plus the tone.
-
-    Args:
-        ranges_m: (bins,) one-way range of the samples, m; equidistant.
-        rng: random generator; white noise draws in the order of the samples.
-
-    Returns:
-        (views, bins) float64.
+    """(views, bins) noise of unit standard deviation per sample, plus the tone, at equidistant one-way ranges
+    (bins,), m. White noise draws in the order of the samples.
     """
     bins = len(ranges_m)
     noise = rng.standard_normal((views, bins))

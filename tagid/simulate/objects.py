@@ -110,13 +110,8 @@ def tagged_object(
 ) -> tuple[Body, ...]:
     """A body with its parts and reflectors, tag first.
 
-    Args:
-        positions: (n, 2) or (n, 3) reflectors in the tag's frame, m; an empty array makes an untagged object.
-        rng: random generator of the reflectors' strengths.
-        variation: deviations of the object from the nominal one.
-
-    Raises:
-        DataError: a reflector is inside the body's wall or metal.
+    Reflectors (n, 2) or (n, 3) are in the tag's frame, m; none make an untagged object. `rng` draws their
+    strengths. Raises DataError: a reflector is inside the body's wall or metal.
     """
     change = variation or Variation()
     scatterer = Octahedron(reflector.size_m)
@@ -147,12 +142,10 @@ def object_scene(
     layout: str = "",
     seed: int | None = None,
 ) -> Scene:
-    """A scene of one tagged object (or an untagged one, with no positions) in a room.
+    """A scene of one tagged object (or an untagged one, with no positions) in a room; errors as
+    `tagged_object`.
 
     `layout` and `seed` are noted in the scene's description if given.
-
-    Raises:
-        DataError: a reflector is inside the body's wall or metal.
     """
     bodies = tagged_object(positions, body, reflector, rng, variation)
     described: dict[str, Any] = {"layout": layout} if layout else {}

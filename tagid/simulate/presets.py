@@ -49,11 +49,9 @@ def tag_points(positions: NDArray[np.floating], rng: np.random.Generator) -> Poi
 
 
 def scene_from_layout(positions: NDArray[np.floating], name: str = "tag", seed: int = 0) -> Scene:
-    """A tagged object with a simple round shell, in a room.
+    """A tagged object with a simple round shell, in a room; the seed is that of amplitudes and room.
 
-    Args:
-        positions: (n, 2) reflectors in the object's plane, or (n, 3) with their heights, m.
-        seed: random seed of amplitudes and room.
+    The reflectors are (n, 2) in the object's plane, or (n, 3) with their heights, m.
     """
     rng = np.random.default_rng(seed)
     points = tag_points(positions, rng)
@@ -88,15 +86,10 @@ def scene_on_body(
 ) -> Scene:
     """A named tag on a physical body in a room.
 
-    Args:
-        name: a layout, points-N, or untagged for the body alone.
-        body, reflector: see `specification`.
-        seed: random seed of room, direction of handle and seam, and strengths.
-        strength_db: standard deviation of the reflectors' strengths, dB.
-        layouts: as for `scene_from_name`.
+    The scene is a layout, points-N, or untagged for the body alone. The seed is that of room, direction of
+    handle and seam, and strengths, of which `strength_db` is the standard deviation, dB.
 
-    Raises:
-        UsageError: the scene is unknown or has no tag, or its reflectors do not fit on the body.
+    Raises UsageError: the scene is unknown or has no tag, or its reflectors do not fit on the body.
     """
     rng = np.random.default_rng(seed)
     plain = scene_from_name(name, seed, layouts)

@@ -144,11 +144,6 @@ class Response:
         """Depth in range after which the response repeats, because its frequencies are discrete, m."""
         return float(SPEED_OF_LIGHT / 2 / (self.frequency_hz[1] - self.frequency_hz[0]))
 
-    def rcs_dbsm(self) -> Floats:
-        """(f, rings, aspects) radar cross-section, dB relative to one square metre."""
-        power = 4 * np.pi * np.abs(self.scattering_length_m.astype(np.complex128)) ** 2
-        return np.asarray(10 * np.log10(np.maximum(power, 1e-30)))
-
     def _nodes(self, polarisation: str) -> tuple[Floats, Floats, NDArray[np.int64]]:
         """Distances (d,), heights (h,), and the ring (h, d) of every combination."""
         ring_of = {
@@ -173,19 +168,15 @@ class Response:
         return np.asarray(np.fft.fft(self.scattering_length_m.astype(np.complex128), axis=2) / self.aspects)
 
     def seen_from(self, antennas: Floats, polarisation: str = "V") -> NDArray[np.complex128]:
-        """Scattering length b (views, f), m, towards antennas anywhere around the object.
+        """Scattering length b (views, f), m, towards antennas (views, 3) in the object's frame, m, at "V" or
+        "H".
 
         Over the aspect the samples are interpolated by their Fourier series. Between and beyond rings b is a
         polynomial in 1 / distance (the near field is an expansion in it) and in the antenna's height, through
         all rings of the polarisation; with one distance the near field of that distance is used.
 
-        Args:
-            antennas: (views, 3) in the object's frame, m.
-            polarisation: "V" or "H".
-
-        Raises:
-            UsageError: the response lacks the polarisation, an antenna is much closer than the nearest
-                ring, or its height is outside the heights of the rings.
+        Raises UsageError: the response lacks the polarisation, an antenna is much closer than the nearest
+        ring, or its height is outside the heights of the rings.
         """
         if polarisation not in self.polarisations:
             raise UsageError(

@@ -41,10 +41,8 @@ _MAX_RINGS = 64
 def read_response(path: Path) -> Response:
     """Read a response file, or the plain layout with keys S, freqs, azimuth, ring_distance and ring_pol.
 
-    Raises:
-        StorageError: the file cannot be read.
-        FileFormatError: damaged, too large, of another format or version, a key is missing, of the wrong
-            shape or dtype, or not finite.
+    Raises StorageError: the file cannot be read. FileFormatError: damaged, too large, of another format or
+    version, a key is missing, of the wrong shape or dtype, or not finite.
     """
     arrays = read_arrays(path, read_bytes(path, MAX_BYTES), frozenset((*_OWN, *_OPTIONAL, *_PLAIN)))
     if "format" not in arrays and all(key in arrays for key in _PLAIN):

@@ -42,12 +42,8 @@ class ResponseBody:
     """A response as a reflecting body (`scattering.Body`).
 
     Spreading is included: the echo falls as (axis_distance_m / R)^2 with the distance R from the antenna to
-    the object's origin, so that `Acquisition.range_law` must not be added.
-
-    Attributes:
-        polarisation: "V" or "H".
-        axis_distance_m: distance at which an echo has the amplitude gain * b.
-        gain: amplitude of a scattering length of 1 m, 1/m.
+    the object's origin, so that `Acquisition.range_law` must not be added. At that distance an echo has the
+    amplitude gain * b, the gain in 1/m. The polarisation is "V" or "H".
     """
 
     response: Response
@@ -148,20 +144,15 @@ def response_scene(
     reference: Response | None = None,
     room: StaticReturns | None = None,
 ) -> Scene:
-    """A scene of one object whose response is known.
+    """A scene of one object whose response is known, at polarisation "V" or "H".
 
-    Amplitudes are scaled so that the strongest echo of the reference, its origin on the axis, is 1. The SNR
-    of the acquisition refers to that echo, and the room's amplitudes are in its unit.
+    Amplitudes are scaled so that the strongest echo of the reference, its origin on the axis, is 1; the scale
+    depends on the acquisition's distance, antenna height and pulse. The SNR of the acquisition refers to that
+    echo, and the room's amplitudes are in its unit. The reference is for example one reflector alone or
+    `tagged.without(untagged)`; None means the response itself.
 
-    Args:
-        acquisition: the acquisition: the scale depends on distance, antenna height and pulse.
-        polarisation: "V" or "H".
-        reference: object to which the SNR refers, for example one reflector alone or
-            `tagged.without(untagged)`; None means the response itself.
-
-    Raises:
-        UsageError: the response cannot be seen from there, or with that polarisation.
-        DataError: the reference has no echo.
+    Raises UsageError: the response cannot be seen from there, or with that polarisation. DataError: the
+    reference has no echo.
     """
     distance = acquisition.axis_distance_m
     shown = response if reference is None else reference

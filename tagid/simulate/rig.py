@@ -212,11 +212,8 @@ class EmulatedRig:
 
 
 class RigScene(TurningScene):
-    """A scene on an emulated rig: its delay drifts, and somebody else is in the room.
-
-    Args:
-        scene: of `EmulatedRig.scene`.
-        seed: of the noise.
+    """A scene of `EmulatedRig.scene` on an emulated rig: its delay drifts, and somebody else is in the room.
+    The seed is that of the noise.
     """
 
     def __init__(self, scene: Scene, rig: EmulatedRig, placement: Placement, seed: int) -> None:

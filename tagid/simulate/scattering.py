@@ -1,8 +1,7 @@
 """Simple reflecting bodies: points, cylinders and boxes whose amplitudes are given as numbers.
 
 Every body implements one function: which points reflect with which amplitude, given antenna positions. So
-scenes mix bodies freely, and the renderer uses only points. Physical bodies are in `bodies` and
-`electromagnetic`.
+scenes mix bodies freely, and the renderer uses only points. Physical bodies are in `bodies`.
 """
 
 from __future__ import annotations

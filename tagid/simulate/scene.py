@@ -7,13 +7,14 @@ it, also off the rotation axis.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.simulate.scattering import Body, Points, Returns
+from tagid.simulate.scatterers import Mounted
+from tagid.simulate.scattering import Body, Points
 from tagid.simulate.snr import EchoLevels
 
 
@@ -36,23 +37,8 @@ class StaticReturns:
             raise DataError("static returns are not finite")
 
 
-@runtime_checkable
-class Tag(Protocol):
-    """The reflectors of an object: a body that gives access to each of them."""
-
-    @property
-    def positions(self) -> NDArray[np.float64]:
-        """(n, 3) m, in the object's frame."""
-
-    @property
-    def amplitudes(self) -> NDArray[np.complex128]:
-        """(n,) relative strengths."""
-
-    def single(self, index: int) -> Body:
-        """One reflector alone."""
-
-    def returns(self, antennas: NDArray[np.float64]) -> Returns:
-        """As `scattering.Body`."""
+Tag = Points | Mounted
+"""The reflectors of an object: a body that gives access to each of them."""
 
 
 @dataclass(frozen=True, eq=False)

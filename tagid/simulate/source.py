@@ -208,15 +208,8 @@ class TurningScene:
         return np.asarray(echo.real * self.counts_per_unit(config), dtype=np.float64)
 
     def scan(self, index: int, time_s: float, config: RadarConfig) -> NDArray[np.int32]:
-        """One scan as the radar would send it.
-
-        Args:
-            index: number of the scan, which seeds its noise.
-            time_s: time since the table started, s.
-            config: the radar's configuration.
-
-        Returns:
-            (config.samples,) int32, counts.
+        """(config.samples,) int32 counts: scan `index`, which seeds its noise, as the radar would send it at
+        a time since the table started, s.
         """
         if index == 0:
             self._began_s = time_s

@@ -214,15 +214,10 @@ def turning_scene(spec: SceneSpec) -> TurningScene:
 
 
 def check_unchanged(options: Any, names: Collection[str], instead: str, why: str) -> None:
-    """Refuse options of a scene beside the option that replaces it.
+    """Refuse options of a scene, named as the fields of a dataclass, that have no effect beside the option
+    `instead`.
 
-    Args:
-        options: a dataclass whose fields are named as the options.
-        names: fields that have no effect beside the option `instead`.
-        instead: that option.
-        why: the reason.
-
-    Raises UsageError, which names those that differ from their defaults.
+    Raises UsageError, which names those that differ from their defaults, and says why.
     """
     given = [
         f"`{item.name}`"

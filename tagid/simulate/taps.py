@@ -39,14 +39,10 @@ def tap_offsets(low_m: float, high_m: float) -> Floats:
 
 
 def fit_taps(response: Callable[[Floats], Complex], offset_m: Floats) -> Complex:
-    """Amplitudes whose sum a_i exp(-2jk offset_i) best fits a response over the band.
+    """(T,) or (T, A) amplitudes whose sum a_i exp(-2jk offset_i) best fits a response over the band.
 
-    Args:
-        response: from frequencies (F,) in Hz to (F,) or (F, A) complex, phase reference at offset zero.
-        offset_m: (T,) one-way offsets behind the reference, m.
-
-    Returns:
-        (T,) or (T, A) complex128.
+    The response is a function from frequencies (F,), Hz, to (F,) or (F, A) complex, phase reference at offset
+    zero; offsets (T,) are one-way behind the reference, m.
     """
     frequency = np.linspace(*BAND_HZ, 3 * len(offset_m))
     model = np.exp(-2j * np.outer(wavenumber(frequency), offset_m))
@@ -74,8 +70,8 @@ class AspectTaps:
     ) -> AspectTaps:
         """Tabulate a response(frequency (F,), angle (A,)) -> (F, A) at every degree.
 
-        At one degree linear interpolation is off by less than 0.2 % for a phase that changes by 8 rad per
-        rad, as it does for a scatterer 45 mm off the phase reference.
+        There linear interpolation is off by less than 0.2 % for a phase that changes by 8 rad per rad, as it
+        does for a scatterer 45 mm off the phase reference.
         """
         span = np.pi if symmetric else 2 * np.pi
         angle = np.linspace(0, span, 181 if symmetric else 361)

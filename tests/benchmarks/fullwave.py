@@ -16,9 +16,9 @@ from itertools import product
 import numpy as np
 
 from tagid.constants import SPEED_OF_LIGHT
-from tagid.simulate.electromagnetic import ConductingCylinder
 from tagid.simulate.response import Ring
 from tagid.simulate.response_file import read_response
+from tests.benchmarks.electromagnetic import ConductingCylinder
 from tests.benchmarks.provenance import SHARED
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table

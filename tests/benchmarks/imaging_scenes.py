@@ -26,16 +26,14 @@ from tagid.imaging.types import BasebandScans, Image
 from tagid.pipeline.reconstruct import METHODS, make_image
 from tagid.simulate import (
     Acquisition,
-    ConductingCylinder,
     Recording,
     Scene,
     Wobble,
-    cardboard_box,
-    metal_box,
     scene_from_name,
 )
 from tagid.simulate import simulate_capture as record_scene
 from tagid.waveform import nominal_pulse, pulse_at
+from tests.benchmarks.electromagnetic import ConductingCylinder, cardboard_box, metal_box
 from tests.benchmarks.measure import timed
 from tests.benchmarks.provenance import SHARED
 from tests.benchmarks.run import Run
@@ -206,7 +204,7 @@ def held_out_percent(problem: Problem, row: str) -> float:
     scans, raw = problem.scans(METHODS[method].matched_filter), problem.scans(False)
     if method in ("bp", "bp-raw"):
         checked = check(scans, raw, problem.grid, None)
-        return 100 * checked.residual if checked is not None else float("nan")
+        return 100 * checked["residual"] if checked is not None else float("nan")
     # With the prior and the views a step of the image of all views.
     facts = problem.image(row, bare=True)[0].settings if method == "ats" else {}
     prior = Prior.of(facts)
@@ -223,7 +221,7 @@ def held_out_percent(problem: Problem, row: str) -> float:
 
     field = method == "ats" and prior.field
     checked = check(scans, raw, problem.grid, make, predicted if field else None)
-    return 100 * checked.residual if checked is not None else float("nan")
+    return 100 * checked["residual"] if checked is not None else float("nan")
 
 
 def random_points(count: int, views: int, noise: float, seed: int) -> Problem:

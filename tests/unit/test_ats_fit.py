@@ -180,6 +180,6 @@ def test_a_dozen_views_of_reflectors_are_predicted_better_than_by_fista() -> Non
         grid = ImageGrid(0.7, 96)
         sparse = check(scans, scans, grid, lambda some, grid=grid: sparse_recovery(some, grid))
         ats = check(scans, scans, grid, lambda some, grid=grid: fit(some, grid).image)
-        remaining.append((ats.residual, sparse.residual))
+        remaining.append((ats["residual"], sparse["residual"]))
     ours, theirs = np.sum(remaining, axis=0)
     assert ours < theirs

@@ -19,7 +19,8 @@ from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans
 from tagid.pipeline.reconstruct import METHODS, make_image, reconstruct
 from tagid.pipeline.settings import ImagingSettings
-from tagid.simulate import Acquisition, ConductingCylinder, Scene, simulate_capture
+from tagid.simulate import Acquisition, Scene, simulate_capture
+from tests.benchmarks.electromagnetic import ConductingCylinder
 
 GRID = ImageGrid(0.4, 56)
 POINTS = np.array([[0.11, 0.04], [-0.06, -0.12]])

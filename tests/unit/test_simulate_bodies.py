@@ -41,7 +41,6 @@ from tagid.simulate import (
 )
 from tagid.simulate.beside import BesideRound
 from tagid.simulate.bodies import Carton, RoundBody, Shell, sheet
-from tagid.simulate.electromagnetic import cylinder_series
 from tagid.simulate.multipole import Layer, Multipoles
 from tagid.simulate.noise import draw_noise
 from tagid.simulate.objects import METAL, WATER, Variation, tagged_object
@@ -49,6 +48,7 @@ from tagid.simulate.response_file import read_response
 from tagid.simulate.scatterers import Mounted, Octahedron, Rod, unit_of
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.simulate.specification import parse_length
+from tests.benchmarks.electromagnetic import cylinder_series
 
 DATA = Path(__file__).parents[1] / "data"
 SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[3] / "shared"))

@@ -30,14 +30,14 @@ from tagid.simulate import (
     scene_from_name,
     simulate_capture,
 )
-from tagid.simulate.electromagnetic import (
+from tagid.waveform import nominal_pulse, pulse_at
+from tests.benchmarks.electromagnetic import (
     BAND_HZ,
     ConductingCylinder,
     Plate,
     cylinder_series,
     metal_box,
 )
-from tagid.waveform import nominal_pulse, pulse_at
 
 POINTS = np.array([[0.11, 0.05], [-0.03, 0.12]])
 

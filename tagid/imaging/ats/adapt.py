@@ -39,15 +39,10 @@ from tagid.types import Samples
 
 
 def least_squares(operator: ForwardOperator, scans: Samples, iterations: Sequence[int]) -> Iterator[Samples]:
-    """Minimise ||A x - y||^2 from zero (CGLS; Hestenes and Stiefel, J. Res. NBS 49, 1952).
+    """Minimise ||A x - y||^2 from zero for scans y (views, bins) (CGLS; Hestenes and Stiefel, J. Res. NBS 49,
+    1952).
 
-    Args:
-        operator: A.
-        scans: y, (views, bins) complex64.
-        iterations: numbers of iterations after which x is wanted, ascending.
-
-    Yields:
-        x (points,) complex64 after each number of iterations.
+    Yields x (points,) complex64 after each of the ascending numbers of iterations.
     """
     x = np.zeros(operator.points, dtype=np.complex64)
     rest = np.asarray(scans, dtype=np.complex64).copy()
@@ -122,11 +117,8 @@ def image_without_field(
     progress: StepProgress | None = None,
     images: FirstImages | None = None,
 ) -> Image:
-    """The image of a prior that is no field.
-
-    Args:
-        prior: one without a field.
-        settings: of the field whose mean with sparse pixels is the image; the others are as of `fit`.
+    """The image of a prior that is no field. `settings` are those of the field whose mean with sparse pixels
+    is the image; the others are as of `fit`.
     """
     if prior is Prior.MEAN:
         quick = FitSettings.of(settings or AtsSettings())

@@ -134,12 +134,10 @@ class Unknowns:
 def begin(scans: BasebandScans, grid: ImageGrid, what: tuple[str, ...], harmonics: int) -> Unknowns:
     """Where the fit starts: the axis distance of the sharpest backprojection, and what sparse scenes teach.
 
-    Derivatives reach a centimetre, the tape measure that gave the distance may be off by three. A wobble of
-    2 % draws the neural scene to places from which it does not always come back, so that distance and wobble
-    are first learned with a few sparse scenes.
-
-    Raises:
-        UsageError: axis or wobble is to be learned from free antenna positions.
+    Derivatives reach a centimetre, the tape measure that gave the distance may be off by three. A wobble of 2
+    % draws the neural scene to places from which it does not always come back, so that distance and wobble
+    are first learned with a few sparse scenes. Raises UsageError: axis or wobble is to be learned from free
+    antenna positions.
     """
     start = Unknowns.none(scans, harmonics)
     wrong = sorted({"axis", "wobble"} & set(what)) if scans.aperture.angles is None else []
@@ -171,16 +169,10 @@ def angle_error(angles: Floats, wobble: NDArray[np.complex128]) -> Floats:
 def improve(
     scans: BasebandScans, points: Floats, sigma: Samples, now: Unknowns, what: tuple[str, ...]
 ) -> Unknowns:
-    """Gauss-Newton on the geometry, then gain and static component in closed form.
+    """Gauss-Newton on the geometry, then gain and static component in closed form: `what`, of `CALIBRATIONS`.
 
-    Args:
-        scans: measured scans with the nominal aperture.
-        points: (P, 2) m.
-        sigma: (P,) current reflectivity.
-        what: members of `CALIBRATIONS` to learn.
-
-    Returns:
-        A new estimate; the old one where the scene is blank.
+    The scans have their nominal aperture; the current reflectivity is sigma (P,) at points (P, 2), m. Returns
+    a new estimate; the old one where the scene is blank.
     """
     magnitude = np.abs(sigma)
     bright = magnitude > _BRIGHT * magnitude.max(initial=0)
@@ -400,7 +392,8 @@ def transmission(
     nepers: float,
     cell_m: float,
 ) -> NDArray[np.float32]:
-    """exp(-integral of nepers |sigma|^2 / max |sigma|^2 over the way in cells) for every view and pixel.
+    """(views, pixels^2) float32 exp(-integral of nepers |sigma|^2 / max |sigma|^2 over the way in cells), 0
+    to 1.
 
     The paper's transmission, two ways, computed between steps from the current image, so that the step itself
     stays linear in the scene. The power, not the amplitude: a scattered wave takes its power from the one
@@ -411,11 +404,7 @@ def transmission(
     Args:
         power: (pixels, pixels) |sigma|^2, index (y, x).
         positions: (views, 3) antenna positions, m.
-        nepers: attenuation of the amplitude, two ways, by one cell as bright as the brightest.
-        cell_m: length of a cell.
-
-    Returns:
-        (views, pixels^2) float32 in 0..1, row-major pixels.
+        nepers: attenuation of the amplitude, two ways, by a cell, `cell_m` long, as bright as the brightest.
     """
     top = float(power.max(initial=0))
     out = np.ones((len(positions), grid.pixels**2), dtype=np.float32)
@@ -445,17 +434,12 @@ def transmission(
 def illumination(
     points: NDArray[np.float64], positions: NDArray[np.float64], spreading: float, beam_width_rad: float
 ) -> NDArray[np.float32]:
-    """(R0 / R)^spreading 2^-(2 theta / width)^2 for every view and point, 1 at the origin.
+    """(views, points) float32 (R0 / R)^spreading 2^-(2 theta / width)^2, 1 at the origin, where the beam
+    looks.
 
-    Args:
-        points: (points, 2) m, in the plane z = 0.
-        positions: (views, 3) antenna positions, m; the beam looks at the origin.
-        spreading: exponent of the amplitude: 2 for a point reflector (radar equation), 0 for none.
-        beam_width_rad: full -3 dB width of the one-way power pattern, whose value is the two-way amplitude,
-            rad; 0 for all round.
-
-    Returns:
-        (views, points) float32.
+    Points (points, 2) are in the plane z = 0, antenna positions are (views, 3), m. The exponent of the
+    amplitude is 2 for a point reflector (radar equation), 0 for none; the width is the full -3 dB one of the
+    one-way power pattern, whose value is the two-way amplitude, rad, 0 for all round.
     """
     there = np.concatenate([points, np.zeros((len(points), 1))], axis=1)
     out = np.empty((len(positions), len(points)), dtype=np.float32)

@@ -423,11 +423,8 @@ SHARPENED = 3.0
 
 
 def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
-    """The engine that the settings ask for.
-
-    Raises:
-        MissingExtraError: it is not installed.
-        UsageError: it cannot do what is asked, or the device is not there.
+    """The engine that the settings ask for. Raises MissingExtraError: it is not installed. UsageError: it
+    cannot do what is asked, or the device is not there.
     """
     name = settings.engine
     if name == "auto" and settings.device == "cpu" and is_compiled():

@@ -129,17 +129,12 @@ class RaySamples:
 
 
 def positive_root(start: Floats, directions: Floats, radii: Floats) -> Floats:
-    """Depths l at which rays start + l d meet spheres about the origin: the positive root of eq. 5.
+    """(rays, bins) depths l at which rays start + l d meet spheres of radii R (bins,), m, about the origin
+    (eq. 5).
 
-    a = d.d, b = 2 x.d, c = x.x - R^2, l = (-b + sqrt(b^2 - 4ac)) / 2a.
-
-    Args:
-        start: (3,) origin of the rays relative to the spheres' centre, m.
-        directions: (rays, 3), of any length.
-        radii: (bins,) R, m.
-
-    Returns:
-        (rays, bins); nan where a ray misses a sphere or the root is not positive.
+    a = d.d, b = 2 x.d, c = x.x - R^2, l = (-b + sqrt(b^2 - 4ac)) / 2a, with start (3,) relative to the
+    centre, m, and directions (rays, 3) of any length; nan where a ray misses a sphere or the root is not
+    positive.
     """
     a = (directions**2).sum(axis=1)[:, None]
     b = 2 * (directions @ start)[:, None]
@@ -288,20 +283,14 @@ def fit_paper(
     settings: PaperSettings | None = None,
     progress: StepProgress | None = None,
 ) -> Image:
-    """Reconstruct by the paper's analysis through synthesis.
+    """Reconstruct by the paper's analysis through synthesis, from scans without matched filter.
 
     Minimises sum over views of |r_v(sigma(theta)) - y_v|^2 plus the sparsity term, y the real RF samples of
-    the scans divided by their peak, r the model of `synthesize_profile`.
+    the scans divided by their peak, r the model of `synthesize_profile`. `progress` is called after every
+    step with (steps done, steps, loss).
 
-    Args:
-        scans: preprocessed without matched filter.
-        grid: pixels wanted, about the origin.
-        settings: see `PaperSettings`.
-        progress: called after every step with (steps done, steps, loss).
-
-    Returns:
-        Image of sigma (1/m). Its settings hold the losses of the first and the last tenth of the steps,
-        relative to a blank image. Scans that are all zero give a zero image.
+    Returns the image of sigma (1/m). Its settings hold the losses of the first and the last tenth of the
+    steps, relative to a blank image. Scans that are all zero give a zero image.
     """
     settings = settings or PaperSettings()
     facts: dict[str, Any] = {"method": "ats", "preset": "paper", "engine": "torch", **asdict(settings)}

@@ -135,40 +135,44 @@ def draw_weights(
 ) -> FieldWeights:
     """Initial parameters: random ones from a seed, the same on every machine, that carry a first image.
 
-    Layers are uniform with variance 1 / (3 fan-in). The finest level holds the first image in its features,
-    and the first four hidden units pass it on as positive and negative real and imaginary parts. From
-    a random field a fit of a full turn often ends in a ring of points about the true one.
-
-    Args:
-        shape, grid: sizes of the field.
-        seed: of all that is random.
-        first: (cells + 1, cells + 1) image at the vertices of the finest level, rows along y, relative to
-            the scale; None: a dark field.
+    Layers are uniform with variance 1 / (3 fan-in). The finest level holds the first image, (cells + 1, cells
+    + 1) at its vertices, rows along y, relative to the scale, in its features, and the first four hidden
+    units pass it on as positive and negative real and imaginary parts; None: a dark field. From a random
+    field a fit of a full turn often ends in a ring of points about the true one.
     """
     rng = np.random.default_rng(seed)
-
-    def uniform(bound: float, *size: int) -> Array:
-        return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
-
-    tables = [uniform(TABLE_INIT, shape.features, n + 1, n + 1) for n in shape.cells]
+    tables = [uniform(rng, TABLE_INIT, shape.features, n + 1, n + 1) for n in shape.cells]
     inputs = shape.features * len(shape.cells)
     weights, biases = [], []
     for fan_in, fan_out in ((inputs, shape.width), (shape.width, 2 * shape.channels)):
         bound = 1 / np.sqrt(fan_in)
-        weights.append(uniform(bound, fan_out, fan_in))
-        biases.append(uniform(bound, fan_out, 1))
+        weights.append(uniform(rng, bound, fan_out, fan_in))
+        biases.append(uniform(rng, bound, fan_out, 1))
+    carry(first, tables, weights, biases)
+    return FieldWeights(tables, weights, biases, scale, grid.extent, grid.pixels)
+
+
+def uniform(rng: np.random.Generator, bound: float, *size: int) -> Array:
+    """Numbers within +- a bound."""
+    return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
+
+
+def carry(
+    first: NDArray[np.complexfloating] | None, tables: list[Array], weights: list[Array], biases: list[Array]
+) -> None:
+    """Make random parameters give a first image at the vertices of the finest level, in place."""
     hidden, output = weights
+    features, channels = len(tables[-1]), len(output) // 2
     output *= np.float32(REST)
     if first is not None and (peak := float(np.abs(first).max())) > 0:
         tables[-1][0] += (first.real / peak).astype(np.float32)
         tables[-1][1] += (first.imag / peak).astype(np.float32)
         for row, (part, sign) in enumerate(PARTS):
             hidden[row], biases[0][row], output[:, row] = 0, 0, 0
-            hidden[row, inputs - shape.features + part] = sign
-            output[shape.channels // 2 + part * shape.channels, row] = sign * peak
-    # What the biases alone give is an echo of the whole square: it would be the first thing to be unlearned.
+            hidden[row, hidden.shape[1] - features + part] = sign
+            output[channels // 2 + part * channels, row] = sign * peak
+    # What the biases alone give is an echo of the whole scene: it would be the first thing to be unlearned.
     biases[1][:] = -output @ np.maximum(biases[0], 0)
-    return FieldWeights(tables, weights, biases, scale, grid.extent, grid.pixels)
 
 
 def interpolation(pixels: int, cells: int) -> Array:
@@ -387,14 +391,11 @@ def view_arrays(
     aspect: NDArray[np.complexfloating],
     transmission: NDArray[np.floating] | None = None,
 ) -> ViewArrays:
-    """Arrays of all views.
+    """Arrays of all views of pixel centres (points, 2), m.
 
-    Args:
-        scans: samples and antenna positions.
-        points: (points, 2) pixel centres, m.
-        confidence: (views, bins) weight of every sample.
-        aspect: (views, channels) complex, what a view sees of every channel (its gain included).
-        transmission: (views, points) what is left of each point's echo; None: all.
+    `confidence` (views, bins) weighs the samples, `aspect` (views, channels) complex is what a view sees of
+    every channel (its gain included), `transmission` (views, points) what is left of each point's echo; None:
+    all.
     """
     samples = np.stack([scans.samples.real, scans.samples.imag]).astype(np.float32)
     return ViewArrays(
@@ -449,11 +450,8 @@ def first_image(scans: BasebandScans, grid: ImageGrid, cells: int, step: float) 
     From backprojection, whose sidelobes of a dozen views are half as bright as its points, the steps do not
     get rid of them: 8.8 % of unseen views are left of twelve views of reflectors, 2.7 % from here. From bare
     pixels the points stay where their pixels are: 1.0 mm off at 36 views, 0.6 mm from here. Where the sparse
-    solution is blank it is backprojection. The brightest vertices of a large image take part.
-
-    Args:
-        cells: of the finest level, a side.
-        step: factor by which backprojection explains the scans best.
+    solution is blank it is backprojection times `step`, by which that explains the scans best. The brightest
+    vertices of a large image take part.
     """
     axis = np.linspace(-grid.extent / 2, grid.extent / 2, cells + 1)
     vertices = np.stack([part.ravel() for part in np.meshgrid(axis, axis)], axis=1)

@@ -250,10 +250,8 @@ def setting_names() -> list[str]:
 def parse_settings(words: Iterable[str]) -> dict[str, Any]:
     """Arguments for `AtsSettings` of words KEY=VALUE, each of which may hold several after commas.
 
-    Values of a list are joined by "+": `calibrate=axis+wobble`. `adapt=0` means `prior=default`.
-
-    Raises:
-        UsageError: a name that does not exist, or a value of the wrong kind.
+    Values of a list are joined by "+": `calibrate=axis+wobble`. `adapt=0` means `prior=default`. Raises
+    UsageError: a name that does not exist, or a value of the wrong kind.
     """
     values: dict[str, Any] = {}
     for part in (p.strip() for word in words for p in word.split(",")):

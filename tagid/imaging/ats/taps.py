@@ -42,22 +42,15 @@ class Taps:
 
     @classmethod
     def of(cls, pixels: int, cells: list[int], wanted: NDArray[np.integer] | None = None) -> Taps:
-        """Taps of the pixel centres of a square grid.
-
-        Args:
-            pixels: a side of the grid.
-            cells: a side of every level; cells + 1 vertices.
-            wanted: numbers of the pixels, row-major; None: all.
+        """Taps of the pixel centres of a square grid of `pixels` a side, all or the `wanted` ones
+        (row-major), on levels of `cells` a side, which have cells + 1 vertices.
         """
         every = _every_tap(pixels, tuple(cells))
         return every if wanted is None else cls(every.index[wanted], every.weight[wanted], every.vertices)
 
     def interpolate(self, table: Array, out: Array) -> None:
-        """Features of the pixels from those of all vertices.
-
-        Args:
-            table: (vertices, features) float32.
-            out: (n, levels * features) float32, overwritten.
+        """Features of the pixels, into `out` (n, levels * features), from those of all vertices, (vertices,
+        features), float32.
         """
         if _compiled is None:
             near = self.weight[..., None] * table[self.index]
@@ -162,15 +155,9 @@ _MOST_SHARE = 0.9
 def first_support(
     strength: NDArray[np.floating], first: NDArray[np.floating], weight: float
 ) -> NDArray[np.bool_]:
-    """Pixels of the first steps: where backprojection is bright, and those of the image to begin with.
-
-    Args:
-        strength: (pixels, pixels) |A^H y|.
-        first: (pixels, pixels) magnitude of the image to begin with.
-        weight: of the sparsity prior beside 1/2 ||A sigma - y||^2.
-
-    Returns:
-        (pixels, pixels) whether a fit works on a pixel; the others are zero.
+    """(pixels, pixels) whether the first steps work on a pixel: where backprojection is bright, and in the
+    first image; others are zero. `strength` is |A^H y|, `first` the magnitude of that image, both (pixels,
+    pixels), and `weight` that of the sparsity prior beside 1/2 ||A sigma - y||^2.
     """
     bright = strength > max(weight, _FIRST_SHARE * float(strength.max()))
     return _with_neighbours(bright | (first > _FAINT * float(first.max())))
@@ -180,11 +167,8 @@ def next_support(
     magnitude: NDArray[np.floating], strength: NDArray[np.floating], weight: float
 ) -> NDArray[np.bool_]:
     """Pixels after a check: the bright ones, those that the residual asks for, and their neighbours.
-
-    Args:
-        magnitude: (pixels, pixels) |sigma|, zero outside the present support.
-        strength: (pixels, pixels) |A^H (y - A sigma)|.
-        weight: see `first_support`.
+    `magnitude` is |sigma|, zero outside the present support, `strength` |A^H (y - A sigma)|; the rest as
+    `first_support`.
     """
     bright = magnitude > _FAINT * float(magnitude.max())
     return _with_neighbours(bright | (strength > max(weight, _ASKING * float(strength.max()))))

@@ -9,7 +9,6 @@ sigma(p) = network(grid features at p), y = A sigma, loss = |y - measured|^2 / |
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,17 +17,15 @@ from numpy.typing import NDArray
 
 from tagid.geometry import VolumeGrid
 from tagid.imaging.ats.fit import MEAN_OVER, SHARPENED, sparsity_weight, unshrinking
-from tagid.imaging.ats.problem import MAGNITUDE_FLOOR, PARTS, REST, TABLE_INIT
+from tagid.imaging.ats.problem import MAGNITUDE_FLOOR, TABLE_INIT, Array, carry, uniform
 from tagid.imaging.ats.settings import DECAY, LEARNING_RATE, FieldPrior
 from tagid.imaging.ats.taps import BETA1, BETA2, EPSILON, SMALLEST
 from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.types import BasebandScans
-from tagid.imaging.volume import Volume, backproject_volume, vertical_resolution_m
+from tagid.imaging.volume import Volume, backproject_volume, part_of, vertical_resolution_m
 from tagid.types import Progress
-
-Array = NDArray[np.float32]
 
 _CELLS_PER_RESOLUTION = 2.0
 """Cells of the finest level per vertical resolution, as in the plane per null radius of the point
@@ -58,26 +55,14 @@ def fit_volume(
     progress: Progress | None = None,
     steps: int = STEPS,
 ) -> Volume:
-    """Reconstruct a volume by analysis through synthesis.
+    """Reconstruct a volume by analysis through synthesis of `scans`; their matched-filtered ones give the
+    backprojection that seeds the fit.
 
-    Args:
-        matched: baseband scans with matched filter, for the backprojection that seeds the fit.
-        scans: the same without, which the field is fitted to.
-        progress: called with (done, total, remark).
-
-    Raises:
-        UsageError: the volume or the fit would not fit into memory.
+    Raises UsageError: the volume or the fit would not fit into memory.
     """
-
-    def part(begin: float, end: float) -> Callable[[float, float, str], None]:
-        def report(done: float, total: float, remark: str) -> None:
-            if progress is not None:
-                progress(begin + (end - begin) * done / max(total, 1), 1.0, remark)
-
-        return report
-
-    first = backproject_volume(matched, grid, part(0, _SEED_SHARE))
-    values, facts = _Fit(scans, grid, steps, np.abs(first.values).ravel()).run(part(_SEED_SHARE, 1))
+    first = backproject_volume(matched, grid, part_of(progress, 0, _SEED_SHARE))
+    bright = np.abs(first.values).ravel()
+    values, facts = _Fit(scans, grid, steps, bright).run(part_of(progress, _SEED_SHARE, 1))
     shape = (grid.levels, grid.square.pixels, grid.square.pixels)
     fixed = {
         "learning_rate": LEARNING_RATE, "decay": DECAY, "l1": FieldPrior.l1,
@@ -236,24 +221,12 @@ class Field:
         """A field whose output is a first image, beside random features: (vertices,) of the finest level,
         relative to the scale."""
         rng = np.random.default_rng(_SEED)
-
-        def uniform(bound: float, *size: int) -> Array:
-            return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
-
-        tables = [uniform(TABLE_INIT, _FEATURES, level.vertices) for level in at]
-        inputs, peak = _FEATURES * len(at), float(np.abs(first).max(initial=1e-30))
-        hidden, output = uniform(inputs**-0.5, _WIDTH, inputs), uniform(_WIDTH**-0.5, 2, _WIDTH)
-        output *= np.float32(REST)
-        biases = [uniform(inputs**-0.5, _WIDTH, 1), np.zeros((2, 1), np.float32)]
-        tables[-1][0] += (first.real / peak).astype(np.float32)
-        tables[-1][1] += (first.imag / peak).astype(np.float32)
-        for row, (part, sign) in enumerate(PARTS):
-            hidden[row], biases[0][row], output[:, row] = 0, 0, 0
-            hidden[row, inputs - _FEATURES + part] = sign
-            output[part, row] = sign * peak
-        # What the biases alone give is an echo of the whole volume.
-        biases[1][:] = -output @ np.maximum(biases[0], 0)
-        return cls([*tables, hidden, output, *biases], at, scale)
+        tables = [uniform(rng, TABLE_INIT, _FEATURES, level.vertices) for level in at]
+        inputs = _FEATURES * len(at)
+        weights = [uniform(rng, inputs**-0.5, _WIDTH, inputs), uniform(rng, _WIDTH**-0.5, 2, _WIDTH)]
+        biases = [uniform(rng, inputs**-0.5, _WIDTH, 1), np.zeros((2, 1), np.float32)]
+        carry(first, tables, weights, biases)
+        return cls([*tables, *weights, *biases], at, scale)
 
     def layers(self) -> list[Array]:
         """Features, hidden layer and output, each (units, voxels)."""

@@ -144,12 +144,7 @@ class Named:
 
 
 class Basis:
-    """Least squares of the harmonics of an object of one radius.
-
-    Args:
-        wavenumbers: (F,) rad/m.
-        radius_m: of the object, m.
-    """
+    """Least squares of the harmonics of an object of one radius, m, at wavenumbers (F,), rad/m."""
 
     def __init__(self, wavenumbers: NDArray[np.float64], radius_m: float) -> None:
         self.order = order_of(float(wavenumbers[-1]), radius_m)
@@ -348,10 +343,10 @@ class _Estimate:
         """Errors of the angles of all captures, one by one, then poses, gains and harmonics."""
         for _ in range(_STEADYING):
             for i, recorded in enumerate(self.captures):
-                corrected = steadied(recorded, self.signature, self.placed[i].pose)
+                near, spectra = steadied(recorded, self.signature, self.placed[i].pose)
                 # The frame is that of the first.
-                pose = self.placed[i].pose if i == self.order[0] else corrected.pose
-                self.placed[i] = replace(self.placed[i], spectra=corrected.spectra, pose=pose)
+                pose = self.placed[i].pose if i == self.order[0] else near.pose
+                self.placed[i] = replace(self.placed[i], spectra=spectra, pose=pose)
             self.solve()
             self.alternate(1)
             self.balance()
@@ -368,10 +363,8 @@ def estimate(
 ) -> Joint:
     """Joint signature of captures of one object that was turned and moved between them; not yet checked.
 
-    Args:
-        captures: at the same frequencies, any number of views each.
-        name, kind: of the signature.
-        radius_m: of the object with its tag, m; None finds it by generalised cross-validation over RADII_M.
+    They are at the same frequencies, of any number of views each. The radius is that of the object with its
+    tag, m; None finds it by generalised cross-validation over RADII_M.
     """
     spectra = [capture.spectra for capture in captures]
     if radius_m is not None:
@@ -452,11 +445,8 @@ def _residuals(captures: Sequence[Named], work: _Estimate) -> tuple[Residual, ..
 def enroll_signature(captures: Sequence[Named], name: str, kind: SignatureKind) -> Joint:
     """A signature that its captures confirm.
 
-    Args: as of `estimate`.
-
-    Raises:
-        DataError: too few captures, other bands, nothing but noise, one pose in all captures, or a residual
-            that is not noise; the capture to blame is named where one is.
+    Raises DataError: too few captures, other bands, nothing but noise, one pose in all captures, or a
+    residual that is not noise; the capture to blame is named where one is.
     """
     if len(captures) < CAPTURES:
         raise DataError(

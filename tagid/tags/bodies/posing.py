@@ -76,16 +76,11 @@ def descend(
 ) -> tuple[NDArray[np.float64], float]:
     """Levenberg-Marquardt with the linear amplitudes eliminated (variable projection, Kaufman 1975).
 
-    Args:
-        spectra: data.
-        model: from parameters (P,); the first two are the centre, m.
-        x: (P,) start.
-        iterations: at most.
-        sigmas: (P,) standard deviations of the parameters about 0, inf where they are free; None: those of
-            the centre are CENTRE_SIGMA_M, the others are free.
+    The model is one of parameters (P,), of which the first two are the centre, m. They begin at x and have
+    the standard deviations `sigmas` (P,) about 0, inf where they are free; None: those of the centre are
+    CENTRE_SIGMA_M, the others are free.
 
-    Returns:
-        Parameters, and the energy not explained, in the units of the spectra.
+    Returns parameters, and the energy not explained, in the units of the spectra.
     """
     if sigmas is None:
         sigmas = np.full(len(x), np.inf)
@@ -171,13 +166,8 @@ def at_pose(at: Standpoint, weights: NDArray[np.complex128]) -> Linear:
 def refine(
     spectra: Spectra, signature: Signature, pose: Pose, *, split: bool = False, iterations: int = 12
 ) -> Match:
-    """The pose near a start where a signature explains most.
-
-    Args:
-        spectra, signature: at the same frequencies.
-        pose: start.
-        split: give the round part (m = 0) a gain of its own.
-        iterations: at most.
+    """The pose near a start where a signature explains most of spectra at the same frequencies; its round
+    part (m = 0) has a gain of its own if `split`.
     """
     order = signature.order
 
@@ -200,17 +190,12 @@ def refine(
 
 
 class PoseSearch:
-    """Coarse search for the pose of any signature in one capture.
+    """Coarse search for the pose of any signature, of harmonics up to `order`, in one capture.
 
-    What depends on the capture alone is computed once: at every centre of a grid, the products of the
-    harmonics with the data, with the room and a body of revolution, and with each other. The last depend on
-    differences of harmonics only, so all rotations of a signature cost four Fourier transforms per centre and
-    frequency.
-
-    Args:
-        spectra: capture.
-        order: largest harmonic that will be requested.
-        around: centres tried in addition to those of the grid, x + jy, m.
+    What depends on the capture alone is computed once: at every centre of a grid, and at those `around`, x +
+    jy, m, the products of the harmonics with the data, with the room and a body of revolution, and with each
+    other. The last depend on differences of harmonics only, so all rotations of a signature cost four Fourier
+    transforms per centre and frequency.
     """
 
     def __init__(self, spectra: Spectra, order: int, around: tuple[complex, ...] = ()) -> None:
@@ -310,13 +295,8 @@ def matches(
 ) -> list[Match]:
     """Poses of a signature in a capture, over all rotations and centres near the axis, best first.
 
-    Args:
-        spectra: capture.
-        signature: what is looked for.
-        search: of that capture.
-        split: give the round part a gain of its own, for a signature whose m = 0 is not known yet.
-
-    Raises DataError where the two are at different frequencies.
+    The search is of that capture; `split` gives the round part a gain of its own, for a signature whose m = 0
+    is not known yet. Raises DataError where the two are at different frequencies.
     """
     refined: list[Match] = []
     for start in search.candidates(signature, STARTS):

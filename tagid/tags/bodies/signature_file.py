@@ -50,11 +50,7 @@ def to_bytes(signature: Signature) -> bytes:
 
 
 def from_bytes(data: bytes, where: str) -> Signature:
-    """A signature from bytes of any origin.
-
-    Args:
-        data: see the module.
-        where: for messages, e.g. "registry.sqlite, body cup".
+    """A signature from bytes of any origin; `where` is for messages, e.g. "registry.sqlite, body cup".
 
     Raises FileFormatError where they are damaged, from a newer tagid, or hold impossible values.
     """

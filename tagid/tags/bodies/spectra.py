@@ -49,13 +49,8 @@ class Spectra:
 
     @classmethod
     def of(cls, scans: BasebandScans, wavenumbers: NDArray[np.float64]) -> Spectra:
-        """Spectra of scans made without a matched filter, in a window of 0.42 m about the axis.
-
-        Args:
-            scans: see above.
-            wavenumbers: (F,) kappa, equally spaced, rad/m.
-
-        Raises DataError where fewer than 4 range bins lie in the window.
+        """Spectra, at equally spaced kappa (F,), rad/m, of scans made without a matched filter, in a window
+        of 0.42 m about the axis. Raises DataError where fewer than 4 range bins lie in it.
         """
         positions, turn = scans.aperture.positions, wavenumbers - 2 * scans.wavenumber
         data, distance, noise = transformed(scans, turn)
@@ -103,12 +98,9 @@ def transformed(
 ) -> tuple[NDArray[np.complex128], float, float]:
     """Spectra (F, V) in a window about the axis, mean distance from axis to antenna, m, and noise variance.
 
-    Args:
-        scans: made without a matched filter.
-        turn: (F,) kappa over that of the carrier, rad/m.
-        gain: by which the density of the noise has changed.
-
-    Raises DataError where fewer than 4 range bins lie in the window.
+    The scans are made without a matched filter; `turn` (F,) is kappa over that of the carrier, rad/m, and
+    `gain` that by which the density of the noise has changed. Raises DataError where fewer than 4 range bins
+    lie in the window.
     """
     reach = np.linalg.norm(scans.aperture.positions, axis=1)
     distance = float(reach.mean())

@@ -7,12 +7,12 @@ its noise. The errors of the angles are parameters of the object's place, like i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.bodies.posing import CENTRE_SIGMA_M, Linear, at_pose, descend
+from tagid.tags.bodies.posing import CENTRE_SIGMA_M, Linear, Match, at_pose, descend
 from tagid.tags.bodies.signature import Pose, Signature, Standpoint, turned
 from tagid.tags.bodies.spectra import Spectra
 
@@ -23,28 +23,8 @@ SIGMA_RAD = 0.01
 is uneven by as much at every harmonic."""
 
 
-@dataclass(frozen=True, eq=False)
-class Steadied:
-    """An object where its turn may have been uneven.
-
-    Attributes:
-        pose: of the object.
-        spectra: the scans, seen from where they were taken.
-        residual: energy not explained, in the units of the spectra.
-    """
-
-    pose: Pose
-    spectra: Spectra
-    residual: float
-
-
-def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
-    """The best pose near a start, together with the errors of the angles.
-
-    Args:
-        spectra, signature: at the same frequencies.
-        pose: start.
-    """
+def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> tuple[Match, Spectra]:
+    """The best match near a start, and the spectra seen from where they were taken."""
     shapes = _harmonics(spectra.antenna)
 
     def model(x: NDArray[np.float64]) -> Linear:
@@ -62,7 +42,7 @@ def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
     sigmas = np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, *sigmas])
     end, residual = descend(spectra, model, start, sigmas=sigmas)
     x, y, turn = (float(value) for value in end[:3])
-    return Steadied(Pose((x, y), turn % (2 * np.pi)), _turned_by(spectra, end[3:] @ shapes), residual)
+    return Match(Pose((x, y), turn % (2 * np.pi)), residual), _turned_by(spectra, end[3:] @ shapes)
 
 
 def _harmonics(antenna: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -42,17 +42,12 @@ class SearchTooLongError(Exception):
 def farthest_set(
     distance: NDArray[np.float64], count: int, rng: np.random.Generator, nodes: int = NODES
 ) -> FarSet:
-    """`count` rows of a symmetric distance matrix with the largest minimum distance found.
+    """`count` rows of a symmetric distance matrix (n, n) with the largest minimum distance found.
 
     Bisection over the distances that occur: for each, search a set with at least this pairwise distance (a
-    clique), greedily from random starts, preferring candidates compatible with the most others. The
-    best set is improved by more starts, then by the exact search until no larger distance is possible.
-
-    Args:
-        distance: (n, n), n >= count.
-        count: number of rows.
-        rng: for the random starts.
-        nodes: total branches of the exact search.
+    clique), greedily from random starts, preferring candidates compatible with the most others. The best set
+    is improved by more starts, then by the exact search, of so many branches in total, until no larger
+    distance is possible.
     """
     n = len(distance)
     if count == 1:

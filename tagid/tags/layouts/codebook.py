@@ -74,15 +74,11 @@ def in_space(layout: Layout, height_weight: float) -> NDArray[np.float64]:
 def rotational_distance(
     a: Layout, b: Layout, centre_tolerance_m: float = CENTRE_TOLERANCE_M, height_weight: float = 0.0
 ) -> LayoutDistance:
-    """Smallest distance of two layouts over rotations, shifts up to the tolerance, and pairings.
+    """Smallest distance of two layouts over rotations, shifts up to the tolerance, m, and pairings.
 
     Mirror images are distinct: an object is never seen from below. Heights are compared after the best common
-    shift, because the height of the object's plane is not known exactly.
-
-    Args:
-        a, b: the layouts.
-        centre_tolerance_m: longest shift, m.
-        height_weight: see `height_weight`; 0: heights do not distinguish layouts.
+    shift, because the height of the object's plane is not known exactly; with a `height_weight` of 0 they do
+    not distinguish layouts.
 
     >>> from tagid.tags.layouts.layout import builtin_layouts
     >>> b = builtin_layouts()
@@ -146,16 +142,10 @@ def _risen(points: NDArray[np.float64], partners: NDArray[np.float64]) -> NDArra
 def best_places(
     points: NDArray[np.float64], partners: NDArray[np.float64], tolerance_m: float = np.inf
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Rotations and shifts, within the tolerance, that best align points with their partners.
+    """Rotations (...), rad, and shifts (..., 2), within the tolerance, m, that best align points with their
+    partners, (..., K, 2), broadcast against each other; before them the residual RMS distances (...), m.
 
     The unlimited optimum is Kabsch's (1976); if its shift is too long, see `_held_turn`.
-
-    Args:
-        points, partners: (..., K, 2), broadcast against each other, m.
-        tolerance_m: longest shift, m.
-
-    Returns:
-        residual RMS distance (...), m; rotation (...), rad; shift (..., 2), m.
     """
     p = points[..., 0] + 1j * points[..., 1]
     q = partners[..., 0] + 1j * partners[..., 1]
@@ -203,12 +193,8 @@ def _held_turn(
 
     One term grows with the distance from the angle that fits the shapes, the other with that from the angle
     that fits the means. The minimum is on the shorter arc between the two; it is bracketed on a grid and
-    refined by the secant method on the slope.
-
-    Args:
-        cross: (n,) mean of conj(p) q of the centred points, m^2.
-        centroid, other_centroid: (n,) means of the points and of their partners, m.
-        tolerance_m: longest shift, m.
+    refined by the secant method on the slope. `cross` (n,) is the mean of conj(p) q of the centred points,
+    m^2; the centroids (n,) are means of the points and of their partners, m.
     """
     begin = np.angle(cross)
     arc = np.angle(other_centroid * centroid.conj() * np.exp(-1j * begin))
@@ -242,13 +228,10 @@ def all_distances(
 ) -> NDArray[np.float64]:
     """(n, n) rotational distances (RMS over reflectors, m) of layouts (n, K, 2), K! pairings each.
 
-    Same result as `rotational_distance` of every pair, vectorised: the unlimited shift bounds
-    every pairing, so the limited shift is computed only where it could still be the smallest.
-
-    Args:
-        points: (n, K, 2) m, or (n, K, 3) with weighted heights, which are compared after a common shift.
-        centre_tolerance_m: longest shift, m.
-        mirrored: compare every layout with the mirror image of every other.
+    Same result as `rotational_distance` of every pair, vectorised: the unlimited shift bounds every pairing,
+    so the limited shift is computed only where it could still be the smallest. Of layouts (n, K, 3) the
+    weighted heights are compared after a common shift. If `mirrored`, every layout is compared with the
+    mirror image of every other.
     """
     z = points[..., 0] + 1j * points[..., 1]
     images = z.conj() if mirrored else z
@@ -325,12 +308,11 @@ def _nearest_pairing(small: NDArray[np.float64], large: NDArray[np.float64], tol
 
 
 def least_assignment(cost: NDArray[np.floating]) -> NDArray[np.intp]:
-    """(rows,) column of each row such that no column is taken twice and the sum of the costs is least.
+    """(rows,) column of each row of costs (rows, columns), such that no column is taken twice and the sum is
+    least.
 
-    Shortest augmenting paths with potentials (R. Jonker, A. Volgenant, Computing 38, 1987).
-
-    Args:
-        cost: (rows, columns) with no more rows than columns.
+    Shortest augmenting paths with potentials (R. Jonker, A. Volgenant, Computing 38, 1987); no more rows than
+    columns.
     """
     rows, columns = cost.shape
     by_row, by_column = np.zeros(rows), np.zeros(columns)

@@ -46,10 +46,8 @@ class DesignRules:
         reflectors: reflectors per layout.
         slots: equal angular steps around the object.
         spacing_m: minimum distance of two reflectors in space, m: a reflector's width.
-        resolution_m: minimum distance in plan view, m: closer ones merge into one point.
         mirror_counts: whether a layout and its mirror image may both be used; False if the direction of
             rotation is unknown, because they then read the same.
-        centre_tolerance_m: largest offset of an object from the axis; smaller shifts do not separate layouts.
         seed: random seed of the search for the best set.
         antenna_heights_m: heights of the antenna above the object's plane at which every object is recorded;
             with several, layouts may differ in the heights of their reflectors alone.
@@ -59,9 +57,7 @@ class DesignRules:
     reflectors: int = 3
     slots: int = 12
     spacing_m: float = REFLECTOR_M
-    resolution_m: float = MIN_SPACING_M
     mirror_counts: bool = True
-    centre_tolerance_m: float = CENTRE_TOLERANCE_M
     seed: int = 0
     antenna_heights_m: tuple[float, ...] = (0.0,)
     axis_distance_m: float = 1.0
@@ -84,13 +80,8 @@ class DesignRules:
             raise UsageError("the antenna heights are not finite numbers", "Give metres, e.g. 0,0.15,0.3.")
         if not (np.isfinite(self.axis_distance_m) and self.axis_distance_m > 0):
             raise UsageError(f"the axis distance is {self.axis_distance_m} m", "Give a positive distance.")
-        for name in ("spacing_m", "resolution_m", "centre_tolerance_m"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and 0 <= value <= 1):
-                raise UsageError(
-                    f"{name.removesuffix('_m').replace('_', ' ')} is {value:g} m",
-                    "Give 0 to 1, in metres, not millimetres.",
-                )
+        if not (np.isfinite(self.spacing_m) and 0 <= self.spacing_m <= 1):
+            raise UsageError(f"spacing is {self.spacing_m:g} m", "Give 0 to 1, in metres, not millimetres.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,18 +114,13 @@ def design(
     prefix: str | None = None,
     beside: Sequence[Layout] = (),
 ) -> Family:
-    """The `count` layouts on an object with the largest minimum rotational distance.
+    """The `count` layouts on an object, in all its rows, with the largest minimum rotational distance.
 
-    Args:
-        target: object with its rows; every row is used.
-        rules: reflectors, slots and physical limits.
-        count: number of layouts.
-        prefix: prefix of the names; None gives the object, the rules and three characters that tell this set
-            from others, as in helmet-r3s12-4fd-01.
-        beside: layouts already in use; candidates that could be confused with them are excluded.
+    `prefix` begins the names; None gives the object, the rules and three characters that tell this set from
+    others, as in helmet-r3s12-4fd-01. Candidates that could be confused with layouts in use, `beside`, are
+    excluded.
 
-    Raises:
-        UsageError: fewer than `count` layouts meet the rules; the message says how many do.
+    Raises UsageError: fewer than `count` layouts meet the rules; the message says how many do.
     """
     if not 1 <= count <= MAX_COUNT:
         raise UsageError(f"cannot design {count} layouts", f"Ask for 1 to {MAX_COUNT}.")
@@ -208,7 +194,7 @@ def candidates(
         points, heights = _placed([slot for slot, _ in beads], rows, rules.slots)
         flat = _nearest(points, np.zeros(len(points)))
         space = _nearest(points, heights)
-        if flat < rules.resolution_m - 1e-9 or space < rules.spacing_m - 1e-9:
+        if flat < MIN_SPACING_M - 1e-9 or space < rules.spacing_m - 1e-9:
             continue
         seen = _seen([slot for slot, _ in beads], rows, rules)
         if seen not in kept or space > kept[seen][0] + 1e-9:
@@ -245,7 +231,7 @@ def _taken(points: NDArray[np.float64], beside: Sequence[Layout], rules: DesignR
     images = (points,) if rules.mirror_counts else (points, points * flip)
     weight = rules.height_weight
     return any(
-        best_pairing(image, in_space(other, weight), rules.centre_tolerance_m).worst_m < CONFUSABLE_M
+        best_pairing(image, in_space(other, weight), CENTRE_TOLERANCE_M).worst_m < CONFUSABLE_M
         for other in beside
         if other.size == len(points)
         for image in images
@@ -294,7 +280,7 @@ def distance_matrix(points: NDArray[np.float64], rules: DesignRules) -> NDArray[
             f"{n} candidate layouts of {k} reflectors are too many to compare",
             "Reduce `slots`, `reflectors` or `rows`, or increase `spacing`.",
         )
-    straight = all_distances(points, rules.centre_tolerance_m)
+    straight = all_distances(points)
     if rules.mirror_counts:
         return straight
-    return np.minimum(straight, all_distances(points, rules.centre_tolerance_m, mirrored=True))
+    return np.minimum(straight, all_distances(points, mirrored=True))

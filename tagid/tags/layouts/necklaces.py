@@ -38,20 +38,13 @@ def mirrored(word: tuple[Bead, ...]) -> tuple[Bead, ...]:
 def necklaces(
     slots: int, weight: int, colours: int = 1, *, mirror_counts: bool = True
 ) -> list[tuple[Bead, ...]]:
-    """All necklaces with `weight` of `slots` occupied, each occupied slot in one of `colours`.
+    """All necklaces with `weight` of `slots` occupied, each in one of `colours` (rings or rows): the smallest
+    rotation of each, sorted.
 
-    Args:
-        slots: number of equal steps of the ring.
-        weight: number of occupied slots.
-        colours: number of ways to occupy a slot (rings or rows).
-        mirror_counts: whether a necklace and its mirror image are distinct; they are one if the direction of
-            rotation is unknown.
+    If not `mirror_counts`, a necklace and its mirror image are one, as where the direction of rotation is
+    unknown.
 
-    Returns:
-        smallest rotation of each, sorted.
-
-    Raises:
-        UsageError: no necklace exists, or more than MAX_WORDS words to examine.
+    Raises UsageError: no necklace exists, or more than MAX_WORDS words to examine.
 
     >>> [len(necklaces(12, k)) for k in (2, 3, 4)]
     [6, 19, 43]

@@ -1,8 +1,8 @@
-"""Cylinders by the exact series and plates by physical optics, for scenes without a tag.
+"""Cylinders by the exact series and plates by physical optics, for the objects that imaging is compared on.
 
 Point models do not show the effect of an imaging method on a can or a box. These bodies have the correct
 amplitude, phase and frequency dependence in one unit, so cans and boxes can share a scene. Bodies that carry
-a tag are in `bodies`.
+a tag are in `tagid.simulate.bodies`.
 
 Amplitudes are scattering lengths b in metres, E_scattered = b exp(-jkR) / R for a unit incident field; the
 radar cross-section is 4 pi |b|^2. Bodies provide points (`scattering.Body`): a frequency-dependent response
