@@ -76,7 +76,8 @@ def bytecode(remembered: Path) -> None:
         folder.mkdir()
     except FileExistsError:
         return
-    subprocess.run([sys.executable, "-c", COMPILE], env={**os.environ, "PYTHONDONTWRITEBYTECODE": ""})
+    writing = {**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
+    subprocess.run([sys.executable, "-c", COMPILE], env=writing, capture_output=True)
 
 
 @pytest.fixture(scope="session")
