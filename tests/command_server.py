@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import os
+import pkgutil
 import runpy
 import selectors
 import signal
@@ -27,9 +28,10 @@ from pathlib import Path
 from typing import Any
 
 IMPORTS = (
-    "tagid.cli.app", "tagid.pipeline.identify", "tagid.pipeline.prepared", "tagid.pipeline.reconstruct",
-    "tagid.simulate", "tagid.storage.hdf5", "tagid.storage.importers", "tagid.reading.reader",
-    "PIL.Image", "pydantic", "rich.console", "rich.progress", "rich.table", "sqlite3",
+    "tagid.cli.app", "tagid.operate.workplace", "tagid.pipeline.reconstruct", "tagid.reading.reader",
+    "tagid.report.table", "tagid.simulate", "tagid.storage.exporters", "tagid.storage.history",
+    "PIL.Image", "importlib.metadata", "numpy.fft", "numpy.ma", "numpy.random", "pydantic.plugin._loader",
+    "rich.console", "rich.progress", "rich.table", "sqlite3", "tomli_w", "tomllib", "typer._adapters",
 )  # fmt: skip
 """What most commands import. None of it starts a thread, or reads what a test changes in the environment."""
 
@@ -159,6 +161,8 @@ def main() -> None:
     for name in IMPORTS:
         with suppress(ImportError):  # those of other packages are theirs to change
             import_module(name)
+    for command in pkgutil.iter_modules(import_module("tagid.cli").__path__, "tagid.cli."):
+        import_module(command.name)
     for folder in sys.argv[2:]:
         import_module("remembered").remember(Path(folder))
     words = _serve(listening)

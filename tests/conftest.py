@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -45,6 +47,37 @@ def remembered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder.mkdir(exist_ok=True)
     remember(folder)
     return folder
+
+
+COMPILE = """
+import contextlib, importlib, pkgutil
+names = ["distributed.cli.dask_worker", "typer._adapters", "uvicorn.protocols.http.h11_impl"]
+for package in ("tagid", "firmware_tools"):
+    path = importlib.import_module(package).__path__
+    names += [module.name for module in pkgutil.walk_packages(path, package + ".", onerror=lambda name: None)]
+for name in names:
+    if ".ats" not in name and "__main__" not in name and not name.startswith("firmware_tools.bridge"):
+        with contextlib.suppress(Exception):
+            importlib.import_module(name)
+"""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def bytecode(remembered: Path) -> None:
+    """Byte code for the hundreds of interpreters that a whole run starts, where the environment keeps none.
+
+    They read it only: one whose files may not grow would leave half of a module to the others.
+    """
+    if not (sys.dont_write_bytecode and "PYTEST_XDIST_WORKER" in os.environ):
+        return
+    folder = remembered.with_name("bytecode")
+    os.environ["PYTHONPYCACHEPREFIX"] = str(folder)
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        return
+    writing = {**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
+    subprocess.run([sys.executable, "-c", COMPILE], env=writing, capture_output=True)
 
 
 @pytest.fixture(scope="session")

@@ -127,19 +127,6 @@ def test_scan_without_a_radar_says_what_to_configure(tagid) -> None:
     assert "--demo" in done.err
 
 
-def test_silent_radar_is_device_unavailable(tagid) -> None:
-    import socket
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        url = f"udp://127.0.0.1:{silent.getsockname()[1]}"
-        done = tagid(
-            "scan", "--radar", url, "--axis-distance", 1, "--output", "json", TAGID_RADAR_TIMEOUT_S="0.1"
-        )
-    assert done.code == 4
-    assert done.json["errors"][0]["code"] == "device_timeout"
-
-
 def test_enroll_prints_distances_and_refuses_what_could_be_confused(tagid, tmp_path: Path) -> None:
     points = ("--point", "0.1,0", "--point", "-0.05,0.03", "--point", "0.02,-0.09")
     done = tagid("enroll", "mine", *points, "--kind", "helmet", "--output", "json")
@@ -161,22 +148,6 @@ def test_enroll_prints_distances_and_refuses_what_could_be_confused(tagid, tmp_p
     assert [c["action"] for c in history if c["name"] == "mine"] == ["add", "remove"]
     assert tagid("enroll", "x", "--point", "1;2").code == 2
     assert tagid("enroll", "x").code == 2
-
-
-def test_enroll_from_captures_measures_the_object(tagid, tmp_path: Path) -> None:
-    for seed in (1, 2):
-        tagid(
-            "simulate", "container-90", "--views", 24, "--out", f"{seed}.tagid.h5", "--rotation", 70 * seed,
-            "--seed", seed,
-        )  # fmt: skip
-    done = tagid(
-        "enroll", "again", "--capture", "1.tagid.h5", "--capture", "2.tagid.h5", "--force", "--output", "json"
-    )
-    assert done.code == 0, done.err
-    positions = np.array(done.json["data"]["layout"]["positions_m"])
-    assert len(positions) == 2
-    assert np.linalg.norm(positions[0] - positions[1]) == pytest.approx(0.045 * np.sqrt(2), abs=0.004)
-    assert done.json["data"]["confusable"] == ["container-90"]
 
 
 def test_no_color_and_quiet(tagid) -> None:

@@ -32,7 +32,7 @@ def files(tmp_path: Path) -> Path:
     for i, (centre, turn) in enumerate(positions):
         write(tmp_path / f"mug{i}.npz", MUG, i, centre, turn)
         write(tmp_path / f"tagged{i}.npz", MUG.plus(TAG), 10 + i, centre, turn)
-    write(tmp_path / "seen.npz", MUG.plus(TAG), 30, 0.004 - 0.004j, 1.0, views=36)
+    write(tmp_path / "seen.npz", MUG.plus(TAG), 30, 0.004 - 0.004j, 1.0, views=20)
     return tmp_path
 
 

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 import stat
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,33 +19,20 @@ from tagid.motion.urls import open_motion
 from tagid.simulate import Acquisition, simulate_capture
 from tagid.simulate.presets import scene_from_layout
 from tagid.storage.hdf5 import write_capture
+from tests.processes import emulated
 
 SCALENE = np.array([[0.11, 0.0], [0.02, 0.06], [-0.09, -0.03]])
 """Three reflectors that are not their own mirror image."""
 
 
-@contextmanager
-def emulated(home: dict[str, str], *words: str) -> Iterator[dict[str, Any]]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tagid", "emulate", *words, "--output", "json"],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=home,
-    )  # fmt: skip
-    try:
-        assert process.stdout is not None
-        yield json.loads(process.stdout.readline())["data"]
-    finally:
-        process.terminate()
-        process.communicate(timeout=10)
-
-
 def test_info_asks_and_moves_nothing(tagid: Callable[..., Any], home: dict[str, str]) -> None:
-    with emulated(home, "roomba", "--charge", "50") as there:
+    with emulated(home, "roomba", "--charge", "50") as (there, _):
         ran = tagid("motion", "info", there["url"], "--output", "json")
         data = ran.json["data"]
         assert ran.code == 0 and data["mode"] == "passive" and data["charge"] == pytest.approx(0.5, abs=0.01)
         assert not data["calibrated"] and data["seconds_a_turn"] == [25.9, 12.95, 8.63]
         assert TrueAngle(there["truth"]).state()["angle_rad"] == 0
-    with emulated(home, "comxim") as there:
+    with emulated(home, "comxim") as (there, _):
         ran = tagid("motion", "info", there["url"], "--output", "json")
         assert ran.code == 0 and ran.json["data"]["angle_deg"] == 0
 
@@ -59,7 +42,7 @@ def test_info_asks_and_moves_nothing(tagid: Callable[..., Any], home: dict[str, 
 def test_spin_turns_so_far_that_way_and_says_how_surely(
     tagid: Callable[..., Any], home: dict[str, str], direction: str
 ) -> None:
-    with emulated(home, "roomba", "--slip", "0.05", "--wheel-base", "235") as there:
+    with emulated(home, "roomba", "--slip", "0.05", "--wheel-base", "235") as (there, _):
         url = f"{there['url']}?step=3&direction={direction}"
         ran = tagid("motion", "spin", url, "--turns", "0.3", "--yes", "--output", "json")
         data = ran.json["data"]
@@ -71,13 +54,13 @@ def test_spin_turns_so_far_that_way_and_says_how_surely(
 
 
 def test_spin_asks_first_and_says_what_nothing_stops(tagid: Callable[..., Any], home: dict[str, str]) -> None:
-    with emulated(home, "roomba") as there:
+    with emulated(home, "roomba") as (there, _):
         ran = tagid("motion", "spin", there["url"], "--output", "json")
         assert ran.code == 2 and ran.json["errors"][0]["code"] == "usage"
         assert "--yes" in ran.json["errors"][0]["remedy"]
         assert "If its cable is disconnected nothing stops it: then lift it" in ran.err
         assert TrueAngle(there["truth"]).state()["angle_rad"] == 0
-    with emulated(home, "comxim") as there:
+    with emulated(home, "comxim") as (there, _):
         assert "disconnect its power supply" in tagid("motion", "spin", there["url"]).err
 
 
@@ -97,7 +80,7 @@ def test_no_file_or_setting_prevents_a_stop(
     data.mkdir()
     for name in ("robots.toml", "directions.toml"):
         (data / name).write_text("damaged")
-    with emulated(home, "roomba") as there:
+    with emulated(home, "roomba") as (there, _):
         Path(home["TAGID_CONFIG"]).write_text(stored.format(**there))
         ran = tagid("motion", "stop", *([] if remark else [there["url"]]), **changed)
         assert ran.code == 0 and "has stopped" in ran.out and remark in ran.err, ran
@@ -150,7 +133,7 @@ def test_the_passkey_is_kept_private(tagid: Callable[..., Any], home: dict[str, 
 
 def a_turn(folder: Path, true_way: int, was_reversed: bool) -> Path:
     """A capture on a table that was told to turn counter-clockwise."""
-    capture, _ = simulate_capture(scene_from_layout(SCALENE, seed=1), Acquisition(snr_db=20, views=36), 1)
+    capture, _ = simulate_capture(scene_from_layout(SCALENE, seed=1), Acquisition(snr_db=20, views=24), 1)
     assert capture.angles_rad is not None
     resolved = ResolvedMotion(kind="comxim", table="/dev/table", direction=1, reversed=was_reversed)
     reported = replace(

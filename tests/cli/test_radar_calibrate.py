@@ -29,8 +29,8 @@ def test_both_steps_then_a_scan_uses_delay_and_reference(tagid, tmp_path: Path) 
     assert kept["cable_delay_sigma_ps"] == pytest.approx(33.4, abs=3)
     assert Path(kept["background"]).is_file()
 
-    helmet = "emulator://helmet-120?rpm=30&seed=3&cable_delay=11234"
-    scan = tagid("scan", "--radar", helmet, "--axis-distance", 1, "--motion", "free?rpm=30", "--method", "bp",
+    helmet = "emulator://helmet-120?rpm=60&seed=3&cable_delay=11234"
+    scan = tagid("scan", "--radar", helmet, "--axis-distance", 1, "--motion", "free?rpm=60", "--method", "bp",
                  "--save-dir", "s", "--output", "json")  # fmt: skip
     assert scan.code == 0, scan.out
     capture = scan.json["data"]["files"]["capture"]

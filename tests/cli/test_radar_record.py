@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 import tracemalloc
 from dataclasses import replace
@@ -30,6 +29,7 @@ from tagid.storage import journal as journal_module
 from tagid.storage.importers import read_any
 from tagid.storage.journal_capture import write_captures
 from tests.emulators import UdpEmulator
+from tests.processes import TAGID, journal_bytes, wait_until
 
 SMALL = RadarConfig(scan_start_ps=10_000, scan_stop_ps=15_000, base_integration_index=6)
 
@@ -172,11 +172,10 @@ def test_the_users_stop_ends_in_good_order(tmp_path: Path) -> None:
 def test_ctrl_c_on_the_command_line(home: dict[str, str], tmp_path: Path) -> None:
     with UdpEmulator(EmulatorCore(Numbered(), SMALL), ServeOptions(port=0)) as device:
         child = subprocess.Popen(
-            [sys.executable, "-m", "tagid", "radar", "record", "--radar", device.url, "--save-dir", "x",
-             "--output", "json"],
+            [*TAGID, "radar", "record", "--radar", device.url, "--save-dir", "x", "--output", "json"],
             cwd=tmp_path, env=home, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
-        wait_for_journal(tmp_path / "x", 50_000)
+        wait_until(lambda: journal_bytes(tmp_path / "x") > 50_000, child)
         child.send_signal(signal.SIGINT)
         out, err = child.communicate(timeout=60)
     assert child.returncode == 0, err
@@ -184,34 +183,6 @@ def test_ctrl_c_on_the_command_line(home: dict[str, str], tmp_path: Path) -> Non
     (path,) = (tmp_path / "x").iterdir()
     assert path.name in out
     assert read_any(path).complete
-
-
-def test_after_kill_9_recover_makes_the_capture(home: dict[str, str], tmp_path: Path) -> None:
-    with UdpEmulator(EmulatorCore(Numbered(), SMALL), ServeOptions(port=0)) as device:
-        child = subprocess.Popen(
-            [sys.executable, "-m", "tagid", "radar", "record", "-q", "--radar", device.url,
-             "--save-dir", "x"], cwd=tmp_path, env=home,
-        )  # fmt: skip
-        journal = wait_for_journal(tmp_path / "x", 50_000)
-        child.kill()
-        child.wait()
-    done = subprocess.run(
-        [sys.executable, "-m", "tagid", "recover", str(journal)], env=home, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    capture = read_any(journal.with_name(journal.name.replace(".tagid.journal", ".tagid.h5")))
-    assert capture.views > 100
-    assert not capture.complete
-
-
-def wait_for_journal(folder: Path, size: int) -> Path:
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        for path in folder.glob("*.journal"):
-            if path.stat().st_size > size:
-                return path
-        time.sleep(0.02)
-    raise AssertionError("nothing was recorded")
 
 
 def test_a_radar_that_dies_leaves_what_arrived(tmp_path: Path) -> None:

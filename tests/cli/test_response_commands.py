@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +10,7 @@ import numpy as np
 import pytest
 
 from tagid.storage.importers import read_any
+from tests.processes import emulated_radar
 
 RESPONSES = Path(__file__).resolve().parents[1] / "data" / "responses"
 TAGGED, BODY = RESPONSES / "can30_c180.npz", RESPONSES / "can30.npz"
@@ -112,24 +109,10 @@ def test_emulate_from_a_response_on_a_real_socket(
     tagid: Callable[..., Any], home: dict[str, str], tmp_path: Path
 ) -> None:
     """The emulated radar is recorded over UDP; the echo in the recording is that of the response."""
-    words = ["emulate", "p440", "--response", TAGGED, "--bind", "127.0.0.1:0", "--rpm", 30, "--snr", 30]
-    words += ["--axis-distance", 2.0, "--centre", "0.01,0", "--rotation", 20, "--rate", 0, "--output", "json"]
-    radar = subprocess.Popen(
-        [sys.executable, "-m", "tagid", *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=home,
-        cwd=tmp_path,
-    )
-    try:
-        assert radar.stdout is not None
-        url = json.loads(radar.stdout.readline())["data"]["url"]
+    words = ["--response", TAGGED, "--rpm", 30, "--snr", 30, "--axis-distance", 2.0, "--centre", "0.01,0"]
+    with emulated_radar(home, *words, "--rotation", 20, "--rate", 0) as (url, _):
         ran = tagid("radar", "record", "--radar", url, "--scans", 30, "--out", "seen.tagid.h5")
-        assert ran.code == 0, ran.err
-    finally:
-        radar.send_signal(signal.SIGTERM)
-        radar.communicate(timeout=30)
+    assert ran.code == 0, ran.err
     capture = read_any(tmp_path / "seen.tagid.h5")
     moving = capture.samples - capture.samples.mean(axis=0)
     strongest = capture.ranges_m[np.abs(moving).max(axis=0).argmax()]

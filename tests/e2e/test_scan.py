@@ -6,10 +6,7 @@ import json
 import os
 import signal
 import subprocess
-import sys
-import time
 from collections.abc import Callable
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -18,41 +15,29 @@ from command_server import Ran
 
 from tagid.operate.workplace import NOT_COMMISSIONED
 from tagid.storage.importers import read_any
+from tests.processes import TAGID, emulated_radar, journal_bytes, wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared"))
-TAGID = [sys.executable, "-m", "tagid"]
 
 
-@contextmanager
-def emulator(home: dict[str, str], *options: str):
-    process = subprocess.Popen(
-        [*TAGID, "emulate", "p440", "--bind", "127.0.0.1:0", *options, "--output", "json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=home,
-    )
-    try:
-        yield json.loads(process.stdout.readline())["data"]["url"], process
-    finally:
-        process.terminate()
-        process.communicate(timeout=10)
-
-
-def scan(tagid: Callable[..., Ran], url: str, *options: str) -> Ran:
+def scan(tagid: Callable[..., Ran], url: str, *options: str, **environment: str) -> Ran:
     """`tagid scan` of a radar at 1 m, into the folder `out`."""
     words = ("--radar", url, "--axis-distance", 1, "--save-dir", "out", "--method", "bp", "--output", "json")
-    return tagid("scan", *words, *options)
+    return tagid("scan", *words, *options, **environment)
 
 
-@pytest.mark.parametrize("motion", ["free?rpm=20", "free"])
+QUICK = {"TAGID_RADAR_INTEGRATION": "15"}
+"""36 scans of a turn at 30 rpm, which are soon read."""
+
+
+@pytest.mark.parametrize("motion", ["free?rpm=30", "free"])
 def test_a_turning_helmet_is_named_and_everything_is_left_on_disk(
     tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path, motion: str
 ) -> None:
-    with emulator(home, "--scene", "helmet-120", "--rpm", "20", "--rate", "0", "--lose", "0.02",
+    with emulated_radar(home, "--scene", "helmet-120", "--rpm", "30", "--rate", "0", "--lose", "0.05",
                   "--duplicate", "0.02", "--reorder", "0.05", "--seed", "4") as (url, _):  # fmt: skip
-        done = scan(tagid, url, "--motion", motion)
+        done = scan(tagid, url, "--motion", motion, **QUICK)
     assert done.code == 0, done
     (item,) = done.json["data"]["items"]
     assert (item["status"], item["layout"]) == ("identified", "helmet-120")
@@ -72,21 +57,26 @@ def test_a_turning_helmet_is_named_and_everything_is_left_on_disk(
 def test_a_rig_that_is_not_commissioned_is_said_where_nothing_is_named(
     tagid: Callable[..., Ran], home: dict[str, str]
 ) -> None:
-    with emulator(home, "--scene", "empty", "--rpm", "40", "--rate", "0", "--seed", "3") as (url, _):
-        twice = scan(tagid, url, "--motion", "free?rpm=40", "--repeat", "2")
+    with emulated_radar(home, "--scene", "empty", "--rpm", "40", "--rate", "0", "--seed", "3") as (url, _):
+        twice = scan(tagid, url, "--motion", "free?rpm=40", "--repeat", "2", **QUICK)
     assert twice.code == 3, twice
     assert twice.json["messages"].count(NOT_COMMISSIONED) == 1
 
 
+def recording(home: dict[str, str], url: str, folder: Path) -> subprocess.Popen[str]:
+    """A slow scan, of which some scans have arrived."""
+    words = ("--radar", url, "--axis-distance", "1", "--motion", "free?rpm=1", "--save-dir", str(folder))
+    client = subprocess.Popen(
+        [*TAGID, "scan", *words, "--output", "json"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
+    )  # fmt: skip
+    wait_until(lambda: journal_bytes(folder) > 100_000, client)
+    return client
+
+
 def test_a_radar_that_dies_costs_nothing_that_arrived(home: dict[str, str], tmp_path: Path) -> None:
-    with emulator(home, "--scene", "helmet-120", "--rpm", "1") as (url, process):
-        client = subprocess.Popen(
-            [*TAGID, "scan", "--radar", url, "--axis-distance", "1", "--save-dir", str(tmp_path / "out"),
-             "--motion", "free?rpm=1", "--output", "json"],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            env=home | {"TAGID_RADAR_TIMEOUT_S": "0.5"},
-        )  # fmt: skip
-        wait_for_scans(tmp_path / "out")
+    with emulated_radar(home, "--scene", "helmet-120", "--rpm", "1") as (url, process):
+        client = recording(home | {"TAGID_RADAR_TIMEOUT_S": "0.5"}, url, tmp_path / "out")
         process.kill()
         out, err = client.communicate(timeout=30)
     document = json.loads(out)
@@ -101,13 +91,8 @@ def test_a_radar_that_dies_costs_nothing_that_arrived(home: dict[str, str], tmp_
 def test_ctrl_c_stops_the_radar_and_keeps_the_scans(
     tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path
 ) -> None:
-    with emulator(home, "--scene", "helmet-120", "--rpm", "1") as (url, _):
-        client = subprocess.Popen(
-            [*TAGID, "scan", "--radar", url, "--axis-distance", "1", "--save-dir", str(tmp_path / "out"),
-             "--motion", "free?rpm=1", "--output", "json"],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
-        )  # fmt: skip
-        wait_for_scans(tmp_path / "out")
+    with emulated_radar(home, "--scene", "helmet-120", "--rpm", "1") as (url, _):
+        client = recording(home, url, tmp_path / "out")
         client.send_signal(signal.SIGINT)
         out, err = client.communicate(timeout=30)
         assert client.returncode == 130, err
@@ -120,15 +105,6 @@ def test_ctrl_c_stops_the_radar_and_keeps_the_scans(
         assert next_one.code == 0 and read_any(path).views == 30, next_one
 
 
-def wait_for_scans(folder: Path) -> None:
-    deadline = time.monotonic() + 30
-    while time.monotonic() < deadline:
-        if any(path.stat().st_size > 100_000 for path in folder.glob("*.journal")):
-            return
-        time.sleep(0.05)
-    raise AssertionError("no scan arrived")
-
-
 @pytest.mark.skipif(not SHARED.is_dir(), reason="no real recordings beside the checkout")
 @pytest.mark.parametrize("name", ["corner-reflector-scan08", "light-pole-scan04"])
 def test_a_replayed_recording_is_captured_sample_for_sample(
@@ -138,7 +114,7 @@ def test_a_replayed_recording_is_captured_sample_for_sample(
     source = source if source.exists() else SHARED / "data" / "p440" / f"{name}.out"
     if not source.exists():
         pytest.skip(f"{source} is not there")
-    with emulator(home, "--replay", str(source), "--rate", "0") as (url, _):
+    with emulated_radar(home, "--replay", str(source), "--rate", "0") as (url, _):
         done = scan(tagid, url, "--scans", "200")
     capture = read_any(tmp_path / done.json["data"]["files"]["capture"])
     recorded = read_any(source)

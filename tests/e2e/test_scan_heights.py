@@ -24,7 +24,7 @@ from tagid.simulate.source import HeightFile
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.storage.importers import read_any
 from tests.cli.on_a_terminal import Drawn, run
-from tests.e2e.test_scan import emulator
+from tests.processes import emulated_radar
 
 HEIGHTS = (0.0, 0.15, 0.3)
 POSITIONS = [[0.1, 0.0], [-0.02, 0.08], [-0.05, -0.09]]
@@ -57,6 +57,12 @@ def on_terminal(
     return run(home, words, (24, 200), react, seconds=300, TAGID_RADAR_INTEGRATION="15")
 
 
+def scene(layout: Path, lift: Path) -> tuple[object, ...]:
+    """Options of the emulated radar, whose antenna is at the height in the file `lift`."""
+    turning = ("--rpm", 45, "--rate", 0, "--seed", 2)
+    return ("--scene", "rows", "--file", layout, *turning, "--antenna-height-file", lift)
+
+
 def words_of(url: str, folder: Path) -> list[str]:
     # 24 scans a turn: of 18 the turns from two heights are alike by 0.31 to 0.4 only, and 0.35 is needed.
     heights = ",".join(map(str, HEIGHTS))
@@ -74,8 +80,7 @@ def test_heights_are_asked_for_recorded_and_joined(
     def move(number: int, _: subprocess.Popen) -> None:
         lift.write_text(str(HEIGHTS[number]))
 
-    with emulator(home, "--scene", "rows", "--file", str(layout), "--rpm", "45", "--rate", "0", "--seed", "2",
-                  "--antenna-height-file", str(lift)) as (url, _):  # fmt: skip
+    with emulated_radar(home, *scene(layout, lift)) as (url, _):
         ended = on_terminal(home, words_of(url, tmp_path / "out"), move)
     assert ended.code == 0, ended
     assert ended.sent.count(QUESTION) == 3
@@ -119,8 +124,7 @@ def test_ctrl_c_between_heights_keeps_what_is_recorded(
             child.send_signal(signal.SIGINT)
             child.wait(timeout=120)
 
-    with emulator(home, "--scene", "rows", "--file", str(layout), "--rpm", "45", "--rate", "0", "--seed", "2",
-                  "--antenna-height-file", str(lift)) as (url, _):  # fmt: skip
+    with emulated_radar(home, *scene(layout, lift)) as (url, _):
         ended = on_terminal(home, words_of(url, tmp_path / "out"), stop_at_the_third)
     assert ended.code == 130, ended
     (error,) = json.loads(ended.out)["errors"]

@@ -5,10 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,23 +15,9 @@ import pytest
 from tagid.motion.emulation.truth import TrueAngle
 from tagid.pipeline.resolve import with_measured_angles
 from tagid.storage.importers import read_any
+from tests.processes import TAGID, emulated, wait_until
 
 pytestmark = pytest.mark.realtime
-
-TAGID = [sys.executable, "-m", "tagid"]
-
-
-@contextmanager
-def robot(home: dict[str, str], *options: str, wire: str = "--pty") -> Iterator[dict[str, Any]]:
-    process = subprocess.Popen(
-        [*TAGID, "emulate", "roomba", wire, *options, "--output", "json"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
-    )  # fmt: skip
-    try:
-        yield json.loads(process.stdout.readline())["data"]
-    finally:
-        process.terminate()
-        process.communicate(timeout=10)
 
 
 def scan_words(there: dict[str, Any], folder: Path, *options: str) -> list[str]:
@@ -46,15 +29,8 @@ def scan_words(there: dict[str, Any], folder: Path, *options: str) -> list[str]:
     ]  # fmt: skip
 
 
-def wait_until(what: Any, timeout: float = 20.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not what():
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.01)
-
-
 def test_the_helmet_on_a_robot_is_named(home: dict[str, str], tmp_path: Path) -> None:
-    with robot(home, "--wheel-base", "250", "--slip", "0.02", "--seed", "3") as there:
+    with emulated(home, "roomba", "--wheel-base", "250", "--slip", "0.02", "--seed", "3") as (there, _):
         done = subprocess.run(
             scan_words(there, tmp_path, "--yes"), capture_output=True, text=True, env=home, timeout=120
         )
@@ -77,7 +53,7 @@ def test_the_helmet_on_a_robot_is_named(home: dict[str, str], tmp_path: Path) ->
 
 
 def test_nothing_moves_without_a_yes(home: dict[str, str], tmp_path: Path) -> None:
-    with robot(home) as there:
+    with emulated(home, "roomba") as (there, _):
         done = subprocess.run(
             scan_words(there, tmp_path), capture_output=True, text=True, env=home, timeout=60,
             stdin=subprocess.DEVNULL,
@@ -93,7 +69,7 @@ def test_nothing_moves_without_a_yes(home: dict[str, str], tmp_path: Path) -> No
 def test_a_scan_that_is_ended_leaves_a_robot_that_stands(
     home: dict[str, str], tmp_path: Path, how: signal.Signals
 ) -> None:
-    with robot(home) as there:
+    with emulated(home, "roomba") as (there, _):
         truth = TrueAngle(there["truth"])
         scan = subprocess.Popen(
             scan_words(there, tmp_path, "--yes"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=home
@@ -123,7 +99,7 @@ def test_the_helmet_on_a_sleeping_robot_behind_the_bridge_is_named(
     """The unmodified firmware, paired by pass-key, wakes the robot by BRC and carries its stream."""
     pytest.importorskip("bumble", reason="needs bumble: pip install ./firmware_tools")
     options = ("--passkey", "482913", "--asleep", "--wheel-base", "237", "--slip", "0")
-    with robot(home, *options, wire="--ble") as there:
+    with emulated(home, "roomba", "--ble", *options) as (there, _):
         words = scan_words(there, tmp_path, "--yes")
         done = subprocess.run(words, capture_output=True, text=True, env=home, timeout=120)
         assert "Traceback" not in done.stderr

@@ -68,9 +68,9 @@ def test_settings_are_written_to_the_file_of_config_set(configured: Server) -> N
     assert config_path().read_text() == text
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
+def test_a_browser_sets_no_device_of_its_choice(configured: Server) -> None:
+    client = Asks(configured.url, OWN)
+    for changes in (
         {"radar.url": "replay:///etc/passwd"},
         {"radar.url": "emulator://helmet-120?file=/etc/passwd"},
         {"radar.url": "serial:///dev/sda"},
@@ -91,12 +91,10 @@ def test_settings_are_written_to_the_file_of_config_set(configured: Server) -> N
         {"motion.axis_distance_m": "nan"},
         [],
         None,
-    ],
-)  # fmt: skip
-def test_a_browser_sets_no_device_of_its_choice(configured: Server, changes: Any) -> None:
-    answer = Asks(configured.url, OWN).post("/api/v1/settings", changes=changes)
-    assert answer.status == 400, answer.text
-    assert not config_path().exists()
+    ):
+        answer = client.post("/api/v1/settings", changes=changes)
+        assert answer.status == 400, (changes, answer.text)
+        assert not config_path().exists(), changes
 
 
 def test_a_radar_that_the_search_found_can_be_chosen(

@@ -20,8 +20,8 @@ from tagid.motion.emulation.truth import TrueAngle
 from tagid.reading.looks import LOOKS
 from tagid.storage.importers import read_any
 from tests.cli.on_a_terminal import run
-from tests.e2e.test_scan import TAGID, emulator
-from tests.e2e.test_scan_roomba import robot, scan_words, wait_until
+from tests.e2e.test_scan_roomba import scan_words
+from tests.processes import TAGID, emulated, emulated_radar, journal_bytes, wait_until
 
 pytestmark = pytest.mark.realtime
 
@@ -73,7 +73,7 @@ def test_a_calibrated_robot_stands_at_once_when_it_is_sure(
     tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path
 ) -> None:
     # Wheels far apart turn slowly, and more turns than one are asked for: looks have time on any computer.
-    with robot(home, "--wheel-base", "470", "--slip", "0.01", "--seed", "3") as there:
+    with emulated(home, "roomba", "--wheel-base", "470", "--slip", "0.01", "--seed", "3") as (there, _):
         port = there["url"].partition("://")[2].partition("?")[0]
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("TAGID_DATA", home["TAGID_DATA"])
@@ -100,17 +100,13 @@ def test_a_calibrated_robot_stands_at_once_when_it_is_sure(
     assert shown_end(tagid, data["files"]["capture"]) == data["ended"]
 
 
-def journal_size(folder: Path) -> int:
-    return max((path.stat().st_size for path in folder.glob("*.journal")), default=0)
-
-
 def test_a_radar_that_is_unplugged_in_the_middle_ends_the_scan_and_keeps_it(
     home: dict[str, str], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    with emulator(home, "--scene", "helmet-120", "--rpm", "4") as (url, radar):
+    with emulated_radar(home, "--scene", "helmet-120", "--rpm", "4") as (url, radar):
         unplug = threading.Thread(
-            target=lambda: (wait_until(lambda: journal_size(out) > 20_000, 60), radar.kill())
+            target=lambda: (wait_until(lambda: journal_bytes(out) > 20_000, 60), radar.kill())
         )
         unplug.start()
         quick = {"TAGID_RADAR_TIMEOUT_S": "0.5", "TAGID_RADAR_RESUME_S": "0"}
@@ -153,7 +149,7 @@ def test_a_full_disk_ends_a_live_scan_and_the_journal_is_recovered(
 def test_a_robot_that_is_stopped_half_way_ends_the_scan_with_its_reason(
     home: dict[str, str], tmp_path: Path
 ) -> None:
-    with robot(home, "--wheel-base", "235", "--slip", "0", "--event", "cliff@5") as there:
+    with emulated(home, "roomba", "--wheel-base", "235", "--slip", "0", "--event", "cliff@5") as (there, _):
         words = [word.replace("step=3", "step=2") for word in scan_words(there, tmp_path)]
         words = words[len(TAGID) :]
         ended = run(home, [*words, "--yes", "--until-sure", "--live"], (40, 140))

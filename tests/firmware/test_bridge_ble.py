@@ -25,7 +25,6 @@ from tagid.motion.bridge.protocol import (
     NUS_RX,
     Event,
     Flag,
-    IndexPulse,
     Op,
     Overflow,
     Status,
@@ -216,24 +215,6 @@ async def test_brc_pulses_have_the_width_and_number_asked_for(board: BoardProces
 
 
 @on_loop
-async def test_index_pulses_are_stamped_on_the_clock_that_the_host_can_read(board: BoardProcess) -> None:
-    pulses: list[IndexPulse] = []
-    async with host(board, on_event=pulses.append) as bridge:
-        before = int.from_bytes(await bridge.request(Op.TIME), "little")
-        for number in range(3):
-            await asyncio.to_thread(board.command, "index")
-            await asyncio.sleep(0.08)  # longer than the bounce that is ignored
-            async with asyncio.timeout(20):
-                while len(pulses) <= number:
-                    await asyncio.sleep(0.01)
-        after = int.from_bytes(await bridge.request(Op.TIME), "little")
-        stamps = [pulse.stamp_us for pulse in pulses]
-        assert before <= stamps[0] < stamps[1] < stamps[2] <= after
-        assert [pulse.number for pulse in pulses] == [1, 2, 3]
-        assert (await bridge.status()).index_count == 3
-
-
-@on_loop
 async def test_self_tests_and_baud(board: BoardProcess, wire: Wire) -> None:
     async with host(board) as bridge:
         payload = bytes(range(bridge.mtu - 6))
@@ -246,14 +227,6 @@ async def test_self_tests_and_baud(board: BoardProcess, wire: Wire) -> None:
         assert termios.tcgetattr(wire.master)[4] == termios.B19200
         reply = await bridge.ask(Op.VERSION, data=b"too much")
         assert reply.status == Status.BAD_ARGUMENT
-
-
-@on_loop
-async def test_loopback_of_joined_pins() -> None:
-    with BoardProcess(CONFIG) as board:
-        async with host(board) as bridge:
-            reply = await bridge.request(Op.LOOPBACK, 512)
-            assert reply[:4] == bytes((0, 2, 0, 2))
 
 
 @on_loop

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,10 @@ from tagid.motion.emulation.truth import TrueAngle
 from tagid.motion.guardian import Guardian, Watch, _socket_name, ask_to_stop
 from tagid.motion.links import SerialLink
 from tagid.motion.urls import open_motion
+from tests.processes import TAGID, emulated, wait_until
 
 pytestmark = pytest.mark.realtime
 
-TAGID = [sys.executable, "-m", "tagid"]
 LIMIT_S = 0.5
 
 
@@ -38,20 +38,6 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
     folder = {"TAGID_CONFIG": str(tmp_path / "config.toml"), "TAGID_DATA": str(tmp_path / "data")}
     return {**environment, **folder, "OMP_NUM_THREADS": "1"}
-
-
-@contextmanager
-def emulated(home: dict[str, str], *words: str) -> Iterator[tuple[dict[str, Any], subprocess.Popen[str]]]:
-    process = subprocess.Popen(
-        [*TAGID, "emulate", *words, "--output", "json"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
-    )  # fmt: skip
-    try:
-        assert process.stdout is not None
-        yield json.loads(process.stdout.readline())["data"], process
-    finally:
-        process.terminate()
-        process.communicate(timeout=10)
 
 
 @contextmanager
@@ -70,16 +56,6 @@ def spinning(
     finally:
         process.kill()
         process.communicate(timeout=10)
-
-
-def wait_until(
-    what: Callable[[], bool], process: subprocess.Popen[str] | None = None, timeout: float = 40.0
-) -> None:
-    deadline = time.monotonic() + timeout
-    while not what():
-        assert time.monotonic() < deadline, "waited in vain"
-        assert process is None or process.poll() is None, process.communicate()
-        time.sleep(0.01)
 
 
 def guardian_of(process: subprocess.Popen[str]) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tagid.errors import DeviceError, DeviceRejectedError, DeviceTimeoutError, UsageError
+from tagid.errors import DeviceRejectedError, DeviceTimeoutError, UsageError
 from tagid.radar.emulation.core import EmulatorCore, Identity
 from tagid.radar.emulation.faults import Faults
 from tagid.radar.emulation.memory import MemoryLink
@@ -157,16 +157,6 @@ def test_a_refusal_is_explained() -> None:
         with pytest.raises(DeviceRejectedError, match="not enabled"):
             radar.set_config(RadarConfig())
         link.change = lambda p: [p]
-
-
-def test_a_radar_that_reboots_in_the_middle_says_so() -> None:
-    radar, link = client()
-    with radar:
-        run = radar.scans()
-        next(run)
-        link.change = lambda p: [encode(T.READY_INFO, 0)]
-        with pytest.raises(DeviceError, match="rebooted"):
-            next(run)
 
 
 def test_garbage_between_messages_is_counted_and_dropped() -> None:

@@ -91,13 +91,15 @@ def test_every_complete_scan_is_delivered_once_and_in_order(faults: dict[str, fl
         assert (statistics.duplicate > 0) == ("duplicate" in faults)
 
 
-def test_packets_of_another_host_are_dropped_and_counted() -> None:
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2"])
+def test_packets_of_another_sender_are_dropped_and_counted(host: str) -> None:
+    """From another port of the radar's host, and from the radar's port on another host."""
     with udp() as device, P440(UdpLink(*device.address)) as radar:
         port = radar._link.local_port  # type: ignore[attr-defined]
         run = radar.scans(60)
         got = [next(run)]
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-            other.bind(("127.0.0.2", device.address[1]))  # the radar's port, but another host
+            other.bind((host, 0 if host == device.address[0] else device.address[1]))
             for i in range(20):
                 other.sendto(
                     encode(T.SCAN_INFO, i, message_samples=1, total_samples=1, message_count=1),

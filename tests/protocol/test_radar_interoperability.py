@@ -15,31 +15,14 @@ import subprocess
 import sys
 import time
 import tty
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from tests.processes import emulated
+
 CONFIG = struct.Struct(">IiiHH4H4BBBBB")
 WANTED = CONFIG.pack(1, 15_000, 65_000, 32, 6, 0, 0, 0, 0, 0, 0, 0, 0, 2, 63, 0, 0)
-
-
-@contextmanager
-def emulate(tmp_path: Path, *options: str) -> Iterator[tuple[dict, subprocess.Popen]]:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
-    environment |= {"TAGID_CONFIG": str(tmp_path / "c.toml"), "TAGID_DATA": str(tmp_path / "data")}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tagid", "emulate", "p440", *options, "--output", "json"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
-    )  # fmt: skip
-    try:
-        assert process.stdout is not None
-        yield json.loads(process.stdout.readline())["data"], process
-    finally:
-        process.terminate()
-        _, errors = process.communicate(timeout=10)
-        assert "Traceback" not in errors
 
 
 class Udp:
@@ -148,8 +131,11 @@ def use_as_a_third_party(client: Udp | Serial, sleep_size: int = 12, status_size
     assert struct.unpack(">HHI", refused) == (0x1003, 77, 5)
 
 
-def test_a_third_party_client_over_udp(tmp_path: Path) -> None:
-    with emulate(tmp_path, "--bind", "127.0.0.1:0", "--scene", "helmet-120", "--rpm", "2") as (data, process):
+def test_a_third_party_client_over_udp(home: dict[str, str]) -> None:
+    with emulated(home, "p440", "--bind", "127.0.0.1:0", "--scene", "helmet-120", "--rpm", "2") as (
+        data,
+        process,
+    ):
         client = Udp(data["url"])
         use_as_a_third_party(client)
         client.close()
@@ -157,9 +143,9 @@ def test_a_third_party_client_over_udp(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("framing", ["usb", "uart"])
-def test_a_third_party_client_on_a_serial_port(tmp_path: Path, framing: str) -> None:
+def test_a_third_party_client_on_a_serial_port(home: dict[str, str], framing: str) -> None:
     options = ("--serial", "--framing", framing, "--baud", "0", "--scene", "empty")
-    with emulate(tmp_path, *options) as (data, process):
+    with emulated(home, "p440", *options) as (data, process):
         client = Serial(data["port"], framing == "uart")
         use_as_a_third_party(client)
         client.close()
@@ -170,13 +156,13 @@ def test_a_third_party_client_on_a_serial_port(tmp_path: Path, framing: str) -> 
         assert process.poll() is None
 
 
-def test_other_firmware_is_emulated_when_asked_for(tmp_path: Path) -> None:
+def test_other_firmware_is_emulated_when_asked_for(home: dict[str, str]) -> None:
     options = ("--bind", "127.0.0.1:0", "--scene", "empty", "--status-bytes", "32", "--sleep-bytes", "8")
-    with emulate(tmp_path, *options) as (data, _):
+    with emulated(home, "p440", *options) as (data, _):
         client = Udp(data["url"])
         use_as_a_third_party(client, sleep_size=8, status_size=32)
         client.close()
-    with emulate(tmp_path, "--bind", "127.0.0.1:0", "--scene", "empty", "--server") as (data, _):
+    with emulated(home, "p440", "--bind", "127.0.0.1:0", "--scene", "empty", "--server") as (data, _):
         client = Udp(data["url"])
         accepted = ask(client, 0x1004, 0x1104, 8, struct.pack(">IHBB", 0x7F000001, 21210, 1, 0))
         assert accepted == struct.pack(">I", 0)
@@ -216,7 +202,7 @@ def test_the_serial_port_s_path_is_printed_and_the_emulator_runs_until_it_is_sto
     ],
     ids=" ".join,
 )
-def test_wrong_options_are_named(tmp_path: Path, wrong: tuple[str, ...]) -> None:
+def test_wrong_options_are_named(wrong: tuple[str, ...]) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tagid", "emulate", "p440", "--scene", "empty", *wrong, "--output", "json"],
         capture_output=True, text=True, timeout=30,

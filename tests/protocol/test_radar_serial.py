@@ -96,16 +96,6 @@ def test_a_serial_port_without_a_radar_stays_silent() -> None:
         os.close(slave)
 
 
-def test_pulling_the_plug_is_told_apart_from_silence() -> None:
-    with pty() as device, open_radar(device.url) as radar:
-        run = radar.scans()
-        next(run)
-        device.unplug()
-        with pytest.raises(DeviceGoneError, match="disappeared"):
-            for _ in range(10_000):
-                next(run)
-
-
 @BOTH
 def test_find_asks_serial_ports_by_their_usb_number_and_those_it_is_told(framing: Framing) -> None:
     with pty(framing, core(identity=Identity(serial=5))) as device:

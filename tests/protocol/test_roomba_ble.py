@@ -33,7 +33,7 @@ pytestmark = pytest.mark.realtime
 
 PASSKEY = "204816"
 CONFIG = {"name": "robot-1", "passkey": PASSKEY, "uart_tx": 4, "uart_rx": 5, "brc_pin": 6, "index_pin": 7}
-CUTS = 10
+CUTS = 6
 
 
 @pytest.fixture(scope="module")

@@ -59,10 +59,10 @@ def in_this_process(tasks: Tasks, job: Job) -> Results:
         yield None if task is None else Done(task, work(task.source, job))
 
 
-def a_job() -> Job:
+def a_job(pictures: bool = False) -> Job:
     settings = ImagingSettings(method="bp", pixels=48)
     enrolled = RegistryContents(4, list(builtin_layouts().values()), [])
-    return Job(ReadingSetup(LoadSettings.of(load_config()), settings, enrolled))
+    return Job(ReadingSetup(LoadSettings.of(load_config()), settings, enrolled), pictures)
 
 
 def of_another_registry(job: Job) -> Job:
@@ -78,10 +78,20 @@ def add_hostile_files(folder: Path) -> None:
     unknown_dataset(folder / HOSTILE[-1])
 
 
+def lines(out: Path) -> list[dict[str, Any]]:
+    """The records of a report in its order; none before the first one is written."""
+    path = out / "items.jsonl"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def timeless(record: dict[str, Any]) -> dict[str, Any]:
+    """A record without what differs in every run."""
+    return {key: value for key, value in record.items() if key not in ("seconds", "time_utc")}
+
+
 def records_of(out: Path) -> dict[str, dict[str, Any]]:
     """The records of a report by file name."""
-    lines = (out / "items.jsonl").read_text().splitlines()
-    return {Path(record["file"]).name: record for record in map(json.loads, lines)}
+    return {Path(record["file"]).name: record for record in lines(out)}
 
 
 def check_hostile(out: Path) -> None:

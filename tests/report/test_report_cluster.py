@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import shutil
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from report_batches import HOSTILE, add_hostile_files, check_hostile, keep
+from report_batches import HOSTILE, a_job, add_hostile_files, check_hostile, keep, lines, timeless
 
 from tagid.batch.run import Hooks
 from tagid.errors import ClusterError, MissingExtraError
@@ -84,15 +83,8 @@ def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[s
         yield address, processes
 
 
-def timed(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (folder / "items.jsonl").read_text().splitlines()]
-
-
-def timeless(folder: Path) -> list[str]:
-    records = [record for record in timed(folder) if not record["file"].endswith("bad.tagid.h5")]
-    for record in records:
-        del record["seconds"], record["time_utc"]
-    return [json.dumps(record) for record in records]
+def answers(folder: Path) -> list[dict[str, Any]]:
+    return [timeless(item) for item in lines(folder) if not item["file"].endswith("bad.tagid.h5")]
 
 
 def pictures(folder: Path) -> list[str]:
@@ -117,16 +109,17 @@ def test_a_cluster_gives_the_local_answers_though_workers_die_and_files_are_host
             workers[0].process.kill()
 
     runner = partial(run_cluster, address=address)
-    make_report(captures, out=tmp_path / "dask", runner=runner, hooks=Hooks(kill_one))
+    job = a_job(pictures=True)
+    make_report(captures, out=tmp_path / "dask", runner=runner, hooks=Hooks(kill_one), job=job)
     assert workers[0].process.poll() is not None
     assert finished == list(range(1, 6 + len(HOSTILE)))
     check_hostile(tmp_path / "dask")
     # The capture that kills workers fails alone.
-    dead = [item for item in timed(tmp_path / "dask") if item["error"] and "died" in item["error"]["message"]]
+    dead = [item for item in lines(tmp_path / "dask") if item["error"] and "died" in item["error"]["message"]]
     assert [Path(item["file"]).name for item in dead] == ["bad.tagid.h5"]
     assert "1 worker died with this file alone" in dead[0]["error"]["message"]
-    make_report(captures, out=tmp_path / "local")
-    assert timeless(tmp_path / "dask") == timeless(tmp_path / "local")
+    make_report(captures, out=tmp_path / "local", job=job)
+    assert answers(tmp_path / "dask") == answers(tmp_path / "local")
     assert pictures(tmp_path / "dask") == pictures(tmp_path / "local") != []
 
     (captures / "bad.tagid.h5").unlink()

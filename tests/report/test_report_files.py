@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from report_batches import of_another_registry, part_of_a_turn
+from report_batches import a_job, lines, of_another_registry, part_of_a_turn, records_of, timeless
 
 from tagid.batch.expected import read_manifest
 from tagid.batch.inputs import Source, collect
@@ -26,10 +26,9 @@ from tagid.batch.watch import FolderWatch
 from tagid.errors import DataError, StorageError, UsageError, visible
 from tagid.report.page import PageSettings
 from tagid.report.tables import CSV_COLUMNS
-
-
-def lines(folder: Path) -> list[dict]:
-    return [json.loads(line) for line in (folder / "items.jsonl").read_text().splitlines()]
+from tagid.storage.hdf5 import read_capture, write_capture
+from tagid.storage.importers import read_any
+from tagid.tags.layouts.layout import builtin_layouts
 
 
 def test_each_reader_finds_its_file(make_report, captures: Path, tmp_path: Path) -> None:
@@ -37,7 +36,7 @@ def test_each_reader_finds_its_file(make_report, captures: Path, tmp_path: Path)
     out = tmp_path / "report"
     assert {path.name for path in out.iterdir()} == {*FILES, FILE_NAME}
     assert finished.exit_code == 5
-    records = {Path(record["file"]).name: record for record in lines(out)}
+    records = records_of(out)
     assert records["helmet-120.tagid.h5"]["layout"] == "helmet-120"
     assert records["empty.tagid.h5"]["status"] == "no_tag"
     assert records["bad.tagid.h5"]["error"]["code"] == "bad_file"
@@ -75,7 +74,7 @@ def test_expectations_are_scored(make_report, captures: Path, tmp_path: Path) ->
         "container-90.tagid.h5;container-180\ncaptures/empty.tagid.h5;no_tag\n"
         f"{captures / 'bad.tagid.h5'};container-180\n"
     )
-    names = [layout.name for layout in read_layouts()]
+    names = list(builtin_layouts())
     expectations = read_manifest(manifest, collect([str(captures)]).sources, names)
     finished = make_report(captures, expectations=expectations)
     expected = finished.summary["expected"]
@@ -96,12 +95,6 @@ def test_expectations_are_scored(make_report, captures: Path, tmp_path: Path) ->
     assert "50.0" in page and "Confusion matrix" in page
 
 
-def read_layouts():
-    from tagid.tags.layouts.layout import builtin_layouts
-
-    return builtin_layouts().values()
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -117,10 +110,6 @@ def test_a_manifest_that_does_not_fit_ends_before_the_start(captures: Path, tmp_
     manifest.write_text(text)
     with pytest.raises(UsageError, match=message):
         read_manifest(manifest, collect([str(captures)]).sources, ["helmet-120", "container-90"])
-
-
-def timeless(record: dict) -> dict:
-    return {key: value for key, value in record.items() if key not in ("seconds", "time_utc")}
 
 
 def test_resume_redoes_only_what_changed(make_report, captures: Path, tmp_path: Path, job) -> None:
@@ -168,8 +157,6 @@ def test_results_can_be_followed_while_the_run_goes_on(make_report, captures: Pa
 
 
 def test_one_uuid_in_two_files_is_told(make_report, captures: Path, recorded: Path) -> None:
-    from tagid.storage.hdf5 import read_capture, write_capture
-
     first = read_capture(captures / "empty.tagid.h5")
     write_capture(captures / "other.tagid.h5", replace(first, samples=first.samples * 2))
     shutil.copy(captures / "helmet-120.tagid.h5", captures / "copy.tagid.h5")
@@ -189,7 +176,7 @@ def test_what_qualifies_an_answer_reaches_every_file(make_report, captures: Path
     assert summary["caveats"]["part_of_a_turn"] == 2 and summary["caveats"]["no_bound"] >= 1
     assert summary["dangling_links"] == [str(captures / "lost.tagid.h5")]
     out = tmp_path / "report"
-    records = {Path(record["file"]).name: record for record in lines(out)}
+    records = records_of(out)
     with (out / "items.csv").open(newline="") as file:
         rows = {Path(row["file"]).name: row for row in csv.DictReader(file)}
     cases = {
@@ -221,7 +208,7 @@ def test_what_qualifies_an_answer_reaches_every_file(make_report, captures: Path
 def test_a_copy_counts_for_what_is_expected_of_it(make_report, captures: Path, tmp_path: Path) -> None:
     shutil.copy(captures / "empty.tagid.h5", captures / "twin.tagid.h5")
     manifest = tmp_path / "m.csv"
-    names = [layout.name for layout in read_layouts()]
+    names = list(builtin_layouts())
 
     def compared(text: str) -> tuple[int, int]:
         manifest.write_text(text)
@@ -340,7 +327,8 @@ def test_pictures_share_a_budget(make_report, captures: Path, tmp_path: Path) ->
     page = tmp_path / "report" / "report.html"
 
     def pictures(megabytes: float) -> dict[str, int]:
-        make_report(captures, page=PageSettings(megabytes=megabytes), resume=True)
+        job = a_job(pictures=True)
+        make_report(captures, page=PageSettings(megabytes=megabytes), resume=True, job=job)
         result = re.findall(r'type="text/plain" id="(\w+)">([^<]*)<', page.read_text())
         return {name: len(text) for name, text in result}
 
@@ -400,8 +388,6 @@ def test_a_watched_folder_gives_each_file_once_it_is_complete(captures: Path, tm
 
 
 def test_an_npz_without_a_uuid_is_the_same_capture_each_time(tmp_path: Path) -> None:
-    from tagid.storage.importers import read_any
-
     values = {
         "range_start_m": 0.3,
         "range_step_m": 0.009,

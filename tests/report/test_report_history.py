@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from report_batches import a_job, of_another_registry
+from report_batches import of_another_registry
 
 from tagid.batch import remembering
+from tagid.batch.job import Job
 from tagid.batch.run import Hooks
 from tagid.storage.history import Filter, History
 
@@ -19,23 +19,24 @@ def names(history: Path) -> list[str]:
     return sorted(Path(entry.file).name for entry in History(history).find())
 
 
-def test_what_a_killed_run_left_is_stored_by_the_next(make_report, captures: Path, tmp_path: Path) -> None:
+def test_what_a_killed_run_left_is_stored_by_the_next(
+    make_report, job: Job, captures: Path, tmp_path: Path
+) -> None:
     path = tmp_path / "history.sqlite"
     hooks = Hooks(history=path)
-    plain = replace(a_job(), pictures=False)
-    assert make_report(captures, hooks=hooks, job=plain).remarks == ()
+    assert make_report(captures, hooks=hooks).remarks == ()
     assert len(names(path)) == 5
     with sqlite3.connect(path) as connection:  # as if killed before the last ones were stored
         connection.execute("DELETE FROM identification WHERE id > 2")
     connection.close()
     (captures / "empty.tagid.h5").rename(captures / "renamed.tagid.h5")
-    assert make_report(captures / "renamed.tagid.h5", hooks=hooks, job=plain, resume=True).reused == 1
+    assert make_report(captures / "renamed.tagid.h5", hooks=hooks, resume=True).reused == 1
     assert len(names(path)) == 6, "every answer once, and one more for the new name"
     with sqlite3.connect(path) as connection:
         connection.execute("DELETE FROM identification WHERE id > 2")
     connection.close()
     # Also a run with other settings finds them, and stores them under the run that made them.
-    other = of_another_registry(plain)
+    other = of_another_registry(job)
     assert make_report(captures / "bad.tagid.h5", hooks=hooks, job=other, resume=True).remarks == ()
     assert len(names(path)) == 7
     with sqlite3.connect(path) as connection:
@@ -52,13 +53,12 @@ def test_a_resumed_run_stores_copies_as_a_fresh_one_does(make_report, recorded: 
     copies = [f"{number}.tagid.h5" for number in range(4)]
     for name in copies:
         shutil.copy(recorded / "empty.tagid.h5", folder / name)
-    plain = replace(a_job(), pictures=False)
     for how in ("fresh", "resumed"):
         hooks = Hooks(history=tmp_path / f"{how}.sqlite")
         if how == "resumed":
-            make_report(folder / copies[2], hooks=hooks, job=plain)
+            make_report(folder / copies[2], hooks=hooks)
         for _ in range(3):
-            make_report(folder, hooks=hooks, job=plain, resume=how == "resumed")
+            make_report(folder, hooks=hooks, resume=how == "resumed")
             if how == "fresh":
                 break
         assert names(tmp_path / f"{how}.sqlite") == copies

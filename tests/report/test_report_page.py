@@ -67,7 +67,7 @@ def report(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     expectations = read_manifest(manifest, sources.sources, ["helmet-120", "container-90"])
     page = PageSettings("Gate 4 <b>acceptance</b>")
     plan = BatchPlan(sources, place / "report", page=page, expectations=expectations)
-    run_batch(plan, a_job(), in_this_process)
+    run_batch(plan, a_job(pictures=True), in_this_process)
     return place / "report"
 
 

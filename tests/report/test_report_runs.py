@@ -11,23 +11,18 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
 import pytest
-from report_batches import a_job, keep
+from report_batches import a_job, keep, lines
 
 from tagid.batch.inputs import Source
 from tagid.batch.local import Task, run_local
 from tagid.batch.run import FILES
 from tagid.cli.app import app
 from tagid.cli.frame import serve
-
-
-def lines(folder: Path) -> list[dict]:
-    path = folder / "items.jsonl"
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+from tests.processes import TAGID, wait_until
 
 
 def many(captures: Path, count: int) -> None:
@@ -37,7 +32,7 @@ def many(captures: Path, count: int) -> None:
 
 def start(home: dict[str, str], folder: Path, *words: object) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "tagid", *map(str, words)],
+        [*TAGID, *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -45,14 +40,6 @@ def start(home: dict[str, str], folder: Path, *words: object) -> subprocess.Pope
         env=home,
         start_new_session=True,  # a process group of its own, as a terminal gives it
     )
-
-
-def until(condition, process: subprocess.Popen[str]) -> None:
-    end = time.monotonic() + 90
-    while not condition():
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def test_the_whole_way(tagid, captures: Path, tmp_path: Path) -> None:
@@ -142,7 +129,7 @@ def test_ctrl_c_leaves_a_report_and_resume_goes_on(home, tagid, captures: Path, 
         results = [Path(line["file"]).name for line in lines(tmp_path / "r")]
         return len(results) >= 3 and any(name.startswith(("container-90", "more-")) for name in results)
 
-    until(begun, process)
+    wait_until(begun, process)
     os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
@@ -160,7 +147,7 @@ def test_ctrl_c_leaves_a_report_and_resume_goes_on(home, tagid, captures: Path, 
 def test_a_killed_run_goes_on_where_it_was(home, tagid, captures: Path, tmp_path: Path) -> None:
     keep(captures, "bad", "empty", "helmet-120")
     process = start(home, tmp_path, "report", "captures", "--out", "r", "-j", 1)
-    until(lambda: len(lines(tmp_path / "r")) >= 2, process)
+    wait_until(lambda: len(lines(tmp_path / "r")) >= 2, process)
     process.kill()
     process.communicate()
     rest = tagid("report", "captures", "--out", "r", "--resume", "--output", "json")
@@ -174,9 +161,9 @@ def test_a_watched_folder(home, tagid, captures: Path, recorded: Path, tmp_path:
     process = start(home, tmp_path, *words)
     out = tmp_path / "drop" / "report"
     shutil.copy(captures / "helmet-120.tagid.h5", tmp_path / "drop")
-    until(lambda: len(lines(out)) == 1 and (out / "report.html").exists(), process)
+    wait_until(lambda: len(lines(out)) == 1 and (out / "report.html").exists(), process)
     shutil.copy(captures / "empty.tagid.h5", tmp_path / "drop")
-    until(
+    wait_until(
         lambda: (out / "summary.json").exists() and '"items": 2' in (out / "summary.json").read_text(),
         process,
     )
